@@ -1,8 +1,8 @@
-"""The messages that zenoh passes to and from a daemon or a router. Pure.
+"""Access control: the messages that zenoh passes to and from a daemon or a router.
 
 Each listening session has its own configuration. zenoh compares names literally. A subscription is
-permitted only if the allowed keys include all keys of the subscription. The rules also apply to the
-messages of the node that is configured with them.
+permitted only if the allowed keys include all keys of the subscription. The rules of a node also
+apply to the messages that the node itself sends.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ MOST_MESSAGE_BYTES = 8 << 20  # over a network: a client can make the daemon hol
 
 
 def remote(rig: str, people: AccessList, subject: Subject) -> dict[str, Any]:
-    """Return the access control of a network: a client in no list may do nothing.
+    """Return the access control for a network: only operators and observers have permissions.
 
     Parameters
     ----------
     rig : str
         Id of the rig.
     people : AccessList
-        Operators and observers. A revoked client is in neither list and may do nothing.
+        Access list with the operators and the observers. A revoked client is in neither list.
     subject : {"cert_common_names", "usernames"}
         Property by which zenoh identifies the clients.
     """
@@ -62,7 +62,7 @@ def remote(rig: str, people: AccessList, subject: Subject) -> dict[str, Any]:
 
 
 def of_router(people: AccessList) -> dict[str, Any]:
-    """Return the access control of a router between the rigs and the people of its access list.
+    """Return the access control of a router between the rigs and the people in its access list.
 
     At every rig of the router, a person has the same permissions as at a rig without a router. A
     rig may publish, answer and hold a liveliness token under its own id, and receives the requests
@@ -82,12 +82,13 @@ def of_router(people: AccessList) -> dict[str, Any]:
 
 
 def at_router(rig: str) -> dict[str, Any]:
-    """Return a daemon's access control towards its router.
+    """Return the access control of a daemon for the connection to its router.
 
-    It has the rules of the router for this rig, with both directions swapped.
+    The rules are the router's rules for this rig, with ingress and egress swapped.
 
-    The router verifies each client's certificate. It guarantees that the client's name in the key
+    The router verifies each client's certificate, and guarantees that the client's name in the key
     of a message is true.
+
     """
     mirrored = {"ingress": "egress", "egress": "ingress"}
     rules = [
@@ -98,7 +99,7 @@ def at_router(rig: str) -> dict[str, Any]:
 
 
 def size_limits(rig: str) -> list[dict[str, Any]]:
-    """Return zenoh's `low_pass_filter`: zenoh discards longer commands before they are read."""
+    """Return zenoh's `low_pass_filter`, by which zenoh discards overlong commands unread."""
     longest = {Run.name: MOST_REMOTE_BYTES, Calibrate.name: MOST_CALIBRATION_BYTES}
     return [
         {

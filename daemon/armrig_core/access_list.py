@@ -32,7 +32,7 @@ class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     observers: _Names = ()
     """Names of clients that may watch the rigs."""
     rigs: _Names = ()
-    """Names in the rigs' certificates; the owner of the certificate rig-1 is rig 1 at a router."""
+    """Names in the rigs' certificates; the certificate of rig 1 contains the name rig-1."""
     revoked: _Names = ()
     """Names whose permissions were removed; no new certificate contains a revoked name."""
 
@@ -53,7 +53,7 @@ class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         return next((role for role in self.__struct_fields__ if name in getattr(self, role)), "")
 
     def with_name(self, name: str, role: str) -> AccessList:
-        """Return the list with a name in `role`, and in no other."""
+        """Return the access list with `name` in the list `role`, and in no other list."""
         fields = {
             field: tuple(n for n in getattr(self, field) if n != name)
             for field in self.__struct_fields__

@@ -1,13 +1,13 @@
 """The dynamics of the arm on its chassis, as matrices with the handout's values.
 
-The model is two inertias, joined by a spring. A motor drives them through a gear; its inductance is
-neglected::
+The model has two inertias, joined by a spring. A motor drives the first inertia, the chassis,
+through a gear. The inductance of the motor is neglected::
 
     J_1 theta_1'' = N K_m (u - N K_m theta_1') / R_m + K_lin alpha - b_1 theta_1'
     J_2 (theta_1'' + alpha'') = -K_lin alpha
 
-theta_1 is the angle of the chassis relative to the fundament, and alpha the angle of the arm
-relative to the chassis.
+theta_1 is the angle of the chassis relative to the base, and alpha the angle of the arm relative to
+the chassis.
 """
 
 from __future__ import annotations
@@ -68,12 +68,12 @@ class ArmParameters:
 
     @property
     def torque_per_volt(self) -> float:
-        """Torque on the chassis at rest per volt, N K_m / R_m, in Nm/V."""
+        """Torque on the chassis per volt at standstill, N K_m / R_m, in Nm/V."""
         return self.N * self.K_m / self.R_m
 
     @property
     def damping(self) -> float:
-        """Back-EMF and viscous friction seen at the chassis, (N K_m)² / R_m + b_1, in Nms/rad."""
+        """Damping of the chassis by back-EMF and friction, (N K_m)² / R_m + b_1, in Nms/rad."""
         return (self.N * self.K_m) ** 2 / self.R_m + self.b_1
 
 

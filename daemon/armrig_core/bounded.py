@@ -12,7 +12,7 @@ from pathlib import Path
 from armrig_core.errors import FileError
 
 CONFIGURATION_LIMIT = 1 << 16
-"""Longest configuration file, in B; the reader's time grows with the square of the length."""
+"""Longest configuration file, in B; the time for reading grows with the square of the length."""
 
 
 def read_bounded(

@@ -1,4 +1,4 @@
-"""The TOML file of a calibration, and the samples from which it was estimated, next to the file."""
+"""The TOML file of a calibration, and the file with the samples of the calibration."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class LostSamplesError(FileError):
 
 
 def raw_path(path: Path) -> Path:
-    """Return the path of the samples of the calibration in `path`."""
+    """Return the path of the samples that belong to the calibration file `path`."""
     return path.with_suffix(".csv.gz")
 
 
@@ -81,7 +81,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def check_measured(calibration: Calibration, raw: bytes) -> Made:
-    """Return the origin of a calibration; refuse a calibration not from `armrig calibrate`.
+    """Return the origin of a calibration; refuse a calibration that was not measured.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def check_measured(calibration: Calibration, raw: bytes) -> Made:
 
 
 def raw_samples(calibration: Calibration) -> bytes:
-    """Return the compressed samples of a calibration that was read from a file, or b"".
+    """Return the compressed samples of a calibration; b"" if it has no file or no samples.
 
     Raises
     ------

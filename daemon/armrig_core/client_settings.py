@@ -36,7 +36,7 @@ def client_settings(paths: Sequence[Path], environ: Mapping[str, str]) -> Client
         TOML files; a later file overrides an earlier one. A file that this user may not read, such
         as the daemon's file, is ignored.
     environ : mapping
-        Environment variables; those that begin with `ARMRIG_CLIENT_` override the files.
+        Environment variables; variables that begin with `ARMRIG_CLIENT_` override the files.
 
     Raises
     ------

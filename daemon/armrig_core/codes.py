@@ -10,7 +10,7 @@ from enum import StrEnum
 from typing import NamedTuple, Self
 
 TRY_AGAIN = ": try again"
-"""Last words of the sentence of a temporary refusal."""
+"""Ending of the sentence in a temporary refusal."""
 
 
 class RefusalCode(StrEnum):
@@ -57,7 +57,7 @@ class RefusalCode(StrEnum):
     BUSY = "busy"
     """Another request to the device, `want`, is in progress."""
     STALE = "stale"
-    """The last answer (`age_ms` old) or sample (older than `limit_ms`) of the device is too old."""
+    """The device's last answer (`age_ms` old) or last sample (older than `limit_ms`) is too old."""
     NOT_AT_REST = "not_at_rest"
     """The device is not at rest yet."""
     LATE = "late"
@@ -87,7 +87,7 @@ class OutcomeCode(StrEnum):
     """Outcome of a run or of its recording."""
 
     COMPLETE = "complete"
-    """The run ended with the last sample of its input, or the recording with its last sample."""
+    """The run or the recording ended with its last sample."""
     CONTINUED = "continued"
     """The file is one part of a run, and another part follows."""
     STOPPED = "stopped"

@@ -1,4 +1,4 @@
-"""Commands to the daemon and its replies: JSON, each field checked."""
+"""Commands to the daemon and the replies of the daemon: JSON texts with checked fields."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Arm(Request, frozen=True, kw_only=True):
 
     name: ClassVar[str] = "arm"
     owner: Owner
-    """Name of the owner, for a person: printable, with at least one letter or digit."""
+    """Name of the owner, for people to read: printable, with at least one letter or digit."""
     Ts: Seconds | None = None
     """Sampling time, in s; default: the configured sampling time."""
 
@@ -141,7 +141,7 @@ class Status(Request, frozen=True, kw_only=True):
 MOST_REMOTE_BYTES = (8 << 20) - (64 << 10)
 """Longest command over a network, in B: 8 MiB minus zenoh's own part of the message."""
 MOST_DETAILS_BYTES = 1 << 20
-"""Longest `details` of a run, as JSON in B."""
+"""Longest JSON text of a run's `details`, in B."""
 Requests = Arm | Disarm | Run | Renew | Set | Stop | Note | Reset | Calibrate | Status
 """Any command."""
 REQUESTS: dict[str, type[Requests]] = {r.name: r for r in get_args(Requests)}
@@ -258,7 +258,7 @@ class Refused(msgspec.Struct, frozen=True, kw_only=True):
     passes: bool | None = None
     """True if the refusal is temporary; None from a daemon of version 1."""
     parameters: dict[str, Fact] = {}
-    """Values in the sentence, by name, such as the owner of the rig."""
+    """Values in the sentence `error`, by name, such as the owner of the rig."""
 
 
 def refused(code: RefusalCode, error: str, **parameters: Fact) -> Refused:

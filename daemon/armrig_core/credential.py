@@ -50,7 +50,7 @@ class Credential:
     expires: datetime
     """Time at which the certificate or its authority's certificate expires, whichever is first."""
     key: bytes
-    """Private key, as PEM, like the certificates."""
+    """Private key, as PEM; the certificates are also PEM."""
     certificate: bytes
     authority: bytes
 
@@ -70,9 +70,10 @@ class Credential:
 
 
 def check_name(name: str) -> str:
-    """Return the name of a person or a program; raise ValueError if it cannot be part of a key.
+    """Return `name`; raise ValueError if the name cannot be part of a zenoh key.
 
-    The daemon's access list and the keys of the client's commands contain this name.
+    The daemon's access list and the zenoh keys of the client's commands contain the name of a
+    person or a program.
     """
     if not _NAME.fullmatch(name):
         raise InputError(f"name '{printable(name)}': use 1 to 40 characters, each a-z, 0-9 or -")

@@ -1,7 +1,7 @@
 """The Unix socket that replaces the serial port between a daemon and an emulated rig.
 
-A port `unix:PATH` names the socket. The socket connects to an emulator on the same machine, of the
-same user. The program that opened the port holds the lock of the file `PATH.lock`.
+A port `unix:PATH` names the socket. The socket leads to an emulator that the same user runs on the
+same machine. The program that opened the port holds the lock of the file `PATH.lock`.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def is_socket(path: Path) -> bool:
 
 
 def stranger(connection: socket.socket) -> int | None:
-    """Return the id of the user at the other end; None for this user or root."""
+    """Return the id of another user at the other end; None for this user or root."""
     data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     _, uid, _ = _CREDENTIALS.unpack(data)
     return None if uid in (os.geteuid(), 0) else int(uid)

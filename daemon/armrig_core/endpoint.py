@@ -30,9 +30,10 @@ def socket_directory(
 ) -> PurePosixPath:
     """Return the directory of the sockets.
 
-    The directory is the first entry of `$RUNTIME_DIRECTORY`, which systemd sets for a service. If
-    this variable is not set, the directory is `$XDG_RUNTIME_DIR/armrig`, which is set for a login.
-    Otherwise it is `armrig-<uid>` in the temporary directory.
+    The directory is the first entry of `$RUNTIME_DIRECTORY`, which systemd sets for a service.
+    Without this variable, the directory is `$XDG_RUNTIME_DIR/armrig`; a login sets
+    `$XDG_RUNTIME_DIR`. Without both variables, the directory is `armrig-<uid>` in the temporary
+    directory.
 
     Parameters
     ----------
@@ -65,7 +66,8 @@ def require_trusted(found: os.stat_result, *, owners: Collection[int]) -> None:
     Raises
     ------
     InputError
-        The message names the defect of the directory, but not the directory.
+        Another user owns the directory or may write to it, or the path is a link or no directory.
+        The message names only this defect, not the directory.
     """
     if stat.S_ISLNK(found.st_mode):
         raise InputError("is a symbolic link, which may lead to another user's directory")
@@ -130,7 +132,7 @@ def network_address(where: str) -> tuple[str, int] | None:
 
 
 def anchored(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
-    """Return a configuration's tables with paths of credentials resolved against `directory`."""
+    """Return a configuration in which relative paths of credentials begin at `directory`."""
     result = dict(tables)
     for table, keys in _FILES.items():
         given = result.get(table)

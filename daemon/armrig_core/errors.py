@@ -30,7 +30,7 @@ class InputError(ArmrigError, ValueError):
 
 
 class ParameterError(InputError):
-    """A parameter with a forbidden value; its name differs between Python and the command line.
+    """A forbidden value of a parameter whose name differs between Python and the command line.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class ParameterError(InputError):
         self._text = f"{value}: {reason}"
 
     def named(self, name: str) -> str:
-        """Return the message with another name of the parameter."""
+        """Return the message with `name` as the name of the parameter."""
         return f"{name} {self._text}"
 
     def __str__(self) -> str:

@@ -1,6 +1,6 @@
-"""Image of a firmware: an Intel HEX file, and the bytes of flash in it.
+"""Firmware image: an Intel HEX file, and the bytes of flash that the file contains.
 
-The image of the Uno is part of the wheel, because users have no compiler for it.
+The image of the Uno is part of the wheel, because users have no compiler for the firmware.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The mode of a Unix socket that its owner's group may open."""
+"""Creation of Unix sockets that the group of their owner may open."""
 
 from __future__ import annotations
 

@@ -19,11 +19,11 @@ from armrig_core.errors import MalformedReplyError
 from armrig_core.topics import STREAMS
 
 REPLY_LIMIT = 64 << 10
-"""Length at which an answer ends, in B; it includes the message that reaches this length."""
+"""Length at which an answer ends, in B; the last message may exceed this length."""
 ANSWER_LIMIT = 1 << 20
 """Longest answer that a client reads, in B; the answers of a daemon are much shorter."""
 NUMBER_LIMIT = 1 << 62
-"""Upper bound of the numbers; every message has a smaller number."""
+"""Upper bound of the message numbers; every message has a smaller number."""
 _HEAD = Struct("<16sQq")  # life of the daemon, number of the first message, clock offset in ns
 _MESSAGE = Struct("<BI")  # index of the stream in STREAMS; length in B
 
@@ -39,7 +39,7 @@ class Past(NamedTuple):
     """An answer: consecutive messages."""
 
     life: bytes
-    """16 B that identify one start of a daemon; each start begins the numbers again."""
+    """16 B that identify one start of a daemon; the message numbers begin again at each start."""
     first: int
     """Number of the first message; above the requested number if older messages are lost."""
     clock_offset_ns: int

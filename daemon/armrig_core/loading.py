@@ -28,5 +28,5 @@ def end_at_ctrl_c(program: str) -> Callable[[], object]:
 
 
 def is_interrupt(err: BaseException) -> bool:
-    """Return whether Ctrl-C caused an error; Python 3.11 may raise a RuntimeError from it."""
+    """Return whether an error, or the cause of the error (in Python 3.11), is a Ctrl-C."""
     return isinstance(err, KeyboardInterrupt) or isinstance(err.__cause__, KeyboardInterrupt)

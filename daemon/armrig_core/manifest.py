@@ -15,9 +15,9 @@ from armrig_core.rehearsal import Rehearsal
 RUN = "armrig.run"
 """Name of the metadata record written before the first sample."""
 OUTCOME = "armrig.outcome"
-"""Name of the metadata record written after the last sample; a recording without it was cut off."""
+"""Name of the metadata record after the last sample; without this record, the file was cut off."""
 RECOVERED = "armrig.recovered"
-"""Name of the metadata record of a file that its daemon left unfinished and that was recovered."""
+"""Name of the metadata record of a recovered file, which its daemon had left unfinished."""
 CONFIG, CALIBRATION, INPUT = "config.json", "calibration.json", "input.csv"
 """Names of the attachments; the input has one voltage per line, under the heading u_v."""
 CALIBRATION_RAW = "calibration.csv.gz"
@@ -65,7 +65,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     armrig: str
     """Version of armrig."""
     protocol: str
-    """Version and schema hash of the wire."""
+    """Version and schema hash of the wire protocol."""
     device: dict[str, Any] = {}
     """Properties that the device reported, such as uid, boot_id, firmware, adc_bits, pwm_bits."""
     host: dict[str, Any] = {}

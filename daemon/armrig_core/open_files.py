@@ -1,4 +1,4 @@
-"""Number of open files of this process, and its limit."""
+"""Number of files that this process has open, and the limit of this number."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import resource
 from contextlib import suppress
 
 MOST_FILES = 16_384
-"""Limit, equal to LimitNOFILE= of the unit; a thousand connections exceed the usual 1024."""
+"""Limit on open files, as LimitNOFILE= in the unit; 1000 connections exceed the usual 1024."""
 
 
 def raise_limit() -> None:

@@ -38,9 +38,10 @@ _ACCESS_CONTROL = {
 }
 """Rules that forbid clients to publish, to answer, and to hold a liveliness token.
 
-zenoh would forward a message of a client. Its receivers could not distinguish it from the owner's
-messages, because each sender sets the source in its own messages. Clients must not receive the
-queries of others either, because a command contains the lease.
+Without these rules, zenoh would forward a message that a client publishes. The receivers could not
+distinguish this message from the owner's messages, because each sender sets the source in its own
+messages. A client must not receive the queries of other clients, because a command contains the
+lease.
 """
 
 
@@ -55,18 +56,18 @@ _ACCEPT_MS = 3000  # time for a client's authentication; zenoh allows 10 s for e
 
 
 def listening(endpoint: str) -> dict[str, Any]:
-    """Return the configuration of a listener for unauthenticated clients, with short limits."""
+    """Return the configuration of a listener; a client gets little time for its TLS handshake."""
     hurried = f"#tls_handshake_timeout_ms={_ACCEPT_MS}" if endpoint.startswith("tls/") else ""
     return {"listen": {"endpoints": [f"{endpoint}{hurried}"]}}
 
 
 def strangers(most_links: int) -> dict[str, Any]:
-    """Return zenoh's `transport/unicast` of a listener for unauthenticated clients."""
+    """Return zenoh's `transport/unicast` of a listener, with limits on unauthenticated clients."""
     return {"accept_timeout": _ACCEPT_MS, "max_sessions": most_links}
 
 
 ROUTED_US = 1_000_000
-"""Time for which a client that does not read may block a router, in µs; its link is then closed.
+"""Time for which a client that does not read may block a router, in µs, before its link is closed.
 
 zenoh's default of 5 s is longer than the time for which a loop runs without its service.
 """

@@ -1,4 +1,4 @@
-"""Users with a password: a file of lines user:password, as zenoh reads them.
+"""Users and their passwords: a file with lines user:password, the format of zenoh.
 
 The daemon accepts passwords only on the loopback of its own machine, because the connection is not
 encrypted.
@@ -56,7 +56,7 @@ def read_users(path: Path) -> dict[str, str]:
 
 
 def read_passwords(path: Path) -> frozenset[str]:
-    """Return the users that have a password in a file; raises as `read_users`."""
+    """Return the names of the users in a password file; raises as `read_users`."""
     return frozenset(read_users(path))
 
 

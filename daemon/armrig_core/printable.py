@@ -1,7 +1,7 @@
-"""Text of others, made safe for a terminal or a log.
+"""Text from untrusted sources, made safe for a terminal or a log.
 
 A control character moves the cursor, changes colours or titles, or hides the text before it. Marks
-that change the direction of writing also hide text. All these characters are escaped.
+that change the direction of writing can hide text, too. All these characters are escaped.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def printable(text: str, keep: str = "") -> str:
 
 
 def json_printable(text: str) -> str:
-    r"""Return JSON of the same value with unprintable characters escaped, such as \u001b.
+    r"""Return a JSON text of equal value with unprintable characters escaped, such as \u001b.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Protobuf descriptors of all published messages, built from one table.
 
-The daemon serves them under `rig/<id>/schema/**` and writes them into each recording, so that any
-protobuf library can read the messages without armrig.
+The daemon serves the descriptors under `rig/<id>/schema/**` and writes them into each recording.
+Any protobuf library can therefore read the messages without armrig.
 """
 
 from __future__ import annotations
@@ -97,9 +97,10 @@ ABSENT: dict[str, float] = {
     **{"double": nan, "sfixed32": -1, "sfixed64": -1},
     **{"fixed32": (1 << 32) - 1, "fixed64": (1 << 64) - 1},
 }
-"""Value of a number that a message does not contain, by its type: all bits set, or NaN.
+"""Value of a missing number of a message, by the type of the number: NaN, or all bits set.
 
-A message of an older release lacks the fields that were appended later; 0 would be a measurement.
+A message of an older release lacks the fields that were appended later. The value 0 would look like
+a measurement.
 """
 
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}
@@ -182,7 +183,7 @@ def message_class(name: str) -> Any:
 
 
 def decoded(name: str, data: bytes) -> Any:
-    """Return the message with the full name `name` in `data`; missing numbers are `ABSENT`.
+    """Decode `data` as a message with the full name `name`; missing numbers are `ABSENT`.
 
     Raises
     ------
@@ -197,6 +198,6 @@ def decoded(name: str, data: bytes) -> Any:
 
 @cache
 def _without_numbers(name: str) -> Any:
-    """Return a message of which all numbers have their value in `ABSENT`."""
+    """Return a message in which each number has the `ABSENT` value of its type."""
     fields = _MESSAGES.get(name.removeprefix(f"{PACKAGE}."), ())
     return message_class(name)(**{field: ABSENT[kind] for field, kind in fields if kind in ABSENT})

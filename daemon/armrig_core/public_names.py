@@ -24,7 +24,7 @@ def homes(package: str) -> dict[str, str]:
 
 
 def public(package: str, name: str) -> Any:
-    """Return a public name of a package, and store it in the package.
+    """Return the object with a public name of a package, and store it in the package.
 
     If the name is unknown, raise AttributeError. A package may first check the name in `homes` and
     raise a more helpful error.

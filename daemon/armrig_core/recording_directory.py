@@ -79,10 +79,10 @@ def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Pa
 def directory_to_look_in(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
     """Return the directory in which a client searches for recordings.
 
-    The result is the directory of `recording_directory`, with one exception. The service's
-    directory is returned if no directory is configured, this user's own directory does not exist,
-    and this user may read the service's directory. The runs of members of the service's group are
-    recorded in the service's directory.
+    The result is the directory of `recording_directory`, with one exception. If no directory is
+    configured, this user's own directory does not exist, and this user may read the service's
+    directory, then the service's directory is returned. The service records the runs of all members
+    of its group in this directory.
 
     Raises
     ------

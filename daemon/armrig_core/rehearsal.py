@@ -1,4 +1,4 @@
-"""Rehearsal of a run: the whole input on the model of the arm, compared with the limits."""
+"""Rehearsal of a run: simulation of its input on the arm's model, and check of the limits."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def rehearse(
 
     The states at the samples are exact (zero-order hold) except for rounding. Between the samples,
     the outputs are computed often enough for the arm's oscillation, at most `MOST_POINTS` times in
-    all. Only in runs of more than a day is a peak underestimated by more than 0.5 %.
+    all. A peak is underestimated by more than 0.5 % only in runs of more than a day.
 
     Parameters
     ----------
@@ -64,13 +64,14 @@ def rehearse(
     theta_1_rad : float, optional
         Angle of the chassis at the start, in rad.
     revolutions, alpha_rad : float, default 0
-        Limits, in turns from the start and in rad; 0 sets no limit.
+        Limits of the chassis' rotation from its start, in turns, and of the arm's deflection, in
+        rad; 0 sets no limit.
 
     Raises
     ------
     InputError
         A limit is reached or exceeded. During the run, the device enters FAULT as soon as
-        `revolutions` is reached; nothing watches alpha.
+        `revolutions` is reached; it does not check alpha.
 
     Examples
     --------
@@ -150,7 +151,7 @@ def _steps(
 
 
 def _augmented(Phi: _Array, Gamma: _Array) -> _Array:
-    """Return the matrix of the step from (x, u) to the next (x, u) with u held."""
+    """Return the matrix that maps (x, u) to (x, u) of the next step, with u held."""
     both = np.eye(5)
     both[:4, :4], both[:4, 4:] = Phi, Gamma
     return both
@@ -160,7 +161,7 @@ def _states(Phi: _Array, Gamma: _Array, u: _Array) -> _Array:
     """Return x (N + 1, 4) of x[k+1] = Phi x[k] + Gamma u[k] from x[0] = 0, block by block.
 
     Within a block, the response to the block's first state and the response to its input are
-    products with powers of Phi. Only the first states of the blocks form a recursion.
+    products with powers of Phi. Only the first state of each block is computed recursively.
     """
     n, N = Phi.shape[0], u.size
     blocks = -(-N // _BLOCK_SAMPLES)

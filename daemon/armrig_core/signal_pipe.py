@@ -2,8 +2,8 @@
 
 A signal writes to the pipe at once, in C (`signal.set_wakeup_fd`). Python runs a signal's handler
 later, in the main thread, between any two instructions. A handler that takes a lock may therefore
-deadlock with its own thread. If a handler sets a flag just before an endless wait, this wait does
-not end.
+deadlock with its own thread. If a handler only sets a flag just before an endless wait, this wait
+does not end.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class SignalPipe:
         numbers: Iterable[signal.Signals] = ENDING,
         handler: Callable[[int, object], None] = lambda number, frame: None,
     ) -> None:
-        """Catch these signals from now on; only the main thread may call this.
+        """Catch the signals `numbers` from now on; only the main thread may create a pipe.
 
         Parameters
         ----------
@@ -78,8 +78,8 @@ class SignalPipe:
     def close(self, *, ignores: bool = False) -> None:
         """Restore the previous handlers, or ignore the signals from now on.
 
-        A process ignores signals at its end, because Python restores each default handler during
-        its exit, and a second signal would then kill the process.
+        Python restores each default handler during its exit, and a second signal would then kill
+        the process. A process therefore ignores the signals at its end.
         """
         for number, before in self._before.items():
             signal.signal(number, signal.SIG_IGN if ignores else before)
@@ -90,10 +90,10 @@ class SignalPipe:
 
 @contextmanager
 def until_signal() -> Iterator[SignalPipe]:
-    """Yield a pipe that Ctrl-C or another ending signal sets; a second one raises an interrupt.
+    """Yield a pipe that an ending signal sets; a second signal raises KeyboardInterrupt.
 
-    The first signal interrupts nothing, because it may arrive between a message and its file. A
-    signal that nohup ignores stays ignored.
+    The first signal interrupts nothing, because it may arrive before a received message is in its
+    file. A signal that nohup ignores stays ignored.
     """
     received: list[int] = []
 
@@ -116,11 +116,12 @@ def until_signal() -> Iterator[SignalPipe]:
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Block signals during the `with` block; a process started in it keeps them blocked.
+    """Block the ending signals in a `with` block; a process started in the block inherits the mask.
 
     Such a process unblocks the signals when it creates its `SignalPipe`. A Ctrl-C reaches all
-    processes of a terminal, and one of them may still import modules. If a KeyboardInterrupt is
-    raised in a callback of the import system, Python prints it and continues.
+    processes of a terminal. Without the mask, it could be lost in a new process that still imports
+    modules: Python prints a KeyboardInterrupt that a callback of the import system raises, and
+    continues.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:

@@ -1,9 +1,9 @@
 """The messages that armrig publishes and records, and the constant layout of a sample.
 
-All `SAMPLE_FIELDS` have a fixed width and are always written. The bytes of a protobuf `Sample` are
-therefore at constant places, so that the struct module can encode a sample, and numpy can read a
-million samples at once. Other programs read plain protobuf. Fields are only appended. A field's
-name ends in its unit.
+All `SAMPLE_FIELDS` have a fixed width and are always written. Each field of an encoded `Sample` is
+therefore at a constant offset. The struct module can encode a sample, and numpy can read a million
+samples at once. Other programs read a sample as plain protobuf. New fields are only appended. A
+field's name ends in its unit.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ OutputName = Literal["theta_1", "alpha", "velocity"]
 
 
 class Channel(NamedTuple):
-    """A quantity that the device reads at each sample, and how a sample and a recording name it."""
+    """A quantity that the device reads at each sample, with its names in samples and recordings."""
 
     name: str
     unit: str
     rail: str
-    """Name of the `armrig_protocol.messages.Flag` of a reading at an end of its range."""
+    """Name of the `armrig_protocol.messages.Flag` that marks a reading at an end of its range."""
     valid: str
-    """Name of the mask of samples at which a recording has a valid reading."""
+    """Name of a recording's mask of the samples with a valid reading of the channel."""
     turns: bool = False
     """True if the shaft turns through a dead band, so that its turns are counted."""
     rate: str = ""
@@ -80,7 +80,7 @@ class Sample(NamedTuple):
     """State of the rig at one instant, as published and recorded."""
 
     k: int
-    """Sample index of the host, counted in sampling times; a break is a gap."""
+    """Index of the sample, counted by the host in sampling times; a jump in the index is a gap."""
     t_sched_ns: int
     """Due time of the sample, on the host's monotonic clock."""
     t_host_ns: int
@@ -88,11 +88,11 @@ class Sample(NamedTuple):
     t_device_us: int
     """Time of theta_1's trigger, on the device's clock, without wraps."""
     theta_1_rad: float
-    """Angle of the chassis as its potentiometer shows it (it wraps); NaN at a rail."""
+    """Angle of the chassis from its potentiometer, which wraps; NaN for a reading at a rail."""
     alpha_rad: float
-    """Angle of the arm against the chassis; NaN at a rail."""
+    """Angle of the arm relative to the chassis; NaN for a reading at a rail."""
     u_cmd_v: float
-    """Requested voltage from this sample on."""
+    """Voltage that is requested from this sample on."""
     u_applied_v: float
     """Voltage that the device reports as latched at this sample."""
     theta_1_counts: int

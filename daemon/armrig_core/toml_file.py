@@ -18,7 +18,7 @@ _DEEP_KEY = re.compile(rf"(?:{_PART}[ \t]*\.[ \t]*){{{_MAX_KEY_PARTS}}}{_PART}")
 
 
 def read_toml(path: Path, most: int) -> dict[str, Any]:
-    """Return the tables of a regular file of at most `most` bytes.
+    """Return the tables of a TOML file; the file may have at most `most` bytes.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def read_toml(path: Path, most: int) -> dict[str, Any]:
 
 
 def toml_tables(text: str) -> dict[str, Any]:
-    """Return the tables of a text.
+    """Return the tables in a TOML text.
 
     Raises
     ------

@@ -15,7 +15,7 @@ EVERY_RIG = "*"
 """Wildcard for a rig's id in a key: all rigs."""
 _MAX_LENGTH = 40
 PLAYED = "played-"
-"""Beginning of each id under which a recording is played again; no id of a rig begins with it."""
+"""First characters of the ids under which recordings are played; no rig has such an id."""
 
 
 def is_rig_id(text: str) -> bool:
@@ -32,7 +32,7 @@ def check_rig_id(rig: str) -> str:
 
 
 def check_own_id(rig: str) -> str:
-    """Return `rig`; raise ValueError if it is no valid id, or is the id of a played recording."""
+    """Return `rig`; raise ValueError if the id is invalid or begins like a played id."""
     if check_rig_id(rig).startswith(PLAYED):
         msg = f"rig id {rig!r}: an id that begins with {PLAYED} belongs to a recording that "
         raise InputError(msg + "`armrig play` plays; choose another id")
@@ -58,7 +58,8 @@ def command_key(rig: str, command: str, asker: str = "") -> str:
     """Return the key of a command, such as `rig/1/cmd/arm`.
 
     Over a network, the client's name follows the command, as in `rig/1/cmd/arm/alice`. The daemon's
-    access control permits each client its own name only, so a name in a key identifies its client.
+    access control permits each client only its own name. A name in a key therefore identifies a
+    client.
     """
     return f"rig/{rig}/cmd/{command}" + (f"/{asker}" if asker else "")
 

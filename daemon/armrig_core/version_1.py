@@ -1,4 +1,4 @@
-"""Conversion of the sentences in files and replies of version 1, which had no codes, to codes.
+"""Codes for the sentences in files and replies of version 1, which contain no codes.
 
 Files and replies of the current version contain codes and do not need this module.
 """
@@ -59,6 +59,6 @@ def gap_code(reason: str) -> GapCode:
 
 
 def emulator_stall_ns(message: str) -> int:
-    """Return the length of the stall that an event's sentence reports, in ns; otherwise 0."""
+    """Return the length of the stall that an event's sentence reports, in ns; 0 for no stall."""
     found = _EMULATOR_STALL.match(message)
     return int(found[1]) * 1_000_000 if found else 0

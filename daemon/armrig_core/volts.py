@@ -1,4 +1,4 @@
-"""Conversion of motor voltages to codes of the wire and back: 0 … 65535 is 0 … 5 V."""
+"""Conversion of motor voltages to codes of the protocol and back: 0 … 65535 is 0 … 5 V."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def code_of(u: float) -> int:
 
 
 def codes_of(u: Iterable[float]) -> bytes:
-    """Return the codes of the voltages, each a u16, little-endian; raises as `code_of`."""
+    """Return the codes of the voltages as little-endian u16 values; raises as `code_of`."""
     codes = [code_of(voltage) for voltage in u]
     return pack(f"<{len(codes)}H", *codes)
 
@@ -39,7 +39,7 @@ def volts_of(code: int) -> float:
 
 
 def duty(code: int, pwm_bits: int) -> int:
-    """Return the duty cycle nearest to `code`, in 2^pwm_bits steps; ties cannot occur."""
+    """Return the duty cycle nearest to `code`, in steps of 1/2^pwm_bits; ties cannot occur."""
     return ((code << (pwm_bits + 1)) + CODE_FULL_SCALE) // (2 * CODE_FULL_SCALE)
 
 

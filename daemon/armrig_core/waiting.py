@@ -1,9 +1,9 @@
-"""Waiting for a deadline and for descriptors, as exact as the kernel's timers.
+"""Waiting for a deadline and for file descriptors, as precise as the kernel's timers.
 
 `select` and `poll` query each terminal at every call. A terminal without input answers only after a
 kernel worker of ordinary priority has run (docs/timing.md), so a loop at real-time priority would
 wait for this worker. Here a terminal is watched edge-triggered: the kernel queries the terminal
-only after it has woken the process.
+only after new bytes have woken the process.
 
 References
 ----------
@@ -40,7 +40,7 @@ _until_at = ctypes.byref(_until)
 
 
 def sleep_until(deadline_ns: int, spin_ns: int = 0) -> int:
-    """Sleep until `spin_ns` before the deadline, then spin up to it; return the time, in ns."""
+    """Sleep, then spin for the last `spin_ns` before a deadline; return the final time, in ns."""
     now = time.monotonic_ns()
     wake = deadline_ns - spin_ns
     if now < wake:
@@ -56,7 +56,7 @@ class Waiter:
     """A set of watched descriptors and a timer of the monotonic clock, for use by one thread."""
 
     def __init__(self) -> None:
-        """Begin without a descriptor.
+        """Create a waiter that watches no descriptor yet.
 
         Raises
         ------
@@ -95,7 +95,7 @@ class Waiter:
         self._epoll.unregister(fd)
 
     def ready(self) -> list[tuple[int, int]]:
-        """Return the result of `wait_until` without waiting."""
+        """Return the descriptors that are ready now, as `wait_until` does, but without waiting."""
         return self._but_timer(self._epoll.poll(0, _MAX_EVENTS))
 
     def wait_until(self, deadline_ns: int) -> list[tuple[int, int]]:
@@ -104,7 +104,7 @@ class Waiter:
         Parameters
         ----------
         deadline_ns : int
-            Time on the monotonic clock, in 64 bits; if it is past, the call returns at once.
+            Time on the monotonic clock, in 64 bits; after this time, the call returns at once.
         """
         if deadline_ns != self._due_ns:  # a loop waits for the same deadline many times
             self._due_ns = deadline_ns

@@ -207,13 +207,13 @@ def _configuration(
 def emulate(
     port: Annotated[
         Path,
-        typer.Option(help="Port to create: a path, linked to a pseudo-terminal, or unix:PATH."),
+        typer.Option(help="Port to create: a path (a link to a pseudo-terminal), or unix:PATH."),
     ],
     config: Annotated[
         Path | None, typer.Option(help="File (TOML) with a table [emulator]; default: no file.")
     ] = None,
     trace: Annotated[
-        Path | None, typer.Option(help="File to write, a line for each change of the voltage.")
+        Path | None, typer.Option(help="File to write, with a line for each change of the voltage.")
     ] = None,
     seed: Annotated[
         int | None, typer.Option(help="Seed of all noise and of the boot ids; default: 1.")
@@ -260,14 +260,15 @@ def show_config(
         bool, typer.Option("--example", help="Print all keys, commented out, with their defaults.")
     ] = False,
     check: Annotated[
-        Path | None, typer.Option("--check", help="File to check, with the files that it names.")
+        Path | None,
+        typer.Option("--check", help="File to check, together with the files that it names."),
     ] = None,
 ) -> None:
     """Print an example of a configuration, or check a configuration.
 
-    --check reads /etc/armrig/ID.toml like the service of rig ID, and any other file like `armrigd
-    run --config`. The exit code is 78 if the daemon would refuse the file. Run the command as the
-    daemon's user to check that this user may read the keys.
+    --check reads /etc/armrig/ID.toml in the same way as the service of rig ID. It reads any other
+    file in the same way as `armrigd run --config`. The exit code is 78 if the daemon would refuse
+    the file. Run the command as the daemon's user to check that this user may read the keys.
     """
     from armrig_daemon.configuration_reference import example as example_text
 
@@ -281,7 +282,7 @@ def show_config(
 
 
 def _check_file(file: Path) -> None:
-    """Print the rig and the networks of a configuration; end like the daemon on an error."""
+    """Print the rig and the networks of a configuration; an error ends as in the daemon."""
     from armrig_core.recording_directory import SYSTEM
 
     from armrig_daemon.config import load, load_installed, recordings
@@ -323,8 +324,8 @@ def conformance(
 ) -> None:
     """Test a device against every rule of PROTOCOL.md; unplug the motor first.
 
-    The test takes a minute. With --firmware, the device is the Uno's firmware in simavr, and its
-    pins are tested, too.
+    The test takes a minute. With --firmware, the device is the Uno's firmware in simavr, and the
+    test also checks its pins.
 
     The exit code is 0 only if no rule is broken. After the test, the device is at 0 V.
     """
@@ -405,7 +406,10 @@ def virtual(
     directory: Annotated[Path, typer.Option(help="Folder for the recordings.")],
     config: _ConfigFile = None,
     seed: Annotated[
-        int, typer.Option(min=0, max=2**63 - 1, help="Seed of noise, names and times.")
+        int,
+        typer.Option(
+            min=0, max=2**63 - 1, help="Seed of the noise, and of the names and times of the runs."
+        ),
     ] = 1,
     firmware: _Firmware = False,
     image: _Hex = None,

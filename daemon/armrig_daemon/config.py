@@ -1,6 +1,6 @@
 """The daemon's configuration: TOML in layers, each key checked.
 
-Each layer overrides the layers after it: command line, `ARMRIG_<TABLE>_<KEY>`,
+Each layer overrides the layers after it in this list: command line, `ARMRIG_<TABLE>_<KEY>`,
 `$XDG_CONFIG_HOME/armrig/armrig.toml`, `/etc/armrig/<id>.toml`, `/etc/armrig/armrig.toml`. A file
 named on the command line replaces all these files.
 """
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
 EX_CONFIG = 78
-"""Exit code if another start fails until a person corrects the cause (sysexits.h)."""
+"""Exit code of a start that fails again until a person corrects the cause (sysexits.h)."""
 # Variables of the tests and of the simulated Uno, which are not keys of the configuration.
 _OTHER_VARIABLES = {"ARMRIG_REQUIRE_ALL", "ARMRIG_REFERENCE_DATA", HARNESS}
 
@@ -80,9 +80,9 @@ class Device(Table, frozen=True, kw_only=True):
     `run --emulate` has the largest allowed value as its default.
     """
     oversampling: int = 1
-    """Conversions averaged in one reading of each channel, 1 to 255; they must all fit into Ts."""
+    """Number of conversions averaged in a reading of a channel, 1 to 255; all must fit into Ts."""
     rail_ticks: int = 0
-    """Consecutive samples at a rail that stop a run, 0 to 65535; 0 is no guard."""
+    """Number of consecutive samples at a rail that stop a run, 0 to 65535; 0 is no guard."""
 
     def __post_init__(self) -> None:
         """Refuse an unprintable port, a wrong socket path, and values that do not fit the wire."""
@@ -109,7 +109,7 @@ class Timing(Table, frozen=True, kw_only=True):
     cpu: Annotated[int, Meta(ge=0)] | None = None
     """Processor core of the loop; without this key, the system chooses."""
     stop_after: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
-    """Consecutive missed ticks after which the motor is stopped; 0 is no limit."""
+    """Number of consecutive missed ticks after which the motor is stopped; 0 is no limit."""
     spin_us: Annotated[float, Meta(ge=0, le=500)] = 120
     """Time for which the loop spins before a deadline, in µs; only under SCHED_FIFO."""
 
@@ -147,7 +147,7 @@ class Motor(Table, frozen=True, kw_only=True):
     """`[motor]`: the driver of the motor."""
 
     rest_v: float | None = None
-    """Key without effect: every stop is 0 V. Only the value 0 is accepted, with a message."""
+    """Key without effect, because every stop is at 0 V. Only 0 is accepted, with a message."""
 
     def __post_init__(self) -> None:
         """Refuse a voltage at rest other than 0 V."""
@@ -183,7 +183,7 @@ class ArmSettings(Table, frozen=True, kw_only=True):
 
     @property
     def turns_per_volt_s(self) -> float:
-        """Final speed of the free chassis for 1 V, in turns/s."""
+        """Steady speed of the chassis at a constant voltage of 1 V, in turns/s."""
         p = self.parameters()
         return p.torque_per_volt / p.damping / tau
 
@@ -211,20 +211,20 @@ class Recording(Table, frozen=True, kw_only=True):
     keep_days: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
     """Age at which a complete recording of this rig is removed, in days; 0 keeps all."""
     keep_gb: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
-    """Largest size of this rig's recordings, in GB; the oldest are removed; 0 is no limit."""
+    """Largest size of this rig's recordings, in GB; the oldest runs are removed; 0 is no limit."""
 
 
 class Access(Table, frozen=True, kw_only=True):
     """`[access]`: network access; without this table, clients connect only by the Unix socket."""
 
     listen: str = ""
-    """Endpoint at which to listen in addition to the Unix socket, such as tls/0.0.0.0:7447."""
+    """Endpoint for clients, in addition to the Unix socket, such as tls/0.0.0.0:7447."""
     certificate: str = ""
-    """File with the rig's key and certificates, from `armrig pki rig`; for tls/ and a router."""
+    """File with the rig's key and certificates, from `armrig pki rig`; for tls/ or a router."""
     names: str = ""
     """File of the access list, which `armrig pki` writes: the clients that may drive or watch."""
     passwords: str = ""
-    """File with a line user:password for each user; for tcp/, which is only for this machine."""
+    """File with a line user:password for each user; needed for tcp/, on this machine only."""
     router: str = ""
     """Endpoint of the laboratory's router, such as tls/lab.example.edu:7447; default: no router."""
 
@@ -242,11 +242,11 @@ class Client(Table, frozen=True, kw_only=True):
     """`[client]`: the daemon to which `armrig` connects; the daemon itself ignores this table."""
 
     connect: str = ""
-    """Endpoint of the daemon, such as tls/lab-1.example.edu:7447; default: on this machine."""
+    """Endpoint of the daemon, such as tls/lab-1.example.edu:7447; default: the local daemon."""
     certificate: str = ""
     """File with your key and certificates, from `armrig pki operator` or `observer`; for tls/."""
     password: str = ""
-    """File with a line user:password; for tcp/."""
+    """File with a line user:password; needed for tcp/."""
 
 
 class Config(Table, frozen=True, kw_only=True):
@@ -262,7 +262,7 @@ class Config(Table, frozen=True, kw_only=True):
     access: Access = Access()
     client: Client = Client()
     calibration: Calibration = Calibration()
-    """`[calibration]`: conversion of readings to angles, and of codes to volts; a file or keys."""
+    """`[calibration]`: conversion of readings to angles, and of codes to volts: a file, or keys."""
     emulator: EmulatorSettings = EmulatorSettings()
 
     @property
@@ -326,11 +326,11 @@ def load(
     paths : list of Path
         TOML files; all must exist.
     environ : mapping
-        Environment variables; only those that begin with `ARMRIG_` are read.
+        Environment variables; only variables that begin with `ARMRIG_` are read.
     overrides : mapping
         Tables of the command line.
     below : mapping
-        Defaults below all layers.
+        Defaults, which every layer overrides.
 
     Raises
     ------

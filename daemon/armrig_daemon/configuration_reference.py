@@ -52,7 +52,7 @@ class Key(NamedTuple):
     """One key of a table."""
 
     name: str
-    """Name in the table; dotted if the value is in a table of its own."""
+    """Name in the table; dotted if the value is in a nested table."""
     kind: str
     """Type of the value, in words."""
     default: str
@@ -73,7 +73,7 @@ def tables() -> Iterator[tuple[str, str, list[Key]]]:
 
 
 def example() -> str:
-    """Return a configuration with all keys, each commented out and after its description."""
+    """Return a configuration with all keys; each key is commented out, after its description."""
     lines = [_HEADING]
     for table, meaning, keys in tables():
         lines += [_comment(f"{meaning}."), f"[{table}]"]
@@ -99,7 +99,7 @@ def page_tables() -> str:
 
 
 def _meanings() -> Iterator[tuple[str, str]]:
-    """Yield name and purpose of each table; its class has the docstring "`[name]`: purpose"."""
+    """Yield name and purpose of each table; the docstring of its class is "`[name]`: purpose"."""
     descriptions = _descriptions(Config)
     for field in msgspec.structs.fields(Config):
         text = descriptions.get(field.name) or " ".join((field.type.__doc__ or "").split())
@@ -141,8 +141,8 @@ _CALIBRATION_FILE = Key(
     default="",
     allowed="",
     description=(
-        "File that `armrig calibrate` wrote, relative to the folder of the file that names it. "
-        "If this key is given, no other key of this table is allowed."
+        "File from `armrig calibrate`; its path is relative to the folder of the configuration "
+        "file. If this key is given, no other key of this table is allowed."
     ),
     example='"calibration-1.toml"',
 )

@@ -1,4 +1,4 @@
-"""Messages between the loop and the service over pipes: records from the loop, orders to it.
+"""Messages between the loop and the service over pipes: records of the loop, and orders to it.
 
 Each message is `length u32, kind u8, payload`. The payload of a sample is its protobuf bytes, which
 reach the subscribers and the file unchanged. All other payloads are msgpack with a tag.
@@ -47,7 +47,7 @@ class Log(Tagged, frozen=True, kw_only=True):
     is_note: bool = False
     """True if a person wrote the message; `fields` contains the `owner`."""
     emulator_stall_ns: int = 0
-    """Time for which the clock of an emulated rig stood still; 0 in other messages."""
+    """Time for which the clock of an emulated rig stood still, in ns; 0 in other messages."""
 
 
 class Distribution(Tagged, frozen=True, kw_only=True):
@@ -87,7 +87,7 @@ class Clock(Tagged, frozen=True, kw_only=True):
     """Time of the host, in ns, minus 1000 times the time of the device, in µs."""
     offset_std_ns: float
     drift_ppm: float
-    """Rate of the offset; positive if the device's clock is slow."""
+    """Rate of change of the offset; positive if the device's clock is slow."""
     drift_std_ppm: float
     bound_ns: float
     """Largest error of the offset that a constant asymmetry of the line's delays can cause."""
@@ -145,7 +145,7 @@ class RunEnded(Tagged, frozen=True, kw_only=True):
 
 
 class Answer(Tagged, frozen=True, kw_only=True):
-    """The answer to the order with this number: a body, or an error for a person."""
+    """Answer to the order with the number `order`: a body, or an error for a person."""
 
     order: int
     body: dict[str, Any] = {}
@@ -174,7 +174,7 @@ class Order(Tagged, frozen=True, kw_only=True):
 
 # The steps of a recorded run contain the tags of orders: a new order needs a new trace version.
 class Arm(Order, frozen=True, kw_only=True):
-    """Arm for `owner`; the service has generated the lease."""
+    """Arm the rig for `owner`; the service has generated the lease."""
 
     owner: str
     lease: str
@@ -191,7 +191,7 @@ class Leased(Order, frozen=True, kw_only=True):
 
 
 class Disarm(Leased, frozen=True, kw_only=True):
-    """Disarm."""
+    """Disarm the rig."""
 
 
 class Set(Leased, frozen=True, kw_only=True):
@@ -211,7 +211,7 @@ class Run(Leased, frozen=True, kw_only=True):
 
 
 class Stop(Order, frozen=True, kw_only=True):
-    """Stop, with or without a lease."""
+    """Stop the motor; the order needs no lease."""
 
     reason: str = "stopped"
     """Outcome of the run that the stop ends, for a person."""
@@ -235,7 +235,7 @@ class Alive(Order, frozen=True, kw_only=True):
 
 
 class Quit(Order, frozen=True, kw_only=True):
-    """Stop and exit."""
+    """Stop the motor and end the loop."""
 
     reason: str
 
@@ -248,12 +248,12 @@ _ORDERS = msgspec.msgpack.Decoder(Orders)
 
 
 def sample_bytes(sample: bytes) -> bytes:
-    """Return the pipe's bytes for an encoded sample."""
+    """Return the message, as bytes, that passes an encoded sample through the pipe."""
     return _HEAD.pack(len(sample), _SAMPLE_KIND) + sample
 
 
 def record_bytes(record: Record | Orders) -> bytes:
-    """Return the pipe's bytes for a record or an order."""
+    """Return the message, as bytes, that passes a record or an order through the pipe."""
     payload = _ENCODER.encode(record)
     return _HEAD.pack(len(payload), _RECORD_KIND) + payload
 

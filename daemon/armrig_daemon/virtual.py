@@ -24,7 +24,7 @@ Line = Callable[[bytes], bytes]
 
 
 class VirtualDevice(Protocol):
-    """A device whose time is an argument: the emulated device, or the firmware's binary."""
+    """Device that gets the time as an argument: the emulated device, or the firmware's binary."""
 
     @property
     def board(self) -> Board:
@@ -82,7 +82,7 @@ class VirtualPorts:
         return self.now
 
     def wait(self, until_ns: int) -> list[Event]:
-        """Advance until the device sends bytes, an order is due, or `until_ns`; return events."""
+        """Advance to the next bytes of the device, due order, or `until_ns`; return the events."""
         while True:
             ready = self._ready()
             if ready or self.now >= until_ns:
@@ -109,7 +109,7 @@ class VirtualPorts:
         """Do nothing: garbage is collected as usual."""
 
     def send(self, at_ns: int, event: Event) -> None:
-        """Schedule an event at a time, not before events that were scheduled earlier."""
+        """Schedule an event for `at_ns`; it follows all events that were scheduled before."""
         self._inbox.append((at_ns, event))
 
     def take_records(self) -> list[bytes | Record]:
@@ -148,7 +148,7 @@ class VirtualRig:
         self.records: list[bytes | Record] = []
 
     def order(self, order: Orders, at_ns: int | None = None) -> None:
-        """Send an order, now or at a time."""
+        """Send an order now, or at the time `at_ns`."""
         self.ports.send(self.ports.now if at_ns is None else at_ns, Ordered(order))
 
     def run_until(self, until_ns: int) -> list[bytes | Record]:

@@ -28,7 +28,7 @@ class DamageError(ArmrigError):
 
 
 class Budget:
-    """Cost of reading a file so far, and its limits."""
+    """Cost of reading a file up to now, and the limits of this cost."""
 
     def __init__(self, size: int, messages: int = 0) -> None:
         """Set the limits for a file of `size` B; `messages` > 0 is the limit on messages, in B."""

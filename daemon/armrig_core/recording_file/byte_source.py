@@ -1,4 +1,4 @@
-"""The bytes of a file in order, each read once, with their hash and checksum."""
+"""Reader of a file that reads each byte once, in order, and computes a hash and a checksum."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ByteSource:
         self._hash = hashlib.sha256() if is_hashed else None
 
     def read(self, n: int) -> bytes:
-        """Return the next n bytes, fewer at the end of the file."""
+        """Return the next n bytes, or fewer bytes at the end of the file."""
         data = self.stream.read(min(n, self.left))
         # A file that was shortened after it was opened ends here.
         self.left = self.left - len(data) if data or not n else 0
@@ -57,7 +57,7 @@ class ByteSource:
             self.left -= n
 
     def sha256(self) -> str:
-        """Read the rest; return the hash of the file up to its size at opening."""
+        """Read the rest of the file; return the hash of all bytes up to its size at opening."""
         if self._hash is None:
             raise InputError("sha256() needs is_hashed=True")
         self.skip(self.left)

@@ -33,7 +33,7 @@ CHUNK_LIMIT = 8 << 20
 RECORD_LIMIT = CHUNK_LIMIT + (64 << 10)
 """Longest record that is read, in B, except attachments."""
 UNREADABLE = (McapError, struct.error, DecodeError, ValueError, OverflowError)
-"""Exceptions that the libraries raise on damaged bytes, which a CRC nearly always detects first."""
+"""Exceptions of the libraries at damaged bytes; a CRC nearly always detects the damage before."""
 
 _SKIPPED_OPCODES = (Opcode.CHUNK_INDEX, Opcode.STATISTICS)
 _INDEX_HEAD = Struct("<HI")  # message index: channel, length of the rest
@@ -70,7 +70,7 @@ class Place(NamedTuple):
 
 
 class Record(NamedTuple):
-    """A record that the reader requested."""
+    """A record that the caller selected by `Wanted`."""
 
     opcode: int
     body: bytes
@@ -100,7 +100,7 @@ def file_records(
     source : ByteSource
         Reader of the file, positioned after the magic.
     spend : callable
-        Function that is called with the work of each record, in units of the budget.
+        Function that is called for each record with the record's work, in units of the budget.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def _stays(begin: bytes, name: str) -> bool:
 
 
 def _check_data(source: ByteSource, body: bytes) -> None:
-    """Check the checksum over all data; without the skipped chunks it cannot be computed."""
+    """Check the checksum over all data, unless chunks were skipped without reading them."""
     expected = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
     if expected and not source.passed and expected != source.crc:
         raise DamageError("the checksum over all data is wrong: the file was changed")

@@ -18,12 +18,12 @@ _ROOT_UID = 0
 
 @contextmanager
 def byte_source(path: Path, *, is_hashed: bool = False) -> Iterator[ByteSource | None]:
-    """Yield the bytes of a file after its magic; None if it has no magic.
+    """Yield a reader of a file's bytes after the MCAP magic; None for a file without the magic.
 
     Parameters
     ----------
     is_hashed : bool
-        True if the caller will request the hash.
+        True if the caller will request the hash of the file.
 
     Raises
     ------
@@ -49,8 +49,8 @@ def regular_file(path: Path, *, may_be_link: bool = True) -> IO[bytes]:
     OSError
         The file cannot be opened or read.
     DamageError
-        The path is a link that is not followed, or not a regular file: a pipe or a device may
-        block or never end.
+        The path is a link that is not followed, or is not a regular file. A pipe may block, and a
+        device may never end.
     """
     try:
         stream = open(path, "rb", opener=no_link)  # noqa: SIM115 - the caller's
@@ -73,12 +73,12 @@ def _is_own(link: Path) -> bool:
 
 
 def no_link(path: str, flags: int) -> int:
-    """Open an untrusted file that is not a link; an opener for `open`."""
+    """Open an untrusted file, but no link; use this function as the `opener` of `open`."""
     return opened(path, flags | getattr(os, "O_NOFOLLOW", 0))
 
 
 def opened(path: str, flags: int) -> int:
-    """Open an untrusted file; an opener for `open`."""
+    """Open an untrusted file; use this function as the `opener` of `open`."""
     # O_NONBLOCK: do not wait until somebody writes to a pipe. Windows has only O_BINARY, and
     # changes bytes without it.
     more = ("O_NONBLOCK", "O_NOCTTY", "O_BINARY")

@@ -16,10 +16,10 @@ def part_path(path: Path, number: int) -> Path:
 
 
 def part_paths(path: Path) -> list[Path]:
-    """Return the files of a run or of a part.
+    """Return the files of the run or the part with the path `path`.
 
-    If no file has the name of the run, the result is all parts of the run, in their order. For the
-    name of a part, the result is this part alone.
+    An existing file is returned alone. If no file has the name of the run, the result contains all
+    parts of the run, in order.
     """
     if path.exists() or path.suffix != ".mcap":
         return [path]

@@ -1,4 +1,4 @@
-"""Recording of a run into one or several MCAP files, safe on the disk up to the last flush.
+"""Recording of a run into MCAP files; all flushed messages survive the end of the process.
 
 The file is `NAME.mcap.active` until it is complete. A separate thread writes the files, so that the
 caller never waits for the disk.
@@ -85,7 +85,7 @@ class Recording:
         self.moved = ""
         """Message that the file was moved; writing continues at its new path."""
         self.done = False
-        """True if the file is complete under its final name, or if writing has failed for good."""
+        """True if the file is complete under its final name, or if writing has failed and ended."""
         self._limits = limits
         # Only the first part contains the input, which may have 80 MB.
         self._attachments = {n: data for n, data in attachments.items() if n != INPUT}
@@ -116,12 +116,12 @@ class Recording:
 
     @property
     def active(self) -> Path:
-        """The file that is being written."""
+        """Path of the file that is being written."""
         return self._part.active
 
     @property
     def behind(self) -> int:
-        """Batches that are not written yet."""
+        """Number of batches that are not written yet."""
         return self._queue.qsize()
 
     def add(self, batch: list[Outgoing]) -> None:
@@ -236,7 +236,7 @@ class Recording:
         self.missing += part.missing
 
     def _end_early(self, err: EndsHereError) -> None:
-        """Complete the file before the end of the run; it is rewritten in full chunks later."""
+        """Complete the file before the end of the run; later, `_write_run` rewrites the file."""
         try:
             self._end_part(Ending(OutcomeCode.RECORDING, f"its recording ended: {err}"))
             self._follow()
@@ -259,7 +259,7 @@ class Recording:
             self._changed()
 
     def _give_up(self, err: Exception) -> None:
-        """Close the file at its last flush, because continuing would leave an unreported gap."""
+        """Close the file at its last flush; a later write would leave an unreported gap."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
         # Another file may have taken the name, but RemovedError proves that this file is removed.
         there = not isinstance(err, RemovedError) and os.access(self.kept, os.F_OK)

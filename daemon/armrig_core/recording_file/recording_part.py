@@ -1,4 +1,4 @@
-"""One open file of a recording: each flush writes all pending messages or none."""
+"""One open file of a recording; each flush writes either all pending messages or none."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class EndsHereError(Exception):
 
 
 class RemovedError(OSError):
-    """The file has no name any more, so that all data written to it are lost."""
+    """The file was removed from its folder, so that all data written to it are lost."""
 
 
 class Part:
@@ -134,7 +134,7 @@ class Part:
 
     @property
     def is_behind(self) -> bool:
-        """True if more is pending than the reserve may hold."""
+        """True if the pending bytes exceed the size of a chunk, so that a flush is due."""
         return self._pending.size > CHUNK_BYTES
 
     def flush(self) -> None:
@@ -145,7 +145,8 @@ class Part:
         EndsHereError
             All messages are written, but the disk is full.
         OSError
-            No message is written: the file ends with the last flush, and nothing may be added.
+            No message is written. The file ends with the last flush, and nothing may be added to
+            it.
         """
         self._writer.flush()
         if not self._pending.size:
@@ -159,7 +160,7 @@ class Part:
             raise EndsHereError(err.strerror) from err
 
     def sync(self) -> None:
-        """Sync the flushed data to the disk, with as little of its metadata as possible."""
+        """Sync the flushed data to the disk, with as little metadata of the file as possible."""
         # Not every system has fdatasync.
         getattr(os, "fdatasync", os.fsync)(self._file.fileno())
 
@@ -185,9 +186,10 @@ class Part:
         sync_directory(self.path.parent)
 
     def compact(self) -> None:
-        """Rewrite the finished file in full chunks, under its active name or its final name.
+        """Rewrite the finished file in full chunks; the file keeps its active or final name.
 
-        If the disk has no space for a second copy, the first copy, which is complete, stays.
+        If the disk has no space for the rewritten copy, the original file, which is complete,
+        stays.
         """
         written = self.path if self.is_named else self.active
         if sys.platform == "win32":
@@ -267,7 +269,7 @@ class Part:
         self.size = self._pending.written()
 
     def _cut(self) -> None:
-        """Cut the file at its last flush, so that it contains no incomplete record."""
+        """Cut the file at the end of its last flush, so that the file has no incomplete record."""
         os.ftruncate(self._file.fileno(), self.size)
 
 
@@ -299,7 +301,7 @@ class _Pending:
         """Do nothing: `Part` writes the pending bytes."""
 
     def taken(self) -> bytes:
-        """Return all pending bytes; they are kept until `written`."""
+        """Return all pending bytes; keep them until `written` is called."""
         self._parts = [b"".join(self._parts)]
         return self._parts[0]
 

@@ -42,7 +42,7 @@ from armrig_core.topics import stream_of
 CUT_OFF = "cut off: its daemon died"
 """Outcome of a run whose recording contains no outcome."""
 MOST_CUT_OFF = 1 << 20
-"""Largest part that is cut off, in B.
+"""Largest damaged end of a file that is cut off, in B.
 
 One torn write is shorter than this limit. If more bytes follow the damage, the damage is in the
 middle of the file. The file is then kept unchanged, because the bytes may become readable.
@@ -77,8 +77,8 @@ class Recovery:
     def recover(self, path: Path) -> RecoveredFile:
         """Complete an unfinished recording NAME.mcap.active as NAME.mcap.
 
-        The undamaged beginning is kept. The outcome, if it is missing, and a record of the recovery
-        are appended. The new file replaces the old file after the new file is on the disk.
+        The undamaged beginning is kept. A record of the recovery is appended, and the outcome if it
+        is missing. When the new file is on the disk, it replaces the old file.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class Recovery:
     def _copied(
         self, path: Path, stream: IO[bytes], copy: Path
     ) -> tuple[Manifest, Outcome, Recovered]:
-        """Write the undamaged records to `copy`, complete it, and sync it to the disk."""
+        """Write the undamaged records to `copy`; complete the copy, and sync it to the disk."""
         size = os.fstat(stream.fileno()).st_size
         source = ByteSource(stream, size)
         if source.read(len(MAGIC)) != MAGIC:

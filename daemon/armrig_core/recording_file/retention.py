@@ -1,7 +1,7 @@
 """Removal of old recordings from a folder: whole runs of one rig, the oldest first.
 
-A run is removed only if each of its files was read from its first byte to its last, and is a
-complete recording of this rig.
+Before the removal of a run, each file of the run is read completely. The run is removed only if
+each file is a complete recording of this rig.
 """
 
 from __future__ import annotations
@@ -66,9 +66,9 @@ class Retention:
     breath: Callable[[], None] = lambda: None
     """Function that is called between two records; it may wait."""
     _reported: set[tuple[Path, float]] = field(default_factory=set)
-    """Last file and end time of each run that could not be removed and was reported."""
+    """Last file and end time of each run whose failed removal was reported."""
     _rigs: dict[tuple[Path, float], str] = field(default_factory=dict)
-    """Rig of each run, by its first file and its end time; "" if the file is not a recording."""
+    """Rig of each run, by the run's first file and end time; "" if the file is no recording."""
 
     @property
     def is_asked(self) -> bool:

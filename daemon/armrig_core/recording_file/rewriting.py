@@ -1,4 +1,4 @@
-"""Rewriting of a recording in chunks of a size that suits readers.
+"""Rewriting of a recording: small chunks become chunks of a size that suits readers.
 
 During a run, each flush ends a chunk, ten times a second. The chunks are therefore small, and
 little is lost if the process dies. The finished recording has chunks of 1 MiB.
@@ -128,7 +128,7 @@ class Rewriter:
 
 
 def compact(source: Path, target: Path) -> None:
-    """Write all records of `source`, a complete recording, to `target`, and sync it to the disk.
+    """Copy all records of the complete recording `source` to `target`, and sync `target`.
 
     Raises
     ------

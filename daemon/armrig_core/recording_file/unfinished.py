@@ -1,4 +1,4 @@
-"""Files with the name of an unfinished recording: search, and exclusive access for recovery."""
+"""Search for unfinished recordings by name, and exclusive access to a file for its recovery."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class NotOursError(RecoveryError):
 
 
 def unfinished(folder: Path, rig: str = "") -> list[Path]:
-    """Return the files in a folder with the name of an unfinished recording, sorted.
+    """Return the files of a folder that have the name of an unfinished recording, sorted.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def unfinished(folder: Path, rig: str = "") -> list[Path]:
 
 
 def remove_copies(folder: Path, rig: str, owner: int) -> list[Path]:
-    """Remove the incomplete copies of processes that died; return their paths.
+    """Remove incomplete copies, which processes left when they died; return their paths.
 
     The original of each copy is complete and stays.
     """
@@ -52,7 +52,7 @@ def remove_copies(folder: Path, rig: str, owner: int) -> list[Path]:
 
 @contextmanager
 def held(path: Path, owner: int | None) -> Iterator[IO[bytes]]:
-    """Yield a file that no process writes, locked during the block."""
+    """Lock a file that no other process writes, and yield it open for reading."""
     try:
         # Checked before the file is opened: opening a device may have an effect, and a link may
         # lead to another file.

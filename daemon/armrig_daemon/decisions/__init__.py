@@ -1,1 +1,1 @@
-"""The decisions: pure functions without a clock, randomness or a log."""
+"""The decisions of the daemon: pure functions without a clock, randomness or a log."""

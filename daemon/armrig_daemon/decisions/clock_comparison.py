@@ -1,4 +1,4 @@
-"""Comparison of the device's clock with the host's, by each exchange with four time stamps."""
+"""Comparison of the device's clock with the host's, from exchanges with four time stamps."""
 
 from __future__ import annotations
 

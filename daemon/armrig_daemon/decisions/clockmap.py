@@ -12,9 +12,10 @@ unknown but equal in all exchanges, with the variance 1/12 of a uniform distribu
 trips get the largest weights.
 
 No exchange shows the constant part of qf - qb. Half of this part, at most `Estimate.bound_ns`, is
-in the offset and not in its standard deviation. The drift is not affected.
+an error of the offset, which the standard deviation of the offset does not include. The drift is
+not affected.
 
-Raw times are kept: the map is evaluated where it is needed, never applied in place.
+The raw times stay unchanged: a time of the host is computed from the map where it is needed.
 
 References
 ----------
@@ -59,8 +60,9 @@ class ClockMap(NamedTuple):
     """Estimate of the device's clock from the exchanges so far.
 
     The estimate is a weighted regression of y = host - 1000 · device (ns) on d = device (µs), and
-    of the round trip r on d. It is stored as weighted means and centred moments. y and d count from
-    the last exchange, in integers, so that no digits cancel in a long run.
+    of the round trip r on d. It is stored as weighted means and centred moments. The origins of y
+    and d are times of the last exchange, stored as integers, so that no digits cancel in a long
+    run.
     """
 
     link: Link = Link()
@@ -69,7 +71,7 @@ class ClockMap(NamedTuple):
     device_us: int = 0
     """Device's time from which y and d count: rx of the last exchange."""
     weight: float = 0.0
-    """Sum of 1/variance, faded, in ns⁻²; 0 before the first exchange."""
+    """Sum of the faded weights of the exchanges, in ns⁻²; 0 before the first exchange."""
     d: float = 0.0
     """Mean of d, in µs."""
     y: float = 0.0
@@ -81,7 +83,7 @@ class ClockMap(NamedTuple):
     dy: float = 0.0
     dr: float = 0.0
     lag: float = 0.0
-    """Mean of the newest innovations, in ns; 0 except for noise while the drift is constant."""
+    """Mean of the newest innovations, in ns; 0 apart from noise if the drift is constant."""
     round_trips: tuple[int, ...] = ()
     """Newest round trips, in ns, at most `_WINDOW_SIZE`."""
     floor_ns: int = 0
@@ -100,13 +102,13 @@ class Estimate(NamedTuple):
     """Offset and drift between the two clocks, at the last exchange."""
 
     offset_ns: int
-    """Host's time minus 1000 times the device's."""
+    """Host's time in ns minus 1000 times the device's time in µs."""
     offset_std_ns: float
     drift_ppm: float
     """Growth of the offset; positive if the device's clock is slow."""
     drift_std_ppm: float
     bound_ns: float
-    """Bound of a constant asymmetry: half the shortest round trip, less the time on the wire."""
+    """Largest error by a constant asymmetry, in ns: half the waiting time of the shortest trip."""
 
 
 def start(link: Link) -> ClockMap:
@@ -115,11 +117,11 @@ def start(link: Link) -> ClockMap:
 
 
 def extend(last_us: int, raw_us: int) -> int:
-    """Return the time of the device without wraps that is next to `last_us` and reads `raw_us`.
+    """Return the device's time `raw_us` without wraps, near the earlier extended time `last_us`.
 
     The result is at most 16.8 s before `last_us` (messages overtake each other), or less than 71.3
-    min after it; a longer silence loses a wrap. The extended time of the first reading is the
-    reading itself.
+    min after `last_us`. After a longer silence, a wrap is lost. The extended time of the first
+    reading is the reading itself.
     """
     return last_us - _BACK_US + ((raw_us - last_us + _BACK_US) % _WRAP)
 
@@ -133,14 +135,15 @@ def update(clock: ClockMap, h1_ns: int, rx_us: int, tx_us: int, h4_ns: int) -> C
     h1_ns, h4_ns : int
         Times at which PING was sent and PONG had arrived, by the host's monotonic clock.
     rx_us, tx_us : int
-        Times at which PING had arrived and PONG began to leave, by the device's clock, extended.
+        Times at which PING had arrived and PONG began to leave, by the device's clock, without
+        wraps.
 
     Notes
     -----
     v is the variance of an exchange's error for a random c. The weight is less than 1/v and
-    decreases as the round trip grows: the mean error of long round trips does not average out.
-    If the innovation exceeds five times its standard deviation, the exchange is rejected. After
-    eight rejections in a row the map restarts with the last exchange.
+    decreases as the round trip grows, because the mean error of long round trips does not average
+    out. If the innovation exceeds five times its standard deviation, the exchange is rejected.
+    After eight rejections in a row the map restarts with the last exchange.
     """
     link = clock.link
     r = h4_ns - h1_ns - 1000 * (tx_us - rx_us)
@@ -252,16 +255,17 @@ def _variance(clock: ClockMap, d: float, fading: float) -> float:
 
 
 def _fading(link: Link, past_ns: int) -> float:
-    """Return the share of its first weight that an exchange still has after a time."""
+    """Return the share of an exchange's original weight that is left after `past_ns`."""
     return math.exp(-min(max(0.0, past_ns / link.tau_ns), _MAX_FADING))
 
 
 def _window(clock: ClockMap, r: int) -> ClockMap:
-    """Add a round trip to the window, and estimate the distance of its minimum from the shortest.
+    """Add a round trip; estimate how far the window's minimum exceeds the shortest round trip.
 
     The sum of two exponential waiting times with means m and m' is below x with a probability of
-    x²/(2 m m'). So the least of N sums has the root mean square √(2 m m'/N), at most 0.84/√N times
-    the median. Stalls do not change the median.
+    x²/(2 m m'). The smallest of N sums, which is the excess of the minimum over the shortest
+    possible round trip, therefore has the root mean square √(2 m m'/N). This is at most 0.84/√N
+    times the median. Stalls do not change the median.
     """
     link = clock.link
     round_trips = (*clock.round_trips[1 - _WINDOW_SIZE :], r)

@@ -14,12 +14,12 @@ _ADC0_RAIL, _ADC1_RAIL = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)
 
 
 def extended(last: int, raw: int) -> int:
-    """Return a 32-bit clock without its wraps; `last` is the previous extended value."""
+    """Return the reading `raw` of a 32-bit clock without wraps; `last` is the previous result."""
     return last + ((raw - last) & 0xFFFFFFFF)
 
 
 def is_older(last: int, raw: int) -> bool:
-    """Return whether a 32-bit clock read `raw` before `last`, by less than half its range."""
+    """Return whether the reading `raw` of a 32-bit clock is up to half its range before `last`."""
     return (raw - last) & 0xFFFFFFFF > 0x7FFFFFFF
 
 

@@ -18,13 +18,13 @@ class Id(StrEnum):
     PAUSE = "pause"
     """The host did not run the loop for too long."""
     MISSED = "missed"
-    """More ticks in a row were missed than the config allows."""
+    """The number of consecutive missed ticks exceeds the configured limit."""
     SERVICE = "service"
     """The service is frozen."""
     LEASE = "lease"
     """No command of the lease's holder arrived in time."""
     LIMITS = "limits"
-    """An experiment left the limits."""
+    """The input of an experiment left the limits."""
     RESET = "reset"
     """The device restarted."""
     DEVICE = "device"
@@ -68,7 +68,7 @@ REMEDIES: dict[Id, str] = {
     Id.FIRMWARE: "flash firmware of this version of the wire (firmware_protocol/PROTOCOL.md)",
     Id.INTERNAL: "report this bug of armrig, with the recording",
 }
-"""Remedy of each fault, before `armrig reset`."""
+"""Remedy of each fault; `armrig reset` follows the remedy."""
 
 
 OF_DEVICE: dict[int, str] = {
@@ -85,7 +85,7 @@ OF_DEVICE: dict[int, str] = {
 
 
 def of_device(cause: int) -> str:
-    """Return the name of a cause that the device reported, or its number, and its meaning."""
+    """Return the name, or else the number, and the meaning of a cause that the device reported."""
     name = Cause(cause).name if cause in set(Cause) else str(cause)
     return f"{name}, {OF_DEVICE[cause]}" if cause in OF_DEVICE else name
 

@@ -1,6 +1,6 @@
 """Gaps: each sample is published, or reported missing with the voltage that was held.
 
-This is L2 of ARCHITECTURE.md.
+This is invariant L2 of ARCHITECTURE.md.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _unanswered(state: State, k: int, n: int, now_ns: int) -> MissingSamples:
 
 
 def _pieces(state: State, first: int, end: int, now_ns: int) -> list[MissingSamples]:
-    """Return the missing samples first … end - 1 in order; samples without a note had no answer."""
+    """Return the missing samples first … end - 1 in order; unnoted samples had no answer."""
     pieces: list[MissingSamples] = []
     k = first
     for a in sorted(state.absent):

@@ -1,4 +1,4 @@
-"""Requests to the device, and the records of the core about its state."""
+"""Requests to the device, and the records about the state of the core."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ from armrig_daemon.pipe import Answer, Log, Order
 from armrig_daemon.pipe import State as StateRecord
 
 NO_DEVICE = "no device answers; check that it is plugged in, and that its supply is on: try again"
-"""Refusal of an order that needs a device while none answers."""
+"""Refusal of an order that needs a device while no device answers."""
 Step = tuple[State, list[Action]]
 """Result of each part of the core: the next state, and the actions."""
 
 
 MAX_REMEMBERED_FRAMES = 64  # frames without an echo; the round trip's age trips long before
 NOTICE_TRIES = 18
-"""HELLOs without an answer, 0.1 s apart, after which the daemon reports the silent device."""
+"""Number of unanswered HELLOs, 0.1 s apart, after which the daemon reports a silent device."""
 
 
 def linked(state: State, **changes: Any) -> State:
@@ -169,7 +169,7 @@ def report_state(state: State, now_ns: int) -> Action:
 
 
 def config(rules: Rules, ts_us: int, seq: int, *, scheduled: bool) -> Config:
-    """Return the configuration that the device is asked for."""
+    """Return the CONFIG message that requests a configuration of the device."""
     return Config(
         state=0,
         seq=seq,
@@ -199,7 +199,7 @@ def ask(
     scheduled: bool = False,
     tries: int = 1,
 ) -> Step:
-    """Send a request to the device, and remember it until it has had its effect.
+    """Send a request to the device, and remember the request until it takes effect.
 
     The request replaces a pending request; the order of the pending request is answered.
     """

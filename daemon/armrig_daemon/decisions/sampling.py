@@ -1,4 +1,4 @@
-"""Samples of the device: number k and values of each sample, and the check of its input.
+"""Handling of the device's samples: number k, values, and the check of the input.
 
 In exchange mode a sample answers an EXCHANGE of the daemon. In a scheduled run the device samples
 by its own timer. Each mode determines in its own way which sample was due; the other code is
@@ -51,7 +51,7 @@ def handle(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 
 def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
-    """Handle the answer to an EXCHANGE of the daemon; ignore any other sample, with its state."""
+    """Handle the answer to an EXCHANGE of the daemon; ignore any other sample and its state."""
     link, device = state.link, state.device
     at = None if link is None else _find_exchange(link.sent, m.k)
     if link is None or at is None or device is None or is_ahead(link, m.echo):
@@ -158,7 +158,7 @@ def is_ahead(link: Link, echo: int) -> bool:
 
 
 def _is_older_than_last(state: State, m: DeviceSample) -> bool:
-    """Return whether a sample is older than the last sample, by the clock of the device's boot."""
+    """Return whether a sample is older than the last sample, by the clock of the device."""
     return bool(state.sampled_ns) and is_older(state.t_us, m.t_us)
 
 
@@ -171,7 +171,7 @@ def _publish(
     due: _Due,
     queued: int = -1,
 ) -> Step:
-    """Publish the gaps before a sample, then the sample; `link` and `run` already include it."""
+    """Publish the gaps before a sample, then the sample; store `link` and `run` in the state."""
     state, done = gaps.report_missing(state, due.k, now_ns, m.u_km1)
     t_us = extended(state.t_us, m.t_us)
     calibration = state.rules.calibration

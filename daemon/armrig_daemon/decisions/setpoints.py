@@ -1,9 +1,9 @@
-"""Scheduled runs: setpoints are sent ahead of the device.
+"""Scheduled runs: the daemon sends setpoints before the device needs them.
 
 The device's timer paces the samples, so u[k] must be in the device before sample k. The protocol of
-the setpoints is go-back-N: `queued` of a sample shows up to which index the device has them. If the
-index does not grow in time, the daemon sends all setpoints from this index on again. Setpoints have
-no other acknowledgement.
+the setpoints is go-back-N: the field `queued` of a sample shows up to which index the device has
+setpoints. If the index does not grow in time, the daemon sends all setpoints from this index on
+again. Setpoints have no other acknowledgement.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ RESEND_NS = 30_000_000
 FILL_NS = 2_000_000_000
 """Longest time to fill the queue before the start, in ns."""
 MAX_FRAMES = 8
-"""Frames of setpoints that are sent at once; more would delay other frames for too long."""
+"""Largest number of setpoint frames that are sent at once; more would delay other frames."""
 
 
 def begin(state: State, now_ns: int, order: Run) -> Step:
-    """Fill the queue of a device that was armed for this run, at 0 V."""
+    """Begin to fill the queue of the device, which is armed for this run, at 0 V."""
     run = ActiveRun(order.run_id, order.codes, -1, scheduled=True)
     queue = Queue(order, moved_ns=now_ns, asked_ns=now_ns)
     return refill(replace(state, run=run, queue=queue), now_ns)
@@ -71,7 +71,7 @@ def refill(state: State, now_ns: int) -> Step:
 
 
 def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
-    """Note the number of setpoints in the device; start if they are enough, and send more."""
+    """Note the number of setpoints in the device; send more, or start if they are enough."""
     queue, run = state.queue, state.run
     if queue is None or run is None:
         return state, []
@@ -98,7 +98,7 @@ def _is_filled(state: State) -> bool:
 
 
 def is_stopping(state: State) -> bool:
-    """Return whether the device must stop; it is then sent no setpoint and no KEEPALIVE."""
+    """Return whether the device must stop; it must then get no setpoint and no KEEPALIVE."""
     asked = state.asked
     return state.phase is _FAULT or (asked is not None and asked.want is RequestKind.STOP)
 
@@ -128,7 +128,7 @@ def complete(state: State, now_ns: int) -> Step:
 
 
 def note_missing(state: State, run: ActiveRun, end: int, now_ns: int) -> State:
-    """Note the missing samples of a run before `end`; the queue was their input."""
+    """Note the missing samples of a run before `end`; their input is the queue's code."""
     bits = state.device.pwm_bits if state.device else 16
     for i in range(max(run.due, end - gaps.MAX_MISSING_PIECES), end):
         code = applied_code(run.code(i), bits)

@@ -20,7 +20,7 @@ class Phase(StrEnum):
     """Phase of the daemon; see ARCHITECTURE.md."""
 
     INIT = "init"
-    """No device has answered and accepted its configuration."""
+    """The daemon waits for a device to answer and to accept its configuration."""
     SAFE = "safe"
     """Sampling at 0 V; no owner holds the rig."""
     ARMED = "armed"
@@ -54,15 +54,15 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     ts_us: int
     """Sampling time, in µs, if a command contains no sampling time."""
     watchdog_ms: int
-    """The device's watchdog, in ms."""
+    """Time after which the device's watchdog stops the motor, in ms."""
     baud: int
     """Speed of the wire, in bit/s."""
     turns: int
-    """Turns of theta_1 allowed in a run, in turns/100; 0 is no limit."""
+    """Largest rotation of theta_1 in a run, in turns/100; 0 is no limit."""
     rail_ticks: int
-    """Consecutive samples at a rail that cause FAULT(ADC_RAIL) in a run; 0 is no limit."""
+    """Consecutive samples at a rail after which a run ends with FAULT(ADC_RAIL); 0 is no limit."""
     oversampling: int = 1
-    """Conversions averaged in one reading of each channel; 1 in a trace without this field."""
+    """Number of conversions averaged in one reading; 1 in a trace without this field."""
     calibration: Calibration
     service_ns: int = 0
     """Silence of the service after which the motor is stopped, in ns; 0 without a service."""
@@ -71,14 +71,14 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     """Number of consecutive missed ticks after which the motor is stopped; 0 is no limit."""
 
     def age_ns(self, ts_us: int, *, scheduled: bool = False) -> int:
-        """Return the age of the last round trip beyond which the motor is stopped.
+        """Return the age of the last round trip, in ns, beyond which the motor is stopped.
 
         A device in a scheduled run continues without the host until its watchdog stops the motor.
         """
         return self._watchdog_ns if scheduled else max(50_000_000, 3_000 * ts_us)
 
     def pause_ns(self, ts_us: int, *, scheduled: bool = False) -> int:
-        """Return the gap between two ticks beyond which the motor is stopped."""
+        """Return the time between two ticks, in ns, beyond which the motor is stopped."""
         return self._watchdog_ns if scheduled else max(50_000_000, 5_000 * ts_us)
 
     @property
@@ -91,7 +91,7 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
         return inside and (self.slew == 0 or abs(code - before) <= self.slew)
 
     def lease_ns(self, ts_us: int) -> int:
-        """Return how long a voltage set by hand is held without another command."""
+        """Return the time, in ns, for which a voltage set by hand is held without a new command."""
         return max(100_000_000, 5_000 * ts_us)
 
 
@@ -107,11 +107,11 @@ class PendingRequest(NamedTuple):
     scheduled: bool
     """True if CONFIG requests scheduled mode."""
     order: Order | None
-    """Order that caused the request and is answered by it; None if no order caused it."""
+    """Order that is answered when the request takes effect; None if no order caused the request."""
 
 
 class Traffic(NamedTuple):
-    """Bytes and frames that have arrived since the first HELLO without an answer."""
+    """Numbers of bytes and frames that have arrived since the first unanswered HELLO."""
 
     bytes: int = 0
     frames: int = 0
@@ -156,7 +156,7 @@ class Lease(msgspec.Struct, frozen=True, gc=False):
 
 
 class ActiveRun(msgspec.Struct, frozen=True, gc=False):
-    """Experiment that is played."""
+    """Experiment that is planned or running."""
 
     run_id: str
     codes: bytes
@@ -252,7 +252,7 @@ class Clock(msgspec.Struct, frozen=True, gc=False):
 
 
 class State(msgspec.Struct, frozen=True, gc=False):
-    """All knowledge of the core; a struct for speed (docs/decisions/0003)."""
+    """Complete state of the core; a struct, because a struct is fast (docs/decisions/0003)."""
 
     rules: Rules
     phase: Phase = Phase.INIT
@@ -268,7 +268,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     clock: Clock | None = None
     """None until a device has answered HELLO."""
     pace_us: int = 0
-    """Period of the loop's ticks, in µs; a scheduled run has the device's own sampling times."""
+    """Period of the loop's ticks, in µs; the device's timer paces a scheduled run."""
     tick_ns: int = 0
     """Time of the last tick."""
     service_ns: int = 0
@@ -284,12 +284,12 @@ class State(msgspec.Struct, frozen=True, gc=False):
     t_us: int = 0
     """Device's time of the last sample, without wraps."""
     sampled_ns: int = 0
-    """Time at which the newest sample was requested, or in a scheduled run arrived; 0 at first."""
+    """Time of the newest sample: its request, or its arrival in a scheduled run; 0 at first."""
     lease: Lease | None = None
     run: ActiveRun | None = None
     queue: Queue | None = None
     outcome: str = ""
-    """Outcome of the run, as a sentence; the run has ended once the device has stopped."""
+    """Outcome of the run, as a sentence; the run ends when the device has stopped."""
     code: int = 0
     """Code set by hand."""
     outcome_code: OutcomeCode | None = None
@@ -337,7 +337,7 @@ class Publish(NamedTuple):
 
 
 class RoundTrip(NamedTuple):
-    """Action: measure the time between a request to the device and its answer."""
+    """Action: count this time between a request to the device and its answer, in ns."""
 
     ns: int
 

@@ -22,7 +22,7 @@ from armrig_daemon.pipe import Order, RunEnded
 
 
 def end_run(state: State, now_ns: int) -> Step:
-    """Report the end of the run, as soon as no further sample of the run can arrive."""
+    """Report the end of the run; call this when no further sample of the run can arrive."""
     queue, run = state.queue, state.run
     done = refuse(queue.order, state.outcome or "stopped", RefusalCode.OVERTAKEN) if queue else []
     state = replace(linked(state, beats=()), queue=None)

@@ -1,4 +1,4 @@
-"""Trace of a run: the core's inputs and the frames that it sent, step by step, for a replay.
+"""Trace of a run: the core's inputs and its frames to the device, step by step, for a replay.
 
 A trace begins with the state at the start of the run and contains the arguments of each later call
 of `decisions/step.py: step`. `step` is pure: the same arguments result in the same decisions.
@@ -32,7 +32,7 @@ T = TypeVar("T")
 VERSION = 2
 """Version of the names in a trace; `trace_v1` reads version 1."""
 CHUNK_BYTES = 3000
-"""Largest size of the steps in a chunk, in bytes: with its state a chunk fits into 4096."""
+"""Largest size of a chunk's steps, in bytes; with the state, a chunk has at most 4096 bytes."""
 _HELD = "held"  # replaces the lease in force
 _STEP_BYTES, _EVENT_BYTES = 12, 24  # largest overhead of a step and of an event
 _KINDS: tuple[type[Event], ...] = (
@@ -67,7 +67,7 @@ class Chunk(NamedTuple):
 
 
 class Trace:
-    """Steps of a run, until they are returned in a chunk."""
+    """Steps of a run that have not been returned in a chunk yet."""
 
     def __init__(self, state: State) -> None:
         """Begin with the state at the start of the run."""
@@ -99,7 +99,7 @@ class Trace:
     def _write(
         self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]
     ) -> Chunk | None:
-        """Add a step; if the earlier steps fill a chunk, return this chunk."""
+        """Add a step; if it does not fit into the current chunk, return this chunk first."""
         written = [(_NUMBERS[type(e)], _written_event(e, self._lease)) for e in events]
         sent = [a.data for a in actions if type(a) is Send]
         size = _STEP_BYTES
@@ -125,8 +125,9 @@ class Trace:
 def written_state(state: State) -> bytes:
     """Return a state as bytes, without the codes of its run and without its lease.
 
-    The recording contains the input. A reader of the recording must not be able to hold the rig by
-    its lease. The missing samples, up to 45 kB, decide neither a frame nor a sample.
+    The codes are not needed, because the recording contains the input. A reader of the recording
+    must not be able to control the rig with its lease. The list of missing samples is also left
+    out. It has up to 45 kB, and affects neither a frame nor a sample.
     """
     run, lease = state.run, state.lease
     return _ENCODER.encode(
@@ -140,7 +141,7 @@ def written_state(state: State) -> bytes:
 
 
 def restored(data: bytes, codes: bytes, version: int = VERSION) -> State:
-    """Return the state in `written_state`'s bytes, with the codes of its run.
+    """Return the state that `written_state` has encoded, with the codes of its run.
 
     Raises
     ------
@@ -175,7 +176,7 @@ def _written_event(event: Event, lease: str) -> bytes:
 
 
 def _without_secrets(order: Order, lease: str) -> Order:
-    """Return an order without the codes of a run; its lease only shows whether it was valid.
+    """Return an order without the codes of a run; its lease only shows if the lease was valid.
 
     The codes are not needed, because a second experiment is refused whatever its codes are.
     """

@@ -1,4 +1,4 @@
-"""Conversion of traces of version 1 to the current names, so that they can be replayed.
+"""Conversion of traces of version 1 to the current names, for a replay.
 
 A trace without a version is of version 1.
 """
@@ -17,7 +17,10 @@ _PARTS = {"link": Link, "configuration": Configuration, "clock": Clock}
 
 
 def state_of(data: bytes) -> State:
-    """Return a state of version 1, whose fields were all in one table; a run implies a link."""
+    """Return the state in a trace of version 1, where all fields are in one table.
+
+    Each state in a trace belongs to a run, and therefore has a link.
+    """
     fields = msgspec.msgpack.decode(data)
     fields["map"] = fields.pop("clock")
     rules = fields["rules"]

@@ -68,7 +68,7 @@ def retry_ns(asked: PendingRequest) -> int:
 
 
 def retry(state: State, now_ns: int) -> Step:
-    """Send the request again; after too many tries cancel it, and stop the motor if it may turn."""
+    """Send the request again; after too many tries, cancel it and stop a motor that may turn."""
     asked = state.asked
     if asked is None or now_ns < retry_ns(asked):
         return state, []
@@ -122,14 +122,14 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
 
 
 def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False) -> Step:
-    """Note the state in a frame of the device, which shows whether a request has worked.
+    """Note the device's state in a frame; the state shows whether a request took effect.
 
     Parameters
     ----------
     reported : int
         State of the device in the frame.
     ended : bool, default False
-        Whether the frame reports the end of a run, at its k_stop.
+        True if the frame reports that a run ended at its k_stop.
     """
     link = state.link
     before = 0 if link is None else link.device_state
@@ -285,7 +285,7 @@ def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
 
 
 def _unfit(device: HelloReply) -> Fault | None:
-    """Return the fault of a device that must not be driven in spite of its protocol, or None."""
+    """Return the fault of a device that has this protocol, but must not be driven; else None."""
     if device.state not in _KNOWN:
         text = f"the device reports state {device.state}, which the protocol does not define"
     elif device.full_scale_mv != FULL_SCALE_MV:
@@ -370,7 +370,7 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
 
 
 def _refused_at_rest(state: State, now_ns: int, asked: PendingRequest, error: str) -> Step:
-    """Latch the fault: the device would refuse the same CONFIG after the next HELLO, too."""
+    """Latch a fault, because the device would refuse the same CONFIG after each HELLO."""
     done: list[Action] = []
     if isinstance(asked.order, Stop | Disarm):  # the device has stopped, so the order is done
         done, asked = answer(asked.order, {"done": True}), asked._replace(order=None)

@@ -14,7 +14,7 @@ from armrig_protocol.messages import State as DeviceState
 from armrig_daemon.loop.link import Link, TakenPortError, open_link
 
 WITHIN_S = 0.5
-"""Longest time of the whole call, in s."""
+"""Longest duration of a call of `estop`, in s."""
 _PORT_WAIT_S = 0.2  # a dying daemon releases its port within milliseconds
 _ESTOP_COUNT = 3  # PROTOCOL.md, section 9, ESTOP
 _SPACING_S = 0.02  # a burst of noise that spoils one frame does not spoil them all

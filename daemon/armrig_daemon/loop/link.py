@@ -26,7 +26,7 @@ from armrig_core.errors import ArmrigError, InputError
 from armrig_core.waiting import TERMINAL_BYTES, Waiter
 
 READ = 2048
-"""Largest number of bytes read in a step; with the frames sent in answer, they fit one record."""
+"""Largest number of bytes read in a step; one record holds them and the frames in answer."""
 SEND_BUFFER_BYTES: Final = 1 << 16
 """SO_SNDBUF of a socket, in bytes: room for 171 frames, which occupy about 0.75 kB each.
 
@@ -72,7 +72,7 @@ class Link:
     """Open port. Each failure of the port raises a `LinkError`.
 
     A single call reads all bytes of the terminal. A second call would find the terminal empty. The
-    kernel returns from a read of an empty terminal only after its worker has run.
+    kernel returns from a read of an empty terminal only after a kernel worker has run.
     """
 
     def __init__(self, port: str, baud: int) -> None:
@@ -122,7 +122,7 @@ class Link:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`, or raise LinkError: half a frame is always reported."""
+        """Send all of `data`; raise LinkError if the port accepts only a part."""
         try:
             sent = os.write(self.fd, data)
         except BlockingIOError:
@@ -140,9 +140,9 @@ class Link:
 
 
 class SocketLink(Link):
-    """Open socket of an emulated rig; its bytes need no worker of the kernel.
+    """Open socket of an emulated rig; a read does not wait for a kernel worker.
 
-    As with a port, only one program at a time can open the socket, and the opening resets the
+    As with a serial port, only one program at a time can open the socket, and opening it resets the
     device.
     """
 
@@ -192,7 +192,7 @@ def _connected(path: Path, stack: contextlib.ExitStack) -> socket.socket:
 
 
 def _distinguish_empty_from_end(fd: int) -> None:
-    """Make a read of an empty line fail with EAGAIN; with pyserial's setting it returns 0 bytes."""
+    """Let a read of an empty line fail with EAGAIN; by pyserial's setting, it returns 0 bytes."""
     attributes = termios.tcgetattr(fd)
     attributes[6][termios.VMIN] = 1
     termios.tcsetattr(fd, termios.TCSANOW, attributes)

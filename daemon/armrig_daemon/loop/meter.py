@@ -12,7 +12,7 @@ _SECOND_NS = 1_000_000_000
 
 
 class Meter:
-    """Histograms of the current second of the loop's timing."""
+    """Histograms of the loop's timing during the current second."""
 
     def __init__(self, now_ns: int) -> None:
         """Start the first second now."""
@@ -33,7 +33,7 @@ class Meter:
         self._trip.add(round_trip_ns)
 
     def queued(self, depth: int) -> None:
-        """Count a value of the number of setpoints in the device's queue."""
+        """Count one observed length of the device's queue, in setpoints."""
         self._queue.add(depth)
 
     def sampled(self, sample: Sample, ts_ns: int) -> None:

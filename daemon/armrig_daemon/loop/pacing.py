@@ -17,7 +17,7 @@ class Pace(NamedTuple):
         return self.origin_ns + (k - self.k_origin) * self.period_ns
 
     def current(self, k: int, now_ns: int) -> int:
-        """Return the tick to perform now: the newest tick that is due, or `k` if none is due.
+        """Return the tick to perform now: the newest due tick, or `k` if no tick is due.
 
         Missed ticks are skipped. Catching up in a burst would sample at the wrong times.
         """

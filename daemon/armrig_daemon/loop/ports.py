@@ -1,4 +1,4 @@
-"""Interface of the loop to the world, for the product, the tests and the simulator."""
+"""Interface of the loop to its environment: the product, a test or the simulator."""
 
 from __future__ import annotations
 

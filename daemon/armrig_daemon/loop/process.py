@@ -57,7 +57,7 @@ class ProcessPorts:
     """Ports of the product: the monotonic clock, the serial line, the service's pipes."""
 
     def __init__(self, settings: Settings, orders_fd: int, records_fd: int) -> None:
-        """Take the pipes and open the line; the loop waits for a missing line as for a lost line.
+        """Take the pipes and open the line; the loop waits for a missing port as for a lost port.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class ProcessPorts:
 
     @property
     def margin_ns(self) -> int:
-        """Return the duration of the spin and of a short sleep before it, in ns."""
+        """Return the duration of the spin and of the short sleep before the spin, in ns."""
         return self.spin_ns + _MARGIN_NS
 
     @property
@@ -104,11 +104,11 @@ class ProcessPorts:
         return realtime.now_ns()
 
     def sleep_until(self, deadline_ns: int) -> int:
-        """Sleep, then spin, until the deadline."""
+        """Sleep, then spin, until the deadline; return the current time."""
         return sleep_until(deadline_ns, self.spin_ns)
 
     def wait(self, until_ns: int) -> list[Event]:
-        """Wait for the line, the service or a signal."""
+        """Wait for the line, the service or a signal until `until_ns`; return the events."""
         if self._first:
             self._first = False
             return [LinkUp() if self._link is not None else LinkDown(self._reopen_error)]
@@ -130,7 +130,7 @@ class ProcessPorts:
         return events
 
     def write(self, data: bytes) -> Event | None:
-        """Send to the device."""
+        """Send bytes to the device; return a failure as an event."""
         if self._link is None:
             return None
         try:
@@ -227,7 +227,7 @@ def _line(level: str, message: str) -> bytes:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the loop on the two pipes of the arguments."""
+    """Run the loop with the pipes and the settings in the arguments; return the exit code."""
     orders_fd, records_fd = (int(text) for text in arguments[:2])
     settings = msgspec.json.decode(arguments[2], type=Settings)
     os.set_blocking(orders_fd, False)

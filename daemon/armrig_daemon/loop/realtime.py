@@ -19,7 +19,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def now_ns() -> int:
-    """Return the monotonic time, which is never stepped."""
+    """Return the time of the monotonic clock, in ns; this clock never jumps."""
     return time.monotonic_ns()
 
 
@@ -57,7 +57,7 @@ def prepare(priority: int, cpu: int | None) -> dict[str, Any]:
 
 
 def _set_fifo(priority: int) -> int:
-    """Return the priority at SCHED_FIFO that this process now has; 0 is the ordinary policy."""
+    """Request a priority at SCHED_FIFO; return the priority in force, 0 for another policy."""
     if not priority:
         leave_fifo()
         return _fifo_priority()
@@ -126,7 +126,7 @@ def leave_fifo(but: int | None = None) -> bool:
 
 
 def be_prompt(thread: int) -> None:
-    """Give a thread that only waits the lowest real-time priority, if this is permitted."""
+    """Set the lowest real-time priority for `thread`, which only waits, if this is permitted."""
     with contextlib.suppress(OSError):
         if os.sched_getscheduler(thread) == os.SCHED_OTHER:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))

@@ -22,23 +22,23 @@ class Network:
     """Network endpoint in addition to the Unix socket, with the permissions of its clients."""
 
     endpoint: str
-    """Endpoint to listen at, or of the router to connect to."""
+    """Endpoint at which the daemon listens, or endpoint of the router to which it connects."""
     known_by: str
     """Proof of a client's name: `certificate` or `user`."""
     access_control: dict[str, Any]
     low_pass_filter: list[dict[str, Any]]
     transport: dict[str, Any]
-    """zenoh's `transport`: the part that identifies clients."""
+    """Part of zenoh's `transport` that identifies clients."""
     operators: int
     observers: int
     expires: datetime | None
     """Time at which the rig's certificate expires; None without a certificate."""
     is_router: bool = False
-    """True for a router, to which the daemon connects, and which identifies the clients."""
+    """True for a router: the daemon connects to the router, and the router identifies clients."""
 
 
 class Networks(NamedTuple):
-    """Network endpoints that a configuration opens; None for an endpoint that it does not open."""
+    """Network endpoints that a configuration opens; an endpoint that is not configured is None."""
 
     own: Network | None
     """Endpoint at which the daemon itself listens."""

@@ -18,7 +18,7 @@ _MAX_CHARACTERS = 80  # of a name or a date
 def checked_calibration(
     calibration: Calibration, raw: bytes, config: Config, device: dict[str, Any]
 ) -> Calibration:
-    """Return the calibration in the form in which it is recorded, or refuse it.
+    """Return a calibration in the form for recordings, or refuse the calibration.
 
     Zeros, angles, gain and offset have already been checked against the bounds for files.
 
@@ -32,8 +32,8 @@ def checked_calibration(
     Raises
     ------
     ValueError
-        The calibration was not measured on this rig and device. The samples do not belong to it. Or
-        `wraps` of a potentiometer differs from the configuration.
+        The calibration was not measured on this rig and device, or the samples do not belong to the
+        calibration. `wraps` of a potentiometer differs from the configuration.
     """
     made = check_measured(calibration, raw)
     uid = str(device.get("uid", made.device_uid))  # without a device the core refuses

@@ -39,7 +39,7 @@ class LoopChild:
         self._pending = bytearray()
 
     def order(self, order: Orders) -> None:
-        """Send the loop an order; `records` reports the end of the loop."""
+        """Send an order to the loop; if the loop has ended, `records` reports it."""
         self._unsent += record_bytes(order)
         self.flush()
 
@@ -86,9 +86,9 @@ class LoopChild:
 class Starter(threading.Thread):
     """Thread that starts the loop's process and waits for its end.
 
-    The kernel signals to a process the end of the thread that started it. This thread only waits
-    and may therefore keep a real-time priority, so it ends at once if the service is killed. The
-    other threads may have to wait for a processor that other programs keep busy.
+    When a thread ends, the kernel sends a signal to the processes that this thread has started. The
+    starter only waits, and may therefore keep a real-time priority. If the service is killed, the
+    starter ends at once. A thread of ordinary priority may first have to wait for a busy processor.
     """
 
     def __init__(self, program: Sequence[str], fds: Sequence[int]) -> None:
@@ -109,7 +109,7 @@ class Starter(threading.Thread):
 
     @property
     def process(self) -> subprocess.Popen[bytes]:
-        """The process, after its start."""
+        """Process of the loop; the property is available after the start of the process."""
         return self._process.result()
 
     @property
@@ -126,7 +126,7 @@ class Starter(threading.Thread):
 
 
 def start(settings: Settings) -> LoopChild:
-    """Start the loop; call this before a session exists, because the loop would inherit it."""
+    """Start the loop; call this before a session exists, which the loop would inherit."""
     orders_out, orders_in = os.pipe()
     records_out, records_in = os.pipe()
     for fd in (orders_in, records_in):

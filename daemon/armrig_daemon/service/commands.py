@@ -1,7 +1,7 @@
-"""Commands of clients: passed to the loop as orders, and answered after the loop's answer.
+"""Commands of clients: the service passes them to the loop as orders, and answers them later.
 
-The service refuses a command for a reason that the loop cannot know, such as a full disk. The core
-decides whether an order is allowed.
+The service itself refuses a command for a reason that the loop cannot know, such as a full disk.
+The core decides whether an order is allowed.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class _Waiting(NamedTuple):
     until: float
     order: Orders
     body: Any
-    """Answer to the client; it replaces the body of the loop's answer."""
+    """Answer to the client instead of the body of the loop's answer; None to use this body."""
     who: str
     """Name of the client, for the log."""
 
@@ -71,7 +71,7 @@ class _Holder(NamedTuple):
 
 
 class Commands:
-    """The commands of a session."""
+    """Handler of the commands of a session."""
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class Commands:
         say: Callable[..., None],
         note: Callable[[int, str, str], None],
     ) -> None:
-        """Create the commands without a lease.
+        """Create the handler; no lease is in force.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class Commands:
         self._n = -1  # number of its newest order
 
     def note_lease(self, lease: str) -> None:
-        """Note the lease in force, or "" if no lease is in force; other clients are strangers."""
+        """Note the lease in force, "" for none; a client without this lease is a stranger."""
         self._lease, self._n = lease, -1
         self._session.lease = lease.encode()
 
@@ -276,7 +276,7 @@ class Commands:
         self._say("info", f"calibration: {now.calibration}, sha256 {now.calibration_sha256[:8]}")
 
     def _objection(self) -> commands.Refused | None:
-        """Return the refusal of an arming for a reason that the loop cannot know, or None."""
+        """Return the service's refusal of an arming, or None if the service permits the arming."""
         owner = self._rig.state.owner
         if owner:
             return commands.refused(RefusalCode.HELD, orders.held_by(owner), owner=owner)
@@ -308,7 +308,7 @@ class Commands:
     def _order(
         self, command: Command, order: Orders, body: Any = None, who: str | None = None
     ) -> None:
-        """Send the loop an order, whose answer becomes the answer to the command."""
+        """Send an order to the loop; the loop's answer becomes the answer to the command."""
         if who is None:
             who = self._holder.owner if isinstance(order, Leased) else signed("", command.by)
         if len(self._waiting) >= _MAX_PENDING and isinstance(order, pipe.Arm | Reset | Calibrate):

@@ -22,10 +22,10 @@ _START_S = 30.0  # on a busy machine a program takes seconds to load
 
 @contextmanager
 def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
-    """Start an emulator with these settings, on a socket; yield the configuration that drives it.
+    """Start an emulator on a socket; yield the configuration for its port, and a descriptor.
 
-    The second value is a descriptor from which lines can be read. Each line is a time, in ns, for
-    which the device's clock stood still.
+    Lines can be read from the descriptor. Each line is a time, in ns, for which the device's clock
+    stood still.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ class History:
             self._size -= len(oldest)
 
     def reply(self, first: int, clock_offset_ns: int) -> bytes:
-        """Return one answer: the messages from number `first` on, as many as fit."""
+        """Return an answer with the messages from number `first` on, as many as fit into it."""
         number = first = min(max(first, self._first), self._end)
         messages: list[tuple[str, bytes]] = []
         size = 0

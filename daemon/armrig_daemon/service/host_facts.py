@@ -1,4 +1,4 @@
-"""Properties of the machine on which a run is recorded: name of the run, time, host."""
+"""Facts that the recording machine contributes to a run: the run's name, the time, the host."""
 
 from __future__ import annotations
 

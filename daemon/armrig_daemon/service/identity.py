@@ -1,4 +1,4 @@
-"""Identity of a client: the name that the client gives, then the identity that was checked."""
+"""Text that identifies a client: the name that the client gives, then the checked identity."""
 
 from __future__ import annotations
 

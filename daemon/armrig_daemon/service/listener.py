@@ -51,7 +51,7 @@ _MAX_QUESTION_BYTES = 64  # of a request for the history
 
 
 def session_config(endpoint: str, network: Network | None = None) -> zenoh.Config:
-    """Return the configuration of a session only at `endpoint`, which scouting does not find."""
+    """Return the configuration of a session at `endpoint` only, hidden from zenoh's scouting."""
     if network is not None and network.is_router:
         return zenoh.Config.from_json5(json.dumps(_router_config(network)))
     if network is None:
@@ -123,7 +123,7 @@ class Listener:
         Parameters
         ----------
         admit : callable
-            Called, from zenoh's threads, with each command that passes the limits.
+            Function that zenoh's threads call with each command that passes the limits.
         past : callable
             Returns the answer to a request for the history. Its arguments are the first requested
             number and the offset of the clocks in ns.
@@ -219,7 +219,7 @@ class Listener:
         self._admit(Command(name, query, by))
 
     def _parts(self, query: zenoh.Query) -> tuple[str, str]:
-        """Return the names of the command and of the client, which ends the keys of a network."""
+        """Return the names of command and client; the client's name is empty on the Unix socket."""
         key = str(query.key_expr)
         if not self._known_by:
             return key.rsplit("/", 1)[-1], ""
@@ -227,7 +227,10 @@ class Listener:
         return name, f"{self._known_by} {asker}"
 
     def _is_too_many(self, name: str) -> bool:
-        """Count a query that needs no lease; only the queryable's zenoh thread may call this."""
+        """Count a query without a lease; return whether it exceeds the limit.
+
+        Only the zenoh thread of the query's queryable may call this.
+        """
         kind = name if name in _COUNTED else ""  # all unknown names are of one kind
         left = token_bucket.take(self._buckets.get(kind, token_bucket.Bucket()), time.monotonic())
         if left is not None:

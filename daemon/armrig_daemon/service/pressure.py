@@ -17,10 +17,9 @@ from armrig_daemon.pipe import State, Timing
 
 CPU = Path("/proc/pressure/cpu")
 MAX_LATENESS_MS = 100
-"""Largest lateness at which a run may begin: the 99th percentile of the last second, in ms.
+"""Largest lateness of the host for an arming, in ms: 99th percentile of the last second.
 
-A longer watchdog tolerates a stall during a run, but does not permit that a run begins on a late
-host.
+A longer watchdog tolerates a stall during a run, but does not permit arming on a late host.
 """
 _OF_LOAD = (Id.STALE, Id.PAUSE, Id.MISSED)
 
@@ -34,10 +33,10 @@ class Pressure:
         self._last = (monotonic_ns(), self._stalled_us())
 
     def read(self) -> tuple[float, int]:
-        """Return two numbers; NaN and -1 if this kernel does not report them.
+        """Return the share of waiting time, in percent, and the number of runnable tasks.
 
-        The first number is the share of the time since the last call, in percent, during which at
-        least one task waited for a processor. The second number is the number of runnable tasks.
+        The share is the part of the time since the last call during which at least one task waited
+        for a processor. The values are NaN and -1 if this kernel does not report them.
         """
         now_ns, stalled_us = monotonic_ns(), self._stalled_us()
         (then_ns, before_us), self._last = self._last, (now_ns, stalled_us)
@@ -47,7 +46,7 @@ class Pressure:
         return share, _runnable()
 
     def _stalled_us(self) -> int | None:
-        """Return the total of the line `some … total=N`."""
+        """Return the waiting time so far in µs, N of the line `some … total=N`; None without it."""
         with contextlib.suppress(OSError, ValueError, IndexError):
             some = self._path.read_text(encoding="ascii").splitlines()[0]
             return int(some.rsplit("total=", 1)[1])
@@ -76,7 +75,7 @@ def load(path: Path = CPU) -> str:
 
 
 def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> Refused | None:
-    """Return the refusal of an arming if the timing of the last second is too late, or None."""
+    """Return the refusal of an arming if the host was too late in the last second, or None."""
     # One late tick among a hundred is no reason for a refusal, but a repeated pause is.
     late_ms = timing.wake_lateness_us.p99 / 1e3 if timing else 0.0
     most_ms = min(watchdog_ms, MAX_LATENESS_MS)

@@ -1,4 +1,4 @@
-"""Records of the loop as the protobuf messages that are published and recorded."""
+"""Conversion of the loop's records to the protobuf messages that are published and recorded."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns
     Parameters
     ----------
     clock_offset_ns : int
-        Real-time clock minus monotonic clock, for the message with a wall-clock time.
+        Real-time clock minus monotonic clock, in ns, for the wall-clock time in the message of a
+        log record.
     """
     match record:
         case Gap():

@@ -1,4 +1,4 @@
-"""Publishing to all clients, and the queues of their commands, over all endpoints."""
+"""Publishing to all clients over all endpoints, and the queues of the clients' commands."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def kind_of(name: str) -> Kind:
 
 
 class Session:
-    """Open listeners; use it in a `with` block."""
+    """Listeners at all endpoints; use the session in a `with` block."""
 
     def __init__(
         self,
@@ -69,9 +69,9 @@ class Session:
         endpoint : str
             Endpoint of the Unix socket.
         network : Network, optional
-            Network endpoint to listen at, too.
+            Network endpoint at which the session also listens.
         router : Network, optional
-            Router to connect to, too, as soon as it answers.
+            Router to which the session also connects, as soon as the router answers.
 
         Raises
         ------
@@ -102,18 +102,18 @@ class Session:
             self.uplink = Uplink(router.endpoint, way)
 
     def __enter__(self) -> Self:
-        """Open the listeners and return this object."""
+        """Return this session, whose listeners are already open."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close."""
+        """Close the listeners."""
         for listener in self._listeners:
             listener.close()
         if self.uplink is not None:
             self.uplink.close()
 
     def open_network(self) -> None:
-        """Listen at the endpoint of the network, too.
+        """Listen also at the endpoint of the network.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class Session:
         del self._listeners[1:]
 
     def put(self, stream: str, data: bytes) -> None:
-        """Publish a message and keep it in the history; zenoh drops it for a slow subscriber."""
+        """Publish a message, which zenoh drops for a slow subscriber; keep it in the history."""
         for listener in self._listeners:
             listener.put(stream, data)
         if self.uplink is not None:

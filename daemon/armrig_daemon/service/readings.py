@@ -21,11 +21,11 @@ from armrig_protocol.messages import Flag
 RAIL_NS = 200_000_000
 """Time at a rail after which alpha counts as out of its range, in ns."""
 STILL_COUNTS = 256
-"""Largest range of readings that count as one position, of 65536: 1.4°, more than any noise."""
+"""Largest range of the readings at one position, in counts of 65536: 1.4°, above any noise."""
 FRICTION_V = 1.0
 """Voltage below which the motor may not overcome the friction, in V."""
 APART_S = 0.2
-"""Largest time between two samples, in s; at 5 V, the chassis turns by less than 1/3 turn."""
+"""Largest time between two compared samples, in s: less than 1/3 turn of the chassis at 5 V."""
 _ADC1_RAIL = int(Flag.ADC1_RAIL)
 
 
@@ -73,9 +73,9 @@ def objection(
     Parameters
     ----------
     turns_per_volt_s : float
-        Turns of the chassis for one Vs, from the model, while the chassis turns.
+        Turns of the chassis per Vs of input, which the model predicts for a moving chassis.
     alpha_is_read : bool
-        True if alpha has a potentiometer that does not turn beyond its ends.
+        True if the arm is mounted, and the shaft of its potentiometer stops at the ends.
     """
     newest = readings.newest
     if newest is None:

@@ -120,7 +120,7 @@ class Runs:
         theta_1_rad: float | None = None,
         alive: Callable[[], None] = lambda: None,
     ) -> tuple[pipe.Run, RunAccepted]:
-        """Return the order for the loop, and the answer to the client after the loop's acceptance.
+        """Return the order to the loop, and the answer to the client if the loop accepts the order.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class Runs:
 
     @property
     def client_gone_s(self) -> float:
-        """Time at which the current run is stopped if its client sends no earlier sign of life."""
+        """Monotonic time, in s, at which the run is stopped if no further sign of life arrives."""
         return self._presence.gone_s if self._presence else inf
 
     def client_gone(self) -> Ending:
@@ -203,7 +203,7 @@ class Runs:
     def begin(
         self, started: RunStarted, state: State, host: dict[str, Any], clock_offset_ns: int
     ) -> Path:
-        """Open the recording of the run that starts; return its path while it is written.
+        """Open the recording of the run that starts; return the path of the unfinished file.
 
         Raises
         ------
@@ -294,7 +294,7 @@ class Runs:
         return Ending(OutcomeCode.MOVED, recording.moved) if recording.moved else None
 
     def unrecorded(self) -> str:
-        """Return, once, the reason why the current run is no longer recorded, or an empty text."""
+        """Return why the run is no longer recorded, only at the first call; else an empty text."""
         recording = self._recording
         if recording is None or not recording.error or recording.error == self._reported_error:
             return ""

@@ -30,7 +30,7 @@ def served(config: Config, ended_by: str = "Ctrl-C") -> str:
 
 
 def line_and_limits(config: Config) -> str:
-    """Return the port, the range of voltages, and a notice of a key without effect."""
+    """Return the port, the range of voltages, and a notice if a configured key has no effect."""
     device, limits = config.device, config.limits
     volts = f"{limits.u_min_v:g} to {limits.u_max_v:g} V"
     rest = "" if config.motor.rest_v is None else "; motor.rest_v = 0 has no effect: remove it"
@@ -99,7 +99,7 @@ def network_error(endpoint: str, err: Exception) -> str:
 
 
 def state_sentence(state: State, line: str) -> str:
-    """Return the state of the rig as a line; `line` is the reason if no device answers."""
+    """Return the state of the rig as a line; `line` says why no device answers."""
     if state.reason:
         return printable(f"{state.phase}: {state.reason}; {state.remedy}, then `armrig reset`")
     if line:

@@ -1,4 +1,4 @@
-"""The service: it starts the loop, publishes and records its reports, and passes on commands.
+"""The service starts the loop, publishes and records its reports, and passes commands to it.
 
 The process also has the thread that writes the recording and the thread that maintains the folder.
 zenoh's threads put commands into queues, or refuse them by `admission`. The service may wait for
@@ -99,13 +99,14 @@ class Service:
         Parameters
         ----------
         stalls_fd : int, optional
-            Pipe from which an emulator's reports are read: times in ns for which its clock stood
+            Pipe with the reports of an emulator: times, in ns, for which the emulator's clock stood
             still.
         notifier : Notifier, optional
             Connection to systemd; default: no connection.
         check_configuration : callable, optional
-            Function that SIGHUP calls: reads the configuration again, and raises ValueError if it
-            is refused. Without this function, SIGHUP ends the service.
+            Function that is called at SIGHUP. It reads the configuration again, and raises
+            ValueError if the configuration is refused. Without this function, SIGHUP ends the
+            service.
         """
         self._notifier = Notifier({}) if notifier is None else notifier
         self._check_configuration = check_configuration
@@ -300,7 +301,7 @@ class Service:
         return message
 
     def _about(self, log: Log) -> dict[str, str]:
-        """Return the fields of a line: rig, holder, current run, and the line's own fields."""
+        """Return the fields of a log line: rig, holder, current run, and the line's own fields."""
         about = {
             "rig": self._config.rig.id,
             "run": self._runs.run_id,
@@ -371,8 +372,8 @@ class Service:
     def _restart(self, check_configuration: Callable[[], Config]) -> None:
         """End the unused service, so that systemd restarts it with the new configuration.
 
-        Only a new process can use the configuration, because this process has given up the loop's
-        priority.
+        Only a new process can start a loop with a real-time priority, because this process has
+        given up the priority.
         """
         owner = self._rig.state.owner
         if self._is_busy:

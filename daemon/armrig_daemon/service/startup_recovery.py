@@ -1,4 +1,4 @@
-"""Maintenance of the folder of recordings, while the rig is served.
+"""Maintenance of the folder of recordings, during the service of the rig.
 
 First the unfinished recordings of this rig's earlier daemons are recovered. Then recordings beyond
 the configured limits are removed: at the start, after each run and every hour.
@@ -47,7 +47,7 @@ class StartupRecovery:
         changed: Callable[[], None],
         config: Recording = Recording(),  # noqa: B008 - frozen
     ) -> None:
-        """Start nothing yet; the thread calls `changed` when a line can be logged."""
+        """Create the thread without starting it; it calls `changed` when a line can be logged."""
         self._directory = directory
         self._rig = rig
         self._changed = changed
@@ -70,7 +70,7 @@ class StartupRecovery:
         self._thread.start()
 
     def rest(self) -> None:
-        """Pause from the next record until `go_on` is called, because a run has priority."""
+        """Pause at the next record, because a run has priority; `go_on` ends the pause."""
         self._may_go_on.clear()
         self._is_due.set()
 
@@ -79,12 +79,12 @@ class StartupRecovery:
         self._may_go_on.set()
 
     def lines(self) -> Iterator[Line]:
-        """Yield the lines that have not been yielded yet."""
+        """Yield the lines for the log that are new since the last call."""
         while not self._lines.empty():
             yield self._lines.get()
 
     def join(self, timeout: float | None = None) -> None:
-        """Wait until all files are done, or for `timeout` s."""
+        """Wait until all files are processed, or for `timeout` s."""
         self._thread.join(timeout)
 
     def _breath(self) -> None:

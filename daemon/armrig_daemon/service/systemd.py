@@ -1,4 +1,4 @@
-"""Reports to systemd and to the journal, by their protocols: datagrams of lines.
+"""Reports to systemd and to the journal in their protocols, as datagrams of lines.
 
 References
 ----------
@@ -79,7 +79,8 @@ def journal_entry(level: str, message: str, fields: Mapping[str, str]) -> bytes:
     message : str
         The line.
     fields : mapping
-        Fields of the line: `run` is ARMRIG_RUN in the journal. An empty field is omitted.
+        Fields of the line. The field `run` becomes ARMRIG_RUN in the journal. An empty field is
+        omitted.
 
     References
     ----------

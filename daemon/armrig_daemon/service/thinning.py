@@ -10,21 +10,21 @@ from msgspec.structs import replace
 from armrig_daemon.pipe import Log
 
 HOLD_NS = 1_000_000_000
-"""Time for which repeated lines are held back, in ns; they differ only in their numbers."""
+"""Time for which repeated lines are held back, in ns; repeated lines differ only in numbers."""
 MAX_KINDS = 100
 """Largest number of distinguished kinds of lines; a line of a further kind is always logged."""
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 class _Repeated(NamedTuple):
-    """Kind of line that repeats."""
+    """State of one kind of repeated lines."""
 
     ns: int
     """Time of the last logged line of this kind."""
     held: int = 0
-    """Number of lines held back since the last logged line."""
+    """Number of lines that were held back since the last logged line."""
     newest: Log | None = None
-    """Last line held back."""
+    """Last line that was held back."""
 
 
 class Thinning:
@@ -48,7 +48,7 @@ class Thinning:
         return False
 
     def due(self, now_ns: int, *, end: bool = False) -> list[Log]:
-        """Return a line for each kind held back for a second, or for all kinds at the end."""
+        """Return a line for each kind held back for 1 s, or for each held-back kind at the end."""
         lines: list[Log] = []
         for kind, (ns, held, newest) in list(self._kinds.items()):
             if now_ns - ns < HOLD_NS and not end:

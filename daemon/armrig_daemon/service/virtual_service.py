@@ -1,7 +1,8 @@
 """Runs on an emulated rig in virtual time, requested and recorded as by `armrigd run`.
 
-Loop, core, codec, device and recorder are the same code. There is no session, no priority and no
-terminal. A recording contains no data of the host, so the same seed results in the same bytes.
+Loop, core, codec, emulated device and recorder are the same code as for `armrigd run`. There is no
+zenoh session, no real-time priority and no terminal. A recording contains no data of the host, so
+the same seed results in the same bytes.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class VirtualService:
         self._has_ended = False
 
     def record(self, request: Run) -> Path:
-        """Arm, play and record a run; return its recording, complete on the disk.
+        """Arm, play and record a run; return the path of the complete recording.
 
         Parameters
         ----------
@@ -121,7 +122,7 @@ class VirtualService:
         return answer
 
     def _until(self, what: Callable[[], bool], failing: str, seconds: float = 0.0) -> None:
-        """Let time pass until `what` is true."""
+        """Let virtual time pass until `what()` is true."""
         ports = self._rig.ports
         end_ns = ports.now + round(seconds * 1e9) + _SETTLE_NS
         while not what():
@@ -172,7 +173,7 @@ def _name(seed: int, codes: bytes) -> str:
 
 
 def requests_of(text: bytes) -> list[Run]:
-    """Return runs from JSON, one per line, for `armrigd virtual`: `run` without its lease.
+    """Return the runs in JSON lines, for `armrigd virtual`: each is a `run` without its lease.
 
     Raises
     ------
