@@ -1,4 +1,4 @@
-"""Consistent overhead byte stuffing: no 00 inside a frame, so that a 00 can end the frame.
+"""Consistent overhead byte stuffing (COBS) removes 00 from a frame, so that a 00 can end the frame.
 
 References
 ----------
@@ -9,7 +9,7 @@ References
 from __future__ import annotations
 
 MAX_TEXT = 253
-"""Length of the longest text with one byte of overhead and no code FF; frames are shorter."""
+"""Length of the longest text that needs only one additional byte; frames are shorter."""
 
 
 def stuff(text: bytes) -> bytes:
@@ -26,7 +26,7 @@ def stuff(text: bytes) -> bytes:
 
 
 def unstuff(stuffed: bytes) -> bytes | None:
-    """Return the text before stuffing; None if a code byte points beyond the end.
+    """Return the text without stuffing; None if a code byte points beyond the end of `stuffed`.
 
     `stuffed` contains no 00: the decoder has removed the 00 at the end of the frame.
     """

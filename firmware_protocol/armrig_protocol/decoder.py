@@ -1,7 +1,8 @@
-"""Decoding of bytes, in any pieces, to messages.
+"""Decoder of the received bytes to messages; the bytes may arrive in pieces of any length.
 
-The decoder is a pure function of the leftover bytes and the new bytes. It can therefore be part of
-any state, be replayed, and be tested with the bytes in any pieces.
+The decoder is a pure function of the leftover bytes and the new bytes. A caller can therefore store
+the leftover bytes in its own state. A replay returns the same messages, and a test can split the
+bytes at any place.
 """
 
 from __future__ import annotations
@@ -13,16 +14,16 @@ MAX_STUFFED = MAX_DECODED + 1
 """Length of the longest stuffed frame without its 00, in bytes."""
 
 Received = Message | Unknown | Spoilt
-"""An item that the decoder can return."""
+"""Type of the items that the decoder returns."""
 
 
 def feed(pending: bytes, data: bytes) -> tuple[bytes, list[Received]]:
-    """Return the leftover bytes and the received items.
+    """Return the leftover bytes of an incomplete frame, and the items of all complete frames.
 
     Parameters
     ----------
     pending : bytes
-        Leftover bytes of the last call; empty at first. At most `MAX_STUFFED` + 1 bytes.
+        Leftover bytes of the last call, at most `MAX_STUFFED` + 1 bytes; empty at the first call.
     data : bytes
         New bytes.
     """

@@ -1,4 +1,4 @@
-"""Encoding of one message to the bytes on the wire, and its decoding."""
+"""Encoding of a message to its bytes on the wire, and decoding of these bytes."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _TEXTS = {number: Struct("<B" + layout) for number, layout in LAYOUTS.items()}
 _BODIES = {number: Struct("<x" + layout) for number, layout in LAYOUTS.items()}
 
 LENGTHS = {number: text.size + _CRC.size for number, text in _TEXTS.items()}
-"""Decoded length of each type of frame, header and CRC included, in bytes."""
+"""Decoded length of each type of frame, including header and CRC, in bytes."""
 
 
 def wire_length(message: type[Message]) -> int:
-    """Return the length of a message of this class on the wire, its 00 included, in bytes."""
+    """Return the length of a message of this class on the wire, including its 00, in bytes."""
     return LENGTHS[TYPES[message]] + 2
 
 
@@ -38,14 +38,14 @@ class Unknown(NamedTuple):
 
 
 class Spoilt(NamedTuple):
-    """Bytes before a 00 that are not a frame; a device counts them, and never answers them."""
+    """A piece of bytes that is not a valid frame; a device counts the piece, and never answers."""
 
     reason: str
     """`cobs`, `crc` or `length`: the check that failed."""
 
 
 def encode(message: Message) -> bytes:
-    """Return the bytes of `message` on the wire, its 00 included.
+    """Return the bytes of `message` on the wire, including the 00 at their end.
 
     Raises
     ------

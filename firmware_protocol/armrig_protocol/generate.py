@@ -1,8 +1,8 @@
 """Generate the protocol tables from `schema.toml`: `python -m armrig_protocol.generate [--check]`.
 
-The program writes `armrig_protocol/messages.py`, `firmware/rig_protocol.h`, the part of
-`PROTOCOL.md` between its two marks, and the vectors of the messages in `vectors/frames.json`. With
-`--check` nothing is written, and the exit code is 1 if a file differs from the schema.
+The program writes `armrig_protocol/messages.py`, `firmware/rig_protocol.h`, the tables of
+`PROTOCOL.md` between two marks, and the vectors of the messages in `vectors/frames.json`. With
+`--check` it writes nothing, and its exit code is 1 if a file differs from the schema.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def schema_hash(schema: Table) -> int:
 
 
 def wire_name(message: Table) -> str:
-    """Return a message's name on the wire: CLEAR_FAULT for ClearFault."""
+    """Return the name of a message in PROTOCOL.md, for example CLEAR_FAULT for ClearFault."""
     if "wire" in message:
         return str(message["wire"])
     name = message["name"]
@@ -50,13 +50,13 @@ def wire_name(message: Table) -> str:
 
 
 def decoded_length(message: Table) -> int:
-    """Return the length of a frame before stuffing, header and CRC included, in bytes."""
+    """Return the length of a frame before stuffing, including header and CRC, in bytes."""
     body: int = sum(SIZES[field["type"]] * field.get("count", 1) for field in message["fields"])
     return 4 + body + 4
 
 
 def field_doc(field: Table) -> str:
-    """Return a field's meaning with its unit and its enumeration."""
+    """Return the description of a field with its unit and the name of its enumeration."""
     meaning, semicolon, details = field["doc"].partition(";")
     unit = f", in {field['unit']}" if "unit" in field else ""
     names = f" (`{field['enum']}`)" if "enum" in field else ""
@@ -215,7 +215,7 @@ def vector_lines(schema: Table) -> Iterator[str]:
 
 
 def generated(root: Path) -> dict[Path, str]:
-    """Return the required text of each generated file below `root`."""
+    """Return, for each generated file below `root`, the text that the file must contain."""
     schema = tomllib.loads((root / "schema.toml").read_text(encoding="utf-8"))
     protocol, vectors = root / "PROTOCOL.md", root / "vectors" / "frames.json"
     before, rest = protocol.read_text(encoding="utf-8").split(BEGIN)

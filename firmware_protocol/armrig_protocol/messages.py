@@ -48,13 +48,13 @@ class State(IntEnum):
     RUN = 5
     """The input drives the motor, watchdog on."""
     FAULT = 6
-    """Latched; 0 V; left by CLEAR_FAULT with its token."""
+    """Latched; 0 V; only CLEAR_FAULT with the token of this fault ends it."""
     ESTOP = 7
-    """Latched on request; 0 V; left by CLEAR_FAULT with its token."""
+    """Latched on request; 0 V; only CLEAR_FAULT with the token of this stop ends it."""
 
 
 class Cause(IntEnum):
-    """Why a device changed its state."""
+    """Reason for a change of the device's state."""
 
     NONE = 0
     """No cause to report."""
@@ -63,7 +63,7 @@ class Cause(IntEnum):
     REQUEST = 2
     """Requested by a host."""
     END = 3
-    """The last requested sample was taken, and its input held for its Ts."""
+    """The last requested sample was taken, and its input was held for a whole Ts."""
     WATCHDOG = 4
     """No valid host frame for watchdog_ms."""
     RANGE = 5
@@ -73,7 +73,7 @@ class Cause(IntEnum):
     ADC_RAIL = 7
     """A potentiometer at a rail for `rail_ticks` samples."""
     REV_LIMIT = 8
-    """`turns`/100 turns or more."""
+    """`turns`/100 net turns of theta_1 or more since START."""
     UNDERRUN = 9
     """Reserved: an empty queue of setpoints is no fault."""
     VCC_LOW = 10
@@ -88,36 +88,36 @@ class Code(IntEnum):
     OK = 0
     """Done."""
     UNKNOWN_TYPE = 1
-    """No such message."""
+    """No request has this type."""
     WRONG_STATE = 2
-    """Not in this state; nothing changed."""
+    """The request is not allowed in this state; nothing changed."""
     UNSUPPORTED = 3
     """The device does not have this function; see `capabilities`."""
     BAD_VALUE = 4
     """A field has a value that is not allowed; nothing changed."""
     WRONG_BOOT = 5
-    """Not the boot_id of this boot."""
+    """Wrong boot_id: not the boot_id of this boot."""
     WRONG_CONFIG = 6
-    """Not the config_crc of the configuration in force."""
+    """Wrong config_crc: not the config_crc of the configuration in force."""
     WRONG_TOKEN = 7
-    """Not the token of this fault."""
+    """Wrong token: not the token of this fault."""
     STALE = 8
     """Seq or k is not newer than the last accepted seq or k; nothing changed."""
     WRONG_NONCE = 9
-    """Not the nonce of the newest accepted CONFIG; for example an old frame, sent again."""
+    """Wrong nonce: not the nonce of the newest accepted CONFIG; for example, an old frame was sent again."""
 
 
 class Mode(IntEnum):
-    """Who paces the samples."""
+    """Clock that determines the times of the samples."""
 
     EXCHANGE = 0
-    """The host: one SAMPLE for each EXCHANGE."""
+    """The host's clock; the device sends one SAMPLE for each EXCHANGE."""
     SCHEDULED = 1
-    """The device's timer, from a queue of setpoints."""
+    """The device's timer; the inputs are in a queue of setpoints."""
 
 
 class Underrun(IntEnum):
-    """What a device latches if its queue is empty."""
+    """Code that a device latches if its queue is empty."""
 
     ZERO = 0
     """U_rest at once."""
@@ -149,7 +149,7 @@ class Flag(IntFlag):
     ESTOP = 0x0200
     """In ESTOP."""
     CRC_ERR = 0x0400
-    """A spoilt frame came since the last sample."""
+    """A spoilt frame was received since the last sample."""
     RX_OVERFLOW = 0x0800
     """Received bytes were lost since the last sample."""
     TX_DROP = 0x1000
@@ -161,7 +161,7 @@ class Flag(IntFlag):
 
 
 class Capability(IntFlag):
-    """What a device can do."""
+    """Functions of a device."""
 
     EXCHANGE = 0x0001
     """Exchange mode."""
@@ -200,17 +200,17 @@ class Config(NamedTuple):
     u_max: int
     """Highest code accepted, in code."""
     u_rest: int
-    """Code of standstill, latched when RUN begins and after an underrun, in code; other than 0 only with an enable line."""
+    """Code at which the motor stands still, latched when RUN begins and after an underrun, in code; 0 if there is no enable line."""
     slew: int
     """Largest change from one sample to the next, in code; 0 sets no limit."""
     watchdog_ms: int
-    """Silence of the host before FAULT(WATCHDOG), in ms."""
+    """Time without a host frame after which the device enters FAULT(WATCHDOG), in ms."""
     mode: int
-    """Who paces the samples (`Mode`)."""
+    """Clock that determines the times of the samples (`Mode`)."""
     underrun: int
     """Policy for an empty queue (`Underrun`)."""
     hold: int
-    """Longest HOLD, in ticks."""
+    """Longest time for which the policy HOLD keeps the last code, in ticks."""
     oversampling: int
     """Conversions averaged in one reading of each channel, at least 1."""
     rail_ticks: int
@@ -220,7 +220,7 @@ class Config(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """READY to ARMED, bound to this boot, this configuration and its nonce."""
+    """Change from READY to ARMED. ARM is valid only in this boot and for this configuration and its nonce."""
 
     state: int
     """State of the device; 0 from a host (`State`)."""
@@ -235,7 +235,7 @@ class Arm(NamedTuple):
 
 
 class Start(NamedTuple):
-    """ARMED to RUN."""
+    """Change from ARMED to RUN."""
 
     state: int
     """State of the device; 0 from a host (`State`)."""
@@ -248,7 +248,7 @@ class Start(NamedTuple):
 
 
 class Stop(NamedTuple):
-    """To IDLE from READY, ARMED and RUN. STOP takes effect whatever its seq."""
+    """Change from READY, ARMED or RUN to IDLE. STOP takes effect whatever its seq."""
 
     state: int
     """State of the device; 0 from a host (`State`)."""
@@ -257,7 +257,7 @@ class Stop(NamedTuple):
 
 
 class ClearFault(NamedTuple):
-    """FAULT or ESTOP to IDLE. No program sends it without a user's order."""
+    """Change from FAULT or ESTOP to IDLE. No program sends CLEAR_FAULT without an order of the user."""
 
     state: int
     """State of the device; 0 from a host (`State`)."""
@@ -268,7 +268,7 @@ class ClearFault(NamedTuple):
 
 
 class Estop(NamedTuple):
-    """To ESTOP from any state. ESTOP takes effect whatever its seq. A host sends it three times."""
+    """Change from any state to ESTOP. ESTOP takes effect whatever its seq. A host sends ESTOP three times."""
 
     state: int
     """State of the device; 0 from a host (`State`)."""
@@ -290,7 +290,7 @@ class Exchange(NamedTuple):
 
 
 class Setpoints(NamedTuple):
-    """Scheduled mode: the inputs of samples k0 … k0 + n - 1. A repeated code must be the code in the queue."""
+    """Scheduled mode: the inputs of samples k0 … k0 + n - 1. If the queue already has a code for a sample, the frame must repeat this code."""
 
     state: int
     """State of the device; 0 from a host (`State`)."""
@@ -327,7 +327,7 @@ class Keepalive(NamedTuple):
 
 
 class Cal(NamedTuple):
-    """Raw readings of one channel, at 0 V only."""
+    """Ask for raw readings of one channel, at 0 V only."""
 
     state: int
     """State of the device; 0 from a host (`State`)."""
@@ -359,7 +359,7 @@ class HelloReply(NamedTuple):
     firmware: int
     """CRC-32 of the firmware's image."""
     token: int
-    """What CLEAR_FAULT must carry; 0 outside FAULT and ESTOP."""
+    """Token that CLEAR_FAULT must contain; 0 outside FAULT and ESTOP."""
     ts_min_us: int
     """Shortest sampling time of the device itself, with oversampling 1, in µs."""
     full_scale_mv: int
@@ -367,9 +367,9 @@ class HelloReply(NamedTuple):
     queue: int
     """Capacity of the queue, in setpoints."""
     capabilities: int
-    """What the device can do (`Capability`)."""
+    """Functions of the device (`Capability`)."""
     skew_us: int
-    """Time from a conversion to the next, and so from alpha's conversion to theta_1's conversion, in µs; rounded up."""
+    """Time from one conversion to the next, and therefore from the conversion of alpha to the conversion of theta_1, in µs; rounded up."""
     hold_us: int
     """Time from the trigger (t_us) to the hold of theta_1 and the latch of u, in µs."""
     adc_bits: int
@@ -383,44 +383,44 @@ class HelloReply(NamedTuple):
 
 
 class ConfigReply(NamedTuple):
-    """The configuration in force, also after a refusal."""
+    """Answer to CONFIG. It contains the configuration in force, also if CONFIG was refused."""
 
     state: int
     """State of the device; 0 from a host (`State`)."""
     seq: int
     """Number of the frame, counted by its sender."""
     code: int
-    """OK or why not (`Code`)."""
+    """OK, or the reason for the refusal (`Code`)."""
     zero: int
     """0."""
     config_crc: int
     """CRC-32 of the CONFIG body in force; 0 if no configuration is in force."""
     ts_us: int
-    """As CONFIG, in µs."""
+    """As in CONFIG, in µs."""
     u_min: int
-    """As CONFIG, in code."""
+    """As in CONFIG, in code."""
     u_max: int
-    """As CONFIG, in code."""
+    """As in CONFIG, in code."""
     u_rest: int
-    """As CONFIG, in code."""
+    """As in CONFIG, in code."""
     slew: int
-    """As CONFIG, in code."""
+    """As in CONFIG, in code."""
     watchdog_ms: int
-    """As CONFIG, in ms."""
+    """As in CONFIG, in ms."""
     mode: int
-    """As CONFIG (`Mode`)."""
+    """As in CONFIG (`Mode`)."""
     underrun: int
-    """As CONFIG (`Underrun`)."""
+    """As in CONFIG (`Underrun`)."""
     hold: int
-    """As CONFIG, in ticks."""
+    """As in CONFIG, in ticks."""
     oversampling: int
-    """As CONFIG."""
+    """As in CONFIG."""
     rail_ticks: int
-    """As CONFIG, in samples."""
+    """As in CONFIG, in samples."""
     turns: int
-    """As CONFIG, in turns/100."""
+    """As in CONFIG, in turns/100."""
     nonce: int
-    """What ARM and START must carry; 0 if no configuration is in force."""
+    """Nonce that ARM and START must contain; 0 if no configuration is in force."""
 
 
 class Ack(NamedTuple):
@@ -433,7 +433,7 @@ class Ack(NamedTuple):
     of_type: int
     """Type of the frame answered."""
     code: int
-    """OK or why not (`Code`)."""
+    """OK, or the reason for the refusal (`Code`)."""
     of_seq: int
     """Seq of the frame answered."""
 
@@ -450,11 +450,11 @@ class Event(NamedTuple):
     was: int
     """State before (`State`)."""
     cause: int
-    """Why (`Cause`)."""
+    """Reason for the change (`Cause`)."""
     t_us: int
     """Device clock, in µs."""
     token: int
-    """What CLEAR_FAULT must carry; 0 outside FAULT and ESTOP."""
+    """Token that CLEAR_FAULT must contain; 0 outside FAULT and ESTOP."""
     detail: int
     """RANGE and SLEW: the code refused; VCC_LOW: the supply in mV; else 0."""
 
@@ -500,15 +500,15 @@ class Sample(NamedTuple):
     seq: int
     """Number of the frame, counted by its sender."""
     boot: int
-    """Low half of boot_id: a reset is never silent."""
+    """Low half of boot_id, by which the host notices every reset."""
     echo: int
     """Seq of the newest host frame taken in."""
     u_seq: int
-    """Seq of the frame that u_k came from; 0 if there was no such frame."""
+    """Seq of the frame that contained u_k; 0 if no frame contained u_k."""
     k: int
     """Sample index: k of the EXCHANGE, or in scheduled mode counted from 0 at START."""
     t_us: int
-    """Device clock at theta_1's trigger, in µs; wraps after 71.6 min."""
+    """Device clock when the conversion of theta_1 is triggered, in µs; wraps after 71.6 min."""
     y0: int
     """Theta_1, left-justified to 16 bits, in counts."""
     y1: int
@@ -516,7 +516,7 @@ class Sample(NamedTuple):
     u_k: int
     """Code of the duty that the motor has from sample k on, in code."""
     u_km1: int
-    """Code in force just before the latch: gives u of the sample before, if its SAMPLE is lost, in code."""
+    """Code in force just before the latch, in code; if the previous SAMPLE is lost, it is the u_k of this SAMPLE."""
     flags: int
     """Conditions of the sample (`Flag`)."""
     queued: int
@@ -531,7 +531,7 @@ class Pong(NamedTuple):
     seq: int
     """Number of the frame, counted by its sender."""
     host_ns: int
-    """From PING, in ns."""
+    """Value of host_ns in PING, in ns."""
     rx_us: int
     """Device clock after PING was received, in µs."""
     tx_us: int
@@ -546,19 +546,19 @@ class CalReply(NamedTuple):
     seq: int
     """Number of the frame, counted by its sender."""
     channel: int
-    """From CAL."""
+    """Channel of the CAL."""
     zero: int
     """0."""
     n: int
     """Readings taken."""
     mean_256: int
-    """Mean, in counts/256."""
+    """Mean of the readings, in counts/256."""
     variance_256: int
-    """Variance with the divisor n - 1, in counts²/256; at most 2^32 - 1, and 0 for n = 1."""
+    """Variance of the readings, with the divisor n - 1, in counts²/256; at most 2^32 - 1, and 0 for n = 1."""
     least: int
-    """Smallest, in counts."""
+    """Smallest reading, in counts."""
     greatest: int
-    """Largest, in counts."""
+    """Largest reading, in counts."""
 
 
 Message = (

@@ -1,4 +1,4 @@
-"""The golden vectors of the messages: each with all bits 0, all bits 1, and a mix of them."""
+"""Golden vectors of the messages: for each message, all bits 0, all bits 1, and mixed bits."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def vectors_of(name: str, number: int, layout: str, fields: Sequence[str]) -> It
     Parameters
     ----------
     layout : str
-        Layout between the type and the CRC, in the letters of the struct module.
+        Layout of the bytes between the type and the CRC, in the letters of the struct module.
     fields : sequence of str
         Names of the fields; the last field takes all remaining values.
     """
@@ -42,13 +42,13 @@ def vectors_of(name: str, number: int, layout: str, fields: Sequence[str]) -> It
 
 
 def is_generated(line: str) -> bool:
-    """Return whether a line of the file is generated; the others are written by hand."""
+    """Return whether a line of the file is generated; all other lines are written by hand."""
     name, _, filling = json.loads(line)["doc"].partition(" ")
     return name.isidentifier() and filling in FILLINGS
 
 
 def vectors_text(before: str, generated: Sequence[str]) -> str:
-    """Return the text of the file: its lines by hand, unchanged, then the generated lines."""
+    """Return the text of the file: the lines written by hand, then the generated lines."""
     lines = [line.rstrip(",") for line in before.splitlines()[1:-1]]
     by_hand = [line for line in lines if not is_generated(line)]
     return "[\n" + ",\n".join([*by_hand, *generated]) + "\n]\n"

@@ -25,21 +25,21 @@ enum {
     RIG_STATE_READY = 0x3, // configured; 0 V
     RIG_STATE_ARMED = 0x4, // bound to a host; 0 V, watchdog on
     RIG_STATE_RUN = 0x5, // the input drives the motor, watchdog on
-    RIG_STATE_FAULT = 0x6, // latched; 0 V; left by CLEAR_FAULT with its token
-    RIG_STATE_ESTOP = 0x7, // latched on request; 0 V; left by CLEAR_FAULT with its token
+    RIG_STATE_FAULT = 0x6, // latched; 0 V; only CLEAR_FAULT with the token of this fault ends it
+    RIG_STATE_ESTOP = 0x7, // latched on request; 0 V; only CLEAR_FAULT with the token of this stop ends it
 };
 
-// Why a device changed its state.
+// Reason for a change of the device's state.
 enum {
     RIG_CAUSE_NONE = 0x0, // no cause to report
     RIG_CAUSE_POWER_ON = 0x1, // reset, for example at power-on or when the port is opened
     RIG_CAUSE_REQUEST = 0x2, // requested by a host
-    RIG_CAUSE_END = 0x3, // the last requested sample was taken, and its input held for its Ts
+    RIG_CAUSE_END = 0x3, // the last requested sample was taken, and its input was held for a whole Ts
     RIG_CAUSE_WATCHDOG = 0x4, // no valid host frame for watchdog_ms
     RIG_CAUSE_RANGE = 0x5, // a code outside [u_min, u_max]
     RIG_CAUSE_SLEW = 0x6, // a change of the code of more than `slew`
     RIG_CAUSE_ADC_RAIL = 0x7, // a potentiometer at a rail for `rail_ticks` samples
-    RIG_CAUSE_REV_LIMIT = 0x8, // `turns`/100 turns or more
+    RIG_CAUSE_REV_LIMIT = 0x8, // `turns`/100 net turns of theta_1 or more since START
     RIG_CAUSE_UNDERRUN = 0x9, // reserved: an empty queue of setpoints is no fault
     RIG_CAUSE_VCC_LOW = 0xA, // supply too low
     RIG_CAUSE_INTERNAL = 0xB, // an internal check of the firmware failed
@@ -48,24 +48,24 @@ enum {
 // Answer to a request.
 enum {
     RIG_CODE_OK = 0x0, // done
-    RIG_CODE_UNKNOWN_TYPE = 0x1, // no such message
-    RIG_CODE_WRONG_STATE = 0x2, // not in this state; nothing changed
+    RIG_CODE_UNKNOWN_TYPE = 0x1, // no request has this type
+    RIG_CODE_WRONG_STATE = 0x2, // the request is not allowed in this state; nothing changed
     RIG_CODE_UNSUPPORTED = 0x3, // the device does not have this function; see `capabilities`
     RIG_CODE_BAD_VALUE = 0x4, // a field has a value that is not allowed; nothing changed
-    RIG_CODE_WRONG_BOOT = 0x5, // not the boot_id of this boot
-    RIG_CODE_WRONG_CONFIG = 0x6, // not the config_crc of the configuration in force
-    RIG_CODE_WRONG_TOKEN = 0x7, // not the token of this fault
+    RIG_CODE_WRONG_BOOT = 0x5, // wrong boot_id: not the boot_id of this boot
+    RIG_CODE_WRONG_CONFIG = 0x6, // wrong config_crc: not the config_crc of the configuration in force
+    RIG_CODE_WRONG_TOKEN = 0x7, // wrong token: not the token of this fault
     RIG_CODE_STALE = 0x8, // seq or k is not newer than the last accepted seq or k; nothing changed
-    RIG_CODE_WRONG_NONCE = 0x9, // not the nonce of the newest accepted CONFIG; for example an old frame, sent again
+    RIG_CODE_WRONG_NONCE = 0x9, // wrong nonce: not the nonce of the newest accepted CONFIG; for example, an old frame was sent again
 };
 
-// Who paces the samples.
+// Clock that determines the times of the samples.
 enum {
-    RIG_MODE_EXCHANGE = 0x0, // the host: one SAMPLE for each EXCHANGE
-    RIG_MODE_SCHEDULED = 0x1, // the device's timer, from a queue of setpoints
+    RIG_MODE_EXCHANGE = 0x0, // the host's clock; the device sends one SAMPLE for each EXCHANGE
+    RIG_MODE_SCHEDULED = 0x1, // the device's timer; the inputs are in a queue of setpoints
 };
 
-// What a device latches if its queue is empty.
+// Code that a device latches if its queue is empty.
 enum {
     RIG_UNDERRUN_ZERO = 0x0, // u_rest at once
     RIG_UNDERRUN_HOLD = 0x1, // the last code for `hold` ticks, then u_rest
@@ -83,14 +83,14 @@ enum {
     RIG_FLAG_ADC1_RAIL = 0x80, // alpha at a rail
     RIG_FLAG_TICK_LATE = 0x100, // this sample was taken late
     RIG_FLAG_ESTOP = 0x200, // in ESTOP
-    RIG_FLAG_CRC_ERR = 0x400, // a spoilt frame came since the last sample
+    RIG_FLAG_CRC_ERR = 0x400, // a spoilt frame was received since the last sample
     RIG_FLAG_RX_OVERFLOW = 0x800, // received bytes were lost since the last sample
     RIG_FLAG_TX_DROP = 0x1000, // frames to the host were dropped since the last sample
     RIG_FLAG_REV_LIMIT = 0x2000, // in FAULT, caused by too many turns
     RIG_FLAG_VCC_LOW = 0x4000, // supply below 4000 mV when last measured
 };
 
-// What a device can do.
+// Functions of a device.
 enum {
     RIG_CAPABILITY_EXCHANGE = 0x1, // exchange mode
     RIG_CAPABILITY_SCHEDULED = 0x2, // scheduled mode
@@ -120,12 +120,12 @@ typedef struct __attribute__((packed)) {
     uint32_t ts_us; // sampling time, in µs
     uint16_t u_min; // lowest code accepted, in code
     uint16_t u_max; // highest code accepted, in code
-    uint16_t u_rest; // code of standstill, latched when RUN begins and after an underrun, in code; other than 0 only with an enable line
+    uint16_t u_rest; // code at which the motor stands still, latched when RUN begins and after an underrun, in code; 0 if there is no enable line
     uint16_t slew; // largest change from one sample to the next, in code; 0 sets no limit
-    uint16_t watchdog_ms; // silence of the host before FAULT(WATCHDOG), in ms
-    uint8_t mode; // who paces the samples (`Mode`)
+    uint16_t watchdog_ms; // time without a host frame after which the device enters FAULT(WATCHDOG), in ms
+    uint8_t mode; // clock that determines the times of the samples (`Mode`)
     uint8_t underrun; // policy for an empty queue (`Underrun`)
-    uint8_t hold; // longest HOLD, in ticks
+    uint8_t hold; // longest time for which the policy HOLD keeps the last code, in ticks
     uint8_t oversampling; // conversions averaged in one reading of each channel, at least 1
     uint16_t rail_ticks; // samples in a row at a rail that cause FAULT(ADC_RAIL) in RUN, in samples; 0 sets no limit
     uint16_t turns; // net turns of theta_1 since START that cause FAULT(REV_LIMIT), in turns/100; 0 sets no limit
@@ -134,7 +134,7 @@ typedef struct __attribute__((packed)) {
 _Static_assert(sizeof(rig_config_t) == 30, "CONFIG");
 _Static_assert(sizeof(rig_config_t) <= RIG_MAX_DECODED, "CONFIG");
 
-// READY to ARMED, bound to this boot, this configuration and its nonce.
+// Change from READY to ARMED. ARM is valid only in this boot and for this configuration and its nonce.
 #define RIG_TYPE_ARM 0x03U
 typedef struct __attribute__((packed)) {
     uint8_t type;
@@ -148,7 +148,7 @@ typedef struct __attribute__((packed)) {
 _Static_assert(sizeof(rig_arm_t) == 20, "ARM");
 _Static_assert(sizeof(rig_arm_t) <= RIG_MAX_DECODED, "ARM");
 
-// ARMED to RUN.
+// Change from ARMED to RUN.
 #define RIG_TYPE_START 0x04U
 typedef struct __attribute__((packed)) {
     uint8_t type;
@@ -161,7 +161,7 @@ typedef struct __attribute__((packed)) {
 _Static_assert(sizeof(rig_start_t) == 16, "START");
 _Static_assert(sizeof(rig_start_t) <= RIG_MAX_DECODED, "START");
 
-// To IDLE from READY, ARMED and RUN. STOP takes effect whatever its seq.
+// Change from READY, ARMED or RUN to IDLE. STOP takes effect whatever its seq.
 #define RIG_TYPE_STOP 0x05U
 typedef struct __attribute__((packed)) {
     uint8_t type;
@@ -172,7 +172,7 @@ typedef struct __attribute__((packed)) {
 _Static_assert(sizeof(rig_stop_t) == 8, "STOP");
 _Static_assert(sizeof(rig_stop_t) <= RIG_MAX_DECODED, "STOP");
 
-// FAULT or ESTOP to IDLE. No program sends it without a user's order.
+// Change from FAULT or ESTOP to IDLE. No program sends CLEAR_FAULT without an order of the user.
 #define RIG_TYPE_CLEAR_FAULT 0x06U
 typedef struct __attribute__((packed)) {
     uint8_t type;
@@ -184,7 +184,7 @@ typedef struct __attribute__((packed)) {
 _Static_assert(sizeof(rig_clear_fault_t) == 12, "CLEAR_FAULT");
 _Static_assert(sizeof(rig_clear_fault_t) <= RIG_MAX_DECODED, "CLEAR_FAULT");
 
-// To ESTOP from any state. ESTOP takes effect whatever its seq. A host sends it three times.
+// Change from any state to ESTOP. ESTOP takes effect whatever its seq. A host sends ESTOP three times.
 #define RIG_TYPE_ESTOP 0x07U
 typedef struct __attribute__((packed)) {
     uint8_t type;
@@ -208,7 +208,7 @@ typedef struct __attribute__((packed)) {
 _Static_assert(sizeof(rig_exchange_t) == 14, "EXCHANGE");
 _Static_assert(sizeof(rig_exchange_t) <= RIG_MAX_DECODED, "EXCHANGE");
 
-// Scheduled mode: the inputs of samples k0 … k0 + n - 1. A repeated code must be the code in the queue.
+// Scheduled mode: the inputs of samples k0 … k0 + n - 1. If the queue already has a code for a sample, the frame must repeat this code.
 #define RIG_TYPE_SETPOINTS 0x11U
 typedef struct __attribute__((packed)) {
     uint8_t type;
@@ -246,7 +246,7 @@ typedef struct __attribute__((packed)) {
 _Static_assert(sizeof(rig_keepalive_t) == 8, "KEEPALIVE");
 _Static_assert(sizeof(rig_keepalive_t) <= RIG_MAX_DECODED, "KEEPALIVE");
 
-// Raw readings of one channel, at 0 V only.
+// Ask for raw readings of one channel, at 0 V only.
 #define RIG_TYPE_CAL 0x14U
 typedef struct __attribute__((packed)) {
     uint8_t type;
@@ -271,12 +271,12 @@ typedef struct __attribute__((packed)) {
     uint64_t uid; // identifies this piece of hardware
     uint32_t boot_id; // drawn at each boot, never 0
     uint32_t firmware; // CRC-32 of the firmware's image
-    uint32_t token; // what CLEAR_FAULT must carry; 0 outside FAULT and ESTOP
+    uint32_t token; // token that CLEAR_FAULT must contain; 0 outside FAULT and ESTOP
     uint32_t ts_min_us; // shortest sampling time of the device itself, with oversampling 1, in µs
     uint16_t full_scale_mv; // voltage of code 65535, in mV
     uint16_t queue; // capacity of the queue, in setpoints
-    uint16_t capabilities; // what the device can do (`Capability`)
-    uint16_t skew_us; // time from a conversion to the next, and so from alpha's conversion to theta_1's conversion, in µs; rounded up
+    uint16_t capabilities; // functions of the device (`Capability`)
+    uint16_t skew_us; // time from one conversion to the next, and therefore from the conversion of alpha to the conversion of theta_1, in µs; rounded up
     uint16_t hold_us; // time from the trigger (t_us) to the hold of theta_1 and the latch of u, in µs
     uint8_t adc_bits; // resolution of the converter; readings are left-justified to 16 bits
     uint8_t pwm_bits; // resolution of the duty; 16 if the duty is not quantised
@@ -287,28 +287,28 @@ typedef struct __attribute__((packed)) {
 _Static_assert(sizeof(rig_hello_r_t) == 52, "HELLO_R");
 _Static_assert(sizeof(rig_hello_r_t) <= RIG_MAX_DECODED, "HELLO_R");
 
-// The configuration in force, also after a refusal.
+// Answer to CONFIG. It contains the configuration in force, also if CONFIG was refused.
 #define RIG_TYPE_CONFIG_R 0x82U
 typedef struct __attribute__((packed)) {
     uint8_t type;
     uint8_t state; // state of the device; 0 from a host (`State`)
     uint16_t seq; // number of the frame, counted by its sender
-    uint8_t code; // OK or why not (`Code`)
+    uint8_t code; // OK, or the reason for the refusal (`Code`)
     uint8_t zero; // 0
     uint32_t config_crc; // CRC-32 of the CONFIG body in force; 0 if no configuration is in force
-    uint32_t ts_us; // as CONFIG, in µs
-    uint16_t u_min; // as CONFIG, in code
-    uint16_t u_max; // as CONFIG, in code
-    uint16_t u_rest; // as CONFIG, in code
-    uint16_t slew; // as CONFIG, in code
-    uint16_t watchdog_ms; // as CONFIG, in ms
-    uint8_t mode; // as CONFIG (`Mode`)
-    uint8_t underrun; // as CONFIG (`Underrun`)
-    uint8_t hold; // as CONFIG, in ticks
-    uint8_t oversampling; // as CONFIG
-    uint16_t rail_ticks; // as CONFIG, in samples
-    uint16_t turns; // as CONFIG, in turns/100
-    uint32_t nonce; // what ARM and START must carry; 0 if no configuration is in force
+    uint32_t ts_us; // as in CONFIG, in µs
+    uint16_t u_min; // as in CONFIG, in code
+    uint16_t u_max; // as in CONFIG, in code
+    uint16_t u_rest; // as in CONFIG, in code
+    uint16_t slew; // as in CONFIG, in code
+    uint16_t watchdog_ms; // as in CONFIG, in ms
+    uint8_t mode; // as in CONFIG (`Mode`)
+    uint8_t underrun; // as in CONFIG (`Underrun`)
+    uint8_t hold; // as in CONFIG, in ticks
+    uint8_t oversampling; // as in CONFIG
+    uint16_t rail_ticks; // as in CONFIG, in samples
+    uint16_t turns; // as in CONFIG, in turns/100
+    uint32_t nonce; // nonce that ARM and START must contain; 0 if no configuration is in force
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it
 } rig_config_r_t;
 _Static_assert(sizeof(rig_config_r_t) == 40, "CONFIG_R");
@@ -321,7 +321,7 @@ typedef struct __attribute__((packed)) {
     uint8_t state; // state of the device; 0 from a host (`State`)
     uint16_t seq; // number of the frame, counted by its sender
     uint8_t of_type; // type of the frame answered
-    uint8_t code; // OK or why not (`Code`)
+    uint8_t code; // OK, or the reason for the refusal (`Code`)
     uint16_t of_seq; // seq of the frame answered
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it
 } rig_ack_t;
@@ -336,9 +336,9 @@ typedef struct __attribute__((packed)) {
     uint16_t seq; // number of the frame, counted by its sender
     uint16_t boot; // low half of boot_id
     uint8_t was; // state before (`State`)
-    uint8_t cause; // why (`Cause`)
+    uint8_t cause; // reason for the change (`Cause`)
     uint32_t t_us; // device clock, in µs
-    uint32_t token; // what CLEAR_FAULT must carry; 0 outside FAULT and ESTOP
+    uint32_t token; // token that CLEAR_FAULT must contain; 0 outside FAULT and ESTOP
     uint32_t detail; // RANGE and SLEW: the code refused; VCC_LOW: the supply in mV; else 0
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it
 } rig_event_t;
@@ -374,15 +374,15 @@ typedef struct __attribute__((packed)) {
     uint8_t type;
     uint8_t state; // state of the device; 0 from a host (`State`)
     uint16_t seq; // number of the frame, counted by its sender
-    uint16_t boot; // low half of boot_id: a reset is never silent
+    uint16_t boot; // low half of boot_id, by which the host notices every reset
     uint16_t echo; // seq of the newest host frame taken in
-    uint16_t u_seq; // seq of the frame that u_k came from; 0 if there was no such frame
+    uint16_t u_seq; // seq of the frame that contained u_k; 0 if no frame contained u_k
     uint32_t k; // sample index: k of the EXCHANGE, or in scheduled mode counted from 0 at START
-    uint32_t t_us; // device clock at theta_1's trigger, in µs; wraps after 71.6 min
+    uint32_t t_us; // device clock when the conversion of theta_1 is triggered, in µs; wraps after 71.6 min
     uint16_t y0; // theta_1, left-justified to 16 bits, in counts
     uint16_t y1; // alpha, left-justified to 16 bits, in counts
     uint16_t u_k; // code of the duty that the motor has from sample k on, in code
-    uint16_t u_km1; // code in force just before the latch: gives u of the sample before, if its SAMPLE is lost, in code
+    uint16_t u_km1; // code in force just before the latch, in code; if the previous SAMPLE is lost, it is the u_k of this SAMPLE
     uint16_t flags; // conditions of the sample (`Flag`)
     uint16_t queued; // setpoints in the queue after the latch
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it
@@ -396,7 +396,7 @@ typedef struct __attribute__((packed)) {
     uint8_t type;
     uint8_t state; // state of the device; 0 from a host (`State`)
     uint16_t seq; // number of the frame, counted by its sender
-    uint64_t host_ns; // from PING, in ns
+    uint64_t host_ns; // value of host_ns in PING, in ns
     uint32_t rx_us; // device clock after PING was received, in µs
     uint32_t tx_us; // device clock at which the first byte of PONG leaves, in µs
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it
@@ -410,13 +410,13 @@ typedef struct __attribute__((packed)) {
     uint8_t type;
     uint8_t state; // state of the device; 0 from a host (`State`)
     uint16_t seq; // number of the frame, counted by its sender
-    uint8_t channel; // from CAL
+    uint8_t channel; // channel of the CAL
     uint8_t zero; // 0
     uint16_t n; // readings taken
-    uint32_t mean_256; // mean, in counts/256
-    uint32_t variance_256; // variance with the divisor n - 1, in counts²/256; at most 2^32 - 1, and 0 for n = 1
-    uint16_t least; // smallest, in counts
-    uint16_t greatest; // largest, in counts
+    uint32_t mean_256; // mean of the readings, in counts/256
+    uint32_t variance_256; // variance of the readings, with the divisor n - 1, in counts²/256; at most 2^32 - 1, and 0 for n = 1
+    uint16_t least; // smallest reading, in counts
+    uint16_t greatest; // largest reading, in counts
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it
 } rig_cal_r_t;
 _Static_assert(sizeof(rig_cal_r_t) == 24, "CAL_R");

@@ -1,7 +1,7 @@
-"""Exchange of frames with a device, and the waiting for answers.
+"""Conversation with a device: sending frames and waiting for the answers.
 
 A device answers in order. All answers to a request have therefore arrived before the PONG of a
-later PING. No rule is judged by the host's clock; it only limits the waits.
+later PING. No rule is judged by the host's clock. This clock only limits the waits.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Broken(Exception):  # noqa: N818 - the device's error
 
 
 class EndlessError(Exception):
-    """The device sends more data or takes longer than the limit of the whole suite."""
+    """The device sends more data, or takes longer, than the whole suite allows."""
 
 
 class Conversation:
@@ -89,7 +89,7 @@ class Conversation:
         self.silence_ms = max(self.silence_ms, silence_ms)
 
     def put(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> int:
-        """Send a frame and return its seq; the next frame continues from it."""
+        """Send a frame and return its seq; the next frame has the following seq."""
         self.seq = (self.seq + 1) & 0xFFFF if seq is None else seq
         message: Any = kind  # each type has its own fields
         self.write(frame.encode(message(0, self.seq, **fields)))
@@ -113,7 +113,7 @@ class Conversation:
     def until(
         self, found: Callable[[Message], bool], what: str, within_ms: float = PATIENCE_MS
     ) -> list[Message]:
-        """Return the messages, except STATUS, up to the first for which `found` is true.
+        """Return the messages, except STATUS, up to the first message for which `found` is true.
 
         Raises
         ------
@@ -144,7 +144,7 @@ class Conversation:
         return came[:-1]
 
     def ask(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> list[Message]:
-        """Send a frame and return its answers; not for frames that request conversions."""
+        """Send a frame that requests no conversion, and return its answers."""
         self.put(kind, seq=seq, **fields)
         return self.fence()
 

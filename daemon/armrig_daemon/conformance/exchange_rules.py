@@ -23,7 +23,7 @@ from armrig_daemon.conformance.rule import expect, kinds, rule, shown
 
 _U32 = 0xFFFF_FFFF
 _SAMPLE_LIMIT_MS = 30
-"""Time, longer than any sample takes, in which an unexpected sample would arrive."""
+"""Waiting time for an unexpected sample, in ms; no sample takes longer."""
 _ROUNDED_US = 3
 _MAX_EARLY_MS, _MAX_LATE_MS = 0.1, 1.0
 """Tolerance of the watchdog's time, measured by the device's clock."""

@@ -33,7 +33,7 @@ _SUPPLY_LOW_MV = 4_000
 
 
 def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") -> list[Message]:
-    """Wait for FAULT(WATCHDOG) and check its time; return the messages up to it."""
+    """Wait for FAULT(WATCHDOG) and check its time; return the messages up to this fault."""
     came: list[Message] = []
     for _ in range(40 + watchdog_ms // 2):
         if meanwhile:

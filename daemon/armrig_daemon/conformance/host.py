@@ -31,10 +31,10 @@ from armrig_daemon.conformance.conversation import PATIENCE_MS, Broken, Conversa
 from armrig_daemon.conformance.line import Line
 
 BOOT_MS = 8_000
-"""Longest time of a boot, boot loader included."""
+"""Longest time of a boot, including the boot loader, in ms."""
 _HELLO_MS = 200
 ALIVE_MS = 40
-"""Interval of the host's KEEPALIVE while it waits."""
+"""Interval between the KEEPALIVEs of a waiting host, in ms."""
 CONFIG: dict[str, int] = {
     "ts_us": 10_000,
     "u_min": 0,
@@ -64,7 +64,8 @@ class Host(Conversation):
     def put(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> int:
         """Send a frame and return its seq.
 
-        ARM and START contain the values of the last CONFIG_R, unless others are given.
+        ARM and START contain the values of the last CONFIG_R, unless `fields` contains other
+        values.
         """
         if kind is Arm:
             known = {"boot_id": self.known.boot_id, "config_crc": self.config_crc}
@@ -135,7 +136,7 @@ class Host(Conversation):
             raise Broken(f"state {self.state} after STOP and CLEAR_FAULT, not IDLE")
 
     def reach(self, state: State, **config: int) -> None:
-        """Go from IDLE to `state` by the shortest way, with `CONFIG` changed by `config`."""
+        """Go from IDLE to `state` by the shortest way; `config` overrides values of `CONFIG`."""
         if state is State.ESTOP:
             self.ask(Estop)
         elif state is State.FAULT:

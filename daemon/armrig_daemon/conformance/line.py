@@ -18,4 +18,4 @@ class Line(Protocol):
         """Close the port, and open it `after_ms` later; this resets some devices."""
 
     def now_ns(self) -> int:
-        """Return a monotonic time, in ns, which only limits waits."""
+        """Return a monotonic time in ns; it is used only to limit waits."""

@@ -29,7 +29,7 @@ _RULES = (
 
 
 def pin_rules(violations: Sequence[Violated]) -> tuple[Rule, ...]:
-    """Return the rules about violations at a board's pins, to test after all others."""
+    """Return the rules about a board's pins; they must be tested after all other rules."""
     return tuple(_rule(section, text, kinds, violations) for section, text, kinds in _RULES)
 
 

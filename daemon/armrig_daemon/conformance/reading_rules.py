@@ -26,7 +26,7 @@ from armrig_daemon.conformance.rule import NotTried, codes, expect, rule, shown
 
 _U32 = 0xFFFF_FFFF
 _SAMPLE_LIMIT_MS = 30
-"""Time, longer than any sample takes, in which an unexpected sample would arrive."""
+"""Waiting time for an unexpected sample, in ms; no sample takes longer."""
 _ROUNDED_US = 3
 _MAX_OVERSAMPLING = 32
 
@@ -35,7 +35,7 @@ _MAX_OVERSAMPLING = 32
 
 
 def _oversample(host: Host) -> int:
-    """Configure the largest possible oversampling; return the conversions per reading, in READY."""
+    """Configure the largest possible oversampling; return the number of conversions per reading."""
     for m in (_MAX_OVERSAMPLING, 8, 4, 2):
         if host.configure(oversampling=m, ts_us=ts_min_us(host, m) + 10_000).code == Code.OK:
             return m

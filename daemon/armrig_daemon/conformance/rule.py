@@ -23,7 +23,7 @@ from armrig_daemon.conformance.host import Host
 
 
 class NotTried(Exception):  # noqa: N818 - not an error
-    """The rule cannot be tested here, for example because the device does not offer it."""
+    """The rule cannot be tested, for example because the device does not have the function."""
 
 
 Check = Callable[[Host], None]
@@ -39,7 +39,7 @@ class Rule:
     check: Check
     """Test; raises `Broken` if the device breaks the rule, `NotTried` if the test is impossible."""
     silent: bool = False
-    """True if the test needs a silent host, so that a silence is no sign of a stall."""
+    """True if the host must be silent during the test: its silence then does not mean a stall."""
 
 
 def rule(section: int, sentence: str, *, silent: bool = False) -> Callable[[Check], Rule]:
@@ -69,7 +69,7 @@ def expect(holds: bool, came: object) -> None:
 
 
 def shown(came: object) -> str:
-    """Return received messages as text for a person."""
+    """Return received messages as text that a person can read."""
     if isinstance(came, str):
         return came
     if isinstance(came, list):

@@ -42,7 +42,7 @@ class Took(NamedTuple):
     samples: list[Sample]
     end: Event
     started: tuple[int, int]
-    """Device times of the PINGs around START, in µs."""
+    """Device times of the PINGs before and after START, in µs."""
 
 
 def armed(host: Host, **config: int) -> None:
@@ -94,7 +94,7 @@ def queued(host: Host) -> int:
     return host.sample().queued
 
 
-@rule(6, "Sample k applies u[k], the voltage of index k in the first frame that contains it")
+@rule(6, "Sample k applies u[k], the voltage of index k in the first frame that contains index k")
 def _aligned(host: Host) -> None:
     armed(host)
     n = min(host.known.queue, 120)

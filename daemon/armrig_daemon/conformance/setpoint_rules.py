@@ -70,7 +70,9 @@ def _capacity(host: Host) -> None:
     expect(held == queue, f"{held} queued, {queue} in HELLO_R")
 
 
-@rule(6, "The queue holds entries of `queue`/8 frames, however short, and of no further frame")
+@rule(
+    6, "The queue holds entries of `queue`/8 frames, however short, but no entry of a further frame"
+)
 def _frames(host: Host) -> None:
     armed(host)
     most = host.known.queue // 8

@@ -94,7 +94,7 @@ def run(
 
 
 def _tried(host: Host, rule: Rule) -> Result:
-    """Test a rule; repeat a failed test during which the host stalled."""
+    """Test a rule; if the test failed and the host stalled during the test, repeat the test."""
     came, outcome = "", FAIL
     for _ in range(_MAX_TRIES):
         try:

@@ -25,7 +25,7 @@ class TimedDevice(Protocol):
 
 
 class VirtualLine:
-    """A line to a device that adds no delays."""
+    """A line to a device in virtual time; the line adds no delays."""
 
     def __init__(self, device: TimedDevice, *, resets: bool = True) -> None:
         """Start at power-on; if `resets` is True, the opening of the port resets the device."""

@@ -1,1 +1,1 @@
-"""An emulated rig at a pseudo-terminal or a socket, which answers as the real rig does."""
+"""Emulated rig: a program at a pseudo-terminal or a socket that answers like the real rig."""

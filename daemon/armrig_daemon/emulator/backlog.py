@@ -1,4 +1,4 @@
-"""Queue of frames that the line does not accept at once; frames beyond its capacity are dropped."""
+"""Queue of frames that the line does not accept at once; a full queue drops further frames."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Backlog:
         self.dropped_bytes = 0
 
     def put(self, frame: bytes) -> None:
-        """Append a frame; if it does not fit, drop the whole frame and count it."""
+        """Append a frame; if the frame does not fit, drop and count the frame."""
         if self.waiting_bytes + len(frame) > CAPACITY_BYTES:
             self.dropped_frames += 1
             self.dropped_bytes += len(frame)
@@ -28,17 +28,17 @@ class Backlog:
             self.waiting_bytes += len(frame)
 
     def first(self) -> bytes:
-        """Return the next piece to send; b"" if no frame is waiting."""
+        """Return the next bytes to send; b"" if no frame is waiting."""
         return self._frames[0] if self._frames else b""
 
     def sent(self, n_bytes: int) -> None:
-        """Remove the first `n_bytes` of the next piece, which were sent."""
+        """Remove the first `n_bytes`, which the caller has sent."""
         rest = self._frames.popleft()[n_bytes:]
         if rest:
             self._frames.appendleft(rest)
         self.waiting_bytes -= n_bytes
 
     def clear(self) -> None:
-        """Discard all frames: no program is connected."""
+        """Discard all frames, because no program is connected."""
         self._frames.clear()
         self.waiting_bytes = 0

@@ -56,14 +56,14 @@ def volts(code: int, pwm_bits: int) -> float:
 
 
 def driven(volts: float, gain: float, offset_v: float) -> float:
-    """Return the terminal voltage of a driver, which saturates at 0 and 5 V; 0 V is off."""
+    """Return the voltage of a driver that saturates at 0 and 5 V; if `volts` is 0, it is off."""
     if not volts or (gain == 1.0 and offset_v == 0.0):
         return volts  # an ideal driver does not saturate, so that an excess stays visible
     return min(max(gain * volts + offset_v, 0.0), FULL_SCALE_V)
 
 
 class Board:
-    """The rig at the firmware's pins; time is an argument and never decreases."""
+    """The rig that the firmware's pins control; time is an argument and never decreases."""
 
     def __init__(
         self,
@@ -117,7 +117,7 @@ class Board:
         return self._x
 
     def latch(self, now_ns: int, code: int, cause: Cause) -> None:
-        """Apply the voltage of `code` from now on; only RUN does this."""
+        """Apply the voltage of `code` from now on; called only in RUN."""
         if not 0 <= code <= CODE_FULL_SCALE:
             raise VoltageError(f"code {code} at the pin: must be from 0 to {CODE_FULL_SCALE}")
         self.code = reported(code, self._pwm_bits)
@@ -125,7 +125,7 @@ class Board:
         self._apply(now_ns, terminal_v, _RUN, cause)
 
     def release(self, now_ns: int, state: State, cause: Cause) -> None:
-        """Disconnect the pin and drive it and the enable line low: 0 V."""
+        """Set the motor to 0 V: disconnect the pin, and drive the pin and the enable line low."""
         self.code = 0
         self._apply(now_ns, 0.0, state, cause)
 
@@ -135,10 +135,10 @@ class Board:
         return BROWN_OUT_MV if low else self._supply_mv
 
     def drive(self, now_ns: int, share: float, state: State, cause: Cause) -> None:
-        """Apply the share of the full voltage that was measured at a simulated board's pin.
+        """Apply the measured duty of a simulated board's pin, a share of the full voltage.
 
-        The share is known only at the end of its PWM period. The arm may have moved during the
-        period, and the voltage then changes at the arm's current position.
+        The duty is known only at the end of its PWM period. If the arm has moved during the period,
+        the voltage changes at the arm's position at the end of the period.
         """
         terminal_v = driven(FULL_SCALE_V * share, *self._driver)
         self._apply(max(now_ns, self._now_ns), terminal_v, state, cause)

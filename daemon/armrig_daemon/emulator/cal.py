@@ -22,7 +22,7 @@ class Statistics(NamedTuple):
 
 
 def statistics(codes: list[int]) -> Statistics:
-    """Return mean and variance in 1/256, ties rounded up; the variance of a single reading is 0."""
+    """Return mean and variance in units of 1/256, ties rounded up; with one reading, variance 0."""
     n, total = len(codes), sum(codes)
     pairs = n * (n - 1)
     spread = n * sum(code * code for code in codes) - total * total

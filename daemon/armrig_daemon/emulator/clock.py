@@ -13,12 +13,12 @@ U32: Final = 0xFFFF_FFFF
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Conversion between given time and device time, in integers, without accumulated rounding."""
+    """Conversion between the caller's time (given time) and device time, in integers."""
 
     reset_ns: int
     """Given time at which the clock began at 0."""
     second_ns: int = _NS_PER_S
-    """Given time, in ns, for which the clock counts one second; above 1e9 for a slow oscillator."""
+    """Given time in which the clock counts one second, in ns; above 1e9 for a slow oscillator."""
 
     def device_ns(self, now_ns: int) -> int:
         """Return the device time at a given time, in whole ns."""
@@ -29,7 +29,7 @@ class Clock:
         return self.reset_ns - (-device_ns * self.second_ns // _NS_PER_S)
 
     def after(self, now_ns: int, dt_ns: int) -> int:
-        """Return the given time after `now_ns` and `dt_ns` of device time."""
+        """Return the given time at which `dt_ns` of device time have passed since `now_ns`."""
         # `instant(device_ns(now_ns) + dt_ns)` without the calls, for each frame and each step.
         end_ns = (now_ns - self.reset_ns) * _NS_PER_S // self.second_ns + dt_ns
         return self.reset_ns - (-end_ns * self.second_ns // _NS_PER_S)
@@ -41,5 +41,5 @@ def started(settings: EmulatorSettings, now_ns: int) -> Clock:
 
 
 def microseconds(device_ns: int) -> int:
-    """Return device time in µs as on the wire; it wraps at 2^32."""
+    """Return device time in µs as it is on the wire, where it wraps at 2^32."""
     return device_ns // 1000 & U32

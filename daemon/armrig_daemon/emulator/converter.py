@@ -1,6 +1,7 @@
 """The converter: consecutive conversions for a sample or for a CAL.
 
-All times follow from the first trigger, in device time; `due_ns` and `end_ns` are given time.
+All times are computed from the first trigger, in device time; `due_ns` and `end_ns` are in the time
+of the caller.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class Converter:
         """Time at which the present sample or CAL ends."""
 
     def wake(self) -> None:
-        """Begin the first waiting sample or CAL, unless another is in progress."""
+        """Begin the first waiting sample or CAL, unless a sample or a CAL is in progress."""
         fw = self._fw
         if self._conversions:
             return
@@ -42,7 +43,7 @@ class Converter:
             self._trigger(fw.cal.due_ns, fw.cal.n)
 
     def step(self, t_ns: int) -> list[Message]:
-        """Hold the next input; latch u after the last hold; answer after the last conversion."""
+        """Hold the next input. After the last hold, latch u; after the last conversion, answer."""
         fw, codes = self._fw, self._codes
         if self._held == self._conversions:
             return self._end(t_ns)

@@ -1,4 +1,4 @@
-"""The device on its wire: the times at which bytes arrive, conversions end and frames leave.
+"""The device and its wire: the times at which bytes arrive, conversions end and frames leave.
 
 Time is an argument, in integer nanoseconds, and never decreases. `advance` performs each due step
 at its own time and in order. A late caller therefore gets the same bytes with the same times.
@@ -35,7 +35,7 @@ class Device:
     """An emulated rig: bytes in, bytes out, and a moving arm."""
 
     violations: tuple[()] = ()
-    """Empty: the pins of this board always follow its firmware."""
+    """Empty, because the pins of an emulated device always agree with its firmware."""
 
     def __init__(
         self, settings: EmulatorSettings, now_ns: int, witness: Witness | None = None
@@ -83,7 +83,7 @@ class Device:
         return self._board
 
     def reset(self, now_ns: int) -> None:
-        """Reset the processor, like the opening of an Uno's port; bytes on the wires are lost."""
+        """Reset the processor, as opening an Uno's port does; bytes on the wires are lost."""
         self.advance(now_ns)
         self._begin(now_ns, EXTERNAL_RESET_FLAGS)
 
@@ -103,10 +103,10 @@ class Device:
     def visible_ns(self) -> int:
         """Return a time before which no byte can leave and the watchdog cannot trip.
 
-        The time is later than `next_ns` if only internal work is due. A caller that only writes
-        bytes can sleep until this time and gets the same bytes. Answers are ready `LEAD_NS` before
-        they are due. A sample of the timer is ready only when it is due, because no host waits
-        for it. This saves one sleep.
+        If only internal work is due, the returned time is later than `next_ns`. A caller that only
+        writes bytes can sleep until this time and gets the same bytes. Answers are ready `LEAD_NS`
+        before they are due. A sample of the timer is ready only when it is due, because no host
+        waits for the sample. The caller therefore sleeps once less.
         """
         fw, sample_ns = self._fw, self._sample_ns
         timer_ns, answer_ns = fw.timer_ns, max(0, sample_ns - LEAD_NS)

@@ -1,7 +1,8 @@
 """State of the firmware, and its transitions (PROTOCOL.md, section 3).
 
-`requests` implements the effect of each frame, `sampling` the steps of each sample, and `device`
-the times. Frames are created with seq 0; `device` numbers them in the order of sending.
+The module `requests` implements the effect of each frame, `sampling` the steps of each sample, and
+`device` the times. Frames are created with seq 0; `device` numbers the frames in the order in which
+they are sent.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from armrig_daemon.emulator.queue import SetpointQueue
 from armrig_daemon.emulator.timer import Timer
 
 NEVER: Final = 1 << 62
-"""Deadline that no clock reaches."""
+"""Time of an event that never occurs, in ns."""
 U16: Final = 0xFFFF
 UNNUMBERED: Final = 0
-"""Sequence number of a frame before it leaves."""
+"""Sequence number of a frame before `device` numbers it."""
 SUPPLY_LOW_MV = 4000
 MOTOR_MAY_TURN: Final = (State.ARMED, State.RUN)
 NO_STACK_LIMIT = 0xFFFF  # an emulator cannot run out of stack
@@ -37,9 +38,9 @@ class Hardware:
     """Properties of the hardware."""
 
     conversion_ns: int
-    """Time of one conversion; in a sample, alpha is converted first, then theta_1."""
+    """Time of one conversion, in ns; in a sample, alpha is converted first, then theta_1."""
     hold_ns: int
-    """Time from a trigger to the hold of its input."""
+    """Time from the trigger of a conversion to the hold of its input, in ns."""
     adc_bits: int
     pwm_bits: int
     queue: int
@@ -47,12 +48,12 @@ class Hardware:
 
     @property
     def ts_min_us(self) -> int:
-        """Shortest sampling time: two conversions, rounded up."""
+        """Shortest sampling time, in µs: two conversions, rounded up."""
         return -(-2 * self.conversion_ns // 1000)
 
     @property
     def skew_us(self) -> int:
-        """Time from one conversion to the next, rounded up."""
+        """Time from one conversion to the next, in µs, rounded up."""
         return -(-self.conversion_ns // 1000)
 
 
@@ -117,15 +118,15 @@ class Firmware:
     accepted: int = 0
     """Number of configurations accepted in this boot; each has its own nonce."""
     newest: int | None = None
-    """Sequence number of the newest accepted frame; None before the first of this boot."""
+    """Sequence number of the newest accepted frame; None if this boot has accepted no frame."""
     fed_ns: int = 0
     """Time of the last frame that fed the watchdog."""
     watchdog_ns: int = NEVER
     """Time at which the watchdog trips; stored, because it is read far more often than set."""
     k: int | None = None
-    """Index of the last EXCHANGE; None if the next may have any index."""
+    """Index of the last EXCHANGE; None if the next EXCHANGE may have any index."""
     u: int = 0
-    """Last code accepted in RUN, as the host sent it."""
+    """Last code accepted in RUN, as the host sent it (not rounded to the duty)."""
     u_seq: int = 0
     """Sequence number of the frame that contained the applied code; 0 outside RUN."""
     u_km1: int = 0
@@ -147,7 +148,7 @@ class Firmware:
     counters: Counters = field(default_factory=Counters)
 
     def accept(self, config: Config) -> None:
-        """Apply a configuration with a new nonce of this boot."""
+        """Apply a configuration, and give it a nonce that is new in this boot."""
         self.config, self.config_crc = config, config_crc(config)
         # 1 ... 2^32 - 1 in turn, from boot_id on, so that other boots have other nonces.
         self.nonce = (self.boot_id + self.accepted) % U32 + 1
@@ -155,7 +156,7 @@ class Firmware:
 
     @property
     def conversions(self) -> int:
-        """Number of conversions of a sample that begins now, of both channels together."""
+        """Total number of conversions, of both channels, in a sample that begins now."""
         return 2 * self.config.oversampling if self.config is not None else 2
 
     @property
@@ -175,7 +176,7 @@ class Firmware:
         return microseconds(self.clock.device_ns(now_ns))
 
     def feed(self, now_ns: int) -> None:
-        """Note an accepted frame, which restarts the watchdog."""
+        """Restart the watchdog, because a frame was accepted."""
         self.fed_ns = now_ns
         self._set_watchdog()
 
@@ -186,12 +187,12 @@ class Firmware:
             self.watchdog_ns = self.clock.after(self.fed_ns, self.config.watchdog_ms * 1_000_000)
 
     def set_timer(self, timer: Timer | None) -> None:
-        """Set the timer and the time of its next act."""
+        """Set the timer and the time of its next event."""
         self.timer = timer
         self.timer_ns = self.clock.instant(timer.due_ns) if timer else NEVER
 
     def tick(self, now_ns: int) -> list[Message]:
-        """Request the due sample; after the last sample, end the run."""
+        """Request the sample that is due; after the last sample, end the run."""
         if self.timer is None or self.timer.ends:
             return [self.enter(now_ns, State.IDLE, Cause.END)]
         self.pending.append(PendingSample(self.timer.due_ns, self.timer.k))
@@ -233,18 +234,18 @@ class Firmware:
         return [self.enter(now_ns, State.FAULT, Cause.WATCHDOG)]
 
     def answer(self, number: int, of_seq: int, code: Code) -> Message:
-        """Return the ACK of a frame; count the frame if it was refused."""
+        """Return the ACK of a frame; if the frame was refused, count the frame."""
         if code is not Code.OK:
             self.counters.refused += 1
         return Ack(self.state, UNNUMBERED, of_type=number, code=code, of_seq=of_seq)
 
     def count_lost(self, n_bytes: int) -> None:
-        """Count received bytes for which there was no room."""
+        """Count received bytes that were lost because the receiver had no room."""
         self.counters.rx_lost += n_bytes
         self.new_flags |= int(Flag.RX_OVERFLOW)
 
     def count_dropped(self) -> None:
-        """Count a frame to the host for which there was no room."""
+        """Count a frame to the host that was dropped because the transmitter had no room."""
         self.counters.tx_dropped += 1
         self.new_flags |= int(Flag.TX_DROP)
 

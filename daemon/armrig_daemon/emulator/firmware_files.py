@@ -13,7 +13,7 @@ _PROTOCOL = Path(__file__).parents[3] / "firmware_protocol"  # of a checkout
 
 
 def harness_program(environ: Mapping[str, str], checkout: Path = _PROTOCOL) -> Path:
-    """Return the path of the harness, from ARMRIG_FIL or in the checkout.
+    """Return the path of the harness: the value of ARMRIG_FIL, or the program in the checkout.
 
     Raises
     ------

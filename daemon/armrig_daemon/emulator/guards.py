@@ -17,7 +17,7 @@ class Guards(msgspec.Struct, frozen=True, gc=False):
     rails: tuple[int, int] = (0, 0)
     """Consecutive samples at a rail, of theta_1 and of alpha."""
     turned: int = 0
-    """Rotation of theta_1, in codes."""
+    """Net rotation of theta_1 since START, in counts."""
     y0: int | None = None
     """Last reading of theta_1; None before the first reading."""
 
@@ -26,17 +26,17 @@ NOTHING_SEEN = Guards()
 
 
 def watch(guards: Guards, y0: int, y1: int, *, rail_ticks: int, turns: int) -> tuple[Guards, Cause]:
-    """Return the guards after a sample, and the cause of a fault or NONE.
+    """Return the state of the guards after a sample, and the cause of a fault or NONE.
 
     Parameters
     ----------
     y0, y1 : int
         Readings of theta_1 and alpha.
     rail_ticks : int
-        Consecutive samples at a rail that cause a fault; 0 is no guard.
+        Number of consecutive samples at a rail that causes a fault; 0 disables this guard.
     turns : int
-        Rotation from START, in either direction, that causes a fault, in hundredths of a turn; 0 is
-        no guard.
+        Rotation since START, in either direction, that causes a fault, in hundredths of a turn; 0
+        disables this guard.
     """
     last = y0 if guards.y0 is None else guards.y0
     turned = guards.turned + (y0 - last + _TURN_CODES // 2) % _TURN_CODES - _TURN_CODES // 2

@@ -1,4 +1,4 @@
-"""The harness that runs the firmware's binary (firmware_protocol/simavr), and the pipe to it.
+"""Pipe to the harness, the program that runs the firmware's binary (firmware_protocol/simavr).
 
 Time is virtual, in cycles of the processor, and advances only at a command of this module.
 """
@@ -23,7 +23,7 @@ _FIGURES = Struct("<6Q")
 
 
 class Violation(IntEnum):
-    """Forbidden events on the board (fil.h; from 5 on, `pin` detects them)."""
+    """Forbidden events on the board; the harness detects 1 to 4 (fil.h), and `pin` from 5 on."""
 
     PIN_HIGH_WITHOUT_ENABLE = 1
     """The PWM pin is high while the driver's enable line is low."""
@@ -36,11 +36,11 @@ class Violation(IntEnum):
     DRIVEN_OUTSIDE_RUN = 5
     """The PWM pin or the enable line is high outside RUN."""
     CODE_NOT_AT_PIN = 6
-    """The PWM pin has another duty than the code that SAMPLE reports."""
+    """The duty of the PWM pin differs from the code that SAMPLE reports."""
 
 
 class Duty(NamedTuple):
-    """Duty of the PWM pin, measured over a period; the duty is valid until the next `Duty`."""
+    """Duty of the PWM pin, measured over one PWM period; it is valid until the next `Duty`."""
 
     cycle: int
     high: int
@@ -80,7 +80,7 @@ class Figures(NamedTuple):
 
 Record = Duty | Left | Violated
 Convert = Callable[[int, int], int]
-"""Function of the cycle of a hold and of a channel; returns the ten bits of the conversion."""
+"""Function that returns the ten bits of a conversion; arguments: cycle of its hold, channel."""
 
 
 class Harness:
@@ -120,9 +120,9 @@ class Harness:
     def advance(
         self, cycle: int, convert: Convert, *, until_frame: bool = False
     ) -> Iterator[Record]:
-        """Run to a cycle, or to the end of a frame to the host; yield the records of the interval.
+        """Advance to a cycle or to the end of a frame to the host; yield the records until then.
 
-        `convert` is called for each reading. The caller must consume all records.
+        `convert` is called for each conversion. The caller must consume all records.
         """
         self._order(b"A", cycle, until_frame)
         while True:
@@ -142,15 +142,15 @@ class Harness:
                     return
 
     def send(self, cycle: int, data: bytes) -> None:
-        """Put bytes on the line to the device, not before `cycle`."""
+        """Put bytes on the line to the device at `cycle`, or as soon as the line is free."""
         self._order(b"I", cycle, len(data), data)
 
     def reset(self, deaf_cycles: int = 0) -> None:
-        """Reset the board by its pin; `deaf_cycles` > 0 is a boot loader, which clears MCUSR."""
+        """Reset the board; for `deaf_cycles`, a boot loader runs, which clears MCUSR."""
         self._order(b"R", 0, deaf_cycles)
 
     def optiboot(self, version: int, r2: int) -> None:
-        """Put a boot loader of a version, such as 0x0803, into flash; it sets r2 to `r2`."""
+        """Put a boot loader of this version, such as 0x0803, into flash; it sets register r2."""
         self._order(b"O", r2, version)
 
     def supply(self, millivolts: int) -> None:

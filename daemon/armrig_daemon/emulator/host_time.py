@@ -1,8 +1,8 @@
-"""The time given to an emulated device: the host's time, without the host's stalls.
+"""The time of an emulated device (the given time): the host's time, without the host's stalls.
 
-An emulated device receives nothing while its process is stalled. With the host's time, its watchdog
-would trip after a stall. Therefore the device's clock and the arm stop during a stall. This clock
-also measures the watchdog's time, which therefore stays the same.
+An emulated device receives nothing while its process is stalled. If its clock continued during the
+stall, its watchdog would trip after the stall. Therefore the device's clock and the arm stop during
+a stall. The watchdog's time is measured by the device's clock, and does not change.
 """
 
 from __future__ import annotations
@@ -10,20 +10,20 @@ from __future__ import annotations
 from typing import Final
 
 STALL_NS: Final = 10_000_000
-"""Tolerated lateness of the process, in ns; this part of each stall also passes for the device."""
+"""Lateness that is no stall, in ns; for this part of a stall the device's clock continues."""
 LOOK_NS: Final = 10_000_000
-"""Longest wait between two readings of the clock, in ns; a stall during a wait is not detected."""
+"""Longest wait between two readings of the clock, in ns; a stall within a wait is not detected."""
 
 
 class HostTime:
-    """Conversion of monotonic time to the device's time, from all clock readings in order."""
+    """Conversion of monotonic time to given time; it needs all clock readings, in order."""
 
     def __init__(self, now_ns: int, *, tolerates_stalls: bool) -> None:
-        """Start at a monotonic time; without tolerance, given time equals monotonic time."""
+        """Start at a monotonic time; if stalls are not tolerated, given time is monotonic time."""
         self._tolerates_stalls = tolerates_stalls
         self._read_ns = now_ns
         self.held_up_ns = 0
-        """Sum of the stalls so far, which the device's time leaves out."""
+        """Sum of the stalls so far, in ns; given time is monotonic time less this sum."""
 
     def given_ns(self, now_ns: int, due_ns: int = 0) -> int:
         """Return the time to pass to the device.
@@ -33,7 +33,7 @@ class HostTime:
         now_ns : int
             Current monotonic time.
         due_ns : int
-            Given time until which the process intended to wait since the last reading, in ns.
+            Given time until which the process intended to wait after the last reading, in ns.
         """
         late_ns = now_ns - max(self._read_ns, self.monotonic_ns(due_ns))
         self._read_ns = now_ns

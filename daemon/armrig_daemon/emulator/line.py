@@ -1,4 +1,4 @@
-"""The device's end of a line, and the state of its other end."""
+"""The device's end of a line; it also detects whether a program has the other end open."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Line:
         raise NotImplementedError
 
     def watch(self, waiter: Waiter) -> None:
-        """Add the line and the openings of its port to a waiter."""
+        """Let a waiter also wait for the line's bytes and for the opening of its port."""
         self._waiter = waiter
         waiter.watch(self.opened_fd)
 
@@ -67,7 +67,7 @@ class Line:
         self.has_input = self._is_hung_up = False
 
     def watch_room(self) -> None:
-        """Let the waiter report room on the line, but only while bytes are waiting to be sent."""
+        """Let the waiter report room on the line, but only while frames are waiting to be sent."""
         waits = bool(self.backlog.waiting_bytes)
         if waits != self._waits_for_room and self._waiter is not None:
             self._waits_for_room = waits
@@ -150,16 +150,17 @@ class Terminal(Line):
         stack.callback(remove)
 
     def watch(self, waiter: Waiter) -> None:
-        """Add the line to a waiter, with the openings of its port."""
+        """Let a waiter also wait for the line's bytes and for the opening of its port."""
         super().watch(waiter)
         waiter.watch_terminal(self.fd)
 
     def was_opened(self) -> bool:
         """Return whether a program has opened the port since the last call.
 
-        Only an opening after a closing counts. POLLHUP alone would miss a program that closes and
-        reopens the port at once. (A second program that opens the port twice resets the device
-        without need; the daemon opens the port exclusively.)
+        An opening counts only if the port was closed before. POLLHUP alone would miss a program
+        that closes and reopens the port at once. (If a second program opens and closes the port,
+        its next opening resets the device without need. The daemon prevents this: it opens the port
+        exclusively.)
         """
         opened = False
         for _, mask, _, _ in _INOTIFY_EVENT.iter_unpack(self._opened.read(4096) or b""):

@@ -22,11 +22,11 @@ _START = TYPES[Start]
 _U32 = (1 << 32) - 1
 _TOLERANCE_US = 3
 _MAX_HOLDS = 64
-"""Largest number of stored holds of theta_1, which a later SAMPLE may report."""
+"""Largest number of holds of theta_1 that are stored until a SAMPLE reports them."""
 
 
 def sentence(what: Violation) -> str:
-    """Return the sentence of a violation."""
+    """Return the sentence that describes a violation."""
     return _SENTENCES[what]
 
 
@@ -54,13 +54,13 @@ class Pins:
     def reset(self, cycle: int) -> None:
         """Note a reset by the pin: BOOT, 0 V from now on."""
         self._low_from: int | None = cycle
-        """Cycle of the first report of a state other than RUN; None if a START was sent later."""
+        """Cycle from which the pin must be low; None while the device may be in RUN."""
         self._start: int | None = None
         """Sequence number of the START that is not answered yet; None if there is none."""
         self._is_noted = False
         self._holds: deque[int] = deque(maxlen=_MAX_HOLDS)
         self._offsets_us: set[int] = set()
-        """Possible offsets, in µs: time of a hold in cycles minus device time of its trigger."""
+        """Possible values of the time of a hold minus the device time of its trigger, in µs."""
 
     def send(self, cycle: int, data: bytes) -> None:
         """Note the host's bytes; after a START the device may drive the pin."""
@@ -84,7 +84,7 @@ class Pins:
             self._outside_run(duty.cycle)
 
     def look(self, cycle: int) -> None:
-        """Check the pin up to `cycle`, assuming that the last measured duty continues."""
+        """Check the pin up to `cycle`; the last measured duty is assumed to continue."""
         if self._low_from is None or not self.duties or not _drives(self.duties[-1]):
             return
         if cycle - self._low_from > 2 * PERIOD:  # a duty is known at the end of its period
@@ -119,8 +119,9 @@ class Pins:
     def _hold_of(self, begun: int, m: Sample) -> int | None:
         """Return the cycle at which theta_1 was held for a sample; None until the clock is known.
 
-        A SAMPLE may leave after the next sample's theta_1 was held. Each earlier hold may therefore
-        belong to the SAMPLE, until later samples exclude all holds except one.
+        A SAMPLE may leave the device after theta_1 was held for the next sample. Each hold before
+        the SAMPLE may therefore belong to it, until later samples exclude all possibilities except
+        one.
         """
         held = {hold // CYCLES_PER_US - m.t_us & _U32: hold for hold in self._holds if hold < begun}
         if self._offsets_us:

@@ -1,8 +1,8 @@
-"""Motion of the arm under a held voltage, over any whole number of nanoseconds.
+"""Motion of the arm under a constant voltage, over any whole number of nanoseconds.
 
 Between changes of the input, the linear arm is integrated exactly: x(t + dt) = Phi x(t) + Gamma u.
 Phi and Gamma are matrix exponentials, computed once for each digit of dt in base 256. Coulomb
-friction and a stiffening spring are kicks between exact linear flows (Strang splitting)::
+friction and a stiffening spring act as impulses between exact linear steps (Strang splitting)::
 
     J_1 theta_1'' = N K_m (u - N K_m theta_1') / R_m - b_1 theta_1' - T_c sign(theta_1') + T_s
     J_2 (theta_1'' + alpha'') = -T_s,    T_s = K_lin alpha + k_3 alpha³
@@ -42,16 +42,16 @@ class Plant:
     """An arm with its matrix exponentials; `build` creates it."""
 
     free: _Table
-    """Flow of the linear arm."""
+    """Matrix exponentials of the linear arm."""
     locked: _Table
-    """Flow of the arm while static friction holds the chassis."""
+    """Matrix exponentials of the arm while static friction holds the chassis."""
     arm: ArmParameters
     coulomb_nm: float
     """Coulomb friction T_c of the chassis, in Nm."""
     stiffening: float
     """Cubic part k_3 of the spring, in Nm/rad³."""
     substep_ns: int
-    """Longest step between two kicks, in ns."""
+    """Longest step between two impulses, in ns."""
 
 
 def build(
@@ -74,7 +74,7 @@ def build(
         Coulomb friction T_c in Nm, and cubic part k_3 of the spring in Nm/rad³; 0 disables an
         effect.
     substep_ns : int, default 100 000
-        Step of the splitting, in ns; it has an effect only with friction or stiffening.
+        Step of the splitting, in ns; without friction and stiffening it has no effect.
 
     Raises
     ------
@@ -98,12 +98,12 @@ def build(
 
 
 def advance(plant: Plant, x: State, u: float, dt_ns: int) -> State:
-    """Return the state after `dt_ns` under the held voltage `u`.
+    """Return the state after `dt_ns` under the constant voltage `u`.
 
-    Without Coulomb friction and stiffening, the result is exact except for rounding. With them, it
-    is of second order in `substep_ns` while the chassis keeps its direction. Each stop or reversal
-    adds an error of at most T_c substep / J_1 in speed. A chassis at rest stays at rest while
-    |torque| <= T_c.
+    Without Coulomb friction and stiffening, the result is exact except for rounding. With friction
+    or stiffening, the error is of second order in `substep_ns` while the chassis keeps its
+    direction. Each stop or reversal adds an error of at most T_c substep / J_1 in speed. A chassis
+    at rest stays at rest while |torque| <= T_c.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def advance(plant: Plant, x: State, u: float, dt_ns: int) -> State:
 
 
 def _flow(table: _Table, x: State, u: float, dt_ns: int) -> State:
-    """Return the state after the linear flow of `table`, by one product per digit of dt."""
+    """Return the state after a linear step; each digit of dt needs a product with `table`."""
     while dt_ns > _MAX_STEP_NS:
         x = _flow(table, x, u, _MAX_STEP_NS)
         dt_ns -= _MAX_STEP_NS
@@ -145,7 +145,7 @@ def _flow(table: _Table, x: State, u: float, dt_ns: int) -> State:
 
 
 def _split(plant: Plant, x: State, u: float, dt_ns: int) -> State:
-    """Return the state after steps of half a kick, a linear flow and half a kick."""
+    """Return the state after steps of half an impulse, a linear step and half an impulse."""
     while dt_ns:
         step_ns = min(dt_ns, plant.substep_ns)
         dt_ns -= step_ns
@@ -165,7 +165,7 @@ def _is_held(plant: Plant, x: State, torque: float) -> bool:
 
 
 def _torque(plant: Plant, x: State, u: float) -> float:
-    """Return the torque on the chassis at rest without friction, in Nm."""
+    """Return the torque on the chassis at rest, without the friction torque, in Nm."""
     alpha = x[1]
     spring = (plant.arm.K_lin + plant.stiffening * alpha * alpha) * alpha
     return plant.arm.torque_per_volt * u + spring
@@ -193,7 +193,7 @@ def _kick(plant: Plant, x: State, dt_s: float, *, held: bool, breakaway: float) 
 
 @lru_cache(maxsize=8)
 def _tables(arm: ArmParameters, arm_removed: bool) -> tuple[_Table, _Table]:
-    """Return the exponentials of the free and of the locked arm."""
+    """Return the matrix exponentials of the arm with a free chassis and with a held chassis."""
     A, B = np.zeros((4, 4)), np.zeros((4, 1))
     if arm_removed:
         a, b, _ = chassis_matrices(arm)
@@ -209,7 +209,8 @@ def _tables(arm: ArmParameters, arm_removed: bool) -> tuple[_Table, _Table]:
 def _table(A: Matrix, B: Matrix) -> _Table:
     """Return exp([A B; 0 0] digit 256^level ns) for every digit of every level.
 
-    Each level needs one matrix exponential; the other digits are products of at most eight squares.
+    Each level needs one matrix exponential. The matrices of the other digits are products of at
+    most eight of its repeated squares.
     """
     block = np.zeros((5, 5))
     block[:4, :4], block[:4, 4:] = A, B

@@ -1,4 +1,4 @@
-"""Queue of the setpoints in scheduled mode: codes by sample index (PROTOCOL.md, section 6)."""
+"""Queue of the setpoints in scheduled mode, one code for each sample (PROTOCOL.md, section 6)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Setpoint(NamedTuple):
 
     u: int
     seq: int
-    """Sequence number of the frame; 0 for u_rest, which no frame contains."""
+    """Sequence number of the frame; 0 for u_rest, which is in no frame."""
 
 
 class SetpointQueue:
@@ -30,19 +30,19 @@ class SetpointQueue:
         self._rest = Setpoint(config.u_rest, 0)
         self._entries: deque[Setpoint] = deque()
         self._frames: deque[int] = deque()
-        """Number of entries of each frame that are still in the queue."""
+        """For each frame, the number of its entries that are still in the queue."""
         self._dry = 0
         self.next = 0
         """Index of the next sample to latch; it does not wrap."""
         self.in_force = self._rest
-        """Setpoint latched last, as the host sent it."""
+        """Setpoint latched last; its code is not rounded to the duty."""
 
     def __len__(self) -> int:
         """Return the number of samples from `next` on that have a setpoint."""
         return len(self._entries)
 
     def violation(self, m: Setpoints) -> tuple[Cause, int]:
-        """Return RANGE or SLEW with the first code that violates it, or NONE."""
+        """Return RANGE or SLEW and the first code that violates this limit, or NONE and 0."""
         config, codes = self._config, m.u[: m.n]
         for u in codes:
             if not config.u_min <= u <= config.u_max:
@@ -54,7 +54,7 @@ class SetpointQueue:
         return Cause.NONE, 0
 
     def add(self, m: Setpoints) -> bool:
-        """Add the new setpoints; return whether `m` agrees with the queue's entries.
+        """Add the setpoints of `m` that are new; return whether the others agree with the queue.
 
         Setpoints that are late, follow a gap or find no room are dropped.
         """
@@ -96,7 +96,7 @@ class SetpointQueue:
         return (k0 - self.next + half) % _INDEX_MODULUS - half
 
     def _steps(self, offset: int, codes: tuple[int, ...]) -> Iterator[tuple[int, int]]:
-        """Yield each step of the voltage in `codes`, as (code before, code after)."""
+        """Yield each step that `codes` causes, as (code before the step, code after it)."""
         yield from pairwise(codes)
         if self.next + offset == 0:
             yield self._rest.u, codes[0]

@@ -1,4 +1,4 @@
-"""The emulator at a pseudo-terminal or a socket, in real time: input and output of `device`.
+"""The emulator in real time: it connects a device to a pseudo-terminal or a socket.
 
 Opening the port resets an Uno. A pseudo-terminal or a socket has no DTR, so the emulator resets the
 device when a program opens the port. Closing the port resets nothing, as on an Uno; the device's
@@ -44,7 +44,7 @@ _REPORT_INTERVAL_NS = 1_000_000_000
 
 
 class RealTimeDevice(Protocol):
-    """A device whose time is an argument: the emulated device, or the firmware's binary."""
+    """A device that gets the time as an argument: the emulated device or the firmware's binary."""
 
     @property
     def board(self) -> Board:
@@ -93,13 +93,14 @@ def emulate(
 ) -> int:
     """Run a rig at `port` until SIGTERM or SIGINT; return the exit code.
 
-    The exit code is 1 after a violation at a simulated board's pins; each kind is printed once.
+    If a simulated board's pins violate a rule, the exit code is 1. Each kind of violation is
+    printed once.
 
     Parameters
     ----------
     port : Path
-        Path of the symbolic link to a pseudo-terminal, or `unix:PATH`, a socket; it is created, and
-        removed at the end.
+        Path of the symbolic link to a pseudo-terminal, or `unix:PATH` for a socket. The link or the
+        socket is created, and is removed at the end.
     switch_on : callable, optional
         Function that creates the device; default: the emulated device.
     trace : Path, optional
@@ -108,8 +109,9 @@ def emulate(
     started : str, default ""
         Message to print when the port exists.
     held_up : callable, optional
-        Called with the time for which the device's clock stood still, in ns, if the settings
-        tolerate stalls of this process; it must not wait.
+        Function that is called after a stall of this process, if the settings tolerate stalls. Its
+        argument is the time for which the device's clock stood still, in ns. The function must not
+        wait.
 
     Raises
     ------
@@ -159,7 +161,7 @@ def _run(
     held_up: Callable[[int], None],
     violated: Callable[[Violated], None],
 ) -> None:
-    """Pass bytes between line and device until `wake` is readable; times are the device's."""
+    """Pass bytes between line and device until `wake` is readable."""
     full_ns = wire_ns(READ_BYTES, settings.baud) if settings.model_baud else 0
     replies: deque[tuple[int, bytes]] = deque()
     due_ns = reported_ns = next_report_ns = looked = 0

@@ -12,7 +12,7 @@ from armrig_daemon.emulator.uart import arrivals, wire_ns
 
 
 class Reception:
-    """A wire to the device, which transmits one byte at a time, and the decoder at its end."""
+    """A wire to the device that transmits one byte at a time, and the decoder at its end."""
 
     def __init__(self, now_ns: int, baud: int) -> None:
         """Create an empty wire; with baud 0, bytes take no time."""
@@ -21,11 +21,11 @@ class Reception:
         self._pieces: deque[tuple[int, bytes]] = deque()
         self._pending = b""
         self.first_ns = NEVER
-        """Time of the next piece's arrival."""
+        """Time at which the next piece arrives; NEVER if the wire is empty."""
         self._peeked: tuple[bytes, list[Received]] | None = None
 
     def put(self, now_ns: int, data: bytes) -> None:
-        """Append bytes to the bytes on the wire."""
+        """Put bytes on the wire; they follow the bytes that are already on the wire."""
         pieces = arrivals(self._free_ns, now_ns, data, self._baud)
         if pieces:
             self._pieces.extend(pieces)
@@ -37,21 +37,21 @@ class Reception:
         return max(0, self._free_ns - now_ns)
 
     def second_ns(self) -> int:
-        """Return the arrival time of the piece after the next; NEVER if there is none."""
+        """Return the arrival time of the second piece on the wire; NEVER if there is none."""
         return self._pieces[1][0] if len(self._pieces) > 1 else NEVER
 
     def first(self) -> bytes:
-        """Return the next piece to arrive."""
+        """Return the bytes of the next piece."""
         return self._pieces[0][1]
 
     def peek(self) -> list[Received]:
-        """Return the contents of the next piece before its arrival."""
+        """Return the messages in the next piece before it arrives."""
         if self._peeked is None:
             self._peeked = decoder.feed(self._pending, self._pieces[0][1])
         return self._peeked[1]
 
     def pop(self) -> list[Received]:
-        """Remove the next piece, which has arrived, and return its contents."""
+        """Remove the next piece, which has arrived, and return the messages in it."""
         _, piece = self._pieces.popleft()
         self._pending, received = self._peeked or decoder.feed(self._pending, piece)
         self._peeked = None

@@ -1,4 +1,4 @@
-"""The effect of each frame of the host (PROTOCOL.md, sections 2 to 6)."""
+"""Effects of the host's frames (PROTOCOL.md, sections 2 to 6)."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ CAPABILITIES = int(
 
 
 def handle(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
-    """Return the answers to a received item; EXCHANGE adds a sample to `fw.pending`."""
+    """Return the answers to a received item; for an EXCHANGE, add a sample to `fw.pending`."""
     if isinstance(received, Spoilt):
         fw.counters.spoilt += 1
         fw.new_flags |= int(Flag.CRC_ERR)
@@ -73,12 +73,12 @@ def handle(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
 
 
 def is_newer(number: int, last: int | None, mask: int) -> bool:
-    """Return whether `number` is newer than `last`: 1 to mask // 2 ahead, modulo mask + 1."""
+    """Return whether `number` is newer than `last`: 1 to mask // 2 larger, modulo mask + 1."""
     return last is None or 1 <= (number - last) & mask <= mask // 2
 
 
 def makes_sample(fw: Firmware, m: Exchange) -> bool:
-    """Return whether the answer to `m` in the present state is a sample."""
+    """Return whether a sample answers `m` in the present state."""
     fresh = is_newer(m.seq, fw.newest, U16) and is_newer(m.k, fw.k, U32)
     free = fw.timer is None and fw.cal is None
     return free and fresh and _trip(fw, m) is _NONE

@@ -29,7 +29,7 @@ _VCC_LOW_FLAG = int(Flag.VCC_LOW)
 
 
 def latch(fw: Firmware, now_ns: int) -> None:
-    """Latch u of the first pending sample, unless its run is over."""
+    """Latch the input u of the first pending sample, unless the run of this sample has ended."""
     wanted = fw.pending[0]
     fw.u_km1 = fw.board.code
     if not wanted.drives:
@@ -39,7 +39,7 @@ def latch(fw: Firmware, now_ns: int) -> None:
 
 
 def _next_setpoint(fw: Firmware) -> Setpoint:
-    """Return the setpoint to latch: from the queue, or by the policy for an empty queue."""
+    """Return the setpoint to latch, from the queue or, if the queue is empty, from the policy."""
     if fw.queue is None:
         raise RuntimeError("a sample of scheduled mode needs a queue")
     if not fw.queue.advance():
@@ -57,7 +57,7 @@ def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool
     Parameters
     ----------
     t_us : int
-        Time of the trigger of theta_1's conversion.
+        Device time at which the conversion of theta_1 was triggered, in µs.
     y0, y1 : int
         Readings of theta_1 and alpha.
     late : bool

@@ -51,7 +51,7 @@ def wiper(pot: Potentiometer, angle: float) -> float | None:
 
 
 def mean(codes: list[int]) -> int:
-    """Return the reading from several conversions of one channel: their mean, ties rounded up.
+    """Return the reading of a channel: the mean of its conversions, ties rounded up.
 
     If any conversion is at a rail, the reading is the last conversion. The mean of readings at both
     ends of the track would be an angle at which the shaft never was.
@@ -70,13 +70,14 @@ def at_rail(code: int) -> bool:
 def convert(fraction: float | None, bits: int, noise_v: float, rng: np.random.Generator) -> int:
     """Return the reading of a wiper, left-justified to 16 bits.
 
-    The first transition is at half a step, as in the data sheet of the ATmega328P (section 24.7). A
-    reading is therefore the nearest step, and the mean error over a step is 0.
+    The first transition between two codes is at half a step, as in the data sheet of the ATmega328P
+    (section 24.7). A reading is therefore the code of the nearest step, and the mean error over a
+    step is 0.
 
     Parameters
     ----------
     fraction : float or None
-        Voltage as a fraction of the reference; None is an open wiper.
+        Voltage as a fraction of the reference; None if the wiper has no contact.
     bits : int
         Resolution, 1 ... 16.
     noise_v : float

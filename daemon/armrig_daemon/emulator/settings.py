@@ -67,7 +67,7 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     tolerates_stalls: bool = False
     """True to stop the device's clock while its process is stalled by more than 10 ms.
 
-    The default of `run --emulate` is true. A real device cannot do this.
+    The default of `run --emulate` is true. A real device cannot stop its clock.
     """
     pwm_bits: int = 10
     """Resolution of the duty, in bits; 0 is unlimited."""

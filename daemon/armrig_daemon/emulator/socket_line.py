@@ -1,4 +1,4 @@
-"""A Unix socket as the device's line, with the opening, reset and closing of a serial port."""
+"""A Unix socket as the device's line; opening it resets the device, as with a serial port."""
 
 from __future__ import annotations
 
@@ -91,14 +91,14 @@ class SocketLine(Line):
         self._close()
 
     def drain(self) -> None:
-        """Send the waiting frames as far as possible; discard them if the port was closed."""
+        """Send as many waiting frames as possible; if the port was closed, discard them."""
         try:
             super().drain()
         except (BrokenPipeError, ConnectionResetError):
             self.backlog.clear()
 
     def watch(self, waiter: Waiter) -> None:
-        """Add the line and the openings of its port to a waiter."""
+        """Let a waiter also wait for the line's bytes and for the opening of its port."""
         super().watch(waiter)
         self._watch_connection()
 
@@ -121,8 +121,8 @@ class SocketLine(Line):
 def _occupied(path: Path) -> str:
     """Return the reason why no socket may be created at `path`; "" if it may be created.
 
-    A test connection shows whether an emulator answers. If no program has opened the port of this
-    emulator, the connection resets its device.
+    A test connection shows whether another emulator answers at `path`. If no program has opened the
+    port of this other emulator, the connection resets its device.
     """
     try:
         if not is_socket(path):

@@ -1,4 +1,4 @@
-"""The timer of scheduled mode (PROTOCOL.md, section 6), in ns of device time."""
+"""The timer of scheduled mode (PROTOCOL.md, section 6); all times are in ns of device time."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 @dataclass(slots=True, kw_only=True)
 class Timer:
-    """Ticks at t_0 + k Ts; each tick is computed as a product, so that no errors accumulate."""
+    """Ticks at t_0 + k Ts; each tick is computed from k, so that no errors accumulate."""
 
     first_ns: int
-    """t_0: trigger of theta_1's conversion in sample 0."""
+    """Time t_0 at which the conversion of theta_1 in sample 0 is triggered."""
     period_ns: int
     """Sampling time Ts."""
     lead_ns: int
-    """Time from the first trigger to the trigger of theta_1's last conversion."""
+    """Time from the first trigger of a sample to the trigger of theta_1's last conversion."""
     hold_ns: int
     """Time from theta_1's trigger to the latch of u."""
     k_stop: int

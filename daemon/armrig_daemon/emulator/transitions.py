@@ -1,4 +1,4 @@
-"""The requests that change the state (PROTOCOL.md, sections 3 and 4)."""
+"""Requests that change the state (PROTOCOL.md, sections 3 and 4)."""
 
 from __future__ import annotations
 
@@ -113,6 +113,6 @@ def estop(fw: Firmware, now_ns: int, m: Estop) -> list[Message]:
 
 
 def _transition(fw: Firmware, now_ns: int, m: Message, state: State) -> list[Message]:
-    """Return ACK(OK) and the EVENT, in the order of sending."""
+    """Return ACK(OK) and the EVENT, in the order in which they are sent."""
     event = fw.enter(now_ns, state, Cause.REQUEST)
     return [fw.answer(TYPES[type(m)], m.seq, Code.OK), event]

@@ -1,4 +1,4 @@
-"""The frames to the host, which are numbered, sent in order, and dropped if the ring is full."""
+"""The wire to the host: frames are numbered, sent in order, and dropped if the ring is full."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class Transmission:
         """Frames sent since the last `pop_sent`, each with the time of its last byte."""
 
     def begin(self, t_ns: int) -> None:
-        """Send the 00 with which a sender begins."""
+        """Send the 00 that a sender sends when it starts."""
         self._free_ns = departure_ns(self._free_ns, t_ns, 1, self._baud)
         self.sent.append((self._free_ns, b"\0"))
 
     def send(self, fw: Firmware, t_ns: int, messages: list[Message]) -> None:
-        """Put frames on the wire with their numbers; drop frames for which the ring has no room."""
+        """Put numbered frames on the wire; drop frames for which the ring has no room."""
         for message in messages:
             if isinstance(message, Pong):
                 message = message._replace(tx_us=fw.device_us(max(t_ns, self._free_ns)))

@@ -11,15 +11,15 @@ def wire_ns(n_bytes: int, baud: int) -> int:
 
 
 def departure_ns(free_ns: int, now_ns: int, n_bytes: int, baud: int) -> int:
-    """Return the end time of the last of `n_bytes` on a wire that is busy until `free_ns`."""
+    """Return the time at which `n_bytes` have been sent on a wire that is busy until `free_ns`."""
     return max(free_ns, now_ns) + wire_ns(n_bytes, baud)
 
 
 def arrivals(free_ns: int, now_ns: int, data: bytes, baud: int) -> list[tuple[int, bytes]]:
-    """Return the pieces of `data`, each up to a 00, and the rest, with their arrival times.
+    """Split `data` after each 00; return the pieces and the rest with their arrival times.
 
     The arrival time of a piece is the arrival time of its last byte. The wire is busy until
-    `free_ns`, and free again at the last arrival time.
+    `free_ns`, and becomes free again at the last returned time.
     """
     start_ns = max(free_ns, now_ns)
     pieces: list[tuple[int, bytes]] = []

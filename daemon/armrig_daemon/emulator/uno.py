@@ -1,8 +1,8 @@
 """The firmware's binary on a simulated Uno, with the arm at its pins.
 
-It has the interface of `device`: time is an argument, in integer nanoseconds, and never decreases.
-Like a real board, the simulated board has only its line and its pins, so the voltage is measured at
-the PWM pin.
+`Uno` has the interface of `device`: time is an argument, in integer nanoseconds, and never
+decreases. Like a real board, the simulated board has only its line and its pins, so the voltage is
+measured at the PWM pin.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from armrig_daemon.emulator.uart import wire_ns
 ADC_BITS: Final = 10
 THETA_1, ALPHA = 0, 1
 OPTIBOOT_NS: Final = 1_000_000_000
-"""Time for which a boot loader passes no bytes to the program, in ns."""
+"""Time for which a boot loader runs and the program receives no bytes, in ns."""
 ACTIVE_NS: Final = 20_000_000
-"""Time after a byte during which the simulation is polled at the short interval, in ns."""
+"""Time after a byte during which the simulation is polled at shorter intervals, in ns."""
 ACTIVE_POLL_NS, IDLE_POLL_NS = 250_000, 2_000_000
 Stuck = Callable[[int, int], int | None]
-"""Function of time and channel; returns the reading of a stuck converter, None if it works."""
+"""Function that returns the reading of a stuck converter at a time and channel, or None."""
 
 
 class Uno:
@@ -58,7 +58,8 @@ class Uno:
         program, image : Path
             Path of the harness, and of the firmware as Intel HEX.
         settings : EmulatorSettings
-            Settings of the arm, its sensors and the line's speed; the binary determines the others.
+            Settings of the arm, its sensors and the line's speed; the binary determines all other
+            properties.
         boot_loader : bool, default False
             True if a reset by the port starts Optiboot, which ignores bytes for a second and clears
             MCUSR.
@@ -78,9 +79,9 @@ class Uno:
         self.harness = Harness(program, image, baud=settings.baud, trace=trace)
         finalize(self, self.harness.close)
         self.state = State.BOOT
-        """State in the newest frame."""
+        """State of the device in its newest frame."""
         self.cause = Cause.POWER_ON
-        """Cause in the newest EVENT."""
+        """Cause of the newest EVENT of the device."""
         self.violations: list[Violated] = []
         self._pins = Pins(self.violations.append)
         self.stuck: Stuck = lambda t_ns, channel: None
@@ -99,11 +100,11 @@ class Uno:
         return self._origin_ns - (-cycle * 1000 // CYCLES_PER_US)
 
     def cycle(self, now_ns: int) -> int:
-        """Return the last cycle that has begun at a given time."""
+        """Return the cycle that is in progress at a given time."""
         return (now_ns - self._origin_ns) * CYCLES_PER_US // 1000
 
     def reset(self, now_ns: int) -> None:
-        """Reset the processor, like the opening of an Uno's port; bytes on the wires are lost."""
+        """Reset the processor, as opening an Uno's port does; bytes on the wires are lost."""
         self.advance(now_ns)
         self._frame.clear()
         self._line_free_ns = now_ns
@@ -123,7 +124,7 @@ class Uno:
         return max(0, self._line_free_ns - now_ns)
 
     def visible_ns(self) -> int:
-        """Return the time of the next poll; the time of the program's next byte is unknown."""
+        """Return the time of the next poll, because the time of the next byte is unknown."""
         now_ns = self.ns(self.harness.cycle)
         is_active = now_ns - self._byte_ns < ACTIVE_NS
         return now_ns + (ACTIVE_POLL_NS if is_active else IDLE_POLL_NS)
@@ -173,7 +174,7 @@ class Uno:
                 self.cause = Cause(message.cause)
 
     def _apply(self, duty: Duty) -> None:
-        """Apply the measured duty to the motor; the duty is known at the end of its period."""
+        """Apply the measured duty to the motor; a duty is known only at the end of its period."""
         self._pins.measure(duty)
         self.board.drive(self.ns(duty.cycle), duty.high / PERIOD, self.state, self.cause)
 
