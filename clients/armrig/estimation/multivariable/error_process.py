@@ -90,6 +90,7 @@ def _processes(errors: Sequence[Array]) -> Iterator[ErrorProcess]:
 
 
 def _score(process: ErrorProcess) -> float:
-    """Return the AIC of a process."""
-    loss = np.exp(np.linalg.slogdet(process.w.T @ process.w / process.w.shape[0])[1])
-    return float(aic(loss, process.coefficients.size, process.w.shape[0]))
+    """Return the AIC of a process for each w, because processes have different numbers of w."""
+    N = process.w.shape[0]
+    loss = np.exp(np.linalg.slogdet(process.w.T @ process.w / N)[1])
+    return float(aic(loss, process.coefficients.size, N)) / N
