@@ -50,7 +50,7 @@ def test_a_field_that_is_added_renews_the_vectors_of_its_message_alone(tmp_path:
     vectors = root / "vectors" / "frames.json"
     before = vectors.read_text().splitlines()
     schema = (root / "schema.toml").read_text()
-    field = '{ name = "host_ns", type = "u64", unit = "ns", doc = "from PING" },'
+    field = '{ name = "host_ns", type = "u64", unit = "ns", doc = "value of host_ns in PING" },'
     assert schema.count(field) == 1
 
     (root / "schema.toml").write_text(

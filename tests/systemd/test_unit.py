@@ -78,7 +78,7 @@ def test_a_unit_with_network_is_exposed_as_the_page_says(name: str, tmp_path: Pa
     as_installed, for_a_lab = _score(unit), _score(unit, more=FOR_A_LAB)
 
     assert f"is {as_installed} for the router and for the recorder" in SERVICE
-    assert f"`IPAddressAllow=` reduces the score to {for_a_lab}" in SERVICE
+    assert f"`IPAddressAllow=` lowers (improves) the score to {for_a_lab}" in SERVICE
 
 
 def test_a_unit_starts_nothing_that_a_small_system_has_not() -> None:

@@ -16,7 +16,7 @@ _MIN_COLUMN_REST = 1e-5
 _MIN_DISPLACEMENT_RATIO = 8  # windows over their length; displacement is faster above this ratio
 
 
-def gram_of_windows(parts: Sequence[Sequence[Array]], length: int) -> Array:
+def gram_of_windows(parts: Sequence[Sequence[Array]], length: int, m: int = 2) -> Array:
     """Return the Gram matrix of the windows of m signals about their means, (m length, m length).
 
     Row t of the matrix of windows is x(t) … x(t + length - 1) of the first signal of a part, then
@@ -32,13 +32,14 @@ def gram_of_windows(parts: Sequence[Sequence[Array]], length: int) -> Array:
     ----------
     parts : sequence of sequences of ndarray
         The m signals of each part, for example (u, y), of at least `length` samples.
+    m : int, default 2
+        Number of signals.
 
     References
     ----------
     .. [1] T. Kailath, S.-Y. Kung, M. Morf, J. Math. Anal. Appl. 68 (1979) 395-407 (displacement
        rank).
     """
-    m = len(parts[0]) if parts else 0
     G, total, N = np.zeros((m, length, m, length)), np.zeros((m, length)), 0
     for part in parts:
         x = np.stack(part)

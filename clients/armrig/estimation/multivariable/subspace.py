@@ -104,7 +104,7 @@ def _factor(signals: Signals, i: int) -> Array:
     centred = [[*(np.hstack(part) - whole.mean(axis=0)).T] for part in signals]
     at = np.arange((nu + ny) * 2 * i).reshape(nu + ny, 2 * i).T  # instant after instant
     order = np.concatenate([at[i:, :nu], at[:i, :nu], at[:i, nu:], at[i:, nu:]], axis=None)
-    R = cholesky_factor(gram_of_windows(centred, 2 * i)[np.ix_(order, order)])
+    R = cholesky_factor(gram_of_windows(centred, 2 * i, nu + ny)[np.ix_(order, order)])
     return triangle(_windows(signals, i), 1 + order.size)[1:, 1:] if R is None else R
 
 
