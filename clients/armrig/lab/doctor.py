@@ -181,7 +181,7 @@ def _idle(host: Host) -> list[HostCheck]:
     if deepest <= MAX_IDLE_WAKE_US:
         return [_good("idle states", f"waking takes at most {deepest} µs")]
     if host.silent:
-        costs = "the loop prevents it if it can write /dev/cpu_dma_latency"
+        costs = "a loop that can write /dev/cpu_dma_latency keeps the processors awake"
         return [_note("idle states", f"{name} takes {deepest} µs to wake from", costs)]
     if _holds_idle_off(host):
         return [_good("idle states", f"the loop prevents {name}, {deepest} µs to wake from")]
