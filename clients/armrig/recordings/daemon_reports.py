@@ -94,7 +94,7 @@ class Timing:
     wake_lateness_us: Distribution
     """Lateness of the host after the sample's deadline, in µs."""
     device_tick_error_us: Distribution
-    """Absolute difference between the device's interval of two samples and the sampling time, in µs."""
+    """Absolute error of the device's sampling interval, by its own clock, in µs."""
     link_round_trip_us: Distribution
     """Round trip of the link, from request to answer, in µs."""
     queue_depth: Distribution
