@@ -115,7 +115,10 @@ def _from_starts(problem: PredictionErrorProblem) -> Ends:
 
 
 def _through(part: PredictionErrorProblem, problem: PredictionErrorProblem) -> Ends:
-    """Return the minima that searches on the whole data reach from the minima on the part."""
+    """Return the minima that searches on the whole data reach from the minima on the part.
+
+    The best minimum is the first.
+    """
     ends: Ends = []
     previous: tuple[float, Optimum] | None = None
     for name, on_part in _from_starts(part):
@@ -191,7 +194,7 @@ def moved_modes(
 
 
 def _moved_together(problem: PredictionErrorProblem, theta: Array) -> Iterator[Array]:
-    """Yield start values in which a real root of C and one of D move to nearly equal values."""
+    """Yield start values in which real roots of C and D move to nearly equal values."""
     C, D, F = problem.polynomials(theta)
     starts = []
     for z, w in product(_without_one_real(roots(C)), _without_one_real(roots(D))):

@@ -84,7 +84,8 @@ class OrderTable:
     """Validation loss in each of up to 30 successive batches of the validation data, (n,
     batches)."""
     output_variance: float
-    """Variance of y in the validation data, or in the estimation data if no others are given."""
+    """Variance of y in the validation data, or in the estimation data if there are no validation
+    data."""
     N: int
     """Number of samples in `loss`; every structure uses the same samples."""
     inputs: int = 1

@@ -1,8 +1,8 @@
 """Autoregression of one-step errors, from which a bootstrap draws errors.
 
 The gain K of a subspace estimate is biased, because the estimate uses finite windows. The one-step
-errors of the model are then not white. Errors drawn independently would give simulated data another
-spectrum of the noise than the data have.
+errors of the model are then not white. With independently drawn errors, the noise of the simulated
+data would not have the spectrum of the noise in the measured data.
 
 References
 ----------
@@ -44,7 +44,7 @@ class ErrorProcess:
         return F
 
     def drawn(self, rng: np.random.Generator, N: int) -> Array:
-        """Return N errors (N, ny) of the process; w is drawn from the estimated w."""
+        """Return N errors (N, ny) of the process; each w(t) is drawn from the values in `w`."""
         p, ny, _ = self.coefficients.shape
         w = self.w[rng.integers(0, self.w.shape[0], N + _SETTLING * (p > 0))]
         if p == 0:
@@ -55,7 +55,7 @@ class ErrorProcess:
 
 
 def error_process(errors: Sequence[Array]) -> ErrorProcess:
-    """Return the process of least AIC, with 0 to 10 lags.
+    """Return the process with the lowest AIC among stable processes with 0 to 10 lags.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def error_process(errors: Sequence[Array]) -> ErrorProcess:
 
 
 def _processes(errors: Sequence[Array]) -> Iterator[ErrorProcess]:
-    """Yield the stable processes of 0 lags, of 1 lag, and so on."""
+    """Yield the stable processes with 0 lags, with 1 lag, and so on."""
     ny = errors[0].shape[1]
     known = np.vstack(errors)
     yield ErrorProcess(coefficients=np.zeros((0, ny, ny)), w=known[np.isfinite(known).all(axis=1)])
@@ -90,7 +90,7 @@ def _processes(errors: Sequence[Array]) -> Iterator[ErrorProcess]:
 
 
 def _score(process: ErrorProcess) -> float:
-    """Return the AIC of a process for each w, because processes have different numbers of w."""
+    """Return AIC divided by the number of instants, which differs from process to process."""
     N = process.w.shape[0]
     loss = np.exp(np.linalg.slogdet(process.w.T @ process.w / N)[1])
     return float(aic(loss, process.coefficients.size, N)) / N
