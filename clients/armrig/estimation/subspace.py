@@ -238,8 +238,8 @@ class Realisation:
 def realised(w: Windows, found: Projection, n: int) -> Realisation:
     """Return A and the eigenvalues of A - K C for n states.
 
-    A follows from the shift invariance of the observability matrix. K, and with K the matrix A - K
-    C, follow from the residuals of the states.
+    A follows from the shift invariance of the observability matrix. K, and with K the
+    matrix A - K C, follow from the residuals of the states.
 
     The states at t and t + 1 are computed by two projections. The states at t + 1 and y(t) are
     regressed on the states at t and the inputs. The covariance of the residuals determines K by a

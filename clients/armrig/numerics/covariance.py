@@ -1,8 +1,8 @@
 """Covariance of the score for the sandwich form, which is also valid for coloured residuals.
 
 The covariance of an estimate is W W^T M W W^T. Here W W^T = (Psi^T Psi)^-1, and M is the covariance
-of the score Psi^T e. For white residuals the sandwich form tends to the classic form, lambda (Psi^T
-Psi)^-1.
+of the score Psi^T e. For white residuals the sandwich form tends to the classic form,
+lambda (Psi^T Psi)^-1.
 """
 
 from __future__ import annotations

@@ -17,7 +17,9 @@ _MIN_DISPLACEMENT_RATIO = 8  # windows over their length; displacement is faster
 
 
 def gram_of_windows(parts: Sequence[Sequence[Array]], length: int) -> Array:
-    """Return the Gram matrix (m length, m length) of the windows of m signals, minus their means.
+    """Return the Gram matrix of the windows of m signals after the column means are subtracted.
+
+    The shape of the Gram matrix is (m length, m length).
 
     Row t of the matrix of windows contains the samples t … t + length - 1 of the first signal of a
     part, then these samples of the second signal, and so on. Let x and z be two signals. Then entry

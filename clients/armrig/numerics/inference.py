@@ -1,8 +1,8 @@
 """Covariance, loss and test of whiteness, from residuals and derivatives, for all estimators.
 
 The parameters theta were fitted by least squares. Psi contains the derivatives of the prediction
-with respect to theta, and Q is the orthonormal basis of the columns of Psi. W W^T is (Psi^T
-Psi)^-1, and M is the covariance of the score Psi^T e. Then ::
+with respect to theta, and Q is the orthonormal basis of the columns of Psi. W W^T is
+(Psi^T Psi)^-1, and M is the covariance of the score Psi^T e. Then ::
 
     covariance         lambda W W^T         valid if e is white
     covariance_robust  W (Q^T R Q) W^T      valid also if e is coloured

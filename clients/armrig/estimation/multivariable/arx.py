@@ -32,7 +32,7 @@ def arx(data: Signals, *, na: Any, nb: Any, nk: Any = 1) -> MultivariableFit:
 
     The equations of the outputs are seemingly unrelated regressions. They are weighted by the
     inverse of Lambda, the covariance of e. The parameters are estimated for a given Lambda, and
-    Lambda is estimated from the residuals. These two steps are repeated until Lambda no longer
+    Lambda is estimated from the residuals. These two steps are repeated until Lambda hardly
     changes. If all outputs have the same regressors, the weights have no effect. Rows that contain
     a missing y are not used.
 
