@@ -27,8 +27,7 @@ def ararx(
 ) -> Fit:
     """Estimate A, B and D in A(q) y(t) = B(q) u(t) + 1/D(q) e(t).
 
-    This is the structure of generalised least squares, in which D whitens the error of an ARX
-    model.
+    Generalised least squares uses the same structure: D whitens the error of an ARX model.
 
     Parameters
     ----------

@@ -53,10 +53,11 @@ def armax(
         Reflect poles outside the unit circle into the circle, and estimate B again. A finding of
         the fit reports the reflection.
     starts : {"many", "few"}, default "many"
-        With "many" the search also starts from models in which one mode of the best model is moved.
-        With "few" only complex root pairs of an F are moved, and only if the first searches
-        disagree or the noise is strong. "few" needs a tenth to a half of the time of "many", but
-        ends in a poorer minimum more often.
+        With "many" the search starts again from changed copies of the best model. In each copy one
+        mode has another frequency or damping. With "few" only complex root pairs of F (if the model
+        has an F) are changed. They are changed only if the first searches end in different minima
+        or the noise is strong. "few" needs a tenth to a half of the time of "many", but ends in a
+        poorer minimum more often.
 
     Returns
     -------

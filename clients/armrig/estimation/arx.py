@@ -32,7 +32,7 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     data : Dataset
         N samples, N > na + nb + max(na, nb + nk - 1).
     na : int
-        Number of a's, >= 0; 0 is a finite impulse response.
+        Number of a's, >= 0; with 0 the model is a finite impulse response.
     nb : int
         Number of b's, >= 1.
     nk : int, default 1

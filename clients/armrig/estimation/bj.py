@@ -44,9 +44,9 @@ def bj(
         Set F = (1 - q^-1) F̃, with one root at exactly 1. The noise is added to the integrated
         output. The level and the input offset of each experiment are estimated too.
     stable : bool, default False
-        Reflect poles of D outside the unit circle into the circle, and move poles of F on the
-        circle into the circle. B is then estimated again. The search itself moves no pole of F
-        outside the circle.
+        Reflect poles of D that are outside the unit circle into the circle. Move poles of F that
+        are on the circle into the circle. Then estimate B again. During the search all poles of F
+        stay inside or on the circle.
 
     Returns
     -------

@@ -1,9 +1,9 @@
 """Warnings about faults of the data: wrong samples, an offset, swapped columns.
 
-In least squares a few large errors have as much weight as thousands of small errors. An offset of y
-is fitted as if it were a response to the input. The first check uses only the residuals and needs
-almost no time. If the residuals are coloured or have a mean, an ARX model of high order is fitted
-to estimate the offset.
+In least squares a few large errors have as much weight as thousands of small errors. The model fits
+an offset of y as a response to the input. The test of the residuals for large errors needs almost
+no time. If the residuals are coloured or their mean is not zero, an ARX model of high order is
+fitted to estimate the offset.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from armrig.numerics.whiteness import WHITE_LEVEL, joined, ljung_box
 Vector = NDArray[np.float64]
 
 NO_OPTION = "remove the means (detrend), or take a structure with the option offset, such as OE"
-"""Remedy for an offset, for an estimator that cannot estimate the offset."""
+"""Remedy for an offset if the estimator cannot estimate an offset."""
 
 _MAD_TO_STD = 1.4826  # standard deviation over median |x| of a normal distribution
 _OUTLIER_SIGMAS = 10.0  # robust standard deviations that Gaussian residuals never exceed
@@ -49,7 +49,7 @@ def data_faults(
     Parameters
     ----------
     residuals : sequence of ndarray (N_i,)
-        Residuals of each experiment, NaN if they are not known.
+        Residuals of each experiment, NaN where the residual is not known.
     way_out : str
         Text of the remedy for an offset; "" if the model already has an offset.
     """
@@ -79,7 +79,7 @@ def swapped(data: Dataset) -> Iterator[EstimateFinding]:
 
 
 def undetermined(data: Dataset) -> str:
-    """Return the reason why the data do not determine the parameters, or the remedy."""
+    """Return the text that explains why the data do not determine the parameters, or a remedy."""
     for name, x in (("u", data.u), (data.output, data.y[data.valid])):
         if x.size and np.ptp(x) == 0:
             return f"{name} is always {x[0]:.4g}: give the column that varies, or record again"
@@ -114,7 +114,7 @@ def _wrong_samples(data: Dataset, e: Vector) -> Iterator[EstimateFinding]:
 
 
 def _doubtful(residuals: Sequence[Vector]) -> bool:
-    """Return whether the residuals are coloured or have a mean."""
+    """Return whether the residuals are coloured or their mean is significantly different from 0."""
     e = joined(residuals, _COLOUR_LAGS)
     if ljung_box(e, _COLOUR_LAGS) < WHITE_LEVEL:
         return True
@@ -126,7 +126,7 @@ def level_without_input(data: Dataset, least: float = _MIN_LEVEL_SIGMAS) -> Esti
     """Return a finding with the level of y at u = 0, or None if the level is within `least` σ of 0.
 
     The model A(q) y(t) = B(q) u(t) + c + e(t) has a constant c. At u = 0 the level of y is c /
-    A(1). An initial state without c explains a level only for a short time.
+    A(1). Without c, the initial state can explain a level only for a short time.
     """
     parts = [(part.u, part.y) for part in data[:_MAX_OFFSET_SAMPLES].experiments()]
     n = min(_MAX_OFFSET_ORDER, (data.N - data.missing) // 10)

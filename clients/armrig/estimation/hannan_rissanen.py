@@ -1,4 +1,4 @@
-"""Start values of a search by linear regressions: noise models and output-error models.
+"""Start values for a search, from linear regressions: noise models and output-error models.
 
 References
 ----------
@@ -24,7 +24,7 @@ _HIGH_ORDER = 12
 
 
 def noise_start(v: Sequence[Array], *, nc: int, nd: int) -> tuple[Array, Array]:
-    """Return stable C and D of D v = C e, for signals v in which a missing sample is NaN."""
+    """Return stable C and D in D v = C e; a missing sample of the signals v is NaN."""
     if nc + nd == 0:
         return np.ones(1), np.ones(1)
     e = _long_innovations(v) if nc else [np.full(x.size, np.nan) for x in v]
@@ -71,7 +71,7 @@ def _known(experiment: Experiment) -> Array:
 def _regressors(
     experiments: Sequence[Experiment], y: Sequence[Array], *, na: int, lags: Sequence[int]
 ) -> list[Array]:
-    """Return the regressors of A y = B u + e of each experiment."""
+    """Return, for each experiment, the regressors of A y = B u + e."""
     return [arx_rows(x.u, v, na=na, lags=lags).Phi for x, v in zip(experiments, y, strict=True)]
 
 
@@ -108,9 +108,9 @@ def equation_error(
 ) -> tuple[Array, Array]:
     """Return F (nf + 1,) and B (nk + nb,) that minimise |F y_F - B u_F|.
 
-    y_F and u_F are y and u, filtered by 1/F with the F of the argument. If this F is 1, the result
-    is the ARX model. The free response of each experiment is projected out. No sample of the signal
-    pairs (u, y) may be missing.
+    The signals y_F and u_F are y and u filtered by 1/F, where F is the argument. If the argument F
+    is 1, the result is an ARX model. The free response of each experiment is projected out. No
+    sample of the signal pairs (u, y) may be missing.
     """
     nf, nb, nk = sizes.nf, sizes.nb, sizes.nk
     blocks = []
@@ -150,7 +150,7 @@ def steiglitz_mcbride(
 def high_order_output(
     signals: Sequence[tuple[Array, Array]], sizes: Structure
 ) -> list[tuple[Array, Array]]:
-    """Return (u, ŷ) of each experiment; ŷ is the output of a high-order ARX model from rest.
+    """Return (u, ŷ) of each experiment; ŷ is simulated from rest by a high-order ARX model.
 
     The bias of the model decreases with its order. ŷ is therefore y without most of the noise and
     without the free response.

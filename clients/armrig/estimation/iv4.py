@@ -54,7 +54,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     -------
     Fit
         `loss` and `noise_variance` are computed from v = A y - B u, which may be coloured.
-        `whiteness` is the p value of the test of L v, because the classic standard deviations
+        `whiteness` is the p value of the whiteness test of L v. The classic standard deviations
         assume that L v is white. `covariance` is var(L v) (Z^T Phi)^-1 Z^T Z (Phi^T Z)^-1, with the
         filtered instruments Z. In `covariance_robust` the estimate of Newey and West replaces var(L
         v) Z^T Z.
@@ -140,7 +140,10 @@ def _by_least_squares(parts: Sequence[ArxRows], orders: str) -> tuple[Array, Arr
 
 
 def _with_given_poles(A: Array, blocks: Sequence[Array]) -> tuple[Array, list[Array]]:
-    """Return theta and residuals for a given A; B by least squares, because u contains no noise."""
+    """Return theta and residuals for a given A.
+
+    B is estimated by least squares, because u contains no noise.
+    """
     na = A.size - 1
     known = np.vstack([block[complete(block)] for block in blocks])
     left = known[:, -1] - known[:, :na] @ A[1:]
@@ -179,7 +182,7 @@ def _filtered(L: Array, block: Array) -> Array:
 def _solved(
     Z: Sequence[Array], blocks: Sequence[Array], orders: str
 ) -> tuple[Array, Array, list[Array], list[Array]]:
-    """Return the solution theta of Z^T (y - Phi theta) = 0; in the blocks [Phi, y] NaN is unknown.
+    """Return theta with Z^T (y - Phi theta) = 0; NaN in a block [Phi, y] is an unknown value.
 
     With Z = Q R the function also returns (Q^T Phi)^-1, the rows of Q in each experiment, and the
     residuals.

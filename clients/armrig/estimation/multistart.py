@@ -1,7 +1,7 @@
 """Search from several start values, and from additional start values if the minimum is in doubt.
 
 In an additional start value one mode of C, D or F is moved to another frequency or damping. If the
-noise is strong, the prediction error has several minima of nearly equal cost. In each of them a
+noise is strong, the prediction error has several minima of nearly equal cost. In each minimum a
 weak mode fits the noise at a different frequency. If the noise and the input are slow, a real root
 may also fit the noise. Therefore the search moves each mode.
 """
@@ -57,16 +57,16 @@ def searched_minimum(
 
     If the minimum is in doubt, the search moves each mode of the best model and starts again, as
     long as the cost decreases. The minimum is always in doubt if the searches end in different
-    minima. In a thorough search without `part`, the minimum is in doubt if the cost exceeds
-    rounding errors. In any other search, the minimum is in doubt if the noise is strong. If C, D
-    and F have more than 30 coefficients, no mode is moved, because a single mode then has little
-    meaning.
+    minima. In a thorough search without `part`, the minimum is also in doubt if the cost is larger
+    than rounding errors explain. In any other search, the minimum is also in doubt if F has at
+    least two roots and the noise is strong. If C, D and F have more than 30 coefficients, no mode
+    is moved, because a single mode then has little meaning.
 
     Parameters
     ----------
     part : PredictionErrorProblem, optional
-        Problem for a part of long data, on which all searches start. Each minimum on the part is
-        then the start of one search on the whole data.
+        Problem for a part of long data. All searches start on this part. Each minimum of the part
+        then starts one search on the whole data.
     thorough : bool
         True: move complex pairs and real roots of C, D and F. False: move only complex pairs of F.
     """
@@ -102,7 +102,10 @@ def _lowest_beside(problem: PredictionErrorProblem, best: Optimum, *, thorough: 
 
 
 def _from_starts(problem: PredictionErrorProblem) -> Ends:
-    """Return the minimum of each start value, best first; starts of low cost are searched first."""
+    """Return the minimum reached from each start value, best first.
+
+    The searches begin with the start value of least cost.
+    """
     starts = sorted(start_values(problem), key=lambda start: problem.cost(start[1]))
     ends: Ends = []
     for name, theta in starts:
@@ -112,7 +115,10 @@ def _from_starts(problem: PredictionErrorProblem) -> Ends:
 
 
 def _through(part: PredictionErrorProblem, problem: PredictionErrorProblem) -> Ends:
-    """Return the minima on the whole data, best first, searched from the minima on the part."""
+    """Return the minima that searches on the whole data reach from the minima on the part.
+
+    The best minimum is the first.
+    """
     ends: Ends = []
     previous: tuple[float, Optimum] | None = None
     for name, on_part in _from_starts(part):
@@ -188,7 +194,7 @@ def moved_modes(
 
 
 def _moved_together(problem: PredictionErrorProblem, theta: Array) -> Iterator[Array]:
-    """Yield start values in which one real root each of C and D is moved; the two nearly cancel."""
+    """Yield start values in which real roots of C and D move to nearly equal values."""
     C, D, F = problem.polynomials(theta)
     starts = []
     for z, w in product(_without_one_real(roots(C)), _without_one_real(roots(D))):
@@ -215,10 +221,10 @@ def _with_white_noise(problem: PredictionErrorProblem, theta: Array) -> Iterator
 
 
 def _through_a_higher_order(problem: PredictionErrorProblem, theta: Array) -> Iterator[Array]:
-    """Yield start values: the minimum of an output-error model of higher order, without one mode.
+    """Yield start values: an output-error model of higher order, with one mode removed.
 
-    The larger model has one more b and one more f. In its search a mode can move past a frequency
-    at which the cost of the smaller model has a maximum.
+    The larger model has one more b and one more f. During the search for the larger model, a mode
+    can move past a frequency at which the cost of the smaller model has a maximum.
     """
     n = problem.structure
     if n.nf == 0 or n.na + n.nc + n.nd:
@@ -256,7 +262,10 @@ def _without_one_real(z: Array) -> Iterator[Array]:
 
 
 def _without_one_pair(z: Array) -> Iterator[Array]:
-    """Yield the roots without each complex pair, and without the two smallest real roots."""
+    """Yield the roots with one complex pair removed, for each complex pair.
+
+    Then yield the roots with the two smallest real roots removed, if there are two.
+    """
     rest = np.arange(z.size)
     for i in np.flatnonzero(z.imag > _REAL_TOLERANCE):
         partner = int(np.argmin(np.abs(z - np.conj(z[i]))))
@@ -292,7 +301,7 @@ def start_values(problem: PredictionErrorProblem) -> Iterator[tuple[str, Array]]
 def denominators(problem: PredictionErrorProblem) -> Iterator[tuple[str, Array]]:
     """Yield named start values of a stable F in an output-error problem.
 
-    Missing y are interpolated here, but not in the search itself.
+    Missing samples of y are interpolated for these start values, but not in the search itself.
     """
     signals = [(x.u, x.y) for x in problem.experiments]
     n = problem.structure

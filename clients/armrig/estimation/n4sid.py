@@ -72,10 +72,10 @@ def n4sid(
     """Estimate a state-space model x(t+1) = A x + B u + K e, y = C x + D u + e by projections.
 
     The future outputs are projected on past u and y, for given future u. The singular values of the
-    weighted projection indicate the order. A and C are computed from the left singular vectors, and
-    K from the residuals of the states. B, D and the unknown past then minimise the one-step errors
-    by least squares. A, C and K do not minimise the prediction error, so the searches `armax`, `oe`
-    and `bj` are somewhat more efficient.
+    weighted projection indicate the order. A and C are computed from the left singular vectors. K
+    is computed from the residuals of a regression of the states. Least squares on the one-step
+    errors then estimate B, D and the unknown past. A, C and K do not minimise the prediction error.
+    The searches `armax`, `oe` and `bj` are therefore somewhat more accurate.
 
     Parameters
     ----------
@@ -92,19 +92,19 @@ def n4sid(
         Number of samples before u reaches y; 0 means a direct term D.
     integrator : bool, default False
         Set the pole nearest 1 to exactly 1, and estimate the input offset too. The projection uses
-        y itself, because noise in the difference of y would hide the slow poles.
+        y, not the difference of y. Noise in the difference would hide the slow poles.
     horizon : int, optional
         Number of past and of future samples, at least order + 2. With a shorter horizon the noise
-        model would be wrong. The default is the larger of 2 (order + 1) and the order of an ARX
-        model by AIC, but at least 10 and at most 30. For short data the default is smaller. If a
-        horizon of order + 2 predicts the data better, order + 2 is the default. A long horizon
-        suits white output noise. A short horizon suits noise with the poles of A.
+        model would be wrong. The default is the largest of 10, 2 (order + 1) and the order of an
+        ARX model. AIC chooses the order of the ARX model, at most 30. For short data the default is
+        smaller. If a horizon of order + 2 predicts the data better, order + 2 is the default. A
+        long horizon suits white output noise. A short horizon suits noise with the poles of A.
     focus : {"prediction", "simulation"}
         Purpose of A and B. With "simulation" a search from the poles of the subspace model
         minimises the simulation error. For each candidate of A, least squares give B and the
-        initial states. The result is an output-error model (`oe`) with a noise model. This model is
-        better if the system is not exactly linear or not exactly of this order. Its poles are
-        always inside the unit circle.
+        initial states. The result is an output-error model (`oe`) with a noise model. This model
+        simulates better than the model of "prediction" if the system is not exactly linear or not
+        exactly of this order. Its poles are always inside the unit circle.
     stable : bool, default False
         Reflect poles outside the unit circle into the circle, and estimate B again. A finding of
         the fit reports the reflection.
@@ -117,8 +117,8 @@ def n4sid(
         simulations of an ARMAX system of order 2 (N = 2000), the true standard deviations were 0.92
         to 1.06 times the bound. The test of `whiteness` assumes minimal one-step errors. The errors
         of a subspace estimate have a bias that does not decrease with N. Therefore the test rejects
-        too often for long data. For a Box-Jenkins system of order 3 (N = 1000) the test at the
-        level 5 % rejected whiteness in 10 of 100 simulations.
+        whiteness too often if the data are long. For a Box-Jenkins system of order 3 (N = 1000) the
+        test at the level 5 % rejected whiteness in 10 of 100 simulations.
 
     Raises
     ------
@@ -300,7 +300,10 @@ def _warnings(
 
 
 def _may_integrate(data: Dataset, z: complex) -> bool:
-    """Return whether a pole may be an integrator; for |z| > 1 only if y is known to integrate."""
+    """Return whether the pole z may be an integrator.
+
+    If |z| > 1, y must also be known to integrate.
+    """
     return abs(z - 1) < _MAX_DISTANCE_FROM_1 and (abs(z) <= 1 or data.output in INTEGRATING_OUTPUTS)
 
 
@@ -317,13 +320,14 @@ def _pole_std(A: Array, z: complex, covariance: Array) -> float:
 def simulating(
     data: Dataset, n: Structure, A: Array, C: Array, *, orders: str
 ) -> tuple[Array, Array, Array]:
-    """Return A and B that minimise the simulation error, and C that then minimises the loss.
+    """Return A and B of least simulation error, and C of least one-step loss for this A and B.
 
     For given A the simulation error y - (B u + x) / A is linear in B and the unknown state x. The
     search is therefore only over A. The search starts from the poles of the subspace model,
     reflected into the unit circle. C is the candidate with the least one-step loss for the
-    estimated A and B. The three candidates are C of the subspace model, C by Hannan and Rissanen's
-    regressions on A y - B u, and C = A, which is true for white output noise.
+    estimated A and B. The first candidate is C of the subspace model. The second candidate is C by
+    Hannan and Rissanen's regressions on A y - B u. The third candidate is C = A, which is correct
+    for white output noise.
 
     Raises
     ------

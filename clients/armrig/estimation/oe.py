@@ -51,21 +51,22 @@ def oe(
         = 0, without an input offset. With "auto" the state is estimated if an F-test finds it
         significant.
     stable : bool, default False
-        Move poles on the unit circle into the circle, and estimate B again. The search itself moves
-        no pole outside the circle.
+        Move poles on the unit circle into the circle, and estimate B again. During the search all
+        poles of F stay inside or on the circle.
     starts : {"many", "few"}, default "many"
-        With "many" the search also starts from models in which one mode of the best model is moved.
-        With "few" only complex root pairs of F are moved, and only if the first searches disagree
-        or the noise is strong. "few" needs a tenth to a half of the time of "many", but ends in a
-        poorer minimum more often.
+        With "many" the search starts again from changed copies of the best model. In each copy one
+        mode has another frequency or damping. With "few" only complex root pairs of F are changed.
+        They are changed only if the first searches end in different minima or the noise is strong.
+        "few" needs a tenth to a half of the time of "many", but ends in a poorer minimum more
+        often.
 
     Returns
     -------
     Fit
         `covariance` is lambda (Psi^T Psi)^-1 for (b, f), with the nuisance parameters marginalised.
         `covariance_robust` is the sandwich form with an autoregressive estimate of the residuals'
-        autocorrelation. With an integrator both are transformed linearly from F̃ to F. Both
-        matrices are then singular in the direction that would move the root at 1.
+        autocorrelation. With an integrator both covariances are transformed linearly from F̃ to F.
+        Both matrices are then singular in the direction that would move the root at 1.
 
     Raises
     ------

@@ -78,11 +78,14 @@ class OrderTable:
     """Mean squared error one step ahead on the estimation data, (n,); NaN if the data do not
     determine the parameters."""
     validation_loss: Vector | None
-    """Mean squared error one step ahead on the validation data, (n,); None without such data."""
+    """Mean squared error one step ahead on the validation data, (n,); None without validation
+    data."""
     batch_losses: Matrix | None
-    """`validation_loss` in up to 30 successive batches of the validation data, (n, batches)."""
+    """Validation loss in each of up to 30 successive batches of the validation data, (n,
+    batches)."""
     output_variance: float
-    """Variance of y in the validation data; without validation data, in the estimation data."""
+    """Variance of y in the validation data, or in the estimation data if there are no validation
+    data."""
     N: int
     """Number of samples in `loss`; every structure uses the same samples."""
     inputs: int = 1
@@ -147,8 +150,8 @@ class OrderTable:
 
         In 200 runs with 600 structures (N = 1000 for estimation and for validation) this rule chose
         the true orders na=2, nb=2, nk=1 in 73 % of the runs. The lowest validation loss chose these
-        orders in 18 % of the runs, MDL in 99 %, AIC and FPE in 49 %. No criterion chose a structure
-        that is too small.
+        orders in 18 % of the runs. MDL chose them in 99 % of the runs, and AIC and FPE in 49 %. No
+        criterion chose a structure that is too small.
 
         References
         ----------
@@ -275,9 +278,10 @@ def select_orders(
     One QR decomposition of y and the regressors of the largest structure reduces the data to a
     triangular matrix R. Each pair (na, nk) then needs only a small QR decomposition of columns of
     R. The leading triangles of the result belong to the structures nb = 1, 2, …. The loss is the
-    sum of squares of y below row na + nb. Triangular factors R_v of batches of the validation data
-    give the loss on these batches, ``|R_v [-theta; 1]|²``. All structures are compared on the same
-    samples. At these samples all regressors of the largest structure are known.
+    sum of squares in the column of y below row na + nb. Triangular factors R_v of batches of the
+    validation data give the loss on these batches, ``|R_v [-theta; 1]|²``. All structures are
+    compared on the same samples. At these samples all regressors of the largest structure are
+    known.
 
     Parameters
     ----------
@@ -442,11 +446,11 @@ def _columns(na: int, nk: int, nb: int, most: int, lags: range, nu: int) -> Inte
 def _losses(
     R: Array, R_v: Array, chosen: Integers, na: int, nu: int
 ) -> Iterator[tuple[float, Array]]:
-    """Yield the sums of squared errors for nb = 1, 2, ….
+    """Yield a pair of results for each nb = 1, 2, …: sums of squared errors.
 
-    Each pair contains the sum for the estimation data and the sums for the batches of the
-    validation data. The columns are scaled, so that the test for linear dependence does not depend
-    on units.
+    The first item is the sum for the estimation data. The second item is an array with the sum for
+    each batch of the validation data. The columns are scaled, so that the test for linear
+    dependence does not depend on units.
     """
     M = R[:, chosen]
     scale = column_norms(M)

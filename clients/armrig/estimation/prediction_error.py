@@ -28,10 +28,10 @@ class Solution:
     """Residuals of all experiments, (M,); 0 in a row that has no residual."""
     by_ab: Array
     """Derivatives of the prediction with respect to (a, b), (M, na + nb). Their projection on the
-    unknown past is subtracted."""
+    effects of the unknown past is subtracted."""
     by_cdf: Array
     """Derivatives of the prediction with respect to (c, d, f), (M, nc + nd + nf). Their projection
-    on the unknown past is subtracted."""
+    on the effects of the unknown past is subtracted."""
     J: Array
     """Derivatives `by_cdf` minus their projection on `by_ab`, (M, nc + nd + nf)."""
     rank: int
@@ -139,7 +139,7 @@ class PredictionErrorProblem:
         return log_volume / (2 * M), sum((by_c for _, by_c in volumes), none) / (2 * M)
 
     def admissible(self, theta: Array) -> bool:
-        """Return whether the predictor is stable, which means C and F are stable."""
+        """Return whether the predictor is stable, that is, whether C and F are stable."""
         C, _, F = self.polynomials(theta)
         return stable(C) and stable(F)
 
@@ -150,7 +150,7 @@ class PredictionErrorProblem:
         return np.concatenate([drawn_to_edge(C, C_0)[1:], D[1:], drawn_to_edge(F, F_0)[1:]])
 
     def normals(self, theta: Array) -> Array:
-        """Return the gradients in theta of |z| for the roots z of C and F on the unit circle."""
+        """Return the gradient of |z| in theta for each root z of C and F on the unit circle."""
         C, D, F = self.polynomials(theta)
         by_c, by_f = outward_normals(C), outward_normals(F)
         rows = np.zeros((len(by_c) + len(by_f), theta.size))

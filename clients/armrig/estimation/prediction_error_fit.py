@@ -28,11 +28,11 @@ from armrig.numerics.polynomial import Array, roots
 from armrig.numerics.quantities import plural
 
 PART_SAMPLES = 3000
-"""Number of samples of the part on which searches start. Only data with more than twice this number
-of samples have such a part."""
+"""Number of samples in the part of long data on which searches start. If the data have at most
+twice this number of samples, searches start on all data."""
 MAX_PULSE_SHARE = 0.01
-"""Limit of the number of pulses after gaps, divided by the number of errors. Above this limit the
-fit has a warning."""
+"""Limit of the ratio of pulses after gaps to errors. If the ratio is larger, the fit has a
+warning."""
 CURVED_TEXT = (
     "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
     "within two standard deviations. A pole and a zero may nearly cancel. The standard deviations "
@@ -68,8 +68,8 @@ def searched(
         Orders as the caller gave them, for messages.
     initial : {"estimate", "backcast", "zero", "auto"}
         State at the start of each experiment. "backcast" is MATLAB's name for the least-squares
-        estimate of the state for given polynomials. It equals "estimate", because the search
-        projects the state out at every step.
+        estimate of the state for given polynomials. Both options have the same effect, because the
+        search projects the state out at every step.
     stable : bool, default False
         Reflect poles outside the unit circle into the circle, and estimate B again.
     starts : {"many", "few"}
@@ -321,7 +321,8 @@ def curvature(
 
     Both rises are computed two standard deviations from the minimum, in both directions of each
     principal axis v. The axes are the principal axes of the scaled covariance of (c, d, f). At each
-    point the coefficients a and b are fitted again. If the loss V is a parabola ::
+    point the coefficients a and b are fitted again. If the loss V is a parabola and s is the
+    standard deviation along v ::
 
         (V(theta ± 2 s v) - V(theta)) / lambda = 4
 

@@ -73,8 +73,9 @@ class RarxState:
     def noise_variance(self) -> float:
         """Weighted sum of squared errors divided by its degrees of freedom; NaN if there are none.
 
-        With the weights w = lambda^k the degrees of freedom are sum w - d (sum w²) / (sum w). This
-        formula is the expected number of degrees of freedom for white noise and a stationary input.
+        With the weights w = lambda^k the degrees of freedom are sum w - d (sum w²) / (sum w). For
+        white noise and a stationary input, the formula gives the expected number of degrees of
+        freedom.
         """
         degrees = self.weight - (self.na + self.nb) * self._share
         return float(self.R[-1, -1] ** 2 / degrees) if degrees > 0 else float("nan")
@@ -166,9 +167,9 @@ def rarx_step(state: RarxState, u: float, y: float) -> RarxState:
     u is applied from t on, and y is measured at t. A missing value is NaN.
 
     The triangular factor R of earlier rows is multiplied by sqrt(lambda), and the row [phi y] is
-    added to the factor by rotations. After N steps the result equals, to rounding, the weighted
-    least-squares estimate from all samples. The method needs no covariance matrix, which could
-    become indefinite. A row that depends on a missing y changes neither R nor the weights.
+    added to the factor by rotations. After N steps the result equals, except for rounding, the
+    weighted least-squares estimate from all samples. The method needs no covariance matrix, which
+    could become indefinite. A row that depends on a missing y changes neither R nor the weights.
 
     Examples
     --------
@@ -202,12 +203,12 @@ def _rotated(R: Array, row: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecursiveEstimate:
-    """Recursive estimate from whole data, returned by `rarx`."""
+    """Recursive estimate after every sample of a data set, returned by `rarx`."""
 
     theta: Matrix
     """Parameters after each sample, (N, d); NaN until they are determined."""
     error: Vector
-    """Prediction error of each sample, (N,), NaN if there is none."""
+    """Prediction error of each sample, (N,), NaN where the error is unknown."""
     state: RarxState
     """State after the last sample."""
 

@@ -1,4 +1,4 @@
-"""Request for an estimate, which commands, batches, searches and the dashboard share.
+"""Request for an estimate, in the form that commands, batches, searches and the dashboard use.
 
 A field with an `Option` is an option of `armrig identify` and `armrig batch identify`. The
 estimator has an argument of the same name. The option also appears in the command printed after
@@ -30,7 +30,7 @@ class Option:
     help: str
     """Help text without a final period."""
     default: str = ""
-    """Default of the estimator as text; "" to omit it."""
+    """Default of the estimator as text; "" if the help does not mention a default."""
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True):

@@ -52,7 +52,7 @@ def reflection_warnings(before: Array, after: Array) -> Iterator[EstimateFinding
 def with_stable_poles(
     problem: PredictionErrorProblem, solution: Solution, theta: Array
 ) -> tuple[Array, Solution, tuple[EstimateFinding, ...]]:
-    """Return theta = (c, d, f), the solution with A, D and F reflected, and the warnings.
+    """Return theta = (c, d, f), the solution and the warnings, after A, D and F are reflected.
 
     C does not change. For given A, C, D and F the errors are linear in B and the unknown past.
     Therefore least squares estimate B and the past again.

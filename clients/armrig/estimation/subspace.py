@@ -7,7 +7,7 @@ with W_p = [U_p Y_p], has the triangular factor ::
     R =     R22 R23
                 R33
 
-The functions of this module need only R. Each column of R represents the same column of M.
+The functions of this module need only R. Column k of R represents column k of M.
 
 References
 ----------
@@ -140,8 +140,8 @@ def autoregressive_order(w: Windows) -> int:
     """Return the order that AIC chooses for an ARX model.
 
     The model of order n predicts y(t) from u(t), n past samples of y and n past samples of u. With
-    the chosen n, the n past samples cover the memory of the predictor. Therefore they determine the
-    state.
+    the chosen n, the n past samples cover the memory of the predictor. Therefore these samples
+    determine the state.
     """
     up, yp = w.columns("up"), w.columns("yp")
     lags = np.column_stack([yp[::-1], up[::-1]]).ravel()
@@ -159,7 +159,7 @@ class Projection:
     H: Array
     """Matrix H in Y_f = H W_p + L U_f + noise, (f, 2 p)."""
     U: Array
-    """Left singular vectors without weights, (f, f); n of them span the observability matrix."""
+    """Left singular vectors without weights, (f, f); the first n span the observability matrix."""
     singular_values: Array
     """Singular values (f,); with "cva" the canonical correlations of past and future."""
 
@@ -195,8 +195,8 @@ def visible_states(w: Windows) -> int:
 def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
     """Return the mean squared errors of y(t), predicted from u(t) and 1 … `most` states, (most,).
 
-    n states span the components of H W_p along the first n singular vectors. Therefore a single QR
-    decomposition determines all losses.
+    The n states of a model are the components of H W_p along the first n singular vectors.
+    Therefore a single QR decomposition determines the losses for all n.
     """
     y, now = w.R[:, w.columns("yf")[0]], w.R[:, w.columns("uf")[:1]]
     states = w.R[:, w.columns("up", "yp")] @ (found.H.T @ found.U[:, :most])
@@ -217,7 +217,7 @@ def suggested_order(w: Windows, found: Projection, most: int) -> int:
 
 
 def _states(w: Windows, found: Projection, n: int) -> Array:
-    """Return n states estimated from the past; a state is a combination of the columns of R."""
+    """Return n states, each a combination of the columns of R that contain the past."""
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
     from_past = np.linalg.lstsq(Gamma, found.H, rcond=None)[0].T
     return np.asarray(w.R[:, w.columns("up", "yp")] @ from_past)
@@ -238,12 +238,12 @@ class Realisation:
 def realised(w: Windows, found: Projection, n: int) -> Realisation:
     """Return A and the eigenvalues of A - K C for n states.
 
-    A follows from the shift of the observability matrix, and A - K C follows from the residuals of
-    the states.
+    A follows from the shift invariance of the observability matrix. K, and with K the
+    matrix A - K C, follow from the residuals of the states.
 
-    The states at t and t + 1 are computed by two projections. A regression on the states at t and
-    the inputs leaves residuals of the states at t + 1 and of y(t). The Riccati equation with the
-    covariance of these residuals determines K.
+    The states at t and t + 1 are computed by two projections. The states at t + 1 and y(t) are
+    regressed on the states at t and the inputs. The covariance of the residuals determines K by a
+    Riccati equation.
     """
     f = w.future
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])

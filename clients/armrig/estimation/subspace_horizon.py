@@ -68,7 +68,7 @@ def usable_windows(
 
 
 def longest_horizon(signals: Signals, samples: int, order: int | None) -> int:
-    """Return the largest of three numbers: 10, 2 (order + 1), and the order of an ARX model.
+    """Return the largest useful horizon: the maximum of 10, 2 (order + 1) and an ARX model's order.
 
     AIC chooses the order of the ARX model, at most 30. For short data the horizon is at most a
     twelfth of the number of samples, but at least order + 2.
@@ -110,8 +110,8 @@ def _longest_stretches(signals: Signals) -> list[tuple[Array, Array]]:
 def _loss(u: Array, y: Array, A: Array, C: Array, *, direct: bool) -> float:
     """Return the least sum of squares of (A y - B u - free response) / C, by normal equations.
 
-    Normal equations square the condition number. A comparison tolerates the loss of digits; an
-    estimate would not.
+    Normal equations square the condition number. A comparison of models tolerates the loss of
+    digits, but an estimate does not.
     """
     n = A.size - 1
     if y.size < 4 * n + 4:
@@ -171,12 +171,12 @@ def best_poles(
     """Return the poles for the horizon of `w` or order + 2, whichever has the lower one-step loss.
 
     For white noise on the output, the memory of the predictor is long, and the past must be long.
-    If the noise has the poles of A, a long past is not necessary, and with short data a long past
-    reduces the accuracy. An example is an ARMAX system of order 4 at N = 300. Its loss exceeded the
-    least possible loss by 29 % with a horizon of 10, and by 5 % with a horizon of 6. For white
-    noise on the output, the loss was 6 % above the least possible loss with a horizon of 10, and 10
-    % above with a horizon of 6. The losses can be compared because both models have the same number
-    of parameters.
+    If the noise has the poles of A, a long past is not necessary. If the data are also short, a
+    long past reduces the accuracy. An example is an ARMAX system of order 4 at N = 300. The loss of
+    its model exceeded the least possible loss by 29 % with a horizon of 10, and by 5 % with a
+    horizon of 6. For white noise on the output, the loss was 6 % above the least possible loss with
+    a horizon of 10, and 10 % above with a horizon of 6. The losses can be compared because both
+    models have the same number of parameters.
     """
     long = poles_at(w, found, order, integrator=integrator)
     if order + 2 >= w.future:

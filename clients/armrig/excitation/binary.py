@@ -84,9 +84,10 @@ def prbs(
 ) -> Vector:
     """Return a maximal-length pseudo-random binary signal (N,).
 
-    The sequence of a shift register of n bits has the period M = 2^n - 1 clocks. In each period
-    every pattern of n bits except one occurs. Over one period the autocorrelation is -1/M at every
-    lag except 0. The signal is therefore nearly white, and persistently exciting of order M.
+    The sequence of a shift register of n bits has the period M = 2^n - 1 clocks. Each period
+    contains all patterns of n bits except one pattern. Over one period the autocorrelation is -1/M
+    at every lag except 0. The signal is therefore nearly white, and persistently exciting of order
+    M.
 
     Parameters
     ----------
@@ -165,7 +166,7 @@ def white_noise(
         The same seed, an integer >= 0, gives the same signal.
     distribution : {"uniform", "normal"}
         "uniform" (MATLAB's rand) has the variance (high - low)²/12. "normal" (randn) has a standard
-        deviation of a sixth of the interval before the tails are cut off at the levels. Normal
+        deviation of a sixth of the interval before the tails are cut off at low and high. Normal
         noise is white too, but has less than a third of the power of uniform noise.
 
     Raises

@@ -25,9 +25,9 @@ def from_csv(
 ) -> Vector:
     """Return the input (N,) from a text file, and check the times in the file against Ts.
 
-    A row contains u in V, or t in s and u in V. The first row may contain the names t and u. The
-    columns may then have any order. Columns are separated by comma, semicolon or white space. A
-    line that begins with # is skipped.
+    A row contains u in V, or t in s and u in V. The first row may contain the names t and u. With
+    these names, the columns may have any order. Columns are separated by comma, semicolon or white
+    space. A line that begins with # is skipped.
 
     Parameters
     ----------

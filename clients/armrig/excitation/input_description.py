@@ -41,7 +41,8 @@ class InputDescription:
     std: float
     """Standard deviation (effective value about the mean), in V."""
     crest_factor: float
-    """Largest |u - mean| divided by `std`: 1 for two equally frequent levels; NaN if constant."""
+    """Largest |u - mean| divided by `std`: 1 for two equally frequent levels; NaN for a constant
+    u."""
     order: int
     """Order of persistence of excitation, 0 to `highest_order`."""
     highest_order: int
@@ -49,8 +50,9 @@ class InputDescription:
     weakest: float
     """Least eigenvalue of the covariance matrix of `order` samples, divided by the variance.
 
-    The ratio is 1 for white noise. For a parameter in the direction of this eigenvalue, the
-    variance of the estimate is 1/weakest times the variance with white noise of the same power.
+    The ratio is 1 for white noise. In the direction of the eigenvector of this eigenvalue, the
+    variance of estimated parameters is 1/weakest times the variance with white noise of the same
+    power.
     """
     omega: Vector
     """Frequencies of `spectrum`, in rad/s; empty if u is shorter than 16 samples."""
@@ -107,8 +109,8 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
     is positive definite. A model with nb + nf parameters needs the order nb + nf. The order is
     computed for each half of u, and the lower order is returned. Therefore an input that moves only
     once, such as a step, has order 1. The computed order is limited by double precision. For sines
-    in a narrow band (a chirp, a low multisine) the computed order is less than twice the number of
-    sines. The reason is that a few consecutive samples hardly distinguish the sines.
+    in a narrow band (a chirp, a multisine of low frequencies) the computed order is less than twice
+    the number of sines. The reason is that a few consecutive samples hardly distinguish the sines.
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ def staircase(
     ------
     ValueError
         A level is outside [low, high], or there are more levels than samples. The message names the
-        first level outside.
+        first level outside the interval.
 
     Examples
     --------
@@ -105,7 +105,8 @@ def within(u: ArrayLike, *, low: float = LOWEST_V, high: float = HIGHEST_V) -> V
     Raises
     ------
     ValueError
-        A value is outside or not a number. The message contains the index of the first such value.
+        A value is outside the interval or is not a number. The message contains the index of the
+        first such value.
     """
     require_levels(low=low, high=high)
     given = column("u", u)
@@ -132,7 +133,7 @@ def require_levels(*, low: float, high: float) -> None:
 
 
 def generator(seed: int | np.random.Generator) -> np.random.Generator:
-    """Return the generator for a seed, an integer >= 0, or the given generator itself."""
+    """Return a new random generator for an integer seed >= 0, or the given generator itself."""
     if isinstance(seed, np.random.Generator):
         return seed
     require_integers(seed=(seed, 0))

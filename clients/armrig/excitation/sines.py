@@ -23,7 +23,7 @@ def multisine(
     periods: int = 1,
     rms: float | None = None,
 ) -> Vector:
-    """Return a random-phase multisine (N,) with equal power at chosen lines and no power between.
+    """Return a random-phase multisine (N,) with equal power at chosen lines, no power at others.
 
     u(k) = middle + A sum over the lines l of cos(2 pi l k / P + phase_l). The signal has whole
     periods of P = N / periods samples. Line l is therefore exactly at 2 pi l / (P Ts) rad/s,
@@ -34,8 +34,8 @@ def multisine(
     N : int
         Number of samples, a whole multiple of `periods`.
     lines : iterable of int, optional
-        Harmonics, 1 <= l < P/2; by default all. With odd harmonics only, even nonlinearities are
-        visible at the even harmonics.
+        Harmonics, 1 <= l < P/2; by default all. If only odd harmonics are excited, even
+        nonlinearities are visible at the even harmonics.
     low, high : float
         Interval in V, 0 <= low < high <= 5.
     seed : int or numpy.random.Generator, default 1
@@ -55,8 +55,8 @@ def multisine(
     Raises
     ------
     ValueError
-        N is not a whole number of periods, a line is not allowed, or with `rms` a value is outside
-        [low, high]. The message contains the first such line or value.
+        N is not a whole number of periods, a line is not allowed, or `rms` is so large that a value
+        is outside [low, high]. The message contains the first such line or value.
 
     References
     ----------

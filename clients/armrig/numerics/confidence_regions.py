@@ -1,14 +1,14 @@
-"""95 % regions of model properties: linearised, or by draws if the linearisation is poor.
+"""95 % regions of model properties: linearised, or from draws if the linearisation is poor.
 
-To first order (Gauss's approximation) a property f(theta) is normal with the variance f'^T P f',
-where P is the covariance of theta. This approximation is checked by draws of theta. A range is
-checked by its two edges. The approximation is poor if an edge computed from the draws differs from
-the linearised edge by more than a quarter of the half-width. For a region in the plane, the
-approximation is poor if more than 10 % or less than 2.5 % of the draws are outside. If the
-approximation is poor, the region is computed from the draws. With fewer than 100 valid draws the
-region is unknown.
+To first order (Gauss's approximation) a property f(theta) is normally distributed with the variance
+f'^T P f', where P is the covariance of theta. This approximation is checked by draws of theta. For
+a range, the two edges are checked. The approximation is poor if an edge computed from the draws
+differs from the linearised edge by more than a quarter of the half-width. For a region in the
+plane, the approximation is poor if more than 10 % or less than 2.5 % of the draws are outside. If
+the approximation is poor, the region is computed from the draws. With fewer than 100 valid draws
+the region is unknown.
 
-Two roots that may be a conjugate pair or two real roots are no smooth functions of the parameters.
+Two roots that may be a conjugate pair or two real roots are not smooth functions of the parameters.
 Their mean and the square of half their difference are smooth. For a pair x ± iy these two values
 are x and -y². Therefore the region of the pairs is computed in the plane of (x, -y²), in which the
 region does not fold at the real axis. For the draws with real roots there is a separate interval.
@@ -41,10 +41,10 @@ LEVEL = 0.95
 HALF_WIDTH = 1.959964  # two-sided 95 % quantile of the normal distribution
 RADIUS = float(np.sqrt(-2 * np.log(1 - LEVEL)))  # of the 95 % ellipse, in standard deviations
 MAX_EDGE_SHIFT = 0.25
-"""Largest distance between an edge from draws and the linearised edge at which the linearised
-range is used, in linearised half-widths."""
+"""The linearised range is used if each edge from draws is at most this distance from the linearised
+edge, in linearised half-widths."""
 OUTSIDE_RANGE = (0.025, 0.10)
-"""Least and largest share of draws outside a linearised ellipse at which the ellipse is used."""
+"""A linearised ellipse is used if the share of draws outside the ellipse is in this range."""
 MIN_DRAWS = 100  # fewer draws do not determine a 2.5 % quantile
 
 
@@ -240,9 +240,9 @@ def _distance(z: Complex, P: Matrix) -> Vector:
 
 
 REAL_TOLERANCE = 1e-9
-"""Imaginary part below which a root is real."""
+"""A root with an imaginary part below this number counts as real."""
 MIN_KIND_SHARE = 0.005
-"""Share of a root's draws below which the real draws, or the pairs, are ignored."""
+"""The real draws, or the pairs, are ignored if they are less than this share of a root's draws."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,7 +1,7 @@
 """Covariance of the score for the sandwich form, which is also valid for coloured residuals.
 
-The covariance of an estimate is W W^T M W W^T. Here W W^T = (Psi^T Psi)^-1, and M is the
-covariance of the score Psi^T e. For white residuals the sandwich tends to the classic
+The covariance of an estimate is W W^T M W W^T. Here W W^T = (Psi^T Psi)^-1, and M is the covariance
+of the score Psi^T e. For white residuals the sandwich form tends to the classic form,
 lambda (Psi^T Psi)^-1.
 """
 
@@ -68,7 +68,7 @@ def _backwards(N: int) -> Iterator[tuple[int, int]]:
 
 
 def correlated_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
-    """Return M by Newey and West for scores psi(t) e(t) whose psi may depend on the noise (ARX).
+    """Return M by Newey and West's method; psi in psi(t) e(t) may depend on the noise (ARX).
 
     The Bartlett weights are 1 - k/(L + 1) up to the lag L = floor(4 (N/100)^(2/9)). The estimate is
     computed from all sums of L + 1 successive scores. M is the total of s s^T over all these sums

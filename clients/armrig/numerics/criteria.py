@@ -53,9 +53,9 @@ def batch_means(x: Array) -> Array:
 def standard_error(means: Array) -> Array:
     """Return the standard error of the mean of batch means (..., K), along the last axis.
 
-    If neighbouring samples are correlated, the standard error of the mean exceeds s / sqrt(N). The
-    means of batches that are longer than this correlation are nearly independent. For one batch the
-    result is 0.
+    If neighbouring samples are correlated, the standard error of the mean exceeds s / sqrt(N). If
+    the batches are longer than the time of this correlation, their means are nearly independent.
+    For one batch the result is 0.
     """
     K = means.shape[-1]
     if K < 2:

@@ -17,16 +17,19 @@ _MIN_DISPLACEMENT_RATIO = 8  # windows over their length; displacement is faster
 
 
 def gram_of_windows(parts: Sequence[Sequence[Array]], length: int, m: int = 2) -> Array:
-    """Return the Gram matrix of the windows of m signals about their means, (m length, m length).
+    """Return the Gram matrix of the windows of m signals after the column means are subtracted.
 
-    Row t of the matrix of windows is x(t) … x(t + length - 1) of the first signal of a part, then
-    the same of the second signal, and so on. Let x and z be two signals. Then entry (i, j) of their
-    block is the sum of x(t + i) z(t + j) over the n windows, and it follows from the recursion ::
+    The shape of the Gram matrix is (m length, m length).
+
+    Row t of the matrix of windows contains the samples t … t + length - 1 of the first signal of a
+    part, then these samples of the second signal, and so on. Let x and z be two signals. Then entry
+    (i, j) of their block is the sum of x(t + i) z(t + j) over the n windows. A recursion computes
+    this sum ::
 
         G(i + 1, j + 1) = G(i, j) + x(n + i) z(n + j) - x(i) z(j)
 
-    The first row and column are correlations. The recursion needs m² n length multiplications.
-    The matrix product would need (m length)² n multiplications.
+    The first row and column are correlations. The recursion needs m² n length multiplications. A
+    product of the matrix of windows with itself would need (m length)² n multiplications.
 
     Parameters
     ----------

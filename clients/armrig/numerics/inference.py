@@ -1,8 +1,8 @@
-"""Covariance, loss and test of whiteness, from residuals and sensitivities, for all estimators.
+"""Covariance, loss and test of whiteness, from residuals and derivatives, for all estimators.
 
-The parameters theta were fitted by least squares. Psi is the sensitivity of the prediction to
-theta, and Q is the orthonormal basis of the columns of Psi. W W^T is (Psi^T Psi)^-1, and M is the
-covariance of the score Psi^T e. Then ::
+The parameters theta were fitted by least squares. Psi contains the derivatives of the prediction
+with respect to theta, and Q is the orthonormal basis of the columns of Psi. W W^T is
+(Psi^T Psi)^-1, and M is the covariance of the score Psi^T e. Then ::
 
     covariance         lambda W W^T         valid if e is white
     covariance_robust  W (Q^T R Q) W^T      valid also if e is coloured
@@ -97,8 +97,9 @@ def infer(
     residuals : sequence of ndarray (N_i,)
         Residuals of each experiment, NaN if they are not known.
     blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment: the sensitivity of the prediction minus its projection on the
-        nuisance responses. Psi is zero in the rows without a residual.
+        Psi of each experiment: the derivatives of the prediction with respect to theta. The
+        projection of these derivatives on the nuisance responses is subtracted. Psi is zero in the
+        rows without a residual.
     score : {"exogenous", "correlated"}
         Estimate of M. "exogenous" assumes that Psi is independent of the noise. With "correlated",
         Psi may depend on the noise.
@@ -115,7 +116,8 @@ def infer(
         Test of whiteness. "portmanteau" allows for the fitted parameters. "ljung-box" is for
         residuals to which theta was not fitted. With None there is no test.
     rounding : float, default 0.0
-        Sum of squared residuals up to which the residuals are rounding errors and are not tested.
+        If the sum of squared residuals is at most this number, the residuals are rounding errors
+        and are not tested.
     prewhitening : int, default 0
         Order of the autoregression that was fitted to the residuals to prewhiten them. This order
         is subtracted from the degrees of freedom of the Ljung-Box test.
@@ -123,7 +125,7 @@ def infer(
     Raises
     ------
     ValueError
-        There are no more residuals than parameters.
+        The number of residuals does not exceed the number of parameters.
     """
     N = sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals)
     spans = [np.zeros((e.size, 0)) for e in residuals] if spans is None else spans

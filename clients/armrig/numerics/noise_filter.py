@@ -29,7 +29,7 @@ _COMPLEX_STEP = 1e-20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFilter:
-    """Filter from v to the scaled innovations e(t) / sqrt(s(t)), with relative variance s(t) of e.
+    """Filter from v to the innovations, each divided by the root of its relative variance s(t).
 
     The state before the first sample is unknown. `columns` returns the responses to this state.
     """
@@ -69,8 +69,8 @@ class NoiseFilter:
     def derivatives(self, v: Array, x0: Array) -> tuple[Array, Array]:
         """Return the derivatives of the scaled innovations of v (N,), and of the log scale.
 
-        The derivatives are with respect to (c, d): shapes (N, nc + nd) and (nc + nd,). They are
-        exact to rounding, by a complex step.
+        The derivatives are with respect to (c, d): shapes (N, nc + nd) and (nc + nd,). A complex
+        step computes the derivatives, exactly except for rounding.
 
         Parameters
         ----------

@@ -74,7 +74,7 @@ def stable(p: ArrayLike) -> bool:
     """Return whether all roots are strictly inside the unit circle.
 
     The method is the step-down recursion of Schur and Cohn. The recursion takes a fifth of the time
-    that the roots would take. Each step of a search calls this function.
+    of computing the roots. The time matters, because each step of a search calls this function.
     """
     a = np.atleast_1d(p).tolist()
     while len(a) > 1:

@@ -19,7 +19,7 @@ from armrig.numerics.quantities import p_relation
 Vector = NDArray[np.float64]
 
 WHITE_LEVEL = 0.01
-"""p value below which every test of residuals in the package rejects whiteness."""
+"""Each test of residuals in this package rejects whiteness if the p value is below this number."""
 PORTMANTEAU = "portmanteau test"
 LJUNG_BOX = "Ljung-Box test"
 _MIN_EIGENVALUE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 for the weights M^-1
@@ -51,13 +51,13 @@ NOT_TESTED = Whiteness(p_value=float("nan"), test="")
 
 
 def joined(parts: Iterable[Vector], gap: int) -> Vector:
-    """Return the residuals of several experiments as one signal, with `gap` NaN after each part."""
+    """Return the residuals of all experiments as one signal, with `gap` NaNs after each."""
     pieces = [np.concatenate([part, np.full(gap, np.nan)]) for part in parts]
     return np.concatenate(pieces)
 
 
 def autocovariance(e: Vector, lags: int) -> tuple[Vector, Vector]:
-    """Return R(0) … R(lags) about a mean of zero, and the number of pairs in each average."""
+    """Return autocovariances R(0) … R(lags) for a mean of 0, and the number of pairs in each."""
     there = np.isfinite(e)
     e, mark = np.where(there, e, 0.0), there.astype(np.float64)
     N = e.size
@@ -139,9 +139,9 @@ def portmanteau(
     """Test the hypothesis that e is white, with allowance for the estimated parameters.
 
     The sums s_k of e(t) e(t - k), k = 1 ... lags, are tested jointly by the statistic (s - m)^T
-    M^-1 (s - m). The residuals are the noise minus its projection by Q Q^T on the fitted responses.
-    This projection shifts the mean m of the sums and reduces their covariance M. With the lagged
-    residuals Z ::
+    M^-1 (s - m). The residuals are the noise minus the projection Q Q^T of the noise on the fitted
+    responses. This projection shifts the mean m of the sums and reduces their covariance M. If the
+    columns of Z are the lagged residuals, then ::
 
         m_k = -R(0) sum of q(t)^T q(t - k),     q(t)^T the rows of Q
         M = V - R(0) Z^T Q Q^T Z   [ + (Z^T Psi) cov(theta) (Psi^T Z) on other data ]
@@ -161,17 +161,18 @@ def portmanteau(
         (s - m)^T V^-1 (s - m)     against chi-squared with tr(V^-1 M) degrees of freedom
 
     In tr(V^-1 M) each eigenvalue is limited to 0 … 1. The degrees of freedom are the mean of the
-    statistic under the hypothesis. If only the noise determines A, C and D, this number is lags -
-    na - nc - nd, as given by Ljung and Box. A parameter that the input determines, such as any
-    parameter of an OE model, does not reduce the degrees of freedom.
+    statistic under the hypothesis. If only the noise determines A, C and D, the number of degrees
+    of freedom is lags - na - nc - nd, as given by Ljung and Box. A parameter that the input
+    determines, such as any parameter of an OE model, does not reduce the degrees of freedom.
 
     Parameters
     ----------
     residuals : sequence of ndarray (N_i,)
         Residuals of each experiment, NaN if they are not known.
     blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment: the sensitivity of the prediction minus its projection on the free
-        response. Psi is zero in the rows without a residual.
+        Psi of each experiment: the derivatives of the prediction with respect to theta. The
+        projection of these derivatives on the free response is subtracted. Psi is zero in the rows
+        without a residual.
     spans : sequence of ndarray (N_i, r_i)
         Orthonormal basis of the free response of each experiment, zero in the rows without a
         residual.
@@ -235,7 +236,7 @@ def _without_last_zeros(M: Array) -> Array:
 
 
 def _with_past(e: Vector, M: Array, lags: int) -> Array:
-    """Return (lags, d), the sums of e(t - k) m(t)^T, k = 1 … lags, over the rows m(t)^T of M."""
+    """Return the sums (lags, d) of e(t - k) m(t)^T, k = 1 … lags, over the rows m(t)^T of M."""
     # Not one matrix product: to copy e with 25 lags would take longer than to multiply.
     n = M.shape[0]
     before = np.concatenate([np.zeros(lags), e[:n]])
@@ -254,11 +255,11 @@ def portmanteau_p_value(Q: float, m: float, N: float) -> float:
 
     Q' is computed from N white residuals. The mean of Q' is m, but its variance is not 2 m, because
     all r(k)² are divided by the same R(0)² and contain the same residuals. The variance was
-    simulated with 60 000 runs for each of N = 100, 250, 500 and m = 5, 10, 25. For N >= 250 the
-    simulated variance was 2 m (1 + c), with c = (2 m - 5.5)/N, to within 0.02. A chi-squared test
-    would reject 5.8 % instead of 5 % at N = 500, m = 25. Therefore Q/m is compared with an F(m, v)
-    distribution, scaled to the mean 1. The parameter v is chosen so that this distribution has the
-    simulated variance.
+    simulated with 60 000 runs for each combination of N = 100, 250, 500 and m = 5, 10, 25. For N >=
+    250 the simulated variance was 2 m (1 + c), with c = (2 m - 5.5)/N, to within 0.02. At N = 500,
+    m = 25 and the level 5 %, a chi-squared test would reject 5.8 % of white residuals. Therefore
+    Q/m is compared with an F(m, v) distribution, scaled to the mean 1. The parameter v is chosen so
+    that this distribution has the simulated variance.
 
     References
     ----------
@@ -287,10 +288,10 @@ def two_sided(level: float) -> float:
 def joint_p_value(s: Array, M: Array, least: float = 1e-8, N: float | None = None) -> float:
     """Return P(chi² >= s^T M^+ s); the degrees of freedom are the rank of M. NaN for rank 0.
 
-    Directions with less than the share `least` of the largest variance do not count. If N is given,
-    the noise variance in M was estimated from N free residuals. Then s^T M^+ s / N has the beta
-    distribution with the parameters k/2 and (N - k)/2, where k is the rank. For large k a
-    chi-squared test would reject too rarely.
+    A direction does not count if its variance is less than the share `least` of the largest
+    variance. If N is given, the noise variance in M was estimated from N free residuals. Then
+    s^T M^+ s / N has the beta distribution with the parameters k/2 and (N - k)/2, where k is the
+    rank. For large k a chi-squared test would reject too rarely.
     """
     from scipy.special import betainc, chdtrc
 

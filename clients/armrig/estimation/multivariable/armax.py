@@ -49,8 +49,8 @@ def armax(
         With "estimate" the state at the start of each experiment is estimated. With "zero" each
         experiment starts at rest.
     shared : {"", "denominator"}
-        With "denominator" all outputs have the same A, and the outputs are weighted by the inverse
-        of the covariance of e. For an output with an integrator, A is multiplied by 1 - q^-1; this
+        With "denominator" all outputs have the same A, and the inverse covariance matrix of e
+        weights the outputs. For an output with an integrator, A is multiplied by 1 - q^-1; this
         root does not count in na.
 
     Returns

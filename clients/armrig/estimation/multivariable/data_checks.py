@@ -17,7 +17,7 @@ _CIRCLE_TOLERANCE = 1e-6
 
 
 def origin(data: Signals) -> dict[str, Any]:
-    """Return names, units, sampling time and history of the data, by the field names of a fit."""
+    """Return names, units, sampling time and history of the data, as fields of a fit."""
     return {
         "inputs": data.inputs,
         "outputs": data.outputs,

@@ -1,4 +1,4 @@
-"""Order of the results of searches from several start values."""
+"""Ranking of the results of searches from several start values."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
 """Autoregression of one-step errors, from which a bootstrap draws errors.
 
 The gain K of a subspace estimate is biased, because the estimate uses finite windows. The one-step
-errors of the model are then not white. Errors drawn independently would give simulated data another
-spectrum of the noise than the data have. The number of lags is fixed: a criterion such as AIC finds
-no lags in short data, although the spectrum at low frequencies is wrong by a fifth.
+errors of the model are then not white. With independently drawn errors, the noise of the simulated
+data would not have the spectrum of the noise in the measured data. The number of lags is fixed. In
+short data a criterion such as AIC chooses no lags, although the spectrum at low frequencies is then
+wrong by a fifth.
 
 References
 ----------

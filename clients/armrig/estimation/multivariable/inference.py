@@ -117,7 +117,7 @@ def inferred(
 
 
 def covariance_of(experiments: Sequence[Sequence[OutputResiduals]], inflation: Array) -> Array:
-    """Return the covariance of the residuals, for each pair from instants with both measured."""
+    """Return the covariance of e; each pair of outputs uses instants at which both are measured."""
     e = np.vstack([np.column_stack([r.e for r in of]) for of in experiments])
     return np.asarray(pairwise_covariance(e) * np.sqrt(np.outer(inflation, inflation)))
 

@@ -73,9 +73,10 @@ def n4sid(
 ) -> MultivariableFit:
     """Estimate x(t+1) = A x + B u + K e, y = C x + D u + e by projections.
 
-    A and C are computed from the left singular vectors of the weighted projection, and K from the
-    residuals of the states. B, D and the initial states then minimise the one-step errors by least
-    squares. `ss` continues from this estimate to the minimum of the prediction error.
+    A and C are computed from the left singular vectors of the weighted projection. K is computed
+    from the residuals of a regression of the states. Least squares on the one-step errors then
+    estimate B, D and the initial states. `ss` continues from this estimate to the minimum of the
+    prediction error.
 
     Parameters
     ----------
@@ -89,13 +90,13 @@ def n4sid(
         Number of samples before each input reaches the outputs. With 0 for all inputs the model has
         a direct term D.
     horizon : int, optional
-        Number of past and of future samples; by default the larger of 10 and twice the order, or
-        less for short data.
+        Number of past and of future samples; by default the larger of 10 and twice the order. For
+        short data the default is smaller.
     replicates : int, default 100
-        Number of simulated data sets for the covariance. Each data set is simulated from
-        the model, and a model is estimated from it in the same way. The errors of the simulation
-        are drawn from an autoregression of the model's one-step errors. With 0 the covariance is
-        NaN.
+        Number of simulated data sets for the covariance. Each data set is simulated from the model.
+        A replicate is the model that is estimated in the same way from a simulated data set. The
+        errors of the simulation are drawn from an autoregression of the model's one-step errors.
+        With 0 the covariance is NaN.
     seed : int, default 0
         Seed of the drawn errors.
 
@@ -189,9 +190,9 @@ def _estimated(
 ) -> tuple[_Model, list[Array]]:
     """Return the model with given A, C and K, and its one-step errors, NaN where y is missing.
 
-    Where an output is missing, the predictor uses its own prediction. The first values are
-    simulated outputs plus the simulation error, interpolated over the gap. Predictions then replace
-    these values as long as the one-step errors decrease.
+    The predictor needs a value for each missing output. The first value is the simulated output
+    plus the simulation error, which is interpolated over the gap. Predictions of the outputs then
+    replace these values as long as the one-step errors decrease.
     """
     outputs = [y for _, y in signals]
     known = outputs
@@ -269,8 +270,8 @@ def _replicated(
     """Return the covariance of the matrices over the replicates, in the model's coordinates.
 
     The state of each replicate has its own coordinates, but impulse responses do not depend on
-    coordinates. The replicate is therefore replaced by the smallest change of the model's matrices
-    that gives the impulse responses of the replicate.
+    coordinates. Each replicate is therefore replaced by the smallest change of the model's matrices
+    that reproduces the impulse responses of the replicate.
     """
     rng = np.random.default_rng(seed)
     process = error_process(residuals)

@@ -41,8 +41,8 @@ def oe(
         With "estimate" the state at the start of each experiment is estimated. With "zero" each
         experiment starts at rest.
     shared : {"", "denominator"}
-        With "denominator" all outputs and inputs have the same F, of order `nf`, and the outputs
-        are weighted by the inverse of the covariance of e. For an output with an integrator, F is
+        With "denominator" all outputs and inputs have the same F, of order `nf`, and the inverse
+        covariance matrix of e weights the outputs. For an output with an integrator, F is
         multiplied by 1 - q^-1; this root does not count in nf.
 
     Returns

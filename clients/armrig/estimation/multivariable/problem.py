@@ -10,8 +10,8 @@ row. With a shared denominator, all F of all rows are equal. The rows are then w
 covariance of their noise.
 
 After a missing sample the prediction error has a larger variance, s(t) times the variance of e; see
-`NoiseFilter`. The cost is the sum of e(t)²/s(t), times the geometric mean of s(t). This cost is the
-likelihood, concentrated with respect to the variance of e.
+`NoiseFilter`. The cost is the sum of e(t)²/s(t), times the geometric mean of s(t). The minimum of
+this cost maximises the likelihood that is concentrated with respect to the variance of e.
 
 References
 ----------

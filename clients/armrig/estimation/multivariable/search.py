@@ -161,9 +161,10 @@ def _reweighted(
 ) -> tuple[PolynomialProblem, list[tuple[str, Optimum]]]:
     """Return the problem of the best minimum, and the minima after Lambda is iterated.
 
-    Lambda is iterated from each of the minima `ends`. The best minimum has the least det Lambda. It
-    need not be the first of `ends`, which were found with the variances of the outputs as Lambda.
-    With this Lambda, an output that integrates has little weight.
+    From each of the minima `ends`, the search and the estimate of Lambda are repeated in turn. The
+    best minimum has the least det Lambda. The best minimum need not be the first of `ends`, because
+    the searches for `ends` used the variances of the outputs as Lambda. With these variances, an
+    output that integrates has little weight.
     """
     found = [(name, *_iterated(problem, masks, end, _SAME_TOLERANCE)) for name, end in ends]
     found = ranked(found, lambda one: one[1])
@@ -198,7 +199,7 @@ def _covariance(problem: PolynomialProblem, masks: Sequence[Array], theta: Array
 
 
 def _starts(data: Signals, one: _Estimated) -> Iterator[Start]:
-    """Yield the start values of one plan; the loss is relative to the variance of the outputs."""
+    """Yield the result of each start value of one plan; the loss is that of whitened errors."""
     names = ", ".join(data.outputs[i] for i in one.plan.outputs)
     errors = sum(int(np.count_nonzero(x.rows)) for of in one.problem.experiments for x in of)
     for name, o in one.ends:
@@ -251,7 +252,7 @@ def _inference(data: Signals, found: Sequence[_Estimated]) -> Inference:
 
 
 def _parameters(data: Signals, found: Sequence[_Estimated]) -> list[float]:
-    """Return the number of parameters of each output; a shared parameter counts in parts."""
+    """Return the number of parameters of each output; a parameter of k outputs counts 1/k."""
     counts = [0.0] * data.ny
     for one in found:
         users = [

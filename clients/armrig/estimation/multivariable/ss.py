@@ -79,7 +79,7 @@ class _Criterion:
     def __call__(
         self, problem: StateSpaceProblem, Abar: Array, C: Array, linear: Linear
     ) -> tuple[Array, float]:
-        """Return the Lambda that weights the errors next, and the logarithm of the criterion."""
+        """Return the Lambda that weights the errors in the next round, and the log criterion."""
         e = np.vstack(problem.residuals(Abar, C, linear))
         if self.given is None:
             Lambda = pairwise_covariance(e)
@@ -118,8 +118,8 @@ def ss(
         Estimate K. With False the model is an output-error model, K = 0.
     output_weights : sequence of float, optional
         Weight w_i > 0 of each output. By default the estimated covariance of the noise weights the
-        errors. The errors of a model that is too simple for the data are not only noise. Weights
-        then choose the outputs that the model fits well.
+        errors. If a model is too simple for the data, its errors are not only noise. Larger weights
+        then select the outputs that the model must fit well.
 
     Returns
     -------
@@ -262,9 +262,9 @@ def _searched(
 ) -> list[_End]:
     """Return the results of the searches from all start values, best first.
 
-    Every search runs for some rounds, and the best searches continue until they converge. For long
-    data the first rounds use a part of the data. A mode of the best model is moved as long as the
-    criterion decreases.
+    Every search runs for some rounds. Further searches start from the best model with one mode
+    moved, as long as the criterion decreases. For long data all these searches use a part of the
+    data. Finally the best searches continue on all data until they converge.
     """
     part = _part(problem)
     ends = _tried(part, _begun(part, starts(problem, signals), criterion), criterion)
@@ -324,7 +324,7 @@ def _different(ends: list[_End]) -> list[_End]:
 
 
 def _improved(problem: StateSpaceProblem, end: _End, criterion: _Criterion, least: float) -> _End:
-    """Return the end of a search, which stops early if it cannot reach the criterion `least`."""
+    """Return the last state of a search; the search stops early if it cannot reach `least`."""
     for _ in range(_MAX_ROUNDS):
         before, end = end, _round(problem, end, criterion, _STEPS, _SAME_TOLERANCE)
         decrease = before.criterion - end.criterion

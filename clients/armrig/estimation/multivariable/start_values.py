@@ -29,7 +29,7 @@ _MAX_OUTPUT_ERROR_STEPS = 15  # steps of the search for an output-error start va
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Path:
-    """Signals of one equation F y = sum of B_j u_j of one experiment."""
+    """Signals of one equation F y = sum of B_j u_j in one experiment."""
 
     y: Array
     """Output (N,)."""
@@ -116,7 +116,7 @@ def _filled(x: RowData) -> Array:
 
 
 def _contributions(row: Row, parts: Sequence[RowData], order: int) -> list[Array]:
-    """Return the contribution of each input (N, nu), by an ARX model of high order from rest."""
+    """Return the contribution of each input (N, nu), simulated by an ARX model of high order."""
     N = sum(x.y.size for x in parts)
     nu = len(row.nb)
     n = max(min(order, N // (4 * (nu + 1))), 1)

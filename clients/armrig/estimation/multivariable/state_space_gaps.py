@@ -137,7 +137,7 @@ class GapProblem:
         )
 
     def linearise(self, at: Predictor, V: Array, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return errors, their negative derivatives, mean of the logarithms, and its derivatives.
+        """Return errors and their negative derivatives, and the mean logarithm and its derivatives.
 
         The derivatives are numerical.
         """
@@ -186,7 +186,8 @@ class GapProblem:
     def influence(self, at: Predictor) -> Array:
         """Return the derivatives of the whitened predictions; initial states are projected out.
 
-        The columns are the coordinates of `moved`, (ny N, d). The covariance S is held constant.
+        The columns belong to the coordinates of `moved`, (ny N, d). The covariance S is held
+        constant.
         """
         V = tangent(at.Abar, at.C)
         states = at.Abar.shape[0] * len(self.parts)

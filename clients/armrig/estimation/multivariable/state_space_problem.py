@@ -6,8 +6,8 @@ The predictor is, with Abar = A - K C and Bbar = B - K D ::
 
 For given Abar and C the predictor is linear in Bbar, K, D and x(0). The search is therefore over
 Abar and C only (variable projection). A change of the state's coordinates does not change the
-model. The search uses the n ny directions orthogonal to these changes, the tangent space of the
-models.
+model. The search uses only the n ny directions orthogonal to these changes. These directions span
+the tangent space of the models.
 
 References
 ----------
@@ -153,7 +153,7 @@ class StateSpaceProblem:
         )
 
     def _responses(self, part: Part, Abar: Array, C: Array) -> tuple[Array, Array]:
-        """Return the outputs (k, ny, N) driven by each linear parameter, and by each state."""
+        """Return the outputs (k, ny, N) due to each linear parameter, and to each initial state."""
         n = self.order
         signals = np.hstack([part.u, part.y]) if self.noise else part.u
         N, m = signals.shape
@@ -237,7 +237,7 @@ class StateSpaceProblem:
 
 
 def whitened(part: Part, columns: Array) -> Array:
-    """Return the whitened columns (k, ny, N) with rows ordered by output, (ny N, k)."""
+    """Return the columns (k, ny, N), whitened, as a matrix (ny N, k) with rows output by output."""
     k, ny, N = columns.shape
     if part.rows.all():
         white = part.weights[0] @ columns
@@ -247,12 +247,12 @@ def whitened(part: Part, columns: Array) -> Array:
 
 
 def without(basis: Basis, M: Array) -> Array:
-    """Return M minus its projection on the basis, column after column in the memory."""
+    """Return M minus its projection on the basis, in column-major order."""
     return np.asarray(M - ((M.T @ basis.Q) @ basis.Q.T).T)
 
 
 def stacked(blocks: Sequence[Array]) -> Array:
-    """Return the blocks one below the other, column after column in the memory."""
+    """Return the blocks stacked vertically, in column-major order."""
     return blocks[0] if len(blocks) == 1 else np.hstack([block.T for block in blocks]).T
 
 
@@ -273,7 +273,7 @@ def reflected_matrix(A: Array, largest: float = 0.995) -> Array:
 
 
 def output_normal(A: Array, C: Array) -> tuple[Array, Array]:
-    """Return A and C of the same model with A^T A + C^T C = 1, which suits a search."""
+    """Return A and C in coordinates with A^T A + C^T C = 1, which are suitable for a search."""
     T, inverse = _balancing(A, C)
     return T @ A @ inverse, C @ inverse
 
@@ -289,7 +289,7 @@ def _balancing(A: Array, C: Array) -> tuple[Array, Array]:
 def tangent(A: Array, C: Array) -> Array:
     """Return an orthonormal basis (n (n + ny), n ny) of the directions that change the model.
 
-    A change of coordinates by 1 + S moves A by S A - A S and C by -C S.
+    A small change of coordinates, 1 + S, changes A by S A - A S and C by -C S.
     """
     n, ny = A.shape[0], C.shape[0]
     orbit = np.zeros((n * (n + ny), n * n))
@@ -326,7 +326,7 @@ def scaled_signals(
 
 
 def _scale(columns: Array) -> Array:
-    """Return the standard deviation of each column, 1 for a constant."""
+    """Return the standard deviation of each column, 1 for a constant column."""
     std = np.nanstd(columns, axis=0)
     return np.where(std > 0, std, 1.0)
 

@@ -29,7 +29,7 @@ _MOVED_MODULUS = 0.8  # of a mode that is moved
 def starts(
     problem: StateSpaceProblem, signals: Sequence[tuple[Array, Array]]
 ) -> dict[str, tuple[Array, Array]]:
-    """Return Abar and C of subspace estimates and of reduced ARX models, by their names.
+    """Return the pairs (Abar, C) of subspace estimates and of reduced ARX models, by name.
 
     Raises
     ------
@@ -76,10 +76,10 @@ def starts(
 def moved_modes(
     problem: StateSpaceProblem, Abar: Array, C: Array
 ) -> dict[str, tuple[Array, Array]]:
-    """Return Abar and C with one of the weakest modes moved into the widest gap of frequencies.
+    """Return (Abar, C) with a weak mode moved into the widest gap between the modes' frequencies.
 
-    A mode is a complex pair of eigenvalues, or two real ones. In each start value one mode has
-    another frequency, so that the search can leave a local minimum.
+    A mode is a complex pair of eigenvalues, or two real eigenvalues. In each start value one mode
+    has another frequency, so that the search can leave a local minimum.
     """
     z, V = np.linalg.eig(Abar)
     linear = problem.linear(Abar, C)

@@ -93,10 +93,10 @@ def projected(signals: Signals, horizon: int, weights: Weights) -> Projected:
 
 
 def _factor(signals: Signals, i: int) -> Array:
-    """Return the triangular factor of [U_f U_p Y_p Y_f] about the means.
+    """Return the triangular factor of [U_f U_p Y_p Y_f] after the means are subtracted.
 
-    The factor is that of the Gram matrix of the windows. If its squares lose too many digits, the
-    windows themselves are decomposed.
+    The factor is the Cholesky factor of the Gram matrix of the windows. If the squares in the Gram
+    matrix lose too many digits, the factor is computed by a QR decomposition of the windows.
     """
     (u, y), *_ = signals
     nu, ny = u.shape[1], y.shape[1]
@@ -171,13 +171,13 @@ def long_regression(signals: Signals, lags: int, *, direct: bool) -> Array:
 
 
 def from_impulses(impulses: Array, order: int, weights: Array | None = None) -> tuple[Array, Array]:
-    """Return A and C of the impulse response (k, ny, m), by the Hankel matrix (Ho and Kalman).
+    """Return A and C of the impulse response (k, ny, m), from its Hankel matrix (Ho and Kalman).
 
     Parameters
     ----------
     weights : ndarray (m,), optional
-        Effective value of each input. With these weights the Hankel matrix has the unit of the
-        output.
+        Root-mean-square value of each input. With these weights the Hankel matrix has the unit of
+        the output.
     """
     k, ny, m = impulses.shape
     w = np.ones(m) if weights is None else weights

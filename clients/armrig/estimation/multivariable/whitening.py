@@ -10,7 +10,7 @@ from armrig.numerics.polynomial import Array
 
 
 def whitening(noise_covariance: Array, rows: Array) -> Array:
-    """Return matrices G (N, ny, ny) so that G(t) e(t) is white with covariance 1.
+    """Return matrices G (N, ny, ny) so that G(t) e(t) is white with the identity as covariance.
 
     `rows` (N, ny) is False where an output is missing. G(t) is the inverse Cholesky factor of the
     covariance of the outputs measured at t, and 0 in the rows and columns of missing outputs.
@@ -29,7 +29,7 @@ def whitening(noise_covariance: Array, rows: Array) -> Array:
 
 
 def spread(G: Array, blocks: Sequence[Array]) -> Array:
-    """Return the whitened sum (ny N, k) of the blocks (N, k) of all outputs."""
+    """Return the whitened rows (ny N, k) of all outputs; each output has one block (N, k)."""
     ny = len(blocks)
     return np.vstack(
         [np.sum([G[:, i, j, None] * blocks[j] for j in range(ny)], axis=0) for i in range(ny)]
@@ -37,7 +37,7 @@ def spread(G: Array, blocks: Sequence[Array]) -> Array:
 
 
 def spread_apart(G: Array, blocks: Sequence[Array]) -> Array:
-    """Return the whitened blocks (N, k_i) of all outputs side by side, (ny N, sum of k_i)."""
+    """Return the whitened rows (ny N, sum of k_i); each output has its own columns (N, k_i)."""
     ny = len(blocks)
     return np.vstack(
         [np.hstack([G[:, i, j, None] * blocks[j] for j in range(ny)]) for i in range(ny)]

@@ -45,16 +45,16 @@ def blackman_tukey(data: Dataset, gamma: NDArray[np.int_], omega: Vector, N: int
 
 
 def finer(data: Dataset, gamma: int) -> int:
-    """Return the length of the longer lag window that is compared with the length gamma."""
+    """Return the length of the longer lag window; the shorter window has the length gamma."""
     return min(FINE_LAG_RATIO * gamma, max(data.N // 5, gamma))
 
 
 def blunted(data: Dataset, found: Spectra, gamma: int, omega: Vector, N: int) -> list[str]:
     """Return a note if |G| is clearly higher with the longer lag window.
 
-    The window of gamma samples smooths the response over 2 pi/(gamma Ts) rad/s. A narrower
-    resonance becomes lower and wider. The standard deviations do not include this bias, because
-    they describe the scatter about the smoothed response.
+    The window of gamma samples smooths the response over 2 pi/(gamma Ts) rad/s. A resonance that is
+    narrower than this interval becomes lower and wider. The standard deviations do not include this
+    bias, because they describe the scatter about the smoothed response.
     """
     longer = finer(data, gamma)
     if longer <= gamma:
@@ -86,7 +86,7 @@ def _hann(k: NDArray[np.int_], gamma: NDArray[np.int_] | int) -> Vector:
 
 
 def _noise_covariance(data: Dataset, L: int, fine: int, N: int) -> Vector:
-    """Return R_v(k), |k| <= L, from Phi_y - |Phi_yu|²/Phi_u with the longer lag window `fine`.
+    """Return R_v(k), |k| <= L, from Phi_y - |Phi_yu|²/Phi_u, with the longer lag window `fine`.
 
     With the shorter window of G, the variation of G within the resolution of this window would
     count as noise. Bands near a resonance would then be far too wide, with a coverage of 100 %.

@@ -187,7 +187,7 @@ def _whitener(u: list[Vector], order: int | None) -> Vector:
 
 
 def _whitened(x: Vector, L: Vector) -> Vector:
-    """Return x minus its mean, filtered by L(q); NaN where an earlier sample is not known."""
+    """Return x minus its mean, filtered by L(q); NaN where L needs an unknown sample."""
     y = filtered(L, [1.0], x - np.nanmean(x))
     y[: L.size - 1] = np.nan
     return y

@@ -1,4 +1,4 @@
-"""Impulse response from any input: by least squares, or with a prior of a decaying response."""
+"""Impulse response from any input: by least squares, or with a prior for a decaying response."""
 
 from __future__ import annotations
 
@@ -45,7 +45,8 @@ Vector = NDArray[np.float64]
 MAX_PLAIN_LAGS, MAX_REGULARISED_LAGS = 70, 100
 """Largest default number of lags, without and with a kernel."""
 MAX_LAST_VARIANCE_SHARE = 0.05
-"""Ratio of prior variance at the last lag to its scale below which a response is long enough."""
+"""A response is long enough if the prior variance at its last lag is below this share of the
+scale."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -67,7 +68,7 @@ class ImpulseResponse:
     hyperparameters: dict[str, float]
     """Hyperparameters of the prior; empty without a prior."""
     noise_variance: float
-    """Variance of the noise: sum of squared residuals over their degrees of freedom."""
+    """Variance of the noise: sum of squared residuals divided by their degrees of freedom."""
     whiteness: float
     """p value of the Ljung-Box test of whiteness of the residuals."""
     N: int
@@ -226,15 +227,15 @@ def impulse_response(
 
     With kernel=None the method is least squares by QR, with a confidence band. The covariance of g
     is P M P, with P = (Phi^T Phi)^-1 and M = Phi^T R Phi. R is the covariance of an autoregression
-    fitted to the residuals, whose order AIC selects. For order 0 the covariance of g has the
-    classic form sigma² P. If u does not depend on v, the band is valid for coloured output noise
-    too.
+    that is fitted to the residuals. AIC selects the order of this autoregression. For order 0 the
+    covariance of g has the classic form sigma² P. If u does not depend on v, the band is valid for
+    coloured output noise too.
 
     With a kernel, the coefficients g(0), g(1), … have the Gaussian prior N(0, s P(lambda)) with the
     scale s. The hyperparameters and sigma² maximise the marginal likelihood, and g is the posterior
-    mean. The band is then Bayesian (credible). For white v its coverage is correct on average over
-    systems drawn from the prior, but not for each system. Negative lags have no prior, because a
-    prior would shrink these coefficients and hide feedback.
+    mean. The band is then Bayesian (credible). For white v the coverage of this band is correct on
+    average over systems drawn from the prior, but not for each system. Negative lags have no prior,
+    because a prior would shrink these coefficients and hide feedback.
 
     If y integrates, g does not decay. Then the response of the rate is estimated, with the running
     sums of u as regressors and the measured y as output. Each experiment has a level and a ramp. g
@@ -350,7 +351,7 @@ def _response(
 
 
 def long_enough(data: Dataset, lags: tuple[int, ...], *, integrator: bool) -> ImpulseResponse:
-    """Return the regularised response with the first number in `lags` at which the prior decays.
+    """Return the regularised response for the first number of lags at which the prior has decayed.
 
     If no number of lags is enough, the result is the response whose prior has decayed most. The
     spectrum of a truncated response has ripples with the period 2 pi/(n Ts) rad/s. The standard

@@ -74,9 +74,9 @@ def factor(kernel: Kernel, n: int, decay: float, correlation: float = 0.0) -> Ma
 class Evidence:
     """Marginal likelihood of M samples y = Phi g + e, from a triangular factor.
 
-    Let [Phi y] = Q [[R, r], [0, s]]. e is white with the variance sigma², and g has the covariance
-    kappa sigma² L L^T. The triangular factor of [[R L sqrt(kappa), r], [I, 0]] is [[T, t], [0, d]].
-    Then ::
+    Let [Phi y] = Q [[R, r], [0, s]]. The noise e is white with the variance sigma², and g has the
+    covariance kappa sigma² L L^T.
+    The triangular factor of [[R L sqrt(kappa), r], [I, 0]] is [[T, t], [0, d]]. Then ::
 
         -2 log p(y) = M log(sigma²) + 2 log|det T| + (d² + s²)/sigma²
 
@@ -259,7 +259,7 @@ def regression(data: Dataset, lags: range, *, integrator: bool) -> FirRegression
 
 
 def _experiment(part: Dataset, x: Vector, lags: range, *, columns: int) -> FirExperiment:
-    """Return one experiment's regression without its level (1 column) or level and ramp (2)."""
+    """Return one experiment's regression; its level (and ramp, with 2 columns) is projected out."""
     first, last = lags[-1], -lags[0]
     padded = np.concatenate([np.zeros(first), x, np.zeros(last)])
     windows = sliding_window_view(padded, len(lags))[:, ::-1]

@@ -156,7 +156,7 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     three sampling times: settling/7, and 2 pi/(20 omega_B) for each omega_B. This time is rounded
     to 1, 2 or 5 times a power of ten. If a response is fast first and then slow, a longer sampling
     time would lose the fast part. For an output-error model, the only cost of a short sampling time
-    is computation.
+    is more computation.
 
     omega_B of the spectrum is the highest frequency at which ``|G|`` is above 1/sqrt(2) of its
     low-frequency value. A notch below this frequency, such as the notch of the arm, does not end
@@ -302,7 +302,10 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
 
 
 def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tuple[float, float]]:
-    """Return the dead time L and its interval: s (t - L)^p, p = 1 or 2, fits the rise to 50 %."""
+    """Return the dead time L and its interval, from a fit of s (t - L)^p to the rise up to 50 %.
+
+    The power p is 1 or 2, whichever fits better.
+    """
     rise = (t <= half + Ts) & np.isfinite(y)
     t, y = t[rise], y[rise]
     delays = np.linspace(0.0, half, 201)
@@ -323,8 +326,8 @@ def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tup
 def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> SpectralEstimate:
     """Return the frequency response (of the rate, if y integrates).
 
-    The method is spectral analysis, except for steps. The low-frequency power of steps leaks
-    through any lag window, so the impulse response is estimated and transformed. For steps,
+    For steps, the impulse response is estimated and transformed, because the low-frequency power of
+    steps leaks through any lag window. For other data the method is spectral analysis. For steps,
     `transient` is the length of the transient in s; for other data `transient` is None.
     """
     if transient is None:
@@ -349,7 +352,7 @@ def _low(estimate: SpectralEstimate) -> float:
 
 
 def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
-    """Return the first frequency with |G| below -3 dB, and the last frequency with |G| above."""
+    """Return the first frequency with |G| < -3 dB, and the last frequency with |G| > -3 dB."""
     known = np.isfinite(estimate.G)
     omega, magnitude = estimate.omega[known], estimate.magnitude[known]
     # Some frequencies that contain only noise are above the level by chance. Two standard

@@ -56,13 +56,13 @@ def spa(
     the variation of G within the resolution of gamma does not count as noise. Missing outputs are
     replaced by the part that the input explains, and are not counted in N.
 
-    The standard deviations describe the scatter about the smoothed response, the expected value of
-    G for this window. The window blunts resonances that are narrower than about 2 pi/(gamma Ts)
-    rad/s. A note reports a blunted resonance if the gain is clearly higher with the longer window:
-    by more than 10 % and by more than four standard deviations. Half of the variance of G is due to
-    the magnitude, and half is due to the phase. Near 0 and pi/Ts the share of the phase is smaller,
-    because G is real at these frequencies. If the reported standard deviation of the phase is above
-    0.3 rad, the true standard deviation is larger.
+    The standard deviations describe the scatter about the smoothed response. The smoothed response
+    is the expected value of G for this window. The window blunts resonances that are narrower than
+    about 2 pi/(gamma Ts) rad/s. A note reports a blunted resonance if the gain is clearly higher
+    with the longer window: by more than 10 % and by more than four standard deviations. Half of the
+    variance of G is due to the magnitude, and half is due to the phase. Near 0 and pi/Ts the share
+    of the phase is smaller, because G is real at these frequencies. If the reported standard
+    deviation of the phase is above 0.3 rad, the true standard deviation is larger.
 
     If y integrates, the response of the rate of y is estimated and then divided by 1 - q^-1.
 
@@ -82,8 +82,8 @@ def spa(
         "welch" averages the periodograms of Hann-tapered segments that overlap by half.
     delay : int, default 0
         Known delay in samples. Before the estimation y is advanced by the delay, and afterwards the
-        phase of G is corrected. If this parameter is not given, a delay that is not short compared
-        with the window makes the gain and the coherence too low.
+        phase of G is corrected. If `delay` is not given, a delay comparable to the length of the
+        window makes the gain and the coherence too low.
     integrator : bool, optional
         As in `etfe`.
 

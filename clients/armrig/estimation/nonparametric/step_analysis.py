@@ -38,7 +38,7 @@ _MIN_UNSETTLED_SHARE = 0.005  # share of the response; less motion before the st
 _CURVE_ERROR = 0.1
 """Error of a curve between samples, as a share of Ts²/tau.
 
-The value was found without noise, at 2 to 4 samples in tau.
+The value was found from data without noise, with 2 to 4 samples in the time tau.
 """
 _MAX_OVERSHOOT_STD = 0.03  # with a larger std the highest value may be noise
 
@@ -58,7 +58,7 @@ class StepAnalysis:
     dead_time: float
     """Dead time in s; 0.0 if the probability of no dead time is 1 % or more."""
     dead_time_interval: tuple[float, float]
-    """95 % interval of the dead time in s, which is estimated even if `dead_time` is 0."""
+    """95 % interval of the dead time in s; estimated even if `dead_time` is 0."""
     tau: float
     """63 % time: time from the step to 63.2 % of the final value, less the dead time, in s."""
     tau_std: float
@@ -362,7 +362,7 @@ def _answer(
 
 
 def _weight(data: Dataset, steps: _Steps) -> float:
-    """Return the factor by which the mean over all steps divides the noise of a sample."""
+    """Return the ratio of a sample's noise to the noise of the mean response, in units of u."""
     parts = list(data.experiments())
     sizes = [p.u[at] - p.u[at - 1] for p, at in ((parts[i], at) for i, at in steps.at)]
     return float(np.linalg.norm(sizes))
@@ -377,7 +377,7 @@ def _lag(
     *,
     integrates: bool,
 ) -> tuple[float, float]:
-    """Return the equivalent time from the step on, and its standard deviation, in s."""
+    """Return the equivalent time, measured from the step, and its standard deviation, in s."""
     settled = k >= (2 * k[-1]) // 3
     if integrates:
         n = steps.pre // 2 + 1

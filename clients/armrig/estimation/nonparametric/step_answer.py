@@ -143,7 +143,8 @@ def step_answer(
         Response divided by its final value; NaN if not known. For an integrating output, the angle
         divided by the final value of the rate.
     weight : ndarray, shape (N,)
-        Weight of each sample; the noise variance of the sample is inversely proportional to it.
+        Weight of each sample; the noise variance of the sample is inversely proportional to this
+        weight.
     Ts : float
         Sampling time, in s.
     integrates : bool
@@ -188,7 +189,7 @@ def step_answer(
 
 
 def _reached(t: Vector, curves: Vector) -> Vector:
-    """Return the first time at which each curve (n, draws), of final value 1, reaches 63 %."""
+    """Return the time at which each curve (n, draws) first reaches 63 % of its final value 1."""
     i = np.argmax(curves >= SHARE, axis=0)
     here, columns = curves[i, np.arange(i.size)], np.arange(i.size)
     before = np.where(i > 0, curves[i - 1, columns], 0.0)
@@ -214,7 +215,8 @@ class _Spline:
     factor: Vector
     """Banded Cholesky factor of the precision times the noise variance."""
     lines: Vector
-    """Decrease of z per unit of the level before the step, and per unit of the speed before it."""
+    """Decrease of z per unit of the level before the step, and per unit of the speed before the
+    step."""
     lines_cov: Vector
     """Covariance of level and speed, divided by the noise variance."""
     variance: float
@@ -329,7 +331,7 @@ def _penalty(cost: Vector, d: int) -> Vector:
 
 
 def _penalised(z: Vector, cost: Vector, d: int) -> Vector:
-    """Return P z for columns z (M, n) by differences of z; P is the matrix of `_penalty`."""
+    """Return P z for columns z (M, n), from differences of z; P is the matrix of `_penalty`."""
     rough = cost[d - 1 :, None] * np.diff(np.vstack([np.zeros_like(z[:1]), z]), d, axis=0)
     # The adjoint of the d-th difference.
     for _ in range(d):
@@ -368,7 +370,7 @@ class _Search:
         return min(self.found, key=self.criterion)
 
     def climb(self, at: Setting) -> Setting:
-        """Return the most likely setting with the delay of `at`, found by steps to neighbours."""
+        """Return the most likely setting with the same delay as `at`, by steps to neighbours."""
         while (best := min((at, *_near(at)), key=self.criterion)) != at:
             at = best
         return at
@@ -432,7 +434,7 @@ def _rng(setting: Setting) -> np.random.Generator:
     """Return the random generator for the curves of a setting.
 
     Each setting has its own generator, so that its curves do not depend on the number of curves of
-    other settings. Rounding differs from one processor to another and can change a number of curves
-    by one.
+    other settings. Rounding differs from one processor to another, and can change the number of
+    curves of a setting by one.
     """
     return np.random.default_rng((1, *setting))

@@ -29,7 +29,7 @@ class Spectra:
     averages: Vector
     """Number nu of independent averages, (n,), with two degrees of freedom each."""
     reality: Vector
-    """Ratio E(dG²)/E|dG|², (n,), of an error dG that is turned by the phase of G.
+    """Ratio E(dG²)/E|dG|², (n,); dG is the error of G divided by G/|G|.
 
     The ratio is 1 at the frequencies 0 and pi/Ts, and about 0 between them.
     """

@@ -238,7 +238,7 @@ class PlannedModel:
     Ts: float
     """Sampling time, in s."""
     integrator: bool = False
-    """True if the factor 1 - q^-1 is known, not estimated: in A if A is not 1, otherwise in F."""
+    """True if the model has the known factor 1 - q^-1, in A if A is not 1, otherwise in F."""
     A: Vector = field(default_factory=lambda: np.ones(1))
     """Coefficients in q^-1, beginning with 1."""
     C: Vector = field(default_factory=lambda: np.ones(1))

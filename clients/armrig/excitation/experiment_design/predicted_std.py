@@ -25,7 +25,7 @@ class PredictedStd:
     covariance: NDArray[np.float64]
     """Inverse of the Fisher information, (d, d)."""
     N: int
-    """Number of samples of the planned experiment that are not missing."""
+    """Number of samples of the planned experiment; missing samples are not counted."""
     seconds: float
     """Length of the planned experiment, in s."""
 
@@ -89,7 +89,7 @@ class PredictedStd:
 
 
 def planned_data(u: ArrayLike | Dataset, Ts: float) -> Dataset:
-    """Return a planned input as data."""
+    """Return a planned input as a `Dataset`."""
     if not isinstance(u, Dataset):
         given = column("u", u)
         return Dataset(u=given, y=np.zeros(given.size), Ts=Ts)
