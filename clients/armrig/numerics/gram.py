@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg.lapack import dpotrf
 
+from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
 # Least share of a column that the earlier columns do not explain. The square of this share is
@@ -83,6 +84,28 @@ def _by_displacement(x: Array, length: int) -> Array:
     for i in range(length - 1):
         G[:, i + 1, :, 1:] = G[:, i, :, :-1] + change[:, i]
     return G
+
+
+def least_squares_by_gram(rows: Array, y: Array) -> Array:
+    """Return x (d,) that minimises |y - x M| for the rows of M (d, N), by the normal equations.
+
+    A second step corrects the rounding errors of the first one. If the squares lose too many
+    digits, M is decomposed instead. NaN in y leaves an equation out.
+
+    References
+    ----------
+    .. [1] Å. Björck, *Numerical Methods for Least Squares Problems*, 1996, section 6.6
+       (corrected semi-normal equations).
+    """
+    known = np.isfinite(y)
+    M, y = (rows, y) if known.all() else (rows[:, known], y[known])
+    R = cholesky_factor(M @ M.T)
+    if R is None:
+        return orthonormal(M.T).coefficients(y)
+    x = np.zeros(len(M))
+    for _ in range(2):
+        x += np.linalg.solve(R, np.linalg.solve(R.T, M @ (y - x @ M)))
+    return x
 
 
 def cholesky_factor(G: Array) -> Array | None:

@@ -37,6 +37,7 @@ from armrig.models.multivariable.matrices import Matrices
 from armrig.models.structure_table import Weights
 from armrig.numerics.checks import require_integers
 from armrig.numerics.criteria import mdl
+from armrig.numerics.gram import least_squares_by_gram
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 
@@ -239,20 +240,30 @@ def _completed(
     The predictor uses the outputs `known`; the errors are computed from the outputs in `signals`.
     """
     Abar = reflected_matrix(A - K @ C)
-    feedback = [y @ K.T if K.any() else np.zeros((y.shape[0], A.shape[0])) for y in known]
-    driven = []
-    for (u, y), fed in zip(signals, feedback, strict=True):
-        x = recursion(Abar, fed, np.zeros(A.shape[0]))[:-1]
-        driven.append((u, y - x @ C.T))
+    (n, ny), nu = K.shape, signals[0][0].shape[1]
+    fed = []
+    for y in known:
+        x = recursion(Abar, y @ K.T, np.zeros(n))[:-1] if K.any() else np.zeros((y.shape[0], n))
+        fed.append(x @ C.T)
     problem = StateSpaceProblem(
-        parts=parts_of(driven, np.eye(C.shape[0])), order=A.shape[0], direct=direct, noise=False
+        parts=parts_of(signals, np.eye(ny)), order=n, direct=direct, noise=False
     )
-    linear = problem.linear(Abar, C)
-    model = _Model(A=Abar + K @ C, B=linear.Bbar + K @ linear.D, C=C, D=linear.D, K=K, x0=linear.x0)
-    predicted = []
-    for (u, _), fed, x0 in zip(signals, feedback, model.x0, strict=True):
-        x = recursion(Abar, u @ linear.Bbar.T + fed, x0)[:-1]
-        predicted.append(x @ C.T + u @ linear.D.T)
+    blocks = [problem.responses(part, Abar, C) for part in problem.parts]
+    k = len(blocks[0][0])
+    columns = []
+    for i, (driven, free) in enumerate(blocks):
+        before, after = (np.zeros((n * m, *free.shape[1:])) for m in (i, len(blocks) - i - 1))
+        block = np.concatenate([driven, before, free, after])
+        columns.append(block.reshape(len(block), -1))
+    missing = [(y - found).T.ravel() for (_, y), found in zip(signals, fed, strict=True)]
+    whole = columns[0] if len(columns) == 1 else np.hstack(columns)
+    theta = least_squares_by_gram(whole, np.concatenate(missing))
+    Bbar, D, x0 = np.split(theta, [n * nu, k])
+    B, D = Bbar.reshape(nu, n).T, D.reshape(ny, nu) if direct else np.zeros((ny, nu))
+    model = _Model(A=Abar + K @ C, B=B + K @ D, C=C, D=D, K=K, x0=tuple(x0.reshape(-1, n)))
+    predicted = [
+        found + (theta @ M).reshape(ny, -1).T for found, M in zip(fed, columns, strict=True)
+    ]
     return model, predicted
 
 

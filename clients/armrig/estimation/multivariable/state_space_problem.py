@@ -125,7 +125,7 @@ class StateSpaceProblem:
         nu = self.parts[0].u.shape[1]
         states, left, raw = [], [], []
         for part in self.parts:
-            driven, free = self._responses(part, Abar, C)
+            driven, free = self.responses(part, Abar, C)
             Z = orthonormal(whitened(part, free))
             both = whitened(part, np.concatenate([driven, part.y.T[None]]))
             states.append(Z)
@@ -152,7 +152,7 @@ class StateSpaceProblem:
             e=basis.without(right),
         )
 
-    def _responses(self, part: Part, Abar: Array, C: Array) -> tuple[Array, Array]:
+    def responses(self, part: Part, Abar: Array, C: Array) -> tuple[Array, Array]:
         """Return the outputs (k, ny, N) due to each linear parameter, and to each initial state."""
         n = self.order
         signals = np.hstack([part.u, part.y]) if self.noise else part.u
