@@ -110,6 +110,10 @@ def identify(
 
     Each parameter is printed with its standard deviation. --signal theta_1,alpha gives one model of
     both outputs.
+
+    The figure of -o shows the Bode diagram and the step response with 95 % bands, and the poles and
+    zeros with 95 % regions. With --search, the figure also shows the errors of the models. With
+    several signals, it shows the simulated outputs, and a Bode diagram for each input and output.
     """
     signals = SignalChoice(
         signal=signal,

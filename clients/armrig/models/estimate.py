@@ -46,10 +46,10 @@ class Estimate(Model):
     covariance_robust: Matrix
     """Covariance of theta, sandwich form; also valid if the residuals are coloured."""
     noise_variance: float
-    """Estimate of lambda, the variance of e: the sum of squared residuals divided by its degrees of
-    freedom."""
+    """Estimate of lambda, the variance of e, in the squared unit of y. It is the sum of squared
+    residuals divided by its degrees of freedom."""
     loss: float
-    """Mean squared residual (one step ahead) on the estimation data."""
+    """Mean squared residual (one step ahead) on the estimation data, in the squared unit of y."""
     N: int
     """Number of residuals in the loss."""
     fit_percent: float

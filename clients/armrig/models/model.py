@@ -374,6 +374,10 @@ class Model:
         u must not contain the input offset. If the offset was estimated, subtract `free[i].offset`,
         the offset of experiment i, from the measured input.
 
+        u has the sampling time `Ts`. For a model of detrended data, first subtract the mean of the
+        estimation data's input from u. Add the mean of the output to the result, unless the output
+        integrates. `Dataset.trends` contains both means.
+
         Raises
         ------
         ValueError

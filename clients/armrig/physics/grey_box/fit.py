@@ -85,9 +85,10 @@ class GreyFit:
     offset: tuple[float, ...]
     """Input u0 of each experiment at which the rig is at rest, in the input's unit."""
     noise_variance: float
-    """Variance of the noise, from the residuals and their degrees of freedom."""
+    """Variance of the noise in the squared unit of y, from the residuals and their degrees of
+    freedom. For inverse dynamics, it is the variance of the residuals, in rad²/s⁴."""
     loss: float
-    """Mean squared residual."""
+    """Mean squared residual, in the squared unit of y; in rad²/s⁴ for inverse dynamics."""
     fit_percent: float
     """Fit of the simulated output to the estimation data, 100 (1 - |y - ŷ| / |y - mean y|)."""
     whiteness: float
