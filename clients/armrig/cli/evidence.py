@@ -85,6 +85,9 @@ def export(
     """Write the data of a recording for another program.
 
     The suffix of OUT (.csv, .mat, .parquet) or an option chooses the format.
+
+    In MATLAB: `s = load('data.mat'); z = iddata(s.y, s.u, s.Ts)`. Missing samples have rows, too.
+    A missing y is NaN.
     """
     from armrig.cli.figures import check_output
     from armrig.cli.spinner import spinner

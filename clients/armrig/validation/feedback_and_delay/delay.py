@@ -82,7 +82,10 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     Returns
     -------
     Delay
-        `nk`, `delay` = nk - 1, `told`, `interval`, `p_values`, `explain()`, `plot()`.
+        `nk`, `delay` = nk - 1, `told`, `interval`, `p_values`, `explain()`, `plot()`. `delay` is
+        the time delay (dead time) in whole samples, in addition to the sample of the hold; times
+        `Ts` it is in s. If `interval` contains several nk, `delay` is the least possible delay, but
+        at least 0. The command is `armrig check`. For the response to a step, use `step_analysis`.
 
     Raises
     ------
