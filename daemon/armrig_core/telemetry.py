@@ -29,7 +29,7 @@ class Channel(NamedTuple):
     rail: str
     """Name of the `armrig_protocol.messages.Flag` that marks a reading at an end of its range."""
     valid: str
-    """Name of a recording's mask of the samples with a valid reading of the channel."""
+    """Name of the mask, in a recording, that is True where the channel's reading is valid."""
     turns: bool = False
     """True if the shaft turns through a dead band, so that its turns are counted."""
     rate: str = ""
