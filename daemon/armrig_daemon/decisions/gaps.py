@@ -74,7 +74,7 @@ def _unanswered(state: State, k: int, n: int, now_ns: int) -> MissingSamples:
 
 
 def _pieces(state: State, first: int, end: int, now_ns: int) -> list[MissingSamples]:
-    """Return the missing samples first … end - 1 in order; unnoted samples had no answer."""
+    """Return the missing samples first … end - 1; samples that were not noted get NO_ANSWER."""
     pieces: list[MissingSamples] = []
     k = first
     for a in sorted(state.absent):
