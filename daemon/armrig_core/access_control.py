@@ -114,7 +114,7 @@ def size_limits(rig: str) -> list[dict[str, Any]]:
 
 
 def _own(rig: str) -> list[tuple[str, str, list[str], list[str]]]:
-    """Return a rig's permissions at its router: name, direction, messages, keys."""
+    """Return a rig's permissions at its router, each as (name, direction, messages, keys)."""
     asked = [schema_key(rig, "**"), history_key(rig), command_key(rig, "*", "*")]
     return [
         ("publishes", "ingress", ["put"], [stream_key(rig, stream) for stream in STREAMS]),

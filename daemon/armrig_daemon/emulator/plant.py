@@ -145,7 +145,7 @@ def _flow(table: _Table, x: State, u: float, dt_ns: int) -> State:
 
 
 def _split(plant: Plant, x: State, u: float, dt_ns: int) -> State:
-    """Return the state after steps; a step is half an impulse, a linear step, half an impulse."""
+    """Return the state after substeps; each is half an impulse, a linear step, half an impulse."""
     while dt_ns:
         step_ns = min(dt_ns, plant.substep_ns)
         dt_ns -= step_ns

@@ -1,4 +1,4 @@
-"""The service's side of the loop's process: its pipes, its orders and its end."""
+"""The service's side of the loop's process: the pipes, the orders and the end of the process."""
 
 from __future__ import annotations
 
