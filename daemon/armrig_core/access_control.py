@@ -28,7 +28,7 @@ Subject = Literal["cert_common_names", "usernames"]
 MOST_BYTES = 4096
 """Longest payload of any command except a run and a calibration, in B."""
 MOST_CALIBRATION_BYTES = (RAW_LIMIT + 2) // 3 * 4 + (1 << 16)
-"""Longest payload of `calibrate`, in B: its samples in base64, and its values."""
+"""Longest payload of `calibrate`, in B: the samples, as base64, and the values."""
 MOST_LOCAL_BYTES = 88 << 20  # the longest run, 20 B a sample as JSON, and its details
 MOST_MESSAGE_BYTES = 8 << 20  # over a network: a client can make the daemon hold so many bytes
 
@@ -114,7 +114,7 @@ def size_limits(rig: str) -> list[dict[str, Any]]:
 
 
 def _own(rig: str) -> list[tuple[str, str, list[str], list[str]]]:
-    """Return a rig's permissions at its router: name, direction, messages, keys."""
+    """Return a rig's permissions at its router, each as (name, direction, messages, keys)."""
     asked = [schema_key(rig, "**"), history_key(rig), command_key(rig, "*", "*")]
     return [
         ("publishes", "ingress", ["put"], [stream_key(rig, stream) for stream in STREAMS]),
@@ -136,7 +136,7 @@ def _denied_but(rules: list[Any], policies: list[Any], subjects: list[Any]) -> d
 
 
 def _watching(rig: str) -> list[dict[str, Any]]:
-    """Return the permissions of operators and observers: streams, schema, history, liveliness."""
+    """Return what operators and observers may receive: streams, schema, history, liveliness."""
     streams = [stream_key(rig, stream) for stream in STREAMS]
     any_stream, public = stream_key(rig, "*"), [schema_key(rig, "**"), history_key(rig)]
     sees = ["liveliness_query", "declare_liveliness_subscriber"]

@@ -25,7 +25,7 @@ _Names = Annotated[tuple[str, ...], Meta(max_length=10_000)]
 
 
 class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Names, each in at most one list; only operators, observers and rigs have permissions."""
+    """Lists of distinct names; only operators, observers and rigs have permissions."""
 
     operators: _Names = ()
     """Names of clients that may drive and watch the rigs."""
@@ -49,7 +49,7 @@ class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 raise InputError(f"{msg}{RIG_PREFIX}1")
 
     def role(self, name: str) -> str:
-        """Return the field that contains a name, such as "operators"; "" if no field does."""
+        """Return the field that lists `name`, such as "operators"; "" if no field lists it."""
         return next((role for role in self.__struct_fields__ if name in getattr(self, role)), "")
 
     def with_name(self, name: str, role: str) -> AccessList:

@@ -115,7 +115,7 @@ def chassis_matrices(p: ArmParameters) -> tuple[Matrix, Matrix, Matrix]:
 
 
 def zero_order_hold(A: Matrix, B: Matrix, h: float) -> tuple[Matrix, Matrix]:
-    """Return Phi (n, n) and Gamma (n, m): x(t + h) = Phi x(t) + Gamma u for a u held over `h` s.
+    """Return Phi (n, n) and Gamma (n, m): x(t + h) = Phi x(t) + Gamma u if u is constant for `h` s.
 
     Phi and Gamma are blocks of the exponential of [A B; 0 0] h. A need not be invertible.
 

@@ -23,7 +23,8 @@ def read_bounded(
     Parameters
     ----------
     check : callable
-        Called with the state of the open file; raises if the file may not be read.
+        Function that is called with the stat result of the open file. It raises an exception if the
+        file may not be read.
 
     Raises
     ------
@@ -46,7 +47,7 @@ def read_bounded(
 
 
 def read_text(path: Path, most: int) -> str:
-    """Return the text of a regular file, without the byte order mark of some editors.
+    """Return the text of a regular file, without the byte order mark that some editors write.
 
     Raises
     ------
@@ -59,7 +60,7 @@ def read_text(path: Path, most: int) -> str:
 
 
 def decoded(data: bytes) -> str:
-    """Return the text that `data` encodes, without the byte order mark of some editors.
+    """Return the text that `data` encodes, without the byte order mark that some editors write.
 
     Raises
     ------

@@ -55,7 +55,7 @@ class Credential:
     authority: bytes
 
     def tls(self, side: Literal["listen", "connect"]) -> dict[str, Any]:
-        """Return zenoh's `transport/link/tls`: both ends of a link need a certificate.
+        """Return zenoh's `transport/link/tls`, which requires a certificate at both ends of a link.
 
         A link ends when the certificate of the other side expires.
         """

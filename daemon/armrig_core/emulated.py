@@ -13,7 +13,7 @@ SOCKET_PREFIX: Final = "unix:"
 
 
 def is_emulated(*, uid: str, port: str) -> bool:
-    """Return whether a rig is emulated, by the identity of its device or by its port.
+    """Return whether the identity of the device or the port shows that a rig is emulated.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ SOCKET_PATH_MAX = 107
 """Longest path of a Unix socket, in B: sun_path of unix(7) without its final zero."""
 
 SERVICES = PurePosixPath("/run/armrig")
-"""Parent of the folders of the daemons that systemd runs, one folder for each rig."""
+"""Folder that contains one folder for each rig whose daemon systemd runs."""
 SERVICE_USER = "armrig"
 """User of the daemons that systemd runs."""
 _FILES = {"access": ("certificate", "names", "passwords"), "client": ("certificate", "password")}
@@ -61,7 +61,7 @@ def require_trusted(found: os.stat_result, *, owners: Collection[int]) -> None:
     found : os.stat_result
         State of the directory itself, from `lstat`.
     owners : collection of int
-        Users who may own the directory.
+        Ids of the users who may own the directory.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def network_address(where: str) -> tuple[str, int] | None:
 
 
 def anchored(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
-    """Return a configuration in which relative paths of credentials begin at `directory`."""
+    """Return a configuration in which the paths of credentials are absolute."""
     result = dict(tables)
     for table, keys in _FILES.items():
         given = result.get(table)

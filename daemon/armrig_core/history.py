@@ -1,9 +1,10 @@
 """The recent messages of a rig: the request for them and the answer.
 
 A subscriber may miss messages or connect late. The daemon keeps published messages for a while and
-numbers them across all streams. A client requests all messages from a number on, receives as many
-as one answer can contain, and continues after the last message. If the daemon no longer has a
-number, the client knows exactly which messages are lost.
+numbers them across all streams. A client requests all messages from a number on. It receives as
+many messages as one answer can contain, and then requests the messages after the last received
+message. If the daemon no longer keeps the first requested message, the client knows exactly which
+messages are lost.
 """
 
 from __future__ import annotations

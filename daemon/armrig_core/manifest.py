@@ -13,7 +13,7 @@ from armrig_core.errors import InputError
 from armrig_core.rehearsal import Rehearsal
 
 RUN = "armrig.run"
-"""Name of the metadata record written before the first sample."""
+"""Name of the metadata record that is written before the first sample."""
 OUTCOME = "armrig.outcome"
 """Name of the metadata record after the last sample; without this record, the file was cut off."""
 RECOVERED = "armrig.recovered"

@@ -67,9 +67,10 @@ def strangers(most_links: int) -> dict[str, Any]:
 
 
 ROUTED_US = 1_000_000
-"""Time for which a client that does not read may block a router, in µs, before its link is closed.
+"""Longest time for which a client that does not read may block a router, in µs.
 
-zenoh's default of 5 s is longer than the time for which a loop runs without its service.
+After this time, the client's link is closed. zenoh's default of 5 s is longer than the time for
+which a loop runs without its service.
 """
 
 

@@ -26,7 +26,7 @@ def printable(text: str, keep: str = "") -> str:
 
 
 def json_printable(text: str) -> str:
-    r"""Return a JSON text of equal value with unprintable characters escaped, such as \u001b.
+    r"""Return an equivalent JSON text in which unprintable characters are escaped, such as \u001b.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ ABSENT: dict[str, float] = {
     **{"double": nan, "sfixed32": -1, "sfixed64": -1},
     **{"fixed32": (1 << 32) - 1, "fixed64": (1 << 64) - 1},
 }
-"""Value of a missing number of a message, by the type of the number: NaN, or all bits set.
+"""Value of a number that a message does not contain, by the number's type: NaN, or all bits set.
 
 A message of an older release lacks the fields that were appended later. The value 0 would look like
 a measurement.

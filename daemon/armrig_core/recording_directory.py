@@ -56,7 +56,7 @@ def directory_of(given: str) -> Path:
 
 
 def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
-    """Return the directory into which a daemon with these files and variables records.
+    """Return the directory of the recordings of a daemon that reads these files and variables.
 
     Parameters
     ----------
@@ -79,10 +79,10 @@ def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Pa
 def directory_to_look_in(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
     """Return the directory in which a client searches for recordings.
 
-    The result is the directory of `recording_directory`, with one exception. If no directory is
-    configured, this user's own directory does not exist, and this user may read the service's
-    directory, then the service's directory is returned. The service records the runs of all members
-    of its group in this directory.
+    The result is the directory of `recording_directory`, with one exception. The exception applies
+    if no directory is configured, this user's own directory does not exist, and this user may read
+    the service's directory. The result is then the service's directory. The service records the
+    runs of all members of its group in this directory.
 
     Raises
     ------

@@ -78,7 +78,7 @@ class SignalPipe:
     def close(self, *, ignores: bool = False) -> None:
         """Restore the previous handlers, or ignore the signals from now on.
 
-        Python restores each default handler during its exit, and a second signal would then kill
+        During its exit, Python restores each default handler, and a second signal would then kill
         the process. A process therefore ignores the signals at its end.
         """
         for number, before in self._before.items():
@@ -92,8 +92,8 @@ class SignalPipe:
 def until_signal() -> Iterator[SignalPipe]:
     """Yield a pipe that an ending signal sets; a second signal raises KeyboardInterrupt.
 
-    The first signal interrupts nothing, because it may arrive before a received message is in its
-    file. A signal that nohup ignores stays ignored.
+    The first signal interrupts nothing, because it may arrive before a received message is written
+    to the file. A signal that nohup ignores stays ignored.
     """
     received: list[int] = []
 
@@ -119,9 +119,9 @@ def held_back() -> Iterator[None]:
     """Block the ending signals in a `with` block; a process started in the block inherits the mask.
 
     Such a process unblocks the signals when it creates its `SignalPipe`. A Ctrl-C reaches all
-    processes of a terminal. Without the mask, it could be lost in a new process that still imports
-    modules: Python prints a KeyboardInterrupt that a callback of the import system raises, and
-    continues.
+    processes of a terminal. Without the mask, the Ctrl-C could be lost in a new process that still
+    imports modules. If a callback of the import system raises the KeyboardInterrupt, Python prints
+    the exception and continues.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:

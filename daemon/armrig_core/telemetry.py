@@ -29,7 +29,7 @@ class Channel(NamedTuple):
     rail: str
     """Name of the `armrig_protocol.messages.Flag` that marks a reading at an end of its range."""
     valid: str
-    """Name of a recording's mask of the samples with a valid reading of the channel."""
+    """Name of the mask, in a recording, that is True where the channel's reading is valid."""
     turns: bool = False
     """True if the shaft turns through a dead band, so that its turns are counted."""
     rate: str = ""
@@ -86,7 +86,7 @@ class Sample(NamedTuple):
     t_host_ns: int
     """Time at which the host requested the sample, on the same clock."""
     t_device_us: int
-    """Time of theta_1's trigger, on the device's clock, without wraps."""
+    """Time at which the conversion of theta_1 was triggered, by the device's clock, unwrapped."""
     theta_1_rad: float
     """Angle of the chassis from its potentiometer, which wraps; NaN for a reading at a rail."""
     alpha_rad: float

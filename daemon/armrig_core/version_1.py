@@ -46,7 +46,7 @@ def passes(error: str) -> bool:
 
 
 def outcome_code(text: str) -> OutcomeCode:
-    """Return the code of an outcome's sentence in a file or status without codes."""
+    """Return the code for the sentence of an outcome in a file or a status without codes."""
     return next(
         (code for begin, code in _BEGINNINGS.items() if text.startswith(begin)),
         _OUTCOMES.get(text, OutcomeCode.UNKNOWN),

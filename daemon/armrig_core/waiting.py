@@ -1,4 +1,4 @@
-"""Waiting for a deadline and for file descriptors, as precise as the kernel's timers.
+"""Waiting for a deadline and for file descriptors, with the precision of the kernel's timers.
 
 `select` and `poll` query each terminal at every call. A terminal without input answers only after a
 kernel worker of ordinary priority has run (docs/timing.md), so a loop at real-time priority would
@@ -104,7 +104,7 @@ class Waiter:
         Parameters
         ----------
         deadline_ns : int
-            Time on the monotonic clock, in 64 bits; after this time, the call returns at once.
+            Time on the monotonic clock, in 64 bits; if this time is past, the call returns at once.
         """
         if deadline_ns != self._due_ns:  # a loop waits for the same deadline many times
             self._due_ns = deadline_ns

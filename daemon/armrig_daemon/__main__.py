@@ -1,4 +1,4 @@
-"""The command `armrigd`, and `python -m armrig_daemon`; Ctrl-C ends it during imports, too."""
+"""The command `armrigd`, and `python -m armrig_daemon`; Ctrl-C also ends it during imports."""
 
 from __future__ import annotations
 

@@ -123,7 +123,8 @@ def run(
 def _end(code: int) -> NoReturn:
     """End the process at once; the caller has closed all its resources.
 
-    zenoh's threads may still release Python objects, and abort if the interpreter has ended.
+    If the interpreter ended first, zenoh's threads could still release Python objects, and would
+    then abort.
     """
     sys.stdout.flush()
     sys.stderr.flush()
@@ -190,7 +191,7 @@ def _configuration(
     *,
     system: bool,
 ) -> Callable[[], Config]:
-    """Return a function that reads the configuration and overrides it by these options."""
+    """Return a function that reads the configuration and overrides its values by these options."""
     from armrig_daemon.config import load, load_installed
 
     overrides: dict[str, dict[str, Any]] = {}
@@ -282,7 +283,7 @@ def show_config(
 
 
 def _check_file(file: Path) -> None:
-    """Print the rig and the networks of a configuration; an error ends as in the daemon."""
+    """Print the rig and the networks of a configuration; an error has the daemon's exit code."""
     from armrig_core.recording_directory import SYSTEM
 
     from armrig_daemon.config import load, load_installed, recordings
@@ -370,7 +371,7 @@ def conformance(
 def _line_and_rules(
     device: str | None, image: Path | None, baud: int, stack: ExitStack
 ) -> tuple[Line, Sequence[Rule]]:
-    """Return the line to a device, which `stack` closes, and the rules to test over it."""
+    """Return the line to a device and the rules to test over it; `stack` closes the line."""
     from armrig_daemon.conformance.pin_rules import pin_rules
     from armrig_daemon.conformance.serial_line import SerialLine
     from armrig_daemon.conformance.suite import RULES
@@ -481,7 +482,7 @@ def _socket_directory() -> Path:
 
 
 def _check_no_file(path: Path) -> None:
-    """Refuse to start if another file has the socket's name, because zenoh would delete it."""
+    """Refuse to start if another file has the socket's name; zenoh would delete this file."""
     if os.path.lexists(path) and not path.is_socket():
         _refuse(f"{path}: another file has the name of the socket; move it away", EX_CONFIG)
 

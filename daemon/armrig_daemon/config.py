@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
 EX_CONFIG = 78
-"""Exit code of a start that fails again until a person corrects the cause (sysexits.h)."""
+"""Exit code of a failed start if a person must correct the cause (sysexits.h)."""
 # Variables of the tests and of the simulated Uno, which are not keys of the configuration.
 _OTHER_VARIABLES = {"ARMRIG_REQUIRE_ALL", "ARMRIG_REFERENCE_DATA", HARNESS}
 
@@ -267,7 +267,7 @@ class Config(Table, frozen=True, kw_only=True):
 
     @property
     def calibration_sentence(self) -> str:
-        """Return the file and date of the current calibration, or a text that none was measured."""
+        """Return file and date of the calibration, or the text that no calibration was measured."""
         made = self.calibration.made
         if made is not None:
             return f"{made.file or 'given in the configuration'}, made {made.date}"
@@ -494,7 +494,7 @@ def _fields_of(table: str) -> dict[str, Any]:
 
 
 def _value(text: str) -> Any:
-    """Return the value of the text as TOML; the text itself if it is not TOML."""
+    """Return the value of a text that is TOML; otherwise return the text itself."""
     try:
         return toml_tables(f"value = {text}")["value"]
     except FileError:

@@ -1,8 +1,8 @@
 """Reference of all keys of the configuration: an example, and the tables of the page.
 
 `python -m armrig_daemon.configuration_reference` writes the tables between the two marks of
-`docs/configuration.md`. With `--check` nothing is written, and the exit code is 1 if the tables of
-the page differ.
+`docs/configuration.md`. With `--check` nothing is written, and the exit code is 1 if the tables on
+the page are outdated.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ _CALIBRATION_FILE = Key(
 
 
 def _arm_keys() -> Iterator[Key]:
-    """Yield the parameters of the emulated arm: the parameters of the rig's model."""
+    """Yield the keys of the emulated arm; they are the parameters of the rig's model."""
     from armrig_core.arm import ArmParameters
 
     descriptions = _descriptions(ArmParameters)
@@ -184,7 +184,7 @@ def _in_words(kind: Any) -> str:
 
 
 def _range(kind: Any) -> str:
-    """Return the range of a number's type, in words."""
+    """Return the allowed range of a numeric type, in words."""
     if isinstance(kind, UnionType):
         return _range(kind.types[0])
     if not isinstance(kind, IntType | FloatType):

@@ -157,7 +157,7 @@ class Answer(Tagged, frozen=True, kw_only=True):
 
 
 class Host(Tagged, frozen=True, kw_only=True):
-    """Real-time properties that the kernel granted to the loop, and those that it refused."""
+    """Real-time properties that the kernel granted to the loop, and properties that it refused."""
 
     granted: dict[str, Any]
 

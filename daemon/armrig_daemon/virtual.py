@@ -41,7 +41,7 @@ class VirtualDevice(Protocol):
 
 
 SwitchOn = Callable[[EmulatorSettings, int], VirtualDevice]
-"""Function that creates a device switched on at a time, in ns."""
+"""Function that creates a device that is switched on at a given time, in ns."""
 
 
 def sound(data: bytes) -> bytes:
@@ -82,7 +82,7 @@ class VirtualPorts:
         return self.now
 
     def wait(self, until_ns: int) -> list[Event]:
-        """Advance to the next bytes of the device, due order, or `until_ns`; return the events."""
+        """Advance to the device's next bytes, the next order or `until_ns`; return the events."""
         while True:
             ready = self._ready()
             if ready or self.now >= until_ns:

@@ -13,7 +13,7 @@ MAX_TEXT = 253
 
 
 def stuff(text: bytes) -> bytes:
-    """Return `text` without any 00, one byte longer; `text` is at most `MAX_TEXT` bytes."""
+    """Return `text` stuffed: one byte longer, without any 00; `text` has at most `MAX_TEXT` B."""
     if len(text) > MAX_TEXT:
         raise ValueError(f"{len(text)} bytes are too many to stuff: at most {MAX_TEXT}")
     stuffed = bytearray(b"\0" + text)

@@ -516,7 +516,7 @@ class Sample(NamedTuple):
     u_k: int
     """Code of the duty that the motor has from sample k on, in code."""
     u_km1: int
-    """Code in force just before the latch, in code; if the previous SAMPLE is lost, it is the u_k of this SAMPLE."""
+    """Code in force just before the latch, in code; if the previous SAMPLE is lost, it shows the u_k of the lost SAMPLE."""
     flags: int
     """Conditions of the sample (`Flag`)."""
     queued: int

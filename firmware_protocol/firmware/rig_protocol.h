@@ -382,7 +382,7 @@ typedef struct __attribute__((packed)) {
     uint16_t y0; // theta_1, left-justified to 16 bits, in counts
     uint16_t y1; // alpha, left-justified to 16 bits, in counts
     uint16_t u_k; // code of the duty that the motor has from sample k on, in code
-    uint16_t u_km1; // code in force just before the latch, in code; if the previous SAMPLE is lost, it is the u_k of this SAMPLE
+    uint16_t u_km1; // code in force just before the latch, in code; if the previous SAMPLE is lost, it shows the u_k of the lost SAMPLE
     uint16_t flags; // conditions of the sample (`Flag`)
     uint16_t queued; // setpoints in the queue after the latch
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it

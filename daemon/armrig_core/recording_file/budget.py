@@ -31,7 +31,7 @@ class Budget:
     """Cost of reading a file up to now, and the limits of this cost."""
 
     def __init__(self, size: int, messages: int = 0) -> None:
-        """Set the limits for a file of `size` B; `messages` > 0 is the limit on messages, in B."""
+        """Set the limits for a file of `size` B; a `messages` above 0 limits the messages, in B."""
         more = min(UNPACKED_PER_BYTE * size, size + UNPACKED_MORE)
         self.limits = {
             WORK: WORK_LIMIT + size // BYTES_PER_WORK,
@@ -47,5 +47,5 @@ class Budget:
             raise DamageError(f"more than {self.limits[what]} {what}")
 
     def regain(self, what: str) -> None:
-        """Reset a cost whose memory was released."""
+        """Set a cost to 0, because the memory that it counts was released."""
         self.spent[what] = 0

@@ -1,4 +1,4 @@
-"""Reader of a file that reads each byte once, in order, and computes a hash and a checksum."""
+"""Reader that reads each byte of a file once, in order, and computes a hash and a checksum."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ByteSource:
         self.stream, self.left = stream, size
         self.at = 0
         self.whole = 0
-        """End of the last complete record, in B."""
+        """Position of the end of the last complete record, in B."""
         self.crc = 0
         """CRC-32 of the bytes up to `whole`."""
         self.passed = False
@@ -57,7 +57,7 @@ class ByteSource:
             self.left -= n
 
     def sha256(self) -> str:
-        """Read the rest of the file; return the hash of all bytes up to its size at opening."""
+        """Read the rest of the file; return the hash of all bytes that it had at its opening."""
         if self._hash is None:
             raise InputError("sha256() needs is_hashed=True")
         self.skip(self.left)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 ACTIVE, COPY = ".active", ".compact"
-"""Last characters of a recording's name while it is written, and while it is rewritten."""
+"""Last characters of a file's name while the file is written, and while it is rewritten."""
 PART = ".part-"
 """Text between a run's name and a part's number: NAME.part-0001.mcap."""
 
@@ -18,8 +18,8 @@ def part_path(path: Path, number: int) -> Path:
 def part_paths(path: Path) -> list[Path]:
     """Return the files of the run or the part with the path `path`.
 
-    An existing file is returned alone. If no file has the name of the run, the result contains all
-    parts of the run, in order.
+    If the file `path` exists, the result contains only this file. If no file has the name of the
+    run, the result contains all parts of the run, in order.
     """
     if path.exists() or path.suffix != ".mcap":
         return [path]

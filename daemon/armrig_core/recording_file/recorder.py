@@ -78,7 +78,7 @@ class Recording:
         self.synced = 0
         """Number of samples that are safely on the disk."""
         self.missing = 0
-        """Number of samples missing in the gaps, in finished parts."""
+        """Number of missing samples in the gaps of the finished parts."""
         self.dropped = 0
         self.error = ""
         """Message about a failure of the disk; nothing is written after the failure."""
@@ -137,7 +137,7 @@ class Recording:
         self._queue.put(ended)
 
     def join(self, timeout: float | None = None) -> None:
-        """Wait until the file is complete, or for `timeout` s."""
+        """Wait until the file is complete, but at most for `timeout` s."""
         self._thread.join(timeout)
 
     def _write(self) -> None:

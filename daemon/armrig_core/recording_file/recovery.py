@@ -42,7 +42,7 @@ from armrig_core.topics import stream_of
 CUT_OFF = "cut off: its daemon died"
 """Outcome of a run whose recording contains no outcome."""
 MOST_CUT_OFF = 1 << 20
-"""Largest damaged end of a file that is cut off, in B.
+"""Size of the largest damaged end that a recovery cuts off, in B.
 
 One torn write is shorter than this limit. If more bytes follow the damage, the damage is in the
 middle of the file. The file is then kept unchanged, because the bytes may become readable.
@@ -77,8 +77,8 @@ class Recovery:
     def recover(self, path: Path) -> RecoveredFile:
         """Complete an unfinished recording NAME.mcap.active as NAME.mcap.
 
-        The undamaged beginning is kept. A record of the recovery is appended, and the outcome if it
-        is missing. When the new file is on the disk, it replaces the old file.
+        The undamaged beginning is kept. The recovery appends a record of itself, and an outcome if
+        the file has none. When the new file is on the disk, it replaces the old file.
 
         Raises
         ------

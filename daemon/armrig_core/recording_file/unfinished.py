@@ -38,7 +38,7 @@ def unfinished(folder: Path, rig: str = "") -> list[Path]:
 
 
 def remove_copies(folder: Path, rig: str, owner: int) -> list[Path]:
-    """Remove incomplete copies, which processes left when they died; return their paths.
+    """Remove the incomplete copies that dead processes have left; return the paths of the copies.
 
     The original of each copy is complete and stays.
     """

@@ -15,7 +15,7 @@ UNKNOWN_TYPE = 0x7E
 
 
 def framed(text: bytes, *, wrong: int = 0) -> bytes:
-    """Return a frame with any contents; the bits of `wrong` are inverted in its CRC."""
+    """Return a frame with the contents `text`; each bit set in `wrong` is inverted in the CRC."""
     return cobs.stuff(text + (crc32(text) ^ wrong).to_bytes(4, "little")) + b"\0"
 
 
@@ -135,4 +135,4 @@ RULES = (
     _counted,
 )
 LAST = (_sender,)
-"""Rules about all frames of a session, tested at its end."""
+"""Rules about all frames of a session, tested at the end of the session."""

@@ -104,7 +104,7 @@ class Conversation:
         self.write(data)
 
     def listen(self, ms: float) -> list[Message]:
-        """Return the messages within `ms`, except STATUS."""
+        """Return the messages that arrive within `ms`, except STATUS."""
         end_ns = self.line.now_ns() + round(ms * 1e6)
         while (left_ms := (end_ns - self.line.now_ns()) / 1e6) > 0:
             self._read(left_ms)

@@ -26,7 +26,7 @@ _SAMPLE_LIMIT_MS = 30
 """Waiting time for an unexpected sample, in ms; no sample takes longer."""
 _ROUNDED_US = 3
 _MAX_EARLY_MS, _MAX_LATE_MS = 0.1, 1.0
-"""Tolerance of the watchdog's time, measured by the device's clock."""
+"""Tolerances of the watchdog's time, in ms of the device's clock."""
 
 
 def elapsed(from_us: int, to_us: int) -> int:

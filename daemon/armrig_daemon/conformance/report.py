@@ -14,7 +14,7 @@ _INDENT = " " * 14
 
 
 def line_of(result: Result, columns: int = 0) -> str:
-    """Return a result as text: rule and device's behaviour, folded at `columns` if it is > 0."""
+    """Return a result as text: rule and device's behaviour; `columns` > 0 is the largest width."""
     lines = [f"{result.outcome:9}  {result.section}  {result.sentence}"]
     if result.came:
         lines.append(f"{_INDENT}{'came: ' if result.outcome == FAIL else ''}{result.came}")

@@ -90,7 +90,7 @@ def run_to_end(host: Host, k_stop: int, ts_us: int = TS_US) -> Took:
 
 
 def queued(host: Host) -> int:
-    """Return the number of setpoints in the queue, in ARMED."""
+    """Return the number of setpoints in the queue of an armed device."""
     return host.sample().queued
 
 

@@ -40,7 +40,7 @@ class SerialLine:
         self._link = open_link(self._port, self._baud)
 
     def now_ns(self) -> int:
-        """Return the monotonic clock."""
+        """Return the time of the monotonic clock, in ns."""
         return time.monotonic_ns()
 
     def close(self) -> None:

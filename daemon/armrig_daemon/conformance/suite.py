@@ -43,7 +43,7 @@ _MAX_TRIES = 6
 _STALL_MS = 80
 """Silence of the host, in ms, after which a failed rule is tested again."""
 _MAX_SUITE_MS, _MAX_RECEIVED_BYTES = 600_000, 1 << 22
-"""Limits of the whole suite; an Uno needs 24 s, and sends 0.23 MB."""
+"""Limits of the whole suite, in ms and in B; an Uno needs 24 s, and sends 0.23 MB."""
 PASS, FAIL, NOT_TRIED = "pass", "FAIL", "not tried"
 
 
@@ -58,7 +58,7 @@ def run(
     Parameters
     ----------
     report : callable
-        Function that is called with each result at once.
+        Function that is called with each result as soon as its rule has been tested.
     wanted : sequence of Rule
         The rules to test, in order.
 

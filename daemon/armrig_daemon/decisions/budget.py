@@ -32,7 +32,7 @@ def scheduled_us(baud: int, conversion_us: float = CONVERSION_US, oversampling: 
 
     The two directions of the line are independent. In each sampling time, a sample is sent to the
     host, and a share of a frame of setpoints is sent to the device. PING and PONG, which compare
-    the clocks, are added. The conversions must also fit into the sampling time.
+    the clocks, need additional time. The conversions must also fit into the sampling time.
     """
     byte_us = BITS_PER_BYTE / baud * 1e6
     up = wire_length(Sample) * byte_us / (1 - wire_length(Pong) * byte_us / PING_INTERVAL_US)

@@ -15,7 +15,8 @@ No exchange shows the constant part of qf - qb. Half of this part, at most `Esti
 an error of the offset, which the standard deviation of the offset does not include. The drift is
 not affected.
 
-The raw times stay unchanged: a time of the host is computed from the map where it is needed.
+The raw times of the device stay unchanged. A time of the host is computed from the map only where
+this time is needed.
 
 References
 ----------
@@ -67,9 +68,9 @@ class ClockMap(NamedTuple):
 
     link: Link = Link()
     host_ns: int = 0
-    """Host's time from which y counts: h1 of the last exchange."""
+    """Origin of the host's time in y, in ns: h1 of the last exchange."""
     device_us: int = 0
-    """Device's time from which y and d count: rx of the last exchange."""
+    """Origin of the device's time in y and in d, in µs: rx of the last exchange."""
     weight: float = 0.0
     """Sum of the faded weights of the exchanges, in ns⁻²; 0 before the first exchange."""
     d: float = 0.0
@@ -91,7 +92,7 @@ class ClockMap(NamedTuple):
     median_ns: int = 0
     """Median of `round_trips`."""
     gap_ns: float = 0.0
-    """Estimated distance from the shortest possible round trip up to `floor_ns`, in ns."""
+    """Estimated excess of `floor_ns` over the shortest possible round trip, in ns."""
     rejected: int = 0
     """Number of consecutive exchanges that the map rejected."""
     restarts: int = 0
@@ -108,7 +109,7 @@ class Estimate(NamedTuple):
     """Growth of the offset; positive if the device's clock is slow."""
     drift_std_ppm: float
     bound_ns: float
-    """Largest error by a constant asymmetry, in ns: half the waiting time of the shortest trip."""
+    """Largest error that a constant asymmetry causes, in ns: half of the shortest trip's wait."""
 
 
 def start(link: Link) -> ClockMap:
@@ -190,8 +191,9 @@ def std_ns_at(clock: ClockMap, device_us: int) -> float:
     """Return the standard deviation of `host_ns_at`, in ns.
 
     After the last exchange the weights fade with the time constant of the regression, and the
-    standard deviation grows. The result is at least the standard deviation of the device's
-    resolution. The resolution's error repeats from reading to reading and does not average out.
+    standard deviation grows. The result is at least the standard deviation of the rounding to the
+    device's resolution. The rounding error repeats from reading to reading and does not average
+    out.
 
     Raises
     ------

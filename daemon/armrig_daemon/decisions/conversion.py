@@ -19,7 +19,7 @@ def extended(last: int, raw: int) -> int:
 
 
 def is_older(last: int, raw: int) -> bool:
-    """Return whether the reading `raw` of a 32-bit clock is up to half its range before `last`."""
+    """Return whether the reading `raw` of a 32-bit clock precedes `last` by at most half a wrap."""
     return (raw - last) & 0xFFFFFFFF > 0x7FFFFFFF
 
 

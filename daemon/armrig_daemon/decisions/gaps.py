@@ -1,4 +1,4 @@
-"""Gaps: each sample is published, or reported missing with the voltage that was held.
+"""Gaps: each sample is either published, or reported as missing with the voltage that was held.
 
 This is invariant L2 of ARCHITECTURE.md.
 """
@@ -62,7 +62,7 @@ def report_missing(state: State, end: int, now_ns: int, u_before: int | None = N
 
 
 def due_ns(state: State, k: int) -> int:
-    """Return the time at which sample k was due, from the scheduled run or from the last tick."""
+    """Return the time at which sample k was due, from the run's `t_zero_ns` or the last tick."""
     run = state.run
     if run is not None and run.scheduled and run.k_first >= 0:
         return run.t_zero_ns + (k - run.k_first) * state.ts_us * 1000
@@ -74,7 +74,7 @@ def _unanswered(state: State, k: int, n: int, now_ns: int) -> MissingSamples:
 
 
 def _pieces(state: State, first: int, end: int, now_ns: int) -> list[MissingSamples]:
-    """Return the missing samples first … end - 1 in order; unnoted samples had no answer."""
+    """Return the missing samples first … end - 1; samples that were not noted get NO_ANSWER."""
     pieces: list[MissingSamples] = []
     k = first
     for a in sorted(state.absent):

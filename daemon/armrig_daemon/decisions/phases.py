@@ -1,4 +1,4 @@
-"""Table of all transitions between phases; docs/safety.md draws it."""
+"""Table of all transitions between phases; docs/safety.md shows the table as a diagram."""
 
 from __future__ import annotations
 

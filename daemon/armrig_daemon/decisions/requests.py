@@ -235,7 +235,7 @@ def ask(
 
 
 def _overtaken(order: Order | None, want: RequestKind, outcome: str) -> list[Action]:
-    """Return the answer to the replaced order: a stop is granted, another order is refused."""
+    """Return the answer to the replaced order: a stop is granted, any other order is refused."""
     if isinstance(order, pipe.Stop | pipe.Disarm):
         return answer(order, {"done": True})
     stopped = want is RequestKind.STOP and outcome

@@ -133,7 +133,7 @@ def _handle_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 
 def _sched_ns(state: State, run: ActiveRun, m: DeviceSample) -> int:
-    """Return the host's time at which a sample was due, by the clock map if it is accurate."""
+    """Return the host's time at which a sample was due, by the clock map if the map is accurate."""
     clock = state.clock
     if clock is not None and clock.map.weight and len(clock.map.round_trips) >= MIN_MAP_EXCHANGES:
         return host_ns_at(clock.map, extend(clock.device_us, m.t_us))
@@ -190,7 +190,7 @@ def _publish(
 
 
 def _check_applied(state: State, now_ns: int, m: DeviceSample, due: _Due) -> Step:
-    """Trip if the device applied another code than the commanded code (S5 of ARCHITECTURE.md)."""
+    """Trip if the device applied a code other than the commanded code (S5 of ARCHITECTURE.md)."""
     if m.u_k == due.expected:
         return state, []
     text = f"the device applied code {m.u_k}, but code {due.code} was commanded"

@@ -2,8 +2,8 @@
 
 The device's timer paces the samples, so u[k] must be in the device before sample k. The protocol of
 the setpoints is go-back-N: the field `queued` of a sample shows up to which index the device has
-setpoints. If the index does not grow in time, the daemon sends all setpoints from this index on
-again. Setpoints have no other acknowledgement.
+setpoints. If the index does not grow in time, the daemon repeats all setpoints from this index on.
+Setpoints have no other acknowledgement.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def complete(state: State, now_ns: int) -> Step:
 
 
 def note_missing(state: State, run: ActiveRun, end: int, now_ns: int) -> State:
-    """Note the missing samples of a run before `end`; their input is the queue's code."""
+    """Note the missing samples of a run before `end`; their input is the code of the setpoint."""
     bits = state.device.pwm_bits if state.device else 16
     for i in range(max(run.due, end - gaps.MAX_MISSING_PIECES), end):
         code = applied_code(run.code(i), bits)

@@ -44,7 +44,7 @@ from armrig_daemon.decisions.stopping import end_run, leave, stop, trip
 from armrig_daemon.pipe import RunStarted
 
 ARMED_NS = 10_000_000_000
-"""Longest time for which the rig is held armed without a command, at 0 V, in ns."""
+"""Longest time for which the rig stays armed, at 0 V, without a command, in ns."""
 _NEVER = 1 << 62
 _NOISE = (Spoilt, Unknown)
 # Names at module level: the lookup of a member in its enum takes 0.08 µs each time.

@@ -125,9 +125,9 @@ class Trace:
 def written_state(state: State) -> bytes:
     """Return a state as bytes, without the codes of its run and without its lease.
 
-    The codes are not needed, because the recording contains the input. A reader of the recording
-    must not be able to control the rig with its lease. The list of missing samples is also left
-    out. It has up to 45 kB, and affects neither a frame nor a sample.
+    The codes are not needed, because the recording contains the input. The lease is left out,
+    because a reader of the recording could otherwise control the rig. The list of missing samples
+    is also left out. It has up to 45 kB, and affects neither a frame nor a sample.
     """
     run, lease = state.run, state.lease
     return _ENCODER.encode(
@@ -176,7 +176,7 @@ def _written_event(event: Event, lease: str) -> bytes:
 
 
 def _without_secrets(order: Order, lease: str) -> Order:
-    """Return an order without the codes of a run; its lease only shows if the lease was valid.
+    """Return an order without the codes of a run; a mark of validity replaces its lease.
 
     The codes are not needed, because a second experiment is refused whatever its codes are.
     """

@@ -87,7 +87,7 @@ def retry(state: State, now_ns: int) -> Step:
 
 
 def _unanswered_notice(state: State, now_ns: int) -> list[Action]:
-    """Return the reports of a silent device: a state each second, a log line each minute."""
+    """Return the reports about a silent device: a state each second, a log line each minute."""
     text, tries = unanswered(state), state.asked.tries if state.asked else 0
     if not text or (tries - NOTICE_TRIES) % _HELLOS_PER_SECOND:
         return []
@@ -122,7 +122,7 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
 
 
 def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False) -> Step:
-    """Note the device's state in a frame; the state shows whether a request took effect.
+    """Note the state that a frame of the device reports; it shows whether a request took effect.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ def volts(code: int, pwm_bits: int) -> float:
 
 
 def driven(volts: float, gain: float, offset_v: float) -> float:
-    """Return the voltage of a driver that saturates at 0 and 5 V; if `volts` is 0, it is off."""
+    """Return the voltage of a driver that saturates at 0 and 5 V; at `volts` = 0 it is off."""
     if not volts or (gain == 1.0 and offset_v == 0.0):
         return volts  # an ideal driver does not saturate, so that an excess stays visible
     return min(max(gain * volts + offset_v, 0.0), FULL_SCALE_V)

@@ -106,7 +106,8 @@ class Device:
         If only internal work is due, the returned time is later than `next_ns`. A caller that only
         writes bytes can sleep until this time and gets the same bytes. Answers are ready `LEAD_NS`
         before they are due. A sample of the timer is ready only when it is due, because no host
-        waits for the sample. The caller therefore sleeps once less.
+        waits for the sample. The caller is therefore woken only once for the sample, and not also
+        before the sample is due.
         """
         fw, sample_ns = self._fw, self._sample_ns
         timer_ns, answer_ns = fw.timer_ns, max(0, sample_ns - LEAD_NS)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 STALL_NS: Final = 10_000_000
-"""Lateness that is no stall, in ns; for this part of a stall the device's clock continues."""
+"""Largest lateness that is no stall, in ns; in this time the device's clock still continues."""
 LOOK_NS: Final = 10_000_000
 """Longest wait between two readings of the clock, in ns; a stall within a wait is not detected."""
 
@@ -48,5 +48,5 @@ class HostTime:
         return min(due_ns, self._read_ns - self.held_up_ns + LOOK_NS)
 
     def monotonic_ns(self, given_ns: int) -> int:
-        """Return the monotonic time of a given time after the last stall."""
+        """Return the monotonic time that corresponds to a given time after the last stall."""
         return given_ns + self.held_up_ns

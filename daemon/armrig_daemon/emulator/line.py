@@ -158,9 +158,9 @@ class Terminal(Line):
         """Return whether a program has opened the port since the last call.
 
         An opening counts only if the port was closed before. POLLHUP alone would miss a program
-        that closes and reopens the port at once. (If a second program opens and closes the port,
-        its next opening resets the device without need. The daemon prevents this: it opens the port
-        exclusively.)
+        that closes and reopens the port at once. (If a second program opens and closes a port that
+        is already open, its next opening of the port resets the device without need. The daemon
+        prevents this: it opens the port exclusively.)
         """
         opened = False
         for _, mask, _, _ in _INOTIFY_EVENT.iter_unpack(self._opened.read(4096) or b""):

@@ -52,7 +52,7 @@ class Pins:
         self.reset(0)
 
     def reset(self, cycle: int) -> None:
-        """Note a reset by the pin: BOOT, 0 V from now on."""
+        """Note a reset of the processor; from now on the device is in BOOT, at 0 V."""
         self._low_from: int | None = cycle
         """Cycle from which the pin must be low; None while the device may be in RUN."""
         self._start: int | None = None
@@ -91,7 +91,7 @@ class Pins:
             self._outside_run(cycle)
 
     def tell(self, begun: int, message: Received) -> None:
-        """Note a frame of the device; `begun` is the cycle at which its first byte began."""
+        """Note a frame of the device; `begun` is the cycle at which the first byte began."""
         if isinstance(message, Spoilt | Unknown):
             return
         if isinstance(message, Ack) and (message.of_type, message.of_seq) == (_START, self._start):

@@ -71,7 +71,7 @@ def build(
     arm_removed : bool, default False
         True if the rotating part is removed: alpha stays 0 and the chassis turns alone.
     coulomb_nm, stiffening : float, default 0
-        Coulomb friction T_c in Nm, and cubic part k_3 of the spring in Nm/rad³; 0 disables an
+        Coulomb friction T_c in Nm, and cubic part k_3 of the spring in Nm/rad³; 0 disables the
         effect.
     substep_ns : int, default 100 000
         Step of the splitting, in ns; without friction and stiffening it has no effect.
@@ -123,7 +123,7 @@ def advance(plant: Plant, x: State, u: float, dt_ns: int) -> State:
 
 
 def _flow(table: _Table, x: State, u: float, dt_ns: int) -> State:
-    """Return the state after a linear step; each digit of dt needs a product with `table`."""
+    """Return the state after a linear step; each digit of dt needs one product with a matrix."""
     while dt_ns > _MAX_STEP_NS:
         x = _flow(table, x, u, _MAX_STEP_NS)
         dt_ns -= _MAX_STEP_NS
@@ -145,7 +145,7 @@ def _flow(table: _Table, x: State, u: float, dt_ns: int) -> State:
 
 
 def _split(plant: Plant, x: State, u: float, dt_ns: int) -> State:
-    """Return the state after steps of half an impulse, a linear step and half an impulse."""
+    """Return the state after substeps; each is half an impulse, a linear step, half an impulse."""
     while dt_ns:
         step_ns = min(dt_ns, plant.substep_ns)
         dt_ns -= step_ns
@@ -207,10 +207,10 @@ def _tables(arm: ArmParameters, arm_removed: bool) -> tuple[_Table, _Table]:
 
 
 def _table(A: Matrix, B: Matrix) -> _Table:
-    """Return exp([A B; 0 0] digit 256^level ns) for every digit of every level.
+    """Return exp([A B; 0 0] t) for t = digit 256^level ns, for every digit of every level.
 
-    Each level needs one matrix exponential. The matrices of the other digits are products of at
-    most eight of its repeated squares.
+    Each level needs one matrix exponential, for digit 1. Repeated squaring of this matrix gives the
+    matrices for digits 2, 4, … 128. The matrix for any other digit is a product of these matrices.
     """
     block = np.zeros((5, 5))
     block[:4, :4], block[:4, 4:] = A, B

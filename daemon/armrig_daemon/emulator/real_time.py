@@ -79,7 +79,7 @@ class RealTimeDevice(Protocol):
 
 
 SwitchOn = Callable[[EmulatorSettings, int, Witness], RealTimeDevice]
-"""Function that creates a device switched on at a time, in ns."""
+"""Function that creates a device that is switched on at a given time, in ns."""
 
 
 def emulate(

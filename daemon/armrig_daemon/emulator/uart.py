@@ -6,7 +6,7 @@ BITS_PER_BYTE = 10  # 8N1: start bit, eight data bits, stop bit
 
 
 def wire_ns(n_bytes: int, baud: int) -> int:
-    """Return the time of `n_bytes` at `baud`, in ns; baud 0 is a wire that takes no time."""
+    """Return the time of `n_bytes` at `baud`, in ns; with baud 0, bytes take no time."""
     return n_bytes * BITS_PER_BYTE * 1_000_000_000 // baud if baud else 0
 
 
@@ -16,10 +16,11 @@ def departure_ns(free_ns: int, now_ns: int, n_bytes: int, baud: int) -> int:
 
 
 def arrivals(free_ns: int, now_ns: int, data: bytes, baud: int) -> list[tuple[int, bytes]]:
-    """Split `data` after each 00; return the pieces and the rest with their arrival times.
+    """Split `data` after each 00; return the arrival time and the bytes of each piece.
 
-    The arrival time of a piece is the arrival time of its last byte. The wire is busy until
-    `free_ns`, and becomes free again at the last returned time.
+    The bytes after the last 00 are the last piece. A piece arrives when its last byte arrives.
+    Earlier bytes occupy the wire until `free_ns`; `data` occupies the wire until the last returned
+    time.
     """
     start_ns = max(free_ns, now_ns)
     pieces: list[tuple[int, bytes]] = []

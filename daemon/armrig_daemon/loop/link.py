@@ -26,7 +26,7 @@ from armrig_core.errors import ArmrigError, InputError
 from armrig_core.waiting import TERMINAL_BYTES, Waiter
 
 READ = 2048
-"""Largest number of bytes read in a step; one record holds them and the frames in answer."""
+"""Largest number of bytes read in a step; one record has room for them and for the answers."""
 SEND_BUFFER_BYTES: Final = 1 << 16
 """SO_SNDBUF of a socket, in bytes: room for 171 frames, which occupy about 0.75 kB each.
 
@@ -192,7 +192,7 @@ def _connected(path: Path, stack: contextlib.ExitStack) -> socket.socket:
 
 
 def _distinguish_empty_from_end(fd: int) -> None:
-    """Let a read of an empty line fail with EAGAIN; by pyserial's setting, it returns 0 bytes."""
+    """Let a read of an empty line fail with EAGAIN; pyserial's setting lets it return 0 bytes."""
     attributes = termios.tcgetattr(fd)
     attributes[6][termios.VMIN] = 1
     termios.tcsetattr(fd, termios.TCSANOW, attributes)

@@ -21,7 +21,7 @@ from armrig_daemon.pipe import (
 )
 
 MAX_WAITING_RECORDS = 1000
-"""Largest number of waiting records; above it, further records that only inform are dropped."""
+"""Number of waiting records above which further records that only inform are dropped."""
 _INFORM = (Log, State, Timing, Clock, Trace)
 
 

@@ -194,7 +194,7 @@ class ProcessPorts:
         return [LinkDown(self._reopen_error)]
 
     def _read_again(self) -> list[Event]:
-        """Read the remaining bytes of an arrival, because an arrival is reported only once."""
+        """Read the bytes that the last read left, because their arrival is not reported again."""
         if self._link is not None and self._link.has_rest:
             return self._read()
         more = self._is_hung_up or self._is_unread

@@ -57,7 +57,7 @@ def prepare(priority: int, cpu: int | None) -> dict[str, Any]:
 
 
 def _set_fifo(priority: int) -> int:
-    """Request a priority at SCHED_FIFO; return the priority in force, 0 for another policy."""
+    """Request a SCHED_FIFO priority; return the priority in force, 0 under another policy."""
     if not priority:
         leave_fifo()
         return _fifo_priority()
@@ -74,7 +74,7 @@ def _set_fifo(priority: int) -> int:
 
 
 def _fifo_priority() -> int:
-    """Return the priority at SCHED_FIFO that this process has; 0 with another policy."""
+    """Return the SCHED_FIFO priority of this process; 0 under another policy."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     return os.sched_getparam(0).sched_priority if policy == os.SCHED_FIFO else 0
 

@@ -55,7 +55,7 @@ class Histogram:
                 self._bins[_bin(max(0, value - n * period_ns))] += 1
 
     def quantiles(self, *shares: float) -> list[int]:
-        """Return for each share the value in ns that this share of all counts does not exceed."""
+        """Return the quantiles, in ns: values that these shares of the counts do not exceed."""
         indices = sorted(self._bins)
         cumulative = list(accumulate(map(self._bins.__getitem__, indices)))
         at = [bisect_left(cumulative, share * self.n) for share in shares]

@@ -1,4 +1,4 @@
-"""Admission of commands: an owner's command without the lease in force is refused unparsed.
+"""Admission of commands: an owner's command without the valid lease is refused without parsing.
 
 The check is cheap and runs in zenoh's thread, so that a stranger cannot delay the holder's
 commands. The service and the core check admitted commands again; the core alone decides.

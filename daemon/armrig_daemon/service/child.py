@@ -1,4 +1,4 @@
-"""The service's side of the loop's process: its pipes, its orders and its end."""
+"""The service's side of the loop's process: the pipes, the orders and the end of the process."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class LoopChild:
         self._pending = bytearray()
 
     def order(self, order: Orders) -> None:
-        """Send an order to the loop; if the loop has ended, `records` reports it."""
+        """Send an order to the loop; if the loop has ended, `records` reports the end."""
         self._unsent += record_bytes(order)
         self.flush()
 
@@ -126,7 +126,7 @@ class Starter(threading.Thread):
 
 
 def start(settings: Settings) -> LoopChild:
-    """Start the loop; call this before a session exists, which the loop would inherit."""
+    """Start the loop; call this before a session is opened, otherwise the loop inherits it."""
     orders_out, orders_in = os.pipe()
     records_out, records_in = os.pipe()
     for fd in (orders_in, records_in):

@@ -57,7 +57,7 @@ class _Waiting(NamedTuple):
     until: float
     order: Orders
     body: Any
-    """Answer to the client instead of the body of the loop's answer; None to use this body."""
+    """Body of the answer to the client; None to use the body of the loop's answer."""
     who: str
     """Name of the client, for the log."""
 

@@ -11,7 +11,7 @@ _SQUARE = str.maketrans("()", "[]")
 
 
 def signed(said: str, by: str) -> str:
-    """Return the name of a client for people; the part in round brackets was checked by the daemon.
+    """Return a client's name for people; the daemon has checked the part in round brackets.
 
     Programs read `owner_checked` in the status, the log and the manifest.
 

@@ -45,7 +45,7 @@ URGENT = (Stop.name, Renew.name)
 _SCHEMA, _HISTORY = "schema", "history"
 _COUNTED = (*REQUESTS, _SCHEMA, _HISTORY)
 MAX_LINKS = 250
-"""Number of simultaneous links over a network."""
+"""Largest number of simultaneous links over a network."""
 _RETRY_MS = 1000  # longest time between two attempts to connect to a lost router
 _MAX_QUESTION_BYTES = 64  # of a request for the history
 
@@ -68,7 +68,7 @@ def session_config(endpoint: str, network: Network | None = None) -> zenoh.Confi
 
 
 def _router_config(network: Network) -> dict[str, Any]:
-    """Return the configuration of a client of a router, which connects again by itself."""
+    """Return the configuration of a router's client; the client reconnects by itself."""
     config = {
         "mode": "client",
         "connect": {"endpoints": [network.endpoint], "retry": {"period_max_ms": _RETRY_MS}},

@@ -16,7 +16,7 @@ SHUT_S = 10.0
 
 
 class NetworkGuard:
-    """Guard that closes the network while too many files are open; it counts once a second."""
+    """Guard that closes the network while too many files are open; it counts them once a second."""
 
     def __init__(
         self, count: Callable[[], int], shut: Callable[[], None], open_again: Callable[[], str]

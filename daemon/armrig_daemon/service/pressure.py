@@ -17,7 +17,7 @@ from armrig_daemon.pipe import State, Timing
 
 CPU = Path("/proc/pressure/cpu")
 MAX_LATENESS_MS = 100
-"""Largest lateness of the host for an arming, in ms: 99th percentile of the last second.
+"""Largest lateness at which arming is allowed, in ms: 99th percentile of the last second.
 
 A longer watchdog tolerates a stall during a run, but does not permit arming on a late host.
 """
@@ -46,7 +46,7 @@ class Pressure:
         return share, _runnable()
 
     def _stalled_us(self) -> int | None:
-        """Return the waiting time so far in µs, N of the line `some … total=N`; None without it."""
+        """Return the waiting time so far in µs: N in the line `some … total=N`; None without it."""
         with contextlib.suppress(OSError, ValueError, IndexError):
             some = self._path.read_text(encoding="ascii").splitlines()[0]
             return int(some.rsplit("total=", 1)[1])

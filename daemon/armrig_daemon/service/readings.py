@@ -1,11 +1,11 @@
-"""Recent readings of the potentiometers, and whether a rig with such readings may be armed.
+"""Recent readings of the potentiometers, and the check whether they permit arming the rig.
 
 At rest a constant reading proves nothing, because a still shaft and a torn wire give the same
 reading. Two faults can be detected. The first is alpha at an end of its track, which alpha never
-reaches in motion. The second is a constant theta_1 although the motor was driven long enough for
-a whole turn. At rest, theta_1 at a rail is no fault, because the chassis may be in the dead band. A
-constant alpha is no fault either, because under a constant voltage the arm follows without
-deflection.
+reaches in motion. The second is a constant theta_1 although the motor was driven long enough for a
+whole turn. At rest, theta_1 at a rail is no fault, because the chassis may be in the dead band. A
+constant alpha is no fault either, because under a constant voltage the arm follows the chassis
+without deflection.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ class RigView:
         return self._timing
 
     def objection(self) -> Refused | None:
-        """Return the refusal of an arming because of the readings or a late host, or None."""
+        """Return the refusal of an arming because of the readings or a late host; else None."""
         config = self._config
         return readings.objection(
             self._readings,

@@ -51,7 +51,7 @@ class Planned(NamedTuple):
     request: Run
     rehearsal: Rehearsal
     text: bytes
-    """Input as text for the recording, computed while the motor is at 0 V because this is slow."""
+    """Input as text for the recording; this slow conversion takes place at a motor voltage of 0."""
 
 
 class Runs:
@@ -179,7 +179,7 @@ class Runs:
         return order, RunAccepted(run_id=run_id, recording=path, rehearsal=rehearsal)
 
     def renew(self, sign: Renew, now_s: float) -> None:
-        """Note a sign of life; raise ValueError if the current run is of another client."""
+        """Note a sign of life; raise ValueError if the current run belongs to another client."""
         self._presence = renewed(self._presence, sign, now_s)
 
     @property
@@ -294,7 +294,7 @@ class Runs:
         return Ending(OutcomeCode.MOVED, recording.moved) if recording.moved else None
 
     def unrecorded(self) -> str:
-        """Return why the run is no longer recorded, only at the first call; else an empty text."""
+        """Return once why the run is no longer recorded; at other calls, return an empty text."""
         recording = self._recording
         if recording is None or not recording.error or recording.error == self._reported_error:
             return ""

@@ -23,7 +23,7 @@ _EXPIRY_NOTICE = timedelta(days=30)
 
 
 def served(config: Config, ended_by: str = "Ctrl-C") -> str:
-    """Return the port and the limits of the rig, and the commands for its status and its end."""
+    """Return the rig's port and limits, and how to request the status and end the service."""
     rig = "" if config.rig.id == "1" else f" --rig {config.rig.id}"
     how = f"ask it with `armrig status{rig}`, end it with {ended_by}"
     return f"{line_and_limits(config)}; {how}"

@@ -1,4 +1,4 @@
-"""Maintenance of the folder of recordings, during the service of the rig.
+"""Maintenance of the folder of recordings while the service runs.
 
 First the unfinished recordings of this rig's earlier daemons are recovered. Then recordings beyond
 the configured limits are removed: at the start, after each run and every hour.
@@ -84,7 +84,7 @@ class StartupRecovery:
             yield self._lines.get()
 
     def join(self, timeout: float | None = None) -> None:
-        """Wait until all files are processed, or for `timeout` s."""
+        """Wait until all files are processed, but at most for `timeout` s."""
         self._thread.join(timeout)
 
     def _breath(self) -> None:

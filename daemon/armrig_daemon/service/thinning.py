@@ -48,7 +48,7 @@ class Thinning:
         return False
 
     def due(self, now_ns: int, *, end: bool = False) -> list[Log]:
-        """Return a line for each kind held back for 1 s, or for each held-back kind at the end."""
+        """Return a line for each kind held back for 1 s; at the end, for each held-back kind."""
         lines: list[Log] = []
         for kind, (ns, held, newest) in list(self._kinds.items()):
             if now_ns - ns < HOLD_NS and not end:
