@@ -424,8 +424,7 @@ def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
 
 
 def _trimmed(model: _Fitted) -> Iterator[Tried]:
-    """Yield structures without some first and last b's, with their predicted description
-    lengths."""
+    """Yield structures without some first and last b's; predict their description lengths."""
     solution = model.problem.solve(model.f)
     R: Matrix = qr(solution.Psi, mode="r", check_finite=False)[0][: solution.Psi.shape[1]]
     scale = np.sqrt(np.sum(R**2, axis=0))
