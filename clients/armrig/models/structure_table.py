@@ -1,9 +1,9 @@
 """Table of the structures that can be estimated, with one specification for each.
 
 The table defines the options and help of `armrig identify` and `armrig batch`, the structures of a
-search, the command after `next:`, and the table in docs/experiments.md. This module does not import
-numpy, because `--help` imports it and must be fast. The estimator of NAME is the function NAME in
-`armrig.estimation.NAME`.
+search, the command that the programs print after `next:`, and the table in docs/experiments.md.
+This module does not import numpy, because `--help` imports it and must be fast. The estimator of
+NAME is the function NAME in `armrig.estimation.NAME`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ Focus = Literal["prediction", "simulation"]
 Starts = Literal["many", "few"]
 
 ARM_POLES = 4
-"""Number of poles of the arm, with its integrator, and number of coefficients of its numerator."""
+"""Number of poles of the arm, including the integrator. The arm has as many numerator
+coefficients."""
 
 COUNTED = {
     "na": "a's",
@@ -67,7 +68,7 @@ class RegisteredStructure:
 
     @property
     def title(self) -> str:
-        """Name in capitals: OE."""
+        """Name in capitals, such as OE."""
         return self.name.upper()
 
     def short(self, orders: Mapping[str, int]) -> str:
@@ -166,8 +167,8 @@ CHANNEL = RegisteredStructure(
     orders={"nb": None, "nf": None},
     poles="nf",
 )
-"""One channel of a model with several inputs or outputs; its noise is no polynomial of a single
-e."""
+"""Specification of one channel of a model with several inputs or outputs. No polynomial of a single
+e describes the noise of a channel."""
 _SS = RegisteredStructure(
     name="ss",
     equation="a state space of least prediction errors",
