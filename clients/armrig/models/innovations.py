@@ -33,8 +33,7 @@ _FIRST_RESPONSE_SAMPLES = 256  # samples
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """Signals of one experiment, with missing y interpolated, and a mask of the rows with
-    errors."""
+    """Signals of one experiment, with missing y interpolated, and the rows with errors."""
 
     u: Array
     """Input (N,), summed if F integrates."""

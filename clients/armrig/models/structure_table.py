@@ -72,21 +72,21 @@ class RegisteredStructure:
         return self.name.upper()
 
     def short(self, orders: Mapping[str, int]) -> str:
-        """Return structure and orders in the shortest form: OE[4 4 1]."""
+        """Return structure and orders in the shortest form, such as OE[4 4 1]."""
         return f"{self.title}[{' '.join(str(n) for n in orders.values())}]"
 
     def long(self, orders: Mapping[str, int]) -> str:
-        """Return structure and orders by their names: OE(nb=4, nf=4, nk=1)."""
+        """Return structure, and orders by their names, such as OE(nb=4, nf=4, nk=1)."""
         return f"{self.title}({named(orders)})"
 
 
 def named(orders: Mapping[str, int | None]) -> str:
-    """Return a text with the orders that are not None: nb=4, nf=4, nk=1."""
+    """Return a text with the orders that are not None, such as nb=4, nf=4, nk=1."""
     return ", ".join(f"{name}={n}" for name, n in orders.items() if n is not None)
 
 
 def with_article(title: str) -> str:
-    """Return the name of a structure with its indefinite article: an OE, a BJ."""
+    """Return the name of a structure with its indefinite article, such as "an OE" or "a BJ"."""
     return f"{'an' if title[0] in 'AEFHILMNORSX' else 'a'} {title}"
 
 

@@ -95,7 +95,7 @@ def _check_keys(table: dict[str, Any], known: tuple[str, ...], where: str) -> No
 
 
 def _text(table: dict[str, Any], key: str, most: int) -> str:
-    """Return a text in `table` without surrounding space; raise FileError for another type."""
+    """Return a text in `table` without surrounding space; raise FileError if it is not valid."""
     value = table[key]
     if not isinstance(value, str):
         raise FileError(f"{key} = {value!r:.40}: {_QUOTED}, of at most {most} characters")
@@ -109,7 +109,7 @@ def _text(table: dict[str, Any], key: str, most: int) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """An assignment, and the reasons that the student has to write."""
+    """Title of an assignment, and the reasons that the student must write."""
 
     title: str
     """Subject of the assignment."""
