@@ -278,7 +278,10 @@ def _extreme(
 
 
 def _horner(p: list[float], x: complex) -> complex:
-    """Return the value at x of a polynomial, highest power first; numpy is 50 times slower."""
+    """Return the value at x of the polynomial p, whose first coefficient has the highest power.
+
+    The function of numpy is 50 times slower.
+    """
     value = 0j
     for coefficient in p:
         value = value * x + coefficient
@@ -286,7 +289,7 @@ def _horner(p: list[float], x: complex) -> complex:
 
 
 def _first_below(x: Vector, y: Vector, level: float) -> float:
-    """Return the first x at which y is below the level, interpolated linearly; NaN if none is."""
+    """Return the first x at which y is below the level, interpolated linearly; else NaN."""
     beyond = y < level
     if not beyond.any():
         return float("nan")

@@ -91,12 +91,12 @@ class Estimate(Model):
 
     @property
     def label(self) -> str:
-        """Structure and orders: OE[4 4 1]."""
+        """Structure and orders in the shortest form, such as OE[4 4 1]."""
         return DESCRIBED[self.structure].short(self.orders)
 
     @property
     def heading(self) -> str:
-        """Structure and orders by their names: OE(nb=4, nf=4, nk=1)."""
+        """Structure, and orders by their names, such as OE(nb=4, nf=4, nk=1)."""
         return DESCRIBED[self.structure].long(self.orders)
 
     @property

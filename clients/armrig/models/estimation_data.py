@@ -60,8 +60,8 @@ def overlap(model: Any, data: HasHistory) -> tuple[float, float] | None:
     """Return start and end, in s, of the overlap of a model's estimation data with these data.
 
     The times are relative to the first sample of the file. The result is None if there is no
-    overlap. It is also None if the data are from different files, or if one of the data sets
-    contains several merged parts.
+    overlap. The result is also None if the data are from different files, or if one of the data
+    sets contains several merged parts.
     """
     source = getattr(model, "source", "")
     if not source or source != data.source or data.Ts is None:

@@ -162,7 +162,7 @@ def _curve(
     omega: NDArray[np.float64],
     pen: dict[str, Any],
 ) -> tuple[NDArray[np.float64], Draws | None]:
-    """Draw one model; return its magnitude in dB, and the draws of its bands."""
+    """Draw one model; return its magnitude in dB, and the parameter draws for its bands."""
     x, G, bands, draws = _response(model, omega)
     level, phase = decibels(G), _phase(G)
     shade: dict[str, Any] = {"color": pen["color"], "alpha": 0.25, "lw": 0}
@@ -223,7 +223,7 @@ def _method(estimate: SpectralEstimate) -> str:
 def _response(
     model: Any, omega: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
-    """Return the frequencies up to the Nyquist frequency, G, the bands of G, and their draws."""
+    """Return frequencies up to the Nyquist frequency, G, its bands, and the draws for the bands."""
     if isinstance(model, Model):
         w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
         answer = model.frequency_response(w)

@@ -33,7 +33,7 @@ _FIRST_RESPONSE_SAMPLES = 256  # samples
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """Signals of one experiment, with missing y interpolated, and rows with prediction errors."""
+    """Signals of one experiment, with missing y interpolated, and the rows with errors."""
 
     u: Array
     """Input (N,), summed if F integrates."""
@@ -42,7 +42,7 @@ class Experiment:
     rows: Mask
     """Rows (N,) that have a prediction error."""
     stretches: tuple[slice, ...]
-    """Segments without a gap in y that have prediction errors, as slices, for the noise model."""
+    """Slices of the segments that have prediction errors and contain no gap in y."""
     whole: bool
     """True if every sample has a prediction error."""
 
@@ -170,7 +170,7 @@ _Volumes = tuple[Callable[[], tuple[float, Array]], ...]
 
 
 def _noise_bases(experiment: Experiment, structure: Structure, C: Array) -> tuple[_Bases, _Volumes]:
-    """Return the bases and the volumes of the pulses z, filtered by 1/C, for each segment."""
+    """Return the fields `noise` and `volumes` of `Unknown`, for the pulses z filtered by 1/C."""
     if structure.nc == 0:
         return (), ()
     longest = max((s.stop - s.start for s in experiment.stretches), default=1)
@@ -216,7 +216,7 @@ def _volume(Q: Array, R: Array, C: Array) -> tuple[float, Array]:
 def response(numerator: Array | list[float], denominator: Array, N: int) -> Array:
     """Return the impulse response until it has decayed to 1e-18 of its maximum, at most N samples.
 
-    Later samples are denormal numbers. With denormal numbers a processor is ten times slower.
+    Later samples would be denormal numbers, which make a processor ten times slower.
     """
     n = min(N, _FIRST_RESPONSE_SAMPLES)
     while True:
@@ -239,7 +239,7 @@ def _pulses(h: Array, k: int, N: int) -> Array:
 
 
 def trend(structure: Structure, N: int) -> Array:
-    """Return the columns of the trend (N, trend): ones, and the ramp t + 1."""
+    """Return the columns of the trend (N, `structure.trend`): ones, then the ramp t + 1."""
     return np.column_stack([np.ones(N), np.arange(1.0, N + 1.0)])[:, : structure.trend]
 
 

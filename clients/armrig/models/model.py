@@ -46,11 +46,12 @@ class Model:
     B: Vector
     """Coefficients in q^-1, beginning with nk zeros."""
     C: Vector = field(default_factory=lambda: np.ones(1))
-    """Coefficients, as for A."""
+    """Coefficients in q^-1, beginning with 1."""
     D: Vector = field(default_factory=lambda: np.ones(1))
-    """Coefficients, as for A."""
+    """Coefficients in q^-1, beginning with 1."""
     F: Vector = field(default_factory=lambda: np.ones(1))
-    """Coefficients, as for A; one root is exactly 1 if F contains the integrator."""
+    """Coefficients in q^-1, beginning with 1. One root of F is exactly 1 if F contains the
+    integrator."""
     nk: int
     """Number of samples before u affects y."""
     integrator: bool = False
@@ -108,7 +109,7 @@ class Model:
 
     @property
     def trusted_covariance(self) -> Matrix:
-        """Covariance of theta (d, d), for all uncertainties; 0 if nothing was estimated."""
+        """Covariance of theta (d, d), used for all uncertainties; 0 if nothing was estimated."""
         return np.zeros((self.theta.size, self.theta.size))
 
     @property
@@ -333,8 +334,8 @@ class Model:
     def step_response(self, n: int, *, rate: bool = False) -> StepResponse:
         """Return the first n samples, n >= 1, of the response to a unit step from rest.
 
-        With `rate` the response is the rate (y(t) - y(t-1))/Ts, at the middle of each interval. Use
-        `rate` for an integrating output, whose step response is a ramp.
+        If `rate` is True, the response is the rate (y(t) - y(t-1))/Ts, at the middle of each
+        sampling interval. Use `rate` for an integrating output, whose step response is a ramp.
 
         Examples
         --------

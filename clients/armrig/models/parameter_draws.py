@@ -33,7 +33,7 @@ SEED = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Draws:
-    """Draws from N(theta, P), without degenerate draws and, for stable models, unstable draws."""
+    """Accepted draws from N(theta, P), and the numbers of degenerate and unstable draws."""
 
     theta: Matrix
     """Parameters of the accepted draws, (n, d)."""
@@ -120,7 +120,7 @@ def _stable(model: Model, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np
 
 
 def polynomial_of(model: Model, theta: Matrix, letter: str) -> Matrix:
-    """Return one polynomial of each draw; each row is a draw, and B includes its nk zeros."""
+    """Return the coefficients of one polynomial, a row for each draw; B includes its nk zeros."""
     free = theta[:, model.slice_of(letter)]
     before = np.zeros((theta.shape[0], model.nk)) if letter == "b" else np.ones((theta.shape[0], 1))
     return np.hstack([before, free])
@@ -149,7 +149,7 @@ def roots_of(
 
 
 def _integrator_maps(model: Model) -> tuple[Matrix, Matrix]:
-    """Return the matrices that map theta to the free parameters, and the reverse."""
+    """Return the matrix that maps theta to the free parameters, and the matrix that maps back."""
     d = model.theta.size
     if not model.integrating:
         return np.eye(d), np.eye(d)
@@ -176,7 +176,7 @@ def _without(model: Model, letter: str, p: Vector) -> Vector:
 
 
 def _root(P: Matrix) -> Matrix:
-    """Return W with W W^T = P; an eigenvalue that is negative by rounding counts as 0."""
+    """Return W with W W^T = P; an eigenvalue that rounding made negative counts as 0."""
     std = np.sqrt(np.maximum(np.diag(P), 0.0))
     by = np.where(std > 0, std, 1.0)
     value, vector = np.linalg.eigh(P / np.outer(by, by))

@@ -186,7 +186,7 @@ def _require_horizon(horizon: object) -> None:
 def require_same_signals(model: Model, data: Dataset) -> None:
     """Refuse data that differ from the model in output, unit or sampling time.
 
-    An empty name or unit matches any other. The name y counts as empty.
+    An empty name matches any name, and an empty unit any unit. The name y counts as empty.
     """
     if not np.isclose(model.Ts, data.Ts, rtol=1e-9, atol=0.0):
         raise InputError(

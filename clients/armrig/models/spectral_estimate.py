@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 COHERENT = 0.5
-"""Least coherence at which u explains y: the share of the power of y that u explains."""
+"""Least coherence at which u counts as explaining y. The coherence is the share of y's power that u
+explains."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -162,7 +163,7 @@ def high_slope(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> float:
 
 
 def high_band(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Return the indices of the frequencies in the highest third of a decade of `believed`.
+    """Return the indices in `believed` of the highest third of a decade of the frequencies.
 
     If possible, the frequencies are below 0.6 times the Nyquist frequency. If fewer than three
     frequencies are in this range, the three highest frequencies are returned.

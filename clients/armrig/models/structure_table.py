@@ -1,9 +1,9 @@
 """Table of the structures that can be estimated, with one specification for each.
 
 The table defines the options and help of `armrig identify` and `armrig batch`, the structures of a
-search, the command after `next:`, and the table in docs/experiments.md. This module does not import
-numpy, because `--help` imports it and must be fast. The estimator of NAME is the function NAME in
-`armrig.estimation.NAME`.
+search, the command that the programs print after `next:`, and the table in docs/experiments.md.
+This module does not import numpy, because `--help` imports it and must be fast. The estimator of
+NAME is the function NAME in `armrig.estimation.NAME`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ Focus = Literal["prediction", "simulation"]
 Starts = Literal["many", "few"]
 
 ARM_POLES = 4
-"""Number of poles of the arm, with its integrator, and number of coefficients of its numerator."""
+"""Number of poles of the arm, including the integrator. The arm has as many numerator
+coefficients."""
 
 COUNTED = {
     "na": "a's",
@@ -67,25 +68,25 @@ class RegisteredStructure:
 
     @property
     def title(self) -> str:
-        """Name in capitals: OE."""
+        """Name in capitals, such as OE."""
         return self.name.upper()
 
     def short(self, orders: Mapping[str, int]) -> str:
-        """Return structure and orders in the shortest form: OE[4 4 1]."""
+        """Return structure and orders in the shortest form, such as OE[4 4 1]."""
         return f"{self.title}[{' '.join(str(n) for n in orders.values())}]"
 
     def long(self, orders: Mapping[str, int]) -> str:
-        """Return structure and orders by their names: OE(nb=4, nf=4, nk=1)."""
+        """Return structure, and orders by their names, such as OE(nb=4, nf=4, nk=1)."""
         return f"{self.title}({named(orders)})"
 
 
 def named(orders: Mapping[str, int | None]) -> str:
-    """Return a text with the orders that are not None: nb=4, nf=4, nk=1."""
+    """Return a text with the orders that are not None, such as nb=4, nf=4, nk=1."""
     return ", ".join(f"{name}={n}" for name, n in orders.items() if n is not None)
 
 
 def with_article(title: str) -> str:
-    """Return the name of a structure with its indefinite article: an OE, a BJ."""
+    """Return the name of a structure with its indefinite article, such as "an OE" or "a BJ"."""
     return f"{'an' if title[0] in 'AEFHILMNORSX' else 'a'} {title}"
 
 
@@ -166,8 +167,8 @@ CHANNEL = RegisteredStructure(
     orders={"nb": None, "nf": None},
     poles="nf",
 )
-"""One channel of a model with several inputs or outputs; its noise is no polynomial of a single
-e."""
+"""Specification of one channel of a model with several inputs or outputs. No polynomial of a single
+e describes the noise of a channel."""
 _SS = RegisteredStructure(
     name="ss",
     equation="a state space of least prediction errors",

@@ -19,10 +19,11 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SubspaceFit(Fit):
-    """x(t+1) = A_s x(t) + B_s u(t) + K e(t), y(t) = C_s x(t) + D_s u(t) + e(t), as A y = B u + C e.
+    """A state-space model from a subspace method, which also has the form A y = B u + C e.
 
-    The polynomials are computed from the innovations form: A is det(q - A_s) and C is det(q - A_s +
-    K C_s), both divided by q^n.
+    The innovations form is x(t+1) = A_s x(t) + B_s u(t) + K e(t), y(t) = C_s x(t) + D_s u(t) +
+    e(t). The polynomials are computed from the innovations form: A is det(q - A_s) and C is det(q -
+    A_s + K C_s), both divided by q^n.
 
     Examples
     --------
@@ -39,14 +40,14 @@ class SubspaceFit(Fit):
     weights: str
     """Weights of the projection: "cva", "moesp" or "n4sid"."""
     horizon: int
-    """Number of past samples, and of future samples, in the projection that determines the
-    poles."""
+    """Number of past samples in the projection that determines the poles; the number of future
+    samples is equal."""
     singular_values: Vector
     """Singular values of the weighted projection of the future on the past, largest first,
     (horizon,)."""
     canonical_correlations: Vector
-    """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. With any
-    `weights`, they equal the singular values that the weights "cva" would lead to."""
+    """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. For any
+    `weights`, they are equal to the singular values with the weights "cva"."""
     suggested_order: int
     """Order with the least MDL, at most 10. MDL is computed from the one-step errors
     of the estimated states."""

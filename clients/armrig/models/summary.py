@@ -124,8 +124,9 @@ def summary(model: Model) -> Summary:
 
     A range is linearised, or computed by draws from N(theta, P) if the linearisation is poor. There
     are 1000 draws for poles and zeros, and 400 draws for the other numbers. P is the trusted
-    covariance. A range by draws is valid for a nonlinear function of theta, but not if theta itself
-    is far from normal. Therefore the range of a pole that nearly cancels with a zero is too narrow.
+    covariance. A range by draws is valid for a nonlinear function of theta, but not if the
+    distribution of theta itself is far from normal. Therefore the range of a pole that nearly
+    cancels with a zero is too narrow.
     """
     draws = drawn(model)
     return Summary(

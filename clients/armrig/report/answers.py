@@ -24,7 +24,7 @@ _QUOTED: Final = 'each value is a text in quotes, such as registration_number = 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Student:
-    """A student who hands the report in."""
+    """A student who hands in the report."""
 
     name: str = ""
     registration_number: str = ""
@@ -95,7 +95,7 @@ def _check_keys(table: dict[str, Any], known: tuple[str, ...], where: str) -> No
 
 
 def _text(table: dict[str, Any], key: str, most: int) -> str:
-    """Return a value of `table` as text without surrounding space; raise FileError if not text."""
+    """Return a text in `table` without surrounding space; raise FileError if it is not valid."""
     value = table[key]
     if not isinstance(value, str):
         raise FileError(f"{key} = {value!r:.40}: {_QUOTED}, of at most {most} characters")
@@ -109,12 +109,12 @@ def _text(table: dict[str, Any], key: str, most: int) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """An assignment, and the reasons that the student has to write."""
+    """Title of an assignment, and the reasons that the student must write."""
 
     title: str
     """Subject of the assignment."""
     asks: str
-    """Reasons that the student writes, because armrig cannot."""
+    """Reasons that the student must write, because armrig cannot write them."""
 
 
 QUESTIONS: Final = {

@@ -105,7 +105,7 @@ def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
 
 
 def _jitter_verdict(study: Study) -> str:
-    """Return the jitter of the validation data, and the errors of the angles that it causes."""
+    """Return sentences on the jitter of the validation data and the resulting errors of angles."""
     timing = study.timing[study.recordings.index(study.recording_of(study.validation.source))]
     moved: list[str] = []
     for one in each_output(study):

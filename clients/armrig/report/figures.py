@@ -59,7 +59,7 @@ def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
 
 
 def suffix(one: Study, study: Study) -> str:
-    """Return the suffix of the names of an output's figures; "" for the first output."""
+    """Return the suffix in the file names of an output's figures; "" for the first output."""
     return "" if one is study else f"-{one.output}"
 
 

@@ -61,8 +61,8 @@ class HandoutStudy:
     loop: OpenLoop | None = None
     delay: Delay | None = None
     refused: dict[str, str]
-    """Reason why a result is missing although there are recordings for it, by the name of the
-    result."""
+    """Reason why a result is missing, by the name of the result; only for results with
+    recordings."""
 
 
 def handout_study(
@@ -78,7 +78,7 @@ def handout_study(
     Parameters
     ----------
     recordings : sequence of Recording
-        Recordings of any kind. Three kinds are used: the first step, the first two recordings for
+        Recordings of any kind. The results use the first step, the first two recordings for
         black-box models, and the first recording of the chassis alone. Complete recordings precede
         recordings that ended early.
     orders : Orders, optional

@@ -170,7 +170,7 @@ def _black_box(study: HandoutStudy) -> Section:
 
 
 def _fixed_root(black: Study) -> str:
-    """Return a sentence on the models with a fixed integrator; "" if no model has one."""
+    """Return a sentence on the models with a fixed integrator; "" if there are none."""
     names = [m.name for m in black.estimated if m.fit.integrator]
     if not names:
         return ""

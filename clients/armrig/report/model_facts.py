@@ -133,7 +133,7 @@ def _shared(study: Study) -> str:
 
 
 def _the_angle(one: Study, study: Study) -> str:
-    """Return the subject of a sentence on an output; the output has a name if there are several."""
+    """Return the subject of a sentence on an output: its name, if there are several outputs."""
     return f"The {one.angle}" if study.others else "The angle"
 
 
@@ -222,7 +222,7 @@ def arm_at_rest(study: Study) -> str:
 
 
 def _deviation(m: AssessedFit, study: Study) -> tuple[str, str, str]:
-    """Return median and maximum of the deviation from the physics, and the maximum's frequency."""
+    """Return the deviation from the physics: median, maximum, and frequency of the maximum."""
     at = float(study.omega[np.argmax(m.deviation)])
     median, most = float(np.median(m.deviation)), float(np.max(m.deviation))
     return percent(100 * median), percent(100 * most), f"{number(at)} rad/s"
@@ -233,8 +233,8 @@ HYPOTHESES = (
     ("no correlation with past input", "orders or delay"),
     ("no correlation with future input", "feedback in the experiment, or delay too large"),
 )
-"""Hypotheses that the residuals test. For each hypothesis: what to change if its p value is
-small."""
+"""Hypotheses about the residuals. Each entry contains what to change if the p value of the
+hypothesis is small."""
 
 
 def residual_rows(study: Study) -> list[list[str]]:

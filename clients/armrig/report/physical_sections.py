@@ -55,7 +55,7 @@ def _matrix(M: NDArray[Any]) -> str:
 
 _CHANGE_WORDS = {"both": "Changing both", "all": "Changing all"}
 MAX_HIDDEN_CHANGE = 5e-4
-"""Relative change below which a number with three digits does not change."""
+"""Largest relative change that is not visible in a number with three digits."""
 
 
 def _step(found: Characteristics) -> Section:
@@ -118,7 +118,7 @@ def _other_parameters(cases: dict[str, ArmParameters]) -> Section:
 
 
 def _effect(after: Characteristics, before: Characteristics) -> str:
-    """Return a text on the effect of a change of the parameters on the step response."""
+    """Return a text that compares the step responses after and before a change of parameters."""
     ratios = {
         "steady speed": after.steady_speed / before.steady_speed,
         "slope": after.initial_slope / before.initial_slope,
@@ -187,12 +187,15 @@ def _steps(h: float, limit: float) -> Sequence[float]:
 
 
 def _marked(h: float, limit: float) -> str:
-    """Return a step in ms as text, marked if the step is unstable."""
+    """Return a step size in ms as text, with a mark if the method is unstable at this step size."""
     return f"{number(1e3 * h)}{'' if h <= limit else ' (unstable)'}"
 
 
 def _errors(study: HandoutStudy, name: str, steps: Sequence[float], limit: float) -> Table:
-    """Return a table of the largest errors, relative to the states' largest values, by step."""
+    """Return a table of the largest relative error at each step size.
+
+    Errors are relative to the largest values of the states.
+    """
     errors = [study.problem.error(h, name) for h in steps]
     return Table(
         header=("h [ms]", *(_marked(h, limit) for h in steps)),

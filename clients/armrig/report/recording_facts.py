@@ -29,7 +29,7 @@ def role(study: Study, recording: Recording) -> str:
 
 
 def run_name(recording: Recording) -> str:
-    """Return the run's id as `@RUN`, the form in figures and commands; without an id, the hash."""
+    """Return the run's id as `@RUN`, as in figures and commands, or the hash if there is no id."""
     run = recording.manifest.run_id
     return f"@{run}" if run else recording.short_hash
 
@@ -151,7 +151,7 @@ def data_text(study: Study) -> str:
 
 
 def _units(study: Study) -> str:
-    """Return a text on the sources of the radian and the volt in the models."""
+    """Return a text on how the scales of angle and voltage in the models were determined."""
     calibrations = {
         calibrated(r.calibration): r.calibration
         for r in (study.recording_of(d.source) for d in (study.estimation, study.validation))

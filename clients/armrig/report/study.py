@@ -45,7 +45,7 @@ SYMBOLS: Final = {THETA_1: "θ₁", ALPHA: "α"}
 
 
 def kind_of(recording: Recording) -> str:
-    """Return the kind of a recording's experiment, without the name that a person chose."""
+    """Return the kind of a recording's experiment: the part of the name before the first "-"."""
     return recording.manifest.experiment.partition("-")[0]
 
 
@@ -128,9 +128,9 @@ class Study:
     estimated: tuple[AssessedFit, ...]
     """Models that were estimated from the estimation data."""
     reference: Assessed
-    """The physical model, of which nothing was estimated."""
+    """The physical model, whose parameters were not estimated from data."""
     note: str
-    """Text with the quantities that the comparisons estimated from the validation data."""
+    """Text that names the quantities that the comparisons estimated from the validation data."""
     timing: tuple[SamplingStatistics, ...]
     """Statistics of each recording, times in µs."""
     disturbances: tuple[Disturbances, ...]
@@ -212,8 +212,8 @@ def study(
         Treatment of the data of each recording before the estimation, such as `armrig.hampel`.
         The report prints every step of the treatment.
     outputs : sequence of {"theta_1", "alpha"}, default theta_1
-        Outputs of the models. If there are two, each model has both outputs, and the OE model has
-        one denominator for both.
+        Outputs of the models. If two outputs are given, each model has both outputs, and the OE
+        model has one denominator for both outputs.
 
     Returns
     -------

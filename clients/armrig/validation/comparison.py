@@ -45,7 +45,7 @@ class Comparison:
     on_estimation_data: bool
     """True if the model was estimated from these data."""
     y: Vector
-    """ŷ, (N,)."""
+    """Output ŷ of the model, (N,)."""
     model: Model
     """The model."""
 
@@ -66,7 +66,7 @@ class ComparisonTable:
     unit: str
     """Unit of the rms error."""
     note: str
-    """Text with the quantities that were estimated from the compared data."""
+    """Text that names the quantities estimated from the compared data."""
     data: Dataset
     """Data that the models were compared with."""
 
@@ -80,7 +80,7 @@ class ComparisonTable:
 
     @property
     def findings(self) -> tuple[EstimateFinding, ...]:
-        """Warnings, with codes: "own data" and "overlap" for models estimated from these data."""
+        """Warnings, code "own data" or "overlap", about models estimated from these data."""
         named = [(row.name, row.model) for row in self.rows]
         return tuple(findings_on_own_data(named, self.data))
 
@@ -143,8 +143,8 @@ def compare(
     with an integrator, the input offset of each experiment is also estimated. Missing samples are
     not compared. If the output integrates, the fit is near 100 % for every model, because the ramp
     dominates ``|y - mean y|``. In this case, use the rms error and the fit of the velocity. The
-    velocity is the difference of the angle, so the measured velocity contains the noise of two
-    samples.
+    velocity is computed from differences of the angle, so the measured velocity contains the noise
+    of two samples.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def _compared(
 
 
 def _misfit(measured: Vector, modelled: Vector) -> tuple[float, float]:
-    """Return fit percent and rms error over the samples at which both are known."""
+    """Return fit percent and rms error, over the samples at which both outputs are known."""
     if np.isinf(modelled).any():
         return -np.inf, np.inf
     both = np.isfinite(measured) & np.isfinite(modelled)

@@ -34,11 +34,11 @@ def plot_comparison(
 ) -> Axes:
     """Plot the measured output and the models, and the differences from the best model.
 
-    The lower panel shows the data and the other models, minus the best model, which has the least
-    rms error. The data are dots, so that a difference smaller than the noise is visible. If another
-    model is far worse, the scale is linear up to about three times the least error. Dotted lines
-    mark this limit. Beyond the limit the scale is logarithmic. A ramp of the output is removed: see
-    `armrig.data.figures.without_ramp`.
+    The lower panel shows the data and the other models, minus the best model. The best model has
+    the least rms error. The data are dots, so that a difference smaller than the noise is visible.
+    If another model is far worse, the scale is linear up to about three times the least error.
+    Dotted lines mark this limit. Beyond the limit the scale is logarithmic. A ramp of the output is
+    removed: see `armrig.data.figures.without_ramp`.
     """
     ax, below = panels(ax, 0.5)
     names = labels or [row.name for row in compared]

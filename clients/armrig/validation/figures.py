@@ -37,7 +37,7 @@ def plot_compare(
     table: ComparisonTable | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Show the measured output and the models, in simulation unless a horizon is given.
+    """Show the measured output and the models' outputs, simulated unless a horizon is given.
 
     See `armrig.validation.comparison_figure.plot_comparison`. If `table` is given, the comparison
     is not computed again.
@@ -59,8 +59,8 @@ def plot_residuals(
 def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:
     """Show the error on the validation data against the number of parameters, by structure.
 
-    For each structure a line joins the best models of each number of parameters. A ring marks the
-    chosen model.
+    For each structure, a line joins the points of least error at each number of parameters. A ring
+    marks the chosen model.
     """
     ax = axes(ax)
     d = np.array([scored.parameters for scored in found.ranked])

@@ -1,4 +1,4 @@
-"""Differences of models, as a table, and in sentences that name the causes."""
+"""Differences between models, as a table and as sentences that name the causes."""
 
 from __future__ import annotations
 
@@ -116,10 +116,10 @@ def _cell(t: ModelCharacteristics, name: str, *, brief: bool) -> str:
 
 
 def explanation(rows: Sequence[Row]) -> list[str]:
-    """Return sentences: the best model, and the differences of each model from the reference.
+    """Return sentences on the best model, and on each model's differences from the reference.
 
-    The reference is the physical model, of which nothing was estimated. Without a physical model,
-    the reference is the last model.
+    The reference is the physical model, because its parameters were not estimated from data. If
+    there is no physical model, the reference is the last model.
     """
     lines = [_best(rows)]
     reference = next((row for row in rows if not isinstance(row.model, Estimate)), rows[-1])

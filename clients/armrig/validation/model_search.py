@@ -83,15 +83,16 @@ def search(
     nk : int or iterable of int, optional
         Numbers of samples before u affects y; each number is tried. By default the result of
         `delay`, but at least 1, is tried. If a direct term is not ruled out, 0 is tried, too. In
-        closed loop a direct term is not tried, because a controller would cause it. If the data do
-        not distinguish feedback from a direct term, 0 is tried, and `doubts` contains this finding.
+        closed loop 0 is not tried, because a controller causes an apparent direct term. If the data
+        do not distinguish feedback from a direct term, 0 is tried, and `doubts` contains this
+        finding.
     integrator : bool, optional
         If True, structures with this option have a pole at exactly 1. The default is True if the
         output is an angle, or if a test finds that the output integrates.
     offset : bool, optional
         If True, the offset of the input is estimated in structures with this option. The default is
-        True if, in one of the data sets, y has a level that u does not cause and that exceeds 2
-        standard deviations.
+        True if y has a constant part that u does not explain. This part must exceed 2 standard
+        deviations in one of the two data sets.
     horizon : int, optional
         Samples to predict ahead, >= 1. By default the models are simulated, and "n4sid" is
         estimated with `focus="simulation"`. In closed loop the default is 1, because a biased model
@@ -171,7 +172,7 @@ def search(
 
 
 def _offered(known: Tested) -> list[OfferedName]:
-    """Return the structures that are searched by default for such data."""
+    """Return the structures that are searched by default, given the tests of the data."""
     return [
         name
         for name, kind in OFFERED.items()
@@ -208,7 +209,7 @@ def _counted(
     names: list[str],
     progress: Callable[[int, int, str], object] | None,
 ) -> list[Scored]:
-    """Return the results; `progress` is called with each name before its result."""
+    """Return the results; call `progress` with each name before its result is computed."""
     tell = progress or (lambda done, total, name: None)
     scored, following = [], iter(coming)
     for k, name in enumerate(names):

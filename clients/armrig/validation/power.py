@@ -11,7 +11,8 @@ def lack_of_power(allowance: float, *, on_estimation_data: bool) -> str:
     """Return the reason why the tests have no power, with a remedy; "" if they have power.
 
     The tests on validation data allow for the uncertainty of the parameters. If this uncertainty is
-    huge, for example of a pole that is 1 within rounding, all residuals pass the tests.
+    huge, all residuals pass the tests. An example is the uncertainty of a pole that is 1 within
+    rounding errors.
     """
     if on_estimation_data or not allowance > MOST_ALLOWED:
         return ""

@@ -55,7 +55,7 @@ class Recommended:
     """True if one root of F is exactly 1."""
 
     def keys(self) -> tuple[str, ...]:
-        """Return the names, as a mapping does."""
+        """Return the names of the orders, like the method `keys` of a mapping."""
         return ("nb", "nf", "nk", "integrator")
 
     def __getitem__(self, name: str) -> int | bool:
@@ -71,7 +71,7 @@ class Tried:
 
     structure: Recommended
     bits: float
-    """Description length (MDL): N log of the loss, plus log N for each coefficient."""
+    """Description length (MDL): N log(loss), plus log N for each coefficient."""
     fitted: _Fitted
 
 
@@ -86,7 +86,7 @@ class _Fitted:
     cost: float
     """Sum of the squared residuals."""
     past: int
-    """Dimension of the unknown past, which was estimated in the fit."""
+    """Number of quantities, such as initial states, that represent the unknown past in the fit."""
     N: int
     """Number of residuals."""
 
@@ -111,10 +111,10 @@ class _Fitted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Record:
-    """Experiments, of which all structures describe the same samples of y.
+    """Experiments, and the largest nk, so that all structures describe the same samples of y.
 
-    Description lengths of different samples cannot be compared, because they depend on the unit of
-    y.
+    Description lengths of different numbers of samples cannot be compared, because the description
+    lengths depend on the unit of y.
     """
 
     parts: tuple[Dataset, ...]
@@ -128,7 +128,10 @@ class _Record:
         require_samples("an experiment for structure hints", needed=needed, got=longest)
 
     def filtered(self, D: Vector) -> _Record:
-        """Return the record of D u and D y, without the samples that D needs as its past."""
+        """Return the record of the filtered signals D u and D y, without the first samples.
+
+        For these samples the filter D would need values before the start of the experiment.
+        """
         p, found = D.size - 1, []
         for part in self.parts:
             if p < part.N:
@@ -137,7 +140,11 @@ class _Record:
         return replace(self, parts=tuple(found))
 
     def problem(self, s: Recommended) -> PredictionErrorProblem:
-        """Return the problem with u shifted by its delay: pulses for an unknown u cost time."""
+        """Return the estimation problem, with u shifted by its delay.
+
+        Without the shift, pulses would represent the unknown u before the start. Their estimation
+        would take more time.
+        """
         d, cut = max(s.nk - 1, 0), self.latest - 1
         letter: Literal["f", ""] = "f" if s.integrator else ""
         n = Structure(nb=s.nb, nf=s.nf - s.integrator, nk=s.nk - d, integrator=letter, offset=True)
@@ -160,7 +167,7 @@ class Recommendation:
     F: Vector
     """Denominator of the model of the first structure."""
     whitening: Vector
-    """D of the noise model e/D; the signals are filtered by D."""
+    """Polynomial D of the noise model e/D; the signals are filtered by D."""
 
     def G(self, omega: Vector, Ts: float) -> NDArray[np.complex128]:
         """Return the model's frequency response."""
@@ -227,11 +234,11 @@ def recommended(
 
 
 def _chosen(scans: list[list[Tried]], *, shown: bool) -> list[Tried]:
-    """Return at most three structures, of least description length.
+    """Return at most three structures with the shortest description lengths.
 
     If the decision on the integrator is `shown`, one structure has nb = nf, like a plant under a
     zero-order hold. Otherwise the structures include a structure with an integrator and a structure
-    without.
+    without an integrator.
     """
     ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
     two = ranked[:2] if shown else _joined([s[:1] for s in scans])
@@ -245,7 +252,7 @@ def _joined(scans: Iterable[list[Tried]]) -> list[Tried]:
 
 
 def _busiest(data: Dataset) -> Dataset:
-    """Return the part of long data in which u changes most."""
+    """Return the data; if the data are long, return only the part in which u changes most."""
     if data.N <= _MAX_SAMPLES:
         return data
     moves = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(data.u, prepend=data.u[0])))])
@@ -255,7 +262,7 @@ def _busiest(data: Dataset) -> Dataset:
 
 
 def _arx_lags(data: Dataset) -> list[int]:
-    """Return the lags that ARX models of several orders prefer."""
+    """Return the nk of the best ARX model, then the nk of the best ARX model of each order."""
     latest = min(_MAX_LAG, max(data.N // 10, 1))
     try:
         table = select_orders(data, _ARX_ORDERS, _ARX_ORDERS, range(1, latest + 1))
@@ -309,7 +316,7 @@ def _refined(record: _Record, ranked: list[Tried]) -> list[Tried]:
 
 
 def _neighbours(s: Recommended) -> Iterator[Recommended]:
-    """Yield structures whose nf, nb, and first and last lags of B differ by at most 1."""
+    """Yield structures that differ from s by at most 1 in nf, nb, and B's first and last lag."""
     for poles, first, last in product((-1, 0, 1), repeat=3):
         nb, nf, nk = s.nb + first + last, s.nf + poles, s.nk - first
         if abs(first + last) <= 1 and nb >= 1 and 1 <= nf <= HIGHEST and nk >= min(s.nk, 1):
@@ -317,7 +324,10 @@ def _neighbours(s: Recommended) -> Iterator[Recommended]:
 
 
 def _exact(record: _Record, s: Recommended, known: dict[int, Vector]) -> _Fitted | None:
-    """Return the best model of a structure, from several starts and from models of other orders."""
+    """Return the best model of a structure; None if there is none.
+
+    The searches start at several estimates of F, and at variants of F from models of other orders.
+    """
     if s.nk > record.latest:
         return None
     problem = record.problem(s)
@@ -367,7 +377,7 @@ def _fits(
 
 
 def _fitted(problem: PredictionErrorProblem, s: Recommended, f: Vector) -> _Fitted | None:
-    """Return the model at which the search from f ends; None if there are too few residuals."""
+    """Return the model that a search from f finds; None if there are too few residuals."""
     N = sum(int(np.count_nonzero(x.rows)) for x in problem.experiments)
     if 3 * (s.nb + s.nf) >= N:
         return None
@@ -379,7 +389,7 @@ def _fitted(problem: PredictionErrorProblem, s: Recommended, f: Vector) -> _Fitt
 
 
 def _starts(problem: PredictionErrorProblem) -> list[Vector]:
-    """Return stable F, estimated by equation error and by Steiglitz-McBride iterations."""
+    """Return stable start values of F, from equation error and Steiglitz-McBride iterations."""
     n = problem.structure
     signals = [(x.u, x.y) for x in problem.experiments]
     try:
@@ -392,7 +402,7 @@ def _starts(problem: PredictionErrorProblem) -> list[Vector]:
 def _begun(
     record: _Record, nf: int, nk: int, integrates: bool, near: Vector
 ) -> tuple[float, int, Vector] | None:
-    """Return the cost at the best start value, nk, and the start value."""
+    """Return the best start value f as (cost, nk, f); None if there is no start value."""
     problem = record.problem(Recommended(nb=nf, nf=nf, nk=nk, integrator=integrates))
     starts = _starts(problem)
     if starts and near.size == problem.structure.nf:
@@ -401,11 +411,11 @@ def _begun(
 
 
 def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
-    """Return the description length, with `more` cost and `fewer` coefficients than the model.
+    """Return the description length if the model had `more` cost and `fewer` coefficients.
 
     Each dimension of one experiment's initial state costs log N, as a coefficient does. Without
     this cost, a model could fit a sine in the noise by a pair of poles on the unit circle and the
-    initial state. The frequency of the sine would be the best of N/2 frequencies.
+    initial state. The model could choose the frequency of the sine from N/2 frequencies.
     """
     s = model.structure
     loss = max((model.cost + more) / (model.N - model.past), np.finfo(np.float64).tiny)
@@ -414,7 +424,7 @@ def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
 
 
 def _trimmed(model: _Fitted) -> Iterator[Tried]:
-    """Yield structures without some first and last b's, with the predicted rise of the cost."""
+    """Yield structures without some first and last b's; predict their description lengths."""
     solution = model.problem.solve(model.f)
     R: Matrix = qr(solution.Psi, mode="r", check_finite=False)[0][: solution.Psi.shape[1]]
     scale = np.sqrt(np.sum(R**2, axis=0))

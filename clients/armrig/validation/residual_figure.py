@@ -25,11 +25,11 @@ _JOINT = f"joint test, level {100 * WHITE_LEVEL:g}{NBSP}%"
 def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
     """Show the autocorrelation of the residuals; below, their correlation with the input.
 
-    If the residuals are white, the upper band contains 99 % of the values of each lag. If the
-    residuals are independent of the input, the lower band contains 99 % of the values of each lag.
-    On average one lag of 100 is outside its band, so a test of all lags together decides. A
-    correlation at negative lags indicates feedback. A correlation at positive lags indicates
-    missing dynamics.
+    If the residuals are white, the value at each lag is inside the upper band with a probability of
+    99 %. If the residuals are independent of the input, the same holds for the lower band. On
+    average the values at one of 100 lags are outside the band, so a test of all lags together
+    decides. A correlation at negative lags indicates feedback. A correlation at positive lags
+    indicates missing dynamics.
     """
     ax, below = panels(ax, 0.5, sharex=False)
     shade: dict[str, Any] = {"color": GREY, "alpha": 0.25, "lw": 0, "label": BAND}

@@ -57,11 +57,11 @@ class ResidualTest:
     autocorrelation: Vector
     """Autocorrelation of the residuals at `lags`; 1 at lag 0."""
     autocorrelation_band: float
-    """99 % band of each lag except 0 for white residuals, 2.58/sqrt(N)."""
+    """Half width 2.58/sqrt(N) of the 99 % band for white residuals, at all lags except 0."""
     whiteness: float
-    """p value of the hypothesis that the residuals are white, from the test that decides."""
+    """p value of the hypothesis that the residuals are white, from the test `whiteness_test`."""
     whiteness_test: str
-    """Name of the test that decides: portmanteau, or Ljung-Box if the portmanteau is unreliable."""
+    """Name of the whiteness test: portmanteau, or Ljung-Box if the portmanteau is unreliable."""
     ljung_box: float
     """p value of the Ljung-Box test, for comparison with other programs."""
     cross_lags: NDArray[np.int_]
@@ -69,9 +69,11 @@ class ResidualTest:
     cross_correlation: Vector
     """Correlation of e(t) with u(t - lag) at `cross_lags`."""
     cross_band: float
-    """99 % band of each lag if the parameters are known, 2.58 sqrt(P / (N R_e(0) R_u(0)))."""
+    """Half width 2.58 sqrt(P / (N R_e(0) R_u(0))) of the 99 % band, if the parameters are exactly
+    known. `residuals` defines P."""
     cross_std: Vector
-    """Standard deviation at each of `cross_lags`, with the effect of the estimated parameters."""
+    """Standard deviation of `cross_correlation`, including the effect of the estimated
+    parameters."""
     missing_dynamics: float
     """p value of the hypothesis of no correlation with past and present input, lags 0 … L."""
     feedback: float
@@ -157,21 +159,22 @@ def residuals(
     Whiteness is tested by a portmanteau test that allows for the estimated parameters. If this test
     cannot be trusted, the Ljung-Box test decides (see `armrig.numerics.whiteness`). The result
     always contains the Ljung-Box test, for comparison with other programs. On estimation data the
-    degrees of freedom of the Ljung-Box test are reduced by na + nc + nd. Independence of the input
-    is tested by the sums s_k = sum of e(t) u(t - k), for all lags k together. The statistic s^T
-    M^-1 s is chi-squared, with ::
+    degrees of freedom of the Ljung-Box test are reduced by na + nc + nd. The test of independence
+    uses the sums s_k of e(t) u(t - k) over t, for all lags k together. The statistic s^T M^-1 s has
+    a chi-squared distribution. M is the covariance of the sums ::
 
         M = Z_p^T R_e Z_p                                        on estimation data
         M = Z^T R_e Z + (Z^T Psi) cov(theta) (Psi^T Z)           on other data
 
-    Z contains the lagged inputs. R_e is the covariance of the residuals (autoregressive estimate),
-    and Psi is the sensitivity of the prediction. Z_p is Z minus its projection on Psi, because
-    estimated parameters make residuals less correlated with the past input than noise is.
+    Z contains the lagged inputs. R_e is the covariance of the residuals, estimated by an
+    autoregression. Psi contains the derivatives of the prediction with respect to the parameters.
+    Z_p is Z minus the projection of Z on Psi. The projection is subtracted because on estimation
+    data the residuals are less correlated with the past input than the noise is.
 
-    The band for a single lag has the variance P/(N R_e(0) R_u(0)), P = sum of R_e(k) R_u(k). The
-    variance is 1/N only if e or u is white. The band is valid for a model with exactly known
-    parameters. `cross_std` is computed from the diagonal of M. Compared with the band, `cross_std`
-    is smaller at some lags on estimation data, and larger on other data.
+    The band for a single lag has the variance P/(N R_e(0) R_u(0)). P is the sum of R_e(k) R_u(k)
+    over k. The variance is 1/N only if e or u is white. The band is valid for a model with exactly
+    known parameters. `cross_std` is computed from the diagonal of M. Compared with the band,
+    `cross_std` is smaller at some lags on estimation data, and larger on other data.
 
     Parameters
     ----------
@@ -209,7 +212,7 @@ def residuals(
     order 2: coloured True, p 0.00
     order 3: coloured False, p 0.03
 
-    A p below 0.01 rejects.
+    A p value below 0.01 rejects the hypothesis.
 
     >>> print(test)
     residuals on estimation data, 3000 samples
@@ -307,7 +310,8 @@ def _input_sums(
 def _lagged_both_ways(u: Vector, L: int, known: Residuals) -> Array:
     """Return u(t - k), k = -L … L, (N, 2 L + 1), zero in the rows without a residual.
 
-    The free response is projected out, because this response is estimated from the tested data.
+    The effects of the unknown past are projected out, because they are estimated from the tested
+    data.
     """
     Z = np.zeros((u.size, 2 * L + 1), order="F")
     there = np.isfinite(known.e)
@@ -329,7 +333,7 @@ def _few(columns: int) -> list[slice]:
 def _score_covariance(
     Z: list[Array], known: list[Residuals], theta_covariance: Array, *, own: bool
 ) -> Array:
-    """Return M; on estimation data, subtract from Z its projection on Psi, in place."""
+    """Return M; on estimation data, also replace Z by Z minus its projection on Psi, in place."""
     e = [r.e for r in known]
     if not own:
         pairs = zip(Z, known, strict=True)

@@ -44,7 +44,7 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Structure and orders as text; comparisons of models show the same text."""
+        """Structure and orders as text, in the same form as in comparisons of models."""
         return STRUCTURES[self.family].short(dict(self.orders))
 
     @property
@@ -53,7 +53,7 @@ class Candidate:
         return dict(self.orders)[STRUCTURES[self.family].poles]
 
     def estimated(self, data: Dataset) -> Fit:
-        """Return the model estimated from the data, with unstable poles reflected."""
+        """Return the model estimated from the data, with unstable poles reflected at |z| = 1."""
         orders = dict(self.orders)
         request = Request(
             structure=self.family,
@@ -119,14 +119,14 @@ class SearchResult:
     excess: Vector
     """Mean squared error minus the mean squared error of the best candidate, (n,)."""
     excess_std: Vector
-    """Standard error of `excess`, from the differences in batches, (n,)."""
+    """Standard error of `excess`, computed from the means of batches of samples, (n,)."""
     chosen_index: int
     """Index of the simplest candidate within one standard error of the best."""
     failed: tuple[Scored, ...]
     """Candidates without a usable model."""
     doubts: tuple[Finding, ...]
-    """Findings about problems of the data: poor excitation, wrong samples, a level that u does not
-    cause, feedback."""
+    """Findings about problems of the data, such as poor excitation, wrong samples, feedback, or a
+    constant part of y that u does not explain."""
     notes: tuple[str, ...]
     """Decisions that are based on the data: an integrator, an offset."""
     halved: bool

@@ -46,19 +46,20 @@ AGREED_PEAK = 0.12  # of a frequency, the same of an extreme
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class StructureHints:
-    """Orders, integrator and delay suggested by estimates without a structure."""
+    """Recommended structures, and the nonparametric estimates that are the reasons for them."""
 
     structures: tuple[Recommended, ...]
     """At most three structures, best first.
 
-    If the integrator is shown, two structures have the least description lengths, and the third
-    structure has the least description length of all structures with nb = nf. Otherwise the
-    structures include a structure with an integrator and a structure without an integrator.
+    If `integrator_shown` is True, the structures include the two structures with the shortest
+    description lengths. They also include the best structure with nb = nf. If `integrator_shown` is
+    False, the structures include a structure with an integrator and a structure without an
+    integrator.
     """
     integrator: bool
-    """True if the first structure has a pole at 1: y is the sum of its rate."""
+    """True if the first structure has a pole at 1, so that y is the sum of its rate."""
     integrator_shown: bool
-    """True if the description length and the step response agree on the integrator.
+    """True if the description length and the step response agree whether y integrates.
 
     Otherwise `structures` includes a structure with and a structure without an integrator.
     """
@@ -66,34 +67,36 @@ class StructureHints:
     """Slope of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None if
     the first structure has another slope."""
     low_slope_std: float
-    """Standard deviation of the slope of a line through the points.
+    """Standard deviation of `low_slope`, from the scatter of the points about the fitted line.
 
-    Smoothing correlates the points of neighbouring frequencies, so the true standard deviation is
-    larger.
+    Smoothing makes the points at neighbouring frequencies correlated, so the true standard
+    deviation is larger.
     """
     low_band: Vector
-    """Frequencies at which the slope was estimated, in rad/s."""
+    """Frequencies at which `low_slope` was estimated, in rad/s."""
     high_slope: float | None
-    """Slope of |G| over the last third of a decade in which u explains y, in dB a decade. None if
-    the first structure has another slope."""
+    """Slope of |G| in dB a decade, over the highest third of a decade in which u explains y. None
+    if the first structure has another slope."""
     high_band: Vector
-    """Frequencies at which the slope was estimated, in rad/s."""
+    """Frequencies at which `high_slope` was estimated, in rad/s."""
     relative_degree: int
     """Number of poles minus number of zeros, from the slope at high frequency.
 
-    It is 0 if ``|G|`` does not fall, or if there is no such slope.
+    The value is 0 if ``|G|`` does not fall, or if no slope can be estimated.
     """
     resonances: tuple[float, ...]
-    """Frequencies of peaks that the first structure also has, in rad/s. If y integrates, the peaks
-    of the rate's |G| are used."""
+    """Frequencies in rad/s of the peaks of |G| that the first structure also has. If y integrates,
+    |G| is the response of the rate of y."""
     antiresonances: tuple[float, ...]
-    """Frequencies of dips that the first structure also has, in rad/s."""
+    """Frequencies in rad/s of the dips of |G| that the first structure also has."""
     phase_delay: float | None
-    """Delay in s that explains the phase at the highest frequencies, in addition to the phase that
-    belongs to the slope of |G|. None if this delay differs from (nk - 1/2) Ts by more than Ts/2.
+    """Delay in s, from the phase at the highest frequencies. The delay explains the part of the
+    phase lag that the slope of |G| does not explain. None if this delay differs from (nk - 1/2) Ts
+    by more than Ts/2.
     """
     nk_interval: tuple[int, int] | None
-    """Least and greatest nk of `delay`; None if `delay` refused, or if it excludes nk."""
+    """Least and greatest nk that `delay` found; None if `delay` raised an error, or if this range
+    does not contain `nk`."""
     singular_values: Vector
     """Singular values of the Hankel matrix of the decaying response, divided by the largest
     singular value."""
@@ -152,10 +155,11 @@ def structure_hints(
 ) -> StructureHints:
     """Recommend at most three structures, with the reasons for them.
 
-    The structures are the output-error structures of least description length (`recommended`).
-    Before the search, a filter whitens the noise. If the integrator is shown, one structure has nb
-    = nf, like a plant under a zero-order hold. Nonparametric estimates give the following reasons,
-    if the first structure agrees:
+    The structures are the output-error structures with the shortest description lengths
+    (`recommended`). Before the search, a filter whitens the noise. If the data show whether y
+    integrates, one of the structures has nb = nf, like a plant under a zero-order hold.
+    Nonparametric estimates give the following reasons. A reason is reported only if the first
+    structure agrees with it:
 
     - Integrator: the rate's step response does not return to 0, and the description is shorter with
       a pole at 1. If only one of the two statements is true, or if the description lengths hardly
@@ -168,7 +172,7 @@ def structure_hints(
     - Number of poles minus number of zeros: the slope at the highest frequencies at which u
       explains y (coherence above one half). Each pole in excess of the zeros changes the slope by
       -20 dB a decade. Sampling hides the slope near the Nyquist frequency.
-    - Delay: the result of `delay`, and the phase in addition to the phase of the roll-off.
+    - Delay: the result of `delay`, and the phase lag beyond the lag of the roll-off.
 
     Parameters
     ----------
@@ -263,9 +267,9 @@ def _delay(data: Dataset, *, integrates: bool) -> Delay | None:
 
 
 def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
-    """Return the indices at which u explains y.
+    """Return the indices of the frequencies at which u explains y.
 
-    If there are too few indices, return none of them, or raise ValueError if `needed`.
+    If there are too few such frequencies, raise ValueError if `needed`, otherwise return no index.
     """
     try:
         return explained(estimate)
@@ -276,7 +280,7 @@ def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
 
 
 def _agreed(slope: float, best: Recommendation, omega: Vector, Ts: float) -> float | None:
-    """Return the slope if the first structure has nearly the same slope at these frequencies."""
+    """Return the slope if the first structure's slope at these frequencies is close, else None."""
     other, _ = log_slope(omega, np.abs(best.G(omega, Ts)))
     return slope if abs(slope - other) <= AGREED_SLOPE else None
 
@@ -299,19 +303,22 @@ def _confirmed(
 
 
 def _stays(of_rate: ImpulseResponse) -> bool:
-    """Return whether the rate's step response ends above a share of its largest value."""
+    """Return whether the rate's step response does not return to 0."""
     end, std = _end_of_step(of_rate)
     return end > max(STAYS, SURE * std)
 
 
 def _returns(of_rate: ImpulseResponse) -> bool:
-    """Return whether the rate's step response surely ends below a share of its largest value."""
+    """Return whether the rate's step response surely returns to 0."""
     end, std = _end_of_step(of_rate)
     return end + SURE * std < STAYS
 
 
 def _end_of_step(of_rate: ImpulseResponse) -> tuple[float, float]:
-    """Return last value and deviation of the rate's step response, divided by its largest value."""
+    """Return the final value of the rate's step response, and its standard deviation.
+
+    Both are divided by the largest value of the step response.
+    """
     g, _ = of_rate.decaying
     steps = np.abs(np.cumsum(g))
     largest = float(np.max(steps))
@@ -330,9 +337,9 @@ def _extremes(
 
     The frequencies are computed from the transform of the impulse response. A spectrum with a lag
     window would have flatter extremes, and a longer delay would make the extremes even flatter. An
-    extreme has a foot on each side. An extreme is significant if |G| at the extreme differs from
-    |G| at both feet by more than `SURE` standard deviations of the difference. The distance between
-    the feet must also be larger than 2 pi/(n Ts), the resolution of n lags.
+    extreme has a base on each side. An extreme is significant if |G| at the extreme differs from
+    |G| at both bases by more than `SURE` standard deviations of the difference. The distance
+    between the bases must also be larger than 2 pi/(n Ts), the resolution of n lags.
     """
     from scipy.signal import find_peaks
 
@@ -373,7 +380,10 @@ def _covariance(response: ImpulseResponse) -> Matrix:
 
 
 def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tuple[Vector, float]:
-    """Return singular values from lag nk on, and the threshold, divided by the largest value."""
+    """Return the singular values of the response from lag nk on, and the threshold.
+
+    All values are divided by the largest singular value.
+    """
     g, _ = response.decaying
     # The rate's backward difference is itself a state, a pole at 0 that acts on g(nk) alone.
     h = g[nk + 1 :] if response.integrator else g[nk:]
@@ -438,7 +448,7 @@ def _reasons(h: StructureHints) -> Iterator[str]:
 
 
 def _more_poles(h: StructureHints) -> str:
-    """Return the reason for more poles than singular values; "" if there are not more."""
+    """Return why the first structure has more poles than `order`; "" if it has no more poles."""
     if h.order >= h.nf or not h.integrator_shown:
         return ""
     return (

@@ -44,11 +44,11 @@ class SignalsComparison:
     fit_percent: tuple[float, ...]
     """100 (1 - |y - ŷ| / |y - mean y|) of each output, over its measured samples."""
     rms_error: tuple[float, ...]
-    """Root mean square of y - ŷ of each output, in its unit."""
+    """Root mean square of y - ŷ of each output, in the unit of the output."""
     on_estimation_data: bool
     """True if the model was estimated from these signals."""
     y: Matrix
-    """ŷ, (N, ny)."""
+    """Outputs ŷ of the model, (N, ny)."""
     model: SignalsModel
     """The model."""
 
@@ -78,7 +78,7 @@ class SignalsComparisonTable:
 
     @property
     def findings(self) -> tuple[EstimateFinding, ...]:
-        """Warnings, with codes: "own data" and "overlap" for models estimated from these data."""
+        """Warnings, code "own data" or "overlap", about models estimated from these data."""
         named = [(row.name, row.model) for row in self.rows]
         return tuple(findings_on_own_data(named, self.data))
 
@@ -118,7 +118,7 @@ def compare(
     horizon: int | None = None,
     labels: Sequence[str] | None = None,
 ) -> SignalsComparisonTable:
-    """Compare models of several outputs with signals, in simulation unless a horizon is given.
+    """Compare models of several outputs with signals, by simulation unless a horizon is given.
 
     The initial state of each experiment, and a ramp of each integrating output, are estimated from
     these data by least squares. Missing samples are not compared.

@@ -49,7 +49,7 @@ class Form(Protocol):
 
     @property
     def coupled(self) -> bool:
-        """True if the model has no separate noise polynomials for each channel."""
+        """True if the channels have no noise polynomials of their own."""
 
     @property
     def integrators(self) -> tuple[bool, ...]:
@@ -109,8 +109,8 @@ class MultivariableFit:
     shared: bool = False
     """True if all outputs share one denominator."""
     output_weights: tuple[float, ...] = ()
-    """Weights w_i, if the sum of w_i e_i² was minimised; empty if the noise covariance set the
-    weights."""
+    """Weights w_i if the estimator minimised the sum of w_i e_i²; empty if the weights were
+    computed from the noise covariance."""
     covariance: Matrix
     """Covariance of theta (d, d), valid if the residuals are white."""
     covariance_robust: Matrix
@@ -330,7 +330,7 @@ class MultivariableFit:
         return self.form.realised().deterministic.simulated(u_)
 
     def predict(self, data: Signals, horizon: int | None = 1) -> Matrix:
-        """Return ŷ(t) (N, ny) from u up to t and y up to t - horizon; with None, from u alone.
+        """Return ŷ(t) (N, ny) from u up to t and y up to t - horizon; horizon None uses u alone.
 
         The initial state of each experiment is estimated from the data by least squares. For an
         integrating output the input offset is estimated too, as a ramp. If a sample of an output is

@@ -9,8 +9,8 @@ import numpy as np
 from armrig.models.model import Complex
 
 _RADIUS = 1.05
-"""Radius of the circle in q, divided by the modulus of the largest pole, or by 1 if that is
-larger."""
+"""Ratio of the radius of the circle in q to the modulus of the largest pole. If all poles are
+inside the unit circle, ratio of the radius to 1."""
 
 
 def circle(n: int, poles: Any) -> Complex:
@@ -20,7 +20,7 @@ def circle(n: int, poles: Any) -> Complex:
 
 
 def coefficients(values: Any, x: Complex) -> Any:
-    """Return the n real coefficients of polynomials in x with given values (n, …) on the circle."""
+    """Return the n coefficients of the polynomials that have the values (n, …) at the points x."""
     n = x.size
     powers = np.abs(x[0]) ** np.arange(n)
     found = np.fft.ifft(values, axis=0).real

@@ -55,12 +55,12 @@ class Matrices:
 
     @property
     def coupled(self) -> bool:
-        """True: the model has no separate noise polynomials for each channel."""
+        """True, because the channels have no noise polynomials of their own."""
         return True
 
     @property
     def integrators(self) -> tuple[bool, ...]:
-        """False for each output: no root is 1 by construction."""
+        """False for each output, because no root is 1 by construction."""
         return tuple(False for _ in self.C)
 
     def has(self, i: int, j: int) -> bool:
@@ -68,7 +68,7 @@ class Matrices:
         return True
 
     def channel(self, i: int, j: int) -> Channel:
-        """Return B and F from input j to output i: F(x) = det(1 - x A), with x = q^-1.
+        """Return B and F from input j to output i, with F(x) = det(1 - x A) and x = q^-1.
 
         With W = inv(1 - x A), B = F (D + x C W B). The derivatives are d F = -x F tr(W dA) and
         d W = x W dA W.

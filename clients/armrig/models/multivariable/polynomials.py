@@ -43,7 +43,7 @@ class Polynomials:
     """Polynomials of all rows."""
 
     A: tuple[Row, ...]
-    """A_ik for each row i and output k; A_ii begins with 1, A_ik with 0."""
+    """A_ik for each row i and output k; A_ii begins with 1, and A_ik with i ≠ k begins with 0."""
     B: tuple[Row, ...]
     """B_ij for each row i and input j, beginning with nk zeros."""
     C: Row
@@ -217,7 +217,7 @@ class Polynomials:
         )
 
     def _row(self, i: int) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the matrices of row i, of the states that u drives and of the noise states."""
+        """Return the matrices of row i: for the states that u drives, and for the noise states."""
         ny, nu = len(self.A), len(self.B[i])
         D = np.array([b[0] if b.size else 0.0 for b in self.B[i]])
         if all(f.size == 1 for f in self.F[i]) and self.D[i].size == 1:
@@ -263,7 +263,7 @@ def _observer(n: int, nu: int, ny: int) -> dict[str, Any]:
 
 
 def _with_sum(block: dict[str, Any]) -> dict[str, Any]:
-    """Return a block, whose F has the root 1, with the sum of all states as first state.
+    """Return a block with the sum of all states as its first state; F of the block has a root 1.
 
     The new first state only accumulates the inputs, so its root is exactly 1. In the original
     coordinates each rounding error would move the root, and the error of the integral would grow

@@ -91,7 +91,7 @@ def predicted(
     Parameters
     ----------
     noise_std : ndarray (ny,)
-        Standard deviation of e, which weights the outputs.
+        Standard deviation of e; the errors of each output are divided by this number.
     """
     if horizon is None:
         system = system.deterministic
@@ -124,7 +124,7 @@ def error_responses(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ErrorResponses:
-    """Responses to the data (the first column), to each state, and to each ramp."""
+    """Responses to the data (the first column), to each initial state, and to each ramp."""
 
     inputs: Array
     """Inputs (N, m, nu)."""
@@ -144,7 +144,7 @@ class ErrorResponses:
 def _responses(
     system: StateSpace, part: Signals, *, integrating: tuple[bool, ...], used: Array
 ) -> ErrorResponses:
-    """Return the responses; only the outputs marked in `used` have innovations."""
+    """Return the responses; innovations of outputs not marked in `used` are taken as 0."""
     at = [i for i, integrates in enumerate(integrating) if integrates]
     n = system.order
     inputs, outputs = np.zeros((2, part.N, 1 + n + len(at), max(part.nu, part.ny)))
@@ -160,12 +160,12 @@ def _responses(
 
 
 def _initial(responses: Array, errors: Array) -> Array:
-    """Return the least-squares coefficients of the responses, without superfluous directions.
+    """Return least-squares coefficients of the responses, without undetermined combinations.
 
     Channels with nearly the same poles have states with nearly the same responses. Estimates of
     such states would be large, with opposite signs, and would spoil the predictions of missing
-    samples. A direction of this kind is used only if its share of the errors exceeds five standard
-    deviations of the noise.
+    samples. Such a combination of states is used only if its contribution to the errors exceeds
+    five standard deviations of the noise.
     """
     scale = np.maximum(column_norms(responses), 1e-100)
     U, s, V = np.linalg.svd(responses / scale, full_matrices=False)

@@ -38,7 +38,7 @@ Its arguments are the number of items done since the start, the number of all it
 the last item done.
 """
 MOST_DEATHS = 2
-"""Number of workers that may die while an item runs alone; the item is then abandoned."""
+"""Number of workers that must die while an item runs alone before the item is abandoned."""
 
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
@@ -100,8 +100,8 @@ def batch(
     Raises
     ------
     OperationError, ImportError, OSError
-        The existing table is of another task; the disk is full; all workers are lost; pyarrow is
-        not installed; or a file cannot be read or written.
+        The existing table belongs to another task; the disk is full; all workers are lost; pyarrow
+        is not installed; or a file cannot be read or written.
     """
     check_writable()
     items = items_in(folder, rigs=rigs, kinds=kinds)
@@ -181,7 +181,7 @@ def results(
 def _until_a_death(
     workers: Executor, function: Callable[[T], R], waiting: deque[T], alone: deque[T], at_once: int
 ) -> Generator[tuple[T, R | Exception], None, list[T]]:
-    """Yield results until all items are done or a worker dies; return the items that still ran."""
+    """Yield results until all items are done or a worker dies; return the items still running."""
     running: dict[Future[R], T] = {}
     while waiting or alone or running:
         source, most = (alone, 1) if alone else (waiting, at_once)

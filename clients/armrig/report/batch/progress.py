@@ -37,8 +37,8 @@ class Progress:
         Raises
         ------
         OperationError
-            The file is of another task, is not a regular file, or is used by another process; or
-            the disk is full.
+            The file belongs to another task, is not a regular file, or is used by another process;
+            or the disk is full.
         OSError
             The file cannot be opened.
         """

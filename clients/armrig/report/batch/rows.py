@@ -24,7 +24,7 @@ from armrig.report.batch.tasks import Identify, Report, Task, Validate, Verify, 
 
 Row = dict[str, Any]
 Kind = str
-"""Type of a column: text, truth, count or number, or a list of these: texts or numbers."""
+"""Type of a column: text, truth, count or number; texts or numbers for a list."""
 
 OF_THE_FILE: dict[str, Kind] = {
     "recording": "text",
@@ -252,7 +252,8 @@ def _model(text: str) -> Fit:
 def _output(fit: Fit) -> OutputName:
     """Return the output of a model.
 
-    For a model of any other signal the result is theta_1, and `compare` then refuses the model.
+    If the output is not an `OutputName`, the result is theta_1, and `compare` then refuses the
+    model.
     """
     outputs: tuple[OutputName, ...] = get_args(OutputName)
     return next((output for output in outputs if fit.output == output), THETA_1)

@@ -22,7 +22,8 @@ class Validate(msgspec.Struct, frozen=True, kw_only=True, tag="validate"):
     """Compare one model with each recording."""
 
     model: str
-    """Content of a model file, written by `Fit.save`; other machines may not have the file."""
+    """Content of a model file that `Fit.save` wrote. A path would not suffice, because other
+    machines may not have the file."""
     detrend: bool = False
 
 

@@ -71,7 +71,7 @@ def _connected(distributed: Any, address: str) -> Any:
 
 
 def _begin() -> None:
-    """Prepare a worker process: it ignores Ctrl-C and ends with its parent."""
+    """Prepare a worker process, which ignores Ctrl-C and ends when its parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

@@ -45,10 +45,10 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     """Examine data or a model, and return the findings with their remedies.
 
     For data, the advice covers excitation, integrator, missing samples, outliers, drift, feedback,
-    and the agreement of ARX with OE. For a model, it covers the search, the residuals, and an
-    integrator that is not fixed. It also covers poles and zeros that cancel (the order is too
-    high), and poles that no sampled rig has (negative real, unstable). Finally, the advice covers a
-    first coefficient that may be 0 (a delay).
+    and the agreement of ARX with OE. For a model, the advice covers the search, the residuals, and
+    an integrator that is not fixed. The advice also covers poles and zeros that cancel (the order
+    is too high), and poles that no sampled rig has (negative real, unstable). Finally, the advice
+    covers a first coefficient that may be 0 (a delay).
 
     Parameters
     ----------

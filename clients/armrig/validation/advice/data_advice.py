@@ -23,7 +23,8 @@ from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
 
 ORDER = 4
-"""Order of the compared models: number of poles, and of numerator coefficients, as for the arm."""
+"""Number of poles, and number of numerator coefficients, of the compared models; the arm has 4
+poles."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MAX_MISSING_SHARE = 0.2
 _MIN_POLE_SIGMAS = 10.0  # least distance from 1 of a pole that is no integrator; σ may be wrong
@@ -75,7 +76,7 @@ def _late(data: Dataset, *, integrates: bool) -> Delay | str:
 
 
 def examine_data(data: Dataset) -> Iterator[Finding]:
-    """Yield the findings about the data; a finding precedes the findings that it may cause."""
+    """Yield the findings about the data; a possible cause precedes its effects."""
     known = tested(data, None)
     findings = [*examine_experiment(data, known)]
     yield from findings
@@ -106,7 +107,7 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
 
 
 def examine_fit_of(data: Dataset, fit: Fit) -> Iterator[Finding]:
-    """Yield the findings of the data that concern a model: its size, integrator, nk, feedback."""
+    """Yield the findings on excitation, integrator, feedback and delay that concern the model."""
     known = tested(data, fit.integrator or None)
     order, needed = _excitation(data), _parameters_from_u(fit)
     if order < needed:
@@ -129,7 +130,7 @@ def examine_fit_of(data: Dataset, fit: Fit) -> Iterator[Finding]:
 
 
 def _all_within(fit: Fit) -> bool:
-    """Return whether no pole of the model can be 1."""
+    """Return whether all poles of the model differ significantly from 1."""
     poles = fit.poles()
     apart = np.abs(poles.values - 1) > _MIN_POLE_SIGMAS * np.asarray(poles.std)
     return bool(fit.converged and np.all(apart))

@@ -33,7 +33,7 @@ from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING, possib
 Vector = NDArray[np.float64]
 
 SECOND_ORDER = frozenset({THETA_1, ALPHA})
-"""Outputs whose second derivative jumps at a step of the voltage, but not the first derivative."""
+"""Outputs whose second derivative jumps at a voltage step, with a continuous first derivative."""
 _MIN_SAMPLES = 50  # samples
 _LOSS_LAGS = 3  # lags past nk to which losses are kept
 _MAX_FEW_CHANGES = 10  # of u; with more changes the error of quantisation averages out
@@ -65,9 +65,9 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     the onset decides (`smooth_onsets`).
 
     nk is the least lag that is not ruled out, so an unproven delay is never claimed. A direct term,
-    nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, the
-    coefficient at lag 0 would be due to the controller. The model then begins at lag 1. If the data
-    do not distinguish feedback from a direct term, the interval begins at 0.
+    nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, the model
+    begins at lag 1, because the controller causes the coefficient at lag 0. If the data do not
+    distinguish feedback from a direct term, `interval` begins at 0.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ class _Onset:
     last: int
     """Greatest lag that is not ruled out."""
     misfit: dict[int, float]
-    """Chi-squared of a smooth onset by its first lag; empty if the shape was not tested."""
+    """Chi-squared of the model with a smooth onset, for each first lag; empty if not tested."""
 
 
 def _onset(data: Dataset, tests: LagTests, *, integrates: bool) -> _Onset:
@@ -245,7 +245,7 @@ class _Readings:
 
 
 def _readings(data: Dataset, response: ImpulseResponse, first: int) -> _Readings:
-    """Return the quantisation.
+    """Return the quantisation, and the time for which quantisation hides the response.
 
     The coefficient b solves y = b |Δu| t²/2 at the first sample of the response above 1 LSB.
     """
@@ -266,7 +266,7 @@ def _readings(data: Dataset, response: ImpulseResponse, first: int) -> _Readings
 
 
 def _hidden_by_steps(onset: _Onset, read: _Readings, Ts: float) -> tuple[int, list[str]]:
-    """Return the least nk that is not ruled out, and a remark if quantisation lowers this nk."""
+    """Return the least nk that is not ruled out, and a remark if quantisation may lower this nk."""
     if read.t_q is None or read.changes >= _MAX_FEW_CHANGES or onset.last <= 1:
         return onset.first, []
     hidden = ceil(read.t_q / Ts)
@@ -277,10 +277,11 @@ def _hidden_by_steps(onset: _Onset, read: _Readings, Ts: float) -> tuple[int, li
 
 
 def determined_lags(data: Dataset, most: int) -> int:
-    """Return the number of successive lags of u whose coefficients u determines, at most `most`.
+    """Return the number of lags of u, from lag 0 on, whose coefficients the data determine.
 
-    A lag is determined if its regression on the earlier lags has a sqrt(1 - R²) that is large
-    enough.
+    At most `most` lags are counted. The count ends at the first lag k at which u(t - k) hardly
+    differs from its regression on u(t), …, u(t - k + 1). The criterion is the sqrt(1 - R²) of this
+    regression.
 
     Raises
     ------

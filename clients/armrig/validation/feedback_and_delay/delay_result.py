@@ -20,25 +20,25 @@ class Delay:
     """The first lag at which u acts."""
 
     nk: int
-    """First lag at which u acts: the least lag that is not ruled out. If a rig without delay has a
-    zero-order hold, nk is 1. nk is 0 only if lag 0 itself is significant."""
+    """First lag at which u acts: the least lag that is not ruled out. Under a zero-order hold, a
+    rig without delay has nk = 1. nk is 0 only if lag 0 itself is significant."""
     interval: tuple[int, int]
     """Least and greatest nk that the data do not rule out; each test has the level 0.1 %."""
     may_be_feedback: bool
     """True if feedback may cause the coefficient at lag 0: a u(t) that depends on y(t) looks like a
     direct term."""
     p_values: dict[int, float]
-    """p value by lag k, up to the first significant lag. The hypothesis is that u does not act at
-    lag k or at an earlier lag."""
+    """p value for each lag k, up to the first significant lag. The hypothesis is that u does not
+    act at lag k or at an earlier lag."""
     before: Before | None
-    """Test whether u may act one lag before the first significant lag, with an effect too small to
-    see. None if the first significant lag is 0."""
+    """Test for a weak effect of u one lag before the first significant lag. None if the first
+    significant lag is 0."""
     misfit: dict[int, float]
-    """Chi-squared of a smooth onset by its first lag, with two degrees of freedom. The mapping is
-    empty if the tests of the first coefficients determine nk, or if the onset of the output is not
-    smooth."""
+    """Chi-squared, with two degrees of freedom, of a model with a smooth onset, for each first lag.
+    The mapping is empty if the tests of the first coefficients determine nk, or if the onset of the
+    output is not smooth."""
     arx_loss: dict[int, float]
-    """Loss of the ARX model by its nk, in y's unit squared; all models have the same last lag of
+    """Loss of the ARX model for each nk, in y's unit squared; all models have the same last lag of
     u."""
     response: ImpulseResponse
     """Plain impulse response, with bands."""
@@ -122,7 +122,7 @@ class Delay:
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
     def brief(self) -> str:
-        """Return the answer, the remedy if it is not unique, and the limits of the answer."""
+        """Return the answer, a remedy if the answer is not unique, and the limits of the answer."""
         lines = [f"{self._answer()} (level {100 * self.level:g} %)"]
         lines += [] if self.told else [self._way_out()]
         lines += [f"  note: {r}" for r in self.remarks]

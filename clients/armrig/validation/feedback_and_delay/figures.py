@@ -62,7 +62,7 @@ def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
-    """Show the first coefficients with their band; the lower panel shows the losses by nk.
+    """Show the first coefficients with their band; the lower panel shows the loss for each nk.
 
     The band and the dotted line correspond to the level of the tests, 0.1 %.
     """

@@ -1,4 +1,4 @@
-"""Joint tests of a model's first coefficients: the lags at which u acts."""
+"""Joint tests of the first coefficients of a model, which show at which lag u acts first."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _COEFFICIENTS_AFTER_FIRST = 40
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Before:
-    """Test whether u may act, too weakly to be seen, one lag before the first significant lag."""
+    """Test for a weak effect of u one lag before the first significant lag."""
 
     k: int
     """The lag."""
@@ -48,7 +48,10 @@ class Before:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LagTests:
-    """Tests that u does not act at the lags `first` … k, for each k; arrays begin at `first`."""
+    """Tests of the hypotheses that u does not act at the lags `first` … k, for each k.
+
+    Each array over k begins at lag `first`.
+    """
 
     first: int
     """Least lag of the model: 0, or 1 if feedback hides lag 0."""
@@ -74,16 +77,16 @@ class LagTests:
 
     @property
     def none_shown(self) -> bool:
-        """True if H_k is rejected at no lag."""
+        """True if no H_k is rejected."""
         return _first(self.p_values) == self.p_values.size
 
     def before(self, k: int) -> Before:
         """Test whether u may act first at lag k with a coefficient that is not significant.
 
-        A first coefficient is at least 1/(1 + 3 n) of any coefficient n samples later. The slowest
-        onset of a mechanical rig, t²/2 under a hold, has the ratio 1/(1 + 2 n). If the response
-        begins more slowly, the bound is computed from the onset of the response itself, (t/Ts)^d
-        under a hold.
+        The test assumes that a first coefficient is at least 1/(1 + 3 n) of any coefficient n
+        samples later. The slowest onset of a mechanical rig, t²/2 under a hold, has the ratio 1/(1
+        + 2 n). If the response begins more slowly, the bound is computed from the onset of the
+        response itself, (t/Ts)^d under a hold.
         """
         from scipy.special import ndtr
 
@@ -102,8 +105,8 @@ class LagTests:
     def _as_smooth(self, k: int) -> float:
         """Return the coefficient at lag k if the response begins like s(j) = c (j - k + 1)^d.
 
-        s is the step response, and d is the steepest slope of log s over the first significant
-        lags.
+        s is the step response. d is the steepest slope of log s against log (j - k + 1) over the
+        first significant lags.
         """
         s = np.abs(np.cumsum(self.response[self.shown :])[: _ONSET + 1])
         if k == 0 or s.size < 2 or not np.all(s > 0):  # under a hold no smooth onset is at lag 0
@@ -125,18 +128,18 @@ def lag_tests(
 ) -> LagTests:
     """Test the first lags in an ARX model, or in the impulse response if too many y are missing.
 
-    The model is ARX with a level of each experiment. AIC chooses na <= 20 and the number of lags of
-    u. The number of lags is at most the number of lags in `response`. The sum of na and this number
-    is at most `determined`, the number of lags that u determines. Otherwise past outputs could
-    replace lags of u. An ARX model of high order approximates any linear system and any colour of
-    the noise [1]_. The F test of the ARX model ::
+    The model is ARX with a constant for each experiment. AIC chooses na <= 20 and the number of
+    lags of u. The number of lags of u is at most the number of lags in `response`. The sum of na
+    and the number of lags of u is at most `determined` (see `determined_lags`). Otherwise past
+    outputs could replace lags of u. An ARX model of high order approximates any linear system and
+    any colour of the noise [1]_. Therefore the F test of the ARX model has the correct level
+    without a separate model of the noise ::
 
         F_k = (V_k+1 - V_0)/(k + 1) / (V_0/(N - d)),      H_k: b_0 = … = b_k = 0
 
-    therefore has the correct level without a separate model of the noise. V_k is the sum of squares
-    of the model that begins at lag k. The tests begin at lag `first`, which is 1 with feedback,
-    because b_0 would be due to the controller. All V_k are computed from one QR decomposition with
-    the columns u(t - L) … u(t).
+    V_k is the sum of squared residuals of the model that begins at lag k. The tests begin at lag
+    `first`. With feedback, `first` is 1, because the controller causes b_0. All V_k are computed
+    from one QR decomposition with the columns u(t - L) … u(t).
 
     References
     ----------
@@ -194,7 +197,7 @@ def _in_arx(blocks: list[Matrix], most: int, lags: range) -> LagTests:
 
 
 def _first(p_values: Vector) -> int:
-    """Return the index of the first p value below the level; the number of p values if none is."""
+    """Return the index of the first p value below the level, or the number of p values."""
     found = np.flatnonzero(p_values < LEVEL)
     return int(found[0]) if found.size else p_values.size
 
@@ -216,7 +219,7 @@ def _triangle_of(R: Matrix, columns: list[int]) -> Matrix:
 
 
 def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
-    """Return na and the number of lags of u, from the least lag on, that have the least AIC."""
+    """Return the na and the number of lags of u (from the least lag on) with the least AIC."""
     values = np.empty((most + 1, lags))
     for na in range(most + 1):
         T = _triangle_of(R, [*range(na), *range(most, most + lags + 1)])
@@ -251,7 +254,7 @@ def _in_response(response: ImpulseResponse, first: int) -> LagTests:
 
 
 def _joint(score: Vector, degrees: int) -> Vector:
-    """Return the p values of the mean squares of the first k = 1, 2, … scores: F(k, degrees)."""
+    """Return, for each k, the p value of the mean square of the first k scores, F(k, degrees)."""
     from scipy.special import fdtrc
 
     k = np.arange(1, score.size + 1)

@@ -1,4 +1,4 @@
-"""Sims' test for feedback: future input explains the output beyond the past."""
+"""Sims' test for feedback: a test whether future input helps to explain the output."""
 
 from __future__ import annotations
 
@@ -40,11 +40,14 @@ class Sims:
     """The F-test of y on future u."""
 
     p_value: float
-    """p value of the hypothesis that u(t), u(t + 1), … explain nothing of y(t) beyond the past."""
+    """p value of the hypothesis that u(t), u(t + 1), … do not help to explain y(t), given the
+    past."""
     p_later: float
-    """p value of the same hypothesis for u(t + 1), … with u(t) as a part of the past."""
+    """p value of the hypothesis that u(t + 1), … do not help to explain y(t), given the past and
+    u(t)."""
     F: float
-    """Ratio of (RSS_0 - RSS)/q to RSS/(N - d), with q future inputs among d regressors."""
+    """Ratio of (RSS_0 - RSS)/q to RSS/(N - d), with d regressors. RSS is the residual sum of
+    squares, and RSS_0 the sum without the q future inputs."""
     q: int
     """Degrees of freedom of the numerator."""
     degrees: int
@@ -52,7 +55,8 @@ class Sims:
     p: int
     """Number of past samples of y, and of u, in the regression."""
     explained: float
-    """Share (0 to 1) of y's variance, given the past, that future u explains."""
+    """Reduction of the variance of y by future u, as a share (0 to 1) of the variance that the past
+    does not explain."""
     lags: NDArray[np.int_]
     """Lags -(q - 1) … p of the coefficients; at 0 and below, u is applied after y is read."""
     coefficients: Vector
@@ -79,13 +83,13 @@ def sims(data: Dataset) -> Sims:
     past; to that test, a PRBS, a held input and a low-pass input look like feedback.) In closed
     loop u(t) contains the noise of y(t).
 
-    p = 15 lg N, at most 60. The sums w represent the input more than p samples ago. Without these
+    p = 15 lg N, at most 60. The sums w represent the input before the last p samples. Without these
     sums, future u could replace the missing past in open loop. y's past has more lags than the
     plant has poles, so the F distribution also holds if y integrates: see [2] and [3].
 
     A missing y(t) removes its own row. In later rows the missing y is interpolated linearly between
-    its neighbours. The later neighbour is y(t) or earlier, so the interpolation contains no effect
-    of future u. No row extends over the end of an experiment or over a gap longer than p/2.
+    its neighbours. The later neighbour is not later than y(t), so the interpolation contains no
+    effect of future u. No row extends over the end of an experiment or over a gap longer than p/2.
 
     The computing time is proportional to N. The memory in addition to u and y is constant, because
     the QR factorisation computes R block by block.

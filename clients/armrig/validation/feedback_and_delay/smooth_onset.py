@@ -1,4 +1,4 @@
-"""Test of the first lag by the shape of the onset of an angle, t²/2."""
+"""Test of the first lag by the shape of the onset of an angle, which is proportional to t²."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _MAX_EXTRA_LAGS = 4  # tested at either end of the range
 
 
 def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> dict[int, float]:
-    """Return chi-squared of a smooth onset for each first lag.
+    """Return chi-squared of the model with a smooth onset, for each first lag.
 
     OE models with different first lags k are compared. Their numerator is 1 + q^-1 times a
-    polynomial of three coefficients, so that the onset is smooth ::
+    polynomial of three coefficients, so that the onset is smooth. The statistic is ::
 
         chi² = (N - d)(V_k - V_0)/V_0,      two degrees of freedom
 
@@ -57,12 +57,13 @@ def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> 
 
 
 def possible(misfit: dict[int, float]) -> tuple[int, int]:
-    """Return the least and the greatest lag at which the onset may begin.
+    """Return the least and the greatest lag at which the onset may begin, given the misfits.
 
-    The square root of the misfit grows with the distance from the true onset. The best lag and the
-    lags with a misfit below its 1 % point are possible. A lag is also possible if its distance from
-    the true onset is less than three times the distance of the best lag. If the best lag is within
-    a quarter sample of the true onset, no other lag is possible.
+    The best lag is possible. Each lag whose misfit is below the 1 % point of chi-squared is
+    possible, too. A lag is also possible if the square root of its misfit is less than three times
+    the square root of the least misfit. The square root of the misfit grows with the distance from
+    the true onset. If the best lag is within a quarter sample of the true onset, this last rule
+    therefore adds no lag.
     """
     least = min(misfit.values())
     bound = max(SURPRISING, least)

@@ -1,7 +1,7 @@
 """Tests of feedback and of the delay, channel by channel.
 
-Each channel is tested alone. The number of combinations of delays, which a joint test would have to
-try, grows exponentially with the number of channels.
+Each channel is tested alone. A joint test would have to try all combinations of delays. The number
+of combinations grows exponentially with the number of channels.
 """
 
 from __future__ import annotations
@@ -82,8 +82,9 @@ def _arrow(channel: Name) -> str:
 def delay(data: Signals, *, integrator: bool | None = None) -> ByChannel[Delay]:
     """Find the delay of each channel, one channel at a time.
 
-    With several inputs, an ARX model of the output estimates A and all B_k; MDL chooses its order.
-    The test is then applied to the part that the model of the other inputs does not explain ::
+    With several inputs, A and all B_k of an ARX model of the output are estimated; MDL chooses the
+    order of the model. The test is then applied to w, from which the effects of the other inputs
+    are subtracted ::
 
         w = A y - sum of B_k u_k over k other than j = B_j u_j + e
 
@@ -94,7 +95,8 @@ def delay(data: Signals, *, integrator: bool | None = None) -> ByChannel[Delay]:
     data : Signals
         N samples of nu inputs and ny outputs.
     integrator : bool, optional
-        True if the outputs integrate; with several inputs A contains the integrator.
+        True if the outputs integrate. With several inputs this argument has no effect, because A
+        contains the integrator.
 
     Returns
     -------
@@ -113,7 +115,7 @@ def open_loop(data: Signals, level: float = 0.05) -> ByChannel[OpenLoop]:
     """Test for feedback from each output to each input, one channel at a time.
 
     The test of a channel is the test of one output and one input. In open loop, some tests find
-    feedback by chance: at the level 0.05, one of twenty tests.
+    feedback by chance: one of twenty tests at the level 0.05.
 
     Parameters
     ----------
@@ -161,7 +163,10 @@ def _alone(data: Signals, output: str, input: str) -> Dataset:
 
 
 def _best_blocks(parts: list[Signals], output: str) -> list[Array]:
-    """Return [-y lags, u_1 lags, …, y] (N, n + nu (n + 1) + 1), for the order n of least MDL."""
+    """Return the rows [-y lags, u_1 lags, …, y] of each experiment, for the order n with least MDL.
+
+    The rows of an experiment have the shape (N, n + nu (n + 1) + 1).
+    """
     best: tuple[float, list[Array]] | None = None
     for n in _ORDERS:
         blocks = [_block(part, n) for part in parts]

@@ -29,10 +29,10 @@ class Part:
     S: Array
     """Responses of e to the initial state and the ramps (N, ny, r)."""
     Psi: Array
-    """Derivatives of e with respect to independent parameters with standard deviation 1, (N, ny,
-    p)."""
+    """Derivatives of e with respect to p independent combinations of the parameters, (N, ny, p).
+    Each combination has the standard deviation 1."""
     G: Array
-    """Weights (N, ny, ny) of the estimator: it minimises the sum of |G(t) e(t)|²."""
+    """Weights (N, ny, ny): the estimator minimises the sum of |G(t) e(t)|²."""
 
     @property
     def known(self) -> Array:
@@ -104,7 +104,7 @@ def _directions(fit: MultivariableFit) -> Array:
 class Projection:
     """P = B B^T W, the projection on the estimated quantities with the weights W = G^T G.
 
-    The residuals are e = (1 - P) v, with the noise v. B^T W B = 1.
+    The residuals are e = (1 - P) v, with the noise v. B is an orthonormal basis: B^T W B = 1.
     """
 
     B: Sequence[Array]
@@ -118,7 +118,7 @@ class Projection:
         return int(self.B[0].shape[2])
 
     def influence(self, Z: Sequence[Array]) -> list[Array]:
-        """Return H = (1 - P)^T Z (N, ny, k) of each experiment: Z^T e is H^T v."""
+        """Return H = (1 - P)^T Z (N, ny, k) of each experiment, so that Z^T e is equal to H^T v."""
         c = sum_of_products(self.B, Z)
         return [z - wb @ c for z, wb in zip(Z, self.WB, strict=True)]
 
@@ -126,8 +126,8 @@ class Projection:
         """Return the experiments with the residuals (1 - P) e.
 
         These residuals are (1 - P) v even if e was projected with other weights, or if the search
-        ended shortly before its minimum. The reason is that P does not change any combination of
-        the columns of B.
+        ended shortly before its minimum. The reason is that e and v differ by a combination of the
+        columns of B, which 1 - P removes.
         """
         e = [np.nan_to_num(part.e)[:, :, None] for part in parts]
         c = sum_of_products(self.WB, e)
@@ -137,7 +137,7 @@ class Projection:
         ]
 
     def loss(self, Lambda: Array, known: Sequence[Array]) -> list[tuple[Array, Array]]:
-        """Return B and D of each experiment, with cov e = Lambda - B D^T - D B^T for white v."""
+        """Return B and D of each experiment: cov e is Lambda - B D^T - D B^T if v is white."""
         C = [
             np.einsum("ij,tjr->tir", Lambda, wb) * at[:, :, None]
             for wb, at in zip(self.WB, known, strict=True)

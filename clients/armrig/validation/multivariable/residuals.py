@@ -24,26 +24,29 @@ from armrig.validation.multivariable.residual_test import SignalsResidualTest
 from armrig.validation.multivariable.whiteness import jointly_white, white_by_output
 
 _MIN_SUM_VARIANCE = 1e-4
-"""Least variance of a tested direction of the sums, as a share of the largest variance.
+"""Least variance of a tested linear combination of the sums, as a share of the largest variance.
 
-In the other directions the estimated parameters make the sums 0, except for the error of the
-differences that approximate Psi.
+A combination with a smaller variance is not tested, because the estimated parameters make it 0.
+Only the error of the differences that approximate Psi is left.
 """
 
 
 def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> SignalsResidualTest:
     """Test whether the residuals are white and independent of the inputs, per pair and jointly.
 
-    The tests use the sums s of e_i(t) u_j(t - k), and of e_i(t) e_j(t - k). Each test compares the
-    statistic s^T M^-1 s with the chi-squared distribution. A correction accounts for the estimated
-    variance of the noise. The residuals are e = (1 - P) v, with the noise v and the projection P on
-    the estimated parameters. Therefore s = Z^T e is H^T v with H = (1 - P)^T Z, and ::
+    The tests use the sums s of e_i(t) u_j(t - k) over t, and of e_i(t) e_j(t - k) over t. Each test
+    compares the statistic s^T M^-1 s with the chi-squared distribution. A correction accounts for
+    the estimated variance of the noise. The residuals are e = (1 - P) v, with the noise v and the
+    projection P on the estimated quantities. The columns of Z contain the lagged signals. Therefore
+    s = Z^T e is equal to H^T v with H = (1 - P)^T Z. The covariance of s is ::
 
         M = H^T R H                                              on estimation data
         M = H^T R H + (H^T Psi) cov(theta) (Psi^T H)             on other data
 
-    P includes the parameters only on estimation data. P has the weights of the estimator: Lambda^-1
-    if all outputs are estimated together. Psi is computed by central differences.
+    R is the covariance of the noise v. P projects on the effects of the initial states, the ramps
+    and, on estimation data, the parameters. P uses the weights of the estimator, Lambda^-1 if all
+    outputs are estimated together. Psi, the derivatives of e with respect to the parameters, is
+    computed by central differences.
 
     Parameters
     ----------

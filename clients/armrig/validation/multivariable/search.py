@@ -41,7 +41,7 @@ class SignalsCandidate:
 
     @property
     def name(self) -> str:
-        """Structure and order: ss of order 3."""
+        """Structure and order as text, such as "ss of order 3"."""
         return f"{self.family} of order {self.order}"
 
     @property
@@ -85,7 +85,7 @@ class SignalsSearch:
         return found
 
     def explain(self) -> str:
-        """Return the reasons for the choice, one sentence a line."""
+        """Return the reasons for the choice, one sentence per line."""
         best, chosen = self.ranked[0], self.chosen
         where = "the second half of the data" if self.halved else "the validation data"
         how = "simulated" if self.horizon is None else f"predicted {self.horizon} ahead"
@@ -125,9 +125,10 @@ def search(
 ) -> SignalsSearch:
     """Estimate models of several orders, rank them on other data, and choose a simple good model.
 
-    The error of a model is the sum over the outputs of the mean of (y - ŷ)² / var y. A model is as
-    good as the best if its excess is at most the standard error of the excess. The standard error
-    is computed from 30 batch means. The simplest of the good models is chosen.
+    The error of a model is the sum over the outputs of the mean of (y - ŷ)² / var y. The excess of
+    a model is its error minus the error of the best model. A model is as good as the best if its
+    excess is at most the standard error of the excess. The standard error is computed from 30 batch
+    means. Of the models that are as good as the best, the simplest is chosen.
 
     Parameters
     ----------
@@ -142,7 +143,8 @@ def search(
     nk : int, default 1
         Number of samples before each input affects the outputs.
     integrator : bool, str or sequence of str, default False
-        Outputs with a pole at 1. Then only "oe" is tried, because a state space has no fixed pole.
+        Outputs with a pole at 1. If there are any, only "oe" is tried, because a state-space model
+        has no fixed pole.
     horizon : int, optional
         Samples to predict ahead, >= 1; by default the models are simulated.
     progress : callable, optional
@@ -257,7 +259,7 @@ def _mean(error: Array) -> float:
 
 
 def _free(fit: MultivariableFit) -> int:
-    """Return the number of free parameters; the coordinates of a state space are not counted."""
+    """Return the number of free parameters; the choice of state coordinates is not counted."""
     if fit.structure not in ("ss", "n4sid"):
         return int(fit.theta.size)
     A, B, C, D, _ = fit.state_space()

@@ -38,12 +38,12 @@ def _covariance(parts: Sequence[Part]) -> Array:
 def _white(
     parts: Sequence[Part], projected: Projection, Lambda: Array, T: Array, L: int, *, own: bool
 ) -> Whiteness:
-    """Test whether w = T e (m outputs of covariance 1) is white.
+    """Test whether w = T e, which has m outputs with covariance 1, is white.
 
-    The test uses the sums over t of w_a(t) w_b(t - k), k = 1 … L. For a known model their variance
-    is the number of products. With the projection P on the estimated quantities, cov e is Lambda -
-    B D^T - D B^T. The last two terms shift the means of the sums, and the influence H = (1 - P)^T Z
-    reduces the covariance of the sums. For one output the test equals
+    The test uses the sums over t of w_a(t) w_b(t - k), k = 1 … L. If the parameters are known, the
+    variance of a sum is the number of its products. With the projection P on the estimated
+    quantities, cov e is Lambda - B D^T - D B^T. The last two terms shift the means of the sums, and
+    the influence H = (1 - P)^T Z reduces the covariance of the sums. For one output the test equals
     `armrig.numerics.whiteness.portmanteau`.
     """
     m = T.shape[0]
