@@ -29,6 +29,9 @@ def multisine(
     periods of P = N / periods samples. Line l is therefore exactly at 2 pi l / (P Ts) rad/s,
     without leakage.
 
+    For a period of T seconds and a band from f1 to f2 in Hz, let P = T / Ts and N = periods P. The
+    lines are then range(ceil(f1 T), floor(f2 T) + 1).
+
     Parameters
     ----------
     N : int
@@ -69,6 +72,11 @@ def multisine(
     >>> u = armrig.multisine(1000, lines=[1, 3, 5])
     >>> np.flatnonzero(abs(np.fft.rfft(u)) > 1e-6)  # 0 is the mean
     array([0, 1, 3, 5])
+
+    Five periods of 5 s at Ts = 0.01 s, with the band from 0.2 to 4 Hz:
+
+    >>> armrig.multisine(2500, lines=range(1, 21), periods=5).size
+    2500
     """
     require_integers(N=(N, 1), periods=(periods, 1))
     require_levels(low=low, high=high)
