@@ -6,6 +6,8 @@ import re
 
 import pytest
 from armrig.cli import main
+from armrig_daemon.command_line import app as armrigd_app
+from typer.testing import CliRunner
 
 COMMANDS = [
     "demo",
@@ -79,3 +81,11 @@ def test_a_mistyped_command_is_answered_with_one_that_reads(
     assert main(["stats"]) == 2
 
     assert "did you mean status?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["", "run", "conformance"])
+def test_armrigd_has_h(command: str) -> None:
+    done = CliRunner().invoke(armrigd_app, [*command.split(), "-h"])
+
+    assert done.exit_code == 0
+    assert done.output.startswith("Usage:")
