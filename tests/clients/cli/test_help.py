@@ -39,6 +39,14 @@ COMMANDS = [
     "service install",
     "service uninstall",
     "service status",
+    "pki ca",
+    "pki rig",
+    "pki router",
+    "pki operator",
+    "pki observer",
+    "pki renew",
+    "pki revoke",
+    "pki list",
 ]
 COLLECTS = [f"collect {kind}" for kind in ("blackbox", "greybox", "step", "staircase", "bla")]
 
