@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 
 import pytest
 from armrig.cli import main
+from armrig.cli.parameters import PARAMETERS
+from armrig_core.arm import ArmParameters
 from armrig_daemon.command_line import app as armrigd_app
 from typer.testing import CliRunner
 
@@ -97,3 +100,7 @@ def test_armrigd_has_h(command: str) -> None:
 
     assert done.exit_code == 0
     assert done.output.startswith("Usage:")
+
+
+def test_the_help_names_every_parameter_of_the_rig() -> None:
+    assert re.split(", | or ", PARAMETERS) == [field.name for field in fields(ArmParameters)]
