@@ -40,19 +40,22 @@ _EMULATION_DEFAULTS: dict[str, dict[str, Any]] = {
 
 _ConfigFile = Annotated[
     Path | None,
-    typer.Option(help="Configuration file (TOML); default: the installed configuration files."),
+    typer.Option(
+        help="Configuration file (TOML).", show_default="the installed configuration files"
+    ),
 ]
 _Port = Annotated[
-    str | None, typer.Option(help="Serial port of the device; default: [device] port.")
+    str | None,
+    typer.Option(metavar="DEVICE", help="Serial port of the device.", show_default="[device] port"),
 ]
 _Rig = Annotated[
-    str | None, typer.Option(help="Name of the rig, of a-z, 0-9 and -; default: [rig] id.")
+    str | None, typer.Option(help="Id of the rig: a-z, 0-9 and -.", show_default="[rig] id")
 ]
 _System = Annotated[
     bool,
     typer.Option(
         "--system",
-        help="Read only the machine's files, including /etc/armrig/RIG.toml, as the service does.",
+        help="Read the machine's files only, including /etc/armrig/RIG.toml, as the service does.",
     ),
 ]
 
@@ -60,16 +63,22 @@ _Firmware = Annotated[
     bool,
     typer.Option(
         "--firmware",
-        help="Run the Uno's firmware in the simulator `fil`, built by `make fil`.",
+        help="Run the Uno's firmware in the simulator simavr; `make fil` in a checkout builds the "
+        "necessary program, which no wheel contains.",
     ),
 ]
 _Hex = Annotated[
     Path | None,
-    typer.Option("--hex", help="Firmware for simavr (Intel HEX); default: the shipped firmware."),
+    typer.Option(
+        "--hex",
+        help="Firmware for simavr (Intel HEX); implies --firmware.",
+        show_default="the shipped firmware",
+    ),
 ]
 
 app = typer.Typer(
     help="Drive a control laboratory's rig at a fixed sampling time.",
+    context_settings={"help_option_names": ["--help", "-h"], "max_content_width": 100},
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -211,16 +220,28 @@ def emulate(
         typer.Option(help="Port to create: a path (a link to a pseudo-terminal), or unix:PATH."),
     ],
     config: Annotated[
-        Path | None, typer.Option(help="File (TOML) with a table [emulator]; default: no file.")
+        Path | None,
+        typer.Option(help="File (TOML) with a table [emulator].", show_default="no file"),
     ] = None,
     trace: Annotated[
-        Path | None, typer.Option(help="File to write, with a line for each change of the voltage.")
+        Path | None,
+        typer.Option(
+            help="File to write, with a line for each change of the voltage.",
+            show_default="no file",
+        ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(help="Seed of all noise and of the boot ids; default: 1.")
+        int | None,
+        typer.Option(
+            help="Seed of all noise and of the boot ids.", show_default="[emulator] seed, or 1"
+        ),
     ] = None,
     baud: Annotated[
-        int | None, typer.Option(help="Speed of the emulated line, in bit/s; default: 500000.")
+        int | None,
+        typer.Option(
+            help="Speed of the emulated line, in bit/s.",
+            show_default="[emulator] baud, or 500000",
+        ),
     ] = None,
     firmware: _Firmware = False,
     image: _Hex = None,
@@ -309,7 +330,8 @@ def _check_file(file: Path) -> None:
 @app.command()
 def conformance(
     device: Annotated[
-        str | None, typer.Option(help="Serial port of the device, such as /dev/ttyACM0.")
+        str | None,
+        typer.Option(metavar="DEVICE", help="Serial port of the device, such as /dev/ttyACM0."),
     ] = None,
     firmware: _Firmware = False,
     image: _Hex = None,
@@ -318,10 +340,10 @@ def conformance(
         bool,
         typer.Option(
             "--motor-unplugged",
-            help="Confirm that the motor is unplugged; the command then does not ask.",
+            help="Confirm that the motor is unplugged; do not ask.",
         ),
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Test a device against every rule of PROTOCOL.md; unplug the motor first.
 
@@ -340,7 +362,7 @@ def conformance(
     is_simulated = firmware or image is not None
     if is_simulated == (device is not None):
         of_uno = "--firmware for the firmware of the Uno in simavr"
-        _refuse(f"conformance: give either --device PORT, or {of_uno}", 2)
+        _refuse(f"conformance: give either --device DEVICE, or {of_uno}", 2)
     if not is_simulated:
         _confirm_that_the_motor_is_unplugged(motor_unplugged)
     columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else 0
@@ -418,7 +440,8 @@ def virtual(
     """Play runs on an emulated rig in virtual time, and record them.
 
     Each line of the standard input is a run, as JSON: {"u": [1.5, 1.5, …], "experiment": "step"}.
-    Each line of the standard output is the path of a recording.
+    The input u is in V, with one value for each sample. Each line of the standard output is the
+    path of a recording.
 
     The same seed, runs and configuration result in the same bytes.
     """

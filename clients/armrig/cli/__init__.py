@@ -66,7 +66,7 @@ class _InOrder(typer.core.TyperGroup):
 
 app = typer.Typer(
     cls=_InOrder,
-    context_settings=_HELP,
+    context_settings=_HELP | {"max_content_width": 100},
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )

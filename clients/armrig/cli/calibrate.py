@@ -75,7 +75,7 @@ RestFile = Annotated[
 TurnsFile = Annotated[
     Path | None,
     typer.Option(
-        "--turns", metavar="F", parser=recording_path, help="Earlier recording of the turns."
+        "--turns", metavar="F", parser=recording_path, help="Earlier recording of the slow turns."
     ),
 ]
 SamplingTime = Annotated[
@@ -84,7 +84,9 @@ SamplingTime = Annotated[
 Yes = Annotated[
     bool,
     typer.Option(
-        "--yes", help="Ask no questions: use no meter, and load the calibration into the daemon."
+        "--yes",
+        help="Ask no questions, not even for meter readings; load the calibration into the daemon "
+        "unless --no-use is given.",
     ),
 ]
 Use = Annotated[

@@ -15,7 +15,7 @@ from armrig.cli.options import Connect, Json, RigId
 app = typer.Typer(
     help="Play an input and record the response of the rig.\n\n"
     "The command prints the path of the recording and whether its data can be used. "
-    "The exit code is 0 if the data can be used.",
+    "The exit code is 1 if the data cannot be used.",
     rich_markup_mode=None,
 )
 
@@ -27,11 +27,29 @@ Seconds = Annotated[
 ]
 InputSeconds = Annotated[
     float | None,
-    typer.Option("--seconds", help="Length, in s; a file has its own length.", show_default="30"),
+    typer.Option(
+        "--seconds",
+        help="Length, in s; at most 4 000 000 samples. A file has its own length.",
+        show_default="30",
+    ),
 ]
-Low = Annotated[float, typer.Option("--low", help="Lower level, in V.")]
-High = Annotated[float, typer.Option("--high", help="Upper level, in V.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, max=2**53, help="Seed of the random numbers.")]
+Low = Annotated[float, typer.Option("--low", help="Lowest voltage of the input, in V, at least 0.")]
+High = Annotated[
+    float, typer.Option("--high", help="Highest voltage of the input, in V, at most 5.")
+]
+_MAX_SEED = 2**53
+Seed = Annotated[
+    int,
+    typer.Option(
+        "--seed",
+        min=0,
+        max=_MAX_SEED,
+        help="Seed of the random numbers (telegraph, prbs, white, multisine).",
+    ),
+]
+PhaseSeed = Annotated[
+    int, typer.Option("--seed", min=0, max=_MAX_SEED, help="Seed of the random phases.")
+]
 Input = Annotated[
     Literal["telegraph", "prbs", "white", "multisine", "chirp", "csv"] | None,
     typer.Option("--input", help="Input signal.", show_default="telegraph"),
@@ -51,7 +69,14 @@ Validation = Annotated[
     bool,
     typer.Option("--validation", help="Record a second run for validation, with the next seed."),
 ]
-Name = Annotated[str, typer.Option("--name", help="Name of the recording: a-z, 0-9 and -.")]
+Name = Annotated[
+    str,
+    typer.Option(
+        "--name",
+        help="Name added to the kind, for @NAME: a-z, 0-9 and -.",
+        show_default="none",
+    ),
+]
 Pacing = Annotated[
     Literal["scheduled", "exchange"],
     typer.Option(
@@ -71,8 +96,8 @@ DeadMan = Annotated[
     typer.Option(
         "--dead-man",
         metavar="SECONDS",
-        help="If this program is killed, frozen or disconnected, the daemon stops the run after "
-        "this time, in s; 0 plays the run to its end.",
+        help="Time, 0.5 to 60 s, after which the daemon stops the run if this program is killed, "
+        "frozen or disconnected. 0 plays the run to its end.",
     ),
 ]
 DEFAULT_PERIOD_S = 5.0
@@ -139,7 +164,7 @@ def greybox(
 ) -> None:
     """Play a random input, or your own input, to the chassis alone.
 
-    Remove the rotating part first.
+    Remove the rotating part first. The configuration must have [arm] removed = true.
     """
     run = CollectedRun(Ts, name, pacing, owner, dead_man, rig, connect, json)
     plan = chosen_inputs(
@@ -174,7 +199,7 @@ def step(
 ) -> None:
     """Play a step, to measure time constant, delay and gain.
 
-    The input steps from the lower to the upper level.
+    The input steps from --low to --high.
     """
     from armrig.excitation.named_signals import check_step_time, step_at
 
@@ -237,7 +262,7 @@ def bla(
     ] = 4,
     low: Low = 0.5,
     high: High = 4.5,
-    seed: Seed = 1,
+    seed: PhaseSeed = 1,
     Ts: SamplingTime = None,
     name: Name = "",
     pacing: Pacing = "scheduled",

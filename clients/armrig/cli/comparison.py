@@ -59,7 +59,10 @@ Models = Annotated[
 Horizon = Annotated[
     int | None,
     typer.Option(
-        "--horizon", min=1, help="Prediction horizon, in samples.", show_default="simulation"
+        "--horizon",
+        min=1,
+        help="Prediction horizon, in samples.",
+        show_default="none: the models are simulated",
     ),
 ]
 

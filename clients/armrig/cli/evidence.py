@@ -24,14 +24,20 @@ from armrig.cli.options import (
 )
 
 Out = Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")]
-Csv = Annotated[bool, typer.Option("--csv", help="CSV, for any program.")]
+Csv = Annotated[bool, typer.Option("--csv", help="Write CSV, for any program.")]
 Mat = Annotated[
-    bool, typer.Option("--mat", help="MAT-file for MATLAB and Octave: u, y, Ts and all columns.")
+    bool,
+    typer.Option("--mat", help="Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns."),
 ]
-Parquet = Annotated[bool, typer.Option("--parquet", help="Parquet, for pandas, polars and others.")]
+Parquet = Annotated[
+    bool, typer.Option("--parquet", help="Write Parquet, for pandas, polars and others.")
+]
 Transforms = Annotated[
     bool,
-    typer.Option("--transforms", help="MCAP with chassis and arm for Foxglove's 3D panel."),
+    typer.Option(
+        "--transforms",
+        help="Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel.",
+    ),
 ]
 Raw = Annotated[bool, typer.Option("--raw", help="Include the readings and times as recorded.")]
 OutputOfMat = Annotated[

@@ -60,6 +60,7 @@ def figure_path(text: str | Path) -> Path:
     return path / f"{_EACH}.png" if str(text).endswith("/") or path.is_dir() else path
 
 
+FIGURE_HELP = "Figure to write (such as .png, .pdf, .svg); FOLDER/ gets a .png for each diagram."
 Plot = Annotated[
     Path | None,
     typer.Option(
@@ -67,7 +68,7 @@ Plot = Annotated[
         "--plot",
         metavar="FIGURE",
         parser=figure_path,
-        help="Figure to write; FOLDER/ gets a file for each subject.",
+        help=FIGURE_HELP,
     ),
 ]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armrig.cli.chosen_recording import DataFile, File
-from armrig.cli.figures import Plot, check_plot, figure_path, write_plot
+from armrig.cli.figures import FIGURE_HELP, Plot, check_plot, figure_path, write_plot
 from armrig.cli.next_step import AFTER, kind_of, say_next, step_again, typed, validation_beside
 from armrig.cli.options import (
     CalibrationFile,
@@ -36,9 +36,7 @@ if TYPE_CHECKING:
 
 Drawing = Annotated[
     Path,
-    typer.Option(
-        "-o", "--plot", metavar="FIGURE", parser=figure_path, help="Figure to write, or FOLDER/."
-    ),
+    typer.Option("-o", "--plot", metavar="FIGURE", parser=figure_path, help=FIGURE_HELP),
 ]
 
 
@@ -53,7 +51,7 @@ def plot(
     """Plot a recording and report faults of its data (handout 3.1.4).
 
     The figure shows u, theta_1, its rate and alpha. Missing samples and the dead band are shaded,
-    outliers are ringed. A drift is reported in the text.
+    and outliers are ringed. A drift is reported in the text.
     """
     from armrig.cli.spinner import spinner
     from armrig.recordings.overview import overview
@@ -87,7 +85,7 @@ def sampling(
     """Recommend a sampling time (handout 3.1).
 
     The handout has two rules: a sampling frequency of 20 times the bandwidth, and 7 to 10 samples
-    in the transient. The command applies both rules, to a step or to other data.
+    in the transient. The command applies both rules, to a recorded step or to any other input.
     """
     from armrig.cli.spinner import spinner
     from armrig.estimation.nonparametric.sampling_time import sampling_time
@@ -184,8 +182,8 @@ def hints(
 ) -> None:
     """Suggest a model structure for the data (handout 3.2).
 
-    The command finds an integrator, the order and nk from the impulse response, the spectra and the
-    Hankel matrix. These three estimates assume no structure.
+    The command finds whether there is an integrator, the order, and nk, from the impulse response,
+    the spectra and the Hankel matrix. These three estimates assume no structure.
     """
     from armrig.cli.spinner import spinner
     from armrig.validation.structure_hints import structure_hints

@@ -11,8 +11,18 @@ import typer
 from armrig_core.errors import InputError
 
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Connect, Json, RigId, print_json, say
+from armrig.cli.options import Json, RigId, print_json, say
 
+Socket = Annotated[
+    str | None,
+    typer.Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="Socket of a daemon on this machine, unixsock-stream/PATH; other endpoints are "
+        "refused.",
+        show_default="[client] connect, or the daemon on this machine",
+    ),
+]
 _MAX_DEMO_S = 600.0
 
 
@@ -32,7 +42,12 @@ def demo(
         ),
     ] = False,
     firmware: Annotated[
-        bool, typer.Option("--firmware", help="Run the Uno's firmware in simavr, in virtual time.")
+        bool,
+        typer.Option(
+            "--firmware",
+            help="Run the Uno's firmware in simavr, in virtual time; `make fil` in a checkout "
+            "builds the necessary program, which no wheel contains.",
+        ),
     ] = False,
     json: Json = False,
 ) -> None:
@@ -61,7 +76,7 @@ def demo(
         say_next("demo", file=typed(from_here(Path(done["recordings"]["telegraph"]))))
 
 
-def doctor(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
+def doctor(rig: RigId = "1", connect: Socket = None, json: Json = False) -> None:
     """Show what degrades the timing on this host, and how to correct it.
 
     If a daemon answers on this machine, the command checks the rights of the daemon, otherwise the
@@ -83,7 +98,7 @@ def doctor(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
 
 def conformance(
     device: Annotated[
-        str, typer.Option("--device", metavar="PORT", help="Serial port of the device.")
+        str, typer.Option("--device", metavar="DEVICE", help="Serial port of the device.")
     ],
     baud: Annotated[int, typer.Option("--baud", help="Speed of the line, in bit/s.")] = 500_000,
     motor_unplugged: Annotated[

@@ -66,7 +66,14 @@ Search = Annotated[
 MaxOrder = Annotated[
     int, typer.Option("--max-order", min=1, help="Highest order that --search tries.")
 ]
-Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Number of processes that --search uses.")]
+Jobs = Annotated[
+    int,
+    typer.Option(
+        "--jobs",
+        min=1,
+        help="Number of processes that --search uses; it uses one process for several signals.",
+    ),
+]
 ValidationFile = Annotated[
     Path | None,
     typer.Option(
@@ -82,7 +89,7 @@ Shared = Annotated[
 Save = Annotated[Path | None, typer.Option("--save", metavar="JSON", help="Model file to write.")]
 
 
-@estimation_options(without_nk="1; with --search from the data")
+@estimation_options(without_nk="1; by the data with --search of one input and one output")
 def identify(
     file: DataFile,
     given: Given,

@@ -57,7 +57,7 @@ def integrate(
     json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Solve the arm's equations for a sinusoidal input with each method (handout 4).
+    """Solve the arm's equations with numerical methods, for a sinusoidal input (handout 4).
 
     The input is u = A sin(ωt). Each solution is compared with the exact solution.
     """

@@ -37,7 +37,11 @@ Config = Annotated[
     ),
 ]
 Page = Annotated[
-    bool, typer.Option("--dashboard/--no-dashboard", help="Also show the rig in a browser.")
+    bool,
+    typer.Option(
+        "--dashboard/--no-dashboard",
+        help="Also serve the dashboard, and open it if there is a screen; not with --json.",
+    ),
 ]
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _STATUS_INTERVAL_S = 0.5
@@ -63,8 +67,8 @@ def lab(
 ) -> None:
     """Start a rig with its daemon, and show the rig live until Ctrl-C.
 
-    Without --port the rig is emulated. In a second terminal, all other commands use this rig. At
-    the end the motor is at 0 V.
+    Without --port the rig is emulated. In a second terminal, commands such as `armrig collect` use
+    this rig (with --rig, if it is not rig 1). At the end the motor is at 0 V.
 
     With --json the command prints a line at each change of the phase, with the fields of
     `armrig status --json`. In phase "safe" the rig is ready.

@@ -21,7 +21,7 @@ from armrig.cli.chosen_recording import (
     short_name,
 )
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Connect, Json, echo, print_json, tell
+from armrig.cli.options import Json, echo, print_json, tell
 
 if TYPE_CHECKING:
     from armrig.recordings.catalogue import Catalogue
@@ -37,7 +37,16 @@ Folder = Annotated[
     typer.Argument(
         metavar="FOLDER",
         help="Folder of the recordings.",
-        show_default="the folder of the recordings",
+        show_default="the folder that the daemon records into",
+    ),
+]
+Connect = Annotated[
+    str | None,
+    typer.Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="Only with --live: zenoh endpoint of a router or daemon.",
+        show_default="[client] connect, or all rigs of this machine",
     ),
 ]
 Naming = Callable[["RecordingSummary"], str]
@@ -60,7 +69,7 @@ def ls(
 
     Other commands accept the listed names, and @last, in place of a file. If you give a FOLDER,
     the list contains file names instead. With --connect, --live lists the rigs of that router or
-    daemon; without --connect, it lists the rigs of this machine.
+    daemon.
     """
     if live and (where is not None or every):
         raise InputError(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armrig.estimation.multivariable.request import SignalsRequest
-from armrig.estimation.request import DEFAULTS, OPTIONS, Request, flag
+from armrig.estimation.request import DEFAULTS, OPTIONS, Option, Request, flag
 from armrig.models.structure_table import (
     COUNTED,
     OF_SEVERAL,
@@ -31,6 +31,8 @@ Given = dict[str, Any]
 """Values of the options below by name; None or False for options that were not given."""
 _SEARCHED = ("structure", "nk", "integrator", "offset")
 _NOT_SEARCHED = {"stable": "whose models are always stable"}
+_NOT_WITH = {"stable": "; not with --search or several signals"}
+_COUNTED_AS = {"nf": "; an integrator counts as one"}
 _WAY_OUT = {
     "integrator": "{model} finds an integrator by itself",
     "offset": "subtract the means with --detrend",
@@ -76,19 +78,19 @@ def estimation_options(
 def _options(
     structure: OfferedName | None, nk: int | None, without_nk: str
 ) -> list[inspect.Parameter]:
-    which = typer.Option("--structure", help="Model structure.", show_default=structure is not None)
+    several = structure is None
+    what = "Model structure"
+    what += "; required without --search; ss is for several signals" if several else ""
+    which = typer.Option("--structure", help=f"{what}.", show_default=not several)
     late = _option("nk", "Delay from u to y, in samples", without_nk)
     kinds = OfferedName if structure else CommandName | None
     others = [
-        _parameter(name, kind, _option(name, option.help, option.default), DEFAULTS[name])
+        _parameter(name, kind, _choice(name, option, several=several), DEFAULTS[name])
         for name, (kind, option) in OPTIONS.items()
     ]
     return [
         _parameter("structure", kinds, which, structure),
-        *(
-            _parameter(name, int | None, _order(name, several=structure is None))
-            for name in COUNTED
-        ),
+        *(_parameter(name, int | None, _order(name, several=several)) for name in COUNTED),
         _parameter("nk", int | None if nk is None else int, late, nk),
         *others,
     ]
@@ -107,14 +109,23 @@ def _order(name: str, *, several: bool) -> Any:
     if len(shown) > 1:
         shown = {", ".join(f"{title} {n}" for title, n in default.items())}
     others = [row.title for row in OF_SEVERAL.values() if name in row.orders] if several else []
-    return _option(name, f"Number of {COUNTED[name]}", shown.pop(), others)
+    more = _COUNTED_AS.get(name, "")
+    return _option(name, f"Number of {COUNTED[name]}", shown.pop(), others, more)
 
 
-def _option(name: str, what: str, default: str = "", others: Sequence[str] = ()) -> Any:
+def _choice(name: str, option: Option, *, several: bool) -> Any:
+    """Return an option that is no order; `several` as in `_order`."""
+    more = _NOT_WITH.get(name, "") if several else ""
+    return _option(name, option.help, option.default, more=more)
+
+
+def _option(
+    name: str, what: str, default: str = "", others: Sequence[str] = (), more: str = ""
+) -> Any:
     """Return an option; its help names the structures that have the option, unless all have it."""
     titles = dict.fromkeys([*(OFFERED[user].title for user in users(name)), *others])
     which = "" if len(users(name)) == len(OFFERED_NAMES) else f" ({', '.join(titles)})"
-    return typer.Option(flag(name), help=f"{what}{which}.", show_default=default or True)
+    return typer.Option(flag(name), help=f"{what}{which}{more}.", show_default=default or True)
 
 
 def requested(given: Given) -> Request:

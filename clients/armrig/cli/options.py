@@ -22,8 +22,8 @@ Connect = Annotated[
     typer.Option(
         "--connect",
         metavar="ENDPOINT",
-        help="zenoh endpoint of the daemon.",
-        show_default="the daemon on this machine",
+        help="zenoh endpoint of the daemon or a router, such as tls/HOST:7447.",
+        show_default="[client] connect, or the daemon on this machine",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
@@ -41,7 +41,7 @@ From = Annotated[
     typer.Option(
         "--from",
         metavar="S",
-        help="Start of the samples to use, in s from the first sample of a file.",
+        help="Start of the samples to use, in s from the first sample of the file.",
         show_default="its start",
     ),
 ]
@@ -50,7 +50,8 @@ To = Annotated[
     typer.Option(
         "--to",
         metavar="S",
-        help="End of the samples to use, in s; a sample at this time is left out.",
+        help="End of the samples to use, in s from the first sample of the file; a sample at this "
+        "time is left out.",
         show_default="its end",
     ),
 ]
@@ -59,7 +60,8 @@ Signal = Annotated[
     typer.Option(
         "--signal",
         metavar="NAME",
-        help="Output: theta_1, alpha or velocity; for other data, name or number of a column.",
+        help="Output: theta_1, alpha or velocity; for other data, name, or number from 1, of a "
+        "column.",
         show_default="theta_1; y of other data",
     ),
 ]
@@ -68,8 +70,8 @@ Signals = Annotated[
     typer.Option(
         "--signal",
         metavar="NAMES",
-        help="Output: theta_1, alpha or velocity; for other data, name or number of a column. "
-        "Several outputs have commas between their names.",
+        help="Output: theta_1, alpha or velocity; for other data, name, or number from 1, of a "
+        "column. Several outputs have commas between their names.",
         show_default="theta_1; y of other data",
     ),
 ]

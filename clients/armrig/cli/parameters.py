@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -37,26 +37,37 @@ def _explained_amplitude(volts: float) -> float:
     return volts
 
 
-Given = Annotated[
-    list[str] | None,
-    typer.Option(
+def of_changes(note: str = "") -> Any:
+    """Return the option --set, with a note at the end of its help."""
+    return typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="Parameter of the rig, in SI units; repeatable.",
+        help=f"Value of {PARAMETERS}, in SI units; repeatable{note}.",
         callback=_doubted,
-    ),
-]
+    )
+
+
+def of_amplitude(note: str = "") -> Any:
+    """Return the option --amplitude, with a note at the end of its help."""
+    return typer.Option(
+        "--amplitude",
+        help=f"Amplitude of the simulated sinusoid, in V{note}.",
+        callback=_explained_amplitude,
+    )
+
+
+def of_omega(note: str = "") -> Any:
+    """Return the option --omega, with a note at the end of its help."""
+    return typer.Option("--omega", help=f"Angular frequency of the sinusoid, in rad/s{note}.")
+
+
+PARAMETERS = "J_1, J_2, N, K_lin, R_m, K_m or b_1"
+"""Names of the parameters of `ArmParameters` for the help, which must not import numpy."""
+Given = Annotated[list[str] | None, of_changes()]
 AMPLITUDE_V, OMEGA = 2.5, 10.0
 """Amplitude in V and frequency in rad/s of the sinusoid of handout part 4."""
-Amplitude = Annotated[
-    float,
-    typer.Option(
-        "--amplitude",
-        help="Amplitude of the simulated sinusoid, in V.",
-        callback=_explained_amplitude,
-    ),
-]
-Omega = Annotated[float, typer.Option("--omega", help="Frequency of the sinusoid, in rad/s.")]
+Amplitude = Annotated[float, of_amplitude()]
+Omega = Annotated[float, of_omega()]
 _WITH_UNIT = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)? ?[^\d,.\s]")
 _MAX_RATIO = 100.0
 """Largest factor, up or down, between a parameter and the handout's value without a note."""

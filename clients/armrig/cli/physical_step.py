@@ -42,7 +42,8 @@ def model(
     """Show what the physical model predicts (handout 2.1 to 2.3).
 
     The command prints A, B, poles, zeros, steady speed and initial slope. With --set, it compares
-    three cases: the handout's parameters, each change alone, and all changes together.
+    the handout's parameters, each change alone and, if there are several changes, all changes
+    together.
     """
     check_plot(plot)
     found = {name: _answer(p) for name, p in cases(given).items()}

@@ -24,7 +24,7 @@ from armrig.cli.options import (
     print_json,
     say,
 )
-from armrig.cli.parameters import Given, cases, parameters, physics_beside
+from armrig.cli.parameters import PARAMETERS, Given, cases, parameters, physics_beside
 from armrig.cli.recorded_data import loaded, options_of
 
 if TYPE_CHECKING:
@@ -44,7 +44,19 @@ GreySignals = Annotated[
 Free = Annotated[
     list[str] | None,
     typer.Option(
-        "--free", metavar="NAME", help="Parameter to estimate; repeatable.", show_default="J_1"
+        "--free",
+        metavar="NAME",
+        help=f"Parameter to estimate ({PARAMETERS}); repeatable.",
+        show_default="J_1",
+    ),
+]
+Studied = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--free",
+        metavar="NAME",
+        help=f"Parameter to estimate ({PARAMETERS}); repeatable; the first is studied.",
+        show_default="J_1",
     ),
 ]
 Rig = Annotated[
@@ -78,7 +90,7 @@ def greybox(
     verbose: Verbose = False,
     plot: Plot = None,
 ) -> None:
-    """Estimate physical parameters: the moment of inertia J_1, or more (handout 3.5).
+    """Estimate J_1 or other physical parameters (handout 3.5).
 
     To record the data for J_1, remove the rotating part and run `armrig collect greybox`.
     """
@@ -149,7 +161,7 @@ def split(
         ),
     ] = "1,2,4",
     model: Rig = None,
-    free: Free = None,
+    free: Studied = None,
     given: Given = None,
     signal: GreySignal = THETA_1,
     output: NoOutput = None,

@@ -24,16 +24,42 @@ Directory = Annotated[
 ]
 Days = Annotated[int, typer.Option("--days", min=1, max=36500, help="Validity, in days.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
-Name = Annotated[
+ForceAuthority = Annotated[
+    bool,
+    typer.Option(
+        "--force", help="Replace an existing authority; all its certificates become invalid."
+    ),
+]
+Operator = Annotated[
     str,
-    typer.Argument(help="Name of a person: a-z, 0-9 and -; the rig shows this name as the owner."),
+    typer.Argument(
+        metavar="NAME",
+        help="Name of a person: a-z, 0-9 and -; the rig shows this name as the owner.",
+    ),
+]
+Observer = Annotated[str, typer.Argument(metavar="NAME", help="Name of a person: a-z, 0-9 and -.")]
+Renewed = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME",
+        help="Name of a person, a rig or a router, as in `armrig pki list`, such as rig-1.",
+    ),
+]
+Revoked = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME", help="Name of a person or a rig, as in `armrig pki list`, such as rig-1."
+    ),
 ]
 _PKI = Path("pki")
 
 
-@app.command(context_settings=_HELP)
+@app.command(context_settings=_HELP, epilog="Example: armrig pki ca")
 def ca(
-    directory: Directory = _PKI, days: Days = 3650, force: Force = False, json: Json = False
+    directory: Directory = _PKI,
+    days: Days = 3650,
+    force: ForceAuthority = False,
+    json: Json = False,
 ) -> None:
     """Make a certificate authority, which signs all certificates, and an empty access list."""
     from armrig.lab.pki import ACCESS_LIST, make_authority
@@ -49,7 +75,9 @@ def ca(
     echo(f"{directory / ACCESS_LIST}: the access list, still empty")
 
 
-@app.command(context_settings=_HELP)
+@app.command(
+    context_settings=_HELP, epilog="Example: armrig pki rig 1 --host rig-1.lab.example.edu"
+)
 def rig(
     name: Annotated[str, typer.Argument(metavar="ID", help="Id of the rig.")],
     host: Annotated[
@@ -72,7 +100,7 @@ def rig(
     _say(issued, "[access] certificate", json)
 
 
-@app.command(context_settings=_HELP)
+@app.command(context_settings=_HELP, epilog="Example: armrig pki router --host lab.example.edu")
 def router(
     host: Annotated[
         list[str],
@@ -89,9 +117,9 @@ def router(
     _say(issue_to_router(directory, host, days=days, force=force), "armrig router's", json)
 
 
-@app.command(context_settings=_HELP)
+@app.command(context_settings=_HELP, epilog="Example: armrig pki operator anna")
 def operator(
-    name: Name,
+    name: Operator,
     directory: Directory = _PKI,
     days: Days = 365,
     force: Force = False,
@@ -104,9 +132,9 @@ def operator(
     _say(issued, "[client] certificate", json)
 
 
-@app.command(context_settings=_HELP)
+@app.command(context_settings=_HELP, epilog="Example: armrig pki observer wall-screen")
 def observer(
-    name: Name,
+    name: Observer,
     directory: Directory = _PKI,
     days: Days = 365,
     force: Force = False,
@@ -119,9 +147,9 @@ def observer(
     _say(issued, "[client] certificate", json)
 
 
-@app.command(context_settings=_HELP)
+@app.command(context_settings=_HELP, epilog="Example: armrig pki renew rig-1")
 def renew(
-    name: Annotated[str, typer.Argument(help="Name as in `armrig pki list`, such as rig-1.")],
+    name: Renewed,
     directory: Directory = _PKI,
     days: Days = 365,
     json: Json = False,
@@ -134,8 +162,8 @@ def renew(
     _say(issued, where.get(issued.role, "[client] certificate"), json)
 
 
-@app.command(context_settings=_HELP)
-def revoke(name: Name, directory: Directory = _PKI, json: Json = False) -> None:
+@app.command(context_settings=_HELP, epilog="Example: armrig pki revoke anna")
+def revoke(name: Revoked, directory: Directory = _PKI, json: Json = False) -> None:
     """Revoke all rights of a name permanently."""
     from armrig.lab.pki import ACCESS_LIST
     from armrig.lab.pki import revoke as revoked
@@ -150,7 +178,7 @@ def revoke(name: Name, directory: Directory = _PKI, json: Json = False) -> None:
     )
 
 
-@app.command("list", context_settings=_HELP)
+@app.command("list", context_settings=_HELP, epilog="Example: armrig pki list")
 def list_issued(directory: Directory = _PKI, json: Json = False) -> None:
     """List the certificates with name, purpose and expiry date."""
     from armrig.lab.pki import issued

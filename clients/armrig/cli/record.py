@@ -24,8 +24,8 @@ Source = Annotated[
         "--from",
         "--connect",
         metavar="ENDPOINT",
-        help="zenoh endpoint of the daemon, or of a router.",
-        show_default="this user's daemon",
+        help="zenoh endpoint of the daemon or a router, such as tls/HOST:7447.",
+        show_default="[client] connect, or for one rig the daemon on this machine",
     ),
 ]
 Out = Annotated[
@@ -46,7 +46,7 @@ Every = Annotated[
 Seconds = Annotated[
     float | None,
     typer.Option(
-        "--seconds", metavar="S", help="Length of the recording, in s.", show_default="Ctrl-C"
+        "--seconds", metavar="S", help="Length of the recording, in s.", show_default="until Ctrl-C"
     ),
 ]
 
@@ -66,8 +66,10 @@ def record(
 
     The recording begins with the samples that the daemon keeps: at 1 kHz, the last 24 s. If the
     connection is interrupted for less than this time, no sample is lost. A longer interruption
-    leaves a gap in the file. A new file begins if the daemon restarts, if the sampling time
-    changes, or if more than 200 000 samples of the current file are missing.
+    leaves a gap in the file.
+
+    A new file begins if the daemon restarts or the sampling time changes. A new file also begins
+    after 8 388 608 samples, or if more than 200 000 samples of the current file are missing.
     """
     from armrig_core.topics import check_own_id
 

@@ -20,7 +20,7 @@ Where = Annotated[
     typer.Argument(
         metavar="FILE|FOLDER…",
         help="Unfinished recordings (*.mcap.active), or folders that contain them.",
-        show_default="the folder of the recordings",
+        show_default="the folder that the daemon records into",
     ),
 ]
 

@@ -28,7 +28,14 @@ from armrig.cli.options import (
     print_json,
     tell,
 )
-from armrig.cli.parameters import AMPLITUDE_V, OMEGA, Amplitude, Given, Omega, cases
+from armrig.cli.parameters import (
+    AMPLITUDE_V,
+    OMEGA,
+    cases,
+    of_amplitude,
+    of_changes,
+    of_omega,
+)
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
@@ -62,7 +69,7 @@ Outputs = Annotated[
         "--signal",
         metavar="NAMES",
         help="Output of the models: theta_1, alpha, or theta_1,alpha for models of both outputs. "
-        "The orders apply to theta_1; each order of a model of alpha is one less.",
+        "The orders apply to theta_1; na, nb and nf of a model of alpha are one less.",
         show_default="theta_1",
     ),
 ]
@@ -91,6 +98,9 @@ AnswersFile = Annotated[
         help="File with names, registration numbers and reasons (--handout).",
     ),
 ]
+HandoutGiven = Annotated[list[str] | None, of_changes(" (--handout)")]
+HandoutAmplitude = Annotated[float, of_amplitude(" (--handout)")]
+HandoutOmega = Annotated[float, of_omega(" (--handout)")]
 
 
 def report(
@@ -106,18 +116,20 @@ def report(
     handout: Handout = False,
     questions: Questions = None,
     answers: AnswersFile = None,
-    given: Given = None,
-    amplitude: Amplitude = AMPLITUDE_V,
-    omega: Omega = OMEGA,
+    given: HandoutGiven = None,
+    amplitude: HandoutAmplitude = AMPLITUDE_V,
+    omega: HandoutOmega = OMEGA,
     source: Source = None,
     edited: Edited = None,
     json: Json = False,
 ) -> None:
     """Typeset a report as a PDF.
 
-    The first recording that is not a step is used for estimation, the next recording for
-    validation. A report covers complete runs. Here --from is not a start time: it names a folder
-    that --source wrote.
+    The first recording that is neither a step nor a staircase is used for estimation, the next such
+    recording for validation. If there is only one such recording, it is cut into halves.
+
+    A report covers complete runs. Here --from is not a start time: it names a folder that --source
+    wrote.
     """
     files = files or []
     if questions is not None:

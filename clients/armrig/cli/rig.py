@@ -42,7 +42,12 @@ def watch(
     connect: Connect = None,
     count: Annotated[
         int | None,
-        typer.Option("--count", min=1, help="Number of samples after which the command ends."),
+        typer.Option(
+            "--count",
+            min=1,
+            help="Number of samples and gaps after which the command ends.",
+            show_default="until Ctrl-C",
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -70,7 +75,7 @@ def stop(rig: RigId = "1", connect: Connect = None, by: By = "", json: Json = Fa
     """Stop the rig at 0 V, even if another person is the owner.
 
     With --json the command prints {"rig": "1", "stopped": true}. If no daemon answers, the exit
-    code is 1; `armrigd estop` then stops the device without a daemon.
+    code is 1: run `armrigd estop` to stop the device without a daemon.
     """
     with _opened(rig, connect) as opened:
         opened.stop(by)

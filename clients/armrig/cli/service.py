@@ -21,7 +21,12 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 Root = Annotated[
-    Path, typer.Option("--root", metavar="DIR", help="Root folder of a system that is not running.")
+    Path,
+    typer.Option(
+        "--root",
+        metavar="DIR",
+        help="Root folder of the system; any folder except / is a system that is not running.",
+    ),
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Show the plan only.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Do not ask.")]

@@ -51,7 +51,10 @@ ModelFile = Annotated[
 Horizons = Annotated[
     list[int] | None,
     typer.Option(
-        "--horizon", min=1, help="Prediction horizon, in samples; repeatable.", show_default="1 10"
+        "--horizon",
+        min=1,
+        help="Prediction horizon, in samples; repeatable.",
+        show_default="1 and 10",
     ),
 ]
 Lags = Annotated[

@@ -44,9 +44,9 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
     weights: Annotated[Weights | None, Option("Weights of the projection", "cva")] = None
     integrator: Annotated[bool, Option("Fix one pole at 1")] = False
     offset: Annotated[bool, Option("Also estimate the offset of the input")] = False
-    stable: Annotated[bool, Option("Reflect poles that are outside the unit circle into it")] = (
-        False
-    )
+    stable: Annotated[
+        bool, Option("Move poles that are outside the unit circle inside, by reflection")
+    ] = False
     focus: Focus | None = None
     starts: Starts | None = None
 

@@ -33,7 +33,7 @@ COUNTED = {
     "nb": "b's",
     "nc": "c's",
     "nd": "d's",
-    "nf": "f's, the integrator's included",
+    "nf": "f's",
     "order": "states",
 }
 """Name of the items that an order counts, for each order except nk."""

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 
 import pytest
 from armrig.cli import main
+from armrig.cli.parameters import PARAMETERS
+from armrig_core.arm import ArmParameters
+from armrig_daemon.command_line import app as armrigd_app
+from typer.testing import CliRunner
 
 COMMANDS = [
     "demo",
@@ -37,6 +42,14 @@ COMMANDS = [
     "service install",
     "service uninstall",
     "service status",
+    "pki ca",
+    "pki rig",
+    "pki router",
+    "pki operator",
+    "pki observer",
+    "pki renew",
+    "pki revoke",
+    "pki list",
 ]
 COLLECTS = [f"collect {kind}" for kind in ("blackbox", "greybox", "step", "staircase", "bla")]
 
@@ -79,3 +92,15 @@ def test_a_mistyped_command_is_answered_with_one_that_reads(
     assert main(["stats"]) == 2
 
     assert "did you mean status?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["", "run", "conformance"])
+def test_armrigd_has_h(command: str) -> None:
+    done = CliRunner().invoke(armrigd_app, [*command.split(), "-h"])
+
+    assert done.exit_code == 0
+    assert done.output.startswith("Usage:")
+
+
+def test_the_help_names_every_parameter_of_the_rig() -> None:
+    assert re.split(", | or ", PARAMETERS) == [field.name for field in fields(ArmParameters)]
