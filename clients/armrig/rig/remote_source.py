@@ -48,7 +48,7 @@ class RemoteSource:
         self._next = 0
 
     def next_piece(self) -> Piece | None:
-        """Return the next messages, or an empty piece if there are none; None if no daemon answers.
+        """Return the next messages, or an empty piece if there are none; None if no answer comes.
 
         Raises
         ------
