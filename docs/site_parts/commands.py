@@ -1,4 +1,4 @@
-"""Reference of the command line: a page for each command, made from the commands themselves."""
+"""Reference of the command line: a page for each command, generated from the command's help."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from site_parts.pages import GENERATED, table, write_page
 
 
 def commands() -> Iterator[tuple[str, Any]]:
-    """Yield the name and the click command of each command, a group before its members."""
+    """Yield the name and the click object of each command; a group precedes its members."""
     for program, typed in (("armrig", armrig), ("armrigd", armrigd)):
         yield from _below(program, typer.main.get_command(typed))
 
@@ -26,7 +26,7 @@ def _below(name: str, command: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _members(command: Any) -> list[tuple[str, Any]]:
-    """Return the visible commands of a group; none of another command."""
+    """Return the visible commands of a group; an empty list for a command that is not a group."""
     found = getattr(command, "commands", {})
     names = command.list_commands(None) if found else []
     return [(name, found[name]) for name in names if not found[name].hidden]

@@ -1,4 +1,4 @@
-"""Count the defects of a site: dead links, public names without example, options without help."""
+"""Count a site's defects: dead links, public names without an example, options without help."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from site_parts.commands import commands, options
 
 
 class _Page(HTMLParser):
-    """Links of a page, and the ids of the places in the page that a link can point to."""
+    """Links of a page, and the ids in the page that are possible targets of a link."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

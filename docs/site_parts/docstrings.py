@@ -1,4 +1,4 @@
-"""Docstrings with bars, as in |G|: a magnitude, not a substitution of reStructuredText."""
+"""Escapes for bars in docstrings: |G| is a magnitude, not a substitution of reStructuredText."""
 
 from __future__ import annotations
 
@@ -30,6 +30,6 @@ def _escape(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Connect to the event at which Sphinx reads a docstring, before numpydoc does."""
+    """Connect to the event of a docstring that Sphinx reads; numpydoc handles the event later."""
     app.connect("autodoc-process-docstring", _escape, priority=100)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -23,7 +23,7 @@ DARK = {
 
 
 def adapted(svg: str) -> str:
-    """Return an SVG file that uses the dark colours on a dark page.
+    """Return the SVG text with a style that uses the dark colours on a dark page.
 
     In an image, `prefers-color-scheme` follows the property `color-scheme` of the page.
     """
@@ -46,7 +46,7 @@ def _drawn_by_armrig(path: Path) -> bool:
 def mark(app: Any, document: nodes.document) -> None:
     """Mark armrig's figures, so that the theme gives them no white background in dark mode.
 
-    If a picture NAME has a second file NAME-dark, light mode shows NAME and dark mode NAME-dark.
+    If there is a second file NAME-dark, light mode shows NAME, and dark mode shows NAME-dark.
     """
     for image in list(document.findall(nodes.image)):
         path = Path(app.srcdir, image["uri"])

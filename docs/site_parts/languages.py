@@ -14,7 +14,7 @@ _ARROW = re.compile(r"(\w+) --> (\w+): (.+)")
 
 
 def with_tables(text: str) -> str:
-    """Return the page with tables in place of state diagrams: mermaid would need a script."""
+    """Replace the state diagrams of a page by tables, because mermaid would need a script."""
 
     def transitions(diagram: re.Match[str]) -> str:
         rows = [(f"`{a}`", f"`{b}`", when) for a, b, when in _ARROW.findall(diagram[1])]

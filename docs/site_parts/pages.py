@@ -9,7 +9,7 @@ GENERATED = Path(__file__).parents[1] / "generated"
 
 
 def write_page(path: Path, text: str) -> None:
-    """Write a page if its text has changed, so that Sphinx reads only what changed."""
+    """Write a page if its text has changed; Sphinx then reads only the changed pages."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")

@@ -177,7 +177,7 @@ class _Measured:
     readings: list[tuple[int, float]]
 
     def recordings(self) -> dict[str, Recording]:
-        """Return the existing recordings by name."""
+        """Return the recordings that exist, by name."""
         named = {"rest": self.rest, "turns": self.turns, "deflected": self.deflected}
         return {name: recording for name, recording in named.items() if recording is not None}
 
@@ -220,7 +220,7 @@ def _estimated(measured: _Measured, meter_std_v: float, base: Calibration) -> Es
 
 
 def _check_figure(plot: Path | None, wanted: _Wanted) -> None:
-    """Refuse, before any work, a figure that cannot be written or would be empty."""
+    """Refuse, before the measurements, a figure that cannot be written or would be empty."""
     if plot is not None and plot.suffix == ".toml":
         raise InputError(f"-o {plot}: -o writes a figure; --save {plot} writes the calibration")
     if plot is not None and wanted.by_hand and wanted.turns_file is None:
@@ -237,7 +237,7 @@ def _default(rig: str) -> Path:
 
 
 def _checked(path: Path) -> Path:
-    """Refuse, before any work, a file that cannot or must not be written."""
+    """Refuse, before the measurements, a file that cannot or must not be written."""
     from armrig_core.calibration_file import LostSamplesError, read_calibration
 
     if path.suffix != ".toml":
@@ -271,7 +271,7 @@ def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
 
 
 def _applied(code: int, rest: Recording) -> float:
-    """Return the voltage that the device applies for a code, at the resolution of its PWM."""
+    """Return the voltage, in V, that the device's PWM, with its resolution, applies for a code."""
     from armrig_core.volts import applied_code, volts_of
 
     bits = rest.manifest.device.get("pwm_bits")
@@ -285,7 +285,7 @@ def _loaded(path: Path | None) -> Recording | None:
 
 
 def _base(rest: Recording) -> Calibration:
-    """Return the calibration of the recording at rest, for the values that were not measured."""
+    """Return the calibration of the recording at rest; it supplies the values not measured."""
     from armrig_core.calibration import Calibration
     from msgspec.structs import replace
 
@@ -295,7 +295,7 @@ def _base(rest: Recording) -> Calibration:
 def _write(
     path: Path, found: Estimate, base: Calibration, recordings: Mapping[str, Recording]
 ) -> None:
-    """Write the calibration and its samples, each file completely or not at all."""
+    """Write the calibration and its samples; each file is written completely or not at all."""
     import hashlib
     from importlib.metadata import version
 

@@ -29,13 +29,13 @@ _QUESTION = "Load the calibration into the running daemon now?"
 
 
 class Dialogue:
-    """Questions to the user at the terminal; with `yes`, nothing is asked."""
+    """Questions to the user at the terminal; if `yes` is True, there are no questions."""
 
     def __init__(self, *, yes: bool) -> None:
         self._quiet = yes
 
     def ready(self, text: str) -> None:
-        """Print an instruction, and wait until the user confirms it."""
+        """Print an instruction, and wait until the user confirms that it was followed."""
         if not self._quiet:
             typer.prompt(
                 question(f"{text} Then press Enter"), default="", show_default=False, err=True
@@ -47,7 +47,7 @@ class Dialogue:
         return not self._quiet and typer.confirm(question(text), default=False, err=True)
 
     def meter(self, levels: Sequence[float]) -> list[tuple[int, float]]:
-        """Ask for the meter's reading at each level; return pairs of PWM code and reading."""
+        """Ask for the voltmeter's reading at each level; return pairs (PWM code, reading in V)."""
         from armrig_core.volts import code_of
 
         readings: list[tuple[int, float]] = []
@@ -125,7 +125,7 @@ def check_turns(levels: Sequence[float], level_seconds: float) -> None:
 
 
 def meter_reading(text: str) -> tuple[int, float]:
-    """Return the code and the reading from a text CODE=VOLTS."""
+    """Return the PWM code and the voltmeter's reading, in V, from a text CODE=VOLTS."""
     from armrig_protocol.messages import CODE_FULL_SCALE
 
     code, _, volts = text.partition("=")
@@ -144,12 +144,13 @@ def meter_reading(text: str) -> tuple[int, float]:
 def take_into_use(
     path: Path, *, wanted: bool | None, asks: bool, rig: str, connect: str | None
 ) -> bool:
-    """Load a calibration into the running daemon if wanted; return True if it was loaded.
+    """Load a calibration into the running daemon if wanted; return True if it is in use.
 
     Parameters
     ----------
     wanted : bool, optional
-        True to load the calibration, False not to load it. None asks the user if a daemon runs.
+        True to load the calibration, False not to load it. If None and a daemon runs, the user is
+        asked.
     asks : bool
         True if the user may be asked; if False, the answer is yes.
 
@@ -188,7 +189,7 @@ def take_into_use(
 
 
 def _is_wanted(wanted: bool | None, *, asks: bool) -> bool:
-    """Return True if the daemon must load the calibration; otherwise print a message."""
+    """Return True if the daemon must load the calibration; if not, print that it is not in use."""
     if wanted is None and asks and not sys.stdin.isatty():
         tell("not in use: --use loads the calibration into the running daemon")
         return False

@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 LAST = "last"
 VALIDATION = "/validation"
 _MAX_SEARCHED = 100
-"""Number of the newest recordings whose names are compared with an unknown name."""
+"""Number of recordings, newest first, whose names are compared with an unknown name."""
 _MAX_LISTED = 4
-"""Number of recordings in the message about an ambiguous name."""
+"""Largest number of recordings in the message about an ambiguous name."""
 
 
 class NoSuchRecordingError(OperationError):
-    """A name means no recording, or several recordings, which the message then lists."""
+    """A name means no recording or several recordings; the message lists several recordings."""
 
 
 _NAMES = "@last or @NAME"
 
 
 def recording_folder() -> Path:
-    """Return the folder that this user's daemon, or this machine's service, records into."""
+    """Return the recording folder of this user's daemon or of this machine's service."""
     from armrig_core.recording_directory import directory_to_look_in, installed
 
     try:
@@ -48,7 +48,7 @@ def recording_path(text: str) -> Path:
     Raises
     ------
     NoSuchRecordingError
-        No recording has the name, or several have it.
+        No recording has the name, or several recordings have the name.
     """
     if not text.startswith("@"):
         _check_bare_name(Path(text))
@@ -77,7 +77,7 @@ def chosen(text: str, folder: Path) -> RecordingSummary:
     Raises
     ------
     NoSuchRecordingError
-        No recording has the name, or several have it.
+        No recording has the name, or several recordings have the name.
     """
     from armrig.recordings.catalogue import newest_first, summaries
 
@@ -99,9 +99,9 @@ def chosen(text: str, folder: Path) -> RecordingSummary:
 
 
 def preferred(found: Sequence[RecordingSummary]) -> Sequence[RecordingSummary]:
-    """Return the complete recordings of one name, or all if none is complete.
+    """Return the complete recordings of a name; if no recording is complete, return all.
 
-    If a run ended early, it is usually repeated with the same command and thus the same name.
+    A run that ended early is usually repeated with the same command, and thus has the same name.
     """
     complete = [s for s in found if s.is_complete]
     return complete or found

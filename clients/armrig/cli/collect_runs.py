@@ -56,7 +56,7 @@ def chosen_inputs(
     validation: bool,
     Ts: float | None,
 ) -> list[Played]:
-    """Return the runs to play; refuse wrong options before any contact with a rig."""
+    """Return the runs to play; refuse wrong options before the connection to a rig."""
     from armrig.excitation.named_signals import SEEDED, details_of, named_signal
 
     name = input or ("telegraph" if file is None else "csv")
@@ -113,7 +113,7 @@ def _experiment_name(experiment: str, name: str) -> str:
 
 
 def _check_name_is_free(name: str) -> None:
-    """Refuse the name of a complete recording, because two recordings would have this name."""
+    """Refuse the name of a complete recording; otherwise the name would become ambiguous."""
     from armrig.cli.chosen_recording import (
         NoSuchRecordingError,
         matching,
@@ -140,7 +140,8 @@ def _check_name_is_free(name: str) -> None:
 def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bool = False) -> None:
     """Record each run and print its result; stop if the data cannot be used.
 
-    If `without_arm` is True, the experiment needs the chassis alone: a rig with its arm is refused.
+    If `without_arm` is True, the experiment needs the chassis without the arm, and a rig with an
+    arm is refused.
     """
     from dataclasses import replace
 

@@ -20,7 +20,7 @@ Named = Sequence[tuple[str, "Vector"]]
 
 _IS = ("is", "are")
 _MIN_SAMPLES = 20
-"""Smallest number of samples for a statement about their mean."""
+"""Smallest number of samples for which a note about the mean is printed."""
 
 
 def check_varies(file: Path, output: str, y: Vector) -> None:
@@ -38,7 +38,7 @@ def hint_at_means(
     *,
     may_offset: bool = False,
 ) -> None:
-    """Print what to do if the mean of a signal is far from 0, as at an operating point."""
+    """If the mean of a signal is far from 0, as at an operating point, print the remedy."""
     every = [*outputs, *inputs]
     if far_from_zero([x for _, x in every]):
         along = "estimate a level with --offset, or " if may_offset else ""

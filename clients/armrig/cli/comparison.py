@@ -138,10 +138,10 @@ class _Compared:
     """Models and the data of their comparison."""
 
     models: list[tuple[str, Model]]
-    """Models with their names; names may repeat."""
+    """Pairs of name and model; several models may have the same name."""
     data: Dataset
     where: str
-    """Name of the data in messages."""
+    """Name by which messages refer to the data."""
 
     @property
     def names(self) -> list[str]:
@@ -212,7 +212,7 @@ def _same(a: Model, b: Model) -> bool:
 
 
 def _with_physics(compared: _Compared, changed: dict[str, ArmParameters]) -> _Compared:
-    """Return the comparison with physical models added at its end."""
+    """Return the comparison, with the physical models after the other models."""
     from armrig.physics.physical_model import physical_model
 
     more = [(name, physical_model(p, compared.data)) for name, p in changed.items()]
@@ -272,7 +272,7 @@ def row_line(name: str, row: Comparison, unit: str) -> str:
 
 
 def row_facts(row: Comparison) -> dict[str, Any]:
-    """Return the row of a model and its characteristic numbers as JSON fields."""
+    """Return the row of a model, and the model's characteristic numbers, as JSON fields."""
     t = row.characteristics
     figures = {name: {"value": getattr(t, name), "std": std} for name, std in t.std.items()}
     poles = [[z.real, z.imag] for z in t.poles.tolist()]

@@ -69,7 +69,7 @@ def _serve(
     for_foxglove: bool,
     json: bool,
 ) -> None:
-    """Serve the dashboard until a signal comes."""
+    """Serve the dashboard until the process receives a signal."""
     import webbrowser
     from contextlib import ExitStack
 
@@ -98,7 +98,7 @@ def _serve(
 
 
 def _say(rig: str, served: Served, streams: str, layouts: str) -> None:
-    """Print the addresses of the page and the rights that they give."""
+    """Print the addresses of the page, each with the rights that it gives."""
     echo(f"rig {rig}: {served.url}")
     echo("anybody with this address may command the rig; Ctrl-C ends the dashboard")
     if served.shared_url:

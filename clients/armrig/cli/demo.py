@@ -98,7 +98,7 @@ def demo(
 
 
 def _record(plan: list[Experiment], config: Path, console: Console, done: list[Path]) -> str:
-    """Append real-time recordings to `done`; return the reason for missing ones, "" if complete."""
+    """Append real-time recordings to `done`; return why recordings are missing, "" if none is."""
     if sys.platform != "linux":
         return "an emulated rig in real time is for Linux"
     from armrig_core.errors import InputError
@@ -137,7 +137,7 @@ def _reported(paths: list[Path], remarks: list[str], directory: Path) -> tuple[S
 
 
 def _remarks(n: int, n_real: int, why: str) -> list[str]:
-    """Return the report's remarks; the first `n_real` of `n` recordings are in real time."""
+    """Return the report's remarks on `n` recordings; the first `n_real` are in real time."""
     if n_real == n:
         return [_EMULATED]
     which = f"The last {n - n_real} of the recordings were" if n_real else "All recordings were"

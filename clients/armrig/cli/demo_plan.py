@@ -49,7 +49,7 @@ class Experiment(NamedTuple):
 
 
 def experiments(seconds: float, seed: int) -> list[Experiment]:
-    """Return a step, a telegraph signal of `seconds`, and another telegraph signal to validate."""
+    """Return a step, a telegraph signal of `seconds`, and a telegraph signal for validation."""
     N = round(seconds / Ts)
     levels = {"low": LOW, "high": HIGH}
     up = step(round(_STEP_S / Ts), **levels, at=round(_STEP_AT_S / Ts))

@@ -21,11 +21,11 @@ from armrig.rig.session import RigError
 from armrig.rig.status_rows import scheduling_sentences
 
 MAX_ENDED_RUNS = 3
-"""Number of runs ended by stalls, after which the demonstration continues in virtual time."""
+"""If stalls have ended this number of runs, the demonstration continues in virtual time."""
 MAX_REAL_TIME_S = 150.0
-"""Time after which the demonstration changes to virtual time, in s.
+"""Time in s after which the demonstration changes to virtual time.
 
-The value is for experiments that take `_USUAL_S` together; longer experiments have more time.
+The value is for experiments with a total duration of `_USUAL_S`; longer experiments have more time.
 """
 _USUAL_S = 63.0
 _SAFE_TIMEOUT_S = 30.0
@@ -47,7 +47,7 @@ class Patience:
         self._ended = 0
 
     def recorded(self, experiment: Experiment) -> None:
-        """Subtract a recorded experiment from the remaining time."""
+        """Reduce the remaining time after an experiment was recorded."""
         self._left_s -= experiment.seconds
 
     def run_ended(self) -> None:
@@ -90,7 +90,7 @@ def record_in_real_time(
 
 
 def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patience) -> Path:
-    """Arm and run an experiment; if a stall of the emulator ends the run, print why and repeat."""
+    """Arm and run an experiment; if a stall of the emulator ends the run, repeat the experiment."""
     while True:
         wait_until_safe(rig)
         try:
@@ -117,7 +117,7 @@ def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patie
 
 
 def wait_until_safe(rig: Rig) -> None:
-    """Wait until the rig can be armed; clear a fault, which may also follow a refusal."""
+    """Wait until the rig can be armed; clear a fault if there is one."""
     until = time.monotonic() + _SAFE_TIMEOUT_S
     while (status := rig.status()).phase != "safe":
         if time.monotonic() > until:

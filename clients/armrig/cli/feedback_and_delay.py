@@ -109,7 +109,7 @@ def check(
 
 
 def _say_next(file: Path, signals: SignalChoice, *, of_rig: bool) -> None:
-    """Print the next command; for a rig it concerns the chassis alone (handout 3.5, 3.6)."""
+    """Print the next command; for a rig, it is about the chassis alone (handout 3.5, 3.6)."""
     if not of_rig:
         say_next("check other", file=typed(file), given=signals.options())
     elif kind_of(file) == "greybox":
@@ -122,7 +122,7 @@ def _say_next(file: Path, signals: SignalChoice, *, of_rig: bool) -> None:
 
 
 def _tested(test: Callable[[Dataset], T], data: Dataset) -> T | str:
-    """Return the result of a test, or the reason for a missing result."""
+    """Return the result of a test, or the reason why the test has no result."""
     try:
         return test(data)
     except ValueError as err:

@@ -1,4 +1,4 @@
-"""Figures of commands: one file with all axes, or a folder with a file for each subject."""
+"""Figures of commands: a file with the axes of all subjects, or a folder with a file for each."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ _EACH = "*"  # in place of the subject, in the name of files in a folder
 _WIDTH, _HEIGHT = 6.3, 8.0  # in inches: the text of an A4 page, and a screen
 _DPI = 200
 _RUNS: dict[str, str] = {}
-"""Run ids of the recordings that the command read, by the hash of the recording."""
+"""Run id of each recording that the command read, by the recording's hash."""
 _ESTIMATION: dict[Path, str] = {}
-"""Run ids of the estimation recordings that belong to validation recordings, by file."""
+"""Run id of each estimation recording to which a validation recording belongs, by its file."""
 _MCAP = b"\x89MCAP0\r\n"
 
 
 def name_runs(*recordings: Recording) -> None:
     """Store the run ids of recordings; figures of the command show these ids, as `armrig ls` does.
 
-    The estimation run of a validation recording is included if its file is in the same folder.
+    For a validation recording, the id of the estimation run is also stored if the estimation
+    recording is in the same folder.
     """
     for r in recordings:
         _RUNS[r.sha256] = r.manifest.run_id
@@ -44,7 +45,7 @@ def name_runs(*recordings: Recording) -> None:
 
 
 def _runs() -> dict[str, str]:
-    """Return the run ids that figures show, by the hash of the recording."""
+    """Return the run ids that figures show, by the hashes of the recordings."""
     from hashlib import file_digest
 
     runs = dict(_RUNS)
@@ -74,7 +75,7 @@ Plot = Annotated[
 
 
 def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
-    """Refuse, before any work, a figure that cannot or must not be written."""
+    """Refuse, before a command's work, a figure that cannot or must not be written."""
     if path is None:
         return
     folder = path.parent
@@ -106,14 +107,14 @@ def write_plot(
     Parameters
     ----------
     path : Path, optional
-        Path of a figure or a folder, as returned by `figure_path`; a folder gets a file for each
-        subject.
+        Path of a figure or a folder, from `figure_path`. In a folder, each subject has its own
+        file.
     width : float
         Width of the axes of one subject, in inches.
     height : float
         Height of the axes of one subject, in inches.
     **draw
-        Function for each subject, by its name; it draws the subject into `ax`.
+        For each subject, by its name, a function that draws the subject into `ax`.
     """
     if path is None:
         return []
@@ -156,7 +157,7 @@ def _drawn(subjects: Sequence[Draw], height: float, width: float) -> Figure:
 
 
 def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
-    """Refuse, before any work, an output that cannot be written or would replace data."""
+    """Refuse, before a command's work, an output that cannot be written or would replace data."""
     name = f"-o {path}" if suffix else str(path)
     if path.is_dir():
         example = path / ("report.pdf" if suffix else "timing.png")

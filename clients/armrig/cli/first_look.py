@@ -218,7 +218,7 @@ def hints(
 
 
 def _doubts(data: Dataset, found: StructureHints) -> list[Finding]:
-    """Return the findings that make all these estimates doubtful: feedback, or a poor input."""
+    """Return the findings that make all the hints doubtful: feedback, or a poor input."""
     from armrig.validation.advice import data_advice
 
     known = data_advice.tested(data, found.integrator)

@@ -47,7 +47,7 @@ def _page() -> Path:
 
 
 def _found(term: str, terms: dict[str, str]) -> str:
-    """Return the term that a text means; case, blanks, hyphens and underscores do not matter."""
+    """Return the term that a text means, regardless of case, blanks, hyphens and underscores."""
     from difflib import get_close_matches
 
     names = {_plain(name): name for name in terms}

@@ -199,11 +199,11 @@ class _Search:
     """Range of a search."""
 
     fixed: dict[str, Any]
-    """Fixed arguments of the search; the search chooses all others."""
+    """Fixed arguments of the search; the search chooses all other arguments."""
     most: int
     """Highest order to try."""
     jobs: int
-    """Number of processes."""
+    """Number of processes in parallel."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,7 +229,7 @@ class _Found:
 
 
 def _warn_of_integrator(data: Dataset) -> None:
-    """Warn if the rig has no root at 1 for this output; other data than recordings are ignored."""
+    """Warn if the rig's output has no root at 1; if the data are not a recording, do nothing."""
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
     if from_recording(data) and data.output not in INTEGRATING_OUTPUTS:
@@ -239,7 +239,7 @@ def _warn_of_integrator(data: Dataset) -> None:
 def _check_files(
     file: Path, validate: Path | None, *, plot: Path | None, save: Path | None
 ) -> None:
-    """Refuse, before any work, files that cannot or must not be written."""
+    """Refuse, before the estimation, files that cannot or must not be written."""
     inputs = [file] if validate is None else [file, validate]
     check_plot(plot, inputs)
     if save is not None:
@@ -250,7 +250,7 @@ def _check_files(
 
 
 def _found(wanted: _Search | Request, data: Dataset, other: Dataset | None) -> _Found:
-    """Estimate a model or search for it; validate the model if there are validation data."""
+    """Estimate or search for a model; if there are validation data, validate the model."""
     searched = None
     if isinstance(wanted, _Search):
         searched = _searched(wanted, data, other)
@@ -325,7 +325,7 @@ def _print_lines(found: _Found, validate: Path | None, *, verbose: bool) -> None
 
 
 def _print_short(found: _Found) -> None:
-    """Print the results of a search, the model in short, and the findings to act on."""
+    """Print the results of a search, a short form of the model, and the findings to act on."""
     from armrig.cli import model_output
 
     searched = found.search is not None
@@ -336,7 +336,7 @@ def _print_short(found: _Found) -> None:
 
 
 def _print_all(found: _Found, validate: Path | None) -> None:
-    """Print all details."""
+    """Print all details of the search, the model and its validation."""
     from armrig.cli import model_output
     from armrig.validation.advice.advice import advice
 

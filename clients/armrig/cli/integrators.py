@@ -80,10 +80,10 @@ class _Row:
     method: str
     h: float
     limit: float
-    """Largest stable step, in s."""
+    """Largest step for which the method is stable, in s."""
     stable: bool
     error: float
-    """Largest error over the span, relative to the largest value of each state; may be infinite."""
+    """Largest error over the span, relative to the state's largest value; it may be infinite."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +93,7 @@ class _Solved:
     problem: Sinusoid
     rows: list[_Row]
     advice: Recommendation | None
-    """Recommendation of the steps; None if the user gave the steps."""
+    """Recommended steps; None if the user gave the steps."""
 
 
 def _problem(*, amplitude: float, omega: float, span: float | None) -> Sinusoid:
@@ -108,7 +108,7 @@ def _problem(*, amplitude: float, omega: float, span: float | None) -> Sinusoid:
 def _solved(
     problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
 ) -> _Solved:
-    """Solve with these methods, or all methods, at these steps or at recommended steps."""
+    """Solve with the given methods or all methods, at the given steps or at recommended steps."""
     from armrig.cli.spinner import spinner
     from armrig.physics.integrators.accuracy import all_methods
     from armrig.physics.integrators.stability import stability_limit
@@ -159,7 +159,7 @@ def _check_step(h: float, problem: Sinusoid) -> None:
 
 
 def _plot_solutions(solved: _Solved, plot: Path | None) -> None:
-    """Write the solutions of all rows of the table, with a figure for each given step."""
+    """Draw the solutions in all rows of the table; each given step has its own figure."""
     if plot is None:
         return
     from armrig.physics.integrators.figures import plot_solution

@@ -135,7 +135,7 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, js
 
 
 def _sentence(status: StatusReport, lab: _Lab, after: str) -> str:
-    """Return the message that the rig is ready, or its problem; "" if it will soon be ready."""
+    """Return a message: the rig is ready, or has a problem; "" if the rig is not yet ready."""
     if status.phase == "safe":
         alone = "; the arm is removed ([arm] removed)" if status.arm_removed else ""
         page = f"in a browser: {lab.url}\n" if lab.url else ""
@@ -172,7 +172,7 @@ def _angle(x: float) -> str:
 
 
 def _between_words(text: str, columns: int) -> str:
-    """Return the text folded to the width of the terminal; a line to copy is not folded."""
+    """Return the text, folded to the terminal's width; lines that the user copies stay unfolded."""
     lines = printable(text, keep="\n").splitlines()
     return "\n".join(
         x if x.startswith(("next: ", "in a browser: ")) else folded(x, columns) for x in lines

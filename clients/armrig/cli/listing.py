@@ -167,7 +167,7 @@ def _clipped(text: str) -> str:
 
 
 def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answering) -> str:
-    """Return the name of the estimation recording; "" if the validation's own name contains it."""
+    """Return the estimation recording's name; "" if the validation recording's name contains it."""
     if not summary.is_validation or short_name(summary, answering).endswith(VALIDATION):
         return ""
     estimations = answering(f"@{summary.validation_of}") if summary.validation_of else []

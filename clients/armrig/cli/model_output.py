@@ -55,7 +55,7 @@ def answer(
 
 
 def simulated_to(row: Comparison, unit: str) -> str:
-    """Return the fit of a simulation, such as 99.9 % (rms 0.0035 rad, velocity 83.6 %)."""
+    """Return the fit of a simulation as text, such as 99.9 % (rms 0.0035 rad, velocity 83.6 %)."""
     velocity = row.velocity_fit_percent
     said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {unit}".rstrip()
     return said + (f", velocity {velocity:.2f} %)" if velocity is not None else ")")
@@ -94,7 +94,7 @@ def _roots(found: Roots) -> str:
 
 
 def _listed(numbers: Sequence[str]) -> str:
-    """Return numbers with commas; no number is broken at the end of a line."""
+    """Return the numbers as text, separated by commas; a line break cannot divide a number."""
     return ", ".join(number.replace(" ", NBSP) for number in numbers)
 
 
@@ -125,7 +125,7 @@ def doubted(fit: Fit, doubts: Sequence[Finding]) -> bool:
 
 
 def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
-    """Return lines with doubts about the data, warnings of the estimation, and advice."""
+    """Return lines with doubts about the data, warnings from the estimation, and advice."""
     about = {f.about for f in doubts}
     # The first sentence of the output has already reported the residuals.
     advised = [f for f in advice(fit).findings if f.level != "good"]
@@ -160,14 +160,14 @@ def search_lines(found: SearchResult) -> list[str]:
 
 _DATA_FIRST = "correct the data first, see below"
 _OF_DATA = frozenset({"outliers", "level"})
-"""Findings of an estimate about its data; the advice uses the same names."""
+"""Names of an estimate's findings about the data; findings of the advice have the same names."""
 _SAID_BY = {
     **{name: {name} for name in _OF_DATA},
     "unstable": {"integrator", "unstable"},
     "poorer_minimum": {"search"},
     "not_converged": {"search"},
 }
-"""For each finding of an estimate: names of the findings of the advice that repeat it."""
+"""Findings of the advice that repeat an estimate's finding: their names, by that finding's name."""
 _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"
@@ -258,7 +258,7 @@ def residual_lines(tests: ResidualTest) -> list[str]:
 
 
 def lags_outside(tests: ResidualTest) -> str:
-    """Return a note on lags outside their bands if the joint test accepts; "" without such lags."""
+    """Return a note on single lags outside their bands if the joint test accepts; otherwise ""."""
     beyond = np.abs(tests.cross_correlation) > BAND_99_PERCENT * tests.cross_std
     lags = [
         outside

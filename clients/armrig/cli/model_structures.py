@@ -1,4 +1,4 @@
-"""Options of an estimation, the request that they make, and the estimated model."""
+"""Options of an estimation, the request that results from the options, and the estimated model."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from armrig.models.fit import Fit
 
 Given = dict[str, Any]
-"""Values of the options below by name; None or False for options that were not given."""
+"""Values of the estimation's options by name; None or False for options that were not given."""
 _SEARCHED = ("structure", "nk", "integrator", "offset")
 _NOT_SEARCHED = {"stable": "whose models are always stable"}
 _NOT_WITH = {"stable": "; not with --search or several signals"}
@@ -38,7 +38,7 @@ _WAY_OUT = {
     "offset": "subtract the means with --detrend",
     **dict.fromkeys(COUNTED, "{model} has {orders}"),
 }
-"""Advice for each option that a structure may lack, by the name of the option."""
+"""Advice to a user who gives an option that the structure does not have, by the option's name."""
 
 
 def estimation_options(
@@ -122,14 +122,14 @@ def _choice(name: str, option: Option, *, several: bool) -> Any:
 def _option(
     name: str, what: str, default: str = "", others: Sequence[str] = (), more: str = ""
 ) -> Any:
-    """Return an option; its help names the structures that have the option, unless all have it."""
+    """Return an option; if not all structures have the option, its help names those structures."""
     titles = dict.fromkeys([*(OFFERED[user].title for user in users(name)), *others])
     which = "" if len(users(name)) == len(OFFERED_NAMES) else f" ({', '.join(titles)})"
     return typer.Option(flag(name), help=f"{what}{which}{more}.", show_default=default or True)
 
 
 def requested(given: Given) -> Request:
-    """Return the request that the options make; refuse options that the structure lacks."""
+    """Return the request from the options; refuse options that the structure does not have."""
     structure: CommandName | None = given["structure"]
     if structure is None:
         raise typer.BadParameter(
@@ -150,12 +150,12 @@ def requested(given: Given) -> Request:
 def requested_of_several(
     given: Given, *, integrating: Sequence[str], shared: bool, noise: bool
 ) -> SignalsRequest:
-    """Return the request that the options make for several signals.
+    """Return the request for a model of several signals from the options.
 
     Parameters
     ----------
     integrating : sequence of str
-        Outputs that integrate if the options ask for an integrator.
+        Outputs that get an integrator if the options request an integrator.
     shared : bool
         True to give all outputs one denominator; the structure must allow this.
     noise : bool

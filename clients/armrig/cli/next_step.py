@@ -1,4 +1,4 @@
-"""Next commands along the handout, ready to copy."""
+"""Next commands in the order of the handout, ready to copy."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MAX_NAME_LENGTH = 28
 _AGAIN = "-again"
 """Suffix of the name of a repeated step."""
 _MAX_SEARCHED = 100
-"""Number of the newest recordings of a kind to search."""
+"""Largest number of recordings, newest first, among which a kind is searched."""
 
 AFTER: Mapping[str, str] = {
     "lab": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
@@ -102,9 +102,9 @@ def next_line(after: str, **values: str | float) -> str:
 
 
 def _goes_on(line: str) -> str:
-    """Return the line; if a complete recording has its --name already, return the line after it.
+    """Return the command line, or the next command if a recording with its --name is complete.
 
-    A second recording of the same name would make the name ambiguous.
+    If a complete recording already has this name, a second recording would make the name ambiguous.
     """
     words = shlex.split(line)
     if words[1] != "collect" or words[-2] != "--name":
@@ -129,7 +129,7 @@ def _goes_on(line: str) -> str:
 
 
 def step_again(recording: Recording) -> str:
-    """Return the options that repeat a step whose rise the dead band hid; "" for no repetition.
+    """Return the options that repeat a step if the dead band hid its rise; otherwise "".
 
     If the chassis rests before the step, a step at another time does not show the rise either. The
     result is then "", because the user must turn the chassis by hand.
@@ -214,7 +214,7 @@ def kind_of(path: Path) -> str:
 
 
 def free_name() -> str:
-    """Return the first of the names report.pdf, report-2.pdf … that no file has."""
+    """Return the first name of report.pdf, report-2.pdf … for which no file exists."""
     free = (n for n in count(2) if not Path(f"report-{n}.pdf").exists())
     return f"report-{next(free)}.pdf" if Path("report.pdf").exists() else "report.pdf"
 
@@ -222,10 +222,10 @@ def free_name() -> str:
 def for_the_report() -> str:
     """Return the names of the recordings for the handout's report: step, pair and chassis.
 
-    All recordings are complete and have the same calibration: the calibration for which most of the
-    four recordings exist. Each recording is the newest recording of its kind that has a name. If no
-    recording of the kind has a name, it is the newest recording of its kind. A blank precedes each
-    name in the result; the result is "" if there is no recording.
+    The report uses up to four complete recordings, all with the same calibration. The function
+    chooses the calibration for which most of the four exist. Of each kind, it takes the newest
+    recording with a name; if none has a name, the newest recording. A blank precedes each name in
+    the result. The result is "" if there is no recording.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.catalogue import newest_first
@@ -252,7 +252,7 @@ def _of_calibration(hash_: str, every: Sequence[RecordingSummary]) -> list[Recor
 
 
 def answers_here() -> str:
-    """Return the option --answers with reasons.toml; "" without this file."""
+    """Return the option `--answers reasons.toml` if this file exists; otherwise ""."""
     return " --answers reasons.toml" if Path("reasons.toml").exists() else ""
 
 
@@ -270,7 +270,7 @@ def chassis() -> str:
 
 
 def _complete(paths: Sequence[Path], part: str) -> Iterator[RecordingSummary]:
-    """Yield the newest complete recordings whose file names contain a text."""
+    """Yield the newest complete recordings whose file names contain `part`."""
     from armrig.recordings.catalogue import summaries
 
     found = islice((path for path in paths if part in path.name), _MAX_SEARCHED)
@@ -333,7 +333,7 @@ def options_of(request: Request) -> str:
 def options_after(
     fit: Fit, request: Request, about: Set[str], *, searched: bool, detrended: bool
 ) -> str:
-    """Return the options of `armrig identify` that follow the findings about a model.
+    """Return the options of `armrig identify` with which the findings about a model are followed.
 
     Parameters
     ----------
@@ -351,8 +351,8 @@ def options_after(
     Returns
     -------
     str
-        The options of the next estimation. If there is nothing to act on, they are the options of
-        the request. If the data must be tested first, the result is `CHECK`.
+        The options of the next estimation. If no finding requires action, the result contains the
+        options of the request. If the data must be tested first, the result is `CHECK`.
     """
     kind = STRUCTURES[fit.structure]
     orders = fit.orders
@@ -381,7 +381,7 @@ def options_after(
 
 
 def _lower(fit: Fit, *, integrator: bool) -> dict[str, int]:
-    """Return the orders minus the number of cancelling pairs; the noise model keeps its orders."""
+    """Return the orders, minus the number of cancelling pairs except for the noise model."""
     from armrig.validation.advice.model_advice import cancelling
 
     many = sum(2 if pole.imag else 1 for pole, _, _ in cancelling(fit)) or 1

@@ -144,7 +144,7 @@ def tell(message: str) -> None:
 
 
 def tell_error(message: str) -> None:
-    """Print an error as `tell` does; systemd's journal gives the line the priority of an error."""
+    """Print a line for the user on standard error; systemd's journal shows the line as an error."""
     with suppress(OSError):
         print(log_prefix("error") or "", end="", file=sys.stderr)
     tell(message)
@@ -158,8 +158,8 @@ def say(text: str) -> None:
 def echo(text: str) -> None:
     """Print text on standard output with unprintable characters escaped.
 
-    All output uses this function, `print_json` or `print_table`: a name or a reason may come from
-    another user, or from a file of unknown origin.
+    All output uses this function, `print_json` or `print_table`, because a name or a reason may
+    come from another user, or from a file of unknown origin.
     """
     typer.echo(_for_terminal(text, keep="\n"))
 
@@ -170,7 +170,7 @@ def _for_terminal(text: str, keep: str = "") -> str:
 
 
 def question(text: str) -> str:
-    """Return a question folded so that its last line leaves room for the answer."""
+    """Return a question, folded into lines; the last line leaves room for the answer."""
     columns = _columns(sys.stderr)
     return folded(text, columns - _ANSWER_WIDTH, indent=0) if columns > 2 * _ANSWER_WIDTH else text
 

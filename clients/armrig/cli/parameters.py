@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def _doubted(given: list[str] | None) -> list[str] | None:
-    """Return the parameters as given; print the parameters that are probably not in SI units."""
+    """Return the parameters unchanged; print the parameters that are probably not in SI units."""
     from armrig_core.arm import ArmParameters
 
     for name, value in _values(given).items():
@@ -28,7 +28,7 @@ def _doubted(given: list[str] | None) -> list[str] | None:
 
 
 def _explained_amplitude(volts: float) -> float:
-    """Return the amplitude as given, and print a note if it exceeds the input of the rig."""
+    """Return the amplitude unchanged; print a note if it exceeds the rig's largest input."""
     if not abs(volts) <= AMPLITUDE_V:
         tell(
             f"--amplitude {volts:g}: the sinusoid is only simulated, never played; the rig takes "
@@ -70,7 +70,7 @@ Amplitude = Annotated[float, of_amplitude()]
 Omega = Annotated[float, of_omega()]
 _WITH_UNIT = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)? ?[^\d,.\s]")
 _MAX_RATIO = 100.0
-"""Largest factor, up or down, between a parameter and the handout's value without a note."""
+"""Largest ratio of a parameter to the handout's value, or the inverse ratio, without a note."""
 
 
 def parameters(given: list[str] | None) -> ArmParameters:
@@ -83,7 +83,7 @@ def parameters(given: list[str] | None) -> ArmParameters:
 
 
 def cases(given: list[str] | None) -> dict[str, ArmParameters]:
-    """Return the cases of handout 2.3: its parameters, each change alone, and all changes."""
+    """Return the cases of handout 2.3: no change, each change alone, and all changes together."""
     from armrig.physics.systems import beside_the_handout
 
     return beside_the_handout(parameters(given))

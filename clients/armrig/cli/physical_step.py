@@ -25,7 +25,7 @@ _SLOPE_S = 1e-8  # the slope does not change in the shown digits
 _STATES = (THETA_1, ALPHA, f"{THETA_1}'", f"{ALPHA}'")
 _PRIME = "'"
 _TOGETHER = {"both": "both changes", "all": "all changes"}
-"""Headings of the column in which several parameters are changed at once."""
+"""Possible headings of the column in which several parameters are changed at once."""
 _TIMES = {
     "rise_time": "63 % time [s]",
     "equivalent_time": "equivalent [s]",
@@ -91,7 +91,7 @@ def _answer(p: ArmParameters) -> _Answer:
 
 
 def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None:
-    """Print the models whose speed crosses 63 % only after its first rise."""
+    """Print the models whose speed crosses 63 % of its steady value only after the first rise."""
     import numpy as np
 
     from armrig.physics.step_response import step_response
@@ -106,7 +106,7 @@ def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None
 
 
 def _of(given: list[str] | None) -> str:
-    """Return the changed parameters for a sentence; "" for the parameters of the handout."""
+    """Return the changed parameters as part of a sentence; "" for the parameters of the handout."""
     return f" with {changes(given)}" if given else ""
 
 
@@ -123,7 +123,7 @@ def _state_space(p: ArmParameters) -> str:
 
 
 def _table(found: dict[str, _Answer]) -> str:
-    """Return the numbers of the models, a column for each; five columns fit 80 characters."""
+    """Return a table with a column for each model; five columns fit into 80 characters."""
     columns = [["", "steady [rad/s/V]", "slope [rad/s²/V]", *_TIMES.values()]]
     columns[0] += ["poles [1/s]", "", "", "zeros [1/s]"]
     for name, answer in found.items():

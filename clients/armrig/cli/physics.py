@@ -304,7 +304,7 @@ def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) 
 def _rig(
     recording: Recording, model: Literal["chassis", "arm"] | None
 ) -> Literal["chassis", "arm"]:
-    """Return "arm" or "chassis" according to the recorded alpha; refuse another --model."""
+    """Return "arm" or "chassis", as the recorded alpha shows; refuse a --model that contradicts."""
     from armrig.recordings.findings import alpha_moves
 
     seen: Literal["chassis", "arm"] = "arm" if alpha_moves(recording) else "chassis"

@@ -1,4 +1,4 @@
-"""Data that commands read from recordings and other files, with notes about them."""
+"""Data that commands read from recordings and other files, and notes about these data."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class SignalChoice:
     """Signals to read from files: recordings, or other data."""
 
     signal: str | None
-    """Output, or several outputs with commas; None: theta_1 of a recording, y of other data."""
+    """Output, or outputs with commas; None means theta_1 of a recording, or y of other data."""
     input: str | None = None
     """Column of the input in other data, or several columns with commas; None means u."""
     time: str | None = None
@@ -85,7 +85,7 @@ class SignalChoice:
     detrend: bool = False
     """Subtract the mean of each signal of each file."""
     offset: bool | None = None
-    """True if a level of y is also estimated; None if the command cannot estimate it."""
+    """True if a constant level of y is also estimated; None if the command has no such option."""
     hampel: bool = False
     """Mark single outliers of the output as missing, before the means are subtracted."""
     calibration: Path | None = None
@@ -93,9 +93,9 @@ class SignalChoice:
     start: float | None = None
     """Start of the samples to use, in s from the first sample."""
     stop: float | None = None
-    """End of the samples to use, in s."""
+    """End of the samples to use, in s from the first sample."""
     read: list[Recording] = field(default_factory=list)
-    """Recordings read so far; the first one is for estimation."""
+    """Recordings read so far; the first recording is for estimation."""
 
     @property
     def several(self) -> bool:
@@ -123,7 +123,7 @@ class SignalChoice:
         return "".join(typed) + " --detrend" * self.detrend + " --hampel" * self.hampel
 
     def of(self, file: Path, model: Model | None = None) -> Dataset:
-        """Return the data of a file, and print its defects; a model sets the default output."""
+        """Return the data of a file, by default the model's output; print the file's defects."""
         from armrig.data.treatment import detrend, hampel
 
         if self.several:
@@ -144,7 +144,7 @@ class SignalChoice:
         return detrend(data) if self.detrend else data
 
     def signals_of(self, file: Path, model: MultivariableFit | None = None) -> Signals:
-        """Return several signals of a file, and print its defects; a model sets their defaults."""
+        """Return signals of a file, by default the model's signals; print the file's defects."""
         from armrig.data.treatment import detrend, hampel
 
         outputs, inputs = names("--signal", self.signal), names("--input", self.input)
@@ -233,7 +233,7 @@ class SignalChoice:
         return data
 
     def _is_other(self, file: Path) -> bool:
-        """Return True if its name or the given columns show that a file is not a recording."""
+        """Return True if the file's name or the given columns show that it is not a recording."""
         suffix = file.suffix.lower()
         asked = (self.input, self.time, self.Ts) != (None, None, None)
         return suffix in DATA or (asked and suffix != RECORDING)
@@ -309,7 +309,7 @@ def _with_level(model: Model | None) -> bool:
 
 
 def warn_of_estimation_data(table: ComparisonTable | SignalsComparisonTable) -> None:
-    """Print a warning if a model is judged on its own estimation data, or on a part of them."""
+    """Print a warning if the comparison of a model uses the model's own estimation data."""
     for finding in table.findings:
         tell(finding.text)
 
@@ -328,7 +328,7 @@ def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
 
 
 def dataset_of(recording: Recording, model: Model) -> Dataset:
-    """Return the data of a recording for the output of a model."""
+    """Return the data of a recording whose output is the model's output."""
     for output in get_args(OutputName):
         if output == model.output:
             return recording.dataset(output)

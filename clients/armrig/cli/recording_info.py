@@ -139,7 +139,7 @@ def _clipped(text: str) -> str:
 
 
 def _sample_count(rec: Recording) -> str:
-    """Return the counts of samples and missing samples, and the end of a truncated file."""
+    """Return text: numbers of samples and missing samples, and for a truncated file its end."""
     text = (
         f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without "
         "an angle (dead band, and the sample after)"
@@ -157,7 +157,7 @@ def _recovered(how: Recovered) -> str:
 
 
 def _outcome(rec: Recording) -> str:
-    """Return the outcome of the run, and whether the file is cut off or damaged."""
+    """Return the outcome of the run as text, and add if the file is cut off or damaged."""
     if not rec.truncated:
         return rec.outcome.outcome if rec.outcome else "not known: the file does not contain it"
     what = "is cut off" if rec.cut_off else "is damaged"

@@ -29,7 +29,7 @@ from armrig.recordings.sample_rows import SAMPLE_DTYPE
 from armrig.recordings.verification import recorded_input
 
 MAX_CHUNK_BYTES = 4096
-"""Largest size of a chunk, in B; this size bounds the number of steps in a chunk."""
+"""Largest size of a chunk of steps, in B."""
 _COMPARED_SAMPLES = 4096  # samples compared in one step
 
 
@@ -60,7 +60,7 @@ class Replay:
     difference: str
     """First difference from the recording; empty without a difference."""
     until: str
-    """Damage of the file, which ends the replay; empty for a complete file."""
+    """Damage of the file at which the replay ends; empty for a complete file."""
     said: tuple[CoreMessage, ...]
     """Warnings and errors of the core during the replay, including safety trips."""
 
@@ -150,7 +150,7 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
 
 
 class _Compared:
-    """Comparison of replayed and recorded samples, in parts to limit the memory."""
+    """Comparison of replayed and recorded samples, in several parts to limit the use of memory."""
 
     def __init__(self, theirs: NDArray[np.void], manifest: Manifest) -> None:
         """Store the samples of the file, an array (n,) of `SAMPLE_DTYPE`."""
@@ -209,7 +209,7 @@ class _Chunks:
 
 
 def _same_rows(ours: Any, theirs: Any) -> int:
-    """Return the number of samples before the first difference, compared to the last bit."""
+    """Return the number of samples before the first sample that differs in any bit."""
     n = min(ours.size, theirs.size)
     if not n:
         return 0
@@ -219,12 +219,12 @@ def _same_rows(ours: Any, theirs: Any) -> int:
 
 
 def _version(chunk: Any) -> int:
-    """Return the version of a trace; traces of version 1 do not contain their version."""
+    """Return the version of the trace in a chunk; it is 1 if the chunk contains no version."""
     return 1 if chunk.version == ABSENT["fixed64"] else int(chunk.version)
 
 
 def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:
-    """Return the codes of the attached input, computed as the daemon computed them."""
+    """Return the PWM codes of the attached input; the computation is the same as in the daemon."""
     if content.input is None:
         raise InputError("no input is attached")
     u = recorded_input(path, content.input, manifest.samples)

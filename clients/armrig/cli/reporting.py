@@ -184,7 +184,7 @@ def report(
 
 
 def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object]) -> None:
-    """Refuse options that do not go together."""
+    """Refuse options that cannot be combined."""
     edited = given["edited"]
     if edited and (
         files or handout or any(given[x] for x in ("source", "answers", "set", "signal"))
@@ -298,7 +298,7 @@ def _report_handout(
 
 
 def _report_ignored(recordings: Sequence[Recording]) -> None:
-    """Print the recordings that the models of the report do not use."""
+    """Print the recordings that are not used for the models of the report."""
     from armrig.recordings.usability import NO_MODEL
 
     kinds = [r.manifest.experiment.partition("-")[0] for r in recordings]

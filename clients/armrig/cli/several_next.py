@@ -33,7 +33,7 @@ def after_identify(
     save: Path | None,
     searched: bool,
 ) -> None:
-    """Print the next command, which tries a better structure, saves the model or validates it.
+    """Print the next command, which tries a better structure, or saves or validates the model.
 
     `tests` are the tests of the residuals on validation data.
     """
@@ -64,7 +64,7 @@ def _fits(fit: MultivariableFit) -> bool:
 
 
 def _at_operating_point(data: Signals) -> bool:
-    """Return True if data that do not come from a rig have means far from 0."""
+    """Return True if the data are not from a rig and have means far from 0."""
     if from_recording(data):
         return False
     outputs = [y[known] for y, known in zip(data.y.T, data.valid.T, strict=True)]
@@ -75,7 +75,7 @@ def better_options(request: SignalsRequest, data: Signals) -> str:
     """Return the options of `identify` for the next estimation after coloured residuals.
 
     If an angle of the rig integrates but the request has no integrator, the options request the
-    rig's own structure. Otherwise they request a search.
+    rig's structure. Otherwise the options request a search.
     """
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
@@ -86,7 +86,7 @@ def better_options(request: SignalsRequest, data: Signals) -> str:
 
 
 def options_of(request: SignalsRequest) -> str:
-    """Return the options of `identify` that make this request."""
+    """Return the options of `identify` that result in this request."""
     orders = [f"--{name} {n}" for name, n in request.orders.items() if n is not None]
     weights = f"--weights {request.weights}" if request.weights else ""
     flags = ["--integrator" * bool(request.integrating), "--shared" * request.shared, weights]

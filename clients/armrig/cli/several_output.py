@@ -39,7 +39,7 @@ def answer(fit: MultivariableFit) -> str:
 
 
 def simulated(row: SignalsComparison, data: Signals) -> str:
-    """Return the fit of each output, such as: theta_1 to 99.9 % (rms 0.0035 rad) and alpha to ….
+    """Return the fits as text, such as: theta_1 to 99.9 % (rms 0.0035 rad) and alpha to ….
 
     The text is the end of a sentence whose subject is the model.
     """
@@ -53,7 +53,7 @@ def simulated(row: SignalsComparison, data: Signals) -> str:
 def validated(
     table: SignalsComparisonTable, tests: SignalsResidualTest, file: Path, *, verbose: bool
 ) -> Iterator[str]:
-    """Yield a sentence on simulation and tests with validation data, then the rejected pairs."""
+    """Yield a sentence on the simulation and tests on validation data, then the rejected pairs."""
     row = table[0]
     yield (
         f"Simulated on {file}, {row.name} fits {simulated(row, table.data)}; "
@@ -122,7 +122,7 @@ def _pair_lines(tests: SignalsResidualTest, *, verbose: bool) -> Iterator[str]:
 
 
 def lines(fit: MultivariableFit, *, verbose: bool) -> Iterator[str]:
-    """Yield the model in short; with `verbose`, also each channel with its coefficients."""
+    """Yield a summary of the model; with `verbose`, also the coefficients of each channel."""
     yield repr(fit)
     if verbose:
         for i, j, channel in fit.channels():

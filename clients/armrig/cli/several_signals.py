@@ -141,7 +141,7 @@ def _searched(given: Given, data: Signals, other: Signals | None, most: int) -> 
 
 
 def _integrating(data: Signals) -> tuple[str, ...]:
-    """Return the outputs that integrate: the angle of the rig, or all outputs of other data."""
+    """Return the outputs that may integrate: theta_1 of a rig, or all outputs of other data."""
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
     if not from_recording(data):
@@ -176,7 +176,7 @@ def compared(
     horizon: int | None = None,
     labels: Sequence[str] | None = None,
 ) -> SignalsComparisonTable:
-    """Return the comparison, and print a warning if a model is judged on its own data."""
+    """Return the comparison; print a warning if the data are a model's own estimation data."""
     from armrig.models.multivariable.comparison import compare
 
     table = compare(data, *fits, horizon=horizon, labels=labels)

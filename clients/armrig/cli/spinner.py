@@ -18,7 +18,7 @@ MIN_WAIT_S = 1.0
 """Shortest wait that shows a spinner, in s."""
 
 Count = Callable[[int, int, str], None]
-"""Function of the finished count, the total count and the name of the next item."""
+"""Function of the number of finished items, the number of all items, and the next item's name."""
 
 _WAITING = SpinnerColumn(), TextColumn("{task.description} …", markup=False)
 _COUNTING = *_WAITING, BarColumn(30), TextColumn("{task.fields[left]}", markup=False)
@@ -26,12 +26,12 @@ _COUNTING = *_WAITING, BarColumn(30), TextColumn("{task.fields[left]}", markup=F
 
 @contextmanager
 def estimating(orders: str, console: Console | None = None) -> Iterator[Count]:
-    """Show a spinner during an estimation, without warnings of libraries.
+    """Show a spinner during an estimation, and suppress the warnings of libraries.
 
     Parameters
     ----------
     orders : str
-        Names of the orders that may be too high.
+        Names of the orders, for the message that they may be too high.
 
     Raises
     ------
@@ -57,7 +57,8 @@ def spinner(
 ) -> Iterator[Count]:
     """Show a spinner after `after_s` if standard error is a terminal.
 
-    The yielded function turns the spinner into a bar with the item, its count and the time left.
+    The yielded function replaces the spinner with a bar that shows the item, the number of
+    remaining items, and the time left.
     """
     console = console or Console(stderr=True)
     if not console.is_terminal:
@@ -86,7 +87,7 @@ def spinner(
 
 
 def remaining(done: int, total: int, elapsed_s: float) -> str:
-    """Return the remaining count and time, such as: 12 of 40 remain, about 8 s."""
+    """Return the remaining number and time as text, such as: 12 of 40 remain, about 8 s."""
     told = f"{total - done} of {total} remain"
     if not 0 < done < total:
         return told

@@ -14,20 +14,20 @@ from armrig.data.files.suffixes import DATA, RECORDING
 from armrig.models.structure_table import OFFERED_NAMES
 
 _ACTING = frozenset({"demo", "stop", "reset", "calibrate", "collect", "lab", "flash"})
-"""Commands that act on a rig; they are never offered as the correction of a typing error."""
+"""Commands that act on a rig; messages never suggest these commands after a typing error."""
 _ELSEWHERE: dict[str, str] = {
     "help": "`armrig --help` lists the commands, `armrig COMMAND --help` explains one",
     "version": "`armrig --version` shows it",
     **{name: f"`armrig identify F --structure {name}` estimates one" for name in OFFERED_NAMES},
 }
-"""Remedies for words that are not commands."""
+"""Remedies for words that users try as commands, by the word."""
 _TO_WRITE = frozenset(
     f"--{name}" for name in ("out", "output", "outfile", "figure", "fig", "image", "png", "save")
 )
-"""Options for an output file in other programs."""
+"""Options that name an output file in other programs."""
 _PREFIXES = {"m": 1e-3, "u": 1e-6, "µ": 1e-6, "k": 1e3}
 _MIN_SIMILARITY = 0.6
-"""Smallest similarity, 0 to 1, between a wrong name and an option that is offered."""
+"""Smallest similarity, 0 to 1, between a wrong name and an option that the message suggests."""
 _FILES = (RECORDING, ".active", *DATA, ".json", ".pdf")
 
 
@@ -133,7 +133,7 @@ def _value(parameter: Any, given: Sequence[str]) -> str:
 
 
 def _plainly(message: str, came: str = "") -> str:
-    """Return a message of typer in the words of armrig: the option and its allowed values."""
+    """Return a message of typer in armrig's words, with the option and the allowed values."""
     message = message.strip().rstrip(".")
     for theirs, ours in (
         (r"^Invalid value for '?([^']+?)'?: ", r"\1: "),
@@ -160,7 +160,7 @@ def _plainly(message: str, came: str = "") -> str:
 
 
 def _in_whole_units(number: str, unit: str) -> str:
-    """Return a number without the prefix of its unit, such as 0.5 for 500 mV."""
+    """Return a number, converted to the unit without a prefix, such as 0.5 for 500 mV."""
     factor = _PREFIXES.get(unit[0], 1.0) if len(unit) > 1 else 1.0
     try:
         return f"{float(number) * factor:g}" if factor != 1 else number

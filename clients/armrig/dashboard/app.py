@@ -191,7 +191,7 @@ class RigRoutes:
 
 
 def application(routes: list[Route]) -> Starlette:
-    """Return the application with these routes; after an error it sends one line of JSON."""
+    """Return the application with these routes; it reports each error as one line of JSON."""
 
     async def unknown(_: Request, err: Exception) -> Response:
         status = err.status_code if isinstance(err, HTTPException) else 404

@@ -17,7 +17,7 @@ WIDTH_S = 0.01
 sample has its own bin.
 """
 RATE_S = 0.1
-"""Time in s between the two angles of a rate; a converter step changes the rate by 3.5 °/s."""
+"""Time in s between the two angles of a rate; one converter step of an angle is 3.5 °/s of rate."""
 _TURN = 360.0
 _CLOCK_S = 1e-6  # resolution of the times, in s
 _MAX_ROWS_BEFORE = 1000  # rows for a rate; a rig at 1 kHz has 200
@@ -36,18 +36,19 @@ def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
 def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rate of theta_1 at each row of `now`, (N,) in °/s.
 
-    The rate is the difference from an older angle, divided by the time between the two angles. The
-    older angle is the newest known angle that is at least `RATE_S` older. The rate is therefore
-    also known after a missing sample or the dead band. The two angles are assumed to differ by less
-    than half a turn.
+    The rate in a row is the difference between the row's angle and an older angle, divided by the
+    time between the two angles. The older angle is the newest known angle at least `RATE_S` before
+    the row. The rate is therefore also known after a missing sample or the dead band. The two
+    angles are assumed to differ by less than half a turn.
 
     Parameters
     ----------
     before : ndarray, shape (m, 5)
         Samples before `now`, from `signals`: see `needed_before`.
     now : ndarray, shape (N, 5)
-        Samples from `signals`. The rate is NaN for a sample without an angle. It is also NaN if the
-        older angle is more than 2 `RATE_S` older, unless that angle is in the previous sample.
+        Samples from `signals`. The rate is NaN for a sample without an angle. The rate is also NaN
+        if the older angle is more than 2 `RATE_S` before the sample, unless the older angle is in
+        the previous sample.
     """
     every = np.concatenate([before, now])
     known = every[np.isfinite(every[:, 3])]

@@ -2,9 +2,9 @@
 
 uvicorn closes a connection that is idle after an answer. It does not close a connection that never
 sends a request. A client with a thousand connections would therefore block a stop. Above the limit,
-the server closes the oldest connection without a request. If every connection has a request, the
-server closes the oldest connection whose client does not read its answer. Clients without a token
-can open both kinds of connections.
+the server closes the oldest connection without a request. If every connection has sent a request,
+the server closes the oldest connection whose client does not read its answer. Clients without a
+token can open both kinds of connections.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Connections:
     def add(self, address: Address, protocol: BoundedProtocol) -> None:
         """Add a connection; above the limit, close one connection.
 
-        The closed connection is the oldest without a request, otherwise the oldest whose client
-        does not read, otherwise the new connection.
+        It closes the oldest connection without a request. If there is none, it closes the oldest
+        connection whose client does not read its answer; otherwise the new connection.
         """
         self._open[address] = protocol
         if len(self._open) > MOST:
@@ -59,7 +59,7 @@ class Connections:
             self.abort(address)
 
     def protocol(self) -> type[BoundedProtocol]:
-        """Return the protocol class; uvicorn creates one instance for each connection."""
+        """Return the protocol class, of which uvicorn creates an instance for each connection."""
         return type("_Bounded", (BoundedProtocol,), {"all_open": self})
 
 

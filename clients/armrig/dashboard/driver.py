@@ -1,4 +1,4 @@
-"""Commands of the page to the rig, sent by the same client as those of the command line."""
+"""Commands of the page to the rig; the command line uses the same client, `armrig.Rig`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from armrig.rig.session import NoReplyError, RigError
 
 
 class RunState(msgspec.Struct, frozen=True, kw_only=True):
-    """Current or last run of the page."""
+    """Current or last run that the page started."""
 
     experiment: str = ""
     is_going: bool = False
@@ -45,7 +45,7 @@ class Driver:
     """Sender of the page's commands, one at a time: arm, run, release. A stop does not wait."""
 
     def __init__(self, *, rig: str, connect: str | None) -> None:
-        """Prepare commands to a rig; id and endpoint are as for `armrig.Rig`."""
+        """Prepare commands to a rig; the arguments have the same meaning as for `armrig.Rig`."""
         self._rig, self._connect = rig, connect
         self._held: Rig | None = None
         self._one = threading.Lock()
@@ -78,7 +78,7 @@ class Driver:
             self._held = held
 
     def release(self) -> bool:
-        """Release the rig if this page has armed it; return True if the page had armed it."""
+        """Release the rig if this page has armed the rig; return True if the rig was released."""
         with self._alone():
             return self._give_back()
 
@@ -128,7 +128,7 @@ class Driver:
                     return
 
     def be_ready_to_stop(self) -> None:
-        """Open a connection for later stops, if the rig answers, so that a stop is sent at once."""
+        """If the rig answers, open a connection for later stops, so that a stop is sent at once."""
         opened = Rig(self._rig, connect=self._connect)
         try:
             opened.__enter__()
@@ -144,7 +144,7 @@ class Driver:
             return rig.reset()
 
     def note(self, text: str, owner: str) -> bool:
-        """Write a note into the recording; return True if it is recorded: see `Rig.note`."""
+        """Write a note; return True if the recording contains the note: see `Rig.note`."""
         with Rig(self._rig, connect=self._connect) as rig:
             return rig.note(text, owner)
 

@@ -60,7 +60,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def plan_of(experiment: Experiment, owner: str) -> Plan:
-    """Return the plan of an experiment, as `armrig collect` makes it.
+    """Return the same plan for an experiment as `armrig collect` makes.
 
     Raises
     ------
@@ -124,7 +124,7 @@ class Preview(msgspec.Struct, frozen=True, kw_only=True):
     """Times of the points of the drawn input, in s."""
     u: list[float]
     rehearsal: str
-    """Sentence about the rehearsal on the model with the handout's parameters."""
+    """Sentence about the rehearsal, a simulation of the input with the handout's parameters."""
     revolutions: float
     alpha_deg: float
     deviations: list[str]
@@ -138,7 +138,7 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
     Raises
     ------
     ValueError
-        The experiment is not possible; the message contains what is allowed.
+        The experiment is not possible; the message contains the allowed values.
     """
     notes: list[str] = []
     plan = plan_of(experiment, "preview")
@@ -170,7 +170,7 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
 
 
 def _drawn(u: NDArray[np.float64], Ts: float) -> tuple[list[float], list[float]]:
-    """Return times and values to draw the input; a long input is drawn by its extremes."""
+    """Return times and values to draw the input; for a long input, its extremes per interval."""
     changes = np.flatnonzero(np.diff(u, prepend=np.nan) != 0)
     if changes.size <= _MAX_POINTS:
         at, values = [*changes.tolist(), u.size], [*u[changes].tolist(), float(u[-1])]

@@ -199,7 +199,7 @@ class Feed:
         return np.concatenate([coarser(rows[:fine], COARSE_S), rows[fine:]])
 
     def news(self, after: int = 0) -> News:
-        """Return the changes since the previous news; `after` is the `pieces` of these news."""
+        """Return the changes since the previous news, whose `pieces` is the argument `after`."""
         with self._lock:
             fresh = [*islice(reversed(self._rows), self._pieces - after)][::-1]
             rows = np.concatenate(fresh) if fresh else np.zeros((0, COLUMNS))
@@ -221,7 +221,7 @@ class Feed:
             return self._timing
 
     def _is_of_another_clock(self, sample: Sample) -> bool:
-        """Return True if the rig's machine was restarted, which also restarts its clock."""
+        """Return True if the rig's machine, and therefore its monotonic clock, was restarted."""
         return self._newest is not None and sample.t_host_ns < self._newest.t_host_ns - _BACK_NS
 
     def _forget_marks_after(self, t_ns: int) -> None:
@@ -302,7 +302,7 @@ class LiveModel:
 
 
 def _described(pole: complex, Ts: float) -> str:
-    """Return a text with a pole, and its time constant or frequency in continuous time."""
+    """Return a text with a pole, and the pole's time constant or frequency in continuous time."""
     decay, angle = -np.log(max(abs(pole), 1e-300)) / Ts, atan2(pole.imag, pole.real) / Ts
     if abs(pole) >= 1:
         return f"pole {pole:.3f}: unstable"

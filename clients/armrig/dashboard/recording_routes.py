@@ -47,7 +47,7 @@ class RecordingRoutes:
     """Routes for recordings; slow requests run one after another in a separate process."""
 
     def __init__(self, feed: Feed, rig: str) -> None:
-        """Prepare routes for the daemon's folder; if it is not readable, for this user's folder."""
+        """Prepare routes for the daemon's folder; if unreadable, for the folder of `armrig ls`."""
         self._feed, self._rig = feed, rig
         self._worker: ProcessPoolExecutor | None = None
 
@@ -148,7 +148,7 @@ class RecordingRoutes:
         return path
 
     def _validation_of(self, path: Path) -> Path | None:
-        """Return the path of the recording that validates a recording's model, or None."""
+        """Return the path of a recording's validation recording; None if there is none."""
         found: Catalogue = catalogue(path.parent)
         of = next((s for s in found.recordings if s.file == path.name), None)
         if of is None:

@@ -70,7 +70,7 @@ class Settings:
     rig: str = "1"
     """Id of the rig."""
     connect: str | None = None
-    """Endpoint of the rig's daemon; if None, the daemon is found as by `armrig.Rig`."""
+    """Endpoint of the rig's daemon; if None, the default of `armrig.Rig`."""
     port: int | None = None
     """Port on 127.0.0.1; if None, 8807, or any free port if 8807 is in use."""
     share: str | None = None
@@ -86,16 +86,16 @@ class Served:
     url: str
     """URL of the page, with the token for all commands."""
     browser_url: str
-    """URL for the start of a browser; it is valid for a single use within a minute."""
+    """URL with which a browser is started; the URL is valid once, and only for a minute."""
     shared_url: str = ""
-    """URL for visitors, with the token that only permits to watch and stop; "" without `share`."""
+    """URL for visitors, whose token permits only watching and stopping; "" without `share`."""
     fingerprint: str = ""
     """SHA-256 of the certificate for visitors; "" without `share`."""
 
 
 @contextmanager
 def dashboard(settings: Settings) -> Iterator[Served]:
-    """Serve a dashboard until the block ends; the end also stops a run of the dashboard.
+    """Serve a dashboard until the block ends; the end of the block stops a run of the dashboard.
 
     Raises
     ------
@@ -155,7 +155,7 @@ class _Door:
 
     @property
     def url(self) -> str:
-        """URL of the page; the token is after #, and browsers do not send this part."""
+        """URL of the page; the token follows the #, a part that browsers do not send."""
         return f"{self._origins[0]}/#token={self._token}"
 
     @property
@@ -164,7 +164,7 @@ class _Door:
         return f"{self._origins[0]}/#once={self._code}"
 
     def served(self, more: list[Route], live: RigRoutes, stream: Stream) -> ServerThread:
-        """Return a server's thread, with the routes that watch and stop, and the routes `more`."""
+        """Return a server's thread; the routes are `more`, and those to watch and to stop."""
         connections = Connections()
         routes = [*live.watching(connections), *more]
         once = None
@@ -230,7 +230,7 @@ class Server(uvicorn.Server):
 
 
 class ServerThread:
-    """Thread of one socket's server; many requests at one socket do not delay the other socket."""
+    """Thread of one socket's server; requests at one socket do not delay the other socket."""
 
     def __init__(self, server: Server, stream: Stream) -> None:
         self._server, self._stream = server, stream
@@ -362,7 +362,7 @@ class Listener:
 
 
 def _changed(states: list[Any], status: StatusReport) -> bool:
-    """Return True if one of the published states differs from the known status."""
+    """Return True if a published state differs from the known status."""
     return any(
         (s.phase, s.owner, s.reason) != (status.phase, status.owner, status.reason) for s in states
     )

@@ -1,4 +1,4 @@
-"""Access for phones and visitors: a TLS port with a token that permits only watch and stop."""
+"""Access for phones and visitors: a TLS port whose token permits only watching and stopping."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _NOBODY = ("192.0.2.1", 9)  # an address reserved for documentation; nothing is 
 
 
 class Certificate(NamedTuple):
-    """A self-signed certificate and its key, in files that exist until the block ends."""
+    """Self-signed certificate and its key, in files that `certificate` deletes after its block."""
 
     certificate: Path
     key: Path
     fingerprint: str
-    """SHA-256 of the certificate, which a visitor can compare."""
+    """SHA-256 of the certificate, for comparison with the value that a visitor's browser shows."""
 
 
 def own_address() -> str:

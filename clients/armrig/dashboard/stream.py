@@ -25,7 +25,7 @@ PAUSE_S = 0.25
 """Shortest time in s between two encodings of the history, even if clients connect often."""
 _PIECE = 500  # rows in a message
 _STALE_S = 0.3
-"""Data are stale if no sample arrives for this time, in s, plus two sampling times."""
+"""If no sample arrives for this time, in s, plus two sampling times, the data are stale."""
 
 
 class Stream:
@@ -34,7 +34,7 @@ class Stream:
     def __init__(
         self, feed: Feed, driver: Driver, audience: list[Viewers], *, may_command: bool
     ) -> None:
-        """Begin without viewers; add this socket's viewers to `audience`, a common list."""
+        """Begin without viewers; add this socket's viewers to `audience`, shared by all sockets."""
         self._feed, self._driver, self._audience = feed, driver, audience
         self.may_command = may_command
         """True if the viewers of this socket may command."""
@@ -105,7 +105,7 @@ class Stream:
 
 
 class History:
-    """Encoder of the history; viewers that connect before an encoding begins share its result."""
+    """Encoder of the history; viewers that connect before an encoding begins share the result."""
 
     def __init__(self, rows: Callable[[], Rows]) -> None:
         """Store the function that returns the rows of the history."""

@@ -1,4 +1,4 @@
-"""Results from one recording; a separate process computes them, because this takes long."""
+"""Results from one recording; a separate process computes the results, which takes long."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def facts(path: Path) -> dict[str, Any]:
 def curves(path: Path, start: float | None, stop: float | None) -> dict[str, Any]:
     """Return points of u, theta_1 (turns counted) and alpha between two times in s.
 
-    If there is no sample between the two times, the next sample is returned. After the end of the
-    recording, this is the last sample.
+    If there is no sample between the two times, the function returns the next sample. If the
+    recording ends before the two times, the function returns the last sample.
     """
     t, *signals = _part(path, start, stop)
     return {name: _drawn(t, y) for name, y in zip(("u", THETA_1, ALPHA), signals, strict=True)}
@@ -152,7 +152,7 @@ def _loaded(path: Path) -> Recording:
 
 
 def _drawn(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[list[float | None]]:
-    """Return t, and the least and the largest y of each point; None for a point without y."""
+    """Return t, the least y and the largest y of each point to draw; y is None if it is missing."""
     n = -(-t.size // _POINTS)
     first = np.arange(0, t.size, n)
     y = np.where(np.isfinite(y), y, np.nan)

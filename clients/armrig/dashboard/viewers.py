@@ -23,7 +23,7 @@ class Viewer:
     """Queue of messages for one viewer."""
 
     def __init__(self, drop: Callable[[], None]) -> None:
-        """Store `drop`, which closes the connection at once, without sending queued data."""
+        """Store the function `drop`, which closes the connection and discards queued data."""
         self._waiting: asyncio.Queue[bytes | None] = asyncio.Queue(_MAX_WAITING)
         self._drop = drop
         self.is_dropped = False

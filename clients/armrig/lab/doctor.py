@@ -1,8 +1,8 @@
 """Checks of the properties of this host that affect timing, with a remedy for each.
 
-The doctor reads the kernel's files, under a root that a test can replace. It takes the rights of
-the daemon's loop from the report of this machine's daemon. Without a daemon, a trial (`Granted`)
-determines the rights of the user who would start a daemon. The doctor changes nothing.
+The doctor reads the kernel's files below a root folder, which a test can replace. This machine's
+daemon reports the rights of the daemon's loop. Without a daemon, a trial (`Granted`) determines the
+rights of this user, who would start a daemon. The doctor changes nothing.
 """
 
 from __future__ import annotations
@@ -32,14 +32,13 @@ if TYPE_CHECKING:
 
 
 MAX_IDLE_WAKE_US = 20
-"""Longest wake-up time of an idle state, in µs, without an effect on the lateness."""
+"""Longest wake-up time of an idle state, in µs, that does not affect the lateness."""
 MAX_STEAL_SHARE = 0.01
-"""Largest acceptable share of the time that the physical host uses (steal time)."""
+"""Largest acceptable steal time: fraction of time that the hypervisor takes from this machine."""
 MIN_FREE_BYTES = 1 << 30
 """Least free space for recordings, in B; a recording at 2 kHz needs about 15 MB per minute."""
 _PRIORITY_FIELD = 15
-"""Index of the priority in proc_pid_stat(5), counted after the name; a real-time priority is
-negative."""
+"""Index of the priority in the fields after the name, see proc_pid_stat(5); negative: real time."""
 _SOCKET = "unixsock-stream/"
 _BUSY_COSTS = "any busy program delays ticks by milliseconds"
 _PAGE_COSTS = "a page that was swapped out delays a tick by milliseconds"
@@ -104,7 +103,7 @@ def _daemon(host: Host) -> list[HostCheck]:
 def _refused(daemon: StatusReport, what: str) -> str:
     """Return the remedy for a right that the daemon's loop lacks; "" if the right was granted.
 
-    The daemon reports a refusal as the right, followed by the remedy in brackets.
+    The daemon reports a refused right by its name, followed by the remedy in brackets.
     """
     reported = daemon.host.get("refused", [])
     lines = [str(line) for line in (reported if isinstance(reported, list) else [reported])]
@@ -196,7 +195,7 @@ def _idle(host: Host) -> list[HostCheck]:
 
 
 def _holds_idle_off(host: Host) -> bool:
-    """Return True if the daemon's loop, or without a daemon this user, can prevent idle states."""
+    """Return True if the daemon's loop (without a daemon: this user) can prevent idle states."""
     if host.daemon is not None:
         return not _refused(host.daemon, "/dev/cpu_dma_latency")
     return os.access(host.root / "dev/cpu_dma_latency", os.W_OK)

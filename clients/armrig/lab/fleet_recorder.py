@@ -29,9 +29,9 @@ from armrig.rig.remote_recording import (
 _LOOK_INTERVAL_S = 1.0
 _BEGIN_INTERVAL_S = 0.2
 _DISK_PAUSE_S = 60.0
-"""Least pause, in s, before a rig is recorded again after a full disk ended its recording."""
+"""Least pause, in s, between a recording that a full disk ended and the rig's next recording."""
 _MIN_FREE_BYTES = 64 << 20
-"""Least free space, in B, to record a rig again after a full disk ended its recording."""
+"""Free space, in B, that a rig's next recording needs after a full disk ended a recording."""
 
 
 @dataclass(slots=True)

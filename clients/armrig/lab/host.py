@@ -1,8 +1,8 @@
 """Properties of this host, from the kernel's files, and rights that the kernel grants.
 
-The kernel grants or refuses SCHED_FIFO and mlockall only on request. Run as a program with a
-priority as its argument, this module requests both rights. It prints 1 for each granted right and 0
-for each refused right, such as `1 0`.
+The kernel grants or refuses SCHED_FIFO and mlockall only on request. If this module is run as a
+program with a priority as its argument, the module requests both rights. It prints 1 for each
+granted right and 0 for each refused right, such as `1 0`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _MCL_CURRENT_AND_FUTURE = 3  # <sys/mman.h>
 
 
 def granted() -> tuple[bool, bool]:
-    """Return whether SCHED_FIFO and mlockall are granted; another process requests them."""
+    """Return whether SCHED_FIFO and mlockall are granted; a child process requests both rights."""
     program = [sys.executable, "-m", "armrig.lab.host", str(PRIORITY)]
     printed = subprocess.run(program, capture_output=True, check=True, text=True).stdout.split()
     return printed[0] == "1", printed[1] == "1"
@@ -181,6 +181,6 @@ class Host:
     root: Path
     granted: Granted
     daemon: StatusReport | None = None
-    """Status of this machine's daemon, whose rights are examined instead of the caller's rights."""
+    """Status of this machine's daemon; its rights are examined instead of the caller's rights."""
     silent: str = ""
     """Reason why this machine's service does not answer; rights are then not examined."""

@@ -1,9 +1,10 @@
 """Small certificate authority: keys and certificates for rigs and their users.
 
-Keys are on P-256, and signatures are ECDSA with SHA-256. All TLS 1.3 implementations support both.
-A certificate contains its purpose. A client therefore refuses a server that presents an operator's
-certificate. An issued certificate cannot sign other certificates. With its certificate, a rig may
-connect to a router, but it may neither send commands nor read streams.
+The keys use the elliptic curve P-256, and the signatures are ECDSA with SHA-256. All TLS 1.3
+implementations support both. A certificate contains its purpose. A client therefore refuses a
+server that presents an operator's certificate. An issued certificate cannot sign other
+certificates. With its certificate, a rig may connect to a router, but it may neither send commands
+nor read streams.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ def make_authority(directory: Path, *, days: int = AUTHORITY_DAYS, force: bool =
     Raises
     ------
     InputError
-        An authority exists already: a new authority would make all its certificates invalid.
+        An authority exists already; a new authority would invalidate the existing certificates.
     """
     x509, ec, _, hashes = _library()
     if not force and (directory / _KEY).exists():
@@ -125,12 +126,12 @@ def issue_to_person(
 
 
 def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
-    """Create a new key and certificate for a name; its hosts and its role remain.
+    """Create a new key and certificate for a name; the hosts and the role of the name stay.
 
     Raises
     ------
     InputError
-        There is no such credential, or its name was revoked.
+        The name has no credential, or was revoked.
     """
     x509, *_ = _library()
     path = directory / f"{check_name(name)}.pem"
@@ -154,7 +155,7 @@ def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
 
 
 def revoke(directory: Path, name: str) -> None:
-    """Put a name on the list of revoked names, which have no rights.
+    """Put a name on the list of revoked names; a revoked name has no rights.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Router of a lab: zenoh's router with the access control of one access list.
+"""Router of a lab: a zenoh router that controls access with an access list.
 
 Rigs and people connect to the router with their own certificates. The router forwards the messages
 that its access list permits, and stores nothing.

@@ -1,4 +1,4 @@
-"""Figures. A plot function draws into `ax` or into new axes, names the data, and returns the axes.
+"""Figures. A plot function draws into `ax` or into new axes, labels the data, and returns the axes.
 
 The method `.plot()` of a result draws the same panels and returns the figure, which can be saved:
 `armrig.delay(data).plot().savefig("delay.svg")`. The attribute `.axes` of the figure contains the

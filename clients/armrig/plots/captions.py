@@ -1,4 +1,4 @@
-"""Texts of a figure: names of curves above the axes, symbols, and the sources of the numbers."""
+"""Texts of a figure: names of curves above the axes, symbols, and the sources of the data."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def _fits(widths: list[float], columns: int, room: float, size: float) -> bool:
 
 
 def in_mathtext(text: str) -> str:
-    """Return a text with powers of ten in mathtext: few fonts have superscripts as in 10⁻³."""
+    """Return a text with powers of ten in mathtext; few fonts have superscripts as in 10⁻³."""
 
     def power(found: re.Match[str]) -> str:
         return f"$10^{{{found[1].translate(_RAISED_DIGITS)}}}$"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 MISSING = "#BBBBBB"
 _LETTER_LABEL = "_letter"
 MIN_WIDE_RATIO = 2.0
-"""Ratio of width to height above which two panels are drawn side by side."""
+"""Ratio of the width to the height of axes; above this ratio, two panels are side by side."""
 # M. Okabe, K. Ito, "Color Universal Design", 2008; the yellow is left out, because it is too pale
 # on paper.
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -75,7 +75,7 @@ def figure_of(ax: Axes) -> Figure:
 
 
 def letter(figure: Figure) -> None:
-    """Mark the panels by (a), (b), … in the order of the results.
+    """Mark the panels with the letters (a), (b), … in the order of the results.
 
     The panels of each result are marked from top to bottom. A figure of one panel has no letter. A
     second call replaces the letters of the first call.
@@ -116,7 +116,7 @@ def _group(ax: Axes) -> int:
 
 
 def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes, Axes]:
-    """Shorten `ax`, add a panel below it with `share` of the height, and return both.
+    """Shorten `ax`, add a panel below with the fraction `share` of the height, and return both.
 
     If `ax` is much wider than high, panels without a common axis are drawn side by side.
     """
@@ -137,7 +137,7 @@ def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes,
 
 
 def rows(ax: Axes | None, n: int) -> list[Axes]:
-    """Shorten `ax`, add panels below it, and return n panels of equal height with a common x axis.
+    """Divide `ax` into n panels of equal height with a common x axis; `ax` becomes the first panel.
 
     The panels share a grid, so their left edges are aligned for labels of any width.
     """
@@ -151,7 +151,7 @@ def rows(ax: Axes | None, n: int) -> list[Axes]:
 
 
 def _place(ax: Axes) -> SubplotSpec:
-    """Return the grid cell of axes; for axes placed by hand, a new grid with one cell."""
+    """Return the grid cell of axes; for axes without a grid, make a grid with one cell."""
     place = ax.get_subplotspec()
     if place is not None:
         return place
@@ -172,7 +172,7 @@ def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
 
 
 def save(figure: Figure, path: Path, **options: Any) -> None:
-    """Write a figure to a file, with letters at its panels.
+    """Mark the panels of a figure with letters, and write the figure to a file.
 
     The file contains no date and no random ids, so that equal figures give identical files.
     """

@@ -1,4 +1,4 @@
-"""Display of results in a notebook: their text and their figure."""
+"""Display of a result in a notebook: the result's text and figure."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def show_once(figure: Figure) -> None:
     """Make a notebook show a pyplot figure only once.
 
     A notebook shows a cell's result and, at the cell's end, all open pyplot figures. IPython calls
-    `_ipython_display_` of a cell's result. The method that is set here shows the figure and closes
-    the figure in pyplot.
+    the method `_ipython_display_` of a cell's result. This function gives the figure such a method,
+    which shows the figure and then closes the figure in pyplot.
     """
     pyplot = sys.modules.get("matplotlib.pyplot")
     if pyplot is None or "inline" not in pyplot.get_backend():

@@ -1,4 +1,4 @@
-"""Sessions to a daemon."""
+"""Clients of a rig's daemon."""
 
 from __future__ import annotations
 

@@ -216,9 +216,9 @@ class Rig:
             Settings of the experiment, such as its seed; the recording contains them.
         dead_man : float, optional
             Time in s, 0.5 to 60. If this process sends no sign of life for this time, the daemon
-            stops the run: the process may be killed, frozen or disconnected. By default the run
-            continues without this process. A sign of life is sent after each call of `progress`. A
-            call that takes longer than `dead_man` therefore ends the run.
+            stops the run, because the process may have been killed, frozen or disconnected. By
+            default the run continues without this process. A sign of life is sent after each call
+            of `progress`. A call that takes longer than `dead_man` therefore ends the run.
         accepted : callable, optional
             Called once with the daemon's answer when the run begins; its `rehearsal` contains the
             prediction of the rig's model.
@@ -312,7 +312,7 @@ class Rig:
             time.sleep(wait_s)
 
     def set(self, u: float) -> None:
-        """Hold a voltage until the next `set`, or until `period_s` has passed without a command.
+        """Hold a voltage until the next `set`, for at most `period_s` of the answer to `arm`.
 
         Parameters
         ----------
@@ -523,7 +523,7 @@ class Rig:
         return listen(self._connected(), topics.stream_key(self.rig, name), self.endpoint)
 
     def arrivals(self, name: str) -> AbstractContextManager[Callable[[], list[Any]]]:
-        """Yield, in a `with` block, a function that returns the new messages without waiting.
+        """Yield, for a `with` block, a function that returns the messages since its last call.
 
         Examples
         --------

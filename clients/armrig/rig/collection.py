@@ -33,7 +33,7 @@ from armrig.rig.replies import Progress, RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError, ServiceStoppedError, service_has_stopped
 
 Shown = Callable[[Rig, str, int], AbstractContextManager[Progress]]
-"""Function of rig, kind of experiment and N; it returns a context with a progress callback."""
+"""Function of rig, kind of experiment and N; its context manager yields a progress callback."""
 
 LONGEST_TS = 1.0
 """Longest sampling time that the daemon allows, in s."""
@@ -91,7 +91,7 @@ class Plan:
     dead_man: float | None = None
     """Time in s without a sign of life after which the daemon stops the run; None for no limit."""
     without_arm: bool = False
-    """True if the experiment needs the chassis alone."""
+    """True if the experiment needs the chassis without the arm."""
 
     def __post_init__(self) -> None:
         """Raise ParameterError for settings that are not possible at any sampling time."""
@@ -240,7 +240,7 @@ ARM_OFF = (
     "remove the rotating part (handout, figure 6), set [arm] removed = true in armrigd's "
     "configuration (for an emulated rig also [emulator] arm_removed = true), and restart armrigd"
 )
-"""Instructions that prepare an experiment with the chassis alone."""
+"""Instructions to the user, to remove the arm before an experiment with the chassis."""
 
 
 def _require_arm_off(status: StatusReport) -> None:
@@ -372,7 +372,7 @@ class Stage:
 
 @contextmanager
 def staged(where: str, rig: str) -> Iterator[Stage]:
-    """Yield a session that listens at an endpoint; its clients can neither publish nor answer.
+    """Yield a session that listens at an endpoint; clients cannot publish or answer queries there.
 
     Raises
     ------
@@ -411,7 +411,7 @@ def play(run: PublishedRun, publish: Publish, *, speed: float) -> Iterator[Publi
 
 
 def rest(run: PublishedRun, *, speed: float) -> None:
-    """Wait for one sampling time, as between two samples, before the run is played again."""
+    """Wait for one sampling time between the end of a playback and the next playback."""
     _sleep_until(time.monotonic() + run.manifest.Ts / speed)
 
 

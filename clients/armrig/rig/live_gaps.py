@@ -14,13 +14,13 @@ from armrig_core.codes import GapCode
 from armrig_core.telemetry import Sample
 
 MOST_TOLD, MOST_TOLD_BYTES = 10_000, 1 << 20
-"""Largest number of gaps stored until a later sample arrives, and their largest size in B."""
+"""Limits for the gaps stored until a later sample arrives: number, and total size in B."""
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveGap:
-    """Gap of consecutive samples that a listener did not receive; a stream yields the gap.
+    """Gap in a live stream: consecutive samples that the listener did not receive.
 
     Examples
     --------
@@ -140,7 +140,7 @@ class Newest(Generic[_T]):
         return [value for value, _ in kept]
 
     def forget_while(self, is_over: Callable[[_T], bool]) -> None:
-        """Remove the oldest values, up to the first value for which `is_over` is False."""
+        """Remove the oldest values; stop before the first value for which `is_over` is False."""
         with self._lock:
             while self._kept and is_over(self._kept[0][0]):
                 self._forget_oldest()

@@ -41,7 +41,7 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
     Raises
     ------
     RigError
-        Another daemon answers for this rig; or the new daemon has ended, or does not answer. The
+        Another daemon answers for this rig, or the new daemon has ended or does not answer. The
         message contains the last line of the daemon's log.
     """
     _require_none(rig)
@@ -64,7 +64,7 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
 
 
 def _require_none(rig: str) -> None:
-    """Raise RigError if another daemon of the rig answers, so that they are not confused."""
+    """Raise RigError if another daemon answers for the rig, to avoid confusing the two daemons."""
     try:
         with Rig(rig) as opened:
             opened.status()
@@ -74,7 +74,7 @@ def _require_none(rig: str) -> None:
 
 
 def stop(daemon: subprocess.Popen[bytes]) -> None:
-    """Signal the daemon to set the motor to 0 V and end; kill the daemon if it does not end.
+    """Make the daemon set the motor to 0 V and end; kill the daemon if it does not end.
 
     Ctrl-C does not interrupt the wait for the daemon's end.
     """

@@ -58,7 +58,7 @@ class TimingNote:
         self._queue = ""
 
     def __call__(self) -> str:
-        """Return the lateness in the last second, the missing samples and the queue, as text."""
+        """Return text: lateness in the last second, number of missing samples, queue depth."""
         arrived = [s for s in self._samples() if s.flags & Flag.RUN]
         if arrived and self._k_first is None:
             self._k_first = arrived[0].k

@@ -35,7 +35,7 @@ from armrig.rig.telemetry_stream import decoded
 
 STARTED_ANEW = "the daemon was restarted, and its counts begin again"
 MOST_ROWS = 1 << 23
-"""Largest number of samples in a file, with missing samples; it is reached in 2.3 h at 1 kHz."""
+"""Largest number of samples in a file, including missing samples: 2.3 h at 1 kHz."""
 _FINISH_TIMEOUT_S = 60.0
 _MAX_FILES, _MAX_FILES_PERIOD_S = 60, 60.0  # no daemon causes more files in this time
 _MAX_WAITING_BYTES, _OVERHEAD_BYTES = (
@@ -45,7 +45,7 @@ _MAX_WAITING_BYTES, _OVERHEAD_BYTES = (
 _MAX_PENDING_PIECES, _DISK_INTERVAL_S = 16, 0.01  # pieces not yet on the disk
 Tell = Callable[[str], None]
 _LIMIT = 1 << 62
-"""Limit: every valid time in ns and every valid sample index is smaller."""
+"""Upper limit: valid times, in ns, and valid sample indices are below this number."""
 _QUERY_INTERVAL_S = 0.2
 _MAX_SILENCE_S = 2.0
 _MAX_LAST_PIECES = 64
@@ -69,9 +69,9 @@ class RecordedFile:
 class RemoteRecording:
     """Writer of a rig's messages into one or several files.
 
-    A new file begins if the sample index restarts, or if the sampling time changes. A new file also
-    begins if the current file would otherwise become too long, or have too many missing samples, to
-    be loaded.
+    A new file begins if the sample index restarts, or if the sampling time changes. A file that is
+    too long or has too many missing samples cannot be loaded. A new file begins before the current
+    file reaches this limit.
     """
 
     path: Path
@@ -95,7 +95,7 @@ class RemoteRecording:
     _begun: deque[float] = field(default_factory=lambda: deque(maxlen=_MAX_FILES))
 
     def add(self, piece: Piece) -> None:
-        """Record the messages of a piece; wait if the disk is slower than the messages arrive.
+        """Record the messages of a piece; wait for the disk if too many pieces are pending.
 
         Raises
         ------
@@ -265,10 +265,11 @@ def remote_manifest(rig: str, endpoint: str, state: Any, clock_offset_ns: int) -
     Parameters
     ----------
     state : armrig.v1.State
-        Latest state that the daemon published. The manifest includes the state's facts about the
-        device if a manifest can contain these facts.
+        Newest state that the daemon published. The manifest includes the description of the device
+        from the state, if this description is valid in a manifest.
     clock_offset_ns : int
-        Real-time clock minus monotonic clock, in ns, on the host of the samples.
+        Real-time clock minus monotonic clock, in ns, on the host whose daemon publishes the
+        samples.
     """
     uname = platform.uname()
     manifest = Manifest(
@@ -318,7 +319,8 @@ def remote_message(stream: str, data: bytes, clock_offset_ns: int) -> RemoteMess
     Parameters
     ----------
     clock_offset_ns : int
-        Real-time clock minus monotonic clock, in ns, on the host of the message.
+        Real-time clock minus monotonic clock, in ns, on the host whose daemon published the
+        message.
 
     Raises
     ------

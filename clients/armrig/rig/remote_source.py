@@ -1,4 +1,4 @@
-"""Source of all messages of a rig, each once, even if the daemon is restarted.
+"""Source that returns each message of a rig only once, even if the daemon is restarted.
 
 The source uses no subscription. The daemon keeps its recent messages in one numbered sequence. The
 source queries the messages after the last received message. A slow connection, a lost connection
@@ -30,7 +30,7 @@ class Piece:
     is_new_life: bool
     """True if the daemon was restarted: the numbers of messages and samples begin again."""
     lost: int
-    """Number of messages lost between the previous piece and this one."""
+    """Number of messages lost between the previous piece and this piece."""
 
     @property
     def is_full(self) -> bool:
@@ -39,7 +39,7 @@ class Piece:
 
 
 class RemoteSource:
-    """Reader of a daemon's messages; it stores its position in their sequence."""
+    """Reader of a daemon's messages; the reader stores its position in the sequence of messages."""
 
     def __init__(self, session: zenoh.Session, rig: str) -> None:
         """Prepare queries, beginning with the oldest message that the daemon keeps."""
@@ -48,7 +48,7 @@ class RemoteSource:
         self._next = 0
 
     def next_piece(self) -> Piece | None:
-        """Return the next messages, an empty piece if there are none; None without an answer.
+        """Return the next messages, or an empty piece if there are none; None if no answer comes.
 
         Raises
         ------
@@ -73,7 +73,7 @@ class RemoteSource:
         return Piece(past=past, is_new_life=is_new and began, lost=lost if began else 0)
 
     def _asked(self, first: int, life: bytes) -> Past | None:
-        """Return the answer of the daemon `life`, otherwise the answer of the only other daemon."""
+        """Return the answer of the daemon `life`, or else of the only daemon that answers."""
         question = msgspec.json.encode(HistoryRequest(first=first))
         others: dict[bytes, Past] = {}
         refused = False

@@ -46,7 +46,7 @@ def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:
 
 
 def refusal_of(name: str, payload: bytes) -> commands.Refused:
-    """Decode the refusal of the command `name`, which may also be plain text.
+    """Decode the refusal of the command `name`; the refusal is JSON or plain text.
 
     Only a refusal that is too long raises MalformedReplyError.
 
@@ -97,7 +97,7 @@ class RunEndedError(RigError):
         """Store the reason; add the recording's path to the message unless `why` contains it."""
         super().__init__(why if is_named else f"{why}; recorded in {recording}")
         self.why = why
-        """Number of samples taken, and the reason for the end of the run."""
+        """Text with the number of samples taken, and the reason for the end of the run."""
         self.recording = recording
 
 

@@ -57,7 +57,7 @@ class RigError(OperationError):
     """
 
     def __init__(self, message: str) -> None:
-        """Store the message, and escape unprintable characters: part of it may be foreign text."""
+        """Store the message, with escapes for unprintable characters in text from elsewhere."""
         super().__init__(printable(message))
 
 
@@ -98,7 +98,7 @@ def default_endpoint(rig: str) -> str:
 
 
 def own_endpoint(rig: str) -> str:
-    """Return an endpoint at which this process can listen, in a directory of this user only.
+    """Return an endpoint at which this process can listen; only this user can open its directory.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def open_endpoint(where: str) -> Connection:
 def open_session(
     connect: str | None, *, rig: str, certificate: str | Path | None = None
 ) -> zenoh.Session:
-    """Connect as `open_connection` does, and return only the session."""
+    """Connect as `open_connection` does, but return only the session."""
     return open_connection(connect, rig=rig, certificate=certificate).session
 
 

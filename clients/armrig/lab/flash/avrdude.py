@@ -1,4 +1,4 @@
-"""Calls of avrdude, which writes a program through an Uno's boot loader; avrdude's output."""
+"""Calls of avrdude, which writes programs through an Uno's boot loader; parsing of its output."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ FLASH_BYTES = 32256
 LOADER_BAUD = 115_200
 """Baud rate of Optiboot; it does not depend on the baud rate of the firmware."""
 OLD_LOADER_BAUD = 57_600
-"""Baud rate of ATmegaBOOT, the boot loader of boards before the Uno and of some copies."""
+"""Baud rate of ATmegaBOOT, the boot loader of older boards and of some copies of the Uno."""
 OPTIBOOT_MAJOR = 4
 """Least major version of an Uno's Optiboot; ATmegaBOOT reports version 1.16."""
 BROWN_OUT = {4: "4.3 V", 5: "2.7 V", 6: "1.8 V", 7: "none"}
 """Brown-out voltage for each value of the extended fuse's last 3 bits (data sheet, table 28-5)."""
 WANTED_FUSE = 0xFC
-"""Extended fuse for 4.3 V; a clock of 16 MHz needs at least 3.8 V (data sheet, figure 29-1)."""
+"""Extended fuse for a brown-out at 4.3 V; 16 MHz need at least 3.8 V (data sheet, figure 29-1)."""
 INSTALL = "avrdude, which writes the firmware, is not installed: apt install avrdude"
 _TIMEOUT_S = 90.0  # three attempts to connect take 17 s, a full Uno 10 s
 _BLOCKS = 50  # of avrdude's full progress bar
