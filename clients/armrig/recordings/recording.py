@@ -106,7 +106,7 @@ class Recording:
     present: Mask
     """Mask (N,), True if the sample arrived."""
     turns_unknown: tuple[int, ...]
-    """Rows at which theta_1's number of turns becomes uncertain; many samples before are missing."""
+    """Rows at which theta_1's number of turns becomes uncertain, after many missing samples."""
     samples: NDArray[np.void]
     """Structured array of the samples that arrived, with raw counts and all times."""
     gaps: tuple[Gap, ...]

@@ -204,7 +204,7 @@ class _Tried:
 
 
 def _best(tried: Sequence[_Tried]) -> _Tried:
-    """Return the estimate with the least sum of (std² + bias²) / (least std² of all widths)."""
+    """Return the estimate with the least sum, over parameters, of (std² + bias²) / (least std²)."""
     least = np.min([one.std for one in tried], axis=0)
     return min(tried, key=lambda one: float(np.sum((one.std**2 + one.bias**2) / least**2)))
 
@@ -400,7 +400,7 @@ def _every(s: float, Ts: float) -> int:
 
 
 def _offset_is_free(data: Dataset, names: tuple[str, ...]) -> bool:
-    """Return whether u0 is estimated; with Coulomb friction this needs a bipolar input."""
+    """Return whether u0 is estimated; if T_c is estimated, only for a bipolar input."""
     return COULOMB not in names or bipolar(data.u)
 
 
