@@ -122,10 +122,10 @@ def _along_ray(method: Method, eigenvalue: complex) -> float:
 def _boundaries(pi: Array, direction: complex) -> list[float]:
     """Return all r > 0, in rising order, at which pi(zeta; r direction) may have a root |zeta| = 1.
 
-    A polynomial p of degree k in zeta has all roots inside the circle if and only if two conditions
-    hold: |p_k|² - |p_0|² > 0, and the reduction of p has all roots inside the circle. The
-    reduction, of degree k - 1, is conj(p_k) p - p_0 p*, divided by zeta, with p* the conjugated
-    coefficients in reverse order. The coefficients here are polynomials in r.
+    All roots of a polynomial p of degree k in zeta are inside the circle if and only if two
+    conditions hold. |p_k|² - |p_0|² must be > 0, and all roots of the reduction of p must be inside
+    the circle. The reduction, of degree k - 1, is conj(p_k) p - p_0 p*, divided by zeta, with p*
+    the conjugated coefficients in reverse order. The coefficients here are polynomials in r.
     """
     p = [np.trim_zeros(row * direction ** np.arange(pi.shape[1]), "b") for row in pi]
     found: list[float] = []
