@@ -99,10 +99,11 @@ def inverse_dynamics(
     Returns
     -------
     GreyFit
-        Both standard deviations come from the sandwich form, because smoothed noise is never white.
-        `whiteness` is the p value of the hypothesis that the residuals are smoothed white noise of
-        the angle. `width` is the width that was used. `bias` is the first-order bias due to the
-        noise of the velocity; the bias is not subtracted.
+        `std` and `std_robust` are equal, because smoothed noise is never white. They are the larger
+        of two values: the sandwich form, and the form for white noise on the angle. `whiteness` is
+        the p value of the hypothesis that the residuals are smoothed white noise of the angle.
+        `width` is the width that was used. `bias` is the first-order bias due to the noise of the
+        velocity; the bias is not subtracted.
 
     Raises
     ------
