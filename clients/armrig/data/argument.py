@@ -34,7 +34,8 @@ def as_dataset(data: Dataset | HasDataset) -> Dataset:
     TypeError
         The argument is neither a Dataset nor a recording.
     ValueError
-        The magnitudes of u or y are below 1e-30, where powers can underflow in floating point.
+        The largest magnitude of u or y is below 1e-30 and not 0. Powers of such numbers can
+        underflow in floating point.
     """
     if isinstance(data, Dataset):
         require_visible(data)
@@ -92,7 +93,7 @@ def _is_data(value: object) -> bool:
 
 
 def _by_name(name: str, parameters: list[Parameter], given: tuple[Any, ...]) -> str:
-    """Return the message for orders given by position, with the correct call."""
+    """Return the error message for arguments given by position; it contains the correct call."""
     listed = given[0] if len(given) == 1 and isinstance(given[0], list | tuple) else given
     orders = [p for p in parameters if p.kind is Parameter.KEYWORD_ONLY]
     needed = [p.name for p in orders if p.default is Parameter.empty]

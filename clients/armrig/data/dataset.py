@@ -56,8 +56,8 @@ class Dataset:
     Ts : float
         Sampling time in s.
     valid : array_like of bool, shape (N,), optional
-        False where y is missing. At these samples `y` is NaN, and every result computed from them
-        is NaN. A missing value of a pandas column is also missing in the Dataset.
+        False where y is missing. At these samples `y` is NaN, and every result computed from these
+        samples is NaN. A missing value of a pandas column is also missing in the Dataset.
     starts : sequence of int, default (0,)
         Index of the first sample of each experiment. Estimators never combine samples of two
         experiments in an equation.
@@ -348,7 +348,7 @@ class Dataset:
         history: tuple[str, ...] | None = None,
         trends: tuple[Trend, ...] | None = None,
     ) -> Dataset:
-        """Return a copy with the given fields replaced; its history ends with `step` if given.
+        """Return a copy with the given fields replaced, and with `step` added to its history.
 
         Examples
         --------
@@ -422,7 +422,7 @@ def merged_datasets(parts: Sequence[Dataset]) -> Dataset:
 
 
 def joined_history(parts: Sequence[HasHistory]) -> tuple[str, ...]:
-    """Return the history of merged parts: common steps, other steps of each part, and merge."""
+    """Return the history of merged parts: common steps, further steps of each part, the merge."""
     if len(parts) == 1:
         return parts[0].history
     common: list[str] = []
@@ -461,7 +461,7 @@ def _mask(valid: ArrayLike) -> Mask:
 
 
 def require_size(name: str, x: Vector) -> None:
-    """Refuse numbers whose powers overflow in floating point."""
+    """Refuse numbers so large that their powers overflow in floating point."""
     largest = float(np.max(np.abs(x), initial=0.0))
     if largest > _MAX_SIZE:
         raise InputError(
@@ -470,10 +470,10 @@ def require_size(name: str, x: Vector) -> None:
 
 
 def require_visible(data: Dataset) -> None:
-    """Refuse a signal whose powers can underflow in floating point; a signal of zeros is allowed.
+    """Refuse a signal so small that powers of its values can underflow; allow a signal of zeros.
 
-    The constructor of Dataset does not make this check, because valid data can contain a part in
-    which the response has decayed.
+    The constructor of Dataset does not make this check, because a slice of valid data can consist
+    of a decayed response only.
     """
     for name, x in (("u", data.u), ("y", data.y[data.valid])):
         largest = float(np.max(np.abs(x), initial=0.0))

@@ -13,7 +13,7 @@ OWN_DATA = (
     "the models are judged on their own estimation data, which gives too good results: "
     "validate on other data"
 )
-"""Text of the finding that models are compared on their estimation data."""
+"""Text of the finding that reports a comparison of models on their estimation data."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,9 +23,9 @@ _NOTE = """\
 def accepts_signals(home: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a function of a Dataset so that it also accepts `Signals`.
 
-    Signals of one input and one output are treated as their Dataset. For Signals of several
-    channels, the function of the same name in the module `home` is called. The module is loaded at
-    the first such call.
+    The decorated function itself handles Signals of one input and one output. For Signals of
+    several channels, the function of the same name in the module `home` is called. The first call
+    with such Signals loads the module.
     """
 
     def decorate(f: Callable[P, R]) -> Callable[P, R]:

@@ -459,7 +459,7 @@ class Signals:
         )
 
     def replaced(self, *, step: str | None, **fields: Any) -> Signals:
-        """Return a copy with the given fields replaced; its history ends with `step` if given.
+        """Return a copy with the given fields replaced, and with `step` added to its history.
 
         Examples
         --------

@@ -12,9 +12,9 @@ LINE = "line"
 """Code of a step that removed a straight line."""
 
 _PART = "part"
-"""First word of the code of a step that cut out a part; start and end of the part in s follow."""
+"""First word of the code of a step that selected a part; the part's start and end in s follow."""
 _SEVERAL_PARTS = "parts"
-"""Code of a step that cut out a part, if the part was then merged with others."""
+"""Code of a step that selected a part, after this part was merged with other data."""
 
 
 class Step(str):
@@ -36,19 +36,20 @@ def codes_of(history: Iterable[str]) -> list[str]:
 
 
 def took(text: str, start: float, stop: float) -> Step:
-    """Return the step of a cut from `start` to `stop`, in s from the first sample."""
+    """Return the step that selected the part from `start` to `stop`, in s from the first sample."""
     return Step(text, f"{_PART} {start:.9g} {stop:.9g}")
 
 
 def in_merged(code: str) -> str:
-    """Return the code that replaces the code of a step when its data are merged with others."""
+    """Return the code of a step after the data of this step are merged with other data."""
     return _SEVERAL_PARTS if code.startswith(f"{_PART} ") else code
 
 
 def span_of(history: Iterable[str]) -> tuple[float, float] | None:
     """Return start and end, in s, of the part of the source that the data contain.
 
-    The end is infinite if nothing was cut off. The result is None if several parts are merged.
+    If no step selected a part, the result is (0, inf). If several parts were merged, the result is
+    None.
     """
     start, stop = 0.0, inf
     for code in codes_of(history):

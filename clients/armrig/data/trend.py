@@ -32,7 +32,7 @@ class Trend:
         return np.asarray(self.y_level + self.y_slope * t)
 
     def later(self, seconds: float) -> Trend:
-        """Return the same lines with their levels at an instant `seconds` later."""
+        """Return the same lines for data that begin `seconds` later; only the levels change."""
         return Trend(
             u_level=self.u_level + self.u_slope * seconds,
             u_slope=self.u_slope,

@@ -97,7 +97,7 @@ def transfer(A: Matrix, B: Matrix, c: Vector, Ts: float) -> tuple[Vector, Vector
     """Return B(q) and F(q) of the exactly sampled model from a held input u to y = c x.
 
     F is the characteristic polynomial of Phi = exp(A Ts). B consists of the first n + 1
-    coefficients of F times the pulse response 0, c Gamma, c Phi Gamma, ….
+    coefficients of the product of F and the pulse response 0, c Gamma, c Phi Gamma, ….
 
     Parameters
     ----------

@@ -20,8 +20,8 @@ from armrig.physics.systems import arm
 
 Vector = NDArray[np.float64]
 SPEED = "theta_1_rate"
-_SETTLING_TIMES = 30.0  # after so many times of the slowest pole the speed is steady to rounding
-_STEPS_PER_TIME = 50.0  # steps in 1/|p| of the fastest pole
+_SETTLING_TIMES = 30.0  # time constants of the slowest pole until the speed is steady
+_STEPS_PER_TIME = 50.0  # steps per time constant 1/|p| of the fastest pole p
 _POINTS, _WINDOW_GROWTH = 2001, 8.0
 
 
@@ -44,7 +44,7 @@ class Characteristics:
     rise_time: float
     """63 % time of the speed, in s, as defined in `armrig.numerics.step_times`."""
     equivalent_time: float
-    """Time by which the angle lags the ramp of the steady speed, in s."""
+    """Time by which the angle lags a ramp that has the steady speed, in s."""
     slowest_time: float
     """1/|Re s| of the slowest pole except the integrator, in s."""
 
@@ -161,9 +161,9 @@ def step_sensitivities(
 ) -> dict[str, Vector]:
     """Return the derivatives of a step response with respect to the logarithm of each parameter.
 
-    If a parameter is 1 % larger, the response changes by 0.01 times its derivative. Since b_1 can
-    be 0, its derivative is with respect to b_1 divided by the damping of the back-EMF, (N K_m)² /
-    R_m.
+    If a parameter is 1 % larger, the response changes by 0.01 times the derivative for this
+    parameter. Since b_1 can be 0, its derivative is with respect to b_1 divided by the damping of
+    the back-EMF, (N K_m)² / R_m.
 
     Parameters
     ----------

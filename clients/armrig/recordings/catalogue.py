@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 WORTH_KEEPING = 100
-"""Least number of newly read files for which an index is written; fewer files take only 20 ms."""
+"""Least number of newly read files for which an index is written; reading fewer takes 20 ms."""
 COLUMNS: dict[str, Any] = {
     "recording": np.object_,
     "run_id": np.object_,
@@ -64,7 +64,7 @@ COLUMNS: dict[str, Any] = {
 SIZE_LIMIT = 128 << 20
 """Largest index that is read or written, in B; 10 000 recordings take about 4 MB."""
 SETTLED_NS = 2_000_000_000
-"""Least age in ns at which the times of a file show every later change.
+"""Least age of a file, in ns, from which its stored times show every later change.
 
 The times of a file system have a resolution of up to 2 s. A younger file may therefore change
 without a change of its times.
@@ -294,7 +294,7 @@ def _utc(text: str) -> datetime | None:
 
 
 class Known(msgspec.Struct, frozen=True, array_like=True):
-    """Facts about a file that the index stores."""
+    """Facts that the index stores about a file."""
 
     state: str
     """Size, times and inode number of the file: a text that changes if the file changes."""
@@ -428,7 +428,7 @@ def summaries(paths: list[Path]) -> Iterator[RecordingSummary]:
 
 
 def may_answer_to(path: Path, name: str, *, validation: bool) -> bool:
-    """Return False if the daemon's file name shows that `name` cannot mean this file."""
+    """Return False if the daemon's file name shows that `name` does not select this file."""
     wanted = "-validation" if validation else name
     return wanted in path.name or not _FILE_NAME.fullmatch(path.name)
 

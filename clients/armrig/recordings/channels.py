@@ -99,7 +99,7 @@ def _on_grid(values: Vector, present: Mask) -> Vector:
 
 
 def outside_dead_band(rail: Mask) -> Mask:
-    """Return a mask (n,): False for a sample at a rail, and for the sample after it.
+    """Return a mask (n,), False for samples at a rail and for the first sample after them.
 
     The mask is therefore False for a single sample between two samples at a rail. At the edges of
     the dead band, the converter can read any value.

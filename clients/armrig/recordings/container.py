@@ -1,7 +1,7 @@
 """Content of an MCAP file, read from the beginning up to the first damage.
 
 Complete, truncated and hostile files are all read record by record. Reading stops at the first
-damage and reports its place. All records before the damage are returned.
+damage, and its place is reported. All records before the damage are returned.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from armrig.recordings.sample_rows import (
 _IDS = Struct("<HH")  # a channel and its schema, or a schema
 _MESSAGE = Struct("<BQH")  # opcode and length of a record, and the channel if it is a message
 _IN_CHUNKS = bytes((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
-_MESSAGE_CODE = int(Opcode.MESSAGE)  # to look it up in its class takes longer than to compare it
+_MESSAGE_CODE = int(Opcode.MESSAGE)  # a look-up in the class takes longer than a comparison
 _NAME_LIMIT = 100  # B
 _RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # measured, rounded
 # Bytes that a parsed message takes in addition to its payload; measured.

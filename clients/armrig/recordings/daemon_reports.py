@@ -27,7 +27,7 @@ class Gap:
     t: float
     """Time at which the first missing sample was due, in s from the recording's first sample."""
     u_held_v: float
-    """Voltage that the motor kept during the gap, in V."""
+    """Voltage held at the motor during the gap, in V."""
     reason: str
     """Reason for the gap."""
     code: str
@@ -50,7 +50,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Note:
-    """A line that a person wrote during the run."""
+    """A line of text that a person wrote during the run."""
 
     t: float
     """Time at which the note arrived, in s from the recording's first sample."""
@@ -92,9 +92,9 @@ class Timing:
     t: float
     """Time, in s from the recording's first sample."""
     wake_lateness_us: Distribution
-    """Lateness of the host after the sample's deadline, in µs."""
+    """Lateness of the host relative to the sample's deadline, in µs."""
     device_tick_error_us: Distribution
-    """Absolute error of the device's sampling interval, by its own clock, in µs."""
+    """Absolute error of the sampling interval, measured with the device's clock, in µs."""
     link_round_trip_us: Distribution
     """Round trip of the link, from request to answer, in µs."""
     queue_depth: Distribution
@@ -102,14 +102,14 @@ class Timing:
     collections: int
     """Number of garbage collections since the loop started; each stalls the loop. -1: unknown."""
     cpu_pressure_percent: float
-    """Percentage of the second in which a task of the host waited for a processor; NaN: unknown."""
+    """Share of the second, in %, during which a task waited for a processor; NaN: unknown."""
     run_queue: int
     """Number of runnable tasks of the host; -1: unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceClock:
-    """Comparison of the clocks of device and host at `t`; recorded times do not depend on it."""
+    """Comparison of device clock and host clock at `t`; recorded times are not corrected by it."""
 
     t: float
     """Time, in s from the recording's first sample."""
@@ -207,7 +207,7 @@ def device_clock_of(message: Any, clock: Clock) -> DeviceClock:
 
 
 def gap_lines(gaps: Iterable[Gap]) -> list[str]:
-    """Return lines of text that list the gaps; all gaps that begin in one second share a line."""
+    """Return lines of text that list the gaps; gaps that begin in the same second share a line."""
     return [_gap_line(list(some)) for _, some in groupby(gaps, key=lambda gap: floor(gap.t))]
 
 

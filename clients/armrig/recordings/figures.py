@@ -33,7 +33,7 @@ def plot_timing(
 ) -> Axes:
     """Plot the histogram of a time on logarithmic axes, and mark its p50, p99 and maximum.
 
-    If all times are the same to the clock's resolution, the figure contains the time as text.
+    If all times agree within the clock's resolution, the figure contains the time as text.
 
     Parameters
     ----------

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 LEAST_RATIO, NO_RATIO = 3.0, 0.3
 """Signal-to-noise ratios.
 
-Below the first ratio, a recording of 30 s determines the inertias only to some per cent. Below the
-second ratio, the recording does not determine the inertias.
+Below the first ratio, a recording of 30 s determines the inertias with errors of some per cent.
+Below the second ratio, the recording does not determine the inertias.
 """
 MOST_HIDDEN = 0.15
 """Largest share of samples without theta_1 that a dead band of an eighth of a turn explains."""
@@ -212,7 +212,7 @@ def converter_step(r: Recording) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HiddenStep:
-    """Interval of a step's rise that the dead band hides."""
+    """Interval during the rise after a step in which the dead band hides theta_1."""
 
     begins_s: float
     """Time of the last sample before the interval, in s from the step."""

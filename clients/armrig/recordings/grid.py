@@ -36,7 +36,7 @@ class Grid:
     """Slice of the samples `k` that are in the grid."""
 
     def filled(self, gaps: Iterable[tuple[int, int, float]]) -> NDArray[np.float64]:
-        """Return the value of the gap that contains each row, (N,); NaN outside all gaps.
+        """Return for each row the value of the gap that contains it, (N,); NaN outside all gaps.
 
         Parts of gaps outside the grid are ignored. If gaps overlap, the last gap in `gaps` counts.
         Each row is written once, even if several gaps contain it.
@@ -79,10 +79,10 @@ def grid(
     """Return the grid of the samples `k` (n,), which must increase strictly.
 
     The grid begins with the manifest's `k_first` and ends with the last sample that was due. For a
-    complete run, the manifest contains the last sample. For a run that was stopped, the outcome
-    contains the number of samples. If the file is cut off, the grid ends with the last sample or
-    gap record. In an older recording, whose manifest has no `k_first`, the grid reaches from the
-    first sample in `k` to the last.
+    complete run, the last sample follows from the number of samples in the manifest. For a stopped
+    run, the last sample follows from the numbers of samples in the outcome. If the file is cut off,
+    the grid ends with the last sample or gap record. In an older recording, whose manifest has no
+    `k_first`, the grid reaches from the first sample in `k` to the last.
 
     Parameters
     ----------

@@ -52,13 +52,13 @@ class SamplingStatistics:
     jitter: Spread
     """Percentiles of |interval - Ts| on the device's clock, in µs."""
     lateness: Spread
-    """Lateness of the host's request (exchange) or of the sample's arrival (scheduled), in µs."""
+    """Percentiles of the lateness that `lateness_us` returns, in µs."""
     samples: int
     """Number of samples that arrived."""
     missing: int
     """Number of missing samples."""
     longest_gap: int
-    """Largest number of consecutive missing samples, also at the beginning and end of the run."""
+    """Largest number of consecutive missing samples, including the run's beginning and end."""
 
 
 def intervals_us(recording: Recording) -> Vector:
@@ -149,7 +149,7 @@ class Disturbances:
     collections: int
     """Number of garbage collections between the first report and the last; -1: unknown."""
     cpu_pressure_percent: float
-    """Largest percentage of a second in which a task waited for a processor; NaN: unknown."""
+    """Largest share of a second, in %, during which a task waited for a processor; NaN: unknown."""
     run_queue: int
     """Largest number of runnable tasks; -1: unknown."""
     round_trip_us: float

@@ -41,7 +41,7 @@ EVERYTHING = (0, 1 << 63)
 """Range of indices that contains all samples."""
 _BEGINNING = Part(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with samples
 _REPORT_DELAY_NS = 1_000_000_000  # between a sample and a report about it, before or after
-_MAX_TIME = 1e15  # s, and samples: later than any, and still exact integers
+_MAX_TIME = 1e15  # in s or in samples: later than any sample, and still exact as an integer
 _ROUNDING_SAMPLES = 1e-6  # of a sample: 0.3 / 0.1 is not 3
 
 
@@ -126,7 +126,8 @@ def load(
 def files_of(path: Path) -> list[Path]:
     """Return the files of the run at a path; raise FileError if a part is missing.
 
-    Missing last parts cause no error, but the outcome then says that the run is continued.
+    If the last parts are missing, no error is raised. The outcome then says that the run is
+    continued.
     """
     paths = part_paths(path)
     if paths == [path]:
@@ -166,7 +167,7 @@ def run_content(
     *,
     digest: bool = True,
 ) -> RunContent:
-    """Return the content of a run's files from `start` to `stop`; raises as `load` does."""
+    """Return the content of a run's files from `start` to `stop`; raises the errors of `load`."""
     between, part = EVERYTHING, None
     if start is not None or stop is not None:
         between, part = _part(paths[0], start or 0.0, inf if stop is None else stop)
@@ -194,7 +195,7 @@ _File = tuple[Content, Manifest, Outcome | None, Calibration | None]
 
 
 def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
-    """Return the content, manifest, outcome and calibration of a file; raises as `load` does."""
+    """Return content, manifest, outcome and calibration of a file; raises the errors of `load`."""
     try:
         content = read(path, part=part, digest=digest)
     except DamageError as err:
@@ -237,7 +238,7 @@ def beginning(path: Path) -> tuple[Path, Content]:
 
 
 def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], Part]:
-    """Convert a range of time to the indices of its samples and the part of the file to read."""
+    """Convert a time range to a range of sample indices and to the part of the file to read."""
     if not 0 <= start < stop:
         raise FileError(f"start={start:g} s and stop={stop:g} s: 0 <= start < stop is needed")
     content, manifest, _, _ = _read(path, _BEGINNING, digest=False)
@@ -332,7 +333,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
 
 
 def _span(t: Vector, Ts: float) -> tuple[float, float]:
-    """Return start and end of `t`, rounded to ns; the end is one sampling time after the last."""
+    """Return start and end of `t`, rounded to ns; the end is one Ts after the last time."""
     return round(float(t[0]), 9), round(float(t[-1]) + Ts, 9)
 
 

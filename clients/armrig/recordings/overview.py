@@ -27,9 +27,10 @@ _DRIFTING_OUTPUTS: tuple[OutputName, ...] = (VELOCITY, ALPHA)
 _MIN_INPUT_CHANGES = 20  # number of coefficients of u in the model of the search for outliers
 
 _RATE_INTERVAL_S = 0.1
-"""Interval in s for the rate of theta_1: one step of the converter changes the rate by 0.06 rad/s.
+"""Interval, in s, over which the rate of theta_1 is computed.
 
-Over an interval of 2 ms, one step would change the rate by 3 rad/s.
+One step of the converter changes this rate by 0.06 rad/s. Over an interval of 2 ms, one step would
+change the rate by 3 rad/s.
 """
 
 
@@ -44,7 +45,7 @@ class Overview:
     drift: Mapping[str, Drift]
     """Drift of the rate of theta_1 and drift of alpha, by output.
 
-    If samples of unknown u divide the recording into experiments, the names are "alpha 1",
+    If samples with unknown u divide the recording into experiments, the names are "alpha 1",
     "alpha 2" …
     """
     reasons: Mapping[str, str]

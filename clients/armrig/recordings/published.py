@@ -61,7 +61,7 @@ class PublishedRun:
         return max(ends) - min(ends) if ends else 0.0
 
     def messages(self) -> Iterator[Published]:
-        """Yield all messages by time; a gap's message precedes the sample after the gap."""
+        """Yield all messages, sorted by time; a gap's message precedes the sample after the gap."""
         return heapq.merge(self.others, self._samples(), key=lambda message: message.t)
 
     def _samples(self) -> Iterator[Published]:

@@ -106,7 +106,7 @@ class Recording:
     present: Mask
     """Mask (N,), True if the sample arrived."""
     turns_unknown: tuple[int, ...]
-    """Rows at which the turns of theta_1 become uncertain, because many samples are missing."""
+    """Rows at which theta_1's number of turns becomes uncertain, after many missing samples."""
     samples: NDArray[np.void]
     """Structured array of the samples that arrived, with raw counts and all times."""
     gaps: tuple[Gap, ...]
@@ -155,7 +155,7 @@ class Recording:
 
     @property
     def short_hash(self) -> str:
-        """First twelve digits of the hash, which figures show."""
+        """First twelve digits of the hash, as shown in figures."""
         return self.sha256[:12]
 
     def channel(self, name: str) -> Channel:
@@ -233,7 +233,8 @@ class Recording:
     def signals(self, outputs: Sequence[OutputName] = (THETA_1, "alpha")) -> Signals:
         """Return u and several outputs for identification, with missing samples marked.
 
-        A new experiment begins at each sample at which an output's dataset begins an experiment.
+        A new experiment begins at each sample at which the dataset of any of these outputs begins a
+        new experiment.
 
         Parameters
         ----------

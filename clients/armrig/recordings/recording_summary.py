@@ -120,8 +120,8 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
         """Return all names that select the recording: its name, run id, experiment and file name.
 
         A validation has the name of the recording that it validates. The name therefore does not
-        select the validation. With `validation`, return the names of the validated recording, or an
-        empty set if this recording is no validation.
+        select the validation. If `validation` is True, return the names of the validated recording,
+        or an empty set if this recording is no validation.
         """
         if not validation:
             own = {self.name} if self.name and not self.is_validation else set()

@@ -54,7 +54,7 @@ class DataVerdict:
     findings: tuple[Finding, ...]
     """Findings of the checks, in the order of the checks."""
     signal_rad: float
-    """Rms deviation of theta_1 from a line fitted to each second, less the noise power, in rad."""
+    """Rms deviation of theta_1 from a line per second, without the power of the noise, in rad."""
     noise_rad: float
     """Standard deviation of the part of theta_1 that an ARX model does not explain, in rad."""
     step_rad: float
@@ -104,9 +104,10 @@ def data_verdict(recording: Recording) -> DataVerdict:
 
     The signal is the rms deviation of theta_1 from straight lines, one for each second. The power
     of the noise is subtracted. In runs longer than 3 s, the first second is left out, because the
-    chassis starts. The noise is the standard deviation of the residuals of an ARX model of order 10
-    or less. If the noise on the angle is white, this value is close to its standard deviation. The
-    noise is at least the step of the converter divided by sqrt(12).
+    chassis starts to turn in this second. The noise is the standard deviation of the residuals of
+    an ARX model of order 10 or less. If the noise on the angle is white, this value is close to the
+    standard deviation of the noise. The noise is at least the step of the converter divided by
+    sqrt(12).
 
     Parameters
     ----------
@@ -166,7 +167,7 @@ def _step(r: Recording) -> float:
 
 
 def _signal(data: Dataset, noise: float) -> float:
-    """Return the rms deviation of y from a line fitted to each second, less the noise power."""
+    """Return the rms deviation of y from a line per second, without the power of the noise."""
     n = max(8, round(_STRETCH_S / data.Ts))
     moving = data[n:] if data.N * data.Ts > _START_S else data
     squares, known = 0.0, 0
@@ -266,7 +267,8 @@ def doubts_of_estimation(recording: Recording) -> list[str]:
 def doubts_of_pair(first: Recording, other: Recording, *, one_plant: bool = True) -> list[str]:
     """Return a sentence for each doubt about validating the models of `first` with `other`.
 
-    Without `one_plant`, one recording may be of the chassis alone and the other of the whole rig.
+    If `one_plant` is False, one recording may be of the chassis alone and the other recording of
+    the whole rig.
     """
     a, b = first.manifest, other.manifest
     name = other.path.name

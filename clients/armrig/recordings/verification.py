@@ -34,7 +34,7 @@ from armrig.recordings.recording_summary import REMOTE
 Vector = NDArray[np.float64]
 
 _CODE_V = U_MAX_V / CODE_FULL_SCALE
-"""Step of the codes for voltages, in V; a requested voltage is rounded to a multiple of it."""
+"""Step of the codes for voltages, in V; requested voltages are rounded to multiples of it."""
 MAX_DRIFT_PPM = 6_000.0
 """Largest drift, in ppm. A ceramic resonator is accurate to 5 000 ppm, a crystal to 100 ppm."""
 _MAX_JUMP_SIGMAS = 6.0
@@ -189,7 +189,7 @@ def check_envelope(r: Recording) -> Check:
 
 
 def check_input(r: Recording, u: Vector) -> Check:
-    """Check that the voltage of each sample is its value of the input `u`, (N,) in V."""
+    """Check that the voltages of each sample agree with the attached input `u`, (N,) in V."""
     at = r.samples["k"].astype(np.int64) - max(r.manifest.k_first, 0)
     if u.size != r.manifest.samples:
         text = f"{u.size} voltages are attached, but the run has {r.manifest.samples} samples"

@@ -205,7 +205,7 @@ def _signals(
 
 
 def _columns_of(table: Table, wanted: str | Sequence[str], what: str) -> list[int]:
-    """Return the indices of the columns; a name of a matrix gives all its columns."""
+    """Return the indices of the columns; the name of a matrix gives all columns of the matrix."""
     found: list[int] = []
     for name in [wanted] if isinstance(wanted, str) else wanted:
         parts = [
@@ -409,7 +409,7 @@ def sampling_time(t: Vector, column: Column, place: Callable[[int], str]) -> flo
     Parameters
     ----------
     t : ndarray, shape (N,)
-        Times in the column's unit; in s without a unit.
+        Times in the column's unit; in s if the column has no unit.
     place : callable
         Function that returns the place of instant k in the file.
 

@@ -1,8 +1,8 @@
 """Variables of a MAT-file of version 4 to 7, read from its bytes.
 
-scipy.io is not used, because a damaged or hostile file can crash its compiled reader and the whole
-program. Each array is a view of the file's bytes, so that a false size in the file allocates no
-memory. The format is MathWorks' "MAT-File Format", R2019b.
+scipy.io is not used, because a damaged or hostile file can crash its compiled reader, and thus the
+whole program. Each array is a view of the file's bytes, so that a false size in the file allocates
+no memory. The format is MathWorks' "MAT-File Format", R2019b.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Suffixes of file names, for readers and for messages."""
+"""Suffixes of file names, used by the loaders and in messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Application of a Dataset's treatments to all channels of Signals."""
+"""Application of treatments for a Dataset to all channels of Signals."""
 
 from __future__ import annotations
 

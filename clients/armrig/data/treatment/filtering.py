@@ -39,8 +39,8 @@ def prefilter(
     An output-error fit is weighted by ``|L|²``, and its residuals are white if L v is white.
 
     After the start of an experiment and after a gap, y is missing for the memory of the filter. The
-    memory is the number of samples after which the impulse response has decayed: the rest of its
-    absolute sum is at most 1e-4.
+    memory is the number of samples after which at most 1e-4 of the absolute sum of the impulse
+    response is left.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def resample(data: Dataset, Ts: float) -> Dataset:
     frequency. It causes no delay and does not change straight lines. Every (Ts_new/Ts)-th sample is
     kept. A sample is missing if the filter would use a missing sample. The first and last 8 new
     samples of each experiment cannot be computed and are cut off. A higher rate is refused, because
-    it would invent samples.
+    the additional samples would be invented.
 
     Parameters
     ----------

@@ -21,7 +21,8 @@ INTEGRATING_OUTPUTS = frozenset({THETA_1})
 
 DICKEY_FULLER_TREND_5_PERCENT = -3.41  # Fuller 1976, table 8.5.2, constant and trend, n = inf
 _TEST_LAGS = 5
-MIN_SEEN_PULL = 0.2  # return to the line per sample, a share of the distance, to be detected
+# Least return to the line that the test must detect, per sample, as a share of the distance.
+MIN_SEEN_PULL = 0.2
 
 
 class IntegratingOutputWarning(UserWarning):
@@ -29,7 +30,7 @@ class IntegratingOutputWarning(UserWarning):
 
 
 def integrating(data: Dataset) -> Finding | None:
-    """Return the evidence that the output integrates, None without evidence.
+    """Return the evidence that the output integrates; None without evidence.
 
     An output whose name is in `INTEGRATING_OUTPUTS` integrates. Any other output is tested with a
     Dickey-Fuller regression, which contains a trend, lags, and the input as covariate ::
@@ -38,8 +39,11 @@ def integrating(data: Dataset) -> Finding | None:
 
     The output integrates if g is not significantly negative at the 5 % level. With the input as
     covariate, the exact critical value is smaller in magnitude (Hansen 1995). The critical value
-    without covariates, used here, therefore favours an integrator. The result is also None if too
-    few rows are complete for g = -0.2 to be significant.
+    without covariates, used here, therefore favours an integrator.
+
+    If the data are too few for this test, the result is None. The data are too few if fewer than 10
+    degrees of freedom remain, or if g = -0.2 would not be significant. With g = -0.2, the distance
+    of the output from its line decreases by 20 % per sample.
 
     References
     ----------
@@ -86,8 +90,8 @@ def difference(data: Dataset) -> Dataset:
     """Return data with the velocity (y(t) - y(t-1)) / Ts as output; u is unchanged.
 
     The velocity is missing if one of the two samples is missing, and at the first sample of each
-    experiment. A model of the velocity has the same nk as a model of the position, and the same
-    orders without the integrator.
+    experiment. A model of the velocity has the same nk as a model of the position. Its orders are
+    the orders of the position's model without the integrator.
 
     Parameters
     ----------
@@ -134,7 +138,7 @@ class Integration:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the decision, shown with a result; () if the caller or the name decides."""
+        """Notes on the decision for a result; () if the caller or the output's name decides."""
         if not self.reason:
             return ()
         what = "taken as integrating (in Python integrator=False prevents this)"

@@ -28,9 +28,9 @@ _EARLY_FACTOR = 2  # by which the limit is larger after a start or a gap
 _MAX_ROUNDS = 25
 MOST = 0.1
 """Largest allowed share of outliers; the search ends early at twice this share."""
-MIN_VISIBLE_SHARE = 1e-3  # of a sample's pattern, to be left unexplained by marked samples
+MIN_VISIBLE_SHARE = 1e-3  # least share of a pattern that marked samples leave unexplained
 ENOUGH_NOISE = 0.32
-"""Least standard deviation of the noise, in steps, for which the quantisation error is white.
+"""Least noise (std in converter steps) for which the quantisation error is white.
 
 The variance of the error is then step²/12. The theory requires a third of a step. The limit is a
 little lower, because the noise is estimated with an error. B. Widrow, I. Kollár, *Quantization
@@ -40,13 +40,13 @@ moments of uniform white noise to a few percent.
 
 
 def wrong_samples(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -> list[Mask]:
-    """Return a mask of the wrong samples of each experiment (u, y); a missing y is NaN.
+    """Return a mask of the wrong samples for each experiment (u, y); in y, a missing value is NaN.
 
     `n` is the order of the model. `limit` is the least size of an outlier, in robust standard
-    deviations. After a gap, the model cannot predict the first n samples. A model of the reversed
-    data, which predicts y(t) from later samples, therefore searches these samples first. The limit
-    for this model is twice as large: if the input excites poorly, this model does not predict the
-    first samples well.
+    deviations. The model cannot predict the first n samples after the start or after a gap. These
+    samples are therefore searched first, with a model of the reversed data, which predicts y(t)
+    from later samples. The limit for this model is twice as large: if the input excites poorly,
+    this model does not predict the first samples well.
     """
     backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, _EARLY_FACTOR * limit)
     corrected, early = [], []
@@ -68,9 +68,9 @@ def _lacks_past(y: Vector, n: int) -> Mask:
 def _marked(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -> list[_Found]:
     """Return a mask of the outliers of each experiment, and y with model values at the outliers.
 
-    Samples of another order of magnitude would dominate the first model. They are therefore marked
-    before its estimation. The search is then repeated without these initial marks, and the result
-    with fewer outliers is used.
+    Samples of another order of magnitude would dominate the first model. Such samples are therefore
+    marked before the model is estimated. The search is then repeated without these initial marks,
+    and the result with fewer outliers is used.
     """
     gross = [_gross(y) for _, y in parts]
     none = [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
@@ -179,7 +179,7 @@ def _sizes(model: Whitening, e: Vector, marked: Mask) -> Vector:
 
 
 def _peaks(z: Vector, limit: float, n: int) -> Indices:
-    """Return the indices of the peaks of z above the limit, which are more than n samples apart."""
+    """Return the indices of the peaks of z above the limit; peaks are more than n samples apart."""
     candidates = np.flatnonzero(z > limit)
     taken = np.zeros(z.size, dtype=np.bool_)
     peaks = []
@@ -296,7 +296,7 @@ def hampel(
     Returns
     -------
     Dataset or Signals
-        N samples. `valid` is False at outliers; `history` contains the numbers of the first ten.
+        N samples. `valid` is False at outliers; `history` contains the indices of the first ten.
 
     Raises
     ------

@@ -326,7 +326,7 @@ def at_bound(names: Sequence[str], moved: NDArray[np.float64]) -> Iterator[str]:
 
 
 def no_model(fit: float) -> Iterator[str]:
-    """Yield a warning if the model explains less than a constant."""
+    """Yield a warning if the model explains the output less well than a constant."""
     if fit < 0:
         yield (
             f"the fit is {fit:.1f} %, below 0: a constant explains the output better. Check the "

@@ -99,10 +99,11 @@ def inverse_dynamics(
     Returns
     -------
     GreyFit
-        Both standard deviations come from the sandwich form, because smoothed noise is never white.
-        `whiteness` is the p value of the hypothesis that the residuals are smoothed white noise of
-        the angle. `width` is the width that was used. `bias` is the first-order bias due to the
-        noise of the velocity; the bias is not subtracted.
+        `std` and `std_robust` are equal, because smoothed noise is never white. They are the larger
+        of two values: the sandwich form, and the form for white noise on the angle. `whiteness` is
+        the p value of the hypothesis that the residuals are smoothed white noise of the angle.
+        `width` is the width that was used. `bias` is the first-order bias due to the noise of the
+        velocity; the bias is not subtracted.
 
     Raises
     ------
@@ -204,7 +205,7 @@ class _Tried:
 
 
 def _best(tried: Sequence[_Tried]) -> _Tried:
-    """Return the estimate with the least sum of (std² + bias²) / (least std² of all widths)."""
+    """Return the estimate with the least sum, over parameters, of (std² + bias²) / (least std²)."""
     least = np.min([one.std for one in tried], axis=0)
     return min(tried, key=lambda one: float(np.sum((one.std**2 + one.bias**2) / least**2)))
 
@@ -400,7 +401,7 @@ def _every(s: float, Ts: float) -> int:
 
 
 def _offset_is_free(data: Dataset, names: tuple[str, ...]) -> bool:
-    """Return whether u0 is estimated; with Coulomb friction this needs a bipolar input."""
+    """Return whether u0 is estimated; if T_c is estimated, only for a bipolar input."""
     return COULOMB not in names or bipolar(data.u)
 
 

@@ -25,7 +25,7 @@ _MIN_REVERSED_SHARE = 0.05  # least share of samples of either sign in a bipolar
 
 
 def bipolar(u: Vector) -> bool:
-    """Return True if an input has both signs; friction then differs from an offset."""
+    """Return True if an input has both signs; only then does friction differ from an offset."""
     return bool(min(np.mean(u > 0), np.mean(u < 0)) >= _MIN_REVERSED_SHARE)
 
 
@@ -120,8 +120,8 @@ class GreyBoxWithFriction:
     def start(self, eta: Vector) -> Vector:
         """Return start coordinates, computed from the coordinates of the problem without friction.
 
-        If u0 is not free here, T_c is computed from the u0 of the problem without friction.
-        Otherwise the search begins with a small T_c.
+        If u0 is not free in this problem, T_c is computed from the u0 of the problem without
+        friction. Otherwise the search begins with a small T_c.
         """
         free = self.plain.at(eta).free
         taken = [x[-1] for x, is_free in zip(free, self._offsets(), strict=True) if not is_free]

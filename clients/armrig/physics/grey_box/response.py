@@ -6,8 +6,9 @@ R_m / (N K_m) at the motor's terminals. Between a stop and the next reversal the
     slip    x(k+1) = Phi x + Gamma (u - s V),    s = sign of the speed
     stick   x(k+1) = P (Phi x + Gamma u),        P = I - Gamma e' / (e' Gamma)
 
-e is the speed's unit vector. During stick a friction of at most V keeps the speed at 0. If the
-chassis turns back within a step, s is the mean of both signs, weighted by their times.
+e is the unit vector of the state that is the speed. During stick a friction of at most V keeps the
+speed at 0. If the chassis turns back within a step, s is the mean of both signs, weighted by their
+durations.
 """
 
 from __future__ import annotations
@@ -133,7 +134,8 @@ def _reversed(
     """Return the derivatives after a step in which the chassis turns back.
 
     The friction is s V (2 f - 1). The share of the step before the turn is f = v / (v - v'), which
-    depends on all parameters. The speed v' is the final speed for an unchanged friction s V.
+    depends on all parameters. v is the speed at the beginning of the step, and s is its sign. v' is
+    the speed that the unchanged friction s V would cause at the end of the step.
     """
     row, gain, v = model.Phi[speed], model.Gamma[speed], x[speed]
     s = np.sign(v)
@@ -173,8 +175,8 @@ def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
     """Return the states and the intervals of slip and stick.
 
     At standstill a driving voltage acts on the chassis. If the magnitude of this voltage is at most
-    V, the chassis sticks. The friction of the step then makes the speed at the end of the step 0.
-    Otherwise the chassis turns back within the step, and the friction is the mean for both
+    V, the chassis sticks. The friction of the step then reduces the speed to 0 at the end of the
+    step. Otherwise the chassis turns back within the step, and the friction is the mean for both
     directions. If a search tries a V below 0, the chassis never sticks.
     """
     alone = not np.delete(model.Phi[speed], speed).any()
@@ -188,9 +190,10 @@ def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
 
 
 def _step(v: float, ahead: float, pull: float, V: float, gain: float) -> tuple[float, int]:
-    """Return the friction in volts and the sign of a step that begins at the speed v.
+    """Return the friction in volts, and the motion in a step that begins with the speed v.
 
-    `ahead` is the final speed without friction, and `pull` is the driving voltage at standstill.
+    The motion is the sign of the speed, 0 during stick, or REVERSAL. `ahead` is the final speed
+    without friction, and `pull` is the driving voltage at standstill.
     """
     if v == 0.0:
         if abs(pull) <= V:
@@ -209,7 +212,7 @@ def _step(v: float, ahead: float, pull: float, V: float, gain: float) -> tuple[f
 def _braked_alone(
     model: Sampled, u: Vector, x0: Vector, V: float, speed: int
 ) -> tuple[Vector, list[int]]:
-    """Return friction and sign of each step, if no other state acts on the speed."""
+    """Return friction and motion of each step if no other state acts on the speed: see `_step`."""
     pole, gain, v = float(model.Phi[speed, speed]), float(model.Gamma[speed]), float(x0[speed])
     frictions, signs = [], []
     for value in u[:-1].tolist():
@@ -223,7 +226,7 @@ def _braked_alone(
 def _braked(
     model: Sampled, u: Vector, x0: Vector, V: float, speed: int
 ) -> tuple[Vector, list[int]]:
-    """Return friction and sign of each step."""
+    """Return friction and motion of each step, as `_step` does."""
     rows = [tuple(map(float, row)) for row in model.Phi]
     gamma = [float(g) for g in model.Gamma]
     pole, gain = rows[speed][speed], gamma[speed]

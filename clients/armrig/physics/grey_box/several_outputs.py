@@ -43,7 +43,7 @@ _SETTLED = 1e-4  # relative change of the noise's deviations at which the rounds
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Linearised:
-    """Weighted residuals and derivatives at given coordinates, output after output."""
+    """Weighted residuals and derivatives at given coordinates; the outputs are stacked."""
 
     e: tuple[Array, ...]
     """Residuals (N, ny) of each experiment in units of y, NaN where y is missing."""
@@ -135,7 +135,7 @@ def greybox(
     model, free, fixed, fixed_std
         As in `armrig.greybox` for one output; the default model is `armrig.arm`.
     output : str, default "theta_1"
-        Output that `plot`, `simulate` and the tests of the result describe.
+        Output to which `plot`, `simulate` and the tests of the result refer.
     friction : {"viscous"}, optional
         Estimate b_1, too. Coulomb friction can only be estimated from theta_1 alone.
 
@@ -190,7 +190,7 @@ def _require(data: Signals, names: Sequence[str], output: str) -> None:
 
 
 def _minimised(problem: _Problem, start: Array) -> tuple[_Problem, Optimum]:
-    """Return the problem with the estimated deviations of the noise, and its minimum."""
+    """Return the problem with the estimated standard deviations of the noise, and its minimum."""
     best = searched(problem, start)
     for _ in range(_MAX_ROUNDS):
         e = np.vstack(problem.at(best.theta).e)

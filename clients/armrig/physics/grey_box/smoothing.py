@@ -128,7 +128,7 @@ def _through(x: Vector, kernel: Vector) -> Vector:
 
 def near_standstill(part: Dataset, s: float, reach: int) -> NDArray[np.bool_]:
     """Return a mask of the windows that contain an instant at which the chassis may be at rest."""
-    # A narrower kernel, because the wide kernel would hide short stops.
+    # A narrower kernel is used, because the wide kernel would hide short stops.
     width = max(s / 4, MIN_WIDTH * part.Ts)
     fine = smoothed(part, width)
     v = fine.velocity
@@ -149,10 +149,11 @@ def _effective(x: Vector) -> float:
 def smoothed_noise_p_value(residuals: Sequence[Vector], h: Vector, m: int) -> float:
     """Return the p value of the hypothesis that residuals are smoothed white noise.
 
-    The lags end before the first lag with fewer than half as many pairs as lag 0. The result is NaN
-    if no lag is left. The statistic has the mean of chi-squared but a larger variance, because all
-    r_j are divided by the same R(0). The argument of `portmanteau_p_value` is therefore the number
-    of white values whose R(0) is equally uncertain: n / sum of rho(j)² over all j.
+    A lag has enough pairs if it has at least half as many pairs as lag 0. All lags before the first
+    lag without enough pairs are used. If no lag is left, the result is NaN. The statistic has the
+    mean of chi-squared but a larger variance, because all r_j are divided by the same R(0). The
+    argument of `portmanteau_p_value` is therefore the number of white values whose R(0) is equally
+    uncertain: n / sum of rho(j)² over all j.
 
     Parameters
     ----------

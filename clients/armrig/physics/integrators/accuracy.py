@@ -109,7 +109,7 @@ class Convergence:
 
     @property
     def orders(self) -> Vector:
-        """Observed order between neighbours, log(e1/e2) / log(h1/h2), (len(h) - 1,)."""
+        """Observed order between neighbouring steps, log(e1/e2) / log(h1/h2), (len(h) - 1,)."""
         with np.errstate(invalid="ignore"):
             return np.asarray(np.diff(np.log(self.error)) / np.diff(np.log(self.h)))
 
@@ -122,8 +122,9 @@ class Convergence:
 def convergence(problem: Sinusoid, method: str, h: ArrayLike | None = None) -> Convergence:
     """Return the error of a method for steps h.
 
-    By default the largest step is twice the stability limit, or a third of the input's period if
-    there is no limit. Ten halvings follow.
+    By default the largest step is twice the stability limit. If the limit is 0 or infinite, the
+    largest step is a third of the input's period. Ten more steps follow, each half as long as the
+    previous step.
 
     Examples
     --------
@@ -148,9 +149,9 @@ def convergence(problem: Sinusoid, method: str, h: ArrayLike | None = None) -> C
 def growth(A: ArrayLike, method: str, h: float, *, n: int = 20_000) -> float:
     """Return the growth of the free motion over the second half of n steps; > 1 is unstable.
 
-    The initial state excites all modes equally. The growth is the ratio of the largest |x(k+1) -
-    x(k)| in the last tenth of the steps to the largest |x(k+1) - x(k)| in the tenth before the
-    middle. Differences do not contain constant modes (eigenvalues at 0).
+    The initial state excites all modes equally. The largest |x(k+1) - x(k)| is computed in two
+    intervals of n/10 steps: at the end, and just before the middle. The growth is the ratio of the
+    end's value to the middle's value. Differences do not contain constant modes (eigenvalues at 0).
     """
     A_, *_ = system(A, np.zeros(np.shape(A)[0]))
     size = A_.shape[0]

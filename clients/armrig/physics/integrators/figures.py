@@ -36,7 +36,7 @@ def plot_stability_regions(
     Parameters
     ----------
     A : array_like, shape (nx, nx), optional
-        System whose h lambda are plotted.
+        System matrix; its eigenvalues lambda are plotted as points h lambda.
     h : float, optional
         Step in s; by default the limit of forward Euler.
     methods : sequence of str, optional

@@ -37,9 +37,10 @@ def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
 
     - Re < 0: the limit of the method for this eigenvalue.
     - 0, with as many eigenvectors as its multiplicity: no limit, because every method keeps a
-      constant. With fewer eigenvectors (a double integrator) A is unstable: the limit is 0.0.
+      constant solution constant. With fewer eigenvectors (a double integrator) A is unstable: the
+      limit is 0.0.
     - imaginary: the exact solution is a steady oscillation. With the explicit methods the
-      oscillation grows at any step: the limit is 0.0. With the trapezoidal rule its amplitude is
+      oscillation grows at any step: the limit is 0.0. With the trapezoidal rule the amplitude is
       constant: the limit is inf. With fewer eigenvectors than its multiplicity A is unstable: the
       limit is 0.0.
     - Re > 0: the exact solution grows, and the limit is 0.0, even if a method hides the growth.
@@ -75,7 +76,7 @@ def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
 
 
 def counting_eigenvalues(A: Array) -> Array:
-    """Return the eigenvalues that limit a step; real parts within rounding errors are set to 0.
+    """Return the eigenvalues that limit the step; a real part of rounding errors only is set to 0.
 
     An eigenvalue at 0 is not returned if it has as many independent eigenvectors as its
     multiplicity. If a marginal eigenvalue has fewer eigenvectors, the function returns 1 (an
@@ -121,10 +122,10 @@ def _along_ray(method: Method, eigenvalue: complex) -> float:
 def _boundaries(pi: Array, direction: complex) -> list[float]:
     """Return all r > 0, in rising order, at which pi(zeta; r direction) may have a root |zeta| = 1.
 
-    A polynomial p of degree k in zeta has all roots inside the circle if and only if
-    |p_k|² - |p_0|² > 0 and the same holds for its reduction of degree k - 1. The reduction is
-    conj(p_k) p - p_0 p*, divided by zeta, with p* the conjugated coefficients in reverse order.
-    The coefficients here are polynomials in r.
+    All roots of a polynomial p of degree k in zeta are inside the circle if and only if two
+    conditions hold. |p_k|² - |p_0|² must be > 0, and all roots of the reduction of p must be inside
+    the circle. The reduction, of degree k - 1, is conj(p_k) p - p_0 p*, divided by zeta, with p*
+    the conjugated coefficients in reverse order. The coefficients here are polynomials in r.
     """
     p = [np.trim_zeros(row * direction ** np.arange(pi.shape[1]), "b") for row in pi]
     found: list[float] = []

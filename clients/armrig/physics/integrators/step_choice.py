@@ -37,7 +37,7 @@ class Advice:
     steps: int
     """Number of steps in the span."""
     work: int
-    """Number of products with A, or of solutions of factored equations, over the span."""
+    """Number of products with A, or of solved factored systems of equations, over the span."""
     reason: str
     """Text with the reason for this step."""
 
@@ -85,13 +85,13 @@ def recommend_step(
     """Return for each method the largest stable step with an error within the tolerance.
 
     The step is computed from the order p of the method, because the error falls as h^p. If a
-    solution with the step is short enough, its error is then measured against the exact solution
-    for u = amplitude sin(omega t).
+    solution with this step does not need too many steps, its error is then measured by comparison
+    with the exact solution for u = amplitude sin(omega t).
 
     Parameters
     ----------
     A, B, amplitude, omega, x0
-        As for `armrig.exact`; x0 is rest by default.
+        As for `armrig.exact`; x0 is 0 by default.
     tolerance : float, default 1e-3
         Largest allowed error over the span, relative to the largest value of each state; 1e-8 to
         0.5.

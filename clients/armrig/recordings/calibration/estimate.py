@@ -45,7 +45,7 @@ MAX_STEADY_RATIO = 1.5  # ratio of the residuals at constant speed to noise and 
 _METER_TOLERANCE = 1.005  # relative uncertainty of a common meter's reading
 _MAX_REST_STEPS = 10.0  # spread of readings at rest, in steps of the converter
 CLEAR = 8.0
-"""Threshold of the arm's deflection, in standard deviations of noise; one step is added to it."""
+"""Threshold of the arm's deflection, in standard deviations of noise; a converter step is added."""
 HAND_RAD = 0.02
 """Smallest deflection by hand that determines alpha's sign, in rad; a light touch causes less."""
 
@@ -171,7 +171,7 @@ def estimate(
     rest : Recording or Readings
         Recording at 0 V. The chassis rests at the position of theta_1 = 0, and the arm hangs still.
     turns : Recording or Readings, optional
-        Recording at 0 V and then one voltage or more, each held for a few turns. The voltage at
+        Recording at 0 V, then at one or more voltages, each held for a few turns. The voltage at
         which the motor stops is estimated from two or more voltages.
     deflected : Recording or Readings, optional
         Recording at 0 V, during which a hand holds the arm towards positive alpha. The sign of

@@ -1,4 +1,4 @@
-"""Motor: terminal voltage at a code, speed at a voltage, and the voltage at which it stops."""
+"""Motor: terminal voltage at a code, speed at a voltage, and voltage at which the motor stops."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Speeds:
     rate: Figure
     """Speed of the chassis per volt at the terminals, in rad/s/V."""
     zero_torque: Figure
-    """Terminal voltage at which the line has speed 0, in V; contains both friction and offset."""
+    """Terminal voltage at which the line has speed 0, in V; it includes friction and offset."""
 
 
 def terminal_voltage(
@@ -104,8 +104,8 @@ def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
     """Return the line of the speed against the voltage; None for fewer than two voltages.
 
     The speeds are 2 pi b_j / d, with the slopes b_j and the number d of counts of a turn. Their
-    covariance follows from the covariance of b_j and d. The inverse of the speeds' covariance
-    weights the line. The errors of the meter are independent of the b_j and d.
+    covariance follows from the covariance of b_j and d. The line is fitted with the inverse of
+    this covariance as weight. The errors of the meter are independent of the b_j and d.
     """
     d = turned.per_turn.value
     omega = 2 * pi * turned.direction * turned.slopes / d

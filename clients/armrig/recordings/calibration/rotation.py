@@ -28,7 +28,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 SETTLE_S = 2.0
-"""Time left out at the start of each voltage, in s: 16 time constants of the handout's arm."""
+"""Time left out after each change of the voltage, in s: 16 time constants of the handout's arm."""
 LEAST_S = 1.0
 """Shortest time at a voltage after `SETTLE_S`, in s."""
 LEAST_TURNS = 3
@@ -76,10 +76,10 @@ def turning(readings: Readings, step: float) -> Turning:
     """Estimate the turn and the track of theta_1's potentiometer from a run of constant voltages.
 
     An edge of the track is between the last sample with an angle and the first sample without an
-    angle. The straight lines determine the places of these two samples. The narrowest interval
-    between the two places, over all turns, contains the edge. Near 0 counts, a reading of 0 may be
-    on the track or in the dead band. The track begins at 0 counts or above, and ends at full scale
-    or below.
+    angle. The straight lines determine the places of these two samples. The edge is in the interval
+    between the two places in each turn, and thus in the intersection of these intervals. If the
+    track begins near 0 counts, a reading of 0 may be on the track or in the dead band. The track
+    begins at 0 counts or above, and ends at full scale or below.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def _fitted(
 
 
 def _places(settled: _Settled, x: Vector, direction: int, centre: float) -> tuple[Vector, Vector]:
-    """Return the place of each sample on its line, and the number of turns of each sample.
+    """Return the place of each sample on the fitted lines, in counts, and its number of turns.
 
     Each place is within half a turn of `centre`.
     """
