@@ -109,7 +109,7 @@ def check(
 
 
 def _say_next(file: Path, signals: SignalChoice, *, of_rig: bool) -> None:
-    """Print the next command; for a rig, it is about the chassis alone (handout 3.5, 3.6)."""
+    """Print the next command: after the whole rig, the chassis alone follows (handout 3.5)."""
     if not of_rig:
         say_next("check other", file=typed(file), given=signals.options())
     elif kind_of(file) == "greybox":

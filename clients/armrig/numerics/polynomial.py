@@ -86,7 +86,7 @@ def stable(p: ArrayLike) -> bool:
 
 
 def reflected(p: ArrayLike, radius: float = 0.999) -> Array:
-    """Return p with each root z outside the unit circle reflected to 1/z*, for a start value.
+    """Return p with each root z outside the unit circle moved to its reflection 1/z*.
 
     A root that was on or outside the circle may still have a modulus above `radius` after the
     reflection. Such a root is moved to the modulus `radius`.

@@ -129,7 +129,8 @@ class ResidualTest:
         for good, bad, p, where_to_look in verdicts:
             said = f"{bad} (p {p_relation(p)}): look at the {where_to_look}"
             if np.isnan(p):
-                said = f"{bad.partition(',')[0]}: not tested, because u is constant or the samples are few"
+                subject = bad.partition(",")[0]
+                said = f"{subject}: not tested, because u is constant or the samples are few"
             elif not p < WHITE_LEVEL:
                 said = f"{good} (p {p_relation(p)})"
             lines.append(f"  {said}")

@@ -41,7 +41,7 @@ RULES: tuple[Rule, ...] = (
 )
 _MAX_TRIES = 6
 _STALL_MS = 80
-"""Silence of the host, in ms, after which a failed rule is tested again."""
+"""A failed rule is tested again if the host was silent for longer than this time, in ms."""
 _MAX_SUITE_MS, _MAX_RECEIVED_BYTES = 600_000, 1 << 22
 """Limits of the whole suite, in ms and in B; an Uno needs 24 s, and sends 0.23 MB."""
 PASS, FAIL, NOT_TRIED = "pass", "FAIL", "not tried"

@@ -74,7 +74,7 @@ def _unanswered(state: State, k: int, n: int, now_ns: int) -> MissingSamples:
 
 
 def _pieces(state: State, first: int, end: int, now_ns: int) -> list[MissingSamples]:
-    """Return the missing samples first … end - 1; samples that were not noted get NO_ANSWER."""
+    """Return the missing samples with the numbers `first` to `end` - 1, each with its reason."""
     pieces: list[MissingSamples] = []
     k = first
     for a in sorted(state.absent):

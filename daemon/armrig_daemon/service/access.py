@@ -51,7 +51,7 @@ def networks_of(config: Config) -> Networks:
     Raises
     ------
     InputError
-        A key is missing or does not fit the other keys, or a file cannot be used.
+        A key of `[access]` is missing or contradicts another key, or a file cannot be used.
     """
     return Networks(network_of(config), router_of(config))
 

@@ -35,7 +35,7 @@ class TextTable:
 
     @property
     def refused(self) -> Mapping[str, str]:
-        """Return an empty mapping, since a text file contains nothing but columns."""
+        """Return no refused variables: everything in a text file is a column."""
         return {}
 
     @property

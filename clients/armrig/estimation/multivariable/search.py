@@ -76,7 +76,7 @@ def estimated(
     shared: bool = False,
     equation_error: bool = False,
 ) -> MultivariableFit:
-    """Return the model at the lowest minimum of each plan.
+    """Return the model whose rows are at the lowest minimum of the search of their plan.
 
     Parameters
     ----------
