@@ -62,7 +62,7 @@ def gram_of_windows(parts: Sequence[Sequence[Array]], length: int, m: int = 2) -
 
 
 def _ends(x: Array, length: int) -> Array:
-    """Return the sum of x(i) … x(n + i - 1) for each i, without the samples in the middle.
+    """Return, for each lag i, the sum of the samples of row i that not all rows contain.
 
     The samples in the middle of the signal, which all these sums contain, are left out.
     """
@@ -73,7 +73,7 @@ def _ends(x: Array, length: int) -> Array:
 
 
 def _by_displacement(x: Array, length: int) -> Array:
-    """Return the Gram matrix of the windows of one part, (m, length, m, length)."""
+    """Return the Gram matrix of the windows of m signals x (m, N), (m, length, m, length)."""
     m, n = x.shape[0], x.shape[1] - length + 1
     first = np.array([[np.correlate(z, v[:n]) for z in x] for v in x])
     G = np.empty((m, length, m, length))

@@ -125,8 +125,8 @@ def check_length(places: Sequence[tuple[str, float]]) -> None:
     Parameters
     ----------
     places : sequence of (str, float)
-        Name and beginning of each section, in pages from 1; the fraction is the share of the page
-        above the beginning. The last entry is the end of the document.
+        Name of each section and the place where it begins: the number of the page, from 1, plus
+        the share of this page above the section. The last entry is the end of the document.
     """
     if not places:
         raise OperationError(

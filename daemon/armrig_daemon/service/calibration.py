@@ -20,7 +20,7 @@ def checked_calibration(
 ) -> Calibration:
     """Return a calibration in the form for recordings, or refuse the calibration.
 
-    Zeros, angles, gain and offset have already been checked against the bounds for files.
+    The ranges of zeros, angles, gain and offset were checked when the request was decoded.
 
     Parameters
     ----------
