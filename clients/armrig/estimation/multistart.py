@@ -176,7 +176,7 @@ def moved_modes(
         True: move all modes. False: move only pairs of F, to other frequencies.
     """
     polynomials = problem.polynomials(theta)
-    kinds = (_other_pairs, _other_reals, _other_real) if all_kinds else (_other_pairs,)
+    kinds = (other_pairs, _other_reals, other_real) if all_kinds else (other_pairs,)
     for which, polynomial in enumerate(polynomials):
         for kind in kinds if all_kinds or which == _F_INDEX else ():
             starts = []
@@ -238,7 +238,8 @@ def _through_a_higher_order(problem: PredictionErrorProblem, theta: Array) -> It
     yield from sorted(starts, key=problem.cost)[:_STARTS_PER_KIND]
 
 
-def _other_pairs(z: Array) -> Iterator[Array]:
+def other_pairs(z: Array) -> Iterator[Array]:
+    """Yield the roots z with one pair replaced by another complex pair."""
     for kept in _without_one_pair(z):
         for radius, angle in product(_PAIR_RADII, _PAIR_ANGLES):
             yield np.concatenate([kept, radius * np.exp(1j * np.array([angle, -angle]))])
@@ -250,7 +251,8 @@ def _other_reals(z: Array) -> Iterator[Array]:
             yield np.concatenate([kept, pair])
 
 
-def _other_real(z: Array) -> Iterator[Array]:
+def other_real(z: Array) -> Iterator[Array]:
+    """Yield the roots z with one real root replaced by another real root."""
     for kept in _without_one_real(z):
         for root in _REAL_ROOTS:
             yield np.append(kept, root)

@@ -11,6 +11,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
+from armrig.estimation.multistart import other_pairs, other_real
 from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
 from armrig.estimation.multivariable.ends import log_cost, ranked
 from armrig.estimation.multivariable.inference import (
@@ -35,10 +36,12 @@ from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.multivariable.polynomials import Polynomials
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum
-from armrig.numerics.polynomial import Array
+from armrig.numerics.polynomial import Array, roots
 
 _MAX_ROUNDS = 10
 _SAME_TOLERANCE = 1e-6  # relative change of Lambda at which the iteration from a start ends
+_MAX_MOVES = 3  # searches for a better minimum with a mode moved
+_MOVED_STARTS = 3  # start values of each of them
 _END_TOLERANCE = 1e-10  # relative change of Lambda at which the last iteration ends
 
 
@@ -162,15 +165,39 @@ def _reweighted(
     """Return the problem of the best minimum, and the minima after Lambda is iterated.
 
     From each of the minima `ends`, the search and the estimate of Lambda are repeated in turn. The
-    best minimum has the least det Lambda. The best minimum need not be the first of `ends`, because
+    best minimum has the least det Lambda. Then one mode of a denominator is moved, as long as that
+    leads to a better minimum. The best minimum need not be the first of `ends`, because
     the searches for `ends` used the variances of the outputs as Lambda. With these variances, an
     output that integrates has little weight.
     """
     found = [(name, *_iterated(problem, masks, end, _SAME_TOLERANCE)) for name, end in ends]
     found = ranked(found, lambda one: one[1])
+    for _ in range(_MAX_MOVES):
+        best = found[0]
+        moved = [
+            ("moved mode", *_iterated(best[2], masks, best[2].minimise(theta), _SAME_TOLERANCE))
+            for theta in _moved_modes(best[2], best[3].theta)
+        ]
+        found = ranked([*found, *moved], lambda one: one[1])
+        if found[0] is best:
+            break
     name, _, weighted, end = found[0]
     _, weighted, end = _iterated(weighted, masks, end, _END_TOLERANCE)
     return weighted, [(name, end), *((other, end) for other, _, _, end in found[1:])]
+
+
+def _moved_modes(problem: PolynomialProblem, theta: Array) -> list[Array]:
+    """Return the start values of least cost in which one mode of a denominator is moved."""
+    polynomials = problem.polynomials(theta)
+    starts = []
+    for g in {f for row in problem.rows for f in row.f if f != ONE}:
+        for kind in (other_real, other_pairs):
+            for z in kind(roots(polynomials[g])):
+                start = theta.copy()
+                start[problem.slices[g]] = np.real(np.poly(z))[1:]
+                starts.append((problem.cost(start), start))
+    starts.sort(key=lambda one: one[0])
+    return [start for _, start in starts[:_MOVED_STARTS]]
 
 
 def _iterated(
