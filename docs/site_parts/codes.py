@@ -40,6 +40,9 @@ def page() -> str:
         "## Faults",
         table(("Code", "Meaning", "Remedy"), *faults),
         "## Causes for which a device stops by itself",
+        "The fault is then `device`, and its message contains the cause. After `WATCHDOG`, check "
+        "the cable, keep the host from sleeping, and lower its load (`armrig doctor`). Then type "
+        "`armrig reset`.",
         table(("Cause", "Meaning"), *device),
     ]
     for title, codes in (
