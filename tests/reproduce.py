@@ -56,7 +56,9 @@ def main() -> int:
         print(f"reproduce: {why}: apt install debootstrap, and repeat as root", file=sys.stderr)
         return 1
     made = Path(tempfile.mkdtemp(prefix="armrig-releases-"))
-    sums = [_released(system, made / str(number)) for number, system in enumerate(SYSTEMS, 1)]
+    git = ["git", "-C", CHECKOUT, "rev-parse", "HEAD"]
+    commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+    sums = [_released(x, made / str(number), commit) for number, x in enumerate(SYSTEMS, 1)]
     print(sums[0], end="")
     if sums[0] == sums[1]:
         shutil.rmtree(made)
@@ -66,12 +68,12 @@ def main() -> int:
     return 1
 
 
-def _released(system: System, made: Path) -> str:
+def _released(system: System, made: Path, commit: str) -> str:
     """Make the release on a system, copy it to a folder, and return its hashes."""
     with tempfile.TemporaryDirectory(prefix="armrig-debian-") as folder:
         root = Path(folder) / "root"
         empty_debian.make(root, *PACKAGES)
-        _clone(root / "var" / "armrig.git")
+        _clone(root / "var" / "armrig.git", commit)
         mount = f"mount -t tmpfs tmpfs {system.folder}" if system.in_memory else ""
         empty_debian.type_in(
             root,
@@ -96,12 +98,13 @@ def _released(system: System, made: Path) -> str:
     return (made / _HASHES).read_text(encoding="utf-8")
 
 
-def _clone(folder: Path) -> None:
-    """Clone HEAD, with the tag of its version."""
+def _clone(folder: Path, commit: str) -> None:
+    """Clone a commit, with the tag of its version; both systems need the same commit."""
     project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     git = ["git", "-C", str(folder)]
     subprocess.run(["git", "clone", "--quiet", "--bare", CHECKOUT, folder], check=True)
-    subprocess.run([*git, "tag", "--force", f"v{project['version']}", "HEAD"], check=True)
+    subprocess.run([*git, "update-ref", "HEAD", commit], check=True)
+    subprocess.run([*git, "tag", "--force", f"v{project['version']}", commit], check=True)
 
 
 if __name__ == "__main__":

@@ -422,7 +422,7 @@ def test_zoom_holds_the_view_and_escape_goes_on(browser: Any, client: Client) ->
         page.mouse.move(box["x"] + box["width"] * 0.95, y, steps=5)
         page.mouse.up()
         page.wait_for_selector("#follow:not([hidden])")
-        assert "held" in text(page, "#cursor")
+        assert "paused" in text(page, "#cursor")
         page.mouse.move(0, 0)  # a pointer that leaves a chart later takes the cursor away
         page.focus("#plots")
         page.keyboard.press("ArrowLeft")
