@@ -197,7 +197,7 @@ def test_the_network_is_open_to_the_lab_alone_and_costs_what_the_page_says(lab: 
     machine = lab.machine
     score = _score(lab, "armrigd@1")
 
-    assert f"`systemd-analyze security armrigd@1` is then {score} instead of" in ACCESS
+    assert f"`systemd-analyze security armrigd@1` from 0.5 to {score}" in ACCESS
     families = machine.shown("armrigd@1.service", "RestrictAddressFamilies")
     assert set(families["RestrictAddressFamilies"].split()) == {"AF_INET", "AF_INET6", "AF_UNIX"}
     machine.run("ip", "address", "add", "198.51.100.10/24", "dev", "lab")
@@ -295,7 +295,7 @@ def test_router_and_recorder_are_kept_to_the_lab_s_network(lab: Lab) -> None:
     (score,), (after,) = before, {_score(lab, unit) for unit in units}
 
     assert f"is {score} for the router and for the recorder" in SERVICE
-    assert f"`IPAddressAllow=` reduces the score to {after}" in SERVICE
+    assert f"`IPAddressAllow=` lowers (improves) the score to {after}" in SERVICE
     # The daemon comes back to a router by itself, some seconds after it.
     wait_for(lambda: "safe" in lab.alice(f"({AS_ALICE_2 + LOOK}) 2>&1 || :"))
     wait_for(lambda: lab.said("armrig-recorder").count("recording rig 2") > begun, 60)
