@@ -24,10 +24,15 @@ TS = 0.01
 STD = 5e-3  # of theta_1, in rad
 
 
+def drawn_parameters(rng: np.random.Generator) -> ArmParameters:
+    """Return the handout's arm with drawn inertias and stiffness."""
+    p = ArmParameters()
+    return replace(p, **{name: getattr(p, name) * rng.uniform(0.7, 1.4) for name in NAMES})
+
+
 def simulated(rng: np.random.Generator, N: int, alpha_std: float) -> tuple[ArmParameters, Signals]:
     """Return drawn parameters, and signals of the arm with them."""
-    p = ArmParameters()
-    p = replace(p, **{name: getattr(p, name) * rng.uniform(0.7, 1.4) for name in NAMES})
+    p = drawn_parameters(rng)
     system = armrig.arm(p)
     u = armrig.telegraph(N, 0.05, 0.0, 5.0, seed=rng)
     sampled = control.c2d(system[["theta_1", "alpha"], :], TS)

@@ -7,7 +7,8 @@ bias in deviations of the mean. The cases are ::
 
     arx     two outputs that affect each other, two inputs
     bj      one output, two inputs, noise C/D
-    shared  a chassis with an integrator and an arm: one input, two outputs, one denominator
+    shared  a drawn chassis with an integrator and an arm: one input, two outputs, one denominator
+    arm     the handout's arm with drawn inertias and stiffness, 5 mrad of noise on both angles
     ss      two inputs, two outputs, order 3
     n4sid   the plants of ss
 
@@ -29,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import armrig
+import control
 import numpy as np
 from armrig import Fit, MultivariableFit, Signals
 from armrig.models.uncertainty import frequency_responses
@@ -36,6 +38,9 @@ from armrig.numerics.polynomial import filtered
 from armrig.numerics.recursion import recursion
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.signal import ss2tf
+
+from tests.benchmarks.several_greybox import STD, TS, drawn_parameters
 
 Array = NDArray[Any]
 _FREQUENCIES = np.array([0.05, 0.2, 0.6, 1.5, 2.8])  # rad per sample
@@ -205,16 +210,38 @@ def _shared(rng: np.random.Generator) -> Made:
         e = rng.standard_normal((N, 2)) @ np.linalg.cholesky(_LAMBDA).T
         return u, clean + np.sqrt(_SNR) * e * size, {"outputs": ["chassis", "arm"]}
 
+    return make, *_one_denominator(B, F, "chassis")
+
+
+def _one_denominator(B: list[Array], F: Array, integrator: str) -> Any:
+    """Return the estimate with one denominator F, and the true coefficients, poles and G."""
+    whole = np.convolve([1.0, -1.0], F)
     theta = np.concatenate([B[0][1:], whole[1:], B[1][1:], F[1:]])
     G = np.stack([_response(B[0], whole), _response(B[1], F)], axis=1)[:, :, None]
-    orders = {"nb": [[4], [3]], "nf": 3, "integrator": "chassis", "shared": "denominator"}
+    orders = {"nb": [[4], [3]], "nf": 3, "integrator": integrator, "shared": "denominator"}
     return (
-        make,
-        lambda s: armrig.oe(s, **orders),  # type: ignore[arg-type, return-value]
+        lambda s: armrig.oe(s, **orders),  # type: ignore[arg-type]
         theta,
-        z,
+        np.roots(F),
         G,
     )
+
+
+def _arm(rng: np.random.Generator) -> Made:
+    system = armrig.arm(drawn_parameters(rng))[["theta_1", "alpha"], :]
+    sampled = control.c2d(system, TS)
+    numerators, whole = ss2tf(sampled.A, sampled.B, sampled.C, sampled.D)
+    # The integrator divides the denominator, and the numerator of alpha.
+    F = np.cumsum(whole)[:-1]
+    B = [np.append(0.0, numerators[0][1:]), np.append(0.0, np.cumsum(numerators[1])[1:-1])]
+
+    def make(rng: np.random.Generator, N: int) -> tuple[Array, Array, dict[str, Any]]:
+        u = armrig.telegraph(N, 0.05, 0.0, 5.0, seed=rng)
+        _, y = control.forced_response(sampled, inputs=u)
+        y = y.T + STD * rng.standard_normal((N, 2))
+        return u[:, None], y, {"outputs": ["theta_1", "alpha"]}
+
+    return make, *_one_denominator(B, F, "theta_1")
 
 
 def _ss(rng: np.random.Generator) -> Made:
@@ -243,17 +270,18 @@ def _ss(rng: np.random.Generator) -> Made:
 
 def _n4sid(rng: np.random.Generator) -> Made:
     make, _, theta, z, G = _ss(rng)
-    return make, lambda s: armrig.n4sid(s, 3), theta, z, G  # type: ignore[arg-type, return-value]
+    return make, lambda s: armrig.n4sid(s, 3), theta, z, G  # type: ignore[return-value]
 
 
 _CASES: dict[str, Callable[[np.random.Generator], Made]] = {
     "arx": _arx,
     "bj": _bj,
     "shared": _shared,
+    "arm": _arm,
     "ss": _ss,
     "n4sid": _n4sid,
 }
-_DRAWS = {"arx": 0, "bj": 1, "shared": 2, "ss": 3, "n4sid": 3}
+_DRAWS = {"arx": 0, "bj": 1, "shared": 2, "ss": 3, "n4sid": 3, "arm": 4}
 """Second number of the seed that draws the plant of each case."""
 
 
