@@ -284,6 +284,9 @@ def _replicated(
     coordinates. Each replicate is therefore replaced by the smallest change of the model's matrices
     that reproduces the impulse responses of the replicate.
     """
+    d = _vector(model).size
+    if replicates < 2:
+        return np.full((d, d), np.nan)
     rng = np.random.default_rng(seed)
     process = error_process(residuals)
     samples = []
@@ -299,9 +302,6 @@ def _replicated(
         A, C, K = realised(found, model.A.shape[0])
         replicate, _ = _estimated(data, A, C, K, direct=direct)
         samples.append(_impulses(replicate, length))
-    d = _vector(model).size
-    if len(samples) < 2:
-        return np.full((d, d), np.nan)
     spread = np.array(samples) - np.mean(samples, axis=0)
     theta = np.linalg.lstsq(_by_matrices(model, length), spread.T, rcond=_RANK_TOLERANCE)[0]
     return np.asarray(theta @ theta.T / (len(samples) - 1))
