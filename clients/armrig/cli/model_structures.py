@@ -148,7 +148,7 @@ def requested(given: Given) -> Request:
 
 
 def requested_of_several(
-    given: Given, *, integrating: Sequence[str], shared: bool, noise: bool
+    given: Given, *, integrating: Sequence[str], shared: bool
 ) -> SignalsRequest:
     """Return the request for a model of several signals from the options.
 
@@ -158,8 +158,6 @@ def requested_of_several(
         Outputs that get an integrator if the options request an integrator.
     shared : bool
         True to give all outputs one denominator; the structure must allow this.
-    noise : bool
-        True to estimate the gain K of a state-space model.
     """
     structure: CommandName | None = given["structure"]
     if structure is None:
@@ -185,7 +183,6 @@ def requested_of_several(
         weights=asked.get("weights"),
         integrating=tuple(integrating) if asked.get("integrator") else (),
         shared=shared,
-        noise=noise,
     )
 
 

@@ -161,13 +161,7 @@ def _request(given: Given, data: Signals, *, shared: bool) -> SignalsRequest:
         raise typer.BadParameter(
             f"--integrator: the rig has no pole at 1 for {' and '.join(data.outputs)}"
         )
-    noise = not data.missing
-    if given["structure"] == "ss" and not noise:
-        tell(
-            f"{data.missing} values are missing, so the state space has no model of the noise (K = "
-            "0); a bj model has a noise model"
-        )
-    return requested_of_several(given, integrating=integrating, shared=shared, noise=noise)
+    return requested_of_several(given, integrating=integrating, shared=shared)
 
 
 def compared(

@@ -86,6 +86,18 @@ def test_the_order_of_the_columns_changes_nothing(
     assert found[1] == found[0] == found[2]
 
 
+def test_a_state_space_of_data_with_gaps_has_a_model_of_the_noise(plant: Path) -> None:
+    text = (plant / "plant.csv").read_text().splitlines()
+    text[50] = text[50].rpartition(",")[0] + ","
+    (plant / "plant.csv").write_text("\n".join(text))
+    line = "identify plant.csv --input u1,u2 --signal y1,y2 --Ts 3 --detrend --structure ss"
+
+    assert main(shlex.split(f"{line} --order 2 --save model.json")) == 0
+
+    _, _, _, _, K = armrig.load_fit("model.json").state_space()
+    assert K.any()
+
+
 def test_the_model_that_is_the_closest_is_named_for_each_output(
     three_recordings: tuple[Path, ...],
     tmp_path: Path,
