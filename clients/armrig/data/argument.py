@@ -23,7 +23,7 @@ class HasDataset(Protocol):
     """An object with a method `dataset`; for a recording, the output of the Dataset is theta_1."""
 
     def dataset(self) -> Dataset:
-        """Return u and y."""
+        """Return the input and the output as a Dataset."""
 
 
 def as_dataset(data: Dataset | HasDataset) -> Dataset:
