@@ -15,7 +15,7 @@ from armrig.recordings.jitter import Disturbances, SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
 from armrig.report.study import STAIRCASE, STEP, Study, each_output, kind_of
 
-_MAX_NOTES = 20  # of a recording
+_MAX_NOTES = 20  # of one recording in a report
 _ANGLE_SCALE = "theta_1_rad_per_count"
 
 
