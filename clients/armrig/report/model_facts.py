@@ -262,7 +262,7 @@ def residual_rows(study: Study) -> list[list[str]]:
 
 
 def _p_values(tests: Sequence[ResidualTest | SignalsResidualTest]) -> list[list[float]]:
-    """Return the p values of each hypothesis, in the order of `HYPOTHESES`, for each model."""
+    """Return, for each hypothesis in the order of `HYPOTHESES`, the p values of the tests."""
     return [
         [t.white.p_value for t in tests],
         [t.missing_dynamics for t in tests],

@@ -144,7 +144,7 @@ def data_text(study: Study) -> str:
             if one.integrates
             else f"{the} is relative to the chassis"
         )
-        said[-1] += ". No mean and no trend is removed from it." if steps <= cut else "."
+        said[-1] += ". No mean and no trend is removed from this angle." if steps <= cut else "."
         hidden = 100 * one.estimation.missing / one.estimation.N
         said.append(f"{hidden:.1f}{NBSP}% of the estimation data have {no}.")
     return " ".join([*said, _units(study)])

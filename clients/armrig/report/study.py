@@ -199,8 +199,8 @@ def study(
     """Estimate ARX and OE models, and compare them and the physical model with validation data.
 
     Steps and staircases are used neither for estimation nor for validation. Of the other
-    recordings, the first is used for estimation, and the second for validation. If there is only
-    one, its first half is used for estimation, and its second half for validation.
+    recordings, the first is used for estimation, and the second for validation. A single other
+    recording is split: its first half is for estimation, and its second half for validation.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ class ArrayTable:
     values: Sequence[Any]
     """An array (N,) of any real type for each column."""
     refused: Mapping[str, str]
-    """Reason why each other variable is not a column of numbers, by the name of the variable."""
+    """Reason why a variable is not a column of numbers, by the name of the variable."""
     Ts: float | None
     """Sampling time in s, from a number named Ts."""
 

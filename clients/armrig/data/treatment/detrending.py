@@ -28,13 +28,12 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
     The mean or line of each experiment is fitted to its valid samples by least squares. The field
     `trends` stores what was removed, and `retrend` restores it. The recording does not change.
 
-    When: data of a recording contain the operating point. Remove the mean if the operating point is
-    not 0 and the estimator has no option `offset`. Estimators without this option are `arx`,
-    `iv4`, `n4sid` and `ss`, and all estimators of several inputs or outputs. For `armax`, `oe`,
-    `bj` and `ararx` of one input and one output, prefer raw data with ``offset=True``: the mean of
-    a record is not exactly an equilibrium. Never remove a line from an integrating output, such as
-    theta_1. Instead, use ``integrator=True`` with raw data, or compute the rate with `difference`
-    and remove its mean.
+    Remove the mean if the operating point is not 0 and the estimator has no option `offset`.
+    Estimators without this option are `arx`, `iv4`, `n4sid` and `ss`, and all estimators of several
+    inputs or outputs. For `armax`, `oe`, `bj` and `ararx` of one input and one output, prefer raw
+    data with ``offset=True``: the mean of a record is not exactly an equilibrium. Never
+    remove a line from an integrating output, such as theta_1. Instead, use ``integrator=True`` with
+    raw data, or compute the rate with `difference` and remove its mean.
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ class GreyFit:
     fixed: ArmParameters
     """All parameters, fixed and estimated."""
     fixed_std: dict[str, float]
-    """Given standard deviations of fixed parameters."""
+    """Standard deviations of fixed parameters, as given to the estimator."""
     initial: tuple[tuple[float, ...], ...]
     """Initial state of each experiment."""
     offset: tuple[float, ...]

@@ -38,7 +38,7 @@ Its arguments are the number of items done since the start, the number of items 
 do, and the name of the last item done.
 """
 MOST_DEATHS = 2
-"""Number of workers that must die while an item runs alone before the item is abandoned."""
+"""An item is abandoned if this number of workers have died while the item ran alone."""
 
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
