@@ -23,7 +23,7 @@ class HasDataset(Protocol):
     """An object with a method `dataset`; for a recording, the output of the Dataset is theta_1."""
 
     def dataset(self) -> Dataset:
-        """Return u and y."""
+        """Return the input and the output as a Dataset."""
 
 
 def as_dataset(data: Dataset | HasDataset) -> Dataset:
@@ -93,7 +93,7 @@ def _is_data(value: object) -> bool:
 
 
 def _by_name(name: str, parameters: list[Parameter], given: tuple[Any, ...]) -> str:
-    """Return the error message for arguments given by position; it contains the correct call."""
+    """Return the message for arguments given by position; the message contains the correct call."""
     listed = given[0] if len(given) == 1 and isinstance(given[0], list | tuple) else given
     orders = [p for p in parameters if p.kind is Parameter.KEYWORD_ONLY]
     needed = [p.name for p in orders if p.default is Parameter.empty]

@@ -56,8 +56,8 @@ class Dataset:
     Ts : float
         Sampling time in s.
     valid : array_like of bool, shape (N,), optional
-        False where y is missing. At these samples `y` is NaN, and every result computed from these
-        samples is NaN. A missing value of a pandas column is also missing in the Dataset.
+        False where y is missing. At these samples `y` is NaN, and every sample computed from one of
+        them is NaN. A missing value of a pandas column is also missing in the Dataset.
     starts : sequence of int, default (0,)
         Index of the first sample of each experiment. Estimators never combine samples of two
         experiments in an equation.
@@ -422,7 +422,7 @@ def merged_datasets(parts: Sequence[Dataset]) -> Dataset:
 
 
 def joined_history(parts: Sequence[HasHistory]) -> tuple[str, ...]:
-    """Return the history of merged parts: common steps, further steps of each part, the merge."""
+    """Return the history of merged data: common steps, then steps of each part, then the merge."""
     if len(parts) == 1:
         return parts[0].history
     common: list[str] = []

@@ -75,11 +75,10 @@ class HasInputAndOutput(Protocol):
 def without_ramp(data: InputAndOutput) -> tuple[Vector, str, tuple[str, ...]]:
     """Return the ramp (N,) that dominates an output, the label of the axis, and legend lines.
 
-    The legend lines explain the label. If the ramp is 0, there are no legend lines.
-
-    In a plot of an angle that turns by 140 rad, only the mean rotation is visible. If a straight
-    line explains nearly all of y, the slope of the line is removed and the label names the slope.
-    The response to a step keeps its slope, because the slope is part of the response.
+    If a straight line explains nearly all of y, the ramp has the slope of this line. A plot of an
+    angle that turns by 140 rad, for example, would show only the mean rotation. The label and the
+    legend lines name the slope. Otherwise the ramp is 0, and there are no legend lines. The ramp is
+    also 0 if the input is a step, because the slope is part of the step response.
     """
     none = np.zeros(data.t.size), named(data.output, data.unit), ()
     seen = data.valid
@@ -133,7 +132,8 @@ def plot_spectrum(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None
         (below, [d.u for d in data.experiments()], INK, "$u$", data.input_unit),
     ):
         omega, density = power_spectrum(signals, data.Ts)
-        # A logarithmic axis has no 0; the density at the Nyquist frequency is not doubled.
+        # A logarithmic axis cannot show frequency 0. At the Nyquist frequency the density is not
+        # doubled. Both are left out.
         omega, density = omega[1:-1], density[1:-1]
         panel.plot(omega, np.maximum(density, 1e-300), color=colour, lw=0.9)
         panel.set_xscale("log")
@@ -143,7 +143,7 @@ def plot_spectrum(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None
         bare_minor(panel.xaxis, panel.yaxis)
         shown = density[density > 0]
         if shown.size:
-            # Between the spectral lines of a periodic input are rounding errors: show 12 decades.
+            # Show at most 12 decades: a periodic input has only rounding errors between its lines.
             panel.set_ylim(max(float(shown.min()), 1e-12 * float(shown.max())) / 2, None)
     below.set_xlabel(r"$\omega$ [rad/s]")
     finish(ax, below, xlim=(float(omega[0]), np.pi / data.Ts))

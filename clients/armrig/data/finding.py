@@ -23,7 +23,7 @@ class Finding:
     level: Literal["good", "warning", "unusable"]
     """Severity: good, doubtful, or a reason not to identify from the data."""
     about: str
-    """Subject of the check: one word, for programs that test it."""
+    """Subject of the check, one word that a program can compare."""
     text: str
     """Result and, if it is not good, the remedy."""
 

@@ -14,7 +14,7 @@ def plain(name: str, values: Any) -> Any:
     Raises
     ------
     ValueError
-        A value is not a number, or `values` is a whole table.
+        A value is not a number, or `values` is a table instead of a column.
     """
     if not is_pandas(values):
         return values
@@ -38,7 +38,7 @@ def is_pandas(values: Any) -> bool:
 
 
 def present(y: Any, valid: Any) -> Any:
-    """Return `valid`; if y is a pandas column, `valid` is False at the missing values of y."""
+    """Return `valid`, or for a pandas column y a mask that is also False where y is missing."""
     if is_pandas(valid):
         valid = valid.to_numpy(dtype=np.bool_, na_value=False)
     if not is_pandas(y):

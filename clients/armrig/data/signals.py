@@ -30,7 +30,7 @@ Intersample = Literal["zoh", "foh"]
 Names = str | Sequence[str]
 
 _MAX_INTERVAL_DEVIATION = 1e-3
-"""Largest relative deviation of an interval from the mean interval, for equidistant times."""
+"""Largest deviation of an interval of equidistant times, as a share of the mean interval."""
 _MAX_SHOWN = 12  # names in a message
 
 
@@ -39,8 +39,8 @@ class Signals:
     """N samples of nu inputs and ny outputs, from one or several experiments.
 
     A `Dataset` has one input and one output: `signals.dataset("alpha", "u")` returns the Dataset of
-    the output alpha and the input u. Estimators of a Dataset also accept Signals of one input and
-    one output.
+    the output alpha and the input u. Estimators that take a Dataset also accept Signals of one
+    input and one output.
 
     Parameters
     ----------
@@ -258,7 +258,8 @@ class Signals:
         Raises
         ------
         ValueError
-            There is no such channel, a name is needed, or the times are not equidistant.
+            A channel does not exist, the name of one of several channels is left out, or the times
+            are not equidistant.
 
         Examples
         --------
@@ -287,7 +288,7 @@ class Signals:
         )
 
     def channels(self, outputs: Names | None = None, inputs: Names | None = None) -> Signals:
-        """Return the named outputs and inputs only, in the order given; None keeps all.
+        """Return only the named outputs and inputs, in the order given; None keeps all.
 
         Raises
         ------
@@ -396,8 +397,8 @@ class Signals:
         Raises
         ------
         ValueError
-            There is no such channel, or the treatment changes the sampling time of some channels
-            only.
+            There is no such channel, or `channels` is given and the treatment changes the sampling
+            time or the number of samples.
 
         Examples
         --------
@@ -569,7 +570,7 @@ def _index(what: str, name: str | None, names: tuple[str, ...]) -> int:
 
 
 def _given_names(values: Any, names: Names | None) -> Names | None:
-    """Return the names, or the names of a DataFrame's columns if no names are given."""
+    """Return `names`; if it is None, return the column names of a DataFrame."""
     columns = getattr(values, "columns", None)
     if names is not None or not is_pandas(values) or columns is None:
         return names

@@ -48,7 +48,7 @@ _PARAMETER = re.compile(rf"\b({'|'.join(f.name for f in fields(ArmParameters))})
 def plot_rig(*, ax: Axes | None = None) -> Axes:
     """Plot the parts of the rig and the quantities between them (phase 1 of the derivation).
 
-    The electrical half is above. The mechanical half is below, from right to left.
+    The electrical parts are at the top. The mechanical parts are at the bottom, from right to left.
     """
     ax = axes(ax)
     points = 72 / ax.figure.dpi

@@ -77,7 +77,7 @@ def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
     A, B, C = arm_matrices(p)
     data = as_dataset(data)
     integrator = data.output != ALPHA
-    # theta_1, the first state, acts on no other state: alpha has the other three states alone.
+    # theta_1, the first state, acts on no other state: the model of alpha needs only the others.
     first = int(not integrator)
     c = C[0] if integrator else C[1, 1:]
     numerator, denominator = transfer(A[first:, first:], B[first:], c, data.Ts)

@@ -44,12 +44,12 @@ class Characteristics:
     rise_time: float
     """63 % time of the speed, in s, as defined in `armrig.numerics.step_times`."""
     equivalent_time: float
-    """Time by which the angle lags a ramp that has the steady speed, in s."""
+    """Time in s; for large t, the angle per volt is steady_speed (t - equivalent_time)."""
     slowest_time: float
     """1/|Re s| of the slowest pole except the integrator, in s."""
 
     def explain(self) -> str:
-        """Return a text with the origin of each number."""
+        """Return a text that explains each number."""
         p = self.parameters
         oscillating = self.poles[self.poles.imag > 0]
         lines = [
@@ -162,8 +162,8 @@ def step_sensitivities(
     """Return the derivatives of a step response with respect to the logarithm of each parameter.
 
     If a parameter is 1 % larger, the response changes by 0.01 times the derivative for this
-    parameter. Since b_1 can be 0, its derivative is with respect to b_1 divided by the damping of
-    the back-EMF, (N K_m)² / R_m.
+    parameter. Since b_1 can be 0, its derivative is with respect to the ratio of b_1 to the damping
+    of the back-EMF, (N K_m)² / R_m.
 
     Parameters
     ----------

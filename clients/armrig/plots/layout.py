@@ -194,7 +194,7 @@ def shade(ax: Axes, valid: NDArray[np.bool_], Ts: float, *, first: float = 0.0) 
     Ts, first : float
         Sampling time, and time of the first sample, in s.
     """
-    # Orange, since the grid is grey. The edge keeps a few missing samples of thousands visible.
+    # Orange, since the grid is grey. With the edge, a gap of a few samples in thousands is visible.
     look: dict[str, Any] = {"facecolor": ORANGE, "edgecolor": ORANGE, "alpha": 0.35, "lw": 0.5}
     label = "dead band or missing sample"
     for gap in stretches(~valid):

@@ -138,7 +138,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
 
 
 def _run(data: Dataset, study: Study) -> str:
-    """Return the name of the run that data were recorded in."""
+    """Return the name of the run in which data were recorded."""
     return run_name(study.recording_of(data.source))
 
 

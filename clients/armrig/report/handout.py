@@ -26,7 +26,7 @@ from armrig.report.typesetting import recorded, source_folder, typeset
 
 TEMPLATE = "handout.typ"
 MOST_PAGES = 10
-"""Number of pages that the handout allows, including the cover (section 5)."""
+"""Number of pages that section 5 of the handout allows, including the cover."""
 _MAX_NAMED_SECTIONS = 3
 
 
@@ -120,7 +120,7 @@ def _paragraphs(text: str) -> list[str]:
 
 
 def check_length(places: Sequence[tuple[str, float]]) -> None:
-    """Raise OperationError, with the longest sections, if there are more than `MOST_PAGES` pages.
+    """Refuse more than `MOST_PAGES` pages with an OperationError that names the longest sections.
 
     Parameters
     ----------

@@ -79,8 +79,8 @@ def handout_study(
     ----------
     recordings : sequence of Recording
         Recordings of any kind. The results use the first step, the first two recordings for
-        black-box models, and the first recording of the chassis alone. Complete recordings precede
-        recordings that ended early.
+        black-box models, and the first recording of the chassis alone. Complete recordings are
+        used before recordings that ended early.
     orders : Orders, optional
         Orders of the black-box models.
     cases : dict of str to ArmParameters, optional
@@ -100,7 +100,7 @@ def handout_study(
             refused[name] = str(err)
             return None
 
-    # A recording that ended early counts only if no complete recording was given.
+    # Complete recordings come first: a recording that ended early is used only if it is needed.
     recordings = sorted(recordings, key=ended_early)
     excited = [r for r in recordings if kind_of(r) not in OTHERS]
     stepped, alone = _first(recordings, STEP), _first(recordings, GREYBOX)

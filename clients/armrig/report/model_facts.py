@@ -154,7 +154,7 @@ def estimation(model: AssessedFit) -> str:
 
 
 def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
-    """Yield the losses and the findings; a model of several outputs has joint criteria."""
+    """Yield the losses and the findings, without FPE and AIC for a model of several outputs."""
     fit = model.fit
     of = f" of {symbol}" if symbol else ""
     criteria = f", FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}" if not symbol else ""
@@ -262,7 +262,7 @@ def residual_rows(study: Study) -> list[list[str]]:
 
 
 def _p_values(tests: Sequence[ResidualTest | SignalsResidualTest]) -> list[list[float]]:
-    """Return the p values of each hypothesis, in the order of `HYPOTHESES`, for each model."""
+    """Return, for each hypothesis in the order of `HYPOTHESES`, the p values of the tests."""
     return [
         [t.white.p_value for t in tests],
         [t.missing_dynamics for t in tests],

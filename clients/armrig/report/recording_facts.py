@@ -15,7 +15,7 @@ from armrig.recordings.jitter import Disturbances, SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
 from armrig.report.study import STAIRCASE, STEP, Study, each_output, kind_of
 
-_MAX_NOTES = 20  # of a recording
+_MAX_NOTES = 20  # of one recording in a report
 _ANGLE_SCALE = "theta_1_rad_per_count"
 
 
@@ -144,7 +144,7 @@ def data_text(study: Study) -> str:
             if one.integrates
             else f"{the} is relative to the chassis"
         )
-        said[-1] += ". No mean and no trend is removed from it." if steps <= cut else "."
+        said[-1] += ". No mean and no trend is removed from this angle." if steps <= cut else "."
         hidden = 100 * one.estimation.missing / one.estimation.N
         said.append(f"{hidden:.1f}{NBSP}% of the estimation data have {no}.")
     return " ".join([*said, _units(study)])

@@ -198,9 +198,9 @@ def study(
 ) -> Study:
     """Estimate ARX and OE models, and compare them and the physical model with validation data.
 
-    No model is estimated from a step or a staircase, or validated on it. The models are estimated
-    from the first other recording, and validated on the second. If there is only one such
-    recording, its first half is used for estimation, and its second half for validation.
+    Steps and staircases are used neither for estimation nor for validation. Of the other
+    recordings, the first is used for estimation, and the second for validation. A single other
+    recording is split: its first half is for estimation, and its second half for validation.
 
     Parameters
     ----------
@@ -305,7 +305,7 @@ def _joint_fits(data: Signals, orders: Orders) -> dict[str, MultivariableFit]:
     integrating = [n for n, own in zip(data.outputs, of_each, strict=True) if own.integrator]
     nb, nk = [[own.nb] for own in of_each], orders.nk
     return {
-        # A is diagonal: each output has its own past only, as in the model of one output.
+        # A is diagonal: each output depends on its own past only, as in the model of one output.
         "ARX": arx_of_several(data, na=np.diag([own.na for own in of_each]), nb=nb, nk=nk),
         "OE": oe_of_several(
             data,
@@ -333,7 +333,7 @@ def assessed(
     together : mapping of str to SignalsResidualTest, optional
         Joint tests of all outputs, for the models that have several outputs.
     """
-    # The comparison is first: it refuses a model of another sampling time.
+    # Compare first, because `compare` refuses a model of another sampling time.
     table = compare(validation, *fits.values(), physics, labels=(*fits, physics.label))
     omega = np.geomspace(0.5, min(100.0, np.pi / validation.Ts), 200)
     G = physics.frequency_response(omega).G

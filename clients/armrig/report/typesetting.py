@@ -60,7 +60,7 @@ def typeset(
     OperationError
         The compiler refuses the document, which is a fault of this package.
     """
-    made_on = [made.year, made.month, made.day]  # typst's default is the time of day
+    made_on = [made.year, made.month, made.day]  # without a date, typst uses the current time
     data = json.dumps({**values, "made_on": made_on}, indent=1, ensure_ascii=False)
     (root / "data.json").write_text(data, encoding="utf-8")
     text = resources.files("armrig.report").joinpath(template).read_text(encoding="utf-8")
@@ -151,7 +151,7 @@ def _compiled(source: Path) -> tuple[bytes, str]:
             ignore_system_fonts=True,
         )
         pdf = compiler.compile()
-        if not isinstance(pdf, bytes):  # never: typst returns a list for pictures, None for a file
+        if not isinstance(pdf, bytes):  # never: pictures give a list, an output file gives None
             raise OperationError(source.name)
         return pdf, compiler.query("<place>", field="value")
     except RuntimeError as err:

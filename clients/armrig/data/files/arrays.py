@@ -16,9 +16,9 @@ from armrig.data.files.mat_variables import DamageError, TooLongError, Unread, v
 from armrig.data.files.table import Column, Vector
 
 MOST_BYTES = 1 << 28
-"""Largest unpacked size of a packed file, in B; each number counts as 8 B."""
+"""Largest unpacked size of a file, in B; in an .npz, a number counts as at least 8 B."""
 _MIN_LIMIT_BYTES = 1 << 26
-_MAX_RATIO = 100  # measured data shrink by a factor of 5 to 20, zeros alone by 1000
+_MAX_RATIO = 100  # packing shrinks measured data by 5 to 20, zeros by 1000
 
 
 def most_unpacked(packed: int) -> int:
@@ -35,7 +35,7 @@ class ArrayTable:
     values: Sequence[Any]
     """An array (N,) of any real type for each column."""
     refused: Mapping[str, str]
-    """Reason why each other variable is not a column of numbers, by the name of the variable."""
+    """Reason why a variable is not a column of numbers, by the name of the variable."""
     Ts: float | None
     """Sampling time in s, from a number named Ts."""
 

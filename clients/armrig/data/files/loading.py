@@ -24,7 +24,7 @@ from armrig.data.signals import Mask, Signals
 Data = TypeVar("Data")
 
 MOST_BYTES = 1 << 27
-"""Largest size of a file, in B; a text of a million rows with eight numbers is smaller."""
+"""Largest size of a file, in B; a text of a million rows of eight numbers each is smaller."""
 SOURCE = "data"
 """Prefix of the hash in `source` if the file is not a recording."""
 _TIME_NAMES = ("t", "time")
@@ -224,7 +224,7 @@ def _names(columns: Sequence[Column], letter: str) -> list[str]:
 
 
 def _between_gaps(known: Mask) -> tuple[list[int], list[str]]:
-    """Return the indices at which experiments begin in the known rows, and a step for the gaps."""
+    """Return the first index of each experiment in the known rows, and the history's new steps."""
     begins = known & ~np.append(False, known[:-1])
     left_out = int(known.size - np.count_nonzero(known))
     count = "1 sample" if left_out == 1 else f"{left_out} samples"
@@ -394,7 +394,7 @@ def table_of(data: bytes, suffix: str) -> Table:
 
 
 MAX_INTERVAL_DEVIATION = 0.05
-"""Largest deviation of an interval from the median interval, as a share of the median."""
+"""Largest allowed deviation of an interval from the median interval, as a share of the median."""
 _SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6}
 _SECONDS |= {"min": 60.0, "h": 3600.0}
 _MAX_DIGITS = 12

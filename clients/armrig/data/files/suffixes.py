@@ -8,4 +8,4 @@ ARRAYS = (".mat", ".npz")
 DATA = (*TEXT, *ARRAYS)
 """Suffixes of data files other than recordings, in lower case."""
 OTHER_DATA = "other data (.csv, .dat, .mat, .npz)"
-"""Name of the data files in messages, with one suffix of each kind."""
+"""Name of the data files in messages, with their usual suffixes."""

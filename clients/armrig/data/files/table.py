@@ -43,7 +43,7 @@ class Table(Protocol):
 
     @property
     def refused(self) -> Mapping[str, str]:
-        """Reason why each other variable is not a column of numbers, by the variable's name."""
+        """Reason why a variable is not a column of numbers, by the name of the variable."""
 
     @property
     def Ts(self) -> float | None:

@@ -74,11 +74,11 @@ class TextTable:
 def table_of(text: str) -> TextTable:
     """Return the table that a text contains.
 
-    The separator is the first of semicolon, tab and comma that the first lines contain. If these
-    lines contain none of the three, blanks separate the cells. Lines that are empty, or begin with
-    # or %, are remarks. The first line that is not a remark contains names if none of its cells is
-    a number. The line after the names contains units if none of its cells is a number. If
-    semicolons separate the cells, the decimal mark may be a comma.
+    Lines that are empty, or begin with # or %, are remarks. The separator is a semicolon if the
+    first 20 other lines contain a semicolon, otherwise a tab, otherwise a comma. If these lines
+    contain none of the three, blanks separate the cells. The first line that is not a remark
+    contains names if none of its cells is a number. The line after the names contains units if none
+    of its cells is a number. If semicolons separate the cells, the decimal mark may be a comma.
 
     Raises
     ------

@@ -26,14 +26,14 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
     """Return the data with mean (order 0) or straight line (order 1) removed from u and y.
 
     The mean or line of each experiment is fitted to its valid samples by least squares. The field
-    `trends` contains the mean or line, and `retrend` restores it. The recording does not change.
+    `trends` stores what was removed, and `retrend` restores it. The recording does not change.
 
-    When: data of a recording contain the operating point. Remove the mean if the operating point is
-    not 0 and the estimator has no option `offset`. Estimators without this option are `arx`,
-    `iv4`, `n4sid` and `ss`, and all estimators of several inputs or outputs. For `armax`, `oe`,
-    `bj` and `ararx` of one input and one output, prefer raw data with ``offset=True``: the mean of
-    a record is not exactly an equilibrium. Never remove a line from an integrating output, such as
-    theta_1. Use ``integrator=True`` with raw data, or remove the mean of the rate (`difference`).
+    Remove the mean if the operating point is not 0 and the estimator has no option `offset`.
+    Estimators without this option are `arx`, `iv4`, `n4sid` and `ss`, and all estimators of several
+    inputs or outputs. For `armax`, `oe`, `bj` and `ararx` of one input and one output, prefer raw
+    data with ``offset=True``: the mean of a record is not exactly an equilibrium. Never
+    remove a line from an integrating output, such as theta_1. Instead, use ``integrator=True`` with
+    raw data, or compute the rate with `difference` and remove its mean.
 
     Parameters
     ----------
@@ -126,8 +126,8 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
     Raises
     ------
     ValueError
-        No trend was removed from these data, a later step made the trend impossible to restore, or
-        y is not (N,).
+        No trend was removed from these data, the data were filtered after `detrend`, or y does not
+        have the shape (N,).
 
     Examples
     --------

@@ -59,9 +59,9 @@ def drift(
     order : int, default 10
         Order of A and B.
     integrator : bool, optional
-        Set whether the output integrates; by default a unit root test decides. On a short record
-        the test can mistake a stable output for an integrator. If the output is known to be stable,
-        give False.
+        True if the output integrates. By default, the name of the output (theta_1) or a unit root
+        test decides. On a short record the test can mistake a stable output for an integrator. If
+        the output is known to be stable, give False.
 
     Returns
     -------

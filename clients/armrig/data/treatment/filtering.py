@@ -33,10 +33,11 @@ def prefilter(
     band: tuple[float, float] | None = None,
     order: int = 4,
 ) -> Dataset:
-    """Return u and y after the same filter L(q), which weights frequencies and leaves G unchanged.
+    """Return the data with u and y filtered by the same L(q), which weights frequencies.
 
-    Since L y = G L u + L v, L determines at which frequencies the model is accurate (Ljung 14.4).
-    An output-error fit is weighted by ``|L|²``, and its residuals are white if L v is white.
+    From y = G u + v follows L y = G L u + L v: the plant G does not change. L determines at which
+    frequencies the model is accurate (Ljung 14.4). `oe` minimises the output error weighted by
+    ``|L|²``, and its residuals are white if L v is white.
 
     After the start of an experiment and after a gap, y is missing for the memory of the filter. The
     memory is the number of samples after which at most 1e-4 of the absolute sum of the impulse
@@ -47,7 +48,8 @@ def prefilter(
     data : Dataset
         N samples.
     numerator, denominator : array_like
-        Coefficients of L in q^-1; a filter without a denominator has the shortest memory.
+        Coefficients of L in q^-1. Without a denominator, the memory is at most the length of the
+        numerator.
     band : (float, float), optional
         Edges, in rad/s, of the pass band of a Butterworth filter, instead of coefficients. (0, w)
         is a low-pass filter, and (w, inf) is a high-pass filter.
@@ -105,12 +107,12 @@ def prefilter(
 def resample(data: Dataset, Ts: float) -> Dataset:
     """Return the data at a lower sampling rate, after the same anti-alias filter for u and y.
 
-    The filter is a symmetric low-pass of 16 Ts_new/Ts + 1 coefficients with a Kaiser window. It is
-    flat up to 60 % of the new Nyquist frequency and attenuates by 53 dB above the new Nyquist
-    frequency. It causes no delay and does not change straight lines. Every (Ts_new/Ts)-th sample is
-    kept. A sample is missing if the filter would use a missing sample. The first and last 8 new
-    samples of each experiment cannot be computed and are cut off. A higher rate is refused, because
-    the additional samples would be invented.
+    The filter is a symmetric low-pass of 16 Ts_new/Ts_old + 1 coefficients with a Kaiser window. It
+    is flat up to 60 % of the new Nyquist frequency and attenuates by 53 dB above the new Nyquist
+    frequency. It causes no delay and does not change straight lines. Every (Ts_new/Ts_old)-th
+    filtered sample is kept. A new sample is missing if the filter would use a missing sample for
+    it. The first and last 8 new samples of each experiment cannot be computed and are cut off. A
+    higher rate is refused, because the additional samples would be invented.
 
     Parameters
     ----------
@@ -264,7 +266,7 @@ def _memory(L: _Filter) -> int:
         weight = np.abs(L.apply(pulse))
         ahead = np.cumsum(weight[::-1])[::-1]
         short = np.flatnonzero(ahead <= MAX_FORGOTTEN_SHARE * ahead[0])
-        # The response decays: the rest is smaller than the second half of the computed response.
+        # The response decays: what is not computed is smaller than the computed second half.
         if short.size and short[0] <= length // 2:
             return max(int(short[0]), 1)
         length *= 4
@@ -280,7 +282,7 @@ def _from_steady(L: _Filter, x: Vector) -> Vector:
 
 
 def _held(y: Vector, valid: Mask) -> Vector:
-    """Return y with the last known value held in each gap; the caller marks the results missing."""
+    """Return y with its last valid value held in each gap."""
     if not valid.any():
         return np.zeros(y.size)
     known = np.flatnonzero(valid)

@@ -21,7 +21,8 @@ INTEGRATING_OUTPUTS = frozenset({THETA_1})
 
 DICKEY_FULLER_TREND_5_PERCENT = -3.41  # Fuller 1976, table 8.5.2, constant and trend, n = inf
 _TEST_LAGS = 5
-# Least return to the line that the test must detect, per sample, as a share of the distance.
+# Least share of its distance from the line by which an output must return in one sample, so that
+# the test can detect the return.
 MIN_SEEN_PULL = 0.2
 
 
@@ -134,11 +135,11 @@ class Integration:
     integrates: bool
     """True if y is treated as the sum of its rate."""
     reason: str = ""
-    """Evidence in the data; "" if the caller or the output's name decides."""
+    """Evidence from the unit root test; "" if it finds no integrator or is not needed."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the decision for a result; () if the caller or the output's name decides."""
+        """Notes for a result that report the evidence of the test; () without evidence."""
         if not self.reason:
             return ()
         what = "taken as integrating (in Python integrator=False prevents this)"
@@ -149,8 +150,8 @@ def integration(data: Dataset, integrator: bool | None) -> Integration:
     """Decide whether the output is taken as integrating.
 
     If `integrator` is given, its value is the decision. Otherwise an output integrates if its name
-    is theta_1, or if the unit root test of `integrating` finds an integrator. The notes report the
-    result of the test.
+    is theta_1, or if the unit root test of `integrating` finds an integrator. In this last case,
+    the notes report the result of the test.
     """
     if integrator is not None:
         return Integration(integrates=integrator)

@@ -51,7 +51,7 @@ def whitening(parts: Sequence[tuple[Array, Vector]], n: int, *, slope: bool = Fa
 
     A single input is an array (N,). Several inputs are an array (N, nu).
 
-    From data with more than 200 000 rows, only evenly spaced blocks of rows are used. The normal
+    If u has 200 000 values or more, only evenly spaced blocks of rows are used. The normal
     equations are solved. If the normal equations lose too many digits, QR is used.
     """
     several = parts[0][0].ndim > 1

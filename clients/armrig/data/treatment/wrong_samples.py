@@ -22,13 +22,13 @@ Indices = NDArray[np.intp]
 _Found = tuple[Mask, Vector]
 
 _MAD_TO_STD = 1.4826  # of a normal distribution
-_MEDIAN_SAMPLES = 11  # a window's median is not moved by up to five wrong samples in a row
+_MEDIAN_SAMPLES = 11  # up to five wrong samples in a row do not move the median of a window
 _GROSS_RATIO = 100  # of a deviation to the median deviation: another order of magnitude
 _EARLY_FACTOR = 2  # by which the limit is larger after a start or a gap
 _MAX_ROUNDS = 25
 MOST = 0.1
 """Largest allowed share of outliers; the search ends early at twice this share."""
-MIN_VISIBLE_SHARE = 1e-3  # least share of a pattern that marked samples leave unexplained
+MIN_VISIBLE_SHARE = 1e-3  # least share of a pattern that the marked samples must leave unexplained
 ENOUGH_NOISE = 0.32
 """Least noise (std in converter steps) for which the quantisation error is white.
 
@@ -45,8 +45,8 @@ def wrong_samples(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -
     `n` is the order of the model. `limit` is the least size of an outlier, in robust standard
     deviations. The model cannot predict the first n samples after the start or after a gap. These
     samples are therefore searched first, with a model of the reversed data, which predicts y(t)
-    from later samples. The limit for this model is twice as large: if the input excites poorly,
-    this model does not predict the first samples well.
+    from later samples. This model predicts less well if the input excites poorly, so it is used
+    with twice the limit.
     """
     backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, _EARLY_FACTOR * limit)
     corrected, early = [], []
@@ -96,7 +96,7 @@ def _gross(y: Vector) -> Mask:
     if known.size > _MEDIAN_SAMPLES:
         off = np.abs(y[known] - median_filter(y[known], _MEDIAN_SAMPLES, mode="nearest"))
         # A signal mostly at rest is equal to the median of its neighbours. The typical deviation is
-        # the median of the deviations other than 0, so that a step of the converter is not gross.
+        # the median of the deviations other than 0, so that one quantisation step is not gross.
         typical = float(np.median(off[off > 0])) if off.any() else 0.0
         wrong[known] = off > _GROSS_RATIO * max(typical, 1e-9 * float(np.max(np.abs(y[known]))))
     return wrong
@@ -111,8 +111,7 @@ def _searched(
 ) -> list[_Found]:
     """Mark outliers in addition to `wrong`; return the masks, and y with model values at outliers.
 
-    If there are far more than `most` outliers, the search ends early. Otherwise it would take too
-    long.
+    To save time, the search ends early if it finds far more than `most` outliers.
     """
     expected = [(u, _bridged(y, marked)) for (u, y), marked in zip(parts, wrong, strict=True)]
     seen = set()
@@ -209,9 +208,9 @@ def _expect(model: Whitening, u: Array, y: Vector, marked: Mask, least: float) -
 def _surely_wrong(columns: Array, e: Vector, least: float) -> tuple[Indices, Vector]:
     """Return the columns whose size is at least `least`, and their coefficients.
 
-    P s² is the covariance of the coefficients b, and the size of column j is |b_j| / sqrt(P_jj).
-    The column with the least size is removed until all sizes are large enough. Without column j, b
-    becomes b - P_j b_j / P_jj, and P becomes P - P_j P_j^T / P_jj.
+    The covariance of the coefficients b is P times the residual variance. The size of column j is
+    |b_j| / sqrt(P_jj). The column with the least size is removed until all sizes are large enough.
+    Without column j, b becomes b - P_j b_j / P_jj, and P becomes P - P_j P_j^T / P_jj.
     """
     basis = orthonormal(columns)
     kept, b, P = np.arange(columns.shape[1]), basis.coefficients(e), basis.W @ basis.W.T
@@ -279,8 +278,8 @@ def hampel(
     set to the model's values. The sizes of marked samples near each other are then estimated
     together. A sample whose size is small in this estimate is unmarked. The returned data contain
     no interpolated value. The first n samples after the start or a gap are searched in the reversed
-    data, with twice the threshold. If n or fewer consecutive samples are between two gaps, no
-    outlier can be found in these samples.
+    data, with twice the threshold. No outlier can be found in n or fewer consecutive samples
+    between two gaps.
 
     Parameters
     ----------
@@ -288,8 +287,8 @@ def hampel(
         N samples. The experiments are searched separately, but with the same model and the same s.
         Each output of Signals is searched with a model that contains all inputs.
     threshold : float, optional
-        Least ``|z|`` of an outlier. By default, all of N normal residuals are below the threshold
-        with a probability of 99 % (4.6 for N = 3000).
+        Least ``|z|`` of an outlier. With the default, N normally distributed residuals are all
+        below the threshold with a probability of 99 %. The default is 4.6 for N = 3000.
     order : int, optional
         Order n; by default 20, or N/10 if there are fewer than 200 samples.
 

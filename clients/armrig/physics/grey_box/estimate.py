@@ -52,7 +52,7 @@ Matrix = NDArray[np.float64]
 
 SPEED_STATE = "theta_1_rate"
 ROUNDING_SHARE = 1e-18  # of |y|², below which |e|² is rounding
-_MIN_SEEN_SHARE = 1e-7  # least share of a derivative that the free responses must leave
+_MIN_SEEN_SHARE = 1e-7  # least share of a derivative that must be left without the free responses
 MAX_LOG_FACTOR = 12.0
 """Logarithm of the largest ratio of a parameter to its start value; e^12 is 160 000."""
 _BOUND_SHARE = 0.98  # of the bound; a search halves its steps, so it ends just below the bound
@@ -108,9 +108,10 @@ def greybox(
     Returns
     -------
     GreyFit
-        `covariance` is lambda (Psi^T Psi)^-1 with the free responses marginalised, plus the
-        contribution of `fixed_std`. `covariance_robust` is the sandwich form with the same
-        contribution.
+        `covariance` is lambda (Psi^T Psi)^-1 plus the contribution of `fixed_std`. lambda is the
+        variance of the noise. Psi contains the derivatives of the output, without the parts that a
+        change of initial state and offset explains. `covariance_robust` is the sandwich form plus
+        the same contribution.
 
     Raises
     ------
@@ -335,7 +336,7 @@ def no_model(fit: float) -> Iterator[str]:
 
 
 def noise_warnings(step: float, found: Inference, *, has_friction: bool) -> Iterator[str]:
-    """Yield a warning if the converter's steps exceed the noise, or the residuals are coloured."""
+    """Yield warnings of noise that is small against a converter step, and of coloured residuals."""
     if quiet := too_quiet(step, found.noise_variance):
         yield quiet
     if found.white.coloured:

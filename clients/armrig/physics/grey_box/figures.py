@@ -63,7 +63,7 @@ def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes
 
 
 def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
-    """Plot the estimates with ±2 standard deviations; below, plot these deviations against N.
+    """Plot the estimates ±2 standard deviations; below, plot the standard deviations against N.
 
     A cross marks the scatter of the parts. The scatter of four parts has three degrees of freedom,
     and its 95 % interval is wide. For two parts no cross is drawn, because the interval would

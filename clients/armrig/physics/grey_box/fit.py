@@ -79,7 +79,7 @@ class GreyFit:
     fixed: ArmParameters
     """All parameters, fixed and estimated."""
     fixed_std: dict[str, float]
-    """Given standard deviations of fixed parameters."""
+    """Standard deviations of fixed parameters, as given to the estimator."""
     initial: tuple[tuple[float, ...], ...]
     """Initial state of each experiment."""
     offset: tuple[float, ...]
@@ -109,7 +109,7 @@ class GreyFit:
     width: float = np.nan
     """Standard deviation of the smoothing kernel in s; NaN without smoothing."""
     bias: dict[str, float] = field(default_factory=dict)
-    """Bias due to the noise of the smoothed velocity, by name; it is not subtracted."""
+    """Bias of each estimate, by name, due to the noise of the smoothed velocity; not subtracted."""
     by_output: Mapping[str, OutputQuality] = field(default_factory=dict)
     """Quality for each output, if several outputs were used.
 
@@ -351,7 +351,7 @@ def named_std(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:
 def named_influence(
     names: tuple[str, ...], held: tuple[str, ...], influence: Matrix
 ) -> dict[str, dict[str, float]]:
-    """Return d ln(estimate) / d ln(fixed parameter), by the names of both positive parameters."""
+    """Return d ln(estimate) / d ln(fixed parameter) by both names, for positive parameters only."""
     return {
         name: {
             k: float(v) for k, v in zip(held, row, strict=True) if k not in SIGNED and abs(v) > 1e-9

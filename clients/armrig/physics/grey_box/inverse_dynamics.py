@@ -53,7 +53,7 @@ from armrig.physics.systems import chassis
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_WIDTHS_PER_ROW = 1.5  # standard deviations of the kernel for each row
+_WIDTHS_PER_ROW = 1.5  # distance of the rows, in standard deviations of the kernel
 _HELD_NAMES = ("N", "R_m", "K_m")
 _COLOURED_TEXT = (
     "the residuals are more than smoothed noise (p {p}): the model lacks a property of the rig "
@@ -61,7 +61,7 @@ _COLOURED_TEXT = (
 )
 _MIN_ROWS_PER_UNKNOWN = 10  # with fewer rows the standard deviations are too small
 _WIDTH_RATIO = 2**0.5  # between successive widths
-_MIN_KERNELS = 6  # lengths of a kernel in the longest experiment
+_MIN_KERNELS = 6  # least length of the longest experiment, in lengths of the kernel
 
 
 @takes_recordings
@@ -113,9 +113,9 @@ def inverse_dynamics(
 
     Notes
     -----
-    X (M rows) contains the regressors, and g_i is the derivative of column i with respect to the
-    velocity. λ is the variance of the white noise on the angle, and h' is the kernel of the
-    velocity. The bias (attenuation by errors in variables) is ::
+    X (M rows) contains the regressors, and β contains their coefficients. g_i is the derivative of
+    column i with respect to the velocity. λ is the variance of the white noise on the angle, and h'
+    is the kernel of the velocity. The bias (attenuation by errors in variables) is ::
 
         bias = -(X^T X / M)^-1 λ |h'|² g g^T β
 
@@ -197,7 +197,7 @@ class _Tried:
     slope: Matrix
     """Derivatives of the values with respect to the coefficients."""
     noise: float
-    """Variance of the white noise on the angle, computed from the residuals."""
+    """Variance of the white noise on the angle, from the residuals of the narrowest width."""
     bias: Vector
     """Bias of each value due to the noise of the velocity."""
     std: Vector
@@ -401,7 +401,7 @@ def _every(s: float, Ts: float) -> int:
 
 
 def _offset_is_free(data: Dataset, names: tuple[str, ...]) -> bool:
-    """Return whether u0 is estimated; if T_c is estimated, only for a bipolar input."""
+    """Return whether u0 is estimated; together with T_c, this requires a bipolar input."""
     return COULOMB not in names or bipolar(data.u)
 
 

@@ -1,4 +1,7 @@
-"""The least-squares problems of the grey box: residuals and derivatives at given parameters."""
+"""The least-squares problems of the grey box: residuals and derivatives at given parameters.
+
+The free responses of an experiment are the responses to its initial state and its input offset.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +23,12 @@ Matrix = NDArray[np.float64]
 
 # Exponents of the parameters in the voltage T_c R_m / (N K_m) of the friction.
 _VOLTAGE_POWERS = {"R_m": 1.0, "N": -1.0, "K_m": -1.0}
-_MIN_START_V = 0.01  # least start value of the search for the friction
+_MIN_START_V = 0.01  # least start value of the friction in a search
 _MIN_REVERSED_SHARE = 0.05  # least share of samples of either sign in a bipolar input
 
 
 def bipolar(u: Vector) -> bool:
-    """Return True if an input has both signs; only then does friction differ from an offset."""
+    """Return whether an input has both signs, so that friction can be distinguished from u0."""
     return bool(min(np.mean(u > 0), np.mean(u < 0)) >= _MIN_REVERSED_SHARE)
 
 

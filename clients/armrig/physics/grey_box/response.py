@@ -1,7 +1,7 @@
 """Response of a sampled physical model with friction of the chassis, and its derivatives.
 
 Coulomb friction T_c acts on the chassis against its motion. It is equivalent to a voltage V = T_c
-R_m / (N K_m) at the motor's terminals. Between a stop and the next reversal the model is linear::
+R_m / (N K_m) at the motor's terminals. The model is linear during slip, and during stick::
 
     slip    x(k+1) = Phi x + Gamma (u - s V),    s = sign of the speed
     stick   x(k+1) = P (Phi x + Gamma u),        P = I - Gamma e' / (e' Gamma)
@@ -174,10 +174,10 @@ class _Walk:
 def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
     """Return the states and the intervals of slip and stick.
 
-    At standstill a driving voltage acts on the chassis. If the magnitude of this voltage is at most
-    V, the chassis sticks. The friction of the step then reduces the speed to 0 at the end of the
-    step. Otherwise the chassis turns back within the step, and the friction is the mean for both
-    directions. If a search tries a V below 0, the chassis never sticks.
+    If the speed reaches 0 within a step, the driving voltage at standstill is compared with V. If
+    its magnitude is at most V, the chassis sticks, and the friction of the step makes the speed 0
+    at the end of the step. Otherwise the chassis turns back within the step, and the friction is
+    the mean for both directions. If a search tries a V below 0, the chassis never sticks.
     """
     alone = not np.delete(model.Phi[speed], speed).any()
     frictions, steps = (_braked_alone if alone else _braked)(model, u, x0, V, speed)
@@ -192,8 +192,8 @@ def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
 def _step(v: float, ahead: float, pull: float, V: float, gain: float) -> tuple[float, int]:
     """Return the friction in volts, and the motion in a step that begins with the speed v.
 
-    The motion is the sign of the speed, 0 during stick, or REVERSAL. `ahead` is the final speed
-    without friction, and `pull` is the driving voltage at standstill.
+    The motion is the sign of the speed, 0 during stick, or REVERSAL. `ahead` is the speed at
+    the end of the step without friction, and `pull` is the driving voltage at standstill.
     """
     if v == 0.0:
         if abs(pull) <= V:

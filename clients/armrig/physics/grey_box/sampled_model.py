@@ -36,7 +36,7 @@ class Sampled:
     D: float
     """Direct term."""
     by: tuple[Derivative, ...]
-    """Derivatives with respect to each of the d coordinates."""
+    """Derivatives with respect to each of the d coordinates, see `Physics.sampled`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +70,7 @@ class Physics:
         return list(system.output_labels), list(system.state_labels)
 
     def check(self) -> None:
-        """Refuse a model that is not continuous with one input, or that lacks the output."""
+        """Refuse a model that is not continuous, has several inputs, or lacks the output."""
         if not callable(self.model) or hasattr(self.model, "dt"):
             raise InputTypeError(
                 f"model is a {type(self.model).__name__}: give a function of the parameters, "
@@ -97,8 +97,8 @@ class Physics:
         """Return the model, sampled exactly for a zero-order hold, with its derivatives.
 
         Phi and Gamma are blocks of exp([A B; 0 0] Ts). Their derivatives are blocks of the Fréchet
-        derivative in the direction of [dA dB; 0 0] Ts. The coordinates are logarithms of the
-        parameters, except for `SIGNED` parameters.
+        derivative in the direction of [dA dB; 0 0] Ts. The coordinate of a parameter is its
+        logarithm; the coordinate of a `SIGNED` parameter is the parameter itself.
 
         References
         ----------

@@ -83,7 +83,7 @@ class _Problem:
         e, white, blocks, free = [], [], [], []
         for data in self.experiments:
             rest, basis, x = self._fitted(models, data)
-            # A list of the outputs' rows, below each other as in `rest`.
+            # The rows of the outputs are stacked as in `rest`.
             slopes = [sensitivity(model, data.u[:, 0], x[:-1], float(x[-1])) for model in models]
             Psi = np.vstack(
                 [s[k] / std for s, k, std in zip(slopes, data.valid.T, self.std, strict=True)]

@@ -6,8 +6,8 @@ s = T / sqrt(19). Smoothed derivatives are convolutions with derivatives of the 
     y_f = g * y,    y_f' = g' * y,    y_f'' = g'' * y,    u_f = g * u  (exact for a held input)
 
 A linear equation between y', y'' and u also holds between the smoothed signals. The smoothing
-causes no phase lag and needs no differences of noisy samples. The bell ends smoothly: g, g' and g''
-are not truncated, and sums over samples are close to the integrals.
+causes no phase lag and needs no differences of noisy samples. At the ends of the bell g, g' and g''
+are 0, so that sums over samples are close to the integrals.
 
 The module also tests whether residuals are white noise of the output, coloured by the kernel. White
 noise v that is smoothed by a kernel h and decimated by m has the autocorrelation rho ::
@@ -44,13 +44,13 @@ _REACH = 19**0.5  # ratio T / s
 MIN_WIDTH = 1.25
 """Least s in samples, for which sums over samples equal integrals to about 1e-6."""
 _MIN_FFT_SAMPLES = 500  # length of a kernel from which FFT is faster
-_MIN_PAIR_SHARE = 0.5  # least number of pairs at a lag, as a share of lag 0
-# Directions with a smaller share of the largest deviation are not used. In these directions the
-# second term of the expansion is as large as Bartlett's formula, its first term. A level of 1 %
-# would become 2.5 %.
+_MIN_PAIR_SHARE = 0.5  # least number of pairs at a lag, as a share of the pairs at lag 0
+# Directions whose deviation is a smaller share of the largest deviation are not used. In these
+# directions Bartlett's formula, the first term of an expansion, is only as large as the second
+# term. With them, a test at the level of 1 % would reject 2.5 % of true hypotheses.
 _MIN_DEVIATION_SHARE = 0.2
-_MIN_SPEED_SHARE = 0.05  # of the effective speed, below which the sign is not trusted
-_STOP_WIDTHS = 2.0  # time of a stop at the effective acceleration, in widths of the kernel
+_MIN_SPEED_SHARE = 0.05  # of the rms speed, below which the sign is not trusted
+_STOP_WIDTHS = 2.0  # time of a stop at the rms acceleration, in widths of the kernel
 
 SMOOTHED_NOISE = "test of smoothed noise"
 
@@ -98,7 +98,7 @@ def kernels(s: float, Ts: float) -> Kernels:
     t = T * x[:-1]
     first = _BELL.deriv()(x[:-1]) * Ts / (c * T**2)
     second = _BELL.deriv(2)(x[:-1]) * Ts / (c * T**3)
-    # The kernels are made exact for constants and lines: a turn is 6 rad, the noise 1 mrad.
+    # Make the kernels exact for constants and lines: a turn is 6 rad, the noise only 1 mrad.
     first /= -(first @ t)
     second -= second.mean()
     return Kernels(first=first, second=second, held=held, reach=m)

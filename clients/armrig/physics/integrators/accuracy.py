@@ -69,7 +69,7 @@ def sinusoid(
     x0: ArrayLike | None = None,
     span: float | None = None,
 ) -> Sinusoid:
-    """Return a problem with checked values; by default, x0 is 0 and span is three input periods.
+    """Return a `Sinusoid` with checked values; by default, x0 is 0 and span is three input periods.
 
     Raises
     ------
@@ -150,8 +150,8 @@ def growth(A: ArrayLike, method: str, h: float, *, n: int = 20_000) -> float:
     """Return the growth of the free motion over the second half of n steps; > 1 is unstable.
 
     The initial state excites all modes equally. The largest |x(k+1) - x(k)| is computed in two
-    intervals of n/10 steps: at the end, and just before the middle. The growth is the ratio of the
-    end's value to the middle's value. Differences do not contain constant modes (eigenvalues at 0).
+    intervals of n/10 steps: just before the middle, and at the end. The growth is the value at the
+    end divided by the value at the middle. Constant modes (eigenvalues at 0) cause no differences.
     """
     A_, *_ = system(A, np.zeros(np.shape(A)[0]))
     size = A_.shape[0]

@@ -76,11 +76,11 @@ def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
 
 
 def counting_eigenvalues(A: Array) -> Array:
-    """Return the eigenvalues that limit the step; a real part of rounding errors only is set to 0.
+    """Return the eigenvalues that limit the step; a real part that is only rounding becomes 0.
 
     An eigenvalue at 0 is not returned if it has as many independent eigenvectors as its
-    multiplicity. If a marginal eigenvalue has fewer eigenvectors, the function returns 1 (an
-    unstable eigenvalue) instead.
+    multiplicity. If an eigenvalue with real part 0 has fewer eigenvectors, the function returns
+    only 1, an unstable eigenvalue.
     """
     balanced, _ = matrix_balance(A)
     size = float(np.linalg.norm(balanced))

@@ -14,8 +14,8 @@ from armrig.physics.integrators.linear_system import require_positive
 from armrig.physics.integrators.methods import METHODS
 from armrig.physics.integrators.stability import stability_limit
 
-_START_SHARE = 0.25  # ratio of the first to the largest step; the error then follows its order
-_AIMED_SHARE = 0.97  # ratio of the aimed error to the tolerance
+_START_SHARE = 0.25  # ratio of the first to the largest step; below it the error falls as h^p
+_AIMED_SHARE = 0.97  # ratio of the error that a trial aims at to the tolerance
 _MAX_TRIALS = 8
 _MAX_STEPS = 2_000_000  # of a solution that verifies a step
 
@@ -37,7 +37,7 @@ class Advice:
     steps: int
     """Number of steps in the span."""
     work: int
-    """Number of products with A, or of solved factored systems of equations, over the span."""
+    """Number of products with A plus solved systems of equations, over the span."""
     reason: str
     """Text with the reason for this step."""
 
@@ -84,9 +84,9 @@ def recommend_step(
 ) -> Recommendation:
     """Return for each method the largest stable step with an error within the tolerance.
 
-    The step is computed from the order p of the method, because the error falls as h^p. If a
-    solution with this step does not need too many steps, its error is then measured by comparison
-    with the exact solution for u = amplitude sin(omega t).
+    The step is computed from the order p of the method, because the error falls as h^p. If the span
+    has at most 2 000 000 of these steps, the error is then measured by comparison with the exact
+    solution for u = amplitude sin(omega t).
 
     Parameters
     ----------

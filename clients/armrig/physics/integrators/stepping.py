@@ -153,7 +153,7 @@ def _runge_kutta(
 
 
 def _companion(method: Multistep, A: Matrix, h: float) -> Matrix:
-    """Return the matrix of the free recursion of k successive states."""
+    """Return the matrix of the recursion of k successive states without input."""
     size, k = A.shape[0], len(method.alpha) - 1
     factors = lu_factor(np.eye(size) - h * method.beta[-1] * A)
     M = np.eye(k * size, k=size)

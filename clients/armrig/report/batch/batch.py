@@ -34,11 +34,11 @@ from armrig.report.batch.tasks import Report, Task, Validate, digest, name_of, s
 Count = Callable[[int, int, str], None]
 """Callback that reports the progress.
 
-Its arguments are the number of items done since the start, the number of all items, and the name of
-the last item done.
+Its arguments are the number of items done since the start, the number of items that this start must
+do, and the name of the last item done.
 """
 MOST_DEATHS = 2
-"""Number of workers that must die while an item runs alone before the item is abandoned."""
+"""An item is abandoned if this number of workers have died while the item ran alone."""
 
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
@@ -91,7 +91,7 @@ def batch(
         Function that returns a context manager, which yields an executor: see
         `armrig.report.batch.workers`.
     at_once : int
-        Largest number of runs that the executor has at the same time.
+        Largest number of runs that the executor processes at the same time.
     rigs, kinds : collection of str
         Rigs and kinds of experiment to which the batch is limited; empty for all.
     anew : bool
@@ -114,7 +114,7 @@ def batch(
     before = [] if anew else read_rows(table, header)
     with Progress(table, header, anew=anew) as progress:
         rows = still_right([*before, *progress.rows], items, columns_of(task))
-        if isinstance(task, Report):  # if its PDF is missing, a row counts as missing
+        if isinstance(task, Report):  # a row whose PDF is missing is computed again
             rows = {
                 name: r for name, r in rows.items() if Path(task.folder, str(r["report"])).exists()
             }
@@ -153,7 +153,7 @@ def results(
     open_executor : callable
         Function that returns a context manager, which yields an open executor.
     at_once : int
-        Largest number of items that the executor has at the same time.
+        Largest number of items that the executor processes at the same time.
 
     Yields
     ------

@@ -25,7 +25,7 @@ def processes(count: int) -> Iterator[Executor]:
 
     If an exception ends the batch early, such as Ctrl-C or a full disk, the processes are killed.
     """
-    # A fork would copy the threads' locks of this process.
+    # Do not fork: the copy would contain locks that threads of this process hold.
     context = multiprocessing.get_context("spawn")
     before = set(multiprocessing.active_children())
     executor = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
