@@ -1,9 +1,9 @@
 """Warnings about faults of the data: wrong samples, an offset, swapped columns.
 
-In least squares a few large errors have as much weight as thousands of small errors. The model fits
-an offset of y as a response to the input. The test of the residuals for large errors needs almost
-no time. If the residuals are coloured or their mean is not zero, an ARX model of high order is
-fitted to estimate the offset.
+In least squares a few large errors have as much weight as thousands of small errors. A model
+without an offset explains an offset of y as a response to the input. The test of the residuals for
+large errors needs almost no time. If the residuals are coloured or their mean is not zero, an ARX
+model of high order is fitted to estimate the offset.
 """
 
 from __future__ import annotations

@@ -65,8 +65,8 @@ def searched_minimum(
     Parameters
     ----------
     part : PredictionErrorProblem, optional
-        Problem for a part of long data. All searches start on this part. Each minimum of the part
-        then starts one search on the whole data.
+        Problem for a part of long data. All searches start on this part. From each minimum on the
+        part, one search continues on all data.
     thorough : bool
         True: move complex pairs and real roots of C, D and F. False: move only complex pairs of F.
     """

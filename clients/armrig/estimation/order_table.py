@@ -148,10 +148,10 @@ class OrderTable:
         lowest loss by at most one standard error of the difference [1]_. The other criteria contain
         a penalty for each parameter, so the structure with the lowest value is chosen.
 
-        In 200 runs with 600 structures (N = 1000 for estimation and for validation) this rule chose
-        the true orders na=2, nb=2, nk=1 in 73 % of the runs. The lowest validation loss chose these
-        orders in 18 % of the runs. MDL chose these orders in 99 % of the runs, and AIC and FPE in
-        49 %. No criterion chose a structure that is too small.
+        In 200 simulations with 600 structures (N = 1000 for estimation and for validation) this
+        rule chose the true orders na=2, nb=2, nk=1 in 73 % of the simulations. The lowest
+        validation loss chose these orders in 18 %, MDL in 99 %, and AIC and FPE in 49 % of the
+        simulations. No criterion chose a structure that is too small.
 
         References
         ----------

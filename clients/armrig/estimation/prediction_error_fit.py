@@ -280,7 +280,9 @@ def _search_warnings(
         text = f"the search did not converge in {best.iterations} steps"
         yield warning("not_converged", text, steps=best.iterations)
     if not agreed:
-        text = f"the start {starts[-1].name!r} ended in a poorer minimum ({starts[-1].loss:.4g})"
+        text = (
+            f"the start {starts[-1].name!r} ended in a poorer minimum (loss {starts[-1].loss:.4g})"
+        )
         yield warning("poorer_minimum", text, loss=starts[-1].loss)
 
 

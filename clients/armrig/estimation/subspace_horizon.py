@@ -146,7 +146,8 @@ class Poles:
     singular_values: Array
     """Singular values of the projection."""
     steady: bool
-    """True if there is a steady Kalman filter. Otherwise C is A with roots inside the circle."""
+    """True if there is a steady Kalman filter. Otherwise C is A with all roots moved inside the
+    circle."""
 
 
 def poles_at(w: Windows, found: Projection, order: int, *, integrator: bool) -> Poles:

@@ -436,7 +436,7 @@ def _notes(
         yield (
             f"{100 * near:.2g} % of the power is near Nyquist. If {of} has white noise, the "
             f"differences of the noise have {100 * DIFFERENCED:g} % there at any sampling time, so "
-            "a faster recording would show the same"
+            "a faster recording does not lower this share"
         )
     elif near > MIN_ALIASING_SHARE:
         yield (

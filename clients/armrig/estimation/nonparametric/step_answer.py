@@ -140,8 +140,8 @@ def step_answer(
     k : array of int, shape (N,)
         Number of each sample relative to the step, negative before the step.
     y : ndarray, shape (N,)
-        Response divided by its final value; NaN if not known. For an integrating output, the angle
-        divided by the final value of the rate.
+        Response divided by its final value; NaN if not known. If the output integrates, y is the
+        angle divided by the final value of the rate.
     weight : ndarray, shape (N,)
         Weight of each sample; the noise variance of the sample is inversely proportional to this
         weight.
