@@ -55,9 +55,9 @@ def armax(
     starts : {"many", "few"}, default "many"
         With "many" the search starts again from changed copies of the best model. In each copy one
         mode has another frequency or damping. With "few" only complex root pairs of F (if the model
-        has an F) are changed. They are changed only if the first searches end in different minima
-        or the noise is strong. "few" needs a tenth to a half of the time of "many", but ends in a
-        poorer minimum more often.
+        has an F) are changed. These pairs are changed only if the first searches end in different
+        minima or the noise is strong. "few" needs a tenth to a half of the time of "many", but ends
+        in a poorer minimum more often.
 
     Returns
     -------

@@ -59,8 +59,8 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     Examples
     --------
     The noise of the example is added to the output, so that the residuals of this model are
-    coloured. `oe` and `bj` describe such noise. On the page of the handout, the table "When a model
-    does not follow the data" lists what to try next.
+    coloured. `oe` and `bj` describe such noise. The table "When a model does not follow the data"
+    on the page of the handout lists what to try next.
 
     >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")

@@ -1,9 +1,9 @@
 """Warnings about faults of the data: wrong samples, an offset, swapped columns.
 
-In least squares a few large errors have as much weight as thousands of small errors. The model fits
-an offset of y as a response to the input. The test of the residuals for large errors needs almost
-no time. If the residuals are coloured or their mean is not zero, an ARX model of high order is
-fitted to estimate the offset.
+In least squares a few large errors have as much weight as thousands of small errors. A model
+without an offset explains an offset of y as a response to the input. The test of the residuals for
+large errors needs almost no time. If the residuals are coloured or their mean is not zero, an ARX
+model of high order is fitted to estimate the offset.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MAX_OFFSET_ORDER = 12  # order of the model that estimates an offset
 _MAX_OFFSET_SAMPLES = 10_000  # enough samples to detect an offset that matters
 _MAX_SHOWN_SIGMAS = 1000.0
 _MIN_LEVEL_SHARE = 1e-9  # share of the largest |y|; a smaller level is rounding
-_MIN_LEVEL_SIGMAS = 4.0  # exceeded by 6 of 100 000 estimates without an offset
+_MIN_LEVEL_SIGMAS = 4.0  # if there is no offset, 6 of 100 000 estimates exceed this limit
 
 
 def data_faults(
@@ -126,7 +126,7 @@ def level_without_input(data: Dataset, least: float = _MIN_LEVEL_SIGMAS) -> Esti
     """Return a finding with the level of y at u = 0, or None if the level is within `least` σ of 0.
 
     The model A(q) y(t) = B(q) u(t) + c + e(t) has a constant c. At u = 0 the level of y is c /
-    A(1). Without c, the initial state can explain a level only for a short time.
+    A(1). In a model without c, the initial state can explain a level only for a short time.
     """
     parts = [(part.u, part.y) for part in data[:_MAX_OFFSET_SAMPLES].experiments()]
     n = min(_MAX_OFFSET_ORDER, (data.N - data.missing) // 10)

@@ -26,7 +26,7 @@ def plot_orders(
     """Plot the best structure for each number of parameters, and the choice of each criterion.
 
     The ordinate is the one-step loss divided by the least loss. If there are validation data, the
-    losses are computed on them.
+    losses are computed on these data.
     """
     ax = axes(ax)
     on_other = table.validation_loss is not None

@@ -30,7 +30,7 @@ Ends = list[tuple[str, Optimum]]
 
 SAME_COST_TOLERANCE = 1e-6  # relative difference in cost up to which two searches agree
 ROUNDING_SHARE = 1e-18  # share of |y|² below which |e|² is rounding noise
-_MIN_NOISE_SHARE = 0.2  # share of the output's variance; above it a mode may fit noise
+_MIN_NOISE_SHARE = 0.2  # with a larger noise share of the output's variance, a mode may fit noise
 _MAX_ROUNDS = 6
 _MAX_MOVED_COEFFICIENTS = 30  # coefficients of C, D and F; with 60 a round takes a minute
 _STAGES = ((10, 16), (40, 1))  # (steps of each search, number of searches that continue)
@@ -65,8 +65,8 @@ def searched_minimum(
     Parameters
     ----------
     part : PredictionErrorProblem, optional
-        Problem for a part of long data. All searches start on this part. Each minimum of the part
-        then starts one search on the whole data.
+        Problem for a part of long data. All searches start on this part. From each minimum on the
+        part, one search continues on all data.
     thorough : bool
         True: move complex pairs and real roots of C, D and F. False: move only complex pairs of F.
     """
@@ -221,7 +221,7 @@ def _with_white_noise(problem: PredictionErrorProblem, theta: Array) -> Iterator
 
 
 def _through_a_higher_order(problem: PredictionErrorProblem, theta: Array) -> Iterator[Array]:
-    """Yield start values: an output-error model of higher order, with one mode removed.
+    """Yield start values from an output-error model of higher order, with one mode removed.
 
     The larger model has one more b and one more f. During the search for the larger model, a mode
     can move past a frequency at which the cost of the smaller model has a maximum.

@@ -41,7 +41,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, reflected, without_integrator
 
 _MAX_SUGGESTED_ORDER = 10
-_MAX_DISTANCE_FROM_1 = 0.02  # largest distance from 1 of a pole with a warning
+_MAX_DISTANCE_FROM_1 = 0.02  # a pole farther from 1 is not taken for an integrator
 _NO_GAIN_TEXT = (
     "no steady Kalman gain was found, so in the subspace model C is A with its roots inside the "
     "unit circle"

@@ -56,9 +56,9 @@ def oe(
     starts : {"many", "few"}, default "many"
         With "many" the search starts again from changed copies of the best model. In each copy one
         mode has another frequency or damping. With "few" only complex root pairs of F are changed.
-        They are changed only if the first searches end in different minima or the noise is strong.
-        "few" needs a tenth to a half of the time of "many", but ends in a poorer minimum more
-        often.
+        These pairs are changed only if the first searches end in different minima or the noise is
+        strong. "few" needs a tenth to a half of the time of "many", but ends in a poorer minimum
+        more often.
 
     Returns
     -------

@@ -38,7 +38,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Integers = NDArray[np.int_]
 
-_MIN_INDEPENDENT_SHARE = 1e-10  # of a column's length that earlier columns must not explain
+_MIN_INDEPENDENT_SHARE = 1e-10  # least share of a column that earlier columns do not explain
 _BLOCK_ROWS = 4096  # rows decomposed at once, which fit into the cache
 
 
@@ -122,7 +122,7 @@ class OrderTable:
         return without if self.validation_loss is None else ("validation", *without)
 
     def values(self, criterion: Criterion) -> Vector:
-        """Return a criterion of every structure, (n,), NaN if the data do not determine it.
+        """Return a criterion of every structure, (n,); NaN if its parameters are not determined.
 
         Raises
         ------
@@ -143,15 +143,15 @@ class OrderTable:
         The default criterion is "validation" if there are validation data, otherwise MDL.
 
         The lowest of many validation losses is also low by chance, and often belongs to a structure
-        that is too large. The rule therefore chooses the structure with the fewest parameters among
-        those whose loss is close to the lowest loss. The difference of the two losses must be at
-        most one standard error of this difference [1]_. The other criteria contain a penalty for
-        each parameter, so the structure with the lowest value is chosen.
+        that is too large. Among the structures whose loss is close to the lowest loss, the
+        structure with the fewest parameters is therefore chosen. A loss is close if it exceeds the
+        lowest loss by at most one standard error of the difference [1]_. The other criteria contain
+        a penalty for each parameter, so the structure with the lowest value is chosen.
 
-        In 200 runs with 600 structures (N = 1000 for estimation and for validation) this rule chose
-        the true orders na=2, nb=2, nk=1 in 73 % of the runs. The lowest validation loss chose these
-        orders in 18 % of the runs. MDL chose them in 99 % of the runs, and AIC and FPE in 49 %. No
-        criterion chose a structure that is too small.
+        In 200 simulations with 600 structures (N = 1000 for estimation and for validation) this
+        rule chose the true orders na=2, nb=2, nk=1 in 73 % of the simulations. The lowest
+        validation loss chose these orders in 18 %, MDL in 99 %, and AIC and FPE in 49 % of the
+        simulations. No criterion chose a structure that is too small.
 
         References
         ----------
@@ -280,8 +280,7 @@ def select_orders(
     R. The leading triangles of the result belong to the structures nb = 1, 2, …. The loss is the
     sum of squares in the column of y below row na + nb. Triangular factors R_v of batches of the
     validation data give the loss on these batches, ``|R_v [-theta; 1]|²``. All structures are
-    compared on the same samples. At these samples all regressors of the largest structure are
-    known.
+    compared on the samples at which all regressors of the largest structure are known.
 
     Parameters
     ----------
@@ -386,7 +385,7 @@ def order_table(
 
 
 def _asked(**orders: Iterable[int]) -> list[Integers]:
-    """Return na, nb and nk to try, each in rising order."""
+    """Return the values of na, nb and nk to try, each in rising order."""
     require_several(**orders)
     wanted = [np.unique([*values]) for values in orders.values()]
     for name, values, lowest in zip(orders, wanted, (0, 1, 0), strict=True):
@@ -446,9 +445,9 @@ def _columns(na: int, nk: int, nb: int, most: int, lags: range, nu: int) -> Inte
 def _losses(
     R: Array, R_v: Array, chosen: Integers, na: int, nu: int
 ) -> Iterator[tuple[float, Array]]:
-    """Yield a pair of results for each nb = 1, 2, …: sums of squared errors.
+    """Yield a pair of sums of squared errors for each nb = 1, 2, ….
 
-    The first item is the sum for the estimation data. The second item is an array with the sum for
+    The first item is the sum on the estimation data. The second item is an array with the sum on
     each batch of the validation data. The columns are scaled, so that the test for linear
     dependence does not depend on units.
     """

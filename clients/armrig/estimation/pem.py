@@ -54,8 +54,9 @@ def pem(
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2, 7.2 and 10.2.
 
-    Examples -------- The noise of the example is white, so that d1 is 0 within two standard
-    deviations.
+    Examples
+    --------
+    The noise of the example is white, so that d1 is 0 within two standard deviations.
 
     >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")

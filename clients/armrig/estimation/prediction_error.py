@@ -23,7 +23,7 @@ class Solution:
     parts: tuple[Errors, ...]
     """Errors of each experiment."""
     given: tuple[LinearPart, ...]
-    """Linear equation of each experiment."""
+    """Linear equation for A, B and the unknown past of each experiment."""
     e: Array
     """Residuals of all experiments, (M,); 0 in a row that has no residual."""
     by_ab: Array
@@ -48,9 +48,9 @@ class PredictionErrorProblem:
     """Minimisation of |(D/C) (A y - (B/F) u) - effect of the unknown past|² over the polynomials.
 
     The unknown past is the signals before the first sample of each experiment. The errors are
-    linear in A, B and the unknown past. These three are therefore projected out. The search is over
-    the coefficients of C, D and F only. This method is variable projection with Kaufman's Jacobian.
-    The gradient from this Jacobian is exact.
+    linear in A, B and the unknown past, which are therefore projected out. The search is over the
+    coefficients of C, D and F only. This method is variable projection with Kaufman's Jacobian. The
+    gradient from this Jacobian is exact.
 
     After each gap, pulses with estimated heights represent the unknown past of the noise. The
     pulses also fit part of the noise itself, so that many gaps bias C. If 3 % of 2000 samples are

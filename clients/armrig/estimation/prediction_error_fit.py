@@ -31,8 +31,8 @@ PART_SAMPLES = 3000
 """Number of samples in the part of long data on which searches start. If the data have at most
 twice this number of samples, searches start on all data."""
 MAX_PULSE_SHARE = 0.01
-"""Limit of the ratio of pulses after gaps to errors. If the ratio is larger, the fit has a
-warning."""
+"""Limit of the number of pulses after gaps, divided by the number of errors. If this ratio is
+larger, the fit has a warning."""
 CURVED_TEXT = (
     "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
     "within two standard deviations. A pole and a zero may nearly cancel. The standard deviations "
@@ -67,9 +67,8 @@ def searched(
     orders : str
         Orders as the caller gave them, for messages.
     initial : {"estimate", "backcast", "zero", "auto"}
-        State at the start of each experiment. "backcast" is MATLAB's name for the least-squares
-        estimate of the state for given polynomials. Both options have the same effect, because the
-        search projects the state out at every step.
+        State at the start of each experiment. "backcast", a name from MATLAB, has the same effect
+        as "estimate": the search estimates the state by least squares at every step.
     stable : bool, default False
         Reflect poles outside the unit circle into the circle, and estimate B again.
     starts : {"many", "few"}
@@ -168,7 +167,7 @@ def _fit(
     theta: Array,
     name: str,
 ) -> Fit:
-    # A search has also converged if its cost is rounding error, which shows no further progress.
+    # A search also counts as converged if its cost consists only of rounding errors.
     floor = rounding_floor(problem)
     ends = [(start, replace(o, converged=o.converged or o.cost <= floor)) for start, o in ends]
     n, best = problem.structure, ends[0][1]
@@ -281,7 +280,9 @@ def _search_warnings(
         text = f"the search did not converge in {best.iterations} steps"
         yield warning("not_converged", text, steps=best.iterations)
     if not agreed:
-        text = f"the start {starts[-1].name!r} ended in a poorer minimum ({starts[-1].loss:.4g})"
+        text = (
+            f"the start {starts[-1].name!r} ended in a poorer minimum (loss {starts[-1].loss:.4g})"
+        )
         yield warning("poorer_minimum", text, loss=starts[-1].loss)
 
 

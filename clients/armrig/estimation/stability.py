@@ -86,7 +86,7 @@ def with_stable_poles(
 def largest_unstable(model: Model) -> float:
     """Return the largest |z| of the poles on or outside the unit circle, or 0 if all are inside.
 
-    The poles of G and of the noise model count, except a pole that is 1 by construction.
+    All poles of G and of the noise model are included, except a pole that is 1 by construction.
     """
     polynomials = {letter: np.asarray(getattr(model, letter.upper())) for letter in "adf"}
     if model.integrating:

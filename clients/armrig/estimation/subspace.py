@@ -170,7 +170,7 @@ def projection(w: Windows, weights: Weights) -> Projection:
     past = w.columns("up", "yp")
     R12, R22 = w.R[:f, past], w.R[f : f + past.size, past]
     R23, R33 = w.R[f : f + past.size, -f:], w.R[f + past.size :, -f:]
-    # Columns of the past may be linearly dependent. Without noise they always are.
+    # Columns of the past may be linearly dependent; without noise they are always dependent.
     H = least_squares(R22, R23).T
     if weights == "cva":
         _, values, V = np.linalg.svd(np.vstack([R23, R33]), full_matrices=False)

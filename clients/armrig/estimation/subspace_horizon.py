@@ -35,8 +35,8 @@ from armrig.numerics.stretches import stretches
 
 MIN_HORIZON, MAX_HORIZON = 10, 30
 """Limits of the horizon that AIC chooses, in samples."""
-_MAX_WINDOWS = 4000  # for the choice of the longest horizon
-_MAX_COMPARED_SAMPLES = 2000  # for the comparison of models
+_MAX_WINDOWS = 4000  # most windows from which the longest horizon is chosen
+_MAX_COMPARED_SAMPLES = 2000  # most samples on which models are compared
 _MIN_LOSS_SHARE = 1e-10  # share of |y|²; normal equations lose all digits of a smaller loss
 
 Signals = Sequence[tuple[Array, Array]]
@@ -86,8 +86,8 @@ def least_loss(signals: Signals, models: Sequence[tuple[Array, Array]], *, direc
 
     B of each model is chosen so that the loss is least. The loss of A y = B u + C e is computed
     over the longest stretches without missing y, at most 2000 samples in all. A level and the
-    predictor's initial state are fitted for each stretch. If the data have no noise, the losses do
-    not differ and the index is 0.
+    predictor's initial state are fitted for each stretch. If the data have no noise, the losses are
+    only rounding errors and the index is 0.
     """
     parts = _longest_stretches(signals)
     scale = sum(float(y @ y) for _, y in parts)
@@ -146,7 +146,8 @@ class Poles:
     singular_values: Array
     """Singular values of the projection."""
     steady: bool
-    """True if there is a steady Kalman filter. Otherwise C is A with roots inside the circle."""
+    """True if there is a steady Kalman filter. Otherwise C is A with all roots moved inside the
+    circle."""
 
 
 def poles_at(w: Windows, found: Projection, order: int, *, integrator: bool) -> Poles:
@@ -170,13 +171,13 @@ def best_poles(
 ) -> Poles:
     """Return the poles for the horizon of `w` or order + 2, whichever has the lower one-step loss.
 
-    For white noise on the output, the memory of the predictor is long, and the past must be long.
-    If the noise has the poles of A, a long past is not necessary. If the data are also short, a
-    long past reduces the accuracy. An example is an ARMAX system of order 4 at N = 300. The loss of
-    its model exceeded the least possible loss by 29 % with a horizon of 10, and by 5 % with a
-    horizon of 6. For white noise on the output, the loss was 6 % above the least possible loss with
-    a horizon of 10, and 10 % above with a horizon of 6. The losses can be compared because both
-    models have the same number of parameters.
+    For white noise on the output, the memory of the predictor is long, and the horizon must be
+    long. If the noise has the poles of A, a long horizon is not necessary, and in short data it
+    reduces the accuracy. An example is an ARMAX system of order 4 at N = 300. The loss of its model
+    exceeded the least possible loss by 29 % with a horizon of 10, and by 5 % with a horizon of 6.
+    For white noise on the output, the loss was 6 % above the least possible loss with a horizon of
+    10, and 10 % above with a horizon of 6. The losses can be compared because both models have the
+    same number of parameters.
     """
     long = poles_at(w, found, order, integrator=integrator)
     if order + 2 >= w.future:

@@ -50,9 +50,8 @@ class InputDescription:
     weakest: float
     """Least eigenvalue of the covariance matrix of `order` samples, divided by the variance.
 
-    The ratio is 1 for white noise. In the direction of the eigenvector of this eigenvalue, the
-    variance of estimated parameters is 1/weakest times the variance with white noise of the same
-    power.
+    With white noise the ratio is 1. In the direction of the corresponding eigenvector, the variance
+    of estimated parameters is 1/weakest times as large as with white noise of the same power.
     """
     omega: Vector
     """Frequencies of `spectrum`, in rad/s; empty if u is shorter than 16 samples."""

@@ -29,8 +29,8 @@ def multisine(
     periods of P = N / periods samples. Line l is therefore exactly at 2 pi l / (P Ts) rad/s,
     without leakage.
 
-    For a period of T seconds and a band from f1 to f2 in Hz, let P = T / Ts and N = periods P. The
-    lines are then range(ceil(f1 T), floor(f2 T) + 1).
+    For a period of T seconds and a band from f1 to f2 in Hz, give N = periods T / Ts, and lines =
+    range(ceil(f1 T), floor(f2 T) + 1).
 
     Parameters
     ----------

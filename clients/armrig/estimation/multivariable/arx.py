@@ -30,11 +30,11 @@ _SAME_TOLERANCE = 1e-8  # relative change of Lambda at which the iteration ends
 def arx(data: Signals, *, na: Any, nb: Any, nk: Any = 1) -> MultivariableFit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) with full matrices of polynomials.
 
-    The equations of the outputs are seemingly unrelated regressions. They are weighted by the
-    inverse of Lambda, the covariance of e. The parameters are estimated for a given Lambda, and
-    Lambda is estimated from the residuals. These two steps are repeated until Lambda hardly
-    changes. If all outputs have the same regressors, the weights have no effect. Rows that contain
-    a missing y are not used.
+    The equations of the outputs are seemingly unrelated regressions, weighted by the inverse of
+    Lambda, the covariance of e. The parameters are estimated for a given Lambda, and Lambda is
+    estimated from the residuals. These two steps are repeated until Lambda hardly changes. If all
+    outputs have the same regressors, the weights have no effect. Rows that contain a missing y are
+    not used.
 
     Parameters
     ----------

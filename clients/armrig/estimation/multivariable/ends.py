@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-_SAME_TOLERANCE = 1e-6  # difference of two criteria up to which they belong to one minimum
+_SAME_TOLERANCE = 1e-6  # difference of criteria up to which two searches are at one minimum
 _LEAST_COST = 1e-300  # so that a cost of 0 has a logarithm
 
 End = TypeVar("End")
@@ -16,8 +16,8 @@ End = TypeVar("End")
 def ranked(ends: Iterable[End], criterion: Callable[[End], float]) -> list[End]:
     """Return the results of searches, best first; results at the same minimum keep their order.
 
-    If two searches reach the same minimum, rounding errors decide which cost is lower. Rounding
-    errors differ from processor to processor.
+    At the same minimum only rounding errors, which differ from processor to processor, decide which
+    cost is lower.
 
     Parameters
     ----------

@@ -2,9 +2,9 @@
 
 The gain K of a subspace estimate is biased, because the estimate uses finite windows. The one-step
 errors of the model are then not white. With independently drawn errors, the noise of the simulated
-data would not have the spectrum of the noise in the measured data. The number of lags is fixed. In
-short data a criterion such as AIC chooses no lags, although the spectrum at low frequencies is then
-wrong by a fifth.
+data would not have the spectrum of the noise in the measured data. The number of lags is fixed,
+because a criterion such as AIC chooses no lags for short data. Without lags the spectrum at low
+frequencies is wrong by a fifth.
 
 References
 ----------
@@ -22,9 +22,9 @@ from armrig.estimation.multivariable.subspace import complete_stretches, long_re
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 
-_LAGS = 10  # fewer for few rows
-_MIN_ROWS = 10  # rows of the regression for each of its coefficients
-_SETTLING = 200  # samples before the drawn ones
+_LAGS = 10  # number of lags; fewer if there are few rows
+_MIN_ROWS = 10  # least number of rows for each coefficient of the regression
+_SETTLING = 200  # samples that are dropped at the start of the process
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

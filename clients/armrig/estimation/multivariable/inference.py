@@ -3,7 +3,7 @@
 The error of an estimate is the sum of H_i(t) e_i(t) over time t and outputs i. H_i (N, d) is the
 influence of e_i on the estimate. If e is white with covariance Lambda, the covariance of the
 estimate is the sum of Lambda_ij H_i^T H_j. The sandwich form replaces Lambda by the autocovariance
-of the residuals, or it estimates the covariance of the sum directly from the scores H_i(t) e_i(t).
+of the residuals, or estimates the covariance of the sum directly from the scores H_i(t) e_i(t).
 
 References
 ----------
@@ -36,7 +36,7 @@ from armrig.numerics.whiteness import (
     portmanteau,
 )
 
-_MIN_WHITENED = 30  # errors of autoregressions that determine the correlation of the outputs
+_MIN_WHITENED = 30  # least number of errors from which the correlation of outputs is estimated
 _AR_GAP = 40  # samples between the residuals of two experiments for an autoregression
 
 

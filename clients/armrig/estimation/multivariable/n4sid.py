@@ -42,11 +42,11 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 
 _MAX_SUGGESTED_ORDER = 10
-_STEP = 1e-6  # of an entry of the matrices, for a derivative
-_RANK_TOLERANCE = 1e-8  # of the derivatives, which are 0 for a change of coordinates
+_STEP = 1e-6  # change of a matrix entry for a numerical derivative
+_RANK_TOLERANCE = 1e-8  # a smaller relative singular value belongs to a change of coordinates
 _MIN_HORIZON = 10
 _MAX_PASSES = 20
-_SMALL_DECREASE = 1e-3  # of the sum of squared one-step errors, relative
+_SMALL_DECREASE = 1e-3  # relative decrease of the sum of squared errors at which the passes end
 _REPLICATES = 100
 
 
@@ -94,10 +94,10 @@ def n4sid(
         Number of past and of future samples; by default the larger of 10 and twice the order. For
         short data the default is smaller.
     replicates : int, default 100
-        Number of simulated data sets for the covariance. Each data set is simulated from the model.
-        A replicate is the model that is estimated in the same way from a simulated data set. The
-        errors of the simulation are drawn from an autoregression of the model's one-step errors.
-        With 0 the covariance is NaN.
+        Number of replicates, from which the covariance is computed. For each replicate a data set
+        is simulated by the model, and another model is estimated from this data set in the same
+        way. The errors of the simulation are drawn from an autoregression of the model's one-step
+        errors. With 0 the covariance is NaN.
     seed : int, default 0
         Seed of the drawn errors.
 

@@ -22,7 +22,7 @@ class OrderTables:
     """A table of ARX structures for each output: `tables["alpha"]`."""
 
     tables: Mapping[str, OrderTable]
-    """Table for each output; with given delays, nk in the table is the output's least delay."""
+    """Table for each output; if delays were given, nk in the table is the least of these delays."""
     delays: Mapping[str, tuple[int, ...]]
     """Given delay of each input, for each output; empty if several delays were compared."""
 

@@ -28,8 +28,8 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
     """A structure with its orders, which all outputs and inputs have in common.
 
     If an output integrates, the orders also count the root at 1 of this output. The orders na, nb
-    and nf of the outputs that do not integrate are then lower by one. The rig is an example. Its
-    transfer function to alpha has one pole and one coefficient of B less than its transfer function
+    and nf of the outputs that do not integrate are then lower by one. In the rig, for example, the
+    transfer function to alpha has one pole and one coefficient of B less than the transfer function
     to theta_1.
     """
 

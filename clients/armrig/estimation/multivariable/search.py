@@ -40,8 +40,8 @@ from armrig.numerics.polynomial import Array, roots
 
 _MAX_ROUNDS = 10
 _SAME_TOLERANCE = 1e-6  # relative change of Lambda at which the iteration from a start ends
-_MAX_MOVES = 3  # searches for a better minimum with a mode moved
-_MOVED_STARTS = 3  # start values of each of them
+_MAX_MOVES = 3  # largest number of rounds in which a mode is moved
+_MOVED_STARTS = 3  # start values in each of these rounds
 _END_TOLERANCE = 1e-10  # relative change of Lambda at which the last iteration ends
 
 
@@ -54,7 +54,7 @@ class Plan:
     rows: tuple[Row, ...]
     """Equation of each row."""
     sizes: tuple[int, ...]
-    """Number of coefficients of each polynomial; `ONE` has none."""
+    """Number of coefficients of each polynomial; the polynomial `ONE` has none."""
     bounded: tuple[bool, ...]
     """True for each polynomial that must be stable."""
 
@@ -79,7 +79,7 @@ def estimated(
     shared: bool = False,
     equation_error: bool = False,
 ) -> MultivariableFit:
-    """Return the model whose rows are at the lowest minimum of the search of their plan.
+    """Return one model of all outputs; each plan is estimated by a separate search.
 
     Parameters
     ----------
@@ -165,10 +165,10 @@ def _reweighted(
     """Return the problem of the best minimum, and the minima after Lambda is iterated.
 
     From each of the minima `ends`, the search and the estimate of Lambda are repeated in turn. The
-    best minimum has the least det Lambda. Then one mode of a denominator is moved, as long as that
-    leads to a better minimum. The best minimum need not be the first of `ends`, because
-    the searches for `ends` used the variances of the outputs as Lambda. With these variances, an
-    output that integrates has little weight.
+    best minimum has the least det Lambda. Then one mode of a denominator is moved, as long as a
+    move leads to a better minimum. The best minimum need not be the first of `ends`, because the
+    searches for `ends` used the variances of the outputs as Lambda. With these variances, an output
+    that integrates has little weight.
     """
     found = [(name, *_iterated(problem, masks, end, _SAME_TOLERANCE)) for name, end in ends]
     found = ranked(found, lambda one: one[1])
@@ -226,7 +226,7 @@ def _covariance(problem: PolynomialProblem, masks: Sequence[Array], theta: Array
 
 
 def _starts(data: Signals, one: _Estimated) -> Iterator[Start]:
-    """Yield the result of each start value of one plan; the loss is that of whitened errors."""
+    """Yield the result from each start value; the loss is the mean square of whitened errors."""
     names = ", ".join(data.outputs[i] for i in one.plan.outputs)
     errors = sum(int(np.count_nonzero(x.rows)) for of in one.problem.experiments for x in of)
     for name, o in one.ends:
@@ -279,7 +279,7 @@ def _inference(data: Signals, found: Sequence[_Estimated]) -> Inference:
 
 
 def _parameters(data: Signals, found: Sequence[_Estimated]) -> list[float]:
-    """Return the number of parameters of each output; a parameter of k outputs counts 1/k."""
+    """Return the number of parameters of each output; if k outputs share one, it counts 1/k."""
     counts = [0.0] * data.ny
     for one in found:
         users = [

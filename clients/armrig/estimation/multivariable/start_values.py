@@ -22,7 +22,7 @@ from armrig.estimation.multivariable.problem import ONE, PolynomialProblem, Row,
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 
-_EXTRA_ORDER = 12  # order of the ARX model beyond the largest order of the row
+_EXTRA_ORDER = 12  # order of the ARX model minus the largest order of the row
 _ITERATIONS = 8
 _MAX_OUTPUT_ERROR_STEPS = 15  # steps of the search for an output-error start value
 

@@ -9,7 +9,7 @@ outputs measured before t. The index o marks the outputs measured at t ::
     x(t+1) = A x(t) + B u(t) + G(t) nu(t)
     P(t+1) = A P(t) A^T + K Lambda K^T - G(t) S(t) G(t)^T
 
-P is 0 as long as no output is missing, because the first state is estimated. The criterion is the
+P is 0 as long as no output is missing, because the initial state is estimated. The criterion is the
 likelihood of the measured outputs: the sum of nu^T inv(S) nu, times the geometric mean of det S.
 
 References
@@ -36,8 +36,8 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
 
-_NEGLIGIBLE = 1e-9  # of the variance of a prediction, relative to the variance of e
-_STEP = 1e-6  # of a numerical derivative; the coordinates are scaled
+_NEGLIGIBLE = 1e-9  # a smaller variance of C x, relative to the variance of e, counts as 0
+_STEP = 1e-6  # step of a numerical derivative; the coordinates are scaled
 _STEPS = 3  # steps of the search between two estimates of Lambda
 _MAX_ROUNDS = 30
 _LIKELIHOOD_TOLERANCE = 1e-3  # change of -2 log likelihood at which the search ends
@@ -116,7 +116,7 @@ class GapProblem:
         return z, logs
 
     def moved(self, at: Predictor, V: Array, t: Array) -> Predictor:
-        """Return a predictor for coordinates t.
+        """Return the predictor `at`, moved by the coordinates t.
 
         The first coordinates move (Abar, C) along the tangent space V. The other coordinates are
         changes of Bbar and K signal by signal, of D row by row, and of the initial states.
@@ -137,7 +137,7 @@ class GapProblem:
         )
 
     def linearise(self, at: Predictor, V: Array, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return errors and their negative derivatives, and the mean logarithm and its derivatives.
+        """Return the errors, their negative derivatives, the mean log det, and its derivatives.
 
         The derivatives are numerical.
         """

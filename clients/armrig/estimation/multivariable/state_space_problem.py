@@ -34,8 +34,8 @@ from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import free_responses, recursion, responses
 
-_MAX_MODULUS = 1 - 1e-7  # of an eigenvalue of Abar in a search
-_ORBIT_TOLERANCE = 1e-10  # relative singular value of a change of coordinates
+_MAX_MODULUS = 1 - 1e-7  # largest modulus of an eigenvalue of Abar in a search
+_ORBIT_TOLERANCE = 1e-10  # least relative singular value of a change of coordinates
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

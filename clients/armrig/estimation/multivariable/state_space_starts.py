@@ -23,7 +23,7 @@ from armrig.numerics.polynomial import Array
 
 _MIN_LAGS = 10
 _MOVED_MODES = 2  # weakest modes that are moved
-_MOVED_MODULUS = 0.8  # of a mode that is moved
+_MOVED_MODULUS = 0.8  # modulus of a moved mode
 
 
 def starts(

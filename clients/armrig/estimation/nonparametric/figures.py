@@ -128,9 +128,9 @@ class Hints(Protocol):
 def plot_impulse(response: Response, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
     """Plot the impulse response with its band about 0.
 
-    Coefficients outside the band are significant. If the output integrates,
-    the upper panel shows the response of the rate. The lower panel shows the running sum of this
-    response, with a band about the sum.
+    Coefficients outside the band are significant. If the output integrates, the upper panel shows
+    the response of the rate. The lower panel shows the running sum of this response, with a band
+    about the sum.
     """
     g, std = response.decaying
     width = response.band(level)
@@ -300,7 +300,7 @@ def _with_gaps(t: Vector, y: Vector) -> tuple[Vector, Vector]:
 
 
 def _about(ax: Axes, y: Vector) -> None:
-    """Limit an axis to a curve, so that noisy dots do not flatten the curve."""
+    """Limit the y axis to the range of a curve, so that noisy dots do not flatten the curve."""
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     room = 0.25 * (high - low) or 1.0
     ax.set_ylim(low - room, high + room)

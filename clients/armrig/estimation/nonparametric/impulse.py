@@ -46,7 +46,7 @@ MAX_PLAIN_LAGS, MAX_REGULARISED_LAGS = 70, 100
 """Largest default number of lags, without and with a kernel."""
 MAX_LAST_VARIANCE_SHARE = 0.05
 """A response is long enough if the prior variance at its last lag is below this share of the
-scale."""
+prior's scale."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -222,8 +222,8 @@ def impulse_response(
 ) -> ImpulseResponse:
     """Estimate g in y(t) = c + sum over k = -m … n-1 of g(k) u(t - k) + v(t).
 
-    Each experiment has its own level c. A row is used only if its y is valid and all its inputs are
-    inside the experiment.
+    Each experiment has its own level c. A row of the regression is used only if its y is valid and
+    all its inputs are inside the experiment.
 
     With kernel=None the method is least squares by QR, with a confidence band. The covariance of g
     is P M P, with P = (Phi^T Phi)^-1 and M = Phi^T R Phi. R is the covariance of an autoregression
@@ -285,8 +285,9 @@ def impulse_response(
     n = _default(data.N - data.missing, plain=kernel is None) if n is None else n
     require_integers(n=(n, 1), negative_lags=(negative_lags, 0))
     lags = np.arange(-negative_lags, n)
-    # A fifth more lags are estimated and then dropped. They represent all later lags. Without them
-    # the last coefficient would include the effect of later lags, because running sums are similar.
+    # A fifth more lags are estimated and then dropped. Without these extra lags the last
+    # coefficients would include the effect of all later lags, because running sums at neighbouring
+    # lags are similar.
     spare = 1 + n // 5 if kernel is None and integrates else 0
     asked = range(-negative_lags, n + spare)
     rows = regression(data, asked, integrator=integrates)
@@ -351,9 +352,11 @@ def _response(
 
 
 def long_enough(data: Dataset, lags: tuple[int, ...], *, integrator: bool) -> ImpulseResponse:
-    """Return the regularised response for the first number of lags at which the prior has decayed.
+    """Return the regularised response for the first number in `lags` that is large enough.
 
-    If no number of lags is enough, the result is the response whose prior has decayed most. The
+    A number is large enough if the response and the prior have decayed at the last lag.
+
+    If no number is large enough, the result is the response whose prior has decayed most. The
     spectrum of a truncated response has ripples with the period 2 pi/(n Ts) rad/s. The standard
     deviations do not include these ripples. `died_out` alone does not detect a truncation, because
     the band is wide.
@@ -411,7 +414,8 @@ def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
     if m == 0:
         found = posterior
         return found.g, found.covariance, found.noise_variance, found.hyperparameters
-    # The negative lags are R_ff^-1 (r_f - R_fp g) for each g of the posterior.
+    # For negative lags f (flat prior) and the other lags p, each g_p of the posterior leads to g_f
+    # = R_ff^-1 (r_f - R_fp g_p).
     inverse = np.linalg.inv(R[:m, :m])
     slope = -inverse @ R[:m, m:d]
     flat = inverse @ R[:m, d] + slope @ posterior.g

@@ -36,10 +36,10 @@ MAX_STEP_LAGS = 500  # largest number of lags of the impulse response from steps
 MIN_TRANSIENT_SAMPLES, MAX_TRANSIENT_SAMPLES = 7, 10  # handout 3.1.1: samples in the transient
 NYQUIST_SHARE = 0.8  # lower limit of the frequencies near Nyquist, as a share of Nyquist
 SPEED_UP = 5  # factor of a faster recording, if the response ends within a sample
-MIN_GAIN_SHARE = 0.05  # share of a response's largest value; a smaller final value is 0
-MIN_ALIASING_SHARE = 0.05  # share of power near Nyquist for a note on aliasing
-# Share of power near Nyquist of 1 - cos(omega Ts), the spectrum of differences of white noise, and
-# its largest value with the scatter of an estimated spectrum.
+MIN_GAIN_SHARE = 0.05  # share of a response's largest value; a smaller final value counts as 0
+MIN_ALIASING_SHARE = 0.05  # a larger share of power near Nyquist leads to a note on aliasing
+# Differences of white noise have the spectrum 1 - cos(omega Ts). DIFFERENCED is the share of its
+# power near Nyquist. In an estimate, scatter may increase this share to MOST_DIFFERENCED.
 DIFFERENCED, MOST_DIFFERENCED = 0.39, 0.45
 
 
@@ -52,7 +52,7 @@ class SamplingTime:
     tau: float
     """63 % time of the step response (of the rate if y integrates), less the dead time, in s."""
     omega_step: float
-    """Bandwidth omega_B = 1/tau of the step, in rad/s."""
+    """Bandwidth omega_B = 1/tau from the step response, in rad/s."""
     omega_first: float
     """Lowest frequency at which |G| falls below 1/sqrt(2) of its low-frequency value, in rad/s."""
     omega_spectrum: float
@@ -62,15 +62,16 @@ class SamplingTime:
     settling_std: float
     """Standard deviation of `settling`; NaN if the response was not measured with steps."""
     Ts_step: float
-    """Sampling time 2 pi/(20 omega_B) with omega_B of the step, in s."""
+    """Sampling time 2 pi/(20 omega_B) with omega_B from the step response, in s."""
     Ts_spectrum: float
-    """Sampling time 2 pi/(20 omega_B) with omega_B of the spectrum, in s."""
+    """Sampling time 2 pi/(20 omega_B) with omega_B from the spectrum, in s."""
     Ts_transient: tuple[float, float]
     """Sampling times settling/10 and settling/7, in s."""
     near_nyquist: float
     """Share of the power of y (or its rate if y integrates) above 0.8 of the Nyquist frequency."""
     beyond: float
-    """Share of the power above the Nyquist frequency of `Ts`; NaN if `Ts` < `recorded_at`."""
+    """Share of the power of y (or its rate) above pi/`Ts`, in the data; NaN if `Ts` <
+    `recorded_at`."""
     from_step: bool
     """True if steps measure the response, False if a regularised impulse response estimates it."""
     recorded_at: float
@@ -149,25 +150,26 @@ class SamplingTime:
 def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingTime:
     """Recommend a sampling time from a first recording, by the rules of the handout.
 
-    By the rule omega_s = 20 omega_B, Ts is 2 pi/(20 omega_B). The bandwidth omega_B is 1/tau of the
-    step response, or is read from the spectrum. By the rule of 7 to 10 samples in the transient, Ts
-    is settling/10 to settling/7. For a first-order system the first rule leads to Ts = 0.31 tau,
-    and the second rule to Ts between 0.3 tau and 0.43 tau. The recommendation is the shortest of
-    three sampling times: settling/7, and 2 pi/(20 omega_B) for each omega_B. This time is rounded
-    to 1, 2 or 5 times a power of ten. If a response is fast first and then slow, a longer sampling
-    time would lose the fast part. For an output-error model, the only cost of a short sampling time
-    is more computation.
+    By the rule omega_s = 20 omega_B, Ts is 2 pi/(20 omega_B). The bandwidth omega_B is estimated
+    twice: as 1/tau of the step response, and from the spectrum. By the rule of 7 to 10 samples in
+    the transient, Ts is settling/10 to settling/7, where settling is the length of the transient.
+    For a first-order system the first rule leads to Ts = 0.31 tau, and the second rule to Ts
+    between 0.3 tau and 0.43 tau. The recommendation is the shortest of three sampling times:
+    settling/7, and 2 pi/(20 omega_B) for each omega_B. This time is rounded to 1, 2 or 5 times a
+    power of ten. The shortest time is used because a longer sampling time loses the fast part of a
+    response that is first fast and then slow. For an output-error model, the only cost of a short
+    sampling time is more computation.
 
     omega_B of the spectrum is the highest frequency at which ``|G|`` is above 1/sqrt(2) of its
-    low-frequency value. A notch below this frequency, such as the notch of the arm, does not end
-    the band. If y integrates, the rate of y is analysed, because only the rate has a gain and a
-    time constant.
+    low-frequency value. A notch below this frequency, such as the notch of the arm, does not lower
+    omega_B. If y integrates, the rate of y is analysed, because only the rate has a gain and a time
+    constant.
 
     Parameters
     ----------
     data : Dataset
-        Data with steps or another exciting input (telegraph), sampled faster than the time
-        constants. Missing samples and several experiments are allowed.
+        Data with steps or another exciting input (telegraph), with a sampling time shorter than the
+        time constants. Missing samples and several experiments are allowed.
     integrator : bool, optional
         As in `etfe`.
 
@@ -333,12 +335,14 @@ def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> Sp
     if transient is None:
         estimate = spa(data, "log", integrator=integrates)
     else:
-        # A response that is truncated before the transient ends swells at its last lags and makes
-        # a band of noise. Noise may shorten the transient, but not to less than half.
+        # If the impulse response is truncated before the transient ends, its last lags are too
+        # large, and noise appears in a band of frequencies. Noise may halve the measured transient,
+        # so twice its length is used.
         n = int(np.clip(2 * transient / data.Ts, LAGS[0], MAX_STEP_LAGS))
         n = min(n, (data.N - data.missing) // 5)
         response = impulse_response(data, n, integrator=integrates)
-        # Below one period in the record only the gain is known.
+        # At a frequency with less than one period in the shortest experiment, only the gain is
+        # known.
         shortest = min(part.N for part in data.experiments())
         omega = np.geomspace(2 * np.pi / (shortest * data.Ts), np.pi / data.Ts, 300)
         estimate = response.spectrum(omega)
@@ -355,8 +359,9 @@ def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
     """Return the first frequency with |G| < -3 dB, and the last frequency with |G| > -3 dB."""
     known = np.isfinite(estimate.G)
     omega, magnitude = estimate.omega[known], estimate.magnitude[known]
-    # Some frequencies that contain only noise are above the level by chance. Two standard
-    # deviations suffice if the coherence excludes such frequencies, else four are necessary.
+    # By chance, |G| exceeds the level at some frequencies that contain only noise. If the coherence
+    # excludes these frequencies, a margin of two standard deviations suffices; otherwise four are
+    # needed.
     width = 4 if estimate.coherence is None else 2
     sure = magnitude - width * np.nan_to_num(estimate.std_magnitude[known])
     if estimate.coherence is not None:
@@ -374,7 +379,7 @@ def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
     first = fall(int(below[0]) if below.size else omega.size - 1)
     if above.size == 0:
         return first, first
-    # The first frequency below the level after the last sure one.
+    # Points below the level after the last point that is surely above the level.
     beyond = below[below > above[-1]]
     return first, fall(int(beyond[0]) if beyond.size else omega.size - 1)
 
@@ -431,7 +436,7 @@ def _notes(
         yield (
             f"{100 * near:.2g} % of the power is near Nyquist. If {of} has white noise, the "
             f"differences of the noise have {100 * DIFFERENCED:g} % there at any sampling time, so "
-            "a faster recording would show the same"
+            "a faster recording does not lower this share"
         )
     elif near > MIN_ALIASING_SHARE:
         yield (

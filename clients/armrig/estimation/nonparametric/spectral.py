@@ -26,7 +26,7 @@ from armrig.numerics.polynomial import summation
 
 Vector = NDArray[np.float64]
 
-LOGARITHMIC_RESOLUTION = 0.5  # width of the window at omega, divided by omega
+LOGARITHMIC_RESOLUTION = 0.5  # resolution of the window at omega, divided by omega
 MAX_LAGS = 300
 """Largest lag window of `spectral_reference`, in samples."""
 POINTS = 40
@@ -51,10 +51,10 @@ def spa(
         Phi_yu(omega) = Ts sum of w(k) R_yu(k) exp(-i omega k Ts),   Phi_u, Phi_y likewise
         G = Phi_yu / Phi_u,     E|dG|² = Phi_v / (nu Phi_u),    nu = N / sum of w(k)²
 
-    Phi_v is ``(Phi_y - |Phi_yu|²/Phi_u) nu/(nu - 1)`` , computed with a lag window four times as
-    long (at most N/5). Phi_v is then smoothed to the resolution of gamma. With this longer window,
-    the variation of G within the resolution of gamma does not count as noise. Missing outputs are
-    replaced by the part that the input explains, and are not counted in N.
+    Phi_v is ``(Phi_y - |Phi_yu|²/Phi_u) nu/(nu - 1)`` , computed with a lag window of 4 gamma (at
+    most N/5). With this longer window, the variation of G within the resolution of gamma does not
+    count as noise. Phi_v is then smoothed to the resolution of gamma. Missing outputs are replaced
+    by the part that the input explains, and are not counted in N.
 
     The standard deviations describe the scatter about the smoothed response. The smoothed response
     is the expected value of G for this window. The window blunts resonances that are narrower than

@@ -40,7 +40,7 @@ _CURVE_ERROR = 0.1
 
 The value was found from data without noise, with 2 to 4 samples in the time tau.
 """
-_MAX_OVERSHOOT_STD = 0.03  # with a larger std the highest value may be noise
+_MAX_OVERSHOOT_STD = 0.03  # with a larger std the largest value may be noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -65,8 +65,8 @@ class StepAnalysis:
     """Standard deviation of `tau` due to noise, gaps on the rise, and a possible dead time."""
     equivalent_time: float
     """Area between the response and its final value, divided by the final value, in s. The dead
-    time is subtracted. For a rate the equivalent time is the lag of the angle relative to its final
-    ramp. A gap on the rise does not affect this lag."""
+    time is subtracted. For a rate the area is computed as the time from the step to the zero of the
+    angle's final ramp, extended backwards. A gap on the rise does not affect this zero."""
     equivalent_time_std: float
     """Standard deviation of `equivalent_time`, in s."""
     smooth_t: Vector
@@ -76,7 +76,7 @@ class StepAnalysis:
     smooth_std: Vector
     """Standard deviation of the posterior curves, which grows in a gap."""
     hidden: tuple[float, float] | None
-    """Begin and end of a gap of y during the rise, in s from the step; None if there is no gap."""
+    """Begin and end of the longest gap of y on the rise, in s from the step; None without a gap."""
     settling: float
     """Time after which the response stays within 5 % of its final value, in s."""
     settling_std: float
@@ -118,7 +118,7 @@ class StepAnalysis:
         """Return the result as a few lines of text."""
         low, high = self.dead_time_interval
         name = self.output
-        if self.rate:  # as the choice of a sampling time names it
+        if self.rate:  # the name that `sampling_time` prints
             name = "the rate of theta_1" if name == "velocity" else f"the {name}"
         unit = f"{self.unit or '1'}/{self.input_unit or '1'}".replace("1/1", "")
         lines = [
@@ -256,7 +256,7 @@ class _Steps(NamedTuple):
     """Steps to average."""
 
     at: list[tuple[int, int]]
-    """For each step, the index of the experiment and its first sample with the new input."""
+    """Index of the experiment and the first sample with the new input, for each step."""
     pre: int
     """Number of samples before each step."""
     post: int
@@ -291,7 +291,7 @@ def _steps(data: Dataset) -> _Steps:
 
 
 def _before(at: int, pre: int) -> slice:
-    """Return the samples before a step from which its level is computed."""
+    """Return the samples from which the level before a step is computed."""
     return slice(at - pre // 2 - 1, at)
 
 
@@ -394,7 +394,7 @@ def _lag(
 
 
 def _alone(known: Mask) -> Mask:
-    """Return a mask of single samples between gaps; such samples occur at the end of the track."""
+    """Return a mask of single samples between gaps, as at the end of a potentiometer's track."""
     alone = np.zeros_like(known)
     gaps = [g for g in stretches(~known) if g.stop - g.start >= MIN_GAP_SAMPLES]
     for before, after in pairwise(gaps):

@@ -1,4 +1,4 @@
-"""Step response with its uncertainty, from curves drawn from a Gaussian process.
+"""Step response with its uncertainty, from random curves of a Gaussian process.
 
 The impulse response g is 0 up to the dead time L. At L, g jumps by any amount. After L, g is a
 random walk with decaying increments::
@@ -25,7 +25,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
 from armrig.numerics.step_times import SHARE
 
 Vector = NDArray[np.float64]
-Setting = tuple[int, int, int]  # of L in cells, of c, of T
+Setting = tuple[int, int, int]  # L in cells, index of c, index of T
 
 DRAWS = 400
 PRIOR_NO_DEAD_TIME = 0.5
@@ -61,7 +61,7 @@ class Answer:
     delays: Vector
     """Dead time of each curve, in s, (DRAWS,)."""
     settlings: Vector
-    """Time after which each curve stays within the band, in s, (DRAWS,)."""
+    """Time after which each curve stays within the band about its final value, in s, (DRAWS,)."""
     peaks: Vector
     """Largest value of each curve, (DRAWS,)."""
     none: float
@@ -140,8 +140,8 @@ def step_answer(
     k : array of int, shape (N,)
         Number of each sample relative to the step, negative before the step.
     y : ndarray, shape (N,)
-        Response divided by its final value; NaN if not known. For an integrating output, the angle
-        divided by the final value of the rate.
+        Response divided by its final value; NaN if not known. If the output integrates, y is the
+        angle divided by the final value of the rate.
     weight : ndarray, shape (N,)
         Weight of each sample; the noise variance of the sample is inversely proportional to this
         weight.
@@ -150,7 +150,7 @@ def step_answer(
     integrates : bool
         True to analyse the rate of y.
     band : float
-        Half width of the band about 1 in which the response has settled.
+        Half width of the band about 1; the response has settled when it stays in this band.
     least_variance : float, default 0
         Lower limit of the estimated noise variance of a sample with the largest weight.
 
@@ -238,8 +238,7 @@ class _Record:
         integrates: bool,
         least_variance: float,
     ) -> None:
-        # The level is estimated from the later half of the samples before the step, as in the
-        # response.
+        # The level is estimated from the second half of the samples before the step.
         known = np.isfinite(y) & (k >= k[0] // 2)
         k, self._y, self._w = k[known], y[known], weight[known] / weight.max()
         self._cells = int(np.clip(_CELLS // k[-1], 1, _MAX_CELLS_PER_SAMPLE))
@@ -281,7 +280,7 @@ class _Record:
         off = self._y - self._X @ level
         off[after] -= z[at]
         squares = float(off @ (self._w * off)) + _cost(z, cost, d)
-        freedom = self._y.size - d  # degrees of freedom: less the jump at the onset and the line
+        freedom = self._y.size - d  # less 1 for the jump at the onset and d - 1 for the line
         variance = max(squares / freedom, self._least)
         log_det = 2 * np.sum(np.log(factor[-1])) + np.linalg.slogdet(left)[1]
         log_det -= np.sum(np.log(cost[d - 1 :])) + (np.log(cost[0]) if d == 3 else 0.0)
@@ -358,7 +357,7 @@ class _Search:
         self.found: dict[Setting, _Spline] = {}
 
     def criterion(self, at: Setting) -> float:
-        """Return the criterion of a setting."""
+        """Return -2 log of the restricted likelihood of a setting, except for a constant."""
         if at not in self.found:
             delay, i, j = at
             self.found[at] = self._record.spline(delay, _LOG_SMOOTHNESS[i], _TIME_SHARES[j])
@@ -410,7 +409,8 @@ def _weighed(record: _Record) -> tuple[dict[Setting, _Spline], Vector, float]:
         search.climb((delay, *at[1:]))
     search.spread()
     least = search.criterion(search.best)
-    # In order: the way of the search depends on rounding, and the curves are drawn in this order.
+    # Sorted, because the curves must be drawn in a fixed order, and the order in which the search
+    # finds the settings depends on rounding.
     found = dict(sorted(search.found.items(), key=lambda item: item[0]))
     weights = {at: np.exp((least - spline.criterion) / 2) for at, spline in found.items()}
     delays = np.array(sorted({at[0] for at in weights}))

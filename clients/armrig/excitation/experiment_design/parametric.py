@@ -122,8 +122,8 @@ def _gradient(
     if inside == "A":
         A = without_integrator(A)
     if inside == "F":
-        # The mean of u leads to a ramp, which is projected out anyway. If the mean is subtracted,
-        # the sums have less rounding.
+        # The mean of u leads to a ramp, which is projected out anyway. Without the mean, the sums
+        # have smaller rounding errors.
         F, u = without_integrator(F), np.cumsum(u - np.mean(u) if estimate else u)
     na, nf = A.size - 1, F.size - 1
     forced = filtered(B, F, u)

@@ -20,7 +20,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered
 from armrig.physics.physical_model import transfer
 
-_LOG_STEP = 1e-4  # of a parameter's logarithm: truncation error 1e-9, smaller rounding error
+_LOG_STEP = 1e-4  # change of a parameter's logarithm: truncation error 1e-9, smaller rounding error
 
 
 def predicted_parameter_std(

@@ -35,7 +35,7 @@ class PredictedStd:
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     def seconds_for(self, **wanted: float) -> float:
-        """Return the length, in s, of a similar input that reaches all wanted standard deviations.
+        """Return the length, in s, at which a similar input reaches all wanted standard deviations.
 
         The information is assumed to grow with the length. This assumption is inaccurate for an
         experiment that is short compared with the slowest mode.
