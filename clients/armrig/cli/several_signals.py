@@ -59,7 +59,7 @@ def identify(
     most: int | None,
     shared: bool,
 ) -> None:
-    """Estimate or search a model of several signals, of at most `most` poles, and print it."""
+    """Estimate a model of several signals, or search with at most `most` poles; print the model."""
     from armrig.cli import several_output
     from armrig.cli.spinner import estimating
     from armrig.recordings.usability import doubts_of_estimation
@@ -164,8 +164,8 @@ def _request(given: Given, data: Signals, *, shared: bool) -> SignalsRequest:
     noise = not data.missing
     if given["structure"] == "ss" and not noise:
         tell(
-            f"{data.missing} values are missing, so the state space has no model of the noise (K = "
-            "0); a bj model has a noise model"
+            f"{data.missing} values are missing, so the state-space model has no noise model (K "
+            "= 0); a bj model has a noise model"
         )
     return requested_of_several(given, integrating=integrating, shared=shared, noise=noise)
 

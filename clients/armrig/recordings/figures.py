@@ -39,8 +39,8 @@ def plot_timing(
     Parameters
     ----------
     quantity : {"jitter", "lateness"}
-        "jitter": |interval - Ts| on the device's clock. "lateness": see
-        `lateness_us`.
+        "jitter": |interval - Ts| on the device's clock. "lateness": lateness of
+        the host's request, or of the sample's arrival if the device paces the samples.
     """
     ax = axes(ax)
     if quantity == "jitter":
