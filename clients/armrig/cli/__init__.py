@@ -71,7 +71,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 # Commands in the order of `armrig --help`: first for a rig, then for its data along the handout.
-# Each command has an example of its arguments.
+# Each command is followed by an example of its arguments, each group of commands by its name.
 for _command, _example in (
     (lab.lab, ""),
     (rig.status, ""),

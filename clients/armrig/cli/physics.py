@@ -55,7 +55,7 @@ Studied = Annotated[
     typer.Option(
         "--free",
         metavar="NAME",
-        help=f"Parameter to estimate ({PARAMETERS}); repeatable; the first is compared between parts.",
+        help=f"Parameter to estimate ({PARAMETERS}); repeatable; the first one is compared.",
         show_default="J_1",
     ),
 ]
