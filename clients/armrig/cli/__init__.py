@@ -70,8 +70,8 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-# In the order in which `armrig --help` lists them: a rig, its data, and the path of the handout.
-# Each has an example of its arguments; a group of commands has its name.
+# Commands in the order of `armrig --help`: first for a rig, then for its data along the handout.
+# Each command is followed by an example of its arguments, each group of commands by its name.
 for _command, _example in (
     (lab.lab, ""),
     (rig.status, ""),
@@ -160,8 +160,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     SIGTERM and SIGHUP (a closed terminal) end the command as Ctrl-C does. A run that the command
     began is stopped. The exit code is then 128 plus the number of the signal.
     """
-    # Before the import of numpy. The threads of OpenBLAS wait by spinning and cost more than they
-    # gain: the matrices are small, and the machine also runs a loop and an emulator.
+    # Must be set before numpy is imported. The threads of OpenBLAS wait by spinning and cost more
+    # time than they save: the matrices are small, and the machine also runs a loop and an emulator.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with _signals() as received:
         code = _run(arguments)
@@ -177,7 +177,7 @@ def _signals() -> Iterator[list[signal.Signals]]:
 
     def interrupt(number: int, _: object) -> None:
         received.append(signal.Signals(number))
-        # Only once: a second signal, such as SIGTERM after SIGHUP, must not interrupt the stop.
+        # Raise only once: a second signal (SIGTERM after SIGHUP) must not interrupt the stop.
         if len(received) == 1:
             raise KeyboardInterrupt
 
@@ -209,13 +209,13 @@ def _run(arguments: Sequence[str] | None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         command = _command_line()
-        if "_ARMRIG_COMPLETE" in os.environ:  # the shell asks, by the script of --show-completion
+        if "_ARMRIG_COMPLETE" in os.environ:  # the shell requests completions
             command.main([], prog_name="armrig")
         # Not command.main(), which has other exit codes for Ctrl-C and for a broken pipe.
         with command.make_context("armrig", [*given] or ["--help"]) as context:
             command.invoke(context)
     except typer.Exit as err:
-        return int(err.exit_code) if given else 2  # without a command there is help, as of armrigd
+        return int(err.exit_code) if given else 2  # without a command, help is printed
     except _UsageError as err:
         if type(err).__name__ == "NoArgsIsHelpError":  # its message is the help, in many lines
             typer.echo(err.format_message())

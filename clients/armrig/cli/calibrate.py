@@ -93,7 +93,7 @@ Use = Annotated[
     bool | None,
     typer.Option(
         "--use/--no-use",
-        help="Load the calibration into the running daemon until the daemon ends.",
+        help="Use the calibration in the running daemon until the daemon ends.",
         show_default="asked",
     ),
 ]
@@ -271,7 +271,7 @@ def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
 
 
 def _applied(code: int, rest: Recording) -> float:
-    """Return the voltage, in V, that the device's PWM, with its resolution, applies for a code."""
+    """Return the voltage, in V, that the device applies for a code, rounded to the PWM's steps."""
     from armrig_core.volts import applied_code, volts_of
 
     bits = rest.manifest.device.get("pwm_bits")

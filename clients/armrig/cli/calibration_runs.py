@@ -43,7 +43,7 @@ class Dialogue:
 
     def has_meter(self) -> bool:
         """Ask, before the motor turns, whether a voltmeter is connected to the motor."""
-        text = "Is a voltmeter at the motor's terminals? Then note its reading at each voltage"
+        text = "Is a voltmeter at the motor's terminals? If yes, note its reading at each voltage"
         return not self._quiet and typer.confirm(question(text), default=False, err=True)
 
     def meter(self, levels: Sequence[float]) -> list[tuple[int, float]]:

@@ -26,7 +26,7 @@ _MAX_LISTED = 4
 
 
 class NoSuchRecordingError(OperationError):
-    """A name means no recording or several recordings; the message lists several recordings."""
+    """A name is unknown or ambiguous; for an ambiguous name, the message lists the recordings."""
 
 
 _NAMES = "@last or @NAME"
@@ -38,7 +38,7 @@ def recording_folder() -> Path:
 
     try:
         return directory_to_look_in(installed(), os.environ)
-    except ValueError as err:  # raised in a parser of options, typer would replace its message
+    except ValueError as err:  # typer would replace the message of a ValueError
         raise NoSuchRecordingError(str(err)) from err
 
 

@@ -29,7 +29,7 @@ InputSeconds = Annotated[
     float | None,
     typer.Option(
         "--seconds",
-        help="Length, in s; at most 4 000 000 samples. A file has its own length.",
+        help="Length, in s; at most 4 000 000 samples; not with --file.",
         show_default="30",
     ),
 ]
@@ -73,7 +73,7 @@ Name = Annotated[
     str,
     typer.Option(
         "--name",
-        help="Name added to the kind, for @NAME: a-z, 0-9 and -.",
+        help="Name of the recording, for @NAME: a-z, 0-9 and -.",
         show_default="none",
     ),
 ]
@@ -226,7 +226,7 @@ def staircase(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play levels up and down, to measure static gain and friction."""
+    """Play a staircase of levels up and down, to measure static gain and friction."""
     from armrig.excitation.named_signals import step_at, up_and_down
 
     step_at(1, 1.0, low=low, high=high, at=0.0)

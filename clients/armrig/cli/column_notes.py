@@ -38,7 +38,7 @@ def hint_at_means(
     *,
     may_offset: bool = False,
 ) -> None:
-    """If the mean of a signal is far from 0, as at an operating point, print the remedy."""
+    """If the mean of a signal is far from 0, as at an operating point, suggest an option."""
     every = [*outputs, *inputs]
     if far_from_zero([x for _, x in every]):
         along = "estimate a level with --offset, or " if may_offset else ""
@@ -70,8 +70,8 @@ def tell_of_columns(file: Path, data: Dataset, columns: Mapping[str, str]) -> No
     tell("; ".join([*parts, *data.history]))
     if data.output in INTEGRATING_OUTPUTS:
         tell(
-            f"{data.output} is assumed to be the rig's angle, which integrates its input; rename "
-            "the column if it does not integrate"
+            f"{data.output} is assumed to be the rig's angle, which integrates its input; if "
+            "it is another signal, rename the column"
         )
 
 

@@ -98,7 +98,7 @@ def demo(
 
 
 def _record(plan: list[Experiment], config: Path, console: Console, done: list[Path]) -> str:
-    """Append real-time recordings to `done`; return why recordings are missing, "" if none is."""
+    """Append real-time recordings to `done`; return why some are missing, or "" if none is."""
     if sys.platform != "linux":
         return "an emulated rig in real time is for Linux"
     from armrig_core.errors import InputError
@@ -217,11 +217,11 @@ def record_in_virtual_time(
     OperationError
         The experiments could not be recorded.
     """
-    # UTF-8 for the pipes on any host: names of folders pass through them.
+    # UTF-8 on any host, for the names of folders in the pipes.
     program = [sys.executable, "-X", "utf8", "-m", "armrig_daemon", "virtual"]
     program += ["--config", str(config), "--directory", str(directory), "--seed", str(seed)]
     program += ["--firmware"] if firmware else []
-    # In a file: a pipe would block while `meanwhile` runs.
+    # The requests are in a file, because a pipe would block while `meanwhile` runs.
     with tempfile.TemporaryFile() as asked:
         for one in plan:
             asked.write(json.dumps({"u": one.u.tolist(), **one.request}).encode() + b"\n")

@@ -138,7 +138,7 @@ def _whole(out: Path) -> Iterator[None]:
 def _kind(out: Path, asked: dict[str, bool]) -> str:
     kinds = [kind for kind, wanted in asked.items() if wanted]
     if len(kinds) > 1:
-        raise typer.BadParameter(f"--{kinds[0]} and --{kinds[1]}: one file has one kind")
+        raise typer.BadParameter(f"--{kinds[0]} and --{kinds[1]}: a file has one format")
     ending = out.suffix.lower().removeprefix(".")
     if kinds or ending in asked:
         return kinds[0] if kinds else ending

@@ -1,4 +1,4 @@
-"""Figures of commands: a file with the axes of all subjects, or a folder with a file for each."""
+"""Figures of commands: one file with all diagrams, or a folder with a file for each diagram."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 Draw = Callable[..., Any]
 """Function that draws into its argument `ax`."""
-_EACH = "*"  # in place of the subject, in the name of files in a folder
+_EACH = "*"  # placeholder for the subject in the names of files in a folder
 _WIDTH, _HEIGHT = 6.3, 8.0  # in inches: the text of an A4 page, and a screen
 _DPI = 200
 _RUNS: dict[str, str] = {}
 """Run id of each recording that the command read, by the recording's hash."""
 _ESTIMATION: dict[Path, str] = {}
-"""Run id of each estimation recording to which a validation recording belongs, by its file."""
+"""Run ids of estimation recordings to which read validation recordings belong, by file."""
 _MCAP = b"\x89MCAP0\r\n"
 
 

@@ -105,7 +105,7 @@ def sampling(
     with spinner("estimating the response"):
         choice = sampling_time(data)
         steps = _steps(data) if choice.from_step else None
-    if steps is not None:  # a warning that the choice repeats is printed only once
+    if steps is not None:  # print a warning of both results only once
         said = set(choice.notes)
         steps = replace(steps, warnings=tuple(w for w in steps.warnings if w not in said))
     shown = {"sampling": choice} if steps is None else {"step": steps, "sampling": choice}
@@ -182,8 +182,8 @@ def hints(
 ) -> None:
     """Suggest a model structure for the data (handout 3.2).
 
-    The command finds whether there is an integrator, the order, and nk, from the impulse response,
-    the spectra and the Hankel matrix. These three estimates assume no structure.
+    The command estimates the order and nk, and whether there is an integrator. It uses the impulse
+    response, the spectra and the Hankel matrix, which assume no structure.
     """
     from armrig.cli.spinner import spinner
     from armrig.validation.structure_hints import structure_hints

@@ -89,7 +89,7 @@ Shared = Annotated[
 Save = Annotated[Path | None, typer.Option("--save", metavar="JSON", help="Model file to write.")]
 
 
-@estimation_options(without_nk="1; by the data with --search of one input and one output")
+@estimation_options(without_nk="1; estimated with --search of one input and one output")
 def identify(
     file: DataFile,
     given: Given,
@@ -120,7 +120,7 @@ def identify(
 
     The figure of -o shows the Bode diagram and the step response with 95 % bands, and the poles and
     zeros with 95 % regions. With --search, the figure also shows the errors of the models. With
-    several signals, it shows the simulated outputs, and a Bode diagram for each input and output.
+    several signals, it shows the simulated outputs, and a Bode diagram for each pair.
     """
     signals = SignalChoice(
         signal=signal,
@@ -157,7 +157,7 @@ def identify(
     for recording in signals.read:
         for text in doubts_of_estimation(recording):
             tell(text)
-    # Read first: an estimation may take minutes.
+    # An estimation may take minutes: find errors in the validation data before it.
     other = None if validate is None else signals.of(validate)
     if given["integrator"]:
         _warn_of_integrator(data)
@@ -388,7 +388,7 @@ def _say_next(
     values["model"] = quote(str(save or "model.json"))
     values["options"] = options + given + (f" --validate {validation}" if validation else "")
     if fit.offset and not signals.detrend:
-        given += " --detrend"  # the tests of the data do not estimate a level
+        given += " --detrend"  # `armrig check` has no option --offset
     if options == CHECK:
         say_next("identify check", **(values | {"given": given}))
     elif save is None or options != options_of(found.request):

@@ -111,7 +111,7 @@ def ls(
 
     if shown:
         rows = [_row(s, name_of, answering) for s in shown]
-        # A column is left out if it is empty or all are complete: a terminal may have 80 columns.
+        # An optional column is left out if it is empty, or if all its outcomes are complete.
         kept = [True] * (len(_HEADINGS) - _OPTIONAL)
         kept += [not {row[i] for row in rows} <= {"", COMPLETE.text} for i in range(-_OPTIONAL, 0)]
         echo(_table([tuple(compress(row, kept)) for row in (_HEADINGS, *rows)]))

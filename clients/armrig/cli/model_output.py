@@ -127,11 +127,11 @@ def doubted(fit: Fit, doubts: Sequence[Finding]) -> bool:
 def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
     """Return lines with doubts about the data, warnings from the estimation, and advice."""
     about = {f.about for f in doubts}
-    # The first sentence of the output has already reported the residuals.
+    # The first sentence of the output already reports the residuals.
     advised = [f for f in advice(fit).findings if f.level != "good"]
     advised = [f for f in advised if f.about not in {"residuals", *about}]
     if "integrator" in about or any(f.about == "level" for f in fit.findings):
-        # The finding named here then explains the pole and the zero at 1.
+        # This finding already explains the pole and the zero at 1.
         advised = [f for f in advised if f.about != "level"]
     said = about | {f.about for f in advised}
     warnings = [f.text for f in fit.findings if not said & _SAID_BY.get(f.about, set())]
@@ -167,7 +167,7 @@ _SAID_BY = {
     "poorer_minimum": {"search"},
     "not_converged": {"search"},
 }
-"""Findings of the advice that repeat an estimate's finding: their names, by that finding's name."""
+"""For the name of an estimate's finding, the names of the advice's findings that repeat it."""
 _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"

@@ -102,9 +102,9 @@ def next_line(after: str, **values: str | float) -> str:
 
 
 def _goes_on(line: str) -> str:
-    """Return the command line, or the next command if a recording with its --name is complete.
+    """Return the command line, or the command after it if its recording already exists.
 
-    If a complete recording already has this name, a second recording would make the name ambiguous.
+    A complete recording with the same --name exists: a second one would make the name ambiguous.
     """
     words = shlex.split(line)
     if words[1] != "collect" or words[-2] != "--name":
@@ -120,7 +120,7 @@ def _goes_on(line: str) -> str:
         paths = newest_first(recording_folder())
     except (NoSuchRecordingError, OSError):
         return line
-    names = (f"@{words[-1]}{_AGAIN}", f"@{words[-1]}")  # a repeated run precedes the first run
+    names = (f"@{words[-1]}{_AGAIN}", f"@{words[-1]}")  # prefer the repeated run
     found = [s for name in names for s in matching(name, paths) if s.is_complete]
     if not found:
         return line
@@ -220,12 +220,12 @@ def free_name() -> str:
 
 
 def for_the_report() -> str:
-    """Return the names of the recordings for the handout's report: step, pair and chassis.
+    """Return the names of the recordings for the handout's report, with a blank before each name.
 
-    The report uses up to four complete recordings, all with the same calibration. The function
-    chooses the calibration for which most of the four exist. Of each kind, it takes the newest
-    recording with a name; if none has a name, the newest recording. A blank precedes each name in
-    the result. The result is "" if there is no recording.
+    The report uses four complete recordings with the same calibration: step, estimation,
+    validation, chassis. The function chooses the calibration for which most of the four exist. Of
+    each kind, it takes the newest recording with a name; if none has a name, the newest recording.
+    The result is "" if there is no recording.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.catalogue import newest_first
@@ -242,7 +242,7 @@ def for_the_report() -> str:
 
 
 def _of_calibration(hash_: str, every: Sequence[RecordingSummary]) -> list[RecordingSummary]:
-    """Return the existing step, pair and chassis recordings of a calibration."""
+    """Return the existing step, estimation, validation and chassis recordings of a calibration."""
     known = [s for s in every if s.calibration_sha256 == hash_]
     step, chassis = (_newest(s for s in known if s.kind == kind) for kind in ("step", "greybox"))
     pairs = (s for s in known if s.kind == "blackbox" and s.is_validation)
@@ -359,13 +359,13 @@ def options_after(
     if "structure" in about:
         oe = request.of_structure("oe", {"nb": orders["nb"], "nf": orders[kind.poles]})
         return options_of(replace(oe, integrator=True, offset=False))
-    # A level that is not caused by u looks like an integrator; an angle is not tested for one.
+    # A constant level of y looks like an integrator. Angles are not tested for a level.
     level = "level" in about and not fit.integrator
     asked = "integrator" in about and not level
     integrator = fit.integrator or (asked and "integrator" in kind.takes)
     offset = (fit.offset or level) and "offset" in kind.takes and not integrator
     detrend = level and not (offset or detrended)
-    # If a level is still found after its removal or estimation, the order is too high.
+    # If the level was removed or estimated and is found again, the order is too high.
     seen = level and not detrend and offset == fit.offset
     after = replace(request, integrator=integrator, offset=offset)
     if about & _LOWER or seen or not fit.converged:
@@ -381,7 +381,7 @@ def options_after(
 
 
 def _lower(fit: Fit, *, integrator: bool) -> dict[str, int]:
-    """Return the orders, minus the number of cancelling pairs except for the noise model."""
+    """Return the orders, less the number of cancelling pairs; orders of the noise model stay."""
     from armrig.validation.advice.model_advice import cancelling
 
     many = sum(2 if pole.imag else 1 for pole, _, _ in cancelling(fit)) or 1

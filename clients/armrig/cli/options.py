@@ -60,8 +60,8 @@ Signal = Annotated[
     typer.Option(
         "--signal",
         metavar="NAME",
-        help="Output: theta_1, alpha or velocity; for other data, name, or number from 1, of a "
-        "column.",
+        help="Output: theta_1, alpha or velocity; in other data, the column's name, or its "
+        "number from 1.",
         show_default="theta_1; y of other data",
     ),
 ]
@@ -70,8 +70,8 @@ Signals = Annotated[
     typer.Option(
         "--signal",
         metavar="NAMES",
-        help="Output: theta_1, alpha or velocity; for other data, name, or number from 1, of a "
-        "column. Several outputs have commas between their names.",
+        help="Output: theta_1, alpha or velocity; in other data, the column's name, or its "
+        "number from 1. Several outputs have commas between their names.",
         show_default="theta_1; y of other data",
     ),
 ]
@@ -158,8 +158,8 @@ def say(text: str) -> None:
 def echo(text: str) -> None:
     """Print text on standard output with unprintable characters escaped.
 
-    All output uses this function, `print_json` or `print_table`, because a name or a reason may
-    come from another user, or from a file of unknown origin.
+    A name or a reason may come from another user, or from a file of unknown origin. All output
+    therefore uses this function, `print_json` or `print_table`.
     """
     typer.echo(_for_terminal(text, keep="\n"))
 

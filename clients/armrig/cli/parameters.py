@@ -70,7 +70,7 @@ Amplitude = Annotated[float, of_amplitude()]
 Omega = Annotated[float, of_omega()]
 _WITH_UNIT = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)? ?[^\d,.\s]")
 _MAX_RATIO = 100.0
-"""Largest ratio of a parameter to the handout's value, or the inverse ratio, without a note."""
+"""Ratio of a parameter to the handout's value, or the inverse, above which a note is printed."""
 
 
 def parameters(given: list[str] | None) -> ArmParameters:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _SECONDS = 2.0  # the speed is then steady to five digits
 _STEPS = 200_000
-_SLOPE_S = 1e-8  # the slope does not change in the shown digits
+_SLOPE_S = 1e-8  # so short that the slope keeps all shown digits
 _STATES = (THETA_1, ALPHA, f"{THETA_1}'", f"{ALPHA}'")
 _PRIME = "'"
 _TOGETHER = {"both": "both changes", "all": "all changes"}

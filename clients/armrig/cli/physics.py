@@ -55,7 +55,7 @@ Studied = Annotated[
     typer.Option(
         "--free",
         metavar="NAME",
-        help=f"Parameter to estimate ({PARAMETERS}); repeatable; the first is studied.",
+        help=f"Parameter to estimate ({PARAMETERS}); repeatable; the first one is compared.",
         show_default="J_1",
     ),
 ]
@@ -304,7 +304,7 @@ def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) 
 def _rig(
     recording: Recording, model: Literal["chassis", "arm"] | None
 ) -> Literal["chassis", "arm"]:
-    """Return "arm" or "chassis", as the recorded alpha shows; refuse a --model that contradicts."""
+    """Return "arm" or "chassis", as the recorded alpha shows; refuse another --model."""
     from armrig.recordings.findings import alpha_moves
 
     seen: Literal["chassis", "arm"] = "arm" if alpha_moves(recording) else "chassis"

@@ -44,8 +44,8 @@ def play(
 ) -> None:
     """Publish the messages of a recording again, until its end or Ctrl-C.
 
-    The messages have keys such as rig/played-1/sample for a recording of rig 1. No rig has such an
-    id, and commands get no answer.
+    The messages have keys such as rig/played-1/sample for a recording of rig 1. No rig has the id
+    played-1, so commands get no answer.
 
     With --json the first line contains the endpoint, and the last line contains the number of
     messages.

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 Data = TypeVar("Data", "Dataset", "Signals")
 
-_UNNAMED = ("", "y")  # outputs of models that may be any signal
+_UNNAMED = ("", "y")  # names of model outputs that may mean any signal
 
 
 def loaded(
@@ -62,7 +62,7 @@ def loaded(
     with spinner("reading"):
         recordings = [load(file, calibration, start=start, stop=stop) for file in files]
     name_runs(*recordings)
-    # `warned` reports a file that is cut off. The end of a requested part is not an early end.
+    # `warned` reports a file that is cut off. The end of the requested range is no early end.
     whole = [r for r in recordings if not r.truncated and (start, stop) == (None, None)]
     early = [text.removesuffix(".") for text in early_ends(whole)]
     for text in (*early, *all_doubts(recordings, one_plant=one_plant)):
@@ -105,7 +105,7 @@ class SignalChoice:
     def options(self, data: Dataset | None = None) -> str:
         """Return the options with which another command reads the same data; "" for none.
 
-        If no output was given and the output of `data` is not the default, the options name it.
+        If the user named no output and the output of `data` is not the default, add --signal.
         """
         signal = self.signal
         if signal is None and data is not None and data.output not in (*_UNNAMED, THETA_1):
@@ -219,7 +219,7 @@ class SignalChoice:
         if model is not None and self.signal is not None and model.output not in _UNNAMED:
             data = data.replaced(
                 step=None, output=model.output
-            )  # by naming the column, the person states that it is the model's signal
+            )  # the user named the column, which is thus the model's output
         tell_of_columns(file, data, columns)
         for finding in swapped(data):
             tell(f"{file}: {finding.text} (--input, --signal)")

@@ -139,7 +139,7 @@ def _clipped(text: str) -> str:
 
 
 def _sample_count(rec: Recording) -> str:
-    """Return text: numbers of samples and missing samples, and for a truncated file its end."""
+    """Return the numbers of samples as text; for a truncated file, also the time of its end."""
     text = (
         f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without "
         "an angle (dead band, and the sample after)"
@@ -153,7 +153,7 @@ def _recovered(how: Recovered) -> str:
     cut_off = f", the {how.cut_off_bytes} B after them were cut off" if how.cut_off_bytes else ""
     cut_off += f"; {how.damage}" if how.damage else ""
     when = how.when[:19].replace("T", " ")
-    return f"{when} by armrig {how.armrig}: {how.kept_bytes} B were whole{cut_off}"
+    return f"{when} by armrig {how.armrig}: {how.kept_bytes} B were kept{cut_off}"
 
 
 def _outcome(rec: Recording) -> str:

@@ -43,7 +43,7 @@ def estimating(orders: str, console: Console | None = None) -> Iterator[Count]:
         np.errstate(all="ignore"),
         warnings.catch_warnings(),
     ):
-        # The search itself judges overflows.
+        # The search itself handles overflows.
         warnings.simplefilter("ignore", RuntimeWarning)
         try:
             yield count

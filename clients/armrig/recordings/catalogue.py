@@ -64,7 +64,7 @@ COLUMNS: dict[str, Any] = {
 SIZE_LIMIT = 128 << 20
 """Largest index that is read or written, in B; 10 000 recordings take about 4 MB."""
 SETTLED_NS = 2_000_000_000
-"""Least age of a file, in ns, from which its stored times show every later change.
+"""Least age of a file, in ns, from which every later change also changes its stored times.
 
 The times of a file system have a resolution of up to 2 s. A younger file may therefore change
 without a change of its times.
@@ -285,7 +285,7 @@ def facts_of(summary: RecordingSummary) -> dict[str, Any]:
 
 
 def _utc(text: str) -> datetime | None:
-    """Return a time in UTC without a time zone; None if the text is not a time with an offset."""
+    """Return a time, converted to UTC; None if the text is not a time with an offset from UTC."""
     try:
         when = datetime.fromisoformat(text)
         return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else None
@@ -318,7 +318,7 @@ def state_of(found: os.stat_result) -> str:
 
 
 def is_settled(found: os.stat_result, looked_ns: int) -> bool:
-    """Return whether any change of the file after `looked_ns` would change its stored times."""
+    """Return whether every change of the file after `looked_ns` changes its stored times."""
     return max(found.st_mtime_ns, found.st_ctime_ns) < looked_ns - SETTLED_NS
 
 

@@ -29,8 +29,8 @@ _FIELDS = frozenset(field.name for field in fields(Recording))
 HALF_TURN_S = 0.25
 """Shortest time, in s, in which the chassis can make half a turn.
 
-At 5 V the chassis turns at 5 V / (N K_m) = 9.3 rad/s and makes half a turn in 0.34 s. The smaller
-value leaves a margin for the effect of the springs.
+At 5 V the chassis turns at 5 V / (N K_m) = 9.3 rad/s and makes half a turn in 0.34 s. The constant
+leaves a margin for the effect of the springs.
 """
 
 
@@ -62,7 +62,7 @@ def _valid(
     samples: NDArray[np.void], channel: telemetry.Channel, present: Mask, before: NDArray[np.void]
 ) -> Mask:
     """Return a mask (N,): True if the sample arrived and shows an angle of this channel."""
-    rail = int(Flag[channel.rail])  # numpy takes 8 bytes each for a Flag
+    rail = int(Flag[channel.rail])  # an array of a Flag would have 8 bytes for each sample
     valid, rails = present.copy(), samples["flags"]
     if channel.turns:
         # The sample before row 0 shows whether row 0 directly follows the dead band.
@@ -101,8 +101,8 @@ def _on_grid(values: Vector, present: Mask) -> Vector:
 def outside_dead_band(rail: Mask) -> Mask:
     """Return a mask (n,), False for samples at a rail and for the first sample after them.
 
-    The mask is therefore False for a single sample between two samples at a rail. At the edges of
-    the dead band, the converter can read any value.
+    At the edges of the dead band, the converter can read any value. A single sample between two
+    samples at a rail is therefore False, too.
     """
     after = np.zeros_like(rail)
     after[1:] = rail[:-1]
@@ -134,8 +134,8 @@ def turns_unknown(valid: Mask, present: Mask, Ts: float) -> Indices:
     """Return the indices of the samples at which the number of turns becomes uncertain.
 
     Before each of these samples, so many samples are missing that the shaft can have made half a
-    turn. A sample in the dead band is not missing: it is at a rail. If the sampling time exceeds
-    `HALF_TURN_S`, every valid sample but the first is returned.
+    turn. Samples in the dead band arrived, and do not count as missing. If the sampling time
+    exceeds `HALF_TURN_S`, the indices of all valid samples but the first are returned.
 
     Parameters
     ----------

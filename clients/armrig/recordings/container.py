@@ -1,7 +1,7 @@
 """Content of an MCAP file, read from the beginning up to the first damage.
 
-Complete, truncated and hostile files are all read record by record. Reading stops at the first
-damage, and its place is reported. All records before the damage are returned.
+All files are read record by record, because they may be truncated or forged. Reading stops at the
+first damage, and the place of the damage is reported. All records before the damage are returned.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ from armrig.recordings.sample_rows import (
 _IDS = Struct("<HH")  # a channel and its schema, or a schema
 _MESSAGE = Struct("<BQH")  # opcode and length of a record, and the channel if it is a message
 _IN_CHUNKS = bytes((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
-_MESSAGE_CODE = int(Opcode.MESSAGE)  # a look-up in the class takes longer than a comparison
+_MESSAGE_CODE = int(Opcode.MESSAGE)  # Opcode.MESSAGE itself would be looked up each time
 _NAME_LIMIT = 100  # B
-_RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # measured, rounded
+_RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # costs in the budget; measured, rounded
 # Bytes that a parsed message takes in addition to its payload; measured.
 _OVERHEADS = {"event": 900, "gap": 850, "timing": 2_700, "clock": 850, "state": 700, "trace": 200}
 READ = STREAMS
-"""Streams that are read by default; only a replay of a run also needs `trace`, the core's steps."""
+"""Streams read by default. Only a replay also needs the stream `trace`, the core's steps."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -73,7 +73,7 @@ class Content:
     size: int = 0
     """Size of the file, in B."""
     damage: str = ""
-    """Left-out attachments, and the reason why reading ended early; "" for a complete file."""
+    """Unread attachments, and the reason why reading ended early; "" for a complete file."""
     cut_off: bool = False
     """True if reading ended because the file is truncated, not because of another error."""
     read: int = 0
@@ -210,12 +210,12 @@ class _Reader:
     def wants(self, part: Part, start: int, end: int) -> bool:
         """Return whether a chunk with these log times may contain samples of a part."""
         if self.rows.is_empty:
-            return True  # the first sample relates the two clocks
+            return True  # the first sample is always read: it relates the two clocks
         if end < part.from_ns:
             return False
         if start <= part.to_ns:
             return True
-        self.rows.pack()  # a sample of the part may come late: read until a later sample appears
+        self.rows.pack()  # a sample of the part may be in a later chunk
         return self.rows.last_k < part.k_end - 1
 
     def add(self, record: Record) -> None:

@@ -190,8 +190,8 @@ def transforms_channel(rig: str, context: Any) -> Any:
 def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
     """Return the frames of a sample: `chassis` turned by θ₁ in `rig`, `arm` by α in `chassis`.
 
-    Both axes are z, so that the arm's angle in `rig` is θ₁ + α. A frame is left out if its angle is
-    not finite. `t_ns` is the time on the wall clock.
+    Both frames turn about z, so that the arm's angle in `rig` is θ₁ + α. A frame is left out
+    if its angle is not finite. `t_ns` is the time on the wall clock.
     """
     messages = imported("foxglove.messages", "foxglove")
     stamp = messages.Timestamp(*divmod(t_ns, _NS))

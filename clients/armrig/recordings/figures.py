@@ -31,14 +31,16 @@ def plot_timing(
     quantity: Literal["jitter", "lateness"] = "jitter",
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot the histogram of a time on logarithmic axes, and mark its p50, p99 and maximum.
+    """Plot the histogram of jitter or lateness, and mark its p50, p99 and maximum.
 
-    If all times agree within the clock's resolution, the figure contains the time as text.
+    Both axes are logarithmic. If all values agree within the clock's resolution, the figure
+    contains the value as text.
 
     Parameters
     ----------
     quantity : {"jitter", "lateness"}
-        "jitter": |interval - Ts| on the device's clock. "lateness": lateness of the host.
+        "jitter": |interval - Ts| on the device's clock. "lateness": lateness of
+        the host's request, or of the sample's arrival if the device paces the samples.
     """
     ax = axes(ax)
     if quantity == "jitter":

@@ -34,7 +34,7 @@ TOO_FEW = 20
 """Least number of samples for an estimate of a model of this rig."""
 LONGEST_UNSEEN_S = 1.0
 """Longest time that a turning chassis spends in its dead band at any voltage, in s."""
-_MAX_REST_STEPS = 6  # range of readings of a resting joint, in steps of the converter
+_MAX_REST_STEPS = 6  # largest range of readings at rest, in steps of the converter
 _MARGIN_RAD = 1.5  # from the dead band to the beginning of the next step
 _EARLIEST_STEP_S = 0.5
 _MIN_LINE_SAMPLES = 8

@@ -47,14 +47,14 @@ class Grid:
             First index, number of samples and value of each gap.
         """
         values = np.full(self.N, np.nan)
-        # Rows where a gap begins, sorted. Between two beginnings, the last given open gap counts.
+        # First row, -i, end row and value of each gap, sorted by the first row.
         edges: list[tuple[int, int, int, float]] = []
         for i, (k_gap, count, value) in enumerate(gaps):
             begin, end = (min(max(k - self.k_first, 0), self.N) for k in (k_gap, k_gap + count))
             if begin < end:
                 edges.append((begin, -i, end, value))
         edges.sort()
-        open_gaps: list[tuple[int, int, float]] = []  # a heap, the last given gap first
+        open_gaps: list[tuple[int, int, float]] = []  # a heap; first is the last gap in `gaps`
         row = 0
         for begin, order, end, value in [*edges, (self.N, 1, self.N, np.nan)]:
             while open_gaps and row < begin:

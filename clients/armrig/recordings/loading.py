@@ -40,9 +40,9 @@ from armrig.recordings.recording import Recording, Vector
 EVERYTHING = (0, 1 << 63)
 """Range of indices that contains all samples."""
 _BEGINNING = Part(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with samples
-_REPORT_DELAY_NS = 1_000_000_000  # between a sample and a report about it, before or after
+_REPORT_DELAY_NS = 1_000_000_000  # largest time between a sample and a report about it
 _MAX_TIME = 1e15  # in s or in samples: later than any sample, and still exact as an integer
-_ROUNDING_SAMPLES = 1e-6  # of a sample: 0.3 / 0.1 is not 3
+_ROUNDING_SAMPLES = 1e-6  # in samples: 0.3 / 0.1 is not exactly 3
 
 
 def load(
@@ -126,8 +126,8 @@ def load(
 def files_of(path: Path) -> list[Path]:
     """Return the files of the run at a path; raise FileError if a part is missing.
 
-    If the last parts are missing, no error is raised. The outcome then says that the run is
-    continued.
+    No error is raised if the last parts are missing. The outcome in the last existing part is then
+    `continued`.
     """
     paths = part_paths(path)
     if paths == [path]:
@@ -238,7 +238,7 @@ def beginning(path: Path) -> tuple[Path, Content]:
 
 
 def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], Part]:
-    """Convert a time range to a range of sample indices and to the part of the file to read."""
+    """Convert a time range to a range of sample indices and the part of the file to read."""
     if not 0 <= start < stop:
         raise FileError(f"start={start:g} s and stop={stop:g} s: 0 <= start < stop is needed")
     content, manifest, _, _ = _read(path, _BEGINNING, digest=False)
@@ -279,7 +279,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
     messages = content.messages
     try:
         spots = [(int(m.k_first), int(m.count)) for m in messages.get("gap", [])]
-        # Samples after the damage of a file do not count as missing: they may have arrived.
+        # Samples after the damage of a file may have arrived, so they do not count as missing.
         ended = None if content.damage else outcome
         rows = grid(content.samples["k"], manifest, ended, spots, between)
     except ValueError as err:
@@ -296,7 +296,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
     logs = messages.get("event", [])
     reports: dict[str, Any] = {
         "gaps": gaps,
-        # Notes are left out, because events are searched for disturbances of the timing.
+        # Notes of people are not events of the daemon: `disturbances` searches the events.
         "events": tuple(event_of(message, clock) for message in logs if not is_note(message)),
         "notes": tuple(note_of(message, clock) for message in logs if is_note(message)),
         "timing": tuple(timing_of(message, clock) for message in messages.get("timing", [])),
@@ -338,7 +338,7 @@ def _span(t: Vector, Ts: float) -> tuple[float, float]:
 
 
 def _within(found: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:
-    """Return the reports from the first time in `t` to one sampling time after the last time."""
+    """Return the reports whose times are between the first time in `t` and the last time + Ts."""
     if not t.size:
         return ()
     begin, end = float(t[0]), float(t[-1]) + Ts
@@ -359,9 +359,9 @@ def clock_of(content: Content, manifest: Manifest, k_first: int) -> Clock:
 
 
 def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vector:
-    """Return u (N,), the applied voltage in V. In a gap, u is the voltage that was held.
+    """Return the applied voltage u (N,), in V.
 
-    For a missing sample without a gap, u is NaN.
+    For a missing sample, u is the held voltage in its gap record, or NaN without a gap record.
     """
     applied = samples["u_applied_v"]
     if applied.size == rows.N:

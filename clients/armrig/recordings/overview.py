@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 _SEARCHED_OUTPUTS: tuple[OutputName, ...] = (THETA_1, ALPHA)
 _DRIFTING_OUTPUTS: tuple[OutputName, ...] = (VELOCITY, ALPHA)
-_MIN_INPUT_CHANGES = 20  # number of coefficients of u in the model of the search for outliers
+_MIN_INPUT_CHANGES = 20  # as many as the coefficients of u in the model that finds outliers
 
 _RATE_INTERVAL_S = 0.1
 """Interval, in s, over which the rate of theta_1 is computed.
@@ -125,8 +125,8 @@ def overview(recording: Recording) -> Overview:
             outliers[output] = recording.t[known][marked]
     for output in (name for name in _DRIFTING_OUTPUTS if name not in reasons):
         try:
-            # Neither signal integrates: springs hold alpha, and the back-EMF limits the rate. A
-            # test for an integrator fails on a record as short as the swing after a step.
+            # Neither signal integrates: springs hold alpha, and the back-EMF limits the rate. In a
+            # recording as short as the swing after a step, a test for an integrator is unreliable.
             found = drift(recording.dataset(output), integrator=False)
         except ValueError as err:
             reasons.setdefault(output, str(err))

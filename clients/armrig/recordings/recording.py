@@ -44,8 +44,8 @@ class Channel(NamedTuple):
 class Recording:
     """Recording of one run; element i of an array (N,) belongs to sample `k_first` + i.
 
-    The grid is complete, from the first sample that was due to the last. In the row of a missing
-    sample, `theta_1` and `alpha` are NaN. Computations with these angles then return NaN, too.
+    Each sample that was due has a row. In the row of a missing sample, `theta_1` and `alpha` are
+    NaN.
 
     Examples
     --------
@@ -75,7 +75,7 @@ class Recording:
     origin of the calibration.
     """
     k_first: int
-    """Index of the first row; in older files, the index of the first sample that arrived."""
+    """Index k of the first row; in older files, the index of the first sample that arrived."""
     t: Vector
     """Time in s from the first sample that was due, (N,)."""
     u: Vector
@@ -98,8 +98,8 @@ class Recording:
     valid_alpha: Mask
     """Mask (N,) of alpha: False for a missing sample, and at a rail (end of the reading's range).
 
-    The dead band of theta_1 has no effect on alpha. The sample after a rail is valid, because alpha
-    does not make whole turns.
+    The dead band of theta_1 has no effect on alpha. The first sample after a rail is valid, because
+    the arm does not make whole turns through its dead band.
     """
     others: Mapping[str, Channel]
     """Further channels of `armrig_core.telemetry.CHANNELS`, by name; currently none."""
@@ -126,7 +126,7 @@ class Recording:
     damage: str
     """Damage of the file, and the amount of data that could be read; "" for a complete file."""
     part: tuple[float, float] | None = None
-    """Start and end, in s as in `t`, of the range that was read; None if all samples were read."""
+    """Start and end of the loaded range, in s as in `t`; None if all samples were loaded."""
 
     @property
     def N(self) -> int:
@@ -182,8 +182,8 @@ class Recording:
         Parameters
         ----------
         output : {"theta_1", "alpha", "velocity"}
-            Angle of the chassis, angle of the arm, or rate of the chassis from differences of
-            theta_1.
+            Angle of the chassis, angle of the arm, or rate of the chassis. The rate is computed
+            from differences of theta_1.
 
         Raises
         ------
@@ -233,8 +233,8 @@ class Recording:
     def signals(self, outputs: Sequence[OutputName] = (THETA_1, "alpha")) -> Signals:
         """Return u and several outputs for identification, with missing samples marked.
 
-        A new experiment begins at each sample at which the dataset of any of these outputs begins a
-        new experiment.
+        If the dataset of one output begins a new experiment at a sample, a new experiment begins
+        there for all outputs.
 
         Parameters
         ----------

@@ -41,7 +41,7 @@ class SampleRows:
         self._spend = spend
         self._share = 1.0
         self._samples = np.empty(0, SAMPLE_DTYPE)
-        self._views: list[memoryview] = []  # rows of the current chunk, kept in memory by them
+        self._views: list[memoryview] = []  # rows; they keep the current chunk in memory
         self._pending: list[bytes] = []
         self._pending_size = 0
 

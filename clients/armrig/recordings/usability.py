@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
 
 
-_STRETCH_S = 1.0  # length of a stretch to which a straight line is fitted
+_STRETCH_S = 1.0  # length of the stretches to which straight lines are fitted
 _START_S = (
     3.0  # runs longer than this are judged without the first second, the start of the chassis
 )
@@ -40,7 +40,7 @@ _NOISE_ORDER = 10
 FEW = 300
 """Least number of samples for accurate standard deviations of a model of the rig."""
 _NORMAL_ENDS = (OutcomeCode.COMPLETE, OutcomeCode.CONTINUED)
-_MIN_TURN_RAD = 0.5  # before the direction of the chassis is judged
+_MIN_TURN_RAD = 0.5  # least rotation from which the direction is judged
 NO_MODEL = ("step", "staircase")
 """Kinds of experiments with little excitation; reports show them but estimate no models."""
 
@@ -54,7 +54,10 @@ class DataVerdict:
     findings: tuple[Finding, ...]
     """Findings of the checks, in the order of the checks."""
     signal_rad: float
-    """Rms deviation of theta_1 from a line per second, without the power of the noise, in rad."""
+    """Rms deviation of theta_1 from straight lines, one for each second, in rad.
+
+    The power of the noise is subtracted.
+    """
     noise_rad: float
     """Standard deviation of the part of theta_1 that an ARX model does not explain, in rad."""
     step_rad: float
@@ -167,12 +170,12 @@ def _step(r: Recording) -> float:
 
 
 def _signal(data: Dataset, noise: float) -> float:
-    """Return the rms deviation of y from a line per second, without the power of the noise."""
+    """Return the rms deviation of y from a line per second, minus the power of the noise."""
     n = max(8, round(_STRETCH_S / data.Ts))
     moving = data[n:] if data.N * data.Ts > _START_S else data
     squares, known = 0.0, 0
     for part in moving.experiments():
-        # Stretches overlap by half: a step at the edge of a stretch is in the middle of another.
+        # Stretches overlap by half: a step at an edge is in the middle of the next stretch.
         for a in range(0, max(part.N - n // 2, 1), n // 2):
             y, t = part.y[a : a + n], part.t[a : a + n]
             there = np.isfinite(y)

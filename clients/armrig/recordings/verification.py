@@ -1,4 +1,4 @@
-"""Verification of a recording: all gaps are reported, and all voltages were requested.
+"""Verification that a recording reports all its gaps and has only requested voltages.
 
 A recording that fails the verification can still be loaded and exported.
 """
@@ -241,11 +241,11 @@ def check_clock(r: Recording) -> Check:
     """Check the drift of the device's clock, and that no comparison shows a jump of the offset."""
     if r.samples.size < 2:
         return _not_checked("clock", "too few samples")
-    # The drift is computed over the whole run, in ns, so that the error of a time stamp is small.
+    # Over the whole run, the errors of single time stamps have little effect on the drift.
     host = int(r.samples["t_sched_ns"][-1]) - int(r.samples["t_sched_ns"][0])
     device = 1000 * (int(r.samples["t_device_us"][-1]) - int(r.samples["t_device_us"][0]))
     ppm = (device / host - 1) * 1e6
-    # The times at both ends may be wrong by a sampling time each.
+    # The first and the last time may each be wrong by a sampling time.
     allowed = MAX_DRIFT_PPM + 2 * (r.Ts * 1e9) / host * 1e6
     if abs(ppm) > allowed:
         text = f"the device's clock is {ppm:.0f} ppm off the host's clock over the run; "

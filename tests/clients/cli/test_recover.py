@@ -40,7 +40,7 @@ def test_a_folder_is_recovered_but_for_what_is_being_written(
     assert main(["info", str(tmp_path / "1-a.mcap")]) == 0
     info = capsys.readouterr().out
     assert "cut off: its daemon died" in info
-    assert "B were whole" in info
+    assert "B were kept" in info
 
 
 def test_one_that_cannot_be_recovered_is_named_and_the_rest_is_done(

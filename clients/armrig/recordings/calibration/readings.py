@@ -26,7 +26,7 @@ MOST_ROWS = 50_000
 _HEADING = "recording,t_device_us,u_v,theta_1_counts,alpha_counts"
 _MAX_UNPACKED_BYTES = 8 << 20
 RAIL_COUNTS = 64
-"""Width of a rail: the lowest and the highest 1/1024 of all counts (PROTOCOL.md, section 7)."""
+"""Width of each rail, in counts: 1/1024 of the converter's range (PROTOCOL.md, section 7)."""
 FULL_COUNTS = 65536
 _HARMONICS = np.arange(1.0, 101.0)
 

@@ -33,7 +33,7 @@ LEAST_S = 1.0
 """Shortest time at a voltage after `SETTLE_S`, in s."""
 LEAST_TURNS = 3
 """Least number of passes of the shaft through its dead band, at all voltages together."""
-MAX_MISREAD_SHARE = 0.02  # of the samples on the track that may be at a rail, from a worn spot
+MAX_MISREAD_SHARE = 0.02  # largest share of readings at a rail on the track, from a worn spot
 _REMEDY = "turn it slowly in one direction, three turns or more: see --volts and --level-seconds"
 
 
