@@ -1,4 +1,4 @@
-"""State of the core, as one immutable value, with its events and actions."""
+"""State of the core (`step.step`) as one immutable value; events and actions of the core."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ class Unechoed(NamedTuple):
     sent_ns: int
 
 
-# Names of fields are keys of a trace: `name=` keeps the key of a field that is renamed.
+# The names of the fields are keys in a trace; `name=` keeps the earlier key of a renamed field.
 class Link(msgspec.Struct, frozen=True, gc=False):
     """State of the link to the device while the port is open."""
 
@@ -291,7 +291,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     outcome: str = ""
     """Outcome of the run, as a sentence; the run ends when the device has stopped."""
     code: int = 0
-    """Code set by hand."""
+    """Code that the newest `set` command holds; otherwise 0."""
     outcome_code: OutcomeCode | None = None
     """Outcome of the run, for programs; None while `outcome` is empty."""
 
@@ -333,7 +333,7 @@ class Publish(NamedTuple):
 
     sample: Sample
     queued: int = -1
-    """Setpoints that the device holds after this sample; -1 without a queue."""
+    """Number of setpoints in the device after this sample; -1 without a queue."""
 
 
 class RoundTrip(NamedTuple):
