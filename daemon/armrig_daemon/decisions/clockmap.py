@@ -62,8 +62,8 @@ class ClockMap(NamedTuple):
 
     The estimate is a weighted regression of y = host - 1000 · device (ns) on d = device (µs), and
     of the round trip r on d. It is stored as weighted means and centred moments. The origins of y
-    and d are times of the last exchange, stored as integers, so that no digits cancel in a long
-    run.
+    and d are times of the last exchange, stored as integers, so that no digits are lost by
+    cancellation in a long run.
     """
 
     link: Link = Link()
@@ -175,7 +175,7 @@ def update(clock: ClockMap, h1_ns: int, rx_us: int, tx_us: int, h4_ns: int) -> C
 
 
 def host_ns_at(clock: ClockMap, device_us: int) -> int:
-    """Return the host's time at a time of the device, in ns.
+    """Return the host's time, in ns, that corresponds to a time of the device.
 
     Raises
     ------

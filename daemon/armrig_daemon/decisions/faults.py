@@ -18,7 +18,7 @@ class Id(StrEnum):
     PAUSE = "pause"
     """The host did not run the loop for too long."""
     MISSED = "missed"
-    """The number of consecutive missed ticks exceeds the configured limit."""
+    """The number of consecutive missed ticks has reached the configured limit."""
     SERVICE = "service"
     """The service is frozen."""
     LEASE = "lease"

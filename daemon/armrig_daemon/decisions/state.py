@@ -218,7 +218,7 @@ class Link(msgspec.Struct, frozen=True, gc=False):
     beats: tuple[Unechoed, ...] = ()
     """In a scheduled run: frames whose echo has not arrived yet."""
     last_round_trip_ns: int = msgspec.field(default=0, name="fresh_ns")
-    """Time at which the newest frame that the device has answered or echoed was sent (S4)."""
+    """Time of sending of the newest frame that the device has answered or echoed (S4)."""
     ping_ns: int = 0
     """Time of the last PING."""
     came: Traffic = Traffic()
@@ -284,7 +284,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     t_us: int = 0
     """Device's time of the last sample, without wraps."""
     sampled_ns: int = 0
-    """Time at which the newest sample was requested, or arrived in a scheduled run; 0 at first."""
+    """Time at which the newest sample was requested (in a scheduled run: arrived); 0 at first."""
     lease: Lease | None = None
     run: ActiveRun | None = None
     queue: Queue | None = None

@@ -307,10 +307,8 @@ def _latch(state: State, now_ns: int, asked: PendingRequest, fault: Fault) -> St
     if state.fault != fault:
         state = moved(state, On.TRIPPED, fault=fault)
         done.append(log(now_ns, "error", sentence(fault), cause=fault.id))
-    return state, [
-        *done,
-        report_state(state, now_ns),
-    ]  # also for the same fault: `device` has changed
+    # The state is reported even for the same fault, because `device` has changed.
+    return state, [*done, report_state(state, now_ns)]
 
 
 def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
