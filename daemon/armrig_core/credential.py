@@ -88,8 +88,8 @@ def rig_name(rig: str) -> str:
 def require_private(path: Path, found: os.stat_result, secret: str) -> None:
     """Refuse a secret file that users other than its owner may read or change.
 
-    The file's group may not read it either, because the group of a service's files contains all
-    people who may operate the service.
+    The file's group may not read the file either: for a service, this group contains all people who
+    may operate the service.
     """
     if os.name != "posix" or not found.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         return

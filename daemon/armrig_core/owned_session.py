@@ -1,4 +1,4 @@
-"""Configuration of a zenoh session in which only its owner publishes and answers."""
+"""Configuration of a zenoh session in which only its owner, the opening program, publishes."""
 
 from __future__ import annotations
 

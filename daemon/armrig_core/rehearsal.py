@@ -72,7 +72,7 @@ def rehearse(
     ------
     InputError
         A limit is reached or exceeded. During the run, the device enters FAULT as soon as
-        `revolutions` is reached; it does not check alpha.
+        `revolutions` is reached; the device does not check alpha.
 
     Examples
     --------

@@ -58,7 +58,7 @@ class Link(NamedTuple):
 
 
 class ClockMap(NamedTuple):
-    """Estimate of the device's clock from the exchanges so far.
+    """Map between the two clocks, estimated from the exchanges so far.
 
     The estimate is a weighted regression of y = host - 1000 · device (ns) on d = device (µs), and
     of the round trip r on d. It is stored as weighted means and centred moments. The origins of y

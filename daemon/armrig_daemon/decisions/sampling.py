@@ -101,7 +101,7 @@ def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 
 def _check_echo(state: State, now_ns: int, m: DeviceSample) -> Step:
-    """Trip if the driven device has received frames of another host."""
+    """Stop with a fault if the driven device has received frames of another host."""
     link = state.link
     if link is None or state.phase not in (_ARMED, _ACTIVE) or not is_ahead(link, m.echo):
         return state, []
@@ -190,7 +190,7 @@ def _publish(
 
 
 def _check_applied(state: State, now_ns: int, m: DeviceSample, due: _Due) -> Step:
-    """Trip if the device applied a code other than the commanded code (S5 of ARCHITECTURE.md)."""
+    """Stop with a fault if the device applied another code than commanded (S5)."""
     if m.u_k == due.expected:
         return state, []
     text = f"the device applied code {m.u_k}, but code {due.code} was commanded"

@@ -153,7 +153,7 @@ def _lapsed(state: State, now_ns: int) -> bool:
 
 
 def _has_run_out(state: State, now_ns: int) -> bool:
-    """Return whether the lease's holder has given no command for too long (S2)."""
+    """Return whether the newest command of the lease's holder is too old (S2)."""
     lease = state.lease
     return lease is not None and now_ns - lease.renewed_ns > state.rules.lease_ns(state.ts_us)
 

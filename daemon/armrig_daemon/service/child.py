@@ -71,7 +71,7 @@ class LoopChild:
         self._process.kill()
 
     def end(self) -> int:
-        """Close the pipes, which also ends the loop, and return its exit code."""
+        """Close the pipes, so that the loop ends; return the loop's exit code."""
         os.close(self.orders_fd)
         try:
             code = self._process.wait(EXIT_S)

@@ -25,7 +25,7 @@ STILL_COUNTS = 256
 FRICTION_V = 1.0
 """Voltage below which the motor may not overcome the friction, in V."""
 APART_S = 0.2
-"""Largest time between two compared samples, in s; the chassis turns less than 1/3 turn in it."""
+"""Largest time between two compared samples, in s; 1/3 turn of the chassis takes longer."""
 _ADC1_RAIL = int(Flag.ADC1_RAIL)
 
 

@@ -64,7 +64,7 @@ class Runs:
         changed: Callable[[], None],
         circumstances: HostFacts | None = None,
     ) -> None:
-        """Record into `directory`; a writer's thread calls `changed` if its state changes."""
+        """Record into `directory`; a recording's thread calls `changed` when its state changes."""
         self._config = config
         self._circumstances = circumstances or of_this_host()
         self._directory = directory

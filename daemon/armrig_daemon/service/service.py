@@ -1,4 +1,4 @@
-"""The service starts the loop, publishes and records its reports, and passes commands to it.
+"""The service starts the loop, publishes and records the loop's reports, and passes on commands.
 
 The process also has the thread that writes the recording and the thread that maintains the folder.
 zenoh's threads put commands into queues, or refuse them by `admission`. The service may wait for
