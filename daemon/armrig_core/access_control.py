@@ -1,8 +1,8 @@
 """Access control: the messages that zenoh passes to and from a daemon or a router.
 
-Each listening session has its own configuration. zenoh compares names literally. A subscription is
-permitted only if the allowed keys include all keys of the subscription. The rules of a node also
-apply to the messages that the node itself sends.
+Each listening session has its own configuration. zenoh compares clients' names literally. A
+subscription is permitted only if the allowed keys include all keys of the subscription. The rules
+of a node also apply to the messages that the node itself sends.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ MOST_BYTES = 4096
 """Longest payload of any command except a run and a calibration, in B."""
 MOST_CALIBRATION_BYTES = (RAW_LIMIT + 2) // 3 * 4 + (1 << 16)
 """Longest payload of `calibrate`, in B: the samples, as base64, and the values."""
-MOST_LOCAL_BYTES = 88 << 20  # the longest run, 20 B a sample as JSON, and its details
-MOST_MESSAGE_BYTES = 8 << 20  # over a network: a client can make the daemon hold so many bytes
+MOST_LOCAL_BYTES = 88 << 20  # the longest run: 20 B per sample as JSON, and its details
+MOST_MESSAGE_BYTES = 8 << 20  # over a network: memory that one client can occupy
 
 
 def remote(rig: str, people: AccessList, subject: Subject) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def _denied_but(rules: list[Any], policies: list[Any], subjects: list[Any]) -> d
 
 
 def _watching(rig: str) -> list[dict[str, Any]]:
-    """Return what operators and observers may receive: streams, schema, history, liveliness."""
+    """Return the rules for operators and observers: streams, schema, history, liveliness."""
     streams = [stream_key(rig, stream) for stream in STREAMS]
     any_stream, public = stream_key(rig, "*"), [schema_key(rig, "**"), history_key(rig)]
     sees = ["liveliness_query", "declare_liveliness_subscriber"]

@@ -37,7 +37,7 @@ class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Names whose permissions were removed; no new certificate contains a revoked name."""
 
     def __post_init__(self) -> None:
-        """Refuse malformed names, names that are listed twice, and rigs without the prefix."""
+        """Refuse malformed names, names listed twice, and rigs' names without `RIG_PREFIX`."""
         seen: set[str] = set()
         for name in (*self.operators, *self.observers, *self.rigs, *self.revoked):
             if check_name(name) in seen:

@@ -34,7 +34,7 @@ def read_bounded(
     """
     # O_NONBLOCK: do not wait until somebody writes to a pipe. Windows has neither flag.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
-    # Not os.fdopen, whose error names a directory by the number of its descriptor.
+    # Not os.fdopen: for a directory, its error contains a descriptor's number instead of the path.
     with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode):

@@ -10,7 +10,7 @@ from armrig_core.errors import InputError
 from armrig_core.volts import U_MAX_V
 
 _MAX_ZERO_COUNTS = 655_360  # ten times the range of the converter
-_MIN_RAD_PER_COUNT, _MAX_RAD_PER_COUNT = 1e-8, 0.1  # 0.04° and 1000 turns over the range
+_MIN_RAD_PER_COUNT, _MAX_RAD_PER_COUNT = 1e-8, 0.1  # 0.04° and 1000 turns for the full range
 
 
 class Potentiometer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -24,7 +24,7 @@ _HEADING = (
 )
 
 
-_TOML_LIMIT = 1 << 14  # ten times the written size; the reader's time grows with the square
+_TOML_LIMIT = 1 << 14  # in B: ten times the usual size; the time for reading grows with its square
 
 
 class LostSamplesError(FileError):
@@ -42,7 +42,7 @@ def toml_of(calibration: Calibration) -> str:
     if tables["made"] is None:
         del tables["made"]
     else:
-        del tables["made"]["file"]  # where it was read
+        del tables["made"]["file"]  # the path of the file that was read
     lines = [_HEADING]
     _write(tables, "", lines)
     return "\n".join(lines) + "\n"
@@ -149,5 +149,5 @@ def _write(table: Mapping[str, Any], name: str, lines: list[str]) -> None:
 
 
 def _value(value: Any) -> str:
-    # JSON's strings, numbers and booleans are TOML's, too.
+    # Strings, numbers and booleans have the same form in TOML as in JSON.
     return json.dumps(value, ensure_ascii=False)

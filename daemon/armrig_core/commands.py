@@ -238,7 +238,7 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     calibration_sha256: str = ""
     """Hash of the current calibration, as in the daemon's recordings."""
     calibration_file: str = ""
-    """Calibration file in the daemon's configuration, used or not; empty if none is configured."""
+    """Path of the configured calibration file, even if it is not in use; empty if none is set."""
     arm_removed: bool = False
     """True if the configuration states that the rotating part is removed."""
     owner_checked: str = ""
@@ -294,7 +294,7 @@ def parse(name: str, payload: bytes) -> Requests:
     except RecursionError as err:
         raise InputError(f"{name}: nested too deeply") from err
     if isinstance(request, Arm) and not _is_name(request.owner):
-        # Every client that requests the state prints it: an escape sequence would reach terminals.
+        # Clients print the name of the owner: an escape sequence in it would reach their terminals.
         raise InputError(
             f"arm: owner '{printable(request.owner)}': allowed are 1 to 80 printable characters, "
             "one of them a letter or a digit"

@@ -22,7 +22,7 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.printable import printable
 
 Purpose = Literal["rig", "client", "router", "rig at a router"]
-"""Purpose of a certificate: to serve a rig or a router, or to connect to a rig or a router."""
+"""Purpose of a certificate: to listen as a rig or router, or to connect as a client or rig."""
 ROUTER = "router"
 """Common name in a router's certificate."""
 RIG_PREFIX = "rig-"
@@ -72,8 +72,8 @@ class Credential:
 def check_name(name: str) -> str:
     """Return `name`; raise ValueError if the name cannot be part of a zenoh key.
 
-    The daemon's access list and the zenoh keys of the client's commands contain the name of a
-    person or a program.
+    The name identifies a person or a program in the daemon's access list, and in the zenoh keys of
+    this client's commands.
     """
     if not _NAME.fullmatch(name):
         raise InputError(f"name '{printable(name)}': use 1 to 40 characters, each a-z, 0-9 or -")
@@ -88,8 +88,8 @@ def rig_name(rig: str) -> str:
 def require_private(path: Path, found: os.stat_result, secret: str) -> None:
     """Refuse a secret file that users other than its owner may read or change.
 
-    The file's group may not read it either, because the group of a service's files contains all
-    people who may operate the service.
+    The file's group may not read the file either: for a service, this group contains all people who
+    may operate the service.
     """
     if os.name != "posix" or not found.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         return
@@ -141,7 +141,7 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
         raise FileError(f"{path}: {_what_is_wrong(err, purpose)}") from err
     ends = (_end(certificate) for certificate in (shown, *authorities))
     name = _common_name(path, shown)
-    if purpose == "client" and name.startswith(RIG_PREFIX):  # it connects to a router
+    if purpose == "client" and name.startswith(RIG_PREFIX):  # a rig's certificate, for a router
         raise FileError(f"{path}: {_other_purpose(purpose)}")
     return Credential(
         name=name,

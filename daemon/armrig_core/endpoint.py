@@ -99,7 +99,7 @@ def endpoint(rig: str, directory: PurePosixPath) -> str:
 
 
 def check_listen(where: str) -> str:
-    """Return the protocol of an endpoint for listening on a network, tls or tcp.
+    """Return the protocol, tls or tcp, of an endpoint that listens on a network.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def network_address(where: str) -> tuple[str, int] | None:
 
 
 def anchored(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
-    """Return a configuration in which the paths of credentials are absolute."""
+    """Return `tables` with absolute paths of credentials; relative paths begin at `directory`."""
     result = dict(tables)
     for table, keys in _FILES.items():
         given = result.get(table)

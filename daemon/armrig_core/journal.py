@@ -20,7 +20,7 @@ def priority(level: str) -> int:
 
 
 def log_prefix(level: str, fd: int = 2) -> str | None:
-    """Return the prefix of a line if the journal reads `fd`; otherwise None."""
+    """Return the prefix of a line of this level; None if the journal does not read `fd`."""
     stream = os.environ.get("JOURNAL_STREAM", "")
     return journal_prefix(level, os.fstat(fd), stream) if stream else None
 

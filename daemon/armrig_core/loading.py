@@ -14,7 +14,7 @@ from collections.abc import Callable
 def end_at_ctrl_c(program: str) -> Callable[[], object]:
     """End this process at Ctrl-C from now on; return a function that restores the previous handler.
 
-    The process owns nothing yet, so it cleans up nothing. An ignored Ctrl-C stays ignored.
+    The process has nothing to clean up yet. If Ctrl-C is ignored, it stays ignored.
     """
 
     def end(*_: object) -> None:

@@ -7,7 +7,7 @@ import resource
 from contextlib import suppress
 
 MOST_FILES = 16_384
-"""Limit on open files, as LimitNOFILE= in the unit; 1000 connections exceed the usual 1024."""
+"""Limit on open files, as LimitNOFILE= in the unit; 1024 are too few for 1000 connections."""
 
 
 def raise_limit() -> None:
@@ -15,7 +15,7 @@ def raise_limit() -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = MOST_FILES if hard == resource.RLIM_INFINITY else min(MOST_FILES, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
-        with suppress(OSError, ValueError):  # a sandbox forbids it: its unit sets the limit
+        with suppress(OSError, ValueError):  # forbidden in a sandbox, whose unit sets the limit
             resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 

@@ -1,4 +1,4 @@
-"""Configuration of a zenoh session in which only its owner publishes and answers."""
+"""Configuration of a zenoh session in which only its owner, the opening program, publishes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _OWNER_RULES = (
         "ingress",
         ["put", "delete", "declare_queryable", "reply", "liveliness_token"],
     ),
-    # A peer that claims to be a router receives all queries, queryable or not.
+    # zenoh sends all queries to a peer that claims to be a router, even without a queryable.
     _denied("what only the owner hears", "egress", ["query"]),
 )
 _ACCESS_CONTROL = {
@@ -40,8 +40,8 @@ _ACCESS_CONTROL = {
 
 Without these rules, zenoh would forward a message that a client publishes. The receivers could not
 distinguish this message from the owner's messages, because each sender sets the source in its own
-messages. A client must not receive the queries of other clients, because a command contains the
-lease.
+messages. A client must not receive the queries of other clients, because the query of a command
+contains the lease.
 """
 
 
@@ -56,7 +56,7 @@ _ACCEPT_MS = 3000  # time for a client's authentication; zenoh allows 10 s for e
 
 
 def listening(endpoint: str) -> dict[str, Any]:
-    """Return the configuration of a listener; a client gets little time for its TLS handshake."""
+    """Return the configuration of a listener, with a short time limit on a TLS handshake."""
     hurried = f"#tls_handshake_timeout_ms={_ACCEPT_MS}" if endpoint.startswith("tls/") else ""
     return {"listen": {"endpoints": [f"{endpoint}{hurried}"]}}
 
@@ -75,7 +75,7 @@ which a loop runs without its service.
 
 
 def transport(most_received: int, answer_us: int | None = None) -> dict[str, Any]:
-    """Return zenoh's `transport` of a session that waits for no subscriber.
+    """Return zenoh's `transport` of a session that never waits for a subscriber.
 
     Parameters
     ----------

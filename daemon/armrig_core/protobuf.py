@@ -134,7 +134,7 @@ def _make_optional(
 
 
 def _log_file() -> descriptor_pb2.FileDescriptorProto:
-    # Foxglove's schema of log messages, which viewers show as text, and three fields of ours.
+    # Foxglove's schema of log messages, which viewers show as text, with three fields of armrig.
     file = descriptor_pb2.FileDescriptorProto(
         name="foxglove/Log.proto",
         package="foxglove",
@@ -153,7 +153,7 @@ def _log_file() -> descriptor_pb2.FileDescriptorProto:
     for number, (name, kind) in enumerate(fields, 1):
         entry = message.field.add(name=name, number=number, label="LABEL_OPTIONAL")
         entry.type = descriptor_pb2.FieldDescriptorProto.Type.Value(f"TYPE_{kind}")
-    _make_optional(message, message.field[-1])  # a file of version 1 lacks it, and 0 says "none"
+    _make_optional(message, message.field[-1])  # not in version 1, where 0 would mean "no stall"
     message.field[0].type_name = ".google.protobuf.Timestamp"
     message.field[1].type_name = ".foxglove.Log.Level"
     return file

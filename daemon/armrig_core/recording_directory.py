@@ -25,7 +25,7 @@ def installed(rig: str = "", *, system: bool = False) -> list[Path]:
     Parameters
     ----------
     rig : str
-        Id of a rig; its file in the machine's folder overrides the file of all rigs.
+        Id of a rig, whose own file in /etc/armrig overrides the file for all rigs.
     system : bool
         True to leave out the files of the user.
     """
@@ -35,7 +35,7 @@ def installed(rig: str = "", *, system: bool = False) -> list[Path]:
 
 
 def of_rig(rig: str) -> Path:
-    """Return the path of the machine's configuration file of one rig; it may not exist."""
+    """Return the path of a rig's configuration file in /etc/armrig; the file may not exist."""
     return SYSTEM.with_name(f"{rig}.toml")
 
 

@@ -47,9 +47,10 @@ def rehearse(
 ) -> Rehearsal:
     """Return the response of the arm to `u`, each value held for Ts, from standstill and alpha 0.
 
-    The states at the samples are exact (zero-order hold) except for rounding. Between the samples,
-    the outputs are computed often enough for the arm's oscillation, at most `MOST_POINTS` times in
-    all. A peak is underestimated by more than 0.5 % only in runs of more than a day.
+    The states at the samples are exact (zero-order hold) except for rounding. The outputs are also
+    computed between the samples, often enough for the arm's oscillation, but at most at
+    `MOST_POINTS` points in all. A peak is underestimated by more than 0.5 % only in runs of more
+    than a day.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def rehearse(
     ------
     InputError
         A limit is reached or exceeded. During the run, the device enters FAULT as soon as
-        `revolutions` is reached; it does not check alpha.
+        `revolutions` is reached; the device does not check alpha.
 
     Examples
     --------

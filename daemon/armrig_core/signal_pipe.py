@@ -2,8 +2,8 @@
 
 A signal writes to the pipe at once, in C (`signal.set_wakeup_fd`). Python runs a signal's handler
 later, in the main thread, between any two instructions. A handler that takes a lock may therefore
-deadlock with its own thread. If a handler only sets a flag just before an endless wait, this wait
-does not end.
+deadlock with its own thread. If a handler only sets a flag, and the program begins an endless wait
+just after this, the wait does not end.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ class SignalPipe:
 def until_signal() -> Iterator[SignalPipe]:
     """Yield a pipe that an ending signal sets; a second signal raises KeyboardInterrupt.
 
-    The first signal interrupts nothing, because it may arrive before a received message is written
-    to the file. A signal that nohup ignores stays ignored.
+    The first signal interrupts nothing, so that a received message is still written to the file. A
+    signal that nohup ignores stays ignored.
     """
     received: list[int] = []
 
@@ -118,10 +118,9 @@ def until_signal() -> Iterator[SignalPipe]:
 def held_back() -> Iterator[None]:
     """Block the ending signals in a `with` block; a process started in the block inherits the mask.
 
-    Such a process unblocks the signals when it creates its `SignalPipe`. A Ctrl-C reaches all
-    processes of a terminal. Without the mask, the Ctrl-C could be lost in a new process that still
-    imports modules. If a callback of the import system raises the KeyboardInterrupt, Python prints
-    the exception and continues.
+    The new process unblocks the signals when it creates its `SignalPipe`. A Ctrl-C reaches all
+    processes of a terminal. Without the mask, a new process could lose the Ctrl-C while it imports
+    modules: if a callback of the import system raises KeyboardInterrupt, Python only prints it.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:

@@ -18,7 +18,7 @@ ALPHA: Final = "alpha"
 VELOCITY: Final = "velocity"
 ChannelName = Literal["theta_1", "alpha"]
 OutputName = Literal["theta_1", "alpha", "velocity"]
-"""Name of an output of models: a channel, or the rate of a channel."""
+"""Name of a model's output: a channel, or the rate of a channel."""
 
 
 class Channel(NamedTuple):
@@ -86,7 +86,7 @@ class Sample(NamedTuple):
     t_host_ns: int
     """Time at which the host requested the sample, on the same clock."""
     t_device_us: int
-    """Time at which the conversion of theta_1 was triggered, by the device's clock, unwrapped."""
+    """Time at which the conversion of theta_1 was triggered, on the unwrapped device clock."""
     theta_1_rad: float
     """Angle of the chassis from its potentiometer, which wraps; NaN for a reading at a rail."""
     alpha_rad: float

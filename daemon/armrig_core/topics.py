@@ -9,7 +9,7 @@ from armrig_core.errors import InputError, InputTypeError
 STREAMS = ("sample", "gap", "event", "timing", "clock", "state")
 """Streams that a rig publishes."""
 RECORDED = (*STREAMS, "trace")
-"""Streams that a recording contains; `trace` holds the steps of the core, for replay."""
+"""Streams that a recording contains; `trace` contains the inputs of the daemon's decisions."""
 
 EVERY_RIG = "*"
 """Wildcard for a rig's id in a key: all rigs."""

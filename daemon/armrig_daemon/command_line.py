@@ -132,8 +132,8 @@ def run(
 def _end(code: int) -> NoReturn:
     """End the process at once; the caller has closed all its resources.
 
-    If the interpreter ended first, zenoh's threads could still release Python objects, and would
-    then abort.
+    If the interpreter ended first, zenoh's threads could release Python objects after its end, and
+    abort the process.
     """
     sys.stdout.flush()
     sys.stderr.flush()
@@ -200,7 +200,7 @@ def _configuration(
     *,
     system: bool,
 ) -> Callable[[], Config]:
-    """Return a function that reads the configuration and overrides its values by these options."""
+    """Return a function that reads the configuration; the options override its values."""
     from armrig_daemon.config import load, load_installed
 
     overrides: dict[str, dict[str, Any]] = {}
@@ -255,7 +255,7 @@ def emulate(
     from armrig_daemon.emulator.settings import EmulatorSettings, load
 
     try:
-        if settings is not None:  # of `armrigd run --emulate`; the emulator ends with it
+        if settings is not None:  # from `armrigd run --emulate`, with which the emulator ends
             from armrig_daemon.loop.realtime import end_with_parent
 
             end_with_parent(parent)

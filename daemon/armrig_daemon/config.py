@@ -277,7 +277,7 @@ class Config(Table, frozen=True, kw_only=True):
 
     @property
     def calibration_sha256(self) -> str:
-        """Return the hash of the current calibration, as it is attached to recordings."""
+        """Return the hash of the current calibration in the form that is attached to recordings."""
         return hashlib.sha256(msgspec.json.encode(self.calibration)).hexdigest()
 
     @property
@@ -420,7 +420,7 @@ def _read(path: Path) -> dict[str, Any]:
     text = ""
     try:
         text = read_text(path, CONFIGURATION_LIMIT)
-        return toml_tables(text + "\n")  # an error at the end then has a line number, too
+        return toml_tables(text + "\n")  # with "\n", an error at the end also has a line number
     except FileNotFoundError as err:
         raise InputError(f"{path}: there is no such file") from err
     except PermissionError as err:
@@ -458,7 +458,7 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
         merged[key] = _merged(merged[key], value) if both else value
         if key == "calibration" and value:
-            merged[key].pop("made", None)  # no longer the measured values
+            merged[key].pop("made", None)  # the merged values are not those of the measurement
     return merged
 
 

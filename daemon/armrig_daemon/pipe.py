@@ -80,7 +80,7 @@ class Timing(Tagged, frozen=True, kw_only=True):
 
 
 class Clock(Tagged, frozen=True, kw_only=True):
-    """Fit of the device's clock to the host's monotonic clock; it corrects no published time."""
+    """Fit of the device's clock to the host's; published device times are not corrected."""
 
     t_host_ns: int
     offset_ns: int
@@ -90,7 +90,7 @@ class Clock(Tagged, frozen=True, kw_only=True):
     """Rate of change of the offset; positive if the device's clock is slow."""
     drift_std_ppm: float
     bound_ns: float
-    """Largest error of the offset that a constant asymmetry of the line's delays can cause."""
+    """Largest error of the offset from a constant asymmetry of the line's delays, in ns."""
 
 
 class State(Tagged, frozen=True, kw_only=True):
@@ -227,7 +227,7 @@ class Calibrate(Order, frozen=True, kw_only=True):
     """Use this calibration for samples from now on."""
 
     calibration: Calibration
-    """Calibration without its origin, so that it fits into a trace."""
+    """Calibration without its origin, so that the order fits into a trace."""
 
 
 class Alive(Order, frozen=True, kw_only=True):

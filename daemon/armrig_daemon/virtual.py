@@ -1,7 +1,7 @@
 """The loop and the emulated rig in virtual time: the same code without waiting.
 
-Time passes only while the loop waits. A run of 30 s therefore takes a fraction of 30 s, and the
-same orders at the same times give the same bytes.
+Virtual time passes only while the loop waits. A run of 30 s therefore takes a fraction of 30 s, and
+the same orders at the same virtual times give the same bytes.
 """
 
 from __future__ import annotations

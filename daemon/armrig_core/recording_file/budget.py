@@ -5,7 +5,7 @@ from __future__ import annotations
 from armrig_core.errors import ArmrigError
 
 MESSAGES_LIMIT, MESSAGES_PER_BYTE = 40 << 20, 16
-"""Limit on messages other than samples, in B: `MESSAGES_LIMIT` + `MESSAGES_PER_BYTE` · size."""
+"""Limit on messages other than samples: `MESSAGES_LIMIT` + n `MESSAGES_PER_BYTE` B in n B."""
 UNPACKED_LIMIT, UNPACKED_PER_BYTE, UNPACKED_MORE = 64 << 20, 64, 4 << 30
 """Limit on the unpacked chunks of a file of n B, in B.
 The limit is `UNPACKED_LIMIT` + min(n `UNPACKED_PER_BYTE`, n + `UNPACKED_MORE`).
@@ -17,10 +17,10 @@ For a file of n B the limit is `WORK_LIMIT` + n / `BYTES_PER_WORK` units. A reco
 1 kHz, 290 MB, needs 1 to 2 million units.
 """
 SAMPLES_LIMIT = 1 << 24
-"""Limit on the samples of a file and the rows of a grid: four and a half hours at 1 kHz."""
+"""Limit on the samples of a file, and on the rows of its time grid: 4.5 hours at 1 kHz."""
 
 WORK, KEPT = "units of work with records", "B of messages other than samples"
-UNPACKED = "B in its chunks, unpacked"
+UNPACKED = "B in its unpacked chunks"
 
 
 class DamageError(ArmrigError):
@@ -31,7 +31,7 @@ class Budget:
     """Cost of reading a file up to now, and the limits of this cost."""
 
     def __init__(self, size: int, messages: int = 0) -> None:
-        """Set the limits for a file of `size` B; a `messages` above 0 limits the messages, in B."""
+        """Set the limits for a file of `size` B; `messages`, if not 0, is the limit `KEPT`."""
         more = min(UNPACKED_PER_BYTE * size, size + UNPACKED_MORE)
         self.limits = {
             WORK: WORK_LIMIT + size // BYTES_PER_WORK,

@@ -23,7 +23,7 @@ class ByteSource:
         self.crc = 0
         """CRC-32 of the bytes up to `whole`."""
         self.passed = False
-        """True if `pass_over` left out bytes."""
+        """True after a call of `pass_over`."""
         self._crc = 0
         self._hash = hashlib.sha256() if is_hashed else None
 
@@ -57,7 +57,7 @@ class ByteSource:
             self.left -= n
 
     def sha256(self) -> str:
-        """Read the rest of the file; return the hash of all bytes that it had at its opening."""
+        """Read the rest of the file; return the hash of all bytes that it had when opened."""
         if self._hash is None:
             raise InputError("sha256() needs is_hashed=True")
         self.skip(self.left)

@@ -1,4 +1,4 @@
-"""Unpacking of chunks, which does not trust the size that a chunk states."""
+"""Unpacking of chunks without trust in the size that a chunk states."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ class Unpacker:
 
     def _unpacked(self, packed: memoryview, size: int) -> bytes:
         try:
-            # If a frame states the right size, no more than that comes out. Otherwise the read is
-            # limited. decompress(max_output_size=…) would trust any size that a frame states.
+            # If the frame states the size of the chunk, decompress returns at most this size.
+            # Otherwise the read is limited; decompress(max_output_size=…) would trust the frame.
             if zstandard.frame_content_size(packed) == size:
                 return self._zstd.decompress(packed)
             with self._zstd.stream_reader(packed) as stream:

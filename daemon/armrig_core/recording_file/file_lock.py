@@ -9,7 +9,7 @@ from typing import IO
 
 try:
     import fcntl
-except ImportError:  # other systems, too, recover recordings and make them in virtual time
+except ImportError:  # Windows also recovers recordings, and records virtual rigs
     _HAS_LOCKS = False
 else:
     _HAS_LOCKS = True

@@ -33,12 +33,13 @@ CHUNK_LIMIT = 8 << 20
 RECORD_LIMIT = CHUNK_LIMIT + (64 << 10)
 """Longest record that is read, in B, except attachments."""
 UNREADABLE = (McapError, struct.error, DecodeError, ValueError, OverflowError)
-"""Exceptions of the libraries at damaged bytes; a CRC nearly always detects the damage before."""
+"""Exceptions of the libraries at damaged bytes; in most cases a CRC detects the damage first."""
 
 _SKIPPED_OPCODES = (Opcode.CHUNK_INDEX, Opcode.STATISTICS)
 _INDEX_HEAD = Struct("<HI")  # message index: channel, length of the rest
 _CHUNK_TIMES = Struct("<QQ")
-# Opcodes before the end of the data; a changed opcode must not make a chunk disappear.
+# Opcodes that are allowed in the data section. Without this check, a chunk whose opcode is damaged
+# could be skipped like an index.
 _DATA_OPCODES = (
     Opcode.HEADER,
     Opcode.SCHEMA,
@@ -50,7 +51,7 @@ _DATA_OPCODES = (
     Opcode.METADATA,
     Opcode.DATA_END,
 )
-_ATTACHMENT_HEAD = 8 + 8 + 4  # two times and the length of the name, in B
+_ATTACHMENT_HEAD = 8 + 8 + 4  # size of two times and of the name's length, in B
 _NAME_LIMIT = 100  # in B
 _CRC = Struct("<I")
 
@@ -83,9 +84,9 @@ class Wanted:
     """Selection of the records to read; all others are skipped."""
 
     chunk: Callable[[int, int], bool] | None = None
-    """Filter of chunks by their first and last log time, in ns; None selects all."""
+    """Filter of chunks by their first and last log time, in ns; None selects all chunks."""
     left: str = ""
-    """Name of the attachment whose content is not read; its place is returned."""
+    """Name of an attachment whose content is not read; its `Record` has an empty `body`."""
     attachment: int = RECORD_LIMIT
     """Longest attachment that is read, in B; longer attachments are skipped."""
 
@@ -162,7 +163,7 @@ def check_attachment(attachment: bytes) -> None:
     if not crc or crc == zlib.crc32(attachment[: -_CRC.size]):
         return
     at = _ATTACHMENT_HEAD - 4
-    n = int.from_bytes(attachment[at : at + 4], "little")  # may be wrong, too
+    n = int.from_bytes(attachment[at : at + 4], "little")  # this length may be damaged, too
     name = attachment[at + 4 : at + 4 + min(n, _NAME_LIMIT)].decode(errors="replace")
     raise DamageError(
         f"the checksum of the attachment '{printable(name)}' is wrong: it is left out"
@@ -176,7 +177,7 @@ def _stays(begin: bytes, name: str) -> bool:
 
 
 def _check_data(source: ByteSource, body: bytes) -> None:
-    """Check the checksum over all data, unless chunks were skipped without reading them."""
+    """Check the checksum over all data, unless `pass_over` has skipped chunks."""
     expected = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
     if expected and not source.passed and expected != source.crc:
         raise DamageError("the checksum over all data is wrong: the file was changed")

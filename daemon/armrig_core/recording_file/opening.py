@@ -53,14 +53,14 @@ def regular_file(path: Path, *, may_be_link: bool = True) -> IO[bytes]:
         device may never end.
     """
     try:
-        stream = open(path, "rb", opener=no_link)  # noqa: SIM115 - the caller's
+        stream = open(path, "rb", opener=no_link)  # noqa: SIM115 - the caller closes it
     except OSError:
         if not path.is_symlink():
             raise
         if not may_be_link or not _is_own(path):
             kind = "another user's link" if may_be_link else "a link"
             raise DamageError(f"{kind} is not followed; copy the file to which it leads") from None
-        stream = open(path, "rb", opener=opened)  # noqa: SIM115 - the caller's
+        stream = open(path, "rb", opener=opened)  # noqa: SIM115 - the caller closes it
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
         stream.close()
         raise DamageError("not a regular file")
@@ -68,7 +68,7 @@ def regular_file(path: Path, *, may_be_link: bool = True) -> IO[bytes]:
 
 
 def _is_own(link: Path) -> bool:
-    user = getattr(os, "geteuid", None)  # Windows has none, and hardly any links
+    user = getattr(os, "geteuid", None)  # Windows has no geteuid, and hardly any links
     return user is None or link.lstat().st_uid in (user(), _ROOT_UID)
 
 
@@ -79,7 +79,7 @@ def no_link(path: str, flags: int) -> int:
 
 def opened(path: str, flags: int) -> int:
     """Open an untrusted file; use this function as the `opener` of `open`."""
-    # O_NONBLOCK: do not wait until somebody writes to a pipe. Windows has only O_BINARY, and
-    # changes bytes without it.
+    # O_NONBLOCK: do not wait until somebody writes to a pipe. Of these flags Windows has only
+    # O_BINARY; without this flag, Windows changes line ends.
     more = ("O_NONBLOCK", "O_NOCTTY", "O_BINARY")
     return os.open(path, flags | sum(getattr(os, name, 0) for name in more))

@@ -1,4 +1,4 @@
-"""Names of a run's files: unfinished files, and parts, which readers join to one run."""
+"""Names of a run's files: unfinished files, and the parts that readers join to one run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 ACTIVE, COPY = ".active", ".compact"
 """Last characters of a file's name while the file is written, and while it is rewritten."""
 PART = ".part-"
-"""Text between a run's name and a part's number: NAME.part-0001.mcap."""
+"""Text between a run's name and a part's number, as in NAME.part-0001.mcap."""
 
 
 def part_path(path: Path, number: int) -> Path:

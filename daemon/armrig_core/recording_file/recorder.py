@@ -1,4 +1,4 @@
-"""Recording of a run into MCAP files; all flushed messages survive the end of the process.
+"""Recording of a run into MCAP files; if the process dies, all flushed messages remain.
 
 The file is `NAME.mcap.active` until it is complete. A separate thread writes the files, so that the
 caller never waits for the disk.
@@ -25,7 +25,7 @@ from armrig_core.recording_file.recording_part import EndsHereError, Part, Remov
 
 FLUSH_S = 0.1
 SYNC_S = 1.0
-QUEUE = 10_000  # batches; messages beyond it are discarded, counted and reported
+QUEUE = 10_000  # in batches; further messages are discarded, counted and reported
 
 
 class RecordingError(ArmrigError, OSError):
@@ -36,9 +36,9 @@ class PartLimits(NamedTuple):
     """Limits at which a part ends and the next part begins."""
 
     samples: int
-    """Number of due samples of a part."""
+    """Number of samples, recorded or missing, after which a part ends."""
     size: int
-    """Size of a part, in B."""
+    """Size after which a part ends, in B."""
 
 
 class Recording:
@@ -108,7 +108,7 @@ class Recording:
 
     @property
     def kept(self) -> Path:
-        """Current path of the file: its final name if it is complete, or its path after a move."""
+        """Current path: of the finished recording, or before that of the file being written."""
         part = self._part
         if not part.is_named:
             return part.active
@@ -203,7 +203,7 @@ class Recording:
                 self._begin_part(message.sequence + 1, message.t_host_ns)
 
     def _is_full(self, k: int) -> bool:
-        """Return whether a part ends with sample `k`; parts end after a sample and split no gap."""
+        """Return whether the part ends with sample `k`; no part ends inside a gap."""
         part, limits = self._part, self._limits
         if limits is None or k + 1 >= part.manifest.due.stop:
             return False
@@ -236,7 +236,7 @@ class Recording:
         self.missing += part.missing
 
     def _end_early(self, err: EndsHereError) -> None:
-        """Complete the file before the end of the run; later, `_write_run` rewrites the file."""
+        """Complete the file before the end of the run; `_write_run` compacts the file later."""
         try:
             self._end_part(Ending(OutcomeCode.RECORDING, f"its recording ended: {err}"))
             self._follow()
@@ -259,7 +259,7 @@ class Recording:
             self._changed()
 
     def _give_up(self, err: Exception) -> None:
-        """Close the file at its last flush; a later write would leave an unreported gap."""
+        """Close the file at the end of its last flush; more data would follow an unreported gap."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
         # Another file may have taken the name, but RemovedError proves that this file is removed.
         there = not isinstance(err, RemovedError) and os.access(self.kept, os.F_OK)

@@ -24,8 +24,8 @@ from armrig_core.topics import RECORDED, topic
 PROFILE = "armrig"
 """Profile in the header of a recording, by which programs recognise a recording."""
 CHUNK_BYTES = 128 * 1024
-_ENDING_BYTES = 4 * CHUNK_BYTES  # pending messages when the disk is full, and the end of the file
-_INDEX_BYTES = 256  # index of one chunk, in addition
+_ENDING_BYTES = 4 * CHUNK_BYTES  # for the last messages on a full disk, and for the end of the file
+_INDEX_BYTES = 256  # additional space for the index of each chunk
 _FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)
 _MEDIA_TYPES = {"csv": "text/csv", "json": "application/json", "gz": "application/gzip"}
 
@@ -165,7 +165,7 @@ class Part:
         getattr(os, "fdatasync", os.fsync)(self._file.fileno())
 
     def finish(self, outcome: Outcome) -> None:
-        """Complete the file and sync it to the disk; raises OSError as `flush`."""
+        """Complete the file and sync it to the disk; raise OSError as `flush` does."""
         with suppress(EndsHereError):
             self.flush()  # the outcome must follow the last sample
         self._writer.add_metadata(OUTCOME, outcome.metadata())
@@ -178,7 +178,7 @@ class Part:
     def name(self) -> None:
         """Rename and close the complete file; raise OSError if the name exists."""
         _check_free(self.path)
-        if sys.platform == "win32":  # it cannot rename an open file
+        if sys.platform == "win32":  # Windows cannot rename an open file
             self._file.close()
         self.active.replace(self.path)
         self.is_named = True

@@ -103,7 +103,7 @@ class Recovery:
                 copy.unlink(missing_ok=True)
                 try:
                     done = self._copied(path, stream, copy)
-                    if sys.platform == "win32":  # Windows renames no open file
+                    if sys.platform == "win32":  # Windows cannot rename an open file
                         stream.close()
                     # If the process dies between these calls, the file under one of the names is
                     # complete.
@@ -165,7 +165,7 @@ class Recovery:
                 cut_off_bytes=rest,
                 damage="; ".join([*rewriter.left_out, *([str(damage)] if damage else [])]),
             )
-            if RECOVERED in rewriter.metadata:  # from an earlier recovery that died
+            if RECOVERED in rewriter.metadata:  # an interrupted recovery wrote it
                 recovered = _checked(path, recovered_of, rewriter.metadata[RECOVERED])
             else:
                 rewriter.add_metadata(RECOVERED, recovered.metadata())
@@ -177,14 +177,14 @@ class Recovery:
     def _walked(
         self, path: Path, source: ByteSource, rewriter: Rewriter, tally: _Tally
     ) -> DamageError | None:
-        """Copy the undamaged records; return the damage before the file's end, or None."""
+        """Copy the undamaged records; return the damage at which the copy ends, or None."""
         is_known = False
         try:
             for record in all_records(source):
                 for channel, data in rewriter.add(record):
                     tally.add(stream_of(rewriter.topics[channel]), data)
-                # Check the rig as soon as the manifest is known, so that no whole file of another
-                # rig is copied first.
+                # Check the rig as soon as the manifest is known: the file of another rig need not
+                # be copied to its end.
                 is_known = is_known or _manifest(path, rewriter, self.rig) is not None
                 self.breath()
         except DamageError as damage:

@@ -48,7 +48,7 @@ class _Run(NamedTuple):
     size: int
     """Size of all files, in B."""
     ended_s: float
-    """Time of the last write to the last file, in s since the epoch."""
+    """Time of the last write to any of the files, in s since the epoch."""
 
 
 @dataclass(kw_only=True)
@@ -89,7 +89,7 @@ class Retention:
         total = sum(run.size for run in found)
         for run in found[:-1]:
             if why := self._reason(run, total, now_s):
-                # Also if the removal fails, so that no other run is removed in its place.
+                # Subtract it even if the removal fails: no other run is then removed instead.
                 total -= run.size
                 if (done := self._removed(run, why)) is not None:
                     yield done
@@ -131,7 +131,7 @@ class Retention:
                 with held(run.files[0], self.owner) as stream:
                     manifests = (data for name, data in self._metadata(stream) if name == RUN)
                     self._rigs[known] = manifest_of(next(manifests, {})).rig
-            except NotOursError:  # it may be free later
+            except NotOursError:  # the file may be free at the next call
                 return ""
             except _READ_ERRORS:
                 self._rigs[known] = ""

@@ -44,7 +44,7 @@ class Rewriter:
         self.metadata: dict[str, dict[str, str]] = {}
         """Metadata records written so far, by name."""
         self.topics: dict[int, str] = {}
-        """Topic of each channel of the source."""
+        """Topic of each channel, by the channel's number in the source."""
         self.left_out: list[str] = []
         """Messages about damaged attachments, which are not written."""
         self._writer = Writer(

@@ -52,7 +52,7 @@ def remove_copies(folder: Path, rig: str, owner: int) -> list[Path]:
 
 @contextmanager
 def held(path: Path, owner: int | None) -> Iterator[IO[bytes]]:
-    """Lock a file that no other process writes, and yield it open for reading."""
+    """Lock a file and yield it open for reading; refuse a file that another process writes."""
     try:
         # Checked before the file is opened: opening a device may have an effect, and a link may
         # lead to another file.

@@ -10,7 +10,7 @@ from armrig_protocol.messages import SETPOINTS_PER_FRAME, Exchange, Ping, Pong, 
 
 BITS_PER_BYTE = 10  # 8N1
 CONVERSION_US = (
-    104  # ATmega328P: 13 clocks of the ADC at 125 kHz; a device reports its own in HELLO_R
+    104  # ATmega328P: 13 clocks of the ADC at 125 kHz; a device reports its value in HELLO_R
 )
 PING_INTERVAL_US = 25_000
 """Interval between requests for the device's clock in a scheduled run, in µs."""
@@ -31,8 +31,8 @@ def scheduled_us(baud: int, conversion_us: float = CONVERSION_US, oversampling: 
     """Return the shortest sampling time of scheduled mode, in µs.
 
     The two directions of the line are independent. In each sampling time, a sample is sent to the
-    host, and a share of a frame of setpoints is sent to the device. PING and PONG, which compare
-    the clocks, need additional time. The conversions must also fit into the sampling time.
+    host, and a setpoint to the device; one frame contains several setpoints. PING and PONG, which
+    compare the clocks, need additional time. The conversions must also fit into the sampling time.
     """
     byte_us = BITS_PER_BYTE / baud * 1e6
     up = wire_length(Sample) * byte_us / (1 - wire_length(Pong) * byte_us / PING_INTERVAL_US)
@@ -49,7 +49,7 @@ def check(
     scheduled: bool = False,
     oversampling: int = 1,
 ) -> None:
-    """Raise ValueError if `ts_us` is too short; its message names the shortest sampling time."""
+    """Raise ValueError if `ts_us` is too short; the message names the shortest sampling time."""
     least = (scheduled_us if scheduled else exchange_us)(baud, conversion_us, oversampling)
     if ts_us < least:
         mode = "scheduled" if scheduled else "exchange"

@@ -7,9 +7,9 @@ time at the middle of `rx_us` and `tx_us`, with an error of (qf - qb)/2. Here qf
 waiting times of the request and of the answer. Only their sum e = qf + qb is observed, so the error
 is c · e with c in [-1/2, 1/2].
 
-A waiting time is never negative, so its mean does not average out. Therefore c is treated as
-unknown but equal in all exchanges, with the variance 1/12 of a uniform distribution. Short round
-trips get the largest weights.
+A waiting time is never negative, so its mean is not 0 and does not average out. Therefore c is
+treated as unknown but equal in all exchanges, with the variance 1/12 of a uniform distribution.
+Short round trips get the largest weights.
 
 No exchange shows the constant part of qf - qb. Half of this part, at most `Estimate.bound_ns`, is
 an error of the offset, which the standard deviation of the offset does not include. The drift is
@@ -54,16 +54,16 @@ class Link(NamedTuple):
     resolution_us: int = 1
     """Step of the device's clock."""
     tau_ns: int = 30_000_000_000
-    """Time constant of the forgetting."""
+    """Time constant with which the weights of old exchanges fade."""
 
 
 class ClockMap(NamedTuple):
-    """Estimate of the device's clock from the exchanges so far.
+    """Map between the two clocks, estimated from the exchanges so far.
 
     The estimate is a weighted regression of y = host - 1000 · device (ns) on d = device (µs), and
     of the round trip r on d. It is stored as weighted means and centred moments. The origins of y
-    and d are times of the last exchange, stored as integers, so that no digits cancel in a long
-    run.
+    and d are times of the last exchange, stored as integers, so that no digits are lost by
+    cancellation in a long run.
     """
 
     link: Link = Link()
@@ -109,7 +109,7 @@ class Estimate(NamedTuple):
     """Growth of the offset; positive if the device's clock is slow."""
     drift_std_ppm: float
     bound_ns: float
-    """Largest error that a constant asymmetry causes, in ns: half of the shortest trip's wait."""
+    """Largest error from a constant asymmetry, in ns: half the wait in the shortest round trip."""
 
 
 def start(link: Link) -> ClockMap:
@@ -120,8 +120,8 @@ def start(link: Link) -> ClockMap:
 def extend(last_us: int, raw_us: int) -> int:
     """Return the device's time `raw_us` without wraps, near the earlier extended time `last_us`.
 
-    The result is at most 16.8 s before `last_us` (messages overtake each other), or less than 71.3
-    min after `last_us`. After a longer silence, a wrap is lost. The extended time of the first
+    The result is at most 16.8 s before `last_us` (messages may overtake each other), or less than
+    71.3 min after `last_us`. After a longer silence, a wrap is lost. The extended time of the first
     reading is the reading itself.
     """
     return last_us - _BACK_US + ((raw_us - last_us + _BACK_US) % _WRAP)
@@ -168,13 +168,14 @@ def update(clock: ClockMap, h1_ns: int, rx_us: int, tx_us: int, h4_ns: int) -> C
             return _reject(clock)
         restarted = _blank(moved)._replace(restarts=clock.restarts + 1)
         return _add(restarted, d, y, r, w, 0.0)
-    # A stalled exchange fits any map: only a round trip up to the median ends a row of rejections.
+    # A very slow exchange fits any map. Only an exchange whose round trip is not above the median
+    # resets the number of rejections.
     rejected = 0 if r <= clock.median_ns else clock.rejected
     return _add(moved._replace(rejected=rejected), d, y, r, w, innovation)
 
 
 def host_ns_at(clock: ClockMap, device_us: int) -> int:
-    """Return the host's time at a time of the device, in ns.
+    """Return the host's time, in ns, that corresponds to a time of the device.
 
     Raises
     ------
@@ -262,7 +263,7 @@ def _fading(link: Link, past_ns: int) -> float:
 
 
 def _window(clock: ClockMap, r: int) -> ClockMap:
-    """Add a round trip; estimate how far the window's minimum exceeds the shortest round trip.
+    """Add a round trip, and estimate `gap_ns`, the excess of the window's minimum.
 
     The sum of two exponential waiting times with means m and m' is below x with a probability of
     x²/(2 m m'). The smallest of N sums, which is the excess of the minimum over the shortest

@@ -14,11 +14,11 @@ class Id(StrEnum):
     LINK = "link"
     """The port is gone."""
     STALE = "stale"
-    """No frame was answered for too long."""
+    """The device answered no frame for longer than allowed."""
     PAUSE = "pause"
-    """The host did not run the loop for too long."""
+    """The host did not run the loop for longer than allowed."""
     MISSED = "missed"
-    """The number of consecutive missed ticks exceeds the configured limit."""
+    """The number of consecutive missed ticks has reached the configured limit."""
     SERVICE = "service"
     """The service is frozen."""
     LEASE = "lease"
@@ -68,7 +68,7 @@ REMEDIES: dict[Id, str] = {
     Id.FIRMWARE: "flash firmware of this version of the wire (firmware_protocol/PROTOCOL.md)",
     Id.INTERNAL: "report this bug of armrig, with the recording",
 }
-"""Remedy of each fault; `armrig reset` follows the remedy."""
+"""Remedy of each fault; after the remedy, `armrig reset` clears the fault."""
 
 
 OF_DEVICE: dict[int, str] = {
@@ -85,7 +85,7 @@ OF_DEVICE: dict[int, str] = {
 
 
 def of_device(cause: int) -> str:
-    """Return the name, or else the number, and the meaning of a cause that the device reported."""
+    """Return a cause that the device reported as text: its name or number, and its meaning."""
     name = Cause(cause).name if cause in set(Cause) else str(cause)
     return f"{name}, {OF_DEVICE[cause]}" if cause in OF_DEVICE else name
 

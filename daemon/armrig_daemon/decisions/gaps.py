@@ -13,7 +13,7 @@ from armrig_daemon.decisions.requests import Step
 from armrig_daemon.decisions.state import Action, Emit, MissingSamples, Sent, State
 from armrig_daemon.pipe import Gap
 
-MAX_MISSING_PIECES = 1000  # pieces of one outage that are reported one by one; the rest is one gap
+MAX_MISSING_PIECES = 1000  # separate gaps of one outage; the samples before them are one gap
 
 
 def note(state: State, absent: MissingSamples) -> State:
@@ -46,7 +46,7 @@ def report_missing(state: State, end: int, now_ns: int, u_before: int | None = N
     first = state.last_reported_k + 1
     if first == end and not state.absent:
         return state, []  # nothing is missing, as at nearly every tick
-    # Ticks after a sample may have been skipped while the sample is still on its way.
+    # Later ticks may have been skipped while sample `end` was still on its way.
     later = tuple(a for a in state.absent if a.k + a.n > end)
     if state.last_reported_k < 0 or first >= end:
         return replace(state, last_reported_k=max(state.last_reported_k, end - 1), absent=later), []

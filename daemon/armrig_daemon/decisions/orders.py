@@ -78,7 +78,7 @@ def quit_(state: State, now_ns: int) -> Step:
 def _stop(state: State, now_ns: int, order: Stop) -> Step:
     may_turn = state.phase in (Phase.ARMED, Phase.ACTIVE) or state.asked is not None
     if state.device is None or state.phase is Phase.FAULT or not may_turn:
-        return state, answer(order, {"done": True})  # at 0 V, or without a link
+        return state, answer(order, {"done": True})  # at 0 V, or out of reach
     return stop(state, now_ns, order.reason, order, order.outcome_code)
 
 
@@ -131,7 +131,7 @@ def _arm(state: State, now_ns: int, order: Arm) -> Step:
         text = f"no sample of the device in the last {limit_ns / 1e6:.0f} ms: try again"
         return state, refuse(order, text, RefusalCode.STALE, limit_ms=limit_ns / 1e6)
     if link.device_state not in _AT_REST:
-        # HELLO asks for the device's state, and leads back to rest.
+        # HELLO requests the device's state, after which the device is brought to rest.
         error = f"the device is in {state_name(link.device_state)}, not at rest: try again"
         state, actions = ask(state, now_ns, RequestKind.HELLO)
         return state, [*refuse(order, error, RefusalCode.NOT_AT_REST), *actions]
@@ -178,7 +178,7 @@ def _refuse_in_fault(order: Order, state: State) -> list[Action]:
 
 
 def _refusal(state: State, order: Leased) -> list[Action]:
-    """Return the refusal of an order that is not allowed, or nothing."""
+    """Return the refusal of an order of the lease's holder; [] for an allowed order."""
     match order:
         case Set():
             if state.run is not None:
@@ -202,7 +202,7 @@ def _refusal(state: State, order: Leased) -> list[Action]:
 
 
 def _cannot_pace(state: State, order: Run) -> list[Action]:
-    """Return the refusal of a run that the device cannot pace, or nothing."""
+    """Return the refusal of a run that the device cannot pace; [] for any other run."""
     if order.scheduled:
         if state.device is not None and state.device.capabilities & Capability.SCHEDULED:
             return []
@@ -222,7 +222,7 @@ def _refuse_as_too_short(state: State, order: Order) -> list[Action]:
 
 
 def _out_of_range(state: State, order: Set) -> list[Action]:
-    """Return the refusal of a voltage outside the limits, or nothing."""
+    """Return the refusal of a voltage outside the limits; [] for an allowed voltage."""
     rules, before, code = state.rules, state.code, order.code
     low, high = volts_of(rules.code_min), volts_of(rules.code_max)
     if not rules.code_min <= code <= rules.code_max:

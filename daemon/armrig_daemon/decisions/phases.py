@@ -29,7 +29,7 @@ TRANSITIONS: dict[On, dict[Phase, Phase]] = {
     On.STARTED: {_ARMED: _ACTIVE},
     On.TRIPPED: dict.fromkeys(Phase, _FAULT),
     On.RESET: {_FAULT: _SAFE},
-    # A device that is lost while it may turn is a fault first.
+    # The loss of a device whose motor may turn causes a fault, TRIPPED, first.
     On.LOST: {_INIT: _INIT, _SAFE: _INIT, _FAULT: _FAULT},
     On.ENDED: {_INIT: _INIT, _SAFE: _INIT, _ARMED: _INIT, _ACTIVE: _INIT, _FAULT: _FAULT},
 }

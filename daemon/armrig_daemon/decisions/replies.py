@@ -86,7 +86,7 @@ def _rebooted(state: State, now_ns: int) -> Step:
     elif state.phase is not Phase.FAULT:
         state = moved(state, On.LOST)
         done = [log(now_ns, "warning", "the device was reset"), report_state(state, now_ns)]
-    # The run is over, and no STOP will be confirmed: HELLO replaces it.
+    # The run is over. HELLO replaces a STOP, which the restarted device will not confirm.
     state, ended = end_run(state, now_ns)
     state, actions = ask(state, now_ns, RequestKind.HELLO)
     return state, [*done, *ended, *actions]
@@ -102,9 +102,9 @@ def _ack(state: State, now_ns: int, ack: Ack) -> Step:
         return transitions.note_state(state, now_ns, ack.state)
     if ack.code == Code.STALE:
         if asked.want is RequestKind.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):
-            # Replayed old frames keep the device in this state. HELLO must wait; STOP need not.
+            # Repeated old frames keep the device in this state. HELLO waits; STOP is sent at once.
             return send(state, now_ns, encode(Stop(0, link.seq)))
-        return state, []  # it will be sent again, with a newer seq
+        return state, []  # the request will be sent again, with a newer seq
     if (
         asked.want is RequestKind.STOP
         and state.phase is Phase.FAULT

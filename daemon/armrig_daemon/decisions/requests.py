@@ -46,7 +46,7 @@ Step = tuple[State, list[Action]]
 """Result of each part of the core: the next state, and the actions."""
 
 
-MAX_REMEMBERED_FRAMES = 64  # frames without an echo; the round trip's age trips long before
+MAX_REMEMBERED_FRAMES = 64  # without an echo; a fault (STALE) comes long before
 NOTICE_TRIES = 18
 """Number of unanswered HELLOs, 0.1 s apart, after which the daemon reports a silent device."""
 
@@ -78,7 +78,7 @@ def log(now_ns: int, level: str, message: str, **fields: str) -> Action:
 
 
 def answer(order: Order | None, body: dict[str, object]) -> list[Action]:
-    """Return the answer to an order; nothing if the order is None."""
+    """Return the answer to an order; [] if the order is None."""
     return [] if order is None else [Emit(Answer(order=order.order, body=body))]
 
 
@@ -88,7 +88,7 @@ def refuse(
     code: RefusalCode = RefusalCode.NOT_ALLOWED,
     **parameters: str | int | float,
 ) -> list[Action]:
-    """Return the refusal of an order; nothing if the order is None."""
+    """Return the refusal of an order; [] if the order is None."""
     if order is None:
         return []
     return [Emit(Answer(order=order.order, error=error, code=code, parameters=parameters))]
@@ -174,7 +174,7 @@ def config(rules: Rules, ts_us: int, seq: int, *, scheduled: bool) -> Config:
         state=0,
         seq=seq,
         ts_us=ts_us,
-        # 0 V is always allowed: the host rests there between START and the first sample.
+        # 0 V is always allowed, because the input is 0 V between START and the first sample.
         u_min=0,
         u_max=rules.code_max,
         u_rest=0,

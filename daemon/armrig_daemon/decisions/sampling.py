@@ -55,12 +55,12 @@ def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
     link, device = state.link, state.device
     at = None if link is None else _find_exchange(link.sent, m.k)
     if link is None or at is None or device is None or is_ahead(link, m.echo):
-        return state, []  # an old burst, or an echo of another host
+        return state, []  # an old frame, or the answer to another host
     if _is_older_than_last(state, m):
         return state, []
     sent, later = link.sent[at], link.sent[at + 1 :]
     if sent.k <= state.last_reported_k:
-        return linked(state, sent=later), []  # overtaken: reported as a gap already
+        return linked(state, sent=later), []  # too late: it was already reported as a gap
     for before in link.sent[:at]:
         state = gaps.note(state, gaps.lost(before, now_ns))
     expected = applied_code(sent.code, device.pwm_bits) if m.flags & _RUN else 0
@@ -90,8 +90,8 @@ def _find_exchange(sent: tuple[Sent, ...], k: int) -> int | None:
 
 def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Handle a sample of a device that samples by its own timer."""
-    # The echo is checked first. At this sample the daemon sends setpoints, and an echo that is
-    # ahead could then look like the echo of one of its frames.
+    # The echo is checked first: after this sample the daemon sends setpoints, and an echo that is
+    # ahead could then look like the echo of one of these frames.
     state, done = _check_echo(state, now_ns, m)
     # The state is noted before the sample: RUN shows that START has worked, and defines k.
     state, actions = transitions.note_state(note_echo(state, m.echo), now_ns, m.state)
@@ -101,7 +101,7 @@ def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 
 def _check_echo(state: State, now_ns: int, m: DeviceSample) -> Step:
-    """Trip if the driven device has received frames of another host."""
+    """Stop with a fault if the driven device has received frames of another host."""
     link = state.link
     if link is None or state.phase not in (_ARMED, _ACTIVE) or not is_ahead(link, m.echo):
         return state, []
@@ -133,7 +133,7 @@ def _handle_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 
 def _sched_ns(state: State, run: ActiveRun, m: DeviceSample) -> int:
-    """Return the host's time at which a sample was due, by the clock map if the map is accurate."""
+    """Return the host's time at which a sample was due, by the clock map after enough exchanges."""
     clock = state.clock
     if clock is not None and clock.map.weight and len(clock.map.round_trips) >= MIN_MAP_EXCHANGES:
         return host_ns_at(clock.map, extend(clock.device_us, m.t_us))
@@ -190,7 +190,7 @@ def _publish(
 
 
 def _check_applied(state: State, now_ns: int, m: DeviceSample, due: _Due) -> Step:
-    """Trip if the device applied a code other than the commanded code (S5 of ARCHITECTURE.md)."""
+    """Stop with a fault if the device applied another code than commanded (S5)."""
     if m.u_k == due.expected:
         return state, []
     text = f"the device applied code {m.u_k}, but code {due.code} was commanded"

@@ -71,13 +71,13 @@ def refill(state: State, now_ns: int) -> Step:
 
 
 def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
-    """Note the number of setpoints in the device; send more, or start if they are enough."""
+    """Note the number of setpoints in the device; send more, or START if there are enough."""
     queue, run = state.queue, state.run
     if queue is None or run is None:
         return state, []
     held = base + queued
     moved_ns = now_ns if held > queue.held else queue.moved_ns
-    # The sample may be older than the newest setpoints sent, or newer than a return to `held`.
+    # `sent` may be above `held`, or below it after a return to an earlier `held`.
     queue = replace(queue, base=base, held=held, sent=max(queue.sent, held), moved_ns=moved_ns)
     state = replace(state, queue=queue)
     if state.phase is _ARMED and state.asked is None:
@@ -106,7 +106,8 @@ def is_stopping(state: State) -> bool:
 def tick(state: State, now_ns: int) -> Step:
     """Fill the device's queue and compare the clocks during a scheduled run."""
     if is_stopping(state):
-        # Given up, but the device still drives: repeat STOP until its own watchdog stops it, too.
+        # No STOP was confirmed, and the device still drives the motor: repeat STOP until the
+        # device's watchdog stops the motor.
         return (state, []) if state.asked is not None else ask(state, now_ns, RequestKind.STOP)
     state, done = refill(state, now_ns)
     link = state.link
@@ -118,7 +119,7 @@ def tick(state: State, now_ns: int) -> Step:
 
 
 def complete(state: State, now_ns: int) -> Step:
-    """Note that the device has taken its last sample; samples that did not arrive are missing."""
+    """Note that the device has taken the run's last sample, and which samples are missing."""
     run = state.run
     if run is None:
         return state, []

@@ -1,4 +1,4 @@
-"""State of the core, as one immutable value, with its events and actions."""
+"""State of the core (`step.step`) as one immutable value; events and actions of the core."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ class Unechoed(NamedTuple):
     sent_ns: int
 
 
-# Names of fields are keys of a trace: `name=` keeps the key of a field that is renamed.
+# The names of the fields are keys in a trace; `name=` keeps the earlier key of a renamed field.
 class Link(msgspec.Struct, frozen=True, gc=False):
     """State of the link to the device while the port is open."""
 
@@ -218,7 +218,7 @@ class Link(msgspec.Struct, frozen=True, gc=False):
     beats: tuple[Unechoed, ...] = ()
     """In a scheduled run: frames whose echo has not arrived yet."""
     last_round_trip_ns: int = msgspec.field(default=0, name="fresh_ns")
-    """Time at which the newest frame that the device has answered or echoed was sent (S4)."""
+    """Time of sending of the newest frame that the device has answered or echoed (S4)."""
     ping_ns: int = 0
     """Time of the last PING."""
     came: Traffic = Traffic()
@@ -284,14 +284,14 @@ class State(msgspec.Struct, frozen=True, gc=False):
     t_us: int = 0
     """Device's time of the last sample, without wraps."""
     sampled_ns: int = 0
-    """Time at which the newest sample was requested, or arrived in a scheduled run; 0 at first."""
+    """Time at which the newest sample was requested (in a scheduled run: arrived); 0 at first."""
     lease: Lease | None = None
     run: ActiveRun | None = None
     queue: Queue | None = None
     outcome: str = ""
     """Outcome of the run, as a sentence; the run ends when the device has stopped."""
     code: int = 0
-    """Code set by hand."""
+    """Code that the newest `set` command holds; otherwise 0."""
     outcome_code: OutcomeCode | None = None
     """Outcome of the run, for programs; None while `outcome` is empty."""
 
@@ -333,7 +333,7 @@ class Publish(NamedTuple):
 
     sample: Sample
     queued: int = -1
-    """Setpoints that the device holds after this sample; -1 without a queue."""
+    """Number of setpoints in the device after this sample; -1 without a queue."""
 
 
 class RoundTrip(NamedTuple):

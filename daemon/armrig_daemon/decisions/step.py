@@ -102,7 +102,7 @@ def _link_down(state: State, now_ns: int, reason: str) -> Step:
     if state.phase in _DRIVING:
         state, actions = trip(state, now_ns, Fault(Id.LINK, f"link lost: {reason}"))
         return state, done + actions
-    state, ended = end_run(state, now_ns)  # without a link its STOP cannot be confirmed
+    state, ended = end_run(state, now_ns)  # without a link, no STOP can be confirmed
     state = moved(state, On.LOST)
     said = [log(now_ns, "warning", f"no link: {reason}"), report_state(state, now_ns)]
     return state, [*done, *ended, *said]
@@ -153,7 +153,7 @@ def _lapsed(state: State, now_ns: int) -> bool:
 
 
 def _has_run_out(state: State, now_ns: int) -> bool:
-    """Return whether the lease's holder has given no command for too long (S2)."""
+    """Return whether the newest command of the lease's holder is too old (S2)."""
     lease = state.lease
     return lease is not None and now_ns - lease.renewed_ns > state.rules.lease_ns(state.ts_us)
 
@@ -201,10 +201,11 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
         state, actions = setpoints.tick(state, now_ns)
         return state, done + actions
     if state.run is not None and state.run.scheduled and state.run.k_first >= 0:
-        # The run has stopped, but not ended: the ticks continue from its last sample.
+        # The device has stopped, but the run has not ended yet. No tick is needed.
         return state, done
     if len(link.sent) >= MAX_UNECHOED:
-        # This limits the stale commands on the line; the limit on their age stops the motor.
+        # This limits the number of old commands on the line. If no answer comes, `_stale` stops
+        # the motor.
         return _skip(state, tick.k, 1, now_ns, GapCode.DEVICE_LATE), done
     state, code, actions = _decide(state, now_ns, tick.k)
     done += actions

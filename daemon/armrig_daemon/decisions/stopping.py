@@ -68,7 +68,7 @@ def stop(
     order: Order | None = None,
     code: OutcomeCode = OutcomeCode.STOPPED,
 ) -> Step:
-    """Stop the motor as ordered; the run ends when the device has stopped."""
+    """Stop the motor without a fault; the run ends when the device has stopped."""
     state = replace(ending(state, outcome, code), code=0)
     return ask(state, now_ns, RequestKind.STOP, order)
 

@@ -109,7 +109,7 @@ class Trace:
             size += len(data)
         begun = self._steps or self._state  # a state leaves no room for a long first step
         full = self._next_chunk() if begun and self._bytes + size > CHUNK_BYTES else None
-        if size > CHUNK_BYTES:  # a flood of orders: the numbers of the chunks show the hole
+        if size > CHUNK_BYTES:  # too many orders: the step and a chunk's number are left out
             self._number += 1
             return full
         self._steps.append((now_ns, written, sent))
@@ -176,7 +176,7 @@ def _written_event(event: Event, lease: str) -> bytes:
 
 
 def _without_secrets(order: Order, lease: str) -> Order:
-    """Return an order without the codes of a run; a mark of validity replaces its lease.
+    """Return an order without the codes of a run, and with a mark in place of a valid lease.
 
     The codes are not needed, because a second experiment is refused whatever its codes are.
     """

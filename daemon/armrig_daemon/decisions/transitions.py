@@ -103,7 +103,7 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
     state = replace(state, asked=None)
     done = refuse(asked.order if asked else None, error, RefusalCode.NO_EFFECT)
     if asked is not None and asked.want is RequestKind.STOP:
-        # The host cannot do more: the device's own watchdog is next.
+        # The host cannot do more: only the device's watchdog can stop the motor now.
         state, actions = end_run(state, now_ns)
         done += actions
         if state.quitting:
@@ -129,7 +129,7 @@ def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False)
     reported : int
         State of the device in the frame.
     ended : bool, default False
-        True if the frame reports that a run ended at its k_stop.
+        True if the frame reports that the device has ended the run after its last sample.
     """
     link = state.link
     before = 0 if link is None else link.device_state
@@ -205,7 +205,7 @@ def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
     order = asked.order
     if state.lease is None or not isinstance(order, Run | Set):
         return trip(state, now_ns, Fault(Id.INTERNAL, "started without an owner"))
-    # The lease counts from the command, however long its START took.
+    # The command has renewed the lease; the later effect of START does not renew it.
     state = moved(linked(state, beats=()), On.STARTED, outcome="", outcome_code=None, code=0)
     done = [report_state(state, now_ns), *answer(order, {"done": True})]
     if isinstance(order, Set):
@@ -224,7 +224,7 @@ def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
 
 def _stopped(state: State, now_ns: int, asked: PendingRequest) -> Step:
     if isinstance(asked.order, Run):
-        # This STOP is only the first step from the owner's ARM to the ARM of a scheduled run.
+        # The device was stopped only to change to scheduled mode: CONFIG and ARM follow.
         ts_us = state.lease.ts_us if state.lease else state.rules.ts_us
         return ask(state, now_ns, RequestKind.CONFIGURE, asked.order, ts_us=ts_us, scheduled=True)
     return rest(state, now_ns, asked.order)
@@ -277,7 +277,7 @@ def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
             fault = Fault(Id.DEVICE, f"{fault.cause}: {of_device(reply.cause)}", reply.cause)
         return _latch(state, now_ns, asked, fault)
     if reply.state in _DRIVES:
-        # It still drives for another host, or after a fault whose STOPs were lost: stop it first.
+        # The device still drives the motor, for another host or because each STOP was lost.
         return ask(state, now_ns, RequestKind.STOP, asked.order)
     if state.phase is Phase.FAULT and asked.order is None:
         return state, [report_state(state, now_ns)]
@@ -307,7 +307,8 @@ def _latch(state: State, now_ns: int, asked: PendingRequest, fault: Fault) -> St
     if state.fault != fault:
         state = moved(state, On.TRIPPED, fault=fault)
         done.append(log(now_ns, "error", sentence(fault), cause=fault.id))
-    return state, [*done, report_state(state, now_ns)]  # in each case: the device is known again
+    # The state is reported even for the same fault, because `device` has changed.
+    return state, [*done, report_state(state, now_ns)]
 
 
 def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
@@ -345,8 +346,8 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     before_us = state.pace_us
     pace_us = CARE_PERIOD_US if asked.scheduled else asked.ts_us
     arms = isinstance(asked.order, Arm | Run)
-    # The pace restarts here: earlier ticks do not measure the new period. The answer does not
-    # name the frame that it answers, so it proves no round trip to a client that wants to drive.
+    # `tick_ns` is now, because the earlier ticks had another period. The answer does not name the
+    # CONFIG to which it belongs. Before arming, it is therefore no proof of a round trip.
     accepted = Configuration(
         asked.ts_us, asked.scheduled, reply.config_crc, reply.nonce, asked.sent_ns
     )
@@ -401,8 +402,8 @@ def begin_arming(state: State, now_ns: int, order: Arm) -> Step:
     if ts_us < least_us:
         error = f"Ts={ts_us / 1e6:g} s is too short for the device: at least"
         return state, refuse(order, f"{error} {least_us / 1e6:g} s")
-    # Until a run begins, the host paces the samples: at this Ts if the wire carries this Ts, else
-    # at the default Ts.
+    # Until a run begins, the host paces the samples: at this Ts if the line is fast enough for it,
+    # otherwise at the default Ts.
     fits = ts_us >= exchange_us(baud, device.skew_us, m)
     paced_us = ts_us if fits else state.rules.ts_us
     return ask(state, now_ns, RequestKind.CONFIGURE, order, ts_us=paced_us)

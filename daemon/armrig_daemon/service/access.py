@@ -96,7 +96,7 @@ def network_of(config: Config) -> Network | None:
     Raises
     ------
     InputError
-        A key is missing or does not fit the other keys, or a file cannot be used.
+        A key of `[access]` is missing or contradicts another key, or a file cannot be used.
     """
     access = config.access
     _check_keys(access)

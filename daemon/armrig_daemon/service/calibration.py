@@ -18,7 +18,7 @@ _MAX_CHARACTERS = 80  # of a name or a date
 def checked_calibration(
     calibration: Calibration, raw: bytes, config: Config, device: dict[str, Any]
 ) -> Calibration:
-    """Return a calibration in the form for recordings, or refuse the calibration.
+    """Return a calibration as recordings contain it; refuse a calibration of another rig.
 
     The ranges of zeros, angles, gain and offset were checked when the request was decoded.
 
@@ -36,7 +36,7 @@ def checked_calibration(
         calibration. `wraps` of a potentiometer differs from the configuration.
     """
     made = check_measured(calibration, raw)
-    uid = str(device.get("uid", made.device_uid))  # without a device the core refuses
+    uid = str(device.get("uid", made.device_uid))  # without a device, the core will refuse
     if (made.rig, made.device_uid) != (config.rig.id, uid):
         whose = f"rig {made.rig[:_MAX_CHARACTERS]}, device {made.device_uid[:_MAX_CHARACTERS]}"
         raise InputError(

@@ -49,7 +49,7 @@ class LoopChild:
         return bool(self._unsent)
 
     def flush(self) -> None:
-        """Write waiting orders as far as the pipe accepts them; a frozen loop blocks nothing."""
+        """Write waiting orders as far as the pipe accepts them; never wait for a frozen loop."""
         try:
             while self._unsent:
                 del self._unsent[: os.write(self.orders_fd, self._unsent)]
@@ -71,7 +71,7 @@ class LoopChild:
         self._process.kill()
 
     def end(self) -> int:
-        """Close the pipes, which also ends the loop, and return its exit code."""
+        """Close the pipes, so that the loop ends; return the loop's exit code."""
         os.close(self.orders_fd)
         try:
             code = self._process.wait(EXIT_S)
@@ -88,7 +88,7 @@ class Starter(threading.Thread):
 
     When a thread ends, the kernel sends a signal to the processes that this thread has started. The
     starter only waits, and may therefore keep a real-time priority. If the service is killed, the
-    starter ends at once. A thread of ordinary priority may first have to wait for a busy processor.
+    starter ends at once. A thread of ordinary priority would end only when a processor is free.
     """
 
     def __init__(self, program: Sequence[str], fds: Sequence[int]) -> None:
@@ -116,7 +116,7 @@ class Starter(threading.Thread):
     def number(self) -> int:
         """Number of this thread in the kernel, after the start of the process."""
         self._process.result()
-        assert self.native_id is not None  # noqa: S101 - it has begun
+        assert self.native_id is not None  # noqa: S101 - the thread has begun
         return self.native_id
 
     def end(self) -> None:
@@ -126,7 +126,7 @@ class Starter(threading.Thread):
 
 
 def start(settings: Settings) -> LoopChild:
-    """Start the loop; call this before a session is opened, otherwise the loop inherits it."""
+    """Start the loop; call this before opening a session, which the loop would inherit."""
     orders_out, orders_in = os.pipe()
     records_out, records_in = os.pipe()
     for fd in (orders_in, records_in):

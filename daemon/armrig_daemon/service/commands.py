@@ -44,8 +44,8 @@ _SILENT = commands.refused(
 )
 _NOT_HELD = commands.refused(RefusalCode.NOT_HELD, orders.NOT_HELD)
 _SOMEBODY = "somebody on this machine"
-_MAX_COMMANDS = 16  # commands of one kind between two checks of the loop and the run's client
-_MAX_PENDING = 16  # unanswered orders; with more, a stranger's orders are not passed on
+_MAX_COMMANDS = 16  # of one kind, handled between two checks of the loop and the run's client
+_MAX_PENDING = 16  # unanswered orders; with as many, arm, reset and calibrate are refused
 _NOTES_PER_S, _MAX_NOTES = 2, 20  # of all clients: a flood must not fill the recording or the log
 _MAX_UNANSWERED = 64  # of all clients; more would delay the orders of the service itself
 
@@ -107,7 +107,7 @@ class Commands:
         self._Ts = config.ts_us / 1e6  # of the newest lease
         self._lease = ""
         self._holder = _Holder("", "")
-        self._n = -1  # number of its newest order
+        self._n = -1  # number of the newest order with this lease
 
     def note_lease(self, lease: str) -> None:
         """Note the lease in force, "" for none; a client without this lease is a stranger."""
@@ -142,8 +142,7 @@ class Commands:
     def answer(self, answer: Answer) -> None:
         """Pass on an answer of the loop."""
         if self._calibration is not None and answer.order == self._calibration[0]:
-            # Also if the client was refused because of the delay, because the loop uses the
-            # calibration now.
+            # Even if the client was refused because of the delay: the loop uses the calibration.
             (_, request), self._calibration = self._calibration, None
             if answer.code is None:
                 self._note_calibration(request)
@@ -223,9 +222,9 @@ class Commands:
             case commands.Run():
                 self._check_holder(request)
                 start = self._rig.theta_1_rad
-                # For millions of samples, planning takes seconds, while the motor is at 0 V. Each
-                # step shows the loop that the service is not frozen. The first step was to read
-                # the command.
+                # For millions of samples, planning takes seconds; the motor is then at 0 V. After
+                # each step, `alive` shows the loop that the service is not frozen. The first step,
+                # the decoding of the command, is done.
                 alive = partial(self._loop.order, Alive())
                 alive()
                 self._order(command, *self._runs.plan(request, self._Ts, start, alive))

@@ -41,7 +41,7 @@ class History:
         number = first = min(max(first, self._first), self._end)
         messages: list[tuple[str, bytes]] = []
         size = 0
-        # The thread that adds may drop the oldest message at this moment.
+        # Another thread may drop the oldest message at this moment, in `add`.
         while size < REPLY_LIMIT and (message := self._kept.get(number)) is not None:
             messages.append(message)
             size += len(message[1])

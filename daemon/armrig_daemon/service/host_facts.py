@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 
 class HostFacts(NamedTuple):
-    """Place and time of runs."""
+    """Facts about the machine and the time of a run."""
 
     run_id: Callable[[bytes], str]
     """Returns the name of a run, 8 hexadecimal digits; it may depend on the run's codes."""

@@ -138,8 +138,8 @@ class Listener:
         self._admit = admit
         self._known_by = "" if network is None else network.known_by
         self._buckets: dict[str, token_bucket.Bucket] = {}
-        # A network endpoint creates no socket file. Its opening must not delay another session,
-        # which waits in `group_may_open`.
+        # A network endpoint creates no socket file, and therefore needs no `group_may_open`, in
+        # which another session would have to wait.
         with group_may_open() if network is None else nullcontext():
             self._session = zenoh.open(session_config(endpoint, network))
         self._publishers = {
@@ -208,7 +208,7 @@ class Listener:
     def _receive(self, query: zenoh.Query) -> None:
         name, _ = self._parts(query)
         if name in URGENT:
-            query.drop()  # the query also arrives at its own queryable
+            query.drop()  # the separate queryable of the command also gets the query
         elif name not in admission.LEASED and self._is_too_many(name):
             _refuse(query, token_bucket.refusal(name))
         else:

@@ -13,7 +13,7 @@ from armrig_daemon.config import Limits
 
 
 def one_a_line(volts: NDArray[np.float64]) -> bytes:
-    """Return the input (N,) as text for the recording: a heading, then each voltage exactly."""
+    """Return the input (N,) as text for the recording: a heading, then a voltage per line."""
     # This takes a tenth of the time of repr. For millions of samples repr would take longer than
     # the silence after which the loop considers the service frozen.
     text = msgspec.json.encode(volts.tolist())
@@ -35,7 +35,7 @@ def checked(u: Sequence[float], limits: Limits) -> NDArray[np.float64]:
         i = int(np.argmax(outside))
         raise InputError(f"u[{i}]={volts[i]:.4g} V is outside {low:.4g} … {high:.4g} V")
     steps = np.abs(np.diff(volts, prepend=0.0))
-    # The tolerance is for the rounding of a difference of two decimal numbers.
+    # The tolerance allows for the rounding error in the difference of two decimal numbers.
     far = steps > slew * (1 + 1e-9)
     if slew and far.any():
         i = int(np.argmax(far))

@@ -46,7 +46,7 @@ class Pressure:
         return share, _runnable()
 
     def _stalled_us(self) -> int | None:
-        """Return the waiting time so far in µs: N in the line `some … total=N`; None without it."""
+        """Return the waiting time so far in µs: N in the line `some … total=N`; None if unknown."""
         with contextlib.suppress(OSError, ValueError, IndexError):
             some = self._path.read_text(encoding="ascii").splitlines()[0]
             return int(some.rsplit("total=", 1)[1])
@@ -91,7 +91,7 @@ def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> Refused | No
 
 
 def with_load(ended: Ending, state: State, load: str) -> Ending:
-    """Return the end of a run; its sentence states the load if load may have caused a fault."""
+    """Return the end of a run; its sentence states the load if the load may be the cause."""
     is_late = state.fault in _OF_LOAD or state.device_cause == Cause.WATCHDOG
     # A fault after the end of a run did not end the run.
     if not is_late or ended.code != OutcomeCode.FAULT:

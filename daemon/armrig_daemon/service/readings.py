@@ -21,11 +21,11 @@ from armrig_protocol.messages import Flag
 RAIL_NS = 200_000_000
 """Time at a rail after which alpha counts as out of its range, in ns."""
 STILL_COUNTS = 256
-"""Largest range of the readings at one position, in counts of 65536: 1.4°, above any noise."""
+"""Largest spread of the readings at one position, in counts of 65536: 1.4°, above any noise."""
 FRICTION_V = 1.0
 """Voltage below which the motor may not overcome the friction, in V."""
 APART_S = 0.2
-"""Largest time between two compared samples, in s: less than 1/3 turn of the chassis at 5 V."""
+"""Largest time between two compared samples, in s; 1/3 turn of the chassis takes longer."""
 _ADC1_RAIL = int(Flag.ADC1_RAIL)
 
 

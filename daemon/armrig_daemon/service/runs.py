@@ -51,7 +51,7 @@ class Planned(NamedTuple):
     request: Run
     rehearsal: Rehearsal
     text: bytes
-    """Input as text for the recording; this slow conversion takes place at a motor voltage of 0."""
+    """Input as text for the recording; the slow conversion is done before the run, at 0 V."""
 
 
 class Runs:
@@ -64,7 +64,7 @@ class Runs:
         changed: Callable[[], None],
         circumstances: HostFacts | None = None,
     ) -> None:
-        """Record into `directory`; a writer's thread calls `changed` after each change."""
+        """Record into `directory`; a recording's thread calls `changed` when its state changes."""
         self._config = config
         self._circumstances = circumstances or of_this_host()
         self._directory = directory
@@ -294,7 +294,7 @@ class Runs:
         return Ending(OutcomeCode.MOVED, recording.moved) if recording.moved else None
 
     def unrecorded(self) -> str:
-        """Return once why the run is no longer recorded; at other calls, return an empty text."""
+        """Return why the run is no longer recorded, only once; otherwise return an empty text."""
         recording = self._recording
         if recording is None or not recording.error or recording.error == self._reported_error:
             return ""

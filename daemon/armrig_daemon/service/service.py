@@ -1,4 +1,4 @@
-"""The service starts the loop, publishes and records its reports, and passes commands to it.
+"""The service starts the loop, publishes and records the loop's reports, and passes on commands.
 
 The process also has the thread that writes the recording and the thread that maintains the folder.
 zenoh's threads put commands into queues, or refuse them by `admission`. The service may wait for
@@ -143,7 +143,7 @@ class Service:
             )
         )
         try:
-            # The loop has its priority; threads that start later must not inherit it.
+            # The loop has its real-time priority; later threads must not inherit this priority.
             has_left = realtime.leave_fifo(but=loop.starter.number)
             realtime.be_prompt(loop.starter.number)
             sys.setswitchinterval(_SWITCH_S)
@@ -325,7 +325,7 @@ class Service:
         """Report the stalls of an emulator, which writes them at most once a second."""
         stalls = os.read(fd, _READ)
         if not stalls:
-            self._stalls_fd = None  # the emulator has ended, as the loop reports
+            self._stalls_fd = None  # the emulator has ended; the loop reports this end
             return
         now_ns = realtime.now_ns()
         logs = [

@@ -31,7 +31,7 @@ class Notifier:
         """Remove the address from the environment, because child processes must not use it."""
         address = environ.pop(_VARIABLE, "")
         self.is_asked = bool(address)
-        # A name that begins with @ is in the abstract namespace, where names begin with a 0.
+        # An address that begins with @ is in the abstract namespace: @ means a zero byte.
         self._address = f"\0{address[1:]}" if address.startswith("@") else address
         self._status = ""
         self._socket: socket.socket | None = None

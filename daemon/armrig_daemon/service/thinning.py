@@ -36,7 +36,8 @@ class Thinning:
 
     def lets_through(self, log: Log) -> bool:
         """Return whether a line must be logged now; if not, count the line."""
-        # Lines about commands keep their numbers: "group 3" is not "group 4".
+        # Lines about commands that differ in a number are not repeated: "group 3" and "group 4"
+        # are two owners.
         kind = log.message if "command" in log.fields else _NUMBER.sub("#", log.message)
         before = self._kinds.get(kind)
         if log.level == "error" or (before is None and len(self._kinds) >= MAX_KINDS):
@@ -48,7 +49,7 @@ class Thinning:
         return False
 
     def due(self, now_ns: int, *, end: bool = False) -> list[Log]:
-        """Return a line for each kind held back for 1 s; at the end, for each held-back kind."""
+        """Return a line for each kind of lines held back for 1 s; with `end`, for all kinds."""
         lines: list[Log] = []
         for kind, (ns, held, newest) in list(self._kinds.items()):
             if now_ns - ns < HOLD_NS and not end:

@@ -62,7 +62,7 @@ class VirtualService:
     ) -> None:
         """Switch the rig on; `seed` determines its noise, and the names and times of the runs."""
         emulator = replace(config.emulator, seed=seed, baud=config.device.baud)
-        # Folder and port are facts of the host. Without them, the same rig gives the same file.
+        # Folder and port depend on the host. Without them, the same rig gives the same file.
         device = replace(config.device, port=VIRTUAL_PORT)
         self._config = replace(config, device=device, emulator=emulator, recording=Recording())
         self._began = BEGINNING + timedelta(seconds=seed % _DISTINCT_SEEDS)

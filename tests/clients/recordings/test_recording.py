@@ -657,7 +657,7 @@ def test_a_small_file_cannot_cost_hours(tmp_path: Path, monkeypatch: pytest.Monk
 
     rec = load(written(tmp_path, _broken_off(chunk * 20)))
 
-    assert "B in its chunks, unpacked" in rec.damage
+    assert "B in its unpacked chunks" in rec.damage
     assert _read_of(rec) < 4 * len(chunk)
 
 
@@ -678,7 +678,7 @@ def test_every_record_in_a_chunk_counts_by_its_length(
 
     rec = load(written(tmp_path, _broken_off(_chunk(records) * 10)))
 
-    assert f"more than {3 * len(records)} B in its chunks, unpacked" in rec.damage
+    assert f"more than {3 * len(records)} B in its unpacked chunks" in rec.damage
     assert _read_of(rec) < len(_broken_off(_chunk(records) * 4))
 
 
