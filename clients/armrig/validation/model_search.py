@@ -87,16 +87,16 @@ def search(
         do not distinguish feedback from a direct term, 0 is tried, and `doubts` contains this
         finding.
     integrator : bool, optional
-        If True, structures with this option have a pole at exactly 1. The default is True if the
-        output is an angle, or if a test finds that the output integrates.
+        If True, structures with this option have a pole at exactly 1. The default is True for
+        theta_1. For any other output, a test decides whether the output integrates.
     offset : bool, optional
         If True, the offset of the input is estimated in structures with this option. The default is
         True if y has a constant part that u does not explain. This part must exceed 2 standard
         deviations in one of the two data sets.
     horizon : int, optional
         Samples to predict ahead, >= 1. By default the models are simulated, and "n4sid" is
-        estimated with `focus="simulation"`. In closed loop the default is 1, because a biased model
-        would have the best simulation.
+        estimated with `focus="simulation"`. In closed loop the default is 1, because a model that
+        is biased by feedback would have the best simulation.
     executor : concurrent.futures.Executor, optional
         Executor for the estimates, such as a ``ProcessPoolExecutor``; by default the estimates run
         in the thread of the caller.
@@ -192,7 +192,7 @@ def _offset(
     level = [f for f in against if f.about == "level"]
     of_validation = None
     if offset is None and not known.integration.integrates:
-        # A level of the validation data alone would distort the ranking.
+        # A constant level in the validation data alone would distort the ranking.
         of_validation = level_without_input(validation, _MIN_LEVEL_SIGMAS)
         offset = bool(of_validation or level_without_input(data, _MIN_LEVEL_SIGMAS))
     found = level_without_input(data) if level else of_validation
@@ -276,7 +276,8 @@ def _score(candidate: Candidate, data: Dataset, validation: Dataset, horizon: in
     except (ValueError, np.linalg.LinAlgError) as err:
         return Scored(candidate=candidate, fit=None, reason=str(err), error=none)
     reason = ""
-    # If errors grow to the end, the standard error of their mean is as large as the mean.
+    # The ranking does not reject errors that grow to the end: their mean is as large as its
+    # standard error.
     bound = _UNBOUNDED * np.max(np.abs(validation.y[validation.valid]), initial=0.0) or np.inf
     if not np.isfinite(fit.theta).all() or (np.abs(error) > bound).any():
         reason = "its output is unbounded"

@@ -63,7 +63,7 @@ class Candidate:
             offset=self.offset,
             stable=True,
             focus="simulation" if self.simulates else None,
-            # A model with too high orders has many minima, and is not chosen.
+            # Few starts suffice: a model of too high order has many minima, but is not chosen.
             starts="few" if "starts" in STRUCTURES[self.family].takes else None,
         )
         return request.estimated(data)
@@ -78,7 +78,7 @@ class Scored:
     fit: Fit | None
     """The model; None if the estimate failed."""
     reason: str
-    """Reason why there is no model, or ""."""
+    """Reason why there is no usable model, or ""."""
     error: Vector
     """y - ŷ on the validation data, (N,), NaN where it is unknown; empty without a model."""
 

@@ -29,7 +29,7 @@ _BEYOND = 6  # lags shown past nk
 
 
 def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
-    """Show the coefficients of u in the regression of y(t), and the test that decides.
+    """Show the coefficients of u in the regression of y(t), and the result of the test.
 
     At positive lags u precedes y, and the coefficients of u may differ from 0. At the other lags,
     which are shaded, all coefficients are 0 in open loop.
@@ -62,7 +62,7 @@ def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
-    """Show the first coefficients with their band; the lower panel shows the loss for each nk.
+    """Show the start of the impulse response; the lower panel shows the loss for each nk.
 
     The band and the dotted line correspond to the level of the tests, 0.1 %.
     """

@@ -21,13 +21,13 @@ Mask = NDArray[np.bool_]
 
 FUTURE = 5
 """Number of samples of u that are tested: u(t) … u(t + 4)."""
-_LAGS_PER_DECADE = 15  # of N
+_LAGS_PER_DECADE = 15  # past samples p for each decade of N
 _MOST_LAGS = 60
 _LEAST_LAGS = 4
-_FORGETTING = (0.0, 1 / 3, 1.0)  # share that a sum of older input forgets in p samples
+_FORGETTING = (0.0, 1 / 3, 1.0)  # share of a sum of older input that is forgotten in p samples
 _ROWS_PER_PARAMETER = 5  # with fewer the F distribution does not hold
-_MIN_U_REST = 1e-10  # share of u's power that its past must leave
-_MIN_Y_REST = 1e-20  # share of y's power that its past must leave
+_MIN_U_REST = 1e-10  # share of u's power that the past must leave unexplained
+_MIN_Y_REST = 1e-20  # share of y's power that the past must leave unexplained
 _BLOCK = 4096  # rows that are held in memory at a time
 
 
@@ -87,9 +87,10 @@ def sims(data: Dataset) -> Sims:
     sums, future u could replace the missing past in open loop. y's past has more lags than the
     plant has poles, so the F distribution also holds if y integrates: see [2] and [3].
 
-    A missing y(t) removes its own row. In later rows the missing y is interpolated linearly between
-    its neighbours. The later neighbour is not later than y(t), so the interpolation contains no
-    effect of future u. No row extends over the end of an experiment or over a gap longer than p/2.
+    A row whose y(t) is missing is left out. If a past y of a row is missing, it is interpolated
+    linearly between its neighbours. Neither neighbour is later than y(t), so the interpolation
+    contains no effect of future u. No row extends over the end of an experiment or over a gap
+    longer than p/2.
 
     The computing time is proportional to N. The memory in addition to u and y is constant, because
     the QR factorisation computes R block by block.
