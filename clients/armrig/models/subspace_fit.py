@@ -46,11 +46,11 @@ class SubspaceFit(Fit):
     """Singular values of the weighted projection of the future on the past, largest first,
     (horizon,)."""
     canonical_correlations: Vector
-    """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. For any
-    `weights`, they are equal to the singular values with the weights "cva"."""
+    """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. They do not
+    depend on `weights`: they are the singular values for the weights "cva"."""
     suggested_order: int
-    """Order with the least MDL, at most 10. MDL is computed from the one-step errors
-    of the estimated states."""
+    """Order with the least MDL, at most 10. MDL is computed from the one-step errors of the
+    estimated states."""
 
     @property
     def order(self) -> int:

@@ -21,7 +21,7 @@ References
 .. [2] D. O. Loftsgaarden, C. P. Quesenberry, Ann. Math. Statist. 36 (1965) 1049-1051 (density from
    the distance of the k-th neighbour).
 .. [3] J. Lei, J. Robins, L. Wasserman, J. Amer. Statist. Assoc. 108 (2013) 278-287 (a region that
-   contains the next draw with 95 % for any distribution).
+   contains the next draw with a probability of 95 %, for any distribution).
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Region:
     """Draws of the root, if the method is "sampled"."""
 
     def contains(self, z: complex) -> bool:
-        """Return whether z is inside; for a real z the interval decides, if it is known."""
+        """Return whether z is in the region; for a real z, in the interval, if there is one."""
         if abs(z.imag) < REAL_TOLERANCE and self.interval is not None:
             return self.interval[0] <= z.real <= self.interval[1]
         if self.densest is not None:

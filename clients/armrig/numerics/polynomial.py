@@ -134,9 +134,9 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
     """Return p with each root outside the unit circle moved radially into the circle.
 
     A step covers at most nine tenths of the distance from the outermost root of `previous` to the
-    circle. After a single step to the edge, a search often ends in a poor minimum at the edge. Two
-    real roots at the edge become a complex pair, because two real roots could not separate along
-    the circle.
+    circle. The reason is that a search often ends in a poor minimum at the edge after a single step
+    to the edge. Two real roots at the edge become a complex pair, because two real roots could not
+    separate along the circle.
     """
     z = roots(p)
     size = np.abs(z)
