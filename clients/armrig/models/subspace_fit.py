@@ -60,8 +60,8 @@ class SubspaceFit(Fit):
     def state_space(self) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix]:
         """Return A_s (n, n), B_s (n, 1), C_s (1, n), D_s (1, 1) and K (n, 1) in observer form.
 
-        The state x_k(t) is the response at t + k - 1 to the past before t, minus the contributions
-        of x_1 … x_(k-1). The dimension n is the larger of the order and nk + nb - 1.
+        The state x_k(t) is the sum of the terms with y, u and e before t in the difference equation
+        of y(t + k - 1). The dimension n is the larger of the order and nk + nb - 1.
 
         Examples
         --------

@@ -8,12 +8,12 @@ plane, the approximation is poor if more than 10 % or less than 2.5 % of the dra
 the approximation is poor, the region is computed from the draws. With fewer than 100 valid draws
 the region is unknown.
 
-Two roots that may be a conjugate pair or two real roots are not smooth functions of the parameters.
-Their mean and the square of half their difference are smooth. For a pair x ± iy these two values
-are x and -y². Therefore the region of the pairs is computed in the plane of (x, -y²), in which the
-region does not fold at the real axis. For the draws with real roots there is a separate interval.
-The region contains 95 % of the pairs, and the interval contains 95 % of the real roots. The
-coverage is therefore 95 % whether the true root is real or one of a pair.
+If two roots may be a conjugate pair or real, they are not smooth functions of the parameters. Their
+mean and the square of half their difference are smooth. For a pair x ± iy these two values are x
+and -y². Therefore the region of the pairs is computed in the plane of (x, -y²), in which the region
+does not fold at the real axis. For the draws with real roots there is a separate interval. The
+region contains 95 % of the pairs, and the interval contains 95 % of the real roots. The coverage is
+therefore 95 % whether the true root is real or one of a pair.
 
 References
 ----------

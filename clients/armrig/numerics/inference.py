@@ -107,7 +107,7 @@ def infer(
         Orthonormal basis of the responses of the nuisance parameters in each experiment; zero in
         the rows without a residual.
     nuisance : int, default 0
-        Number of parameters that are projected out but are not contained in `spans`.
+        Number of further nuisance parameters, whose responses are not contained in `spans`.
     y : ndarray (sum of N_i,), optional
         Measured output, for `fit_percent`.
     basis : Basis, optional

@@ -62,7 +62,7 @@ def search(
     An output-error system of order 3 was simulated in 200 runs. Each run had N = 1000 samples to
     estimate, N = 1000 samples to validate, and candidates of orders 1 to 5. The chosen model had
     the true order in 82 % of the runs. The best candidate had the true order in 48 % of the runs.
-    In all other runs the order was too high.
+    In the remaining runs the order was too high.
 
     No candidate has a pole on or outside the unit circle, except a known integrator. The estimators
     are called with `stable=True`. If a pole was moved into the unit circle, the findings of the
@@ -81,11 +81,10 @@ def search(
     orders : iterable of int
         Numbers of poles to try, >= 1, including the pole of an integrator.
     nk : int or iterable of int, optional
-        Numbers of samples before u affects y; each number is tried. By default the result of
-        `delay`, but at least 1, is tried. If a direct term is not ruled out, 0 is tried, too. In
-        closed loop 0 is not tried, because a controller causes an apparent direct term. If the data
-        do not distinguish feedback from a direct term, 0 is tried, and `doubts` contains this
-        finding.
+        Numbers of samples before u affects y; each number is tried. By default the nk that `delay`
+        finds, at least 1, is tried. If a direct term is not ruled out, 0 is tried, too. In closed
+        loop 0 is not tried, because a controller causes an apparent direct term. If the data do not
+        distinguish feedback from a direct term, 0 is tried, and `doubts` contains this finding.
     integrator : bool, optional
         If True, structures with this option have a pole at exactly 1. The default is True for
         theta_1. For any other output, a test decides whether the output integrates.

@@ -175,10 +175,11 @@ def residuals(
     Z_p is Z minus the projection of Z on Psi. The projection accounts for the estimation: on
     estimation data, the residuals are less correlated with the past input than the noise is.
 
-    The band for a single lag has the variance P/(N R_e(0) R_u(0)). P is the sum of R_e(k) R_u(k)
-    over k. The variance is 1/N only if e or u is white. The band is valid for a model with exactly
-    known parameters. `cross_std` is computed from the diagonal of M. Compared with the band,
-    `cross_std` is smaller at some lags on estimation data, and larger on other data.
+    The band for a single lag has the variance P/(N R_e(0) R_u(0)). P is the sum over k of the
+    product of the autocovariances R_e(k) and R_u(k). The variance is 1/N only if e or u is white.
+    The band is valid for a model with exactly known parameters. `cross_std` is computed from the
+    diagonal of M. Compared with the band, `cross_std` is smaller at some lags on estimation data,
+    and larger on other data.
 
     Parameters
     ----------

@@ -128,7 +128,8 @@ class SearchResult:
     """Findings about problems of the data, such as poor excitation, wrong samples, feedback, or a
     constant part of y that u does not explain."""
     notes: tuple[str, ...]
-    """Decisions that are based on the data: an integrator, an offset."""
+    """Sentences on decisions that the search based on the data, such as an integrator or an
+    offset."""
     halved: bool
     """True if the first half of the data was used for estimation, the second for the ranking."""
     tests: ResidualTest

@@ -75,8 +75,8 @@ class StructureHints:
     low_band: Vector
     """Frequencies at which `low_slope` was estimated, in rad/s."""
     high_slope: float | None
-    """Slope of |G| in dB a decade, over the highest third of a decade in which u explains y. None
-    if the slope of the first structure differs by more than 3 dB a decade."""
+    """Slope of |G| in dB a decade, over the highest third of a decade of the frequencies at which u
+    explains y. None if the slope of the first structure differs by more than 3 dB a decade."""
     high_band: Vector
     """Frequencies at which `high_slope` was estimated, in rad/s."""
     relative_degree: int

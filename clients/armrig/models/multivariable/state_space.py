@@ -125,7 +125,7 @@ def error_responses(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ErrorResponses:
-    """Responses to the data (the first column), to each initial state, and to each ramp."""
+    """The m responses: first to the data, then to each unit initial state, then to each ramp."""
 
     inputs: Array
     """Inputs (N, m, nu)."""

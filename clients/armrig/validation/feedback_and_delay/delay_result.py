@@ -88,7 +88,7 @@ class Delay:
         return self.nk - 1
 
     def explain(self) -> str:
-        """Return the tests that decide, the other evidence, and the effect of quantisation."""
+        """Return a text: results of the tests, other evidence, and effect of quantisation."""
         g, std = self.response.decaying
         lines = [
             f"{self._answer()}.",

@@ -93,7 +93,7 @@ def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
 
 
 def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> None:
-    """Show coefficients `first` … `last` of the decaying response, with a 99.9 % band."""
+    """Show lags `first` … `last` of the impulse response, with a 99.9 % band."""
     g, std = response.decaying
     shown = (response.lags >= first) & (response.lags <= last)
     _stems(ax, response.lags[shown], g[shown], _BAND_99_9_PERCENT * std[shown], "99.9 %")
@@ -105,7 +105,7 @@ def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> Non
 
 
 def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, band: Vector, share: str) -> None:
-    """Show coefficients, and the band with the probability `share` for a coefficient that is 0."""
+    """Show coefficients, and the band of a coefficient that is 0 with its probability `share`."""
     ax.fill_between(
         lags,
         -band,

@@ -152,8 +152,8 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     Parameters
     ----------
     data : Dataset
-        u as applied and y as measured; y(t) is read before u(t) is applied. A missing sample
-        removes its row, and no row contains samples of two experiments.
+        u as applied and y as measured; y(t) is read before u(t) is applied. If y(t) is missing, the
+        regression has no row for t. No row contains samples of two experiments.
     level : float, default 0.05
         Level of the test, between 0 and 1.
 

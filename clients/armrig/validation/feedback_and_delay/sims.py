@@ -79,9 +79,9 @@ def sims(data: Dataset) -> Sims:
 
     with one constant c for each experiment. The hypothesis H0 is f_0 = … = f_4 = 0. y(t) is read
     before u(t) is applied, so in open loop u(t), u(t + 1), … do not depend on e(t). The test makes
-    no assumption on how u was generated. (Granger's test of u on past y assumes a model of u's own
-    past; to that test, a PRBS, a held input and a low-pass input look like feedback.) In closed
-    loop u(t) contains the noise of y(t).
+    no assumption on how u was generated. In contrast, Granger's test of u on past y assumes a model
+    of u's own past. In Granger's test, a PRBS, a held input and a low-pass input look like
+    feedback. In closed loop u(t) contains the noise of y(t).
 
     p = 15 lg N, at most 60. The sums w represent the input before the last p samples. Without these
     sums, future u could replace the missing past in open loop. y's past has more lags than the
