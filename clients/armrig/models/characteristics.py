@@ -39,7 +39,7 @@ DRAWS = 400
 MAX_INVALID_SHARE = 0.05
 """Largest share of the draws that may lack a number, such as a resonance. If more draws lack the
 number, its range is not known."""
-_SPREAD_ROUNDING = 1e-9  # relative spread of draws up to which the spread is rounding
+_SPREAD_ROUNDING = 1e-9  # relative spread of draws up to which it counts as rounding errors
 _NEAR_NYQUIST = 1e-6  # relative distance from the last point of the grid
 _DIFFERENCE_SIGMAS = 1e-2  # step of the central differences, in standard deviations
 _FREQUENCY_POINTS = 600
@@ -60,7 +60,7 @@ class ModelCharacteristics:
     gain: float
     """Steady response to a unit input, in units of y (per s if y integrates) per unit of u."""
     poles: Complex
-    """Poles in continuous time, in 1/s, slowest first; NaN for a real sampled pole <= 0."""
+    """Poles in continuous time, in 1/s, slowest first; NaN for a real z-plane pole <= 0."""
     poles_std: Vector
     """Linearised spread of the poles in the complex plane, in 1/s; 0 for a fixed pole."""
     resonance: float
@@ -280,7 +280,7 @@ def _extreme(
 def _horner(p: list[float], x: complex) -> complex:
     """Return the value at x of the polynomial p, whose first coefficient has the highest power.
 
-    The function of numpy is 50 times slower.
+    `numpy.polyval` is 50 times slower.
     """
     value = 0j
     for coefficient in p:
@@ -289,7 +289,7 @@ def _horner(p: list[float], x: complex) -> complex:
 
 
 def _first_below(x: Vector, y: Vector, level: float) -> float:
-    """Return the first x at which y is below the level, interpolated linearly; else NaN."""
+    """Return the first x with y below the level, interpolated linearly; NaN if there is none."""
     beyond = y < level
     if not beyond.any():
         return float("nan")
@@ -303,11 +303,11 @@ def _first_below(x: Vector, y: Vector, level: float) -> float:
 def overlapping(model: Model) -> list[tuple[complex, complex, float]]:
     """Return the pole, zero and p value of each pair that cannot be distinguished at the 1 % level.
 
-    The pair with the smallest distance is first. The difference of a pole and its zero has the
-    covariance J P J^T, with the derivatives J of the difference with respect to theta. If the order
-    is too high, a pole and a zero cancel: both are uncertain, but they vary together, and their
-    difference is small. Of a complex pole and its conjugate, only the pole above the real axis is
-    listed.
+    The pair with the smallest distance is first. The difference between the pole and the zero has
+    the covariance J P J^T. J contains the derivatives of the difference with respect to theta, and
+    P is the trusted covariance of theta. If the order is too high, a pole and a zero cancel: both
+    are uncertain, but they vary together, and their difference is small. Of a complex pole and its
+    conjugate, only the pole above the real axis is listed.
     """
     poles = [(letter, z) for letter in ("a", "f") for z in _roots(model, letter)]
     found = []

@@ -32,7 +32,7 @@ class Start:
     iterations: int
     """Number of steps of the search."""
     converged: bool
-    """True if cost and scaled gradient are within the tolerance."""
+    """True if the change of the loss and the scaled gradient are within the tolerance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -107,12 +107,12 @@ class Estimate(Model):
 
     @property
     def std(self) -> Vector:
-        """Standard deviations of theta (d,), from the classic covariance."""
+        """Standard deviations of theta (d,), from `covariance`."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def std_robust(self) -> Vector:
-        """Standard deviations of theta (d,), from the sandwich form of the covariance."""
+        """Standard deviations of theta (d,), from `covariance_robust`."""
         return np.sqrt(np.diag(self.covariance_robust))
 
     @property
@@ -135,7 +135,7 @@ class Estimate(Model):
 
     @property
     def trusted_covariance(self) -> Matrix:
-        """Covariance to trust: the robust form if the residuals are coloured.
+        """`covariance_robust` if the residuals are coloured, otherwise `covariance`.
 
         Poles, zeros, frequency and step response use this covariance.
         """

@@ -37,7 +37,7 @@ def findings_on_own_data(
     Parameters
     ----------
     models : iterable of (str, model)
-        Models with their names. A model without estimation data, such as the physics, has no
+        Models with their names. A model without estimation data, such as the physical model, has no
         finding.
     """
     named = list(models)

@@ -6,7 +6,8 @@ For given C, D and F the prediction errors are linear in A, B and all unknown qu
 
 The pulses x represent the state of B/F at the start of an experiment. The pulses z represent the
 unknown past of the noise model, at the start of an experiment and after each gap in y. No pulses x
-are needed after a gap, because u is known during the gap.
+are needed after a gap, because u is known during the gap. The trend is a level, or a level and a
+ramp if F has an integrator.
 
 References
 ----------
@@ -226,7 +227,8 @@ def response(numerator: Array | list[float], denominator: Array, N: int) -> Arra
         largest = float(np.abs(h).max())
         above = np.flatnonzero(np.abs(h) > _SETTLED_SHARE * largest)
         end = int(above[-1]) + 1 if above.size else 1
-        # An oscillation may be small only for some samples. The response ends if it stays small.
+        # An oscillation may be small for some samples only. The response ends where all later
+        # samples are small.
         if n == N or end < n // 2:
             return h[:end]
         n = min(N, 4 * n)

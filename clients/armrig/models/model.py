@@ -57,7 +57,7 @@ class Model:
     integrator: bool = False
     """True if F, or A if there is no F, has the factor 1 - q^-1 by construction."""
     offset: bool = False
-    """True if the input offset is unknown and is estimated from any data used with the model."""
+    """True if the input has an unknown offset, which is estimated again from each data set."""
     Ts: float
     """Sampling time, in s."""
     output: str = "y"

@@ -60,7 +60,7 @@ def fit_of(text: str, path: str) -> Fit:
     Raises
     ------
     FileError
-        As for `load_fit`.
+        The text contains no model, has another format version, or is damaged.
     """
     try:
         content = json.loads(text) if text.lstrip().startswith("{") else None

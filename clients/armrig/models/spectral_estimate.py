@@ -108,7 +108,7 @@ class SpectralEstimate:
         return control.frd(self.G[known], self.omega[known], self.Ts)
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of magnitude and phase with ±2 σ: see `armrig.plots.plot_spectral`."""
+        """Return a figure of magnitude and phase with 95 % bands: `armrig.plots.plot_spectral`."""
         from armrig.models.spectral_figure import plot_spectral
         from armrig.plots.layout import figure_of
 
@@ -150,7 +150,10 @@ def log_slope(omega: Vector, magnitude: Vector) -> tuple[float, float]:
 def low_slope(
     estimate: SpectralEstimate, believed: NDArray[np.int_]
 ) -> tuple[float, float, Vector]:
-    """Return the slope of |G| over the lowest half decade, its deviation, and the frequencies."""
+    """Return the slope of |G| at low frequency, its standard deviation, and the frequencies.
+
+    The frequencies are the lowest half decade of those with the indices `believed`, at least three.
+    """
     low = believed[estimate.omega[believed] <= estimate.omega[believed[:1]] * np.sqrt(10)]
     low = low if low.size >= 3 else believed[:3]
     return *log_slope(estimate.omega[low], estimate.magnitude[low]), estimate.omega[low]
@@ -184,8 +187,8 @@ def phase_delay(
 ) -> float:
     """Return the mean of -(arg(sign G) - 90° roll_off/20)/omega over `high_band`, in s.
 
-    The phase is known only up to full turns. Therefore only the excess over the delay `shown`, in
-    s, is computed from the phase. If the slope of |G| is nearly constant, the phase of a
+    The phase is known only up to full turns. Therefore the phase determines only the difference
+    from the known delay `shown`, in s. If the slope of |G| is nearly constant, the phase of a
     minimum-phase system is about 90° for each 20 dB per decade (H. W. Bode, *Network Analysis and
     Feedback Amplifier Design*, 1945).
     """

@@ -167,8 +167,8 @@ CHANNEL = RegisteredStructure(
     orders={"nb": None, "nf": None},
     poles="nf",
 )
-"""Specification of one channel of a model with several inputs or outputs. No polynomial of a single
-e describes the noise of a channel."""
+"""Specification of one channel of a model with several inputs or outputs. The noise of a channel
+depends on several e, so the channel has no C and no D."""
 _SS = RegisteredStructure(
     name="ss",
     equation="a state space of least prediction errors",

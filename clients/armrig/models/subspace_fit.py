@@ -46,11 +46,11 @@ class SubspaceFit(Fit):
     """Singular values of the weighted projection of the future on the past, largest first,
     (horizon,)."""
     canonical_correlations: Vector
-    """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. For any
-    `weights`, they are equal to the singular values with the weights "cva"."""
+    """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. They do not
+    depend on `weights`: they are the singular values for the weights "cva"."""
     suggested_order: int
-    """Order with the least MDL, at most 10. MDL is computed from the one-step errors
-    of the estimated states."""
+    """Order with the least MDL, at most 10. MDL is computed from the one-step errors of the
+    estimated states."""
 
     @property
     def order(self) -> int:
@@ -60,8 +60,8 @@ class SubspaceFit(Fit):
     def state_space(self) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix]:
         """Return A_s (n, n), B_s (n, 1), C_s (1, n), D_s (1, 1) and K (n, 1) in observer form.
 
-        The state x_k(t) is the response at t + k - 1 to the past before t, minus the contributions
-        of x_1 … x_(k-1). The dimension n is the larger of the order and nk + nb - 1.
+        The state x_k(t) is the sum of the terms with y, u and e before t in the difference equation
+        of y(t + k - 1). The dimension n is the larger of the order and nk + nb - 1.
 
         Examples
         --------

@@ -8,12 +8,12 @@ plane, the approximation is poor if more than 10 % or less than 2.5 % of the dra
 the approximation is poor, the region is computed from the draws. With fewer than 100 valid draws
 the region is unknown.
 
-Two roots that may be a conjugate pair or two real roots are not smooth functions of the parameters.
-Their mean and the square of half their difference are smooth. For a pair x ± iy these two values
-are x and -y². Therefore the region of the pairs is computed in the plane of (x, -y²), in which the
-region does not fold at the real axis. For the draws with real roots there is a separate interval.
-The region contains 95 % of the pairs, and the interval contains 95 % of the real roots. The
-coverage is therefore 95 % whether the true root is real or one of a pair.
+If two roots may be a conjugate pair or real, they are not smooth functions of the parameters. Their
+mean and the square of half their difference are smooth. For a pair x ± iy these two values are x
+and -y². Therefore the region of the pairs is computed in the plane of (x, -y²), in which the region
+does not fold at the real axis. For the draws with real roots there is a separate interval. The
+region contains 95 % of the pairs, and the interval contains 95 % of the real roots. The coverage is
+therefore 95 % whether the true root is real or one of a pair.
 
 References
 ----------
@@ -21,7 +21,7 @@ References
 .. [2] D. O. Loftsgaarden, C. P. Quesenberry, Ann. Math. Statist. 36 (1965) 1049-1051 (density from
    the distance of the k-th neighbour).
 .. [3] J. Lei, J. Robins, L. Wasserman, J. Amer. Statist. Assoc. 108 (2013) 278-287 (a region that
-   contains the next draw with 95 % for any distribution).
+   contains the next draw with a probability of 95 %, for any distribution).
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Region:
     """Draws of the root, if the method is "sampled"."""
 
     def contains(self, z: complex) -> bool:
-        """Return whether z is inside; for a real z the interval decides, if it is known."""
+        """Return whether z is in the region; for a real z, in the interval, if there is one."""
         if abs(z.imag) < REAL_TOLERANCE and self.interval is not None:
             return self.interval[0] <= z.real <= self.interval[1]
         if self.densest is not None:

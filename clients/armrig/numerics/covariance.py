@@ -68,7 +68,7 @@ def _backwards(N: int) -> Iterator[tuple[int, int]]:
 
 
 def correlated_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
-    """Return M by Newey and West's method; psi in psi(t) e(t) may depend on the noise (ARX).
+    """Return M by Newey and West's method, for a Psi that depends on past noise (ARX).
 
     The Bartlett weights are 1 - k/(L + 1) up to the lag L = floor(4 (N/100)^(2/9)). The estimate is
     computed from all sums of L + 1 successive scores. M is the total of s s^T over all these sums

@@ -54,8 +54,8 @@ def standard_error(means: Array) -> Array:
     """Return the standard error of the mean of batch means (..., K), along the last axis.
 
     If neighbouring samples are correlated, the standard error of the mean exceeds s / sqrt(N). If
-    the batches are longer than the time of this correlation, their means are nearly independent.
-    For one batch the result is 0.
+    the batches are longer than the correlation time of the samples, the batch means are nearly
+    independent. For one batch the result is 0.
     """
     K = means.shape[-1]
     if K < 2:

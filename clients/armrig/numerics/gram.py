@@ -14,7 +14,7 @@ from armrig.numerics.polynomial import Array
 # 1e-10, and rounding is 1e-16 of the squares. A variance then has about five correct digits, and an
 # estimate about two.
 _MIN_COLUMN_REST = 1e-5
-_MIN_DISPLACEMENT_RATIO = 8  # windows over their length; displacement is faster above this ratio
+_MIN_DISPLACEMENT_RATIO = 8  # number of windows over their length; above it the recursion is faster
 
 
 def gram_of_windows(parts: Sequence[Sequence[Array]], length: int, m: int = 2) -> Array:
@@ -62,9 +62,9 @@ def gram_of_windows(parts: Sequence[Sequence[Array]], length: int, m: int = 2) -
 
 
 def _ends(x: Array, length: int) -> Array:
-    """Return, for each lag i, the sum of the samples of row i that not all rows contain.
+    """Return the sum of x(i) … x(length - 2) and x(n) … x(n + i - 1) for each i, (m, length).
 
-    The samples in the middle of the signal, which all these sums contain, are left out.
+    With the samples x(length - 1) … x(n - 1), this is the sum of x(i) over all n windows.
     """
     before = np.cumsum(x[:, : length - 1][:, ::-1], axis=1)[:, ::-1]
     after = np.cumsum(x[:, x.shape[1] - length + 1 :], axis=1)
@@ -89,8 +89,8 @@ def _by_displacement(x: Array, length: int) -> Array:
 def least_squares_by_gram(rows: Array, y: Array) -> Array:
     """Return x (d,) that minimises |y - x M| for the rows of M (d, N), by the normal equations.
 
-    A second step corrects the rounding errors of the first one. If the squares lose too many
-    digits, M is decomposed instead. NaN in y leaves an equation out.
+    A second step corrects the rounding errors of the first step. If M M^T has too few correct
+    digits, M itself is decomposed by QR. Equations with NaN in y are left out.
 
     References
     ----------

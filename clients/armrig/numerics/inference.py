@@ -107,7 +107,7 @@ def infer(
         Orthonormal basis of the responses of the nuisance parameters in each experiment; zero in
         the rows without a residual.
     nuisance : int, default 0
-        Number of parameters that are projected out but are not contained in `spans`.
+        Number of further nuisance parameters, whose responses are not contained in `spans`.
     y : ndarray (sum of N_i,), optional
         Measured output, for `fit_percent`.
     basis : Basis, optional
@@ -141,7 +141,7 @@ def infer(
     if basis is None:
         basis = orthonormal(blocks[0] if len(blocks) == 1 else np.vstack(blocks))
     bread = basis.W @ basis.W.T
-    # Q instead of Psi: if columns are nearly equal, rounding makes variances in W W^T M W W^T
+    # Q instead of Psi: if columns are nearly equal, rounding can make variances in W W^T M W W^T
     # negative.
     edges = np.cumsum([e.size for e in residuals])[:-1]
     middle = _middle(score, residuals, np.split(basis.Q, edges)) * N / degrees
@@ -159,7 +159,7 @@ def infer(
 
 
 def _middle(score: Score, residuals: Sequence[Array], blocks: Sequence[Array]) -> Array:
-    """Return M, the covariance of Psi^T e."""
+    """Return the covariance of X^T e for the stacked `blocks` X."""
     estimate = exogenous_score if score == "exogenous" else correlated_score
     return estimate(blocks, residuals)
 

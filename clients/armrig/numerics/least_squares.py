@@ -68,7 +68,7 @@ def least_squares(M: Array, Y: Array) -> Array:
     Q, R, kept, scale = _decomposed(M)
     X = np.zeros((M.shape[1], Y.shape[1]))
     if kept.size:
-        # Not dtrtrs: OpenBLAS starts its threads for dtrtrs. The solver does not pivot a triangle.
+        # dtrtrs is not used, because OpenBLAS starts its threads for dtrtrs.
         X[kept] = np.linalg.solve(R, Q.T @ Y) / scale[:, None]
     return X
 

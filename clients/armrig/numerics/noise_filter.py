@@ -29,9 +29,10 @@ _COMPLEX_STEP = 1e-20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFilter:
-    """Filter from v to the innovations, each divided by the root of its relative variance s(t).
+    """Filter from v to the innovations, scaled to the variance of e.
 
-    The state before the first sample is unknown. `columns` returns the responses to this state.
+    Each innovation is divided by the square root of s(t), its variance over the variance of e. The
+    state before the first sample is unknown. `columns` returns the responses to this state.
     """
 
     C: Array
@@ -67,10 +68,10 @@ class NoiseFilter:
         return e[0, :, :k], e[0, :, k:], float(np.sum(np.log(s[0].real)))
 
     def derivatives(self, v: Array, x0: Array) -> tuple[Array, Array]:
-        """Return the derivatives of the scaled innovations of v (N,), and of the log scale.
+        """Return the derivatives of the scaled innovations of v (N,), and of the sum of log s(t).
 
-        The derivatives are with respect to (c, d): shapes (N, nc + nd) and (nc + nd,). A complex
-        step computes the derivatives, exactly except for rounding.
+        The derivatives are with respect to (c, d): shapes (N, nc + nd) and (nc + nd,). The
+        derivatives are computed by a complex step, which has no truncation error.
 
         Parameters
         ----------
@@ -89,7 +90,7 @@ class NoiseFilter:
 
 
 def _innovations(C: Array, D: Array, rows: Mask, M: Array, x0: Array) -> tuple[Array, Array]:
-    """Return the scaled innovations (m, N, k) of m filters, and their variances (m, measured)."""
+    """Return the scaled innovations (m, N, k) of m filters, and s(t) at the measured samples."""
     r = max(C.shape[1], D.shape[1]) - 1
     c = np.pad(C[:, 1:], ((0, 0), (0, r - C.shape[1] + 1)))
     d = np.pad(D[:, 1:], ((0, 0), (0, r - D.shape[1] + 1)))

@@ -124,7 +124,8 @@ def reduced(p: ArrayLike) -> Iterator[Array]:
 
 
 EDGE_MODULUS = 1 - 1e-7
-"""Largest modulus of a root in a search; a computed double root has an error of 1e-7."""
+"""Largest modulus of a root in a search. The distance from 1 is the error of a computed double
+root."""
 _EDGE_TOLERANCE = 1e-9
 _MIN_LEFT_SHARE = 0.1  # share of the distance to the circle that remains after a step
 _PAIR_ANGLE = 1e-3  # angle, in rad, of the pair that replaces two real roots at the edge
@@ -134,7 +135,7 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
     """Return p with each root outside the unit circle moved radially into the circle.
 
     A step covers at most nine tenths of the distance from the outermost root of `previous` to the
-    circle. After a single step to the edge, a search often ends in a poor minimum at the edge. Two
+    circle. A search that reaches the edge in a single step often ends in a poor minimum there. Two
     real roots at the edge become a complex pair, because two real roots could not separate along
     the circle.
     """

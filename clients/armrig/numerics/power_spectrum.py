@@ -20,9 +20,10 @@ def power_spectrum(signals: Iterable[Vector], Ts: float) -> tuple[Vector, Vector
     """Return omega (n,) in rad/s and the one-sided power density (n,), in unit² per rad/s.
 
     The method is Welch's average of Hann-windowed segments that overlap by half. The mean of each
-    segment is removed. The integral of the density is the variance within a segment. The length of
-    a segment is an eighth of the samples, between 16 and 4096, and at most the longest stretch
-    without a missing sample. Stretches that are shorter than a segment are not used.
+    segment is removed. The integral of the density over omega is the mean variance of a segment.
+    The length of a segment is an eighth of the samples, between 16 and 4096, and at most the
+    longest stretch without a missing sample. Stretches that are shorter than a segment are not
+    used.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def power_spectrum(signals: Iterable[Vector], Ts: float) -> tuple[Vector, Vector
     longest = max((x.size for x in whole), default=0)
     if longest < _MIN_SEGMENT_SAMPLES:
         raise InputError(
-            f"the longest stretch without a hole has {longest} samples; a spectrum needs "
+            f"the longest stretch without a gap has {longest} samples; a spectrum needs "
             f"{_MIN_SEGMENT_SAMPLES}"
         )
     total = sum(x.size for x in whole)

@@ -38,7 +38,8 @@ def rise_time(y: Vector, Ts: float, *, integrated: bool = False, share: float = 
     if y.size < 2 or not np.isfinite(y).all():
         return float("nan")
     t = Ts * np.arange(y.size)
-    # The slope of an integral is 0 at first. The first slope of the response itself is not known.
+    # The integral has the slope 0 at the first sample. The slope of the response itself is not
+    # known there.
     ends = ((1, 0.0), "not-a-knot") if integrated and y.size > 2 else "not-a-knot"
     curve = CubicSpline(t, y, bc_type=ends)
     answer = curve.derivative() if integrated else curve
@@ -65,7 +66,7 @@ def linear_crossing(t: Vector, y: Vector, level: float) -> float:
 
 
 def ramp_lag(t: Vector, y: Vector) -> float:
-    """Return the time at which a line fitted to the samples of a ramp response is 0."""
+    """Return the time at which a line fitted to the samples of a ramp response crosses 0."""
     slope, level = np.polyfit(t, y, 1)
     return float(-level / slope) if slope else float("nan")
 

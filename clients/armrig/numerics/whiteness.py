@@ -160,10 +160,12 @@ def portmanteau(
 
         (s - m)^T V^-1 (s - m)     against chi-squared with tr(V^-1 M) degrees of freedom
 
-    In tr(V^-1 M) each eigenvalue is limited to 0 … 1. The degrees of freedom are the mean of the
-    statistic under the hypothesis. If only the noise determines A, C and D, the number of degrees
-    of freedom is lags - na - nc - nd, as given by Ljung and Box. A parameter that the input
-    determines, such as any parameter of an OE model, does not reduce the degrees of freedom.
+    The degrees of freedom are the mean of the statistic under the hypothesis. A negative eigenvalue
+    of V^-1/2 M V^-1/2 counts as 0. If (sum of x²)/(sum of x) over its eigenvalues x exceeds 1, the
+    statistic and the degrees of freedom are divided by this ratio. The variance is then right, too.
+    If only the noise determines A, C and D, the number of degrees of freedom is lags - na - nc -
+    nd, as given by Ljung and Box. A parameter that the input determines, such as any parameter of
+    an OE model, does not reduce the degrees of freedom.
 
     Parameters
     ----------

@@ -95,8 +95,8 @@ class ComparisonTable:
     def explain(self) -> str:
         """Return the closest model and the significant differences from the reference, as text.
 
-        The reference is the physics, `armrig.physical_model(p, data)` (handout, assignment 3.4);
-        without a physical model, the reference is the last model.
+        The reference is the physical model, `armrig.physical_model(p, data)` (handout, assignment
+        3.4). Without a physical model, the reference is the last model.
         """
         return "\n".join(explanation(self.rows))
 
@@ -142,9 +142,9 @@ def compare(
     The initial state of each experiment is estimated from these data by least squares. For a model
     with an integrator, the input offset of each experiment is also estimated. Missing samples are
     not compared. If the output integrates, the fit is near 100 % for every model, because the ramp
-    dominates ``|y - mean y|``. In this case, use the rms error and the fit of the velocity. The
-    velocity is computed from differences of the angle, so the measured velocity contains the noise
-    of two samples.
+    of y dominates ``|y - mean y|``. In this case, use the rms error and the fit of the velocity.
+    The velocity is computed from differences of the angle, so the measured velocity contains the
+    noise of two samples.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 _MAX_NAMED = 3  # models in a figure whose legend names the differences
-_MIN_DISTANCE_PT = 16.0  # between two numbers, before the layout takes some of the height
+_MIN_DISTANCE_PT = 16.0  # between two tick labels, before the layout lowers the panel
 
 
 def plot_comparison(
@@ -70,7 +70,7 @@ def plot_comparison(
     below.set_xlabel("$t$ [s]")
     unit = f" {data.unit}" if data.unit else ""
     legend(below, *([f"scale logarithmic beyond ±{linear:g}{unit}, dotted"] if linear else []))
-    for panel in (ax, below):  # named in the upper legend alone
+    for panel in (ax, below):  # the upper legend names the shading
         shade(panel, data.valid, data.Ts)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
     return sign(ax, data.source, above=legend(ax, *notes))

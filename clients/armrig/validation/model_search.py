@@ -62,7 +62,7 @@ def search(
     An output-error system of order 3 was simulated in 200 runs. Each run had N = 1000 samples to
     estimate, N = 1000 samples to validate, and candidates of orders 1 to 5. The chosen model had
     the true order in 82 % of the runs. The best candidate had the true order in 48 % of the runs.
-    In all other runs the order was too high.
+    In the remaining runs the order was too high.
 
     No candidate has a pole on or outside the unit circle, except a known integrator. The estimators
     are called with `stable=True`. If a pole was moved into the unit circle, the findings of the
@@ -81,22 +81,21 @@ def search(
     orders : iterable of int
         Numbers of poles to try, >= 1, including the pole of an integrator.
     nk : int or iterable of int, optional
-        Numbers of samples before u affects y; each number is tried. By default the result of
-        `delay`, but at least 1, is tried. If a direct term is not ruled out, 0 is tried, too. In
-        closed loop 0 is not tried, because a controller causes an apparent direct term. If the data
-        do not distinguish feedback from a direct term, 0 is tried, and `doubts` contains this
-        finding.
+        Numbers of samples before u affects y; each number is tried. By default the nk that `delay`
+        finds, at least 1, is tried. If a direct term is not ruled out, 0 is tried, too. In closed
+        loop 0 is not tried, because a controller causes an apparent direct term. If the data do not
+        distinguish feedback from a direct term, 0 is tried, and `doubts` contains this finding.
     integrator : bool, optional
-        If True, structures with this option have a pole at exactly 1. The default is True if the
-        output is an angle, or if a test finds that the output integrates.
+        If True, structures with this option have a pole at exactly 1. The default is True for
+        theta_1. For any other output, a test decides whether the output integrates.
     offset : bool, optional
         If True, the offset of the input is estimated in structures with this option. The default is
         True if y has a constant part that u does not explain. This part must exceed 2 standard
         deviations in one of the two data sets.
     horizon : int, optional
         Samples to predict ahead, >= 1. By default the models are simulated, and "n4sid" is
-        estimated with `focus="simulation"`. In closed loop the default is 1, because a biased model
-        would have the best simulation.
+        estimated with `focus="simulation"`. In closed loop the default is 1, because a model that
+        is biased by feedback would have the best simulation.
     executor : concurrent.futures.Executor, optional
         Executor for the estimates, such as a ``ProcessPoolExecutor``; by default the estimates run
         in the thread of the caller.
@@ -192,7 +191,7 @@ def _offset(
     level = [f for f in against if f.about == "level"]
     of_validation = None
     if offset is None and not known.integration.integrates:
-        # A level of the validation data alone would distort the ranking.
+        # A constant level in the validation data alone would distort the ranking.
         of_validation = level_without_input(validation, _MIN_LEVEL_SIGMAS)
         offset = bool(of_validation or level_without_input(data, _MIN_LEVEL_SIGMAS))
     found = level_without_input(data) if level else of_validation
@@ -276,7 +275,8 @@ def _score(candidate: Candidate, data: Dataset, validation: Dataset, horizon: in
     except (ValueError, np.linalg.LinAlgError) as err:
         return Scored(candidate=candidate, fit=None, reason=str(err), error=none)
     reason = ""
-    # If errors grow to the end, the standard error of their mean is as large as the mean.
+    # The ranking does not reject errors that grow to the end: their mean is as large as its
+    # standard error.
     bound = _UNBOUNDED * np.max(np.abs(validation.y[validation.valid]), initial=0.0) or np.inf
     if not np.isfinite(fit.theta).all() or (np.abs(error) > bound).any():
         reason = "its output is unbounded"

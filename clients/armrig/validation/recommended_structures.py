@@ -28,16 +28,16 @@ Matrix = NDArray[np.float64]
 
 RECOMMENDED = 3
 BARE = 2.0  # difference of description length that hardly counts (Kass, Raftery 1995, BIC)
-HIGHEST = 7  # order that is tried
+HIGHEST = 7  # number of poles that is tried
 _FIRST_ORDERS = (3, 6)  # of the models for the first estimate of the noise
-_MAX_LAG = 30  # of u
-_ARX_ORDERS = range(1, 7)  # of the models for the lag
-_MAX_LAGS = 6  # that are tried with each order
-_EXTRA_COEFFICIENTS = 2  # of B, before the likeliest lag and after the nf-th
-_MAX_STEPS = 30  # of a search
-_MAX_SEARCHES = 2  # of a structure, from the starts of least cost
-_ADDED_ROOTS = (0.3, 0.8)  # of F, if the model of another order has fewer
-_MAX_SAMPLES = 3000  # for the trial of orders
+_MAX_LAG = 30  # largest nk of the ARX models
+_ARX_ORDERS = range(1, 7)  # na and nb of the ARX models that propose values of nk
+_MAX_LAGS = 6  # values of nk that are tried with each order
+_EXTRA_COEFFICIENTS = 2  # of B, before lag nk and after lag nk + nf - 1
+_MAX_STEPS = 30  # steps of one search
+_MAX_SEARCHES = 2  # searches for each structure, from the start values with the least cost
+_ADDED_ROOTS = (0.3, 0.8)  # roots that are added to F if a start value has fewer than nf roots
+_MAX_SAMPLES = 3000  # longer data are cut to the part in which u changes most
 _RANK_TOLERANCE = 1e-9
 
 
@@ -142,8 +142,8 @@ class _Record:
     def problem(self, s: Recommended) -> PredictionErrorProblem:
         """Return the estimation problem, with u shifted by its delay.
 
-        Without the shift, pulses would represent the unknown u before the start. Their estimation
-        would take more time.
+        Without the shift, the unknown samples of u before the start would be estimated, which takes
+        more time.
         """
         d, cut = max(s.nk - 1, 0), self.latest - 1
         letter: Literal["f", ""] = "f" if s.integrator else ""
@@ -411,7 +411,7 @@ def _begun(
 
 
 def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
-    """Return the description length if the model had `more` cost and `fewer` coefficients.
+    """Return the description length with the cost plus `more`, for `fewer` fewer coefficients.
 
     Each dimension of one experiment's initial state costs log N, as a coefficient does. Without
     this cost, a model could fit a sine in the noise by a pair of poles on the unit circle and the

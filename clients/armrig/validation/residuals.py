@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-_COLUMNS = 8  # of the lagged inputs that are worked on at once
+_COLUMNS = 8  # number of lagged inputs that are processed at once
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -75,9 +75,10 @@ class ResidualTest:
     """Standard deviation of `cross_correlation`, including the effect of the estimated
     parameters."""
     missing_dynamics: float
-    """p value of the hypothesis of no correlation with past and present input, lags 0 … L."""
+    """p value of the hypothesis that past and present input, lags 0 … L, are uncorrelated with
+    e."""
     feedback: float
-    """p value of the hypothesis of no correlation with future input, lags -L … -1."""
+    """p value of the hypothesis that future input, lags -L … -1, is uncorrelated with e."""
     on_estimation_data: bool
     """True if the parameters were estimated from these data; the tests account for this."""
     source: str
@@ -171,18 +172,19 @@ def residuals(
 
     Z contains the lagged inputs. R_e is the covariance of the residuals, estimated by an
     autoregression. Psi contains the derivatives of the prediction with respect to the parameters.
-    Z_p is Z minus the projection of Z on Psi. The projection is subtracted because on estimation
-    data the residuals are less correlated with the past input than the noise is.
+    Z_p is Z minus the projection of Z on Psi. The projection accounts for the estimation: on
+    estimation data, the residuals are less correlated with the past input than the noise is.
 
-    The band for a single lag has the variance P/(N R_e(0) R_u(0)). P is the sum of R_e(k) R_u(k)
-    over k. The variance is 1/N only if e or u is white. The band is valid for a model with exactly
-    known parameters. `cross_std` is computed from the diagonal of M. Compared with the band,
-    `cross_std` is smaller at some lags on estimation data, and larger on other data.
+    The band for a single lag has the variance P/(N R_e(0) R_u(0)). P is the sum over k of the
+    product of the autocovariances R_e(k) and R_u(k). The variance is 1/N only if e or u is white.
+    The band is valid for a model with exactly known parameters. `cross_std` is computed from the
+    diagonal of M. Compared with the band, `cross_std` is smaller at some lags on estimation data,
+    and larger on other data.
 
     Parameters
     ----------
     fit : Fit or MultivariableFit
-        Model of the output of the data, or of several outputs.
+        Model of the same outputs as the data.
     data : Dataset or Signals
         N samples, or a recording.
     lags : int, optional
@@ -283,7 +285,7 @@ class _InputSums:
     """Sums s_k of e(t) u(t - k), k = -L … L, and their covariance."""
 
     sums: Array
-    """(2 L + 1,)."""
+    """s_k, (2 L + 1,)."""
     covariance: Array
     """M, (2 L + 1, 2 L + 1)."""
     power: float
@@ -306,15 +308,15 @@ def _input_sums(
         sums=sum((z.T @ np.nan_to_num(x) for z, x in zip(Z, e, strict=True)), np.zeros(2 * L + 1)),
         power=float(sum(np.sum(z**2) for z in u)),
         variance=float(exogenous_score(u, e)[0, 0]),
-        covariance=_score_covariance(Z, known, theta_covariance, own=own),  # modifies Z: last
+        covariance=_score_covariance(Z, known, theta_covariance, own=own),  # changes Z: last
     )
 
 
 def _lagged_both_ways(u: Vector, L: int, known: Residuals) -> Array:
     """Return u(t - k), k = -L … L, (N, 2 L + 1), zero in the rows without a residual.
 
-    The effects of the unknown past are projected out, because they are estimated from the tested
-    data.
+    The effects of the unknown past are projected out, because the unknown past is estimated from
+    the tested data.
     """
     Z = np.zeros((u.size, 2 * L + 1), order="F")
     there = np.isfinite(known.e)

@@ -63,7 +63,7 @@ class Candidate:
             offset=self.offset,
             stable=True,
             focus="simulation" if self.simulates else None,
-            # A model with too high orders has many minima, and is not chosen.
+            # Few starts suffice: a model of too high order has many minima, but is not chosen.
             starts="few" if "starts" in STRUCTURES[self.family].takes else None,
         )
         return request.estimated(data)
@@ -78,7 +78,7 @@ class Scored:
     fit: Fit | None
     """The model; None if the estimate failed."""
     reason: str
-    """Reason why there is no model, or ""."""
+    """Reason why there is no usable model, or ""."""
     error: Vector
     """y - ŷ on the validation data, (N,), NaN where it is unknown; empty without a model."""
 
@@ -128,7 +128,8 @@ class SearchResult:
     """Findings about problems of the data, such as poor excitation, wrong samples, feedback, or a
     constant part of y that u does not explain."""
     notes: tuple[str, ...]
-    """Decisions that are based on the data: an integrator, an offset."""
+    """Sentences on decisions that the search based on the data, such as an integrator or an
+    offset."""
     halved: bool
     """True if the first half of the data was used for estimation, the second for the ranking."""
     tests: ResidualTest

@@ -1,4 +1,4 @@
-"""Structures that describe the data, with spectrum, phase and delay as reasons (handout, 3.2)."""
+"""Recommended structures, with reasons from spectrum, phase and delay (handout, 3.2)."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
-SURE = 3.0  # standard deviations by which a resonance differs from either side
-STAYS = 0.3  # of the largest value of the rate's step response; less is returning to 0
-DRAWS = 200  # of the impulse response's uncertainty
-LAGS = (100, 200, 400)  # of the impulse response; the next number if the last is too small
-AGREED_SLOPE = 3.0  # dB a decade by which a slope and that of the first structure may differ
-AGREED_PEAK = 0.12  # of a frequency, the same of an extreme
+SURE = 3.0  # standard deviations by which |G| at an extreme must differ from |G| at its bases
+STAYS = 0.3  # share of the maximum of the rate's step response; a smaller final value counts as 0
+DRAWS = 200  # random draws of the error of the impulse response
+LAGS = (100, 200, 400)  # numbers of lags of the impulse response, tried until one is large enough
+AGREED_SLOPE = 3.0  # largest difference from the slope of the first structure, in dB a decade
+AGREED_PEAK = 0.12  # largest relative difference from an extreme of the first structure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -57,15 +57,15 @@ class StructureHints:
     integrator.
     """
     integrator: bool
-    """True if the first structure has a pole at 1, so that y is the sum of its rate."""
+    """True if y integrates: the first structure has a pole at 1."""
     integrator_shown: bool
-    """True if the description length and the step response agree whether y integrates.
+    """True if the description length and the step response agree on whether y integrates.
 
     Otherwise `structures` includes a structure with and a structure without an integrator.
     """
     low_slope: float | None
     """Slope of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None if
-    the first structure has another slope."""
+    the slope of the first structure differs by more than 3 dB a decade."""
     low_slope_std: float
     """Standard deviation of `low_slope`, from the scatter of the points about the fitted line.
 
@@ -75,8 +75,8 @@ class StructureHints:
     low_band: Vector
     """Frequencies at which `low_slope` was estimated, in rad/s."""
     high_slope: float | None
-    """Slope of |G| in dB a decade, over the highest third of a decade in which u explains y. None
-    if the first structure has another slope."""
+    """Slope of |G| in dB a decade, over the highest third of a decade of the frequencies at which u
+    explains y. None if the slope of the first structure differs by more than 3 dB a decade."""
     high_band: Vector
     """Frequencies at which `high_slope` was estimated, in rad/s."""
     relative_degree: int
@@ -91,25 +91,26 @@ class StructureHints:
     """Frequencies in rad/s of the dips of |G| that the first structure also has."""
     phase_delay: float | None
     """Delay in s, from the phase at the highest frequencies. The delay explains the part of the
-    phase lag that the slope of |G| does not explain. None if this delay differs from (nk - 1/2) Ts
-    by more than Ts/2.
+    phase lag that the slope of |G| does not explain. None if `nk_interval` is None, or if this
+    delay differs from (nk - 1/2) Ts by more than Ts/2.
     """
     nk_interval: tuple[int, int] | None
-    """Least and greatest nk that `delay` found; None if `delay` raised an error, or if this range
-    does not contain `nk`."""
+    """Least and greatest nk that the test `armrig.delay` does not rule out. None if this test
+    raised an error, or if this range does not contain `nk`."""
     singular_values: Vector
-    """Singular values of the Hankel matrix of the decaying response, divided by the largest
-    singular value."""
+    """Singular values of the Hankel matrix of the impulse response (of the rate of y if y
+    integrates), divided by the largest singular value."""
     threshold: float
-    """95 % quantile of the largest singular value that the uncertainty alone causes. The quantile
-    is divided by the largest singular value of the response."""
+    """95 % quantile of the largest singular value that the error of the impulse response alone
+    causes. The quantile is divided by the largest singular value of the response."""
     order: int
-    """Number of singular values above the threshold, plus 1 for an integrator; at most nf."""
+    """Number of `singular_values` above `threshold`, plus 1 if the data show an integrator; at most
+    nf."""
     trusted: float
     """Highest frequency at which u explains y, in rad/s; 0 if u explains y at fewer than three
     frequencies."""
     spectrum: SpectralEstimate
-    """Frequency response of y."""
+    """Estimated frequency response from u to y."""
     response: ImpulseResponse
     """Regularised impulse response."""
 
@@ -161,18 +162,20 @@ def structure_hints(
     Nonparametric estimates give the following reasons. A reason is reported only if the first
     structure agrees with it:
 
-    - Integrator: the rate's step response does not return to 0, and the description is shorter with
-      a pole at 1. If only one of the two statements is true, or if the description lengths hardly
-      differ, a structure with an integrator and a structure without an integrator are recommended.
-      theta_1 is taken as integrating, unless its rate's step response surely returns to 0. In that
-      case the data are from another rig that uses the name theta_1. With an integrator the slope of
-      the gain at low frequency is -20 dB a decade.
-    - Order: the number of singular values of a Hankel matrix that are larger than the values that
-      the uncertainty alone causes. The matrix is computed from the regularised impulse response.
+    - Integrator: the step response of y's rate does not return to 0, and the description is shorter
+      with a pole at 1. If only one of the two statements is true, or if the description lengths
+      hardly differ, a structure with an integrator and a structure without an integrator are
+      recommended. The output theta_1 is taken as integrating. The only exception is data of another
+      rig that uses the name theta_1: the step response of the rate returns to 0 significantly. With
+      an integrator the slope of the gain at low frequency is -20 dB a decade.
+    - Order: the number of singular values of a Hankel matrix that exceed `threshold`. The matrix is
+      computed from the regularised impulse response, and `threshold` from the uncertainty of this
+      response.
     - Number of poles minus number of zeros: the slope at the highest frequencies at which u
       explains y (coherence above one half). Each pole in excess of the zeros changes the slope by
       -20 dB a decade. Sampling hides the slope near the Nyquist frequency.
-    - Delay: the result of `delay`, and the phase lag beyond the lag of the roll-off.
+    - Delay: the result of `delay`, and the part of the phase lag that the roll-off does not
+      explain.
 
     Parameters
     ----------
@@ -181,7 +184,7 @@ def structure_hints(
     integrator : bool, optional
         True if y integrates; by default the data decide.
     seed : int or numpy.random.Generator, default 0
-        Seed or generator of the draws.
+        Seed or generator of the random draws that determine `threshold`.
 
     Returns
     -------
@@ -380,12 +383,12 @@ def _covariance(response: ImpulseResponse) -> Matrix:
 
 
 def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tuple[Vector, float]:
-    """Return the singular values of the response from lag nk on, and the threshold.
+    """Return the Hankel singular values of the response from lag nk on, and their threshold.
 
     All values are divided by the largest singular value.
     """
     g, _ = response.decaying
-    # The rate's backward difference is itself a state, a pole at 0 that acts on g(nk) alone.
+    # The backward difference that yields the rate adds a pole at 0, which affects g(nk) alone.
     h = g[nk + 1 :] if response.integrator else g[nk:]
     m = (h.size + 1) // 2
     index = np.add.outer(np.arange(m), np.arange(h.size - m + 1))

@@ -102,7 +102,7 @@ def test_a_spectrum_leaves_out_what_it_cannot_use() -> None:
 
     assert omega[np.argmax(density)] == pytest.approx(0.5, abs=omega[1])
     assert np.sum(density) * omega[1] == pytest.approx(0.5, rel=0.02)
-    with pytest.raises(ValueError, match="longest stretch without a hole has 7 samples"):
+    with pytest.raises(ValueError, match="longest stretch without a gap has 7 samples"):
         power_spectrum([x[:7]], 1.0)
 
 

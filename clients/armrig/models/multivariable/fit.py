@@ -148,17 +148,17 @@ class MultivariableFit:
 
     @property
     def theta(self) -> Vector:
-        """Parameters (d,), row after row."""
+        """Parameters (d,), in the order that `form` defines."""
         return self.form.theta
 
     @property
     def std(self) -> Vector:
-        """Standard deviations of theta (d,), from the classic covariance."""
+        """Standard deviations of theta (d,), from `covariance`."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def std_robust(self) -> Vector:
-        """Standard deviations of theta (d,), from the sandwich form."""
+        """Standard deviations of theta (d,), from `covariance_robust`."""
         return np.sqrt(np.maximum(np.diag(self.covariance_robust), 0.0))
 
     @property
@@ -168,7 +168,7 @@ class MultivariableFit:
 
     @property
     def label(self) -> str:
-        """Name in tables and legends: OE, 1 input, 2 outputs."""
+        """Name in tables and legends, such as "OE(nb=2, nf=2, nk=1)"."""
         return f"{self.structure.upper()}({self.orders})"
 
     def __getitem__(self, channel: tuple[str, str] | str) -> Fit:
@@ -407,7 +407,7 @@ class MultivariableFit:
     def compare(
         self, data: Signals, *others: MultivariableFit, horizon: int | None = None
     ) -> SignalsComparisonTable:
-        """Return `armrig.compare(data, fit, *others, horizon=horizon)`.
+        """Compare this model and the models `others` with data: see `armrig.compare`.
 
         Examples
         --------
@@ -460,7 +460,7 @@ class MultivariableFit:
         return bool(self.digest) and self.digest == data.digest
 
     def __repr__(self) -> str:
-        """Return the model as lines of text: one equation for each output."""
+        """Return the model as text: a line with the fit of each output, and the poles."""
         from armrig.models.multivariable.text import described
 
         return described(self)

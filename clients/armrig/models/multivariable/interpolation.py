@@ -9,8 +9,8 @@ import numpy as np
 from armrig.models.model import Complex
 
 _RADIUS = 1.05
-"""Ratio of the radius of the circle in q to the modulus of the largest pole. If all poles are
-inside the unit circle, ratio of the radius to 1."""
+"""Radius of the circle in q, divided by the modulus of the largest pole. If all poles are inside
+the unit circle, this number is the radius itself."""
 
 
 def circle(n: int, poles: Any) -> Complex:

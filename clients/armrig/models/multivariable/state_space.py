@@ -17,9 +17,9 @@ from armrig.numerics.least_squares import column_norms
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 
-_MIN_SINGULAR_VALUE = 1e-4  # of the scaled responses to states, divided by the largest
-_MIN_SHOWN_VALUE = 1e-10  # the least value of a direction with a significant error
-_SHOWN_SIGMAS = 5.0
+_MIN_SINGULAR_VALUE = 1e-4  # least used singular value of the responses, over the largest
+_MIN_SHOWN_VALUE = 1e-10  # the same for a combination of states with a significant effect
+_SHOWN_SIGMAS = 5.0  # least significant effect of a combination of states
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,7 +91,8 @@ def predicted(
     Parameters
     ----------
     noise_std : ndarray (ny,)
-        Standard deviation of e; the errors of each output are divided by this number.
+        Standard deviation of e for each output; the errors of the output are divided by this
+        number.
     """
     if horizon is None:
         system = system.deterministic
@@ -124,7 +125,7 @@ def error_responses(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ErrorResponses:
-    """Responses to the data (the first column), to each initial state, and to each ramp."""
+    """The m responses: first to the data, then to each unit initial state, then to each ramp."""
 
     inputs: Array
     """Inputs (N, m, nu)."""

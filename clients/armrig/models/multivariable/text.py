@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def described(fit: MultivariableFit) -> str:
-    """Return a model as text: a line for each output, and its poles."""
+    """Return a model as text: a line with the fit of each output, and the poles."""
     inputs = ", ".join(_with_unit(*x) for x in zip(fit.inputs, fit.input_units, strict=True))
     lines = [
         f"{fit.label}: {inputs} to {plural(len(fit.outputs), 'output')}, Ts {fit.Ts:g} s, "

@@ -48,7 +48,7 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     and the agreement of ARX with OE. For a model, the advice covers the search, the residuals, and
     an integrator that is not fixed. The advice also covers poles and zeros that cancel (the order
     is too high), and poles that no sampled rig has (negative real, unstable). Finally, the advice
-    covers a first coefficient that may be 0 (a delay).
+    covers a first coefficient of B that may be 0 (a delay).
 
     Parameters
     ----------

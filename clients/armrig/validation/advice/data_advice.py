@@ -27,7 +27,7 @@ ORDER = 4
 poles."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MAX_MISSING_SHARE = 0.2
-_MIN_POLE_SIGMAS = 10.0  # least distance from 1 of a pole that is no integrator; σ may be wrong
+_MIN_POLE_SIGMAS = 10.0  # of the distance from 1 of a pole that is no integrator; σ may be wrong
 _MIN_CHANCE_P = 1e-3  # one open-loop recording in twenty has a p below the usual 0.05
 
 

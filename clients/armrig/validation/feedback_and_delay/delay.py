@@ -34,13 +34,13 @@ Vector = NDArray[np.float64]
 
 SECOND_ORDER = frozenset({THETA_1, ALPHA})
 """Outputs whose second derivative jumps at a voltage step, with a continuous first derivative."""
-_MIN_SAMPLES = 50  # samples
-_LOSS_LAGS = 3  # lags past nk to which losses are kept
+_MIN_SAMPLES = 50  # with a known y
+_LOSS_LAGS = 3  # number of losses after nk in the result
 _MAX_FEW_CHANGES = 10  # of u; with more changes the error of quantisation averages out
 Matrix = NDArray[np.float64]
 
-_MIN_OWN_SHARE = 0.005  # of a lag of u, which the lags before it leave unexplained
-_MIN_DETERMINED_LAGS = 28  # a PRBS of period 31 has so many, a sum of few sines fewer
+_MIN_OWN_SHARE = 0.005  # least share of a lag of u that the earlier lags leave unexplained
+_MIN_DETERMINED_LAGS = 28  # u determines fewer if it is a sum of few sines
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
 
 
@@ -58,11 +58,11 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     lag, the true coefficient may be too small to be significant. A one-sided test (level 0.1 %)
     therefore compares the coefficient with a bound. The lag is ruled out if the coefficient is
     significantly smaller than the bound. The bound is 1/(1 + 3 n) of the coefficient n samples
-    later. The slowest onset of a mechanical rig, t²/2 under a hold, has the ratio 1/(1 + 2 n). If
-    the response begins more slowly, the bound is computed from an onset (t/Ts)^d, and d is
-    estimated from the first lags. The first two coefficients of a plant of relative degree d have
-    the ratio 1 : 2^d - 1. If several lags remain for an angle or for an integrating y, the shape of
-    the onset decides (`smooth_onsets`).
+    later, with the n for which it is largest. The slowest onset of a mechanical rig, t²/2 under a
+    hold, has the ratio 1/(1 + 2 n). If the response begins more slowly, the bound is computed from
+    an onset (t/Ts)^d, and d is estimated from the first lags. The first two coefficients of a plant
+    of relative degree d have the ratio 1 : 2^d - 1. If several lags remain for an angle or for an
+    integrating y, the shape of the onset decides (`smooth_onsets`).
 
     nk is the least lag that is not ruled out, so an unproven delay is never claimed. A direct term,
     nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, the model
@@ -85,7 +85,8 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         `nk`, `delay` = nk - 1, `told`, `interval`, `p_values`, `explain()`, `plot()`. `delay` is
         the time delay (dead time) in whole samples, in addition to the sample of the hold; times
         `Ts` it is in s. If `interval` contains several nk, `delay` is the least possible delay, but
-        at least 0. The command is `armrig check`. For the response to a step, use `step_analysis`.
+        at least 0. The command `armrig check` runs the same test. For the response to a step, use
+        `step_analysis`.
 
     Raises
     ------
@@ -110,7 +111,7 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     decided = integration(data, integrator)
     longest = max(part.N for part in data.experiments())
     determined = determined_lags(data, min(MOST_COEFFICIENTS, samples // 3, longest // 2))
-    # The lags that u determines are shared in proportion: 20 coefficients of A, 50 lags of B.
+    # The number of determined lags is divided between A and B in the ratio 20 to 50.
     n = min(MOST_LAGS, samples // 10, 5 * determined // 7)
     response = impulse_response(data, n, kernel=None, integrator=decided.integrates)
     tests = lag_tests(data, response, determined)

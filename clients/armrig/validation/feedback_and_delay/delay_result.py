@@ -88,7 +88,7 @@ class Delay:
         return self.nk - 1
 
     def explain(self) -> str:
-        """Return the tests that decide, the other evidence, and the effect of quantisation."""
+        """Return a text: results of the tests, other evidence, and effect of quantisation."""
         g, std = self.response.decaying
         lines = [
             f"{self._answer()}.",
@@ -176,7 +176,7 @@ class Delay:
 
 _ASSUMED = (
     "Assumption: the first coefficient is at least 1/(1 + 3 n) of the coefficient n samples later. "
-    "If the response begins more slowly, the bound is the ratio of an onset (t/Ts)^d as slow as "
+    "If the response begins more slowly, the bound is the ratio of an onset (t/Ts)^d with the d of "
     "the first lags. A slower onset looks like a delay."
 )
 

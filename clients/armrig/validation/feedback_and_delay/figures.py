@@ -29,7 +29,7 @@ _BEYOND = 6  # lags shown past nk
 
 
 def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
-    """Show the coefficients of u in the regression of y(t), and the test that decides.
+    """Show the coefficients of u in the regression of y(t), and the result of the test.
 
     At positive lags u precedes y, and the coefficients of u may differ from 0. At the other lags,
     which are shaded, all coefficients are 0 in open loop.
@@ -62,7 +62,7 @@ def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
-    """Show the first coefficients with their band; the lower panel shows the loss for each nk.
+    """Show the start of the impulse response; the lower panel shows the loss for each nk.
 
     The band and the dotted line correspond to the level of the tests, 0.1 %.
     """
@@ -93,7 +93,7 @@ def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
 
 
 def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> None:
-    """Show coefficients `first` … `last` of the decaying response, with a 99.9 % band."""
+    """Show lags `first` … `last` of the impulse response, with a 99.9 % band."""
     g, std = response.decaying
     shown = (response.lags >= first) & (response.lags <= last)
     _stems(ax, response.lags[shown], g[shown], _BAND_99_9_PERCENT * std[shown], "99.9 %")
@@ -105,7 +105,7 @@ def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> Non
 
 
 def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, band: Vector, share: str) -> None:
-    """Show coefficients, and the band with the probability `share` for a coefficient that is 0."""
+    """Show coefficients, and the band of a coefficient that is 0 with its probability `share`."""
     ax.fill_between(
         lags,
         -band,

@@ -18,16 +18,17 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 LEVEL = 0.001
-MOST_LAGS = 50  # of u, the order of B and the delay together
+MOST_LAGS = 50  # lags of u, for the delay and B together
 _ORDERS = (20, 10, 5)  # largest na; the next one if too many rows contain a missing sample
 MOST_COEFFICIENTS = MOST_LAGS + _ORDERS[0]
-_MIN_WHOLE_SHARE = 0.5  # of the rows, without a missing sample
+_MIN_WHOLE_SHARE = 0.5  # share of the rows that must have no missing past y
 _ROWS_PER_ORDER = 20  # samples for each a that is tried
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
-# Share of y's norm below which residuals are rounding: data without noise have F = 0/0.
+# Share of y's norm below which residuals count as rounding errors. Without this limit, data without
+# noise would have F = 0/0.
 _ROUNDING = 1e-10
 _GROWTH = 3.0  # a first coefficient is at least 1/(1 + 3 n) of the coefficient n samples later
-_ONSET = 2  # lags after the first significant lag, from which the onset's slope is computed
+_ONSET = 2  # number of lags after the first significant lag that determine the slope of the onset
 _COEFFICIENTS_AFTER_FIRST = 40
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MIN_REPEAT_P = 1e-3  # from which another recording is recommended
-_MAX_EXACT_REST = 1e-5  # share of u's deviation that y(t) leaves: the digits of a file
+_MAX_EXACT_REST = 1e-5  # share of u that y(t) may leave unexplained: rounding in a file
 _MAX_FEW_LEVELS = 20  # of u; a controller that carries noise into u makes more
 _MAX_SHOWN_F = 1e6
 
@@ -86,7 +86,7 @@ class OpenLoop:
             lines.append(
                 f"So the data do not contradict open loop, at a level of {100 * self.level:g} %. "
                 "This is no proof: feedback is visible only by the noise that it carries into u. "
-                "If this noise is small in comparison with u, the test does not find it."
+                "If this noise is small in comparison with u, the test does not find feedback."
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
@@ -152,8 +152,8 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     Parameters
     ----------
     data : Dataset
-        u as applied and y as measured; y(t) is read before u(t) is applied. A missing sample
-        removes its row, and no row contains samples of two experiments.
+        u as applied and y as measured; y(t) is read before u(t) is applied. If y(t) is missing, the
+        regression has no row for t. No row contains samples of two experiments.
     level : float, default 0.05
         Level of the test, between 0 and 1.
 

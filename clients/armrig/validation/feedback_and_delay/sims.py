@@ -21,13 +21,13 @@ Mask = NDArray[np.bool_]
 
 FUTURE = 5
 """Number of samples of u that are tested: u(t) … u(t + 4)."""
-_LAGS_PER_DECADE = 15  # of N
+_LAGS_PER_DECADE = 15  # past samples p for each decade of N
 _MOST_LAGS = 60
 _LEAST_LAGS = 4
-_FORGETTING = (0.0, 1 / 3, 1.0)  # share that a sum of older input forgets in p samples
+_FORGETTING = (0.0, 1 / 3, 1.0)  # share of a sum of older input that is forgotten in p samples
 _ROWS_PER_PARAMETER = 5  # with fewer the F distribution does not hold
-_MIN_U_REST = 1e-10  # share of u's power that its past must leave
-_MIN_Y_REST = 1e-20  # share of y's power that its past must leave
+_MIN_U_REST = 1e-10  # share of u's power that the past must leave unexplained
+_MIN_Y_REST = 1e-20  # share of y's power that the past must leave unexplained
 _BLOCK = 4096  # rows that are held in memory at a time
 
 
@@ -79,17 +79,18 @@ def sims(data: Dataset) -> Sims:
 
     with one constant c for each experiment. The hypothesis H0 is f_0 = … = f_4 = 0. y(t) is read
     before u(t) is applied, so in open loop u(t), u(t + 1), … do not depend on e(t). The test makes
-    no assumption on how u was generated. (Granger's test of u on past y assumes a model of u's own
-    past; to that test, a PRBS, a held input and a low-pass input look like feedback.) In closed
-    loop u(t) contains the noise of y(t).
+    no assumption on how u was generated. In contrast, Granger's test of u on past y assumes a model
+    of u's own past. In Granger's test, a PRBS, a held input and a low-pass input look like
+    feedback. In closed loop u(t) contains the noise of y(t).
 
     p = 15 lg N, at most 60. The sums w represent the input before the last p samples. Without these
     sums, future u could replace the missing past in open loop. y's past has more lags than the
     plant has poles, so the F distribution also holds if y integrates: see [2] and [3].
 
-    A missing y(t) removes its own row. In later rows the missing y is interpolated linearly between
-    its neighbours. The later neighbour is not later than y(t), so the interpolation contains no
-    effect of future u. No row extends over the end of an experiment or over a gap longer than p/2.
+    A row whose y(t) is missing is left out. If a past y of a row is missing, it is interpolated
+    linearly between its neighbours. Neither neighbour is later than y(t), so the interpolation
+    contains no effect of future u. No row extends over the end of an experiment or over a gap
+    longer than p/2.
 
     The computing time is proportional to N. The memory in addition to u and y is constant, because
     the QR factorisation computes R block by block.

@@ -10,7 +10,7 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.oe import oe
 
 SURPRISING = 9.21  # 99 % point of chi-squared, two degrees of freedom
-_MAX_DISTANCE_RATIO = 3.0  # of a possible lag to that of the best lag
+_MAX_DISTANCE_RATIO = 3.0  # distance of a possible lag from the onset, over that of the best lag
 _POLES = 4  # of the arm
 _MAX_EXTRA_LAGS = 4  # tested at either end of the range
 
@@ -25,9 +25,9 @@ def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> 
 
     V_k is the loss of the model with the first lag k. V_0 is the least loss of all these models and
     of a model with a free numerator. The zero of a second-order onset tends to -1 as the sampling
-    time tends to 0 [1]_. If the first coefficient is too small to see, the zero is therefore near
-    -1. The range first … last is extended at each end, by at most four lags, until chi² at that end
-    exceeds its 1 % point.
+    time tends to 0 [1]_. A first coefficient that is too small to see indicates a short sampling
+    time, and therefore a zero near -1. The range first … last is extended at each end, by at most
+    four lags, until chi² at that end exceeds its 1 % point.
 
     References
     ----------

@@ -1,7 +1,8 @@
 """Tests of feedback and of the delay, channel by channel.
 
-Each channel is tested alone. A joint test would have to try all combinations of delays. The number
-of combinations grows exponentially with the number of channels.
+A channel is one output with one input. Each channel is tested alone. A joint test would have to try
+all combinations of delays. The number of combinations grows exponentially with the number of
+channels.
 """
 
 from __future__ import annotations
@@ -114,7 +115,7 @@ def delay(data: Signals, *, integrator: bool | None = None) -> ByChannel[Delay]:
 def open_loop(data: Signals, level: float = 0.05) -> ByChannel[OpenLoop]:
     """Test for feedback from each output to each input, one channel at a time.
 
-    The test of a channel is the test of one output and one input. In open loop, some tests find
+    Each channel is tested like data of one output and one input. In open loop, some tests find
     feedback by chance: one of twenty tests at the level 0.05.
 
     Parameters

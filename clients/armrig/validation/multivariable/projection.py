@@ -15,7 +15,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
 _STEP = 1e-3  # standard deviations by which a parameter moves for a derivative
-_MIN_VARIANCE_SHARE = 1e-12  # of the largest one, of a direction that the data determine
+_MIN_VARIANCE_SHARE = 1e-12  # share of the largest variance; less is not determined by the data
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,8 +53,8 @@ def parts_of(fit: MultivariableFit, data: Signals) -> list[Part]:
 
     experiments = list(data.experiments())
     at_theta = responses(fit.theta)
-    # The initial states stay as they are for a derivative, because `projection` removes the effect
-    # of their estimates. To estimate them again would amplify rounding errors.
+    # For a derivative the initial states stay fixed, because `projection` removes the effect of
+    # their estimates. Another estimate of the initial states would amplify rounding errors.
     states = [r.combination(part, std) for r, part in zip(at_theta, experiments, strict=True)]
     by: list[list[Array]] = []
     for direction in _directions(fit).T:
@@ -65,7 +65,7 @@ def parts_of(fit: MultivariableFit, data: Signals) -> list[Part]:
                 for c, a, b in zip(states, ahead, behind, strict=True)
             ]
         )
-    # Rows that the estimator treats together are weighted by the inverse of Lambda.
+    # Outputs that are estimated together are weighted by the inverse of Lambda.
     together = fit.shared or fit.form.coupled or fit.structure == "arx"
     Lambda = fit.noise_covariance if together else np.diag(std**2)
     if fit.output_weights:

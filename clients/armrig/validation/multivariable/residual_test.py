@@ -39,9 +39,9 @@ class PairTest:
     std: Array
     """Standard deviations of `correlation`, with the effect of the estimated parameters."""
     missing_dynamics: float
-    """p value of the hypothesis of no correlation with past and present input."""
+    """p value of the hypothesis that past and present input are uncorrelated with the residuals."""
     feedback: float
-    """p value of the hypothesis of no correlation with future input."""
+    """p value of the hypothesis that future input is uncorrelated with the residuals."""
 
     def __repr__(self) -> str:
         """Return the results of both tests."""
@@ -79,15 +79,15 @@ class SignalsResidualTest:
     cross_std: Array
     """Standard deviations of `cross_correlation`, with the effect of the estimated parameters."""
     missing_dynamics_by_pair: Array
-    """p value of the hypothesis of no correlation with past and present input, for each pair, (ny,
-    nu)."""
+    """For each output and input, the p value of the hypothesis that past and present input are
+    uncorrelated with the residuals, (ny, nu)."""
     feedback_by_pair: Array
-    """p value of the hypothesis of no correlation with future input, for each pair, (ny, nu)."""
+    """For each output and input, the p value of the hypothesis that future input is uncorrelated
+    with the residuals, (ny, nu)."""
     missing_dynamics: float
-    """p value of the hypothesis of no correlation with past and present inputs, for all pairs
-    together."""
+    """p value of the hypothesis that no past or present input is correlated with any residual."""
     feedback: float
-    """p value of the hypothesis of no correlation with future inputs, for all pairs together."""
+    """p value of the hypothesis that no future input is correlated with any residual."""
     allowance: float
     """Factor by which the parameters' uncertainty widens the band of a typical
     cross-correlation."""

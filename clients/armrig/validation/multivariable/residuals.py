@@ -26,8 +26,8 @@ from armrig.validation.multivariable.whiteness import jointly_white, white_by_ou
 _MIN_SUM_VARIANCE = 1e-4
 """Least variance of a tested linear combination of the sums, as a share of the largest variance.
 
-A combination with a smaller variance is not tested, because the estimated parameters make it 0.
-Only the error of the differences that approximate Psi is left.
+A combination with a smaller variance is not tested, because the estimated parameters make it 0. Its
+computed variance is only the error of the differences that approximate Psi.
 """
 
 
@@ -44,9 +44,9 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
         M = H^T R H + (H^T Psi) cov(theta) (Psi^T H)             on other data
 
     R is the covariance of the noise v. P projects on the effects of the initial states, the ramps
-    and, on estimation data, the parameters. P uses the weights of the estimator, Lambda^-1 if all
-    outputs are estimated together. Psi, the derivatives of e with respect to the parameters, is
-    computed by central differences.
+    of integrating outputs and, on estimation data, the parameters. P uses the weights of the
+    estimator, Lambda^-1 if all outputs are estimated together. Psi, the derivatives of e with
+    respect to the parameters, is computed by central differences.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
     """
     require_same_channels(fit, data)
     own = fit.estimated_from(data)
-    # A subspace estimate does not minimise the errors, so that P is not known for it.
+    # For a subspace estimate, which does not minimise the errors, P is not known.
     is_fitted = own and fit.structure != "n4sid"
     parts = parts_of(fit, data)
     projected = projection(parts, own=is_fitted)

@@ -184,7 +184,8 @@ def search(
     chosen = found.chosen
     if chosen.family != "n4sid":
         return found
-    # The candidates of n4sid have no covariance, whose replicates cost a hundred estimates.
+    # Only the chosen n4sid model has a covariance, because the covariance costs a hundred
+    # estimates.
     ranked = [*found.ranked]
     ranked[found.chosen_index] = replace(chosen, fit=n4sid(data, chosen.order, nk=nk))
     return replace(found, ranked=tuple(ranked))
