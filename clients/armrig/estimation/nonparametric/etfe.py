@@ -119,7 +119,7 @@ def _aperiodic(data: Dataset, *, integrates: bool) -> Lines:
     if data.missing:
         raise InputError(
             f"without a periodic input etfe needs every output, but {data.missing} of {data.N} "
-            "are missing: use spa, or cut the longest stretch without a hole, data[a:b]"
+            "are missing: use spa, or cut the longest stretch without a gap, data[a:b]"
         )
     # The rate is not known at the first sample, so the first u is removed too.
     treated = difference(data)[1:] if integrates else data
