@@ -44,7 +44,7 @@ _START_S = 20.0
 _ENDS_S = 2
 QUIET: dict[str, Any] = {
     "log_config": None,
-    "log_level": "error",  # no warnings: anybody could cause them by sending bytes that are not HTTP
+    "log_level": "error",  # no warnings: anybody can cause them with bytes that are not HTTP
     "access_log": False,
     "lifespan": "off",
     "ws": "none",
