@@ -28,7 +28,7 @@ from armrig.rig.session import RigError
 
 _Owner = Annotated[str, Meta(min_length=1, max_length=80)]
 _VISITOR = (
-    "a visitor of the dashboard"  # a visitor has no name of their choice: recordings keep the name
+    "a visitor of the dashboard"  # a visitor cannot choose the name that the recording stores
 )
 Answer = Callable[[Request], Awaitable[Response]]
 _LABELS = {"seconds": "length", "at": "step at", "Ts": "sampling time"}
@@ -145,7 +145,7 @@ class RigRoutes:
         try:
             asked = msgspec.json.decode(await request.body() or b"{}", type=_Stopped)
         except (msgspec.DecodeError, UnicodeDecodeError):
-            asked = _Stopped()  # a bad name does not refuse a stop
+            asked = _Stopped()  # a stop with an invalid name is accepted, too
         loop = asyncio.get_running_loop()
         try:
             await loop.run_in_executor(self._stopping, self._driver.stop, by or asked.owner)
@@ -180,7 +180,7 @@ class RigRoutes:
         return {"wanted": asked.wanted}
 
     async def _run(self, request: Request) -> Response:
-        asked_s = time.monotonic()  # now: the start may wait for a thread; a stop does not wait
+        asked_s = time.monotonic()  # read here: a start may wait for a thread, a stop does not
 
         def start(body: bytes) -> Any:
             asked = msgspec.json.decode(body, type=_Wanted)

@@ -9,7 +9,10 @@ from armrig_core.telemetry import Sample
 from numpy.typing import NDArray
 
 Rows = NDArray[np.float64]
-"""(n, 9): t in s, then least and largest u in V, theta_1 in °, its rate in °/s, and alpha in °."""
+"""(n, 9): t in s, then the least and the largest value of each of four signals.
+
+The signals are u in V, theta_1 in °, the rate of theta_1 in °/s, and alpha in °.
+"""
 
 COLUMNS = 9
 WIDTH_S = 0.01
@@ -17,10 +20,10 @@ WIDTH_S = 0.01
 sample has its own bin.
 """
 RATE_S = 0.1
-"""Time in s between the two angles of a rate; one converter step of an angle is 3.5 °/s of rate."""
+"""Time in s between the two angles of a rate; a converter step changes the rate by 3.5 °/s."""
 _TURN = 360.0
 _CLOCK_S = 1e-6  # resolution of the times, in s
-_MAX_ROWS_BEFORE = 1000  # rows for a rate; a rig at 1 kHz has 200
+_MAX_ROWS_BEFORE = 1000  # most earlier rows for a rate; a rig at 1 kHz needs 200
 
 
 def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
@@ -105,7 +108,7 @@ def _wraps(theta_1: NDArray[np.float64]) -> NDArray[np.bool_]:
     n = np.arange(theta_1.size)
     # The potentiometer wraps inside its dead band, whose unknown angles are skipped.
     known = np.maximum.accumulate(np.where(np.isnan(theta_1), 0, n))
-    return np.abs(np.diff(theta_1[known], prepend=theta_1[:1])) > _TURN / 2  # NaN is not
+    return np.abs(np.diff(theta_1[known], prepend=theta_1[:1])) > _TURN / 2  # False for NaN
 
 
 def as_lists(rows: Rows) -> list[list[float]]:

@@ -113,7 +113,7 @@ class Driver:
         RigError
             No daemon answers.
         """
-        # The daemon stops an armed rig. `_shown` refuses a run that is not armed yet.
+        # If the rig is armed, the daemon stops it. If not, `_shown` prevents the run.
         self._stopped = time.monotonic(), by
         with self._stopping:
             for last in (False, True):
@@ -152,10 +152,10 @@ class Driver:
         """Stop the current run, accept no other run, and release the rig."""
         self._runner.shutdown(wait=False)  # first: otherwise a run could begin after the stop
         if self.run.is_going:
-            with suppress(RigError):  # then its dead-man stops it
+            with suppress(RigError):  # without an answer, the dead-man time ends the run
                 self.stop("the dashboard, which ends")
         self._runner.shutdown(wait=True)
-        with self._one:  # an arm command is short
+        with self._one:  # only a short command, such as arm, can be in progress
             self._give_back()
         self._close_stopper()
 
@@ -180,7 +180,7 @@ class Driver:
 
     @contextmanager
     def _shown(self, asked_s: float, rig: Rig, experiment: str, N: int) -> Iterator[Progress]:
-        # The rig is armed at 0 V: from now on the daemon refuses the run after a stop.
+        # The rig is armed at 0 V: from now on, after a stop, the daemon refuses the run.
         stopped_s, by = self._stopped
         if stopped_s >= asked_s:
             raise RigError(f"not started: stopped by {by or 'somebody'}")

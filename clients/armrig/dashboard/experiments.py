@@ -34,8 +34,8 @@ _DEFAULT_S = 30.0
 _DEAD_MAN_S = 1.0  # if the dashboard ends, the motor must stop, as with `armrig collect`
 
 _Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{0,20}\Z", description="a-z, 0-9 and -")]
-_MAX_POINTS = 1200  # of the drawing
-_MAX_DESIGN_SAMPLES = 20_000  # most samples for predicted deviations: a second of computing
+_MAX_POINTS = 1200  # in the drawing
+_MAX_DESIGN_SAMPLES = 20_000  # limit for the predicted deviations: these take a second to compute
 _NOISE_RAD = 2 * np.pi / 1024 / 12**0.5  # one step of a converter of 10 bit
 
 
@@ -128,7 +128,7 @@ class Preview(msgspec.Struct, frozen=True, kw_only=True):
     revolutions: float
     alpha_deg: float
     deviations: list[str]
-    """Text for each free parameter: its predicted standard deviation in percent."""
+    """Text for each estimated parameter: its predicted standard deviation in percent."""
     notes: list[str]
 
 
@@ -170,7 +170,7 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
 
 
 def _drawn(u: NDArray[np.float64], Ts: float) -> tuple[list[float], list[float]]:
-    """Return times and values to draw the input; for a long input, its extremes per interval."""
+    """Return times and values to draw the input; for a long input, the extremes of intervals."""
     changes = np.flatnonzero(np.diff(u, prepend=np.nan) != 0)
     if changes.size <= _MAX_POINTS:
         at, values = [*changes.tolist(), u.size], [*u[changes].tolist(), float(u[-1])]

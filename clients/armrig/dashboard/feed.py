@@ -34,7 +34,7 @@ _TS = 0.01  # before the daemon has reported its sampling time
 _MOST_STATES, _MOST_NOTES = 200, 100
 _BACK_NS = 1_000_000_000
 _LATE_S = 60  # length of the histogram, in s
-_NA, _NB = 3, 4  # of the arm without its integrator; the sampled rate has as many zeros as poles
+_NA, _NB = 3, 4  # the arm without its integrator: 3 poles; the sampled rate also has 3 zeros
 _REMEMBERED_S = 20.0
 _TURN = 360.0
 _FRESH = rarx_start(na=_NA, nb=_NB)
@@ -199,7 +199,7 @@ class Feed:
         return np.concatenate([coarser(rows[:fine], COARSE_S), rows[fine:]])
 
     def news(self, after: int = 0) -> News:
-        """Return the changes since the previous news, whose `pieces` is the argument `after`."""
+        """Return the changes since a previous call; `after` is `News.pieces` of that call."""
         with self._lock:
             fresh = [*islice(reversed(self._rows), self._pieces - after)][::-1]
             rows = np.concatenate(fresh) if fresh else np.zeros((0, COLUMNS))

@@ -88,7 +88,7 @@ def _send(channels: dict[str, Any], rig: str, connect: str | None, ends: threadi
             with Rig(rig, connect=connect) as opened:
                 _pass_on(channels, opened, ends)
         except (RigError, ValueError):
-            pass  # the dashboard says why
+            pass  # the dashboard shows the reason
         ends.wait(_AGAIN_S)
 
 

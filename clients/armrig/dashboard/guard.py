@@ -12,7 +12,7 @@ from typing import Any
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 MOST_BODY = 8 << 20
-"""Longest body of a request, in B; a person's input may have several hundred thousand rows."""
+"""Longest body of a request, in B; the CSV file of an input may have 100 000 rows and more."""
 _BODY_S = 20.0  # longest time until the body is complete
 _CONTENT = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
@@ -71,7 +71,7 @@ class Guard:
         ----------
         origins : collection of str
             Addresses of the page, such as http://127.0.0.1:8807. A request with another Host is
-            refused. Otherwise a foreign page could use its own name for this machine (DNS
+            refused. Otherwise a foreign page could make its own name an alias of this machine (DNS
             rebinding).
         token : str
             Token that each request below /api/ must contain in `Authorization: Bearer`.
@@ -124,7 +124,7 @@ class Guard:
                 raise Refusal(405, "POST: the page's files are for GET")
             return
         kind, _, given = headers.get("authorization", "").partition(" ")
-        # The comparison is of bytes, so that a token with other characters than ASCII is refused.
+        # Bytes are compared, so that a token with characters outside ASCII is refused.
         is_his = kind == "Bearer" and self._opens(scope["path"], given.encode("latin-1"))
         if not is_his:
             raise Refusal(

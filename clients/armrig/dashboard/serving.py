@@ -39,12 +39,12 @@ from armrig.rig.telemetry_stream import decoded
 HOST = "127.0.0.1"
 PORT = 8807
 _FILES = 16_384
-_ONCE_S = 60.0  # in which a browser is started
+_ONCE_S = 60.0  # time within which the browser must open the page
 _START_S = 20.0
 _ENDS_S = 2
 QUIET: dict[str, Any] = {
     "log_config": None,
-    "log_level": "error",  # anybody could cause warnings by sending something else than HTTP
+    "log_level": "error",  # no warnings: anybody can cause them with bytes that are not HTTP
     "access_log": False,
     "lifespan": "off",
     "ws": "none",
@@ -58,7 +58,7 @@ QUIET: dict[str, Any] = {
 """Settings of uvicorn: no output, no server header, and a short wait at the end."""
 _LOOK_S = 0.025
 _STATUS_S = 0.5
-_SILENT_S = 2.0  # plus 2 Ts; then the listener connects again
+_SILENT_S = 2.0  # after this time plus 2 Ts without a sample, the listener connects again
 _RETRY_S = 0.3
 _MAX_PIECES = 100
 
@@ -155,7 +155,7 @@ class _Door:
 
     @property
     def url(self) -> str:
-        """URL of the page; the token follows the #, a part that browsers do not send."""
+        """URL of the page; the token follows the #, because browsers do not send this part."""
         return f"{self._origins[0]}/#token={self._token}"
 
     @property
@@ -164,7 +164,7 @@ class _Door:
         return f"{self._origins[0]}/#once={self._code}"
 
     def served(self, more: list[Route], live: RigRoutes, stream: Stream) -> ServerThread:
-        """Return a server's thread; the routes are `more`, and those to watch and to stop."""
+        """Return a server's thread; its routes are `more` and the routes to watch and to stop."""
         connections = Connections()
         routes = [*live.watching(connections), *more]
         once = None
@@ -226,7 +226,7 @@ class Server(uvicorn.Server):
         await self.serve([self._listening])
         # A client that does not read its last messages would keep its connection open.
         self._connections.end()
-        await asyncio.sleep(0)  # they are closed in the loop's next turn
+        await asyncio.sleep(0)  # asyncio closes the connections in the loop's next turn
 
 
 class ServerThread:

@@ -80,7 +80,7 @@ def certificate(address: str) -> Iterator[Certificate]:
         .sign(key, hashes.SHA256())
     )
     pem = serialization.Encoding.PEM
-    with TemporaryDirectory(prefix="armrig-share-") as folder:  # of this user alone
+    with TemporaryDirectory(prefix="armrig-share-") as folder:  # other users cannot read it
         files = Path(folder) / "certificate.pem", Path(folder) / "key.pem"
         files[0].write_bytes(made.public_bytes(pem))
         files[1].write_bytes(

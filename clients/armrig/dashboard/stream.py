@@ -66,8 +66,8 @@ class Stream:
         TooManyViewersError
             The largest number of viewers is reached.
         """
-        # All viewers receive the state that this viewer receives first. Otherwise a change back
-        # would be lost.
+        # All viewers now receive the newest state. Otherwise this viewer would receive a state
+        # that the others have not received; if it then changed back, nothing would be sent.
         self._send_changed()
         self.viewers.add(viewer)
         # News are queued for the viewer from here on. The page ignores rows that it already has.

@@ -1,4 +1,4 @@
-"""Results from one recording; a separate process computes the results, which takes long."""
+"""Results from one recording; the computation takes long and runs in a separate process."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from armrig.validation.comparison import compare
 from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
 
-_POINTS = 4000  # of a curve: four a pixel, so that a pixel holds its extremes at their times
+_POINTS = 4000  # of a curve: four for each pixel, so that its extremes keep their times
 _MOST_GAPS = _MOST_NOTES = 100
-_KEPT = 2  # recordings: the one that is looked at, and its validation
+_KEPT = 2  # number of recordings kept: the recording on the page, and its validation recording
 
 
 def facts(path: Path) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def csv(path: Path, start: float | None, stop: float | None) -> bytes:
     """Return a CSV of all samples between two times in s, with the page's quantities and units."""
     rows = zip(*(column.tolist() for column in _part(path, start, stop)), strict=True)
     lines = (f"{t:.6f},{u:.4f},{theta_1:.4f},{alpha:.4f}\n" for t, u, theta_1, alpha in rows)
-    # Here, in the worker: the process that serves a stop does not encode some 100 MB.
+    # The worker encodes these 100 MB: the server's process must be free for a stop.
     return ("t [s],u [V],theta_1 counted [deg],alpha [deg]\n" + "".join(lines)).encode()
 
 

@@ -1,8 +1,8 @@
 """Checks of the properties of this host that affect timing, with a remedy for each.
 
-The doctor reads the kernel's files below a root folder, which a test can replace. This machine's
-daemon reports the rights of the daemon's loop. Without a daemon, a trial (`Granted`) determines the
-rights of this user, who would start a daemon. The doctor changes nothing.
+The doctor reads the kernel's files below a root folder; a test uses a folder of its own. If a
+daemon runs on this machine, its status contains the rights of its loop. If no daemon runs, a trial
+(`Granted`) determines the rights of this user. The doctor changes nothing.
 """
 
 from __future__ import annotations
@@ -32,13 +32,16 @@ if TYPE_CHECKING:
 
 
 MAX_IDLE_WAKE_US = 20
-"""Longest wake-up time of an idle state, in µs, that does not affect the lateness."""
+"""Longest wake-up time of an idle state, in µs, that does not affect the lateness of ticks."""
 MAX_STEAL_SHARE = 0.01
 """Largest acceptable steal time: fraction of time that the hypervisor takes from this machine."""
 MIN_FREE_BYTES = 1 << 30
 """Least free space for recordings, in B; a recording at 2 kHz needs about 15 MB per minute."""
 _PRIORITY_FIELD = 15
-"""Index of the priority in the fields after the name, see proc_pid_stat(5); negative: real time."""
+"""Index of the priority among the fields after the process's name, see proc_pid_stat(5).
+
+A negative priority is a real-time priority.
+"""
 _SOCKET = "unixsock-stream/"
 _BUSY_COSTS = "any busy program delays ticks by milliseconds"
 _PAGE_COSTS = "a page that was swapped out delays a tick by milliseconds"

@@ -31,7 +31,7 @@ _BEGIN_INTERVAL_S = 0.2
 _DISK_PAUSE_S = 60.0
 """Least pause, in s, between a recording that a full disk ended and the rig's next recording."""
 _MIN_FREE_BYTES = 64 << 20
-"""Free space, in B, that a rig's next recording needs after a full disk ended a recording."""
+"""Free space, in B, needed to record a rig again after a full disk ended its recording."""
 
 
 @dataclass(slots=True)
@@ -57,7 +57,7 @@ class FleetRecorder:
         tell: Tell,
         tell_error: Tell,
     ) -> None:
-        """Prepare a recorder without rigs.
+        """Prepare a recorder; no recording begins yet.
 
         Parameters
         ----------
@@ -66,7 +66,7 @@ class FleetRecorder:
         path_of : callable
             Function that returns the path of a rig's first file.
         tell, tell_error : callable
-            Functions that are called with a message for people, by one thread at a time.
+            Functions that are called with a message for the user, by one thread at a time.
             `tell_error` is called if the recording of a rig ended early.
         """
         self._session, self._endpoint = session, endpoint
@@ -84,8 +84,8 @@ class FleetRecorder:
         Parameters
         ----------
         rigs : collection of str, optional
-            Ids of the rigs; None for all rigs that exist or appear. If ids are given, the function
-            also returns after the recordings of all these rigs have ended early.
+            Ids of the rigs; None for all rigs, also those that appear later. With ids, the function
+            also returns when the recordings of all these rigs have ended early.
         """
         until = float("inf") if seconds is None else time.monotonic() + seconds
         try:

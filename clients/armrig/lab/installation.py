@@ -105,7 +105,7 @@ class Plan:
             yield f"remove   {file.path}{changed}"
         yield from (f"run      {' '.join(command)}" for command in self.last)
         for path in self.kept:
-            # systemd ignores a link to nothing.
+            # systemd ignores a broken link.
             text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
             opens = ", which opens the network" if _NETWORK.search(text) else ""
             yield f"keep     {path}{opens}"
@@ -256,7 +256,7 @@ def _deploy() -> Path:
 
 def _program() -> str:
     program = Path(sys.prefix) / "bin" / "armrigd"
-    # The interpreter of a virtual environment is elsewhere: uv and pyenv keep it in a home.
+    # A virtual environment's interpreter is elsewhere: uv and pyenv keep it in a home folder.
     for needed in (program, Path(sys.base_prefix)):
         hidden = next((top for top in _HIDDEN_FOLDERS if needed.is_relative_to(top)), "")
         if hidden:

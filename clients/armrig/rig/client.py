@@ -39,12 +39,12 @@ from armrig.rig.session import (
 )
 from armrig.rig.telemetry_stream import arrivals, listen
 
-REPLY_S = 5.0  # longest time of a reply
-_REPLY_PER_SAMPLE_S = 5e-6  # more: each sample of a run is read, checked and rehearsed first
+REPLY_S = 5.0  # longest wait for a reply
+_REPLY_PER_SAMPLE_S = 5e-6  # added: before its reply the daemon checks and rehearses all samples
 _POLL_INTERVAL_S = 0.1
-_REPEAT_INTERVAL_S = 0.02  # of a command that was refused temporarily
-# Time for which a temporarily refused command is repeated: the daemon reports its timing once a
-# second, and after a stall that spoils two reports the next report is clean.
+_REPEAT_INTERVAL_S = 0.02  # between two attempts of a temporarily refused command
+# Time for which a temporarily refused command is repeated. The daemon reports its timing once a
+# second. A stall can spoil two reports; the third report is good again.
 _REPEAT_S = 2.5
 _R = TypeVar("_R")
 _TIMEOUT = b"Timeout"  # an error of zenoh; the daemon's own errors are JSON
@@ -68,16 +68,15 @@ class Rig:
     Raises
     ------
     NoReplyError
-        At the start of the block: no daemon answers, or the daemon refuses the client.
+        No daemon answers at the start of the block, or the daemon refuses the client.
     RigError
-        At the start of the block: the socket's directory may belong to another user, or the
-        credential cannot be used.
+        Another user may own the socket's directory, or the credential cannot be used.
     ValueError
         The id is not valid.
 
     Examples
     --------
-    The example starts an emulated rig. While `armrig lab` runs, only the inner block is needed.
+    The example starts an emulated rig. If `armrig lab` already runs, use only the inner block.
 
     >>> import armrig
     >>> from pathlib import Path
@@ -108,7 +107,7 @@ class Rig:
         self._n = 0
         self._limits_v = (0.0, U_MAX_V)
         self.last_run: commands.LastRun | None = None
-        """Report of the daemon on the newest run that `run` played."""
+        """Daemon's report on the last run that `run` played."""
 
     def __enter__(self) -> Self:
         """Connect."""
@@ -161,7 +160,8 @@ class Rig:
         Returns
         -------
         LeaseGranted
-            Sampling time, in s, and allowed voltages, in V: `u_min`, `u_max`.
+            Sampling time `Ts`, in s, and lowest and highest allowed voltage, `u_min` and `u_max`,
+            in V.
 
         Raises
         ------
@@ -205,8 +205,8 @@ class Rig:
         Parameters
         ----------
         u : array_like, shape (N,)
-            Motor voltage at each sample, in V, inside the limits of `arm`. N is at least 1 and at
-            most 4 000 000.
+            Motor voltage at each sample, in V, inside the limits that `arm` returned. N is at least
+            1 and at most 4 000 000.
         pacing : {"scheduled", "exchange"}
             Clock that triggers each sample: the device's timer ("scheduled"), or the host
             ("exchange"). With "exchange", the data contain the jitter of the host.
@@ -217,11 +217,11 @@ class Rig:
         dead_man : float, optional
             Time in s, 0.5 to 60. If this process sends no sign of life for this time, the daemon
             stops the run, because the process may have been killed, frozen or disconnected. By
-            default the run continues without this process. A sign of life is sent after each call
-            of `progress`. A call that takes longer than `dead_man` therefore ends the run.
+            default the run continues even if this process ends. A sign of life is sent after each
+            call of `progress`. If `progress` takes longer than `dead_man`, the run therefore ends.
         accepted : callable, optional
-            Called once with the daemon's answer when the run begins; its `rehearsal` contains the
-            prediction of the rig's model.
+            Called once with the daemon's answer when the run begins. The answer's `rehearsal`
+            contains the prediction of the rig's model.
         progress : callable, optional
             Called about ten times a second with two arguments: the number of samples taken so far,
             and the number of samples of the run.
@@ -229,8 +229,8 @@ class Rig:
         Returns
         -------
         Path
-            Path of the recording. Its file is complete and synchronised on the daemon's disk, and
-            therefore survives a loss of power. `last_run` contains the number of samples.
+            Path of the recording. The file is complete and synchronised on the daemon's disk, and
+            therefore survives a loss of power. `last_run.samples` is the number of samples.
 
         Raises
         ------
@@ -287,8 +287,8 @@ class Rig:
     ) -> commands.LastRun:
         while True:
             wait_s = _REPEAT_INTERVAL_S
-            # If other clients send many commands, this one may be refused. The run continues, and
-            # this loop repeats one request at a time: a sign of life must not wait for several.
+            # If other clients send many commands, the daemon may refuse this request. The run
+            # continues. The next sign of life must not wait, so each request is sent only once.
             with suppress(BusyError):
                 status = self._ask(commands.Status(), commands.StatusReport)
                 wait_s = _POLL_INTERVAL_S
@@ -300,24 +300,24 @@ class Rig:
                         f"the daemon does not know the run {run.run_id} any more: it was "
                         "restarted during the run; `armrig ls` shows what it had recorded"
                     )
-                # A complete run may have missing samples; it has ended nevertheless.
+                # A complete run may have missing samples: `last.samples` may be less than `total`.
                 total = len(request.u)
                 progress(total if last.is_complete else last.samples, total)
                 if last.finished and status.phase != "active":
                     return last
             if request.dead_man is not None:
-                # This loop sends the sign: a thread would send it even if the client hangs.
+                # This loop sends the sign of life: a thread would send it even if the client hangs.
                 with suppress(RefusedError):  # the run has just ended
                     self._ask(commands.Renew(**self._stamp()), commands.Done)
             time.sleep(wait_s)
 
     def set(self, u: float) -> None:
-        """Hold a voltage until the next `set`, for at most `period_s` of the answer to `arm`.
+        """Hold a voltage until the next `set`, for at most the time `period_s` that `arm` returned.
 
         Parameters
         ----------
         u : float
-            Motor voltage in V, inside the limits of `arm`.
+            Motor voltage in V, inside the limits that `arm` returned.
 
         Raises
         ------
@@ -350,7 +350,7 @@ class Rig:
         ----------
         by : str, optional
             Name of the person or program that stops the rig, stored in the recording. The default
-            is the owner given to `arm`, or this user.
+            is the owner given to `arm`; without a call of `arm`, the login name of this user.
 
         Raises
         ------
@@ -392,7 +392,8 @@ class Rig:
         text : str
             Text, such as "touched the arm"; 1 to 500 printable characters.
         owner : str, optional
-            Author; by default the owner given to `arm`, or this user.
+            Author; by default the owner given to `arm`, or, without a call of `arm`, the login
+            name of this user.
 
         Returns
         -------
@@ -563,7 +564,7 @@ class Rig:
         return {"lease": self._lease, "n": self._n}
 
     def _has_command(self, name: str) -> bool:
-        """Return whether the daemon publishes the schema of a command."""
+        """Return whether the daemon knows a command: it then publishes the command's schema."""
         key = topics.schema_key(self.rig, f"cmd/{name}")
         return any(reply.ok for reply in self._connected().get(key, timeout=REPLY_S))
 

@@ -33,7 +33,10 @@ from armrig.rig.replies import Progress, RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError, ServiceStoppedError, service_has_stopped
 
 Shown = Callable[[Rig, str, int], AbstractContextManager[Progress]]
-"""Function of rig, kind of experiment and N; its context manager yields a progress callback."""
+"""Function of rig, kind of experiment and N.
+
+It returns a context manager that yields a progress callback.
+"""
 
 LONGEST_TS = 1.0
 """Longest sampling time that the daemon allows, in s."""
@@ -43,7 +46,7 @@ DEAD_MAN_S = (0.5, 60.0)
 _FINISH_TIMEOUT_S = 2.0  # until a stopped run is complete on the disk
 _POLL_INTERVAL_S = 0.05
 _MAX_RECEIVED_BYTES = 1 << 16  # a listener sends its subscriptions only
-_MAX_SLEEP_S = 1.0  # a longer pause is slept in pieces: a file may contain times beyond any float
+_MAX_SLEEP_S = 1.0  # a longer pause is divided: time.sleep refuses the longest times of a file
 _LISTENER_INTERVAL_S = 0.05
 Publish = Callable[[str, bytes], None]
 
@@ -77,7 +80,7 @@ class Plan:
     experiment: str
     """Kind of experiment, part of the recording's name."""
     make: Callable[[int, float], NDArray[Any]]
-    """Function of N and Ts, in s; it returns u, in V. The length of u may differ from N."""
+    """Function of N and of Ts in s; it returns u in V. The length of u may differ from N."""
     details: Mapping[str, Any]
     """Settings from which the input can be computed again."""
     seconds: float | None
@@ -120,7 +123,7 @@ def number_of_samples(seconds: float, Ts: float) -> int:
     Raises
     ------
     ValueError
-        There would be no sample, or more samples than a run may have.
+        The number is 0, or larger than the largest number of samples of a run.
     """
     N = floor(seconds / Ts + 0.5)
     if N < 1:
@@ -244,7 +247,7 @@ ARM_OFF = (
 
 
 def _require_arm_off(status: StatusReport) -> None:
-    """Raise RigError if the rig's configuration has an arm."""
+    """Raise RigError unless the rig's configuration says that the arm is removed."""
     if not status.arm_removed:
         raise RigError(
             f"this experiment needs the chassis alone, but rig {status.rig} has its arm on: "
@@ -346,7 +349,7 @@ class Stage:
             schema_key(rig, name): protobuf.descriptor_set(name)
             for name in protobuf.OF_STREAM.values()
         }
-        # Other queries get no answer: after a status, clients would take this session for a rig.
+        # Other queries get no answer: a client that got a status would take this session for a rig.
         session.declare_queryable(schema_key(rig, "**"), self._serve_schema)
         self._alive = session.liveliness().declare_token(alive_key(rig))
 
@@ -411,7 +414,7 @@ def play(run: PublishedRun, publish: Publish, *, speed: float) -> Iterator[Publi
 
 
 def rest(run: PublishedRun, *, speed: float) -> None:
-    """Wait for one sampling time between the end of a playback and the next playback."""
+    """Wait for one sampling time, divided by `speed`, before the next playback of a run."""
     _sleep_until(time.monotonic() + run.manifest.Ts / speed)
 
 

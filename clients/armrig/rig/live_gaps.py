@@ -14,7 +14,10 @@ from armrig_core.codes import GapCode
 from armrig_core.telemetry import Sample
 
 MOST_TOLD, MOST_TOLD_BYTES = 10_000, 1 << 20
-"""Limits for the gaps stored until a later sample arrives: number, and total size in B."""
+"""Largest number and largest total size, in B, of stored gaps.
+
+A gap is stored until a later sample arrives.
+"""
 _T = TypeVar("_T")
 
 
@@ -48,7 +51,7 @@ class LiveGap:
     reason: str
     """Reason for the gap."""
     published: bool
-    """True if the samples were published, but this listener missed them."""
+    """True if the daemon published the samples, but this listener missed them."""
     code: str
     """Code of the reason: an `armrig_core.codes.GapCode`."""
 

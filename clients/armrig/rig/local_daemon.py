@@ -83,7 +83,7 @@ def stop(daemon: subprocess.Popen[bytes]) -> None:
     daemon.send_signal(signal.SIGTERM)
     try:
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not the main thread, and no signal interrupts another thread
+    except ValueError:  # this is not the main thread; signals interrupt only the main thread
         before = None
     try:
         daemon.wait(_STOP_TIMEOUT_S)

@@ -69,9 +69,9 @@ class RecordedFile:
 class RemoteRecording:
     """Writer of a rig's messages into one or several files.
 
-    A new file begins if the sample index restarts, or if the sampling time changes. A file that is
-    too long or has too many missing samples cannot be loaded. A new file begins before the current
-    file reaches this limit.
+    A new file begins if the sample index restarts, or if the sampling time changes. A file with too
+    many samples or too many missing samples cannot be loaded. A new file therefore begins before
+    the current file has too many.
     """
 
     path: Path
@@ -95,7 +95,7 @@ class RemoteRecording:
     _begun: deque[float] = field(default_factory=lambda: deque(maxlen=_MAX_FILES))
 
     def add(self, piece: Piece) -> None:
-        """Record the messages of a piece; wait for the disk if too many pieces are pending.
+        """Record the messages of a piece; wait if too many pieces are not yet on the disk.
 
         Raises
         ------
@@ -265,8 +265,8 @@ def remote_manifest(rig: str, endpoint: str, state: Any, clock_offset_ns: int) -
     Parameters
     ----------
     state : armrig.v1.State
-        Newest state that the daemon published. The manifest includes the description of the device
-        from the state, if this description is valid in a manifest.
+        Newest state that the daemon published. If the state's description of the device is valid
+        in a manifest, the manifest contains this description.
     clock_offset_ns : int
         Real-time clock minus monotonic clock, in ns, on the host whose daemon publishes the
         samples.
@@ -375,7 +375,7 @@ class Ended(Protocol):
 
 
 class RemoteRecorder:
-    """Recorder of all messages that a rig's daemon keeps."""
+    """Recorder of all messages of a rig, also of the earlier messages that its daemon keeps."""
 
     def __init__(self, session: zenoh.Session, recording: RemoteRecording) -> None:
         """Prepare a recorder; no query is sent yet."""

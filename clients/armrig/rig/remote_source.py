@@ -73,7 +73,10 @@ class RemoteSource:
         return Piece(past=past, is_new_life=is_new and began, lost=lost if began else 0)
 
     def _asked(self, first: int, life: bytes) -> Past | None:
-        """Return the answer of the daemon `life`, or else of the only daemon that answers."""
+        """Return the answer of the daemon `life`; without it, that of the only answering daemon.
+
+        `life` is the id that a daemon chooses at its start.
+        """
         question = msgspec.json.encode(HistoryRequest(first=first))
         others: dict[bytes, Past] = {}
         refused = False
@@ -97,5 +100,5 @@ class RemoteSource:
         if len(others) > 1:
             msg = f"{self._key}: {len(others)} daemons answer and cannot be distinguished; end "
             raise RigError(msg + "all but one, or give each rig an id of its own")
-            # An answer may be of another daemon if the right one is too busy to answer.
+            # The only answer may be of another daemon if the right daemon was too busy to answer.
         return None if refused else next(iter(others.values()), None)

@@ -31,12 +31,12 @@ from armrig_core.recording_directory import installed, of_rig
 from armrig_core.topics import PLAYED, check_rig_id, is_rig_id
 
 UNIT = Path("/etc/systemd/system/armrigd@.service")
-"""Path of the systemd unit of the services; the file exists if a service is installed."""
+"""Path of the systemd unit of the rigs' services; the file exists if a service is installed."""
 MOST_RECEIVED = 16 << 20
 """Longest received message, in B; a longer message ends the connection."""
 LONGEST_S = 3.0
 """Longest time of each step of a test connection, in s."""
-_ANSWER_TIMEOUT_S = 1.0  # TLS 1.3 refuses a certificate after the handshake
+_ANSWER_TIMEOUT_S = 1.0  # in TLS 1.3, a refusal of the certificate follows after the handshake
 # X509_V_ERR_… of OpenSSL, x509_vfy.h
 _EXPIRED, _OTHER_HOST = 10, (62, 64)
 _SILENT = "no answer: check that the host is on, and that no firewall blocks the connection"
@@ -78,7 +78,10 @@ class Connection(NamedTuple):
     session: zenoh.Session
     endpoint: str
     name: str
-    """Name in the keys of commands, from the certificate or the password file; "" for a socket."""
+    """Client's name, from its certificate or password file; "" for a socket.
+
+    The keys of the client's commands contain this name.
+    """
 
 
 class _Way(NamedTuple):
@@ -326,7 +329,7 @@ def _check_directory(directory: Path, owners: Collection[int]) -> None:
 
 
 def not_permitted(rig: str, where: str, name: str, command: str) -> NoReplyError:
-    """Return the error for a daemon over a network that does not answer a client's command."""
+    """Return the error for a daemon that does not answer a client's command over a network."""
     return NoReplyError(
         f"no reply from rig {rig} at {where} to {command!r}: not running, or not permitted: "
         f"look for {name} in the access list of the rig"
@@ -351,7 +354,7 @@ def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
 
 
 def service_has_stopped(rig: str, where: str) -> bool:
-    """Return True if `where`, which does not answer, is the socket of this machine's service.
+    """Return True if the silent endpoint `where` is the socket of this machine's service.
 
     If the service's folder exists but this user may not enter it, the result is False.
     """

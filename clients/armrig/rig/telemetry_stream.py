@@ -29,7 +29,7 @@ SILENCE_S = 1.0
 _LOOK_TIMEOUT_S = 1.0
 _LISTEN_INTERVAL_S = 0.002
 _RING_MESSAGES = 10_000  # a slower listener misses the oldest messages
-_RING_BYTES = MOST_RECEIVED  # of all messages; a single message of a stranger may be as long
+_RING_BYTES = MOST_RECEIVED  # in total; a stranger can send a single message of this length
 
 
 def stream(
@@ -37,9 +37,9 @@ def stream(
 ) -> Iterator[Any]:
     """Iterate over the live messages of a key such as `rig/1/sample`.
 
-    In a stream of samples, a `LiveGap` replaces missing samples. Its field `reason` contains the
-    reason that the daemon reports. If the daemon reports no reason, this listener was too slow and
-    missed the oldest samples.
+    In a stream of samples, a `LiveGap` replaces missing samples. The field `reason` of the gap
+    contains the reason that the daemon reports. If the daemon reports no reason, this listener was
+    too slow and missed the samples.
 
     Parameters
     ----------

@@ -94,9 +94,7 @@ def _refused(host: Host) -> None:
         expect(host.state == State.READY, f"{fields}: state {host.state}")
 
 
-@rule(
-    4, "Limits are accepted: the shortest Ts, both ends of the watchdog, an empty range of voltage"
-)
+@rule(4, "Limits are accepted: the shortest and longest Ts and watchdog's time, and u_min = u_max")
 def _limits(host: Host) -> None:
     good: tuple[dict[str, int], ...] = (
         {"ts_us": host.known.ts_min_us},
@@ -131,7 +129,7 @@ def _nonce(host: Host) -> None:
     expect(host.configure(oversampling=0).nonce == 0, "a nonce in IDLE")
 
 
-@rule(4, "Oversampling: at least `ts_min_us` + 2 (m - 1) `skew_us`; or UNSUPPORTED")
+@rule(4, "With oversampling m, Ts is at least `ts_min_us` + 2 (m - 1) `skew_us`; or UNSUPPORTED")
 def _unsupported(host: Host) -> None:
     none = host.configure(oversampling=2, ts_us=100_000).code
     for m in (2, 3, 8):

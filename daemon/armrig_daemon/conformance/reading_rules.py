@@ -66,13 +66,13 @@ def _waiting(host: Host) -> None:
         if [bool(x.flags & Flag.TICK_LATE) for x in got] == [False, True]:
             apart = elapsed(got[0].t_us, got[1].t_us)
             expect(apart >= 2 * m * (host.known.skew_us - 1), f"{apart} us apart with m={m}")
-            again = host.exchange(0, k=k + 3)  # the third was not accepted, so its k is new
+            again = host.exchange(0, k=k + 3)  # the third was not accepted, so its k is still new
             expect(isinstance(again, Sample), [again])
             return
-    expect(False, came)  # five times: not because the line separated the frames
+    expect(False, came)  # after five attempts: the line does not separate the frames each time
 
 
-@rule(5, "If RUN ends before the latch, the SAMPLE reports the state and code after it: u_k 0")
+@rule(5, "If RUN ends before the latch, the SAMPLE reports the state after the end, and u_k 0")
 def _overtaken(host: Host) -> None:
     m = _oversample(host)
     config = {"oversampling": m, "ts_us": ts_min_us(host, m) + 10_000}
@@ -125,7 +125,7 @@ def _cal(host: Host) -> None:
             expect(it.variance_256 > 0 or not spreads, f"{it}")
 
 
-@rule(5, "CAL is BAD_VALUE with n of 0 or above 1024, an unknown channel, or zero not 0")
+@rule(5, "CAL is BAD_VALUE with n = 0, n > 1024, an unknown channel, or `zero` other than 0")
 def _cal_bounds(host: Host) -> None:
     _need_cal(host)
     for channel, zero, n in ((0, 0, 0), (0, 0, 1025), (2, 0, 1), (0, 1, 1)):

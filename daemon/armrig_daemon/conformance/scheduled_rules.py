@@ -179,9 +179,9 @@ def _late(host: Host) -> None:
     expect(max(driven) == k0 + _PLACES - 1, f"sample {max(driven)} was the last with a setpoint")
 
 
-@rule(6, "A repeat that ends at `next` of an empty queue is no step in u: it is dropped unanswered")
+@rule(6, "Repeated setpoints before `next` of an empty queue cause no step in u, and no answer")
 def _late_repeat(host: Host) -> None:
-    ramp = [1_000, 2_000, 3_000]  # in steps of `slew`, and thus far from the padding after it
+    ramp = [1_000, 2_000, 3_000]  # steps of `slew`; a step to the padding, 0, would be too large
     armed(host, slew=1_000, underrun=Underrun.HOLD, hold=255)
     fill(host, ramp)
     came: list[Message] = host.ask(Start)
@@ -193,7 +193,7 @@ def _late_repeat(host: Host) -> None:
     expect(kinds(others) == [Ack, Event] and host.state == State.RUN, others)
 
 
-@rule(6, "EXCHANGE in RUN is WRONG_STATE; the setpoints of a run end with it")
+@rule(6, "EXCHANGE in RUN is WRONG_STATE; after a run, the queue is empty")
 def _exchange(host: Host) -> None:
     armed(host)
     fill(host, [500] * 48)

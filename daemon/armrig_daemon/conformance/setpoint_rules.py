@@ -70,9 +70,7 @@ def _capacity(host: Host) -> None:
     expect(held == queue, f"{held} queued, {queue} in HELLO_R")
 
 
-@rule(
-    6, "The queue holds entries of `queue`/8 frames, however short, but no entry of a further frame"
-)
+@rule(6, "The queue holds entries of at most `queue`/8 frames, even if the frames are short")
 def _frames(host: Host) -> None:
     armed(host)
     most = host.known.queue // 8
@@ -84,7 +82,7 @@ def _frames(host: Host) -> None:
     expect(held == most, f"{held} queued of {most + 1} frames with one setpoint each, not {most}")
 
 
-@rule(6, "SETPOINTS is BAD_VALUE with n of 0 or above 24, or zero not 0")
+@rule(6, "SETPOINTS is BAD_VALUE with n = 0, n > 24, or `zero` other than 0")
 def _bad(host: Host) -> None:
     armed(host)
     for fields in ({"n": 0}, {"n": _PLACES + 1}, {"n": 255}, {"zero": 1}):
@@ -108,7 +106,7 @@ def _range(host: Host) -> None:
     _trips(host, 3, [4, 30_001], Cause.RANGE, 30_001)
 
 
-@rule(6, "A step above `slew` from index to index is FAULT(SLEW); the code before 0 is u_rest")
+@rule(6, "A step above `slew` from index to index is FAULT(SLEW); before index 0, u is u_rest")
 def _slew(host: Host) -> None:
     for frames, detail in (
         ([(0, [101])], 101),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-CAPACITY_BYTES: Final = 1 << 16  # like the driver of a USB-serial adapter
+CAPACITY_BYTES: Final = 1 << 16  # as in the driver of a USB-serial adapter
 
 
 class Backlog:

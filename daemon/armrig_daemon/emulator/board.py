@@ -56,9 +56,9 @@ def volts(code: int, pwm_bits: int) -> float:
 
 
 def driven(volts: float, gain: float, offset_v: float) -> float:
-    """Return the voltage of a driver that saturates at 0 and 5 V; at `volts` = 0 it is off."""
+    """Return the output of a driver that is off at `volts` = 0, and saturates at 0 and 5 V."""
     if not volts or (gain == 1.0 and offset_v == 0.0):
-        return volts  # an ideal driver does not saturate, so that an excess stays visible
+        return volts  # an ideal driver does not saturate: a wrong voltage remains visible
     return min(max(gain * volts + offset_v, 0.0), FULL_SCALE_V)
 
 
@@ -111,7 +111,7 @@ class Board:
     def motion(self, now_ns: int) -> plant.State:
         """Return the angles of the arm and their rates."""
         if now_ns == self._now_ns:
-            return self._x  # the case of each latch: theta_1 was held at the same instant
+            return self._x  # as at each latch: theta_1 was held at the same instant
         self._x = plant.advance(self._plant, self._x, self._volts, now_ns - self._now_ns)
         self._now_ns = now_ns
         return self._x
@@ -137,8 +137,8 @@ class Board:
     def drive(self, now_ns: int, share: float, state: State, cause: Cause) -> None:
         """Apply the measured duty of a simulated board's pin, a share of the full voltage.
 
-        The duty is known only at the end of its PWM period. If the arm has moved during the period,
-        the voltage changes at the arm's position at the end of the period.
+        The duty is known only at the end of its PWM period. If the motion of the arm has already
+        been computed beyond `now_ns`, the voltage changes at the end of this motion.
         """
         terminal_v = driven(FULL_SCALE_V * share, *self._driver)
         self._apply(max(now_ns, self._now_ns), terminal_v, state, cause)

@@ -13,24 +13,24 @@ U32: Final = 0xFFFF_FFFF
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Conversion between the caller's time (given time) and device time, in integers."""
+    """Conversion between the caller's time and device time, in integers."""
 
     reset_ns: int
-    """Given time at which the clock began at 0."""
+    """Caller's time at which the clock began at 0."""
     second_ns: int = _NS_PER_S
-    """Given time in which the clock counts one second, in ns; above 1e9 for a slow oscillator."""
+    """Caller's time in which the clock counts one second, in ns; above 1e9 if the clock is slow."""
 
     def device_ns(self, now_ns: int) -> int:
-        """Return the device time at a given time, in whole ns."""
+        """Return the device time at the caller's time `now_ns`, in whole ns."""
         return (now_ns - self.reset_ns) * _NS_PER_S // self.second_ns
 
     def instant(self, device_ns: int) -> int:
-        """Return the first ns of given time at which the clock shows `device_ns`."""
+        """Return the first ns of the caller's time at which the clock shows `device_ns`."""
         return self.reset_ns - (-device_ns * self.second_ns // _NS_PER_S)
 
     def after(self, now_ns: int, dt_ns: int) -> int:
-        """Return the given time at which `dt_ns` of device time have passed since `now_ns`."""
-        # `instant(device_ns(now_ns) + dt_ns)` without the calls, for each frame and each step.
+        """Return the caller's time at which `dt_ns` of device time have passed since `now_ns`."""
+        # This is `instant(device_ns(now_ns) + dt_ns)`; calls would cost time at each step.
         end_ns = (now_ns - self.reset_ns) * _NS_PER_S // self.second_ns + dt_ns
         return self.reset_ns - (-end_ns * self.second_ns // _NS_PER_S)
 

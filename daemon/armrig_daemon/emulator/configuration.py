@@ -27,7 +27,7 @@ def check_config(config: Config, *, ts_min_us: int, skew_us: int) -> Code:
     allowed = (
         config.ts_us >= ts_min_us + 2 * pairs_more * skew_us
         and config.u_min <= config.u_max
-        # The device has an enable line, so a rest other than 0 is allowed.
+        # The device has an enable line, so u_rest may differ from 0.
         and (config.u_rest == 0 or config.u_min <= config.u_rest <= config.u_max)
         and WATCHDOG_MIN_MS <= config.watchdog_ms <= WATCHDOG_MAX_MS
         and config.mode in set(Mode)

@@ -104,10 +104,10 @@ class Device:
         """Return a time before which no byte can leave and the watchdog cannot trip.
 
         If only internal work is due, the returned time is later than `next_ns`. A caller that only
-        writes bytes can sleep until this time and gets the same bytes. Answers are ready `LEAD_NS`
-        before they are due. A sample of the timer is ready only when it is due, because no host
-        waits for the sample. The caller is therefore woken only once for the sample, and not also
-        before the sample is due.
+        needs the bytes can sleep until this time. The bytes are then the same.
+
+        An answer is ready `LEAD_NS` before it is due. A sample of the timer is ready only when it
+        is due, because no host waits for it. The caller then wakes only once for each sample.
         """
         fw, sample_ns = self._fw, self._sample_ns
         timer_ns, answer_ns = fw.timer_ns, max(0, sample_ns - LEAD_NS)

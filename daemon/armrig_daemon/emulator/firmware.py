@@ -150,7 +150,7 @@ class Firmware:
     def accept(self, config: Config) -> None:
         """Apply a configuration, and give it a nonce that is new in this boot."""
         self.config, self.config_crc = config, config_crc(config)
-        # 1 ... 2^32 - 1 in turn, from boot_id on, so that other boots have other nonces.
+        # Nonces count from boot_id through 1 ... 2^32 - 1, so that other boots have other nonces.
         self.nonce = (self.boot_id + self.accepted) % U32 + 1
         self.accepted += 1
 

@@ -41,7 +41,7 @@ def firmware_image(image: Path | None) -> Path:
     if not found.is_file():
         raise OperationError(f"{found}: no such firmware; `make firmware` builds it in a checkout")
     try:
-        read_image(found)  # simavr would run a cut file up to the cut
+        read_image(found)  # simavr would also run an incomplete file
     except FileError as err:
         raise OperationError(str(err)) from err
     except OSError as err:

@@ -101,7 +101,7 @@ class Harness:
         baud : int
             Speed of the host's line, in bit/s.
         trace : Path, optional
-            VCD file for the two pins.
+            VCD file with the levels of the PWM pin and the enable line.
         """
         arguments = [str(program), "--baud", str(baud)]
         if trace is not None:
@@ -150,7 +150,7 @@ class Harness:
         self._order(b"R", 0, deaf_cycles)
 
     def optiboot(self, version: int, r2: int) -> None:
-        """Put a boot loader of this version, such as 0x0803, into flash; it sets register r2."""
+        """Put a boot loader of this version, such as 0x0803, into flash; it leaves `r2` in r2."""
         self._order(b"O", r2, version)
 
     def supply(self, millivolts: int) -> None:

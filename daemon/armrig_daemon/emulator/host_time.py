@@ -1,8 +1,8 @@
-"""The time of an emulated device (the given time): the host's time, without the host's stalls.
+"""Emulation time, the time that an emulated device receives: the host's time without stalls.
 
 An emulated device receives nothing while its process is stalled. If its clock continued during the
 stall, its watchdog would trip after the stall. Therefore the device's clock and the arm stop during
-a stall. The watchdog's time is measured by the device's clock, and does not change.
+a stall. The watchdog's time, measured by the device's clock, does not change.
 """
 
 from __future__ import annotations
@@ -10,30 +10,30 @@ from __future__ import annotations
 from typing import Final
 
 STALL_NS: Final = 10_000_000
-"""Largest lateness that is no stall, in ns; in this time the device's clock still continues."""
+"""Largest lateness, in ns, that is not a stall: the device's clock continues during this time."""
 LOOK_NS: Final = 10_000_000
 """Longest wait between two readings of the clock, in ns; a stall within a wait is not detected."""
 
 
 class HostTime:
-    """Conversion of monotonic time to given time; it needs all clock readings, in order."""
+    """Conversion of monotonic time to emulation time; it needs all clock readings, in order."""
 
     def __init__(self, now_ns: int, *, tolerates_stalls: bool) -> None:
-        """Start at a monotonic time; if stalls are not tolerated, given time is monotonic time."""
+        """Start at `now_ns`; if stalls are not tolerated, emulation time is monotonic time."""
         self._tolerates_stalls = tolerates_stalls
         self._read_ns = now_ns
         self.held_up_ns = 0
-        """Sum of the stalls so far, in ns; given time is monotonic time less this sum."""
+        """Sum of the stalls so far, in ns; emulation time is monotonic time minus this sum."""
 
     def given_ns(self, now_ns: int, due_ns: int = 0) -> int:
-        """Return the time to pass to the device.
+        """Return the emulation time, which the caller passes to the device.
 
         Parameters
         ----------
         now_ns : int
             Current monotonic time.
         due_ns : int
-            Given time until which the process intended to wait after the last reading, in ns.
+            Emulation time, in ns, until which the process intended to wait after the last reading.
         """
         late_ns = now_ns - max(self._read_ns, self.monotonic_ns(due_ns))
         self._read_ns = now_ns
@@ -42,11 +42,11 @@ class HostTime:
         return now_ns - self.held_up_ns
 
     def look_ns(self, due_ns: int) -> int:
-        """Return the given time of the next clock reading, if nothing is due before `due_ns`."""
+        """Return the emulation time of the next clock reading if nothing is due before `due_ns`."""
         if not self._tolerates_stalls:
             return due_ns
         return min(due_ns, self._read_ns - self.held_up_ns + LOOK_NS)
 
     def monotonic_ns(self, given_ns: int) -> int:
-        """Return the monotonic time that corresponds to a given time after the last stall."""
+        """Return the monotonic time that corresponds to an emulation time after the last stall."""
         return given_ns + self.held_up_ns

@@ -89,7 +89,7 @@ class Line:
             data, is_closed = b"", False
         except OSError:  # EIO: the port was closed; ECONNRESET: sent bytes were not read
             data, is_closed = b"", True
-        # A short read took all bytes; the rest of a closed port is read up to the error.
+        # A short read took all bytes. If the port was closed, reads go on until one fails.
         self.has_input = len(data) == READ_BYTES or (bool(data) and self._is_hung_up)
         if is_closed:
             self.hang_up()

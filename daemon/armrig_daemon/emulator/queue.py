@@ -54,9 +54,9 @@ class SetpointQueue:
         return Cause.NONE, 0
 
     def add(self, m: Setpoints) -> bool:
-        """Add the setpoints of `m` that are new; return whether the others agree with the queue.
+        """Add the setpoints of `m` that are new; return False if `m` contradicts the queue.
 
-        Setpoints that are late, follow a gap or find no room are dropped.
+        Setpoints that are late or follow a gap are dropped; if the queue is full, also new ones.
         """
         offset, have = self._offset(m.k0), len(self._entries)
         if offset > have:

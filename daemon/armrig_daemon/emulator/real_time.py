@@ -79,7 +79,7 @@ class RealTimeDevice(Protocol):
 
 
 SwitchOn = Callable[[EmulatorSettings, int, Witness], RealTimeDevice]
-"""Function that creates a device that is switched on at a given time, in ns."""
+"""Function that creates a device, switched on at a time in ns."""
 
 
 def emulate(
@@ -186,7 +186,7 @@ def _run(
             if replies:
                 due_ns = min(due_ns, replies[0][0])
             if line.connected and line.has_input:
-                # Read no faster than the wire carries, so that the kernel holds the host back.
+                # Read only as fast as the wire transmits, so that the kernel slows the host down.
                 due_ns = min(due_ns, now_ns + device.rx_backlog_ns(now_ns) - full_ns)
             line.watch_room()
             due_ns = time.look_ns(due_ns)

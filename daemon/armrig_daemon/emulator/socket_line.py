@@ -44,7 +44,8 @@ class SocketLine(Line):
         os.close(os.open(lock_path(path), flags, 0o600))
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         stack.callback(os.close, folder)
-        # By the folder's descriptor, because the temporary name may be too long if `path` is not.
+        # Bind by the folder's descriptor: a socket's path is limited, and the temporary path may
+        # be too long even if `path` is not.
         fresh = Path(f"/proc/self/fd/{folder}/.{os.getpid()}")
         self._listener.bind(os.fspath(fresh))
         fresh.chmod(0o600)

@@ -14,7 +14,7 @@ class Timer:
     period_ns: int
     """Sampling time Ts."""
     lead_ns: int
-    """Time from the first trigger of a sample to the trigger of theta_1's last conversion."""
+    """Time from a sample's first trigger to the trigger of its last conversion of theta_1."""
     hold_ns: int
     """Time from theta_1's trigger to the latch of u."""
     k_stop: int

@@ -24,7 +24,7 @@ class Transmission:
         """Frames sent since the last `pop_sent`, each with the time of its last byte."""
 
     def begin(self, t_ns: int) -> None:
-        """Send the 00 that a sender sends when it starts."""
+        """Send a 00, as each sender does when it starts."""
         self._free_ns = departure_ns(self._free_ns, t_ns, 1, self._baud)
         self.sent.append((self._free_ns, b"\0"))
 
@@ -33,7 +33,7 @@ class Transmission:
         for message in messages:
             if isinstance(message, Pong):
                 message = message._replace(tx_us=fw.device_us(max(t_ns, self._free_ns)))
-            # Like `_replace(seq=...)`, in a third of its time: each frame comes here.
+            # Like `_replace(seq=...)`, but three times as fast: this runs for each frame.
             numbered = tuple.__new__(type(message), (message[0], self._seq, *message[2:]))
             wire = frame.encode(numbered)
             self._seq = (self._seq + 1) & U16  # a dropped frame leaves a break in seq

@@ -64,7 +64,7 @@ class Uno:
             True if a reset by the port starts Optiboot, which ignores bytes for a second and clears
             MCUSR.
         trace : Path, optional
-            VCD file for the two pins.
+            VCD file with the levels of the PWM pin and the enable line.
         """
         noise, self._rng = (
             np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2)
@@ -96,11 +96,11 @@ class Uno:
         self.harness.close()
 
     def ns(self, cycle: int) -> int:
-        """Return the given time at the end of a cycle."""
+        """Return the caller's time at the end of a cycle, in ns."""
         return self._origin_ns - (-cycle * 1000 // CYCLES_PER_US)
 
     def cycle(self, now_ns: int) -> int:
-        """Return the cycle that is in progress at a given time."""
+        """Return the cycle that is in progress at the caller's time `now_ns`."""
         return (now_ns - self._origin_ns) * CYCLES_PER_US // 1000
 
     def reset(self, now_ns: int) -> None:

@@ -26,9 +26,9 @@ from armrig_core.errors import ArmrigError, InputError
 from armrig_core.waiting import TERMINAL_BYTES, Waiter
 
 READ = 2048
-"""Largest number of bytes read in a step; one record has room for them and for the answers."""
+"""Largest number of bytes handled in a step; one record holds them and the step's answers."""
 SEND_BUFFER_BYTES: Final = 1 << 16
-"""SO_SNDBUF of a socket, in bytes: room for 171 frames, which occupy about 0.75 kB each.
+"""SO_SNDBUF of a socket, in bytes. The kernel doubles it: 171 frames of about 0.75 kB fit.
 
 In exchange mode, at most `MAX_UNECHOED` EXCHANGE frames have no answer yet. With more room, the
 device would only receive more old frames after a stall.
@@ -71,8 +71,8 @@ def open_link(port: str, baud: int) -> Link:
 class Link:
     """Open port. Each failure of the port raises a `LinkError`.
 
-    A single call reads all bytes of the terminal. A second call would find the terminal empty. The
-    kernel returns from a read of an empty terminal only after a kernel worker has run.
+    A single call reads all received bytes. A second call would be slow, because it would find the
+    terminal empty: the kernel returns from such a read only after a kernel worker has run.
     """
 
     def __init__(self, port: str, baud: int) -> None:
@@ -87,7 +87,7 @@ class Link:
             raise kind(f"{port} cannot be opened: {reason}") from err
         self._begin(port, self._serial.fileno())
         with contextlib.suppress(OSError, ValueError, termios.error, NotImplementedError):
-            # Best effort: a pseudo-terminal has no low-latency mode, and needs none.
+            # A failure is ignored: a pseudo-terminal has no low-latency mode, and needs none.
             self._serial.set_low_latency_mode(True)
 
     def _begin(self, port: str, fd: int) -> None:
@@ -158,7 +158,7 @@ class SocketLink(Link):
         self._begin(port, connection.fileno())
 
     def watch(self, waiter: Waiter) -> None:
-        """Add the socket to a waiter, level-triggered, because a query of a socket never waits."""
+        """Add the socket to a waiter, level-triggered: a query of a socket never waits."""
         waiter.watch(self.fd)
 
     def close(self) -> None:

@@ -75,7 +75,8 @@ class Loop:
             events = ports.wait(until_ns if wake > until_ns else max(wake, now))
             now = ports.now_ns()
             if now >= due_ns:
-                # The tick is first: after a pause it trips, and the earlier orders are refused.
+                # The tick is handled before these orders: if it trips, because the loop was
+                # stalled, the core then refuses the orders.
                 self._late = [e for e in events if isinstance(e, Ordered)]
                 events = [e for e in events if not isinstance(e, Ordered)]
             if events:

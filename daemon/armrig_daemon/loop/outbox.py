@@ -21,7 +21,7 @@ from armrig_daemon.pipe import (
 )
 
 MAX_WAITING_RECORDS = 1000
-"""Number of waiting records above which further records that only inform are dropped."""
+"""Number of waiting records above which further records of `_INFORM` are dropped."""
 _INFORM = (Log, State, Timing, Clock, Trace)
 
 
@@ -29,7 +29,8 @@ class Outbox:
     """Queue of records for the service; it never blocks, keeps the order and reports losses.
 
     Samples that find no room are counted and reported as one gap. Other records wait for room. If
-    too many records wait, further records that only inform are dropped and counted.
+    too many records wait, further records of the informative types (`_INFORM`) are dropped and
+    counted.
     """
 
     def __init__(self, ports: Ports) -> None:

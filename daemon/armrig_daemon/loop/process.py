@@ -124,7 +124,7 @@ class ProcessPorts:
                 # Each arrival is reported once. The bytes of a line that hung up are read first.
                 self._is_hung_up = bool(flags & ~EPOLLIN)
                 if events and isinstance(events[0], Received):
-                    self._is_unread = True  # a step reads one piece: see `READ`
+                    self._is_unread = True  # a step handles one piece of at most `READ` bytes
                 else:
                     events += self._read()
         return events
@@ -148,8 +148,7 @@ class ProcessPorts:
         except BlockingIOError:
             return False
         except BrokenPipeError:
-            # The end of the service is detected at the pipe of the orders, which must therefore
-            # still be read.
+            # The pipe of the orders reports the end of the service, and must still be read.
             self._has_no_reader = True
             return False
 
@@ -246,8 +245,8 @@ def main(arguments: list[str]) -> int:
             )
         )
     ports.end_at(SignalPipe())
-    # The end of the pipes may come late. If the service is killed while its disk is slow, it ends
-    # only when the disk has answered, and keeps the pipes open until then.
+    # The end of the pipes may be late: if the service is killed while its disk is slow, it keeps
+    # the pipes open until the disk has answered.
     realtime.end_with_parent()
     granted = realtime.prepare(settings.priority, settings.cpu)
     if granted["fifo"]:  # otherwise a spin only takes time from processes for which the loop waits

@@ -117,7 +117,7 @@ def leave_fifo(but: int | None = None) -> bool:
         True if no other thread of this process is at SCHED_FIFO any more. If a filter of system
         calls forbids sched_setscheduler, the threads stay at SCHED_FIFO.
     """
-    for path in Path("/proc/self/task").iterdir():  # such as those of numpy's libraries
+    for path in Path("/proc/self/task").iterdir():  # all threads, also those of numpy's libraries
         thread = int(path.name)
         with contextlib.suppress(OSError):
             if thread != but and os.sched_getscheduler(thread) != os.SCHED_OTHER:

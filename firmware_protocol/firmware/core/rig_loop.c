@@ -25,7 +25,8 @@ void rig_begin(void)
     rig_tell_transition();
 }
 
-// Returns true if a valid frame is an EXCHANGE for which no place is left: the others still wait.
+// Returns true if a valid frame is an EXCHANGE for which there is no place, because RIG_MOST_ASKED
+// earlier EXCHANGEs still wait.
 static bool is_one_too_many(const union rig_message *m)
 {
     return m->header.type == RIG_TYPE_EXCHANGE && !rig_is_timed() && rig.asked_count == RIG_MOST_ASKED;

@@ -124,7 +124,7 @@ enum rig_put rig_queue_put(
 {
     if (leaves_range(config, m, refused))
         return RIG_PUT_OUT_OF_RANGE;
-    for (;;) { // repeat if the queue ran empty: it does so after a Ts at least, a pass takes less
+    for (;;) { // repeat if the queue ran empty during the pass; a pass takes less than a Ts
         const struct view view = view_of(queue);
         const int32_t offset = (int32_t)(m->k0 - view.next);
         if (leaves_slew(queue, &view, config, m, offset, refused))

@@ -4,7 +4,7 @@
 #include "rig_state.h" // rig
 #include "rig_transmission.h" // rig_send
 
-// Prevents the waiting EXCHANGEs of the RUN that ends from latching u. Interrupts are off.
+// Called at the end of a RUN: its waiting EXCHANGEs no longer latch u. Interrupts are off.
 static void disown_asked(void)
 {
     for (uint8_t i = 0; i < RIG_MOST_ASKED; i++)

@@ -13,7 +13,7 @@ function shape(tag, attributes, ...children) {
 
 export class ArmDrawing {
   constructor(where) {
-    // The potentiometer's zero points to the right; angles count against the clock, SVG's with it.
+    // Angle 0 points to the right. The rig's angles are counterclockwise, and SVG's are clockwise.
     this.chassis = shape("g", { class: "chassis" }, shape("circle", { r: 34 }), shape("line", { x1: 0, y1: 0, x2: 34, y2: 0 }));
     this.arm = shape("g", { class: "arm" }, shape("line", { x1: 0, y1: 0, x2: 92, y2: 0 }), shape("circle", { cx: 92, cy: 0, r: 6 }));
     this.unbent = shape("line", { class: "unbent", x1: 34, y1: 0, x2: 98, y2: 0 });
@@ -22,7 +22,7 @@ export class ArmDrawing {
     this.drawing = drawing;
   }
 
-  // Show angles in °; where one is not known the last one stays, and is pale.
+  // Show the angles, in °; if an angle is unknown, show the last known angle in a pale colour.
   show(theta_1, alpha) {
     this.drawing.classList.toggle("pale", theta_1 === null || alpha === null);
     if (theta_1 !== null) this.theta_1 = theta_1;

@@ -1,26 +1,26 @@
-// A chart of least and largest values in the page's colours: uPlot's, with zoom and cursor.
+// A uPlot chart of least and largest values in the page's colours, with zoom and cursor.
 
-const colours = new Map(); // of this theme: to ask the style at each of thirty drawings a second is slow
+const colours = new Map(); // colours of the theme; reading the style 30 times a second would be slow
 
 function colour(name) {
   if (!colours.has(name)) colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim());
   return colours.get(name);
 }
 
-const charts = new Set(); // all that are on the page
+const charts = new Set(); // all charts on the page
 
-// Draw all anew, in the colours of another theme.
+// Draw all charts again, in the colours of another theme.
 export function redrawCharts() {
   colours.clear();
   for (const one of charts) one.redraw(false, true);
 }
 
-// From the least to the largest value of each pixel, and on to the next; lifted where there is none.
-// uPlot's own paths go across a break and are clipped there to whole pixels, which leaves stubs.
+// Return a path through the least and the largest value of each pixel, with breaks where values are
+// missing. uPlot's own paths cross a break and are clipped to whole pixels, which leaves stubs.
 function drawnPath(u, series, from, to, stepped) {
   const [x, low, high] = [u.data[0], u.data[series], u.data[series + 1]];
   const path = new Path2D();
-  let before = null; // y of the last point drawn, null where the pen is up
+  let before = null; // y of the last point drawn; null after a break
   for (let i = from; i <= to; i++) {
     if (low[i] === undefined) continue; // another curve's point
     if (low[i] === null) {
@@ -29,7 +29,7 @@ function drawnPath(u, series, from, to, stepped) {
     }
     const at = u.valToPos(x[i], "x", true);
     const ends = [u.valToPos(low[i], "y", true), u.valToPos(high[i], "y", true)];
-    // First the end that is nearer.
+    // Draw the nearer end first.
     if (before !== null && Math.abs(before - ends[1]) < Math.abs(before - ends[0])) ends.reverse();
     if (before === null) path.moveTo(at, ends[0]);
     else if (stepped) path.lineTo(at, before);
@@ -39,13 +39,13 @@ function drawnPath(u, series, from, to, stepped) {
   return path;
 }
 
-// A round number, at least x.
+// Return the least round number that is at least x.
 function roundedUp(x) {
   const power = 10 ** Math.floor(Math.log10(x));
   return power * [1, 2, 3, 4, 6, 8, 10].find((step) => step * power >= x * (1 - 1e-9));
 }
 
-// Lines across the chart where something happened: u.marks of {x, kind}.
+// Draw a vertical line at each event in u.marks, which are {x, kind}.
 function drawMarks(u) {
   const { left, top, width, height } = u.bbox;
   u.ctx.save();
@@ -62,7 +62,8 @@ function drawMarks(u) {
   u.ctx.restore();
 }
 
-// The wheel zooms in time about the pointer; with Shift it moves in time, with Alt it zooms the values.
+// Handle the wheel: it zooms the time axis at the pointer. With Shift it moves in time; with Alt it
+// zooms the values.
 function wheel(u, event, onZoom) {
   event.preventDefault();
   const factor = (event.deltaY || event.deltaX) > 0 ? 1.25 : 0.8;
@@ -80,7 +81,7 @@ function wheel(u, event, onZoom) {
   }
 }
 
-// What the x axis shows is x + u.origin.s: seconds from now, since a start, or of the clock.
+// The x axis shows x + u.origin.s: seconds from now, seconds since a start, or the time of day.
 function xSplits(u, axis, min, max, step) {
   const origin = u.origin?.s ?? 0;
   const first = Math.ceil((min + origin) / step - 1e-9);
@@ -111,7 +112,7 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
     const half = Math.max(signal.least / 2, ((largest - least) / 2) * 1.1);
     return [middle - half, middle + half];
   };
-  // Least and largest are one path, which the first of both draws.
+  // The least and the largest values are one path; only the first of the two series draws it.
   const pair = (one) => [{ ...one, paths: (u, i, from, to) => ({ stroke: drawnPath(u, i, from, to, stepped), fill: null }) }, { ...one, paths: () => null }];
   const withUnit = (u, splits) => splits.map((y, i) => `${+y.toPrecision(6)}${i === splits.length - 1 ? ` ${signal.unit}` : ""}`);
   const made = new uPlot(

@@ -1,9 +1,9 @@
-// What is laid over the curves of a recording: those of another one, or of a model.
+// Curves drawn over the curves of a recording: those of another recording, or of a model.
 
 import { askJson, make } from "./elements.js";
 
-// Curves [x, least, largest] of two sources on one x, for uPlot: undefined where only the other has
-// a point, so that no line breaks there.
+// Return the curves [x, least, largest] of two sources on a common x, for uPlot. Where only one
+// source has a point, the other source has undefined, so that its line does not break there.
 export function aligned(first, second) {
   if (!second) return [...first, first[0].map(() => null), first[0].map(() => null)];
   const x = [...new Set([...first[0], ...second[0]])].sort((a, b) => a - b);
@@ -17,7 +17,7 @@ export function aligned(first, second) {
   return [x, ...spread(first), ...spread(second)];
 }
 
-// A choice of the other recordings; `changed` is called with its file, "" for none.
+// Return a menu of the other recordings; `changed` is called with the chosen file, "" for none.
 export function chooser(files, changed) {
   const select = make("select", { id: "compared", "aria-label": "Compare with" }, make("option", { value: "", textContent: "compare with nothing" }));
   for (const { file, text } of files) select.append(make("option", { value: file, textContent: text }));
@@ -25,5 +25,5 @@ export function chooser(files, changed) {
   return select;
 }
 
-// The curves of another recording in the same part.
+// Return the curves of another recording in the same range of time.
 export const curvesOf = (file, [start, stop]) => askJson("curves", { file, start, stop });

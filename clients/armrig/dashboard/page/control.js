@@ -28,9 +28,9 @@ const FIELDS = {
 };
 const MOST_FILE = 6 << 20;
 
-let shown = null; // the experiment that the preview is of
+let shown = null; // the experiment in the preview
 let plot = null;
-let asking = new AbortController(); // of the newest run that was asked for
+let asking = new AbortController(); // aborts the newest request for a run
 let going = false;
 let status = {};
 let look = () => {};
@@ -130,7 +130,7 @@ async function run() {
   forget();
 }
 
-// A run that waits for a connection of the browser would begin after the stop.
+// Abort the request for a run: if it waited for a connection, the run would begin after the stop.
 export function withdrawRun() {
   asking.abort(new Error("the run was not started: you stopped the rig"));
 }

@@ -1,6 +1,6 @@
-// Elements of the page. Whatever comes from others is text, never markup.
+// Elements of the page. All text from the server is inserted as text, never as markup.
 
-export const FIGURES_MS = 200; // figures that change more often cannot be read
+export const FIGURES_MS = 200; // numbers that change more often cannot be read
 
 export const byId = (id) => document.getElementById(id);
 
@@ -17,7 +17,7 @@ export function make(tag, properties = {}, ...children) {
 
 const written = new WeakMap();
 
-// Write a text; what stands between backticks is a command, in the font of one.
+// Write a text; the parts between backticks are shown in the font of commands.
 function write(element, text) {
   if (written.get(element) === text) return;
   written.set(element, text);
@@ -35,7 +35,7 @@ export function show(id, visible) {
 const given = new URLSearchParams(location.hash.slice(1));
 export const token = given.get("token") || (given.has("once") ? await exchanged(given.get("once")) : "");
 
-// What a browser is started with others can read (`ps`): it opens once, and is exchanged here.
+// Exchange the one-time code for the token: with `ps`, other users can read the browser's arguments.
 async function exchanged(once) {
   const how = { method: "POST", headers: { Authorization: `Bearer ${once}` }, cache: "no-store" };
   const answer = await fetch("api/token", how).catch(() => null);
@@ -47,9 +47,9 @@ async function exchanged(once) {
 
 const headers = () => ({ Authorization: `Bearer ${token}` });
 
-// Ask the server; an answer that is no success is an Error with its line.
+// Send a request to the server; for a failure, throw an Error with the server's message.
 export async function ask(path, body, signal) {
-  // Of what waits for a connection a stop goes first.
+  // If several requests wait for a connection, a stop is sent first.
   const priority = path === "stop" ? "high" : "low";
   const how = { headers: headers(), cache: "no-store", priority, signal };
   if (body !== undefined) Object.assign(how, { method: "POST", body: JSON.stringify(body) });
@@ -71,7 +71,7 @@ export const askJson = async (path, body, signal) => (await ask(path, body, sign
 
 let noticeEnds = 0;
 
-// Tell the person something for a while.
+// Show a notice for 12 s.
 export function notice(text) {
   setText("notice", text);
   show("notice", Boolean(text));
@@ -79,7 +79,7 @@ export function notice(text) {
   if (text) noticeEnds = setTimeout(() => show("notice", false), 12000);
 }
 
-// Do something that may be refused; say so where it is. What was said before is over.
+// Remove the last notice, and do something; if it is refused, show the reason.
 export async function attempt(does) {
   notice("");
   try {
@@ -89,5 +89,5 @@ export async function attempt(does) {
   }
 }
 
-// The owner: who commands from this page.
+// Return the name of the user who sends commands from this page.
 export const owner = () => byId("owner-name")?.value.trim() || "dashboard";

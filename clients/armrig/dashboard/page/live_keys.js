@@ -1,11 +1,11 @@
-// The keys of the live plots: arrows move the cursor, + and - zoom.
+// Keys of the live plots: arrows move the cursor, + and - zoom.
 
 import { byId } from "./elements.js";
 
-const CURSOR_STEPS = 100; // of the span that is seen
+const CURSOR_STEPS = 100; // in the visible span
 
 export function onPlotKey(plots, event) {
-  if (event.target instanceof HTMLInputElement) return; // letters of a note
+  if (event.target instanceof HTMLInputElement) return; // the user types a note
   const { from, to } = plots.seen;
   const steps = { ArrowLeft: -1, ArrowRight: 1 };
   if (event.key in steps && event.target === byId("plots")) {

@@ -1,4 +1,4 @@
-// The live plots: four charts of the last seconds or minutes, with zoom and cursor.
+// Live plots: four charts of the last seconds or minutes, with zoom and cursor.
 
 import { chart } from "./chart.js";
 import { FIGURES_MS, byId, make, setText, show } from "./elements.js";
@@ -9,9 +9,9 @@ import { KEPT_S, Rows } from "./rows.js";
 import { AXES, originOf } from "./time_axis.js";
 
 const SPANS = [5, 30, 300];
-const HEAD_PIXELS = 255; // beside a chart for a hall
+const HEAD_PIXELS = 255; // width of the name and value next to a chart in the projector view
 
-// Four plots fill a screen where it is wide; on a phone each is as high as can be read.
+// On a wide screen the four plots fill the height; on a phone they have the least readable height.
 const heightOf = (last) => (innerWidth > 900 ? Math.max(115, Math.min(210, (innerHeight - 330) / 4)) : 105) + (last ? 22 : 0);
 
 export class LivePlots {
@@ -19,9 +19,9 @@ export class LivePlots {
     this.rows = new Rows();
     this.span = 30;
     this.frozen = null; // {zero, from, to} while zoomed
-    this.cursorAt = null; // in s from the newest, as the x axis
-    this.toldAt = -FIGURES_MS; // when the figures were shown
-    this.restUntil = 0; // as long after a drawing as it took
+    this.cursorAt = null; // in s relative to the newest sample, as on the x axis
+    this.toldAt = -FIGURES_MS; // time at which the values were last shown
+    this.restUntil = 0; // no drawing until then: the pause is as long as the last drawing took
     this.setLarge(false);
     for (const span of SPANS) {
       const text = span < 60 ? `${span} s` : `${span / 60} min`;
@@ -31,7 +31,7 @@ export class LivePlots {
       byId("span-choice").append(button);
     }
     this.setSpan(30);
-    this.marks = []; // of {t, kind}: what happened, in the time of the samples
+    this.marks = []; // events {t, kind}; t is on the clock of the samples
     this.setAxis(localStorage.getItem("armrig-axis") || AXES[0]);
     byId("axis").addEventListener("click", () => this.setAxis(AXES[(AXES.indexOf(this.axis) + 1) % AXES.length]));
     byId("follow").addEventListener("click", () => this.follow());
@@ -41,7 +41,7 @@ export class LivePlots {
     byId("plots").addEventListener("keydown", (event) => onPlotKey(this, event));
   }
 
-  // Make the charts, for a desk or for a hall.
+  // Make the charts; isLarge is true for the projector view.
   setLarge(isLarge) {
     for (const u of this.charts ?? []) u.destroy();
     byId("charts").replaceChildren();
@@ -123,13 +123,13 @@ export class LivePlots {
     this.draw();
   }
 
-  // [from, to] in s from zero, the time of 0 on the axis.
+  // The visible range: from and to in s relative to zero, the samples' time at 0 of the axis.
   get seen() {
     const zero = this.frozen?.zero ?? this.rows.newest;
     return { zero, from: this.frozen?.from ?? -this.span, to: this.frozen?.to ?? 0 };
   }
 
-  // Draw at most once a frame, and only what is seen.
+  // Request a drawing: at most one each frame, and none while the plots are hidden.
   wants() {
     if (this.due || document.hidden || byId("live").hidden) return;
     this.due = true;
@@ -138,7 +138,7 @@ export class LivePlots {
         this.due = false;
         this.draw();
       });
-    // A browser that draws slowly rests between drawings, so that data and stops have their turn.
+    // A slow browser pauses between drawings, so that it can also handle data and stops.
     const rest = this.restUntil - performance.now();
     if (rest > 0) setTimeout(frame, rest);
     else frame();

@@ -1,4 +1,4 @@
-// What the live plots show, as a picture or as values.
+// Saving of the visible part of the live plots, as a picture or as values.
 
 import { attempt, byId } from "./elements.js";
 import { SIGNALS } from "./live_signals.js";
@@ -20,7 +20,7 @@ export function setUpSaving(plots) {
 
 const chartsOf = (plots) => plots.charts.map((u, i) => ({ u, signal: SIGNALS[i] }));
 
-// The bins that are seen: of each the least and the largest value.
+// Return the visible bins, each with the least and the largest value of each signal.
 function saveCsv({ rows, seen: { zero, from, to } }, name) {
   const head = SIGNALS.flatMap(({ name: of, unit }) => [`${of} least [${unit}]`, `${of} largest [${unit}]`]);
   const lines = [["t [s]", ...head].join(",")];

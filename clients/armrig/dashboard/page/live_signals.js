@@ -1,4 +1,4 @@
-// The signals of the live plots: their places in a row, units and axes.
+// Signals of the live plots, in the order of a row's values, with their units and axes.
 
 export const SIGNALS = [
   { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 2, splits: [0, 1, 2, 3, 4, 5], fewSplits: [0, 2.5, 5] },

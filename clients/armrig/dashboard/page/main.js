@@ -1,4 +1,4 @@
-// The page: what comes from the stream goes to its places; keys; the theme.
+// The page: it forwards the messages of the stream to its parts, and handles keys and the theme.
 
 import { ArmDrawing } from "./arm.js";
 import { redrawCharts } from "./chart.js";
@@ -12,8 +12,8 @@ import { Stream } from "./stream.js";
 
 const THEMES = ["system", "light", "dark"];
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
-const WIDE = 900; // pixels: on a narrower screen the charts have no room beside their names
-const CONNECTION_MS = 60; // a stop that has one is answered sooner
+const WIDE = 900; // pixels; a narrower screen has no space for names next to the charts
+const CONNECTION_MS = 60; // a stop that has a connection is answered within this time
 let plots = null;
 let stream = null;
 

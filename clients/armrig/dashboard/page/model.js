@@ -1,10 +1,10 @@
-// A model of one recording: what it says, and its figures.
+// Model of one recording: its texts and figures.
 
 import { askJson, byId, make } from "./elements.js";
 
-// `simulated` is called with the model's name, its signal and its curve over the recording.
+// `simulated` is called with the model's name, its output signal, and its simulated curve.
 export async function identify(file, output, simulated) {
-  const where = byId("model"); // of this recording: another one has its own
+  const where = byId("model"); // element of this recording; the next recording has another element
   where.replaceChildren(make("p", { textContent: "estimating …", role: "status" }));
   try {
     const found = await askJson("identify", { file, output });

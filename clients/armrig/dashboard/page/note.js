@@ -1,4 +1,4 @@
-// A note: a line that goes into the recording while it runs.
+// A note: a line of text that is written into the current recording.
 
 import { askJson, attempt, byId, notice, owner } from "./elements.js";
 
@@ -15,10 +15,10 @@ async function send() {
   const { recorded } = await askJson("note", { owner: owner(), text: text.trim() });
   if (field.value === text) {
     field.value = "";
-    byId("plots").focus(); // the space bar stops from there
+    byId("plots").focus(); // with this focus, the space bar stops the motor
   }
   notice(recorded ? "the note is in the recording" : "no run is being recorded, so the note is not in a recording");
 }
 
-// While the motor may turn the space bar alone is always the stop; with Shift a note takes a blank.
+// Return whether a key types a space in the note: while the motor may turn, only Shift+Space does.
 export const takesBlank = (event) => event.target === byId("note-text") && event.shiftKey;

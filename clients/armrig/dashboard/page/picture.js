@@ -1,4 +1,4 @@
-// A picture of the curves that are seen, as SVG and PNG, and their values as CSV.
+// Picture of the visible curves, as SVG and PNG.
 
 import { make, notice } from "./elements.js";
 
@@ -8,7 +8,7 @@ const PNG_SCALE = 2;
 const escaped = (text) => String(text).replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
 const text = (x, y, what, more = "") => `<text x="${x.toFixed(1)}" y="${y.toFixed(1)}" ${more}>${escaped(what)}</text>`;
 
-// One chart: frame, labels as on the page, curves and marks.
+// Return one chart as SVG: frame, labels as on the page, curves and marks.
 function panel(u, { signal, letter }, top) {
   const [x, y] = [u.scales.x, u.scales.y];
   const width = WIDTH - LEFT - 20;
@@ -33,7 +33,7 @@ function panel(u, { signal, letter }, top) {
   return out.join("\n");
 }
 
-// The path of each pair of least and largest values, lifted where there is none.
+// Return the path through the least and largest values of each pair, with breaks at missing values.
 function* curves(u, at, up) {
   const x = u.data[0];
   for (let s = 1; s < u.data.length; s += 2) {
@@ -55,7 +55,7 @@ function* curves(u, at, up) {
   }
 }
 
-// charts: of {u, signal}; title: what is seen.
+// charts: a list of {u, signal}; title: the text above the charts.
 function svgOf(charts, title) {
   const height = TOP + charts.length * (HEIGHT + GAP) + 10;
   const panels = charts.map(({ u, signal }, i) => panel(u, { signal, letter: "abcdefgh"[i] }, TOP + i * (HEIGHT + GAP)));
@@ -83,7 +83,7 @@ export function save(data, name) {
   notice(`${name}: ${data.size} B`);
 }
 
-// Save what is seen under a name without an ending.
+// Save the visible curves as a picture; `name` has no ending.
 export async function saveSvg(charts, title, name) {
   save(new Blob([svgOf(charts, title)], { type: "image/svg+xml" }), `${name}.svg`);
 }

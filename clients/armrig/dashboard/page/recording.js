@@ -17,9 +17,9 @@ let chosen = ""; // the file
 let seconds = 0;
 let seen = null; // [from, to] in s while zoomed
 let charts = [];
-let others = []; // of {file, text}: what it may be compared with
-let over = null; // what lies over the curves: {name, file} or {name, signal, curve}
-let request = 0; // of the newest curves: an older answer is passed over
+let others = []; // other recordings for a comparison, as {file, text}
+let over = null; // curves drawn over this recording's: {name, file} or {name, signal, curve}
+let request = 0; // number of the newest request for curves; older answers are ignored
 
 export const setUpRecording = () => new ResizeObserver(resize).observe(byId("one"));
 
@@ -27,7 +27,7 @@ export async function look(file, list = []) {
   chosen = file;
   others = list.filter((one) => one.file !== file);
   over = null;
-  request += 1; // curves that come late are of another one
+  request += 1; // curves that arrive late are of another recording
   for (const one of charts) one.destroy();
   charts = [];
   byId("one").replaceChildren(make("p", { textContent: `reading ${file} …` }));
@@ -128,7 +128,7 @@ function curve(where, signal, last) {
 function valueAt(u, signal, x) {
   let i = u.cursor.idx;
   if (x === null || i === null || i === undefined) return "";
-  while (i > 0 && u.data[1][i] === undefined) i -= 1; // a point of what lies over it
+  while (i > 0 && u.data[1][i] === undefined) i -= 1; // skip the points of the other curve
   if (u.data[1][i] == null) return "";
   const [least, largest] = [u.data[1][i], u.data[2][i]].map((value) => value.toFixed(signal.digits));
   return `${least === largest ? least : `${least} … ${largest}`} ${signal.unit} at ${u.data[0][i].toFixed(3)} s`;
@@ -144,7 +144,7 @@ async function zoom(range) {
   draw(found, other);
 }
 
-// Lay another recording, a model or nothing over the curves.
+// Draw another recording, a model or nothing over the curves.
 async function lay(what) {
   over = what;
   await zoom(seen);

@@ -1,4 +1,4 @@
-// The list of what was recorded, which is filtered and sorted here.
+// List of the recordings; the page filters and sorts the list.
 
 import { askJson, attempt, byId, make, setText } from "./elements.js";
 import { look, setUpRecording } from "./recording.js";
@@ -61,7 +61,7 @@ function row(one) {
   const button = make("button", { type: "button", textContent: nameOf(one), title: one.file });
   button.addEventListener("click", () => attempt(() => choose(one.file)));
   button.dataset.file = one.file;
-  // The recording's own view shows the reason; here many rows may have the same one.
+  // The view of one recording shows the reason; in the list, many rows may have the same reason.
   const early = one.outcome_code === "complete" ? "" : make("div", { className: "warn-text", textContent: "ended early", title: one.outcome });
   return make(
     "tr",
@@ -74,7 +74,7 @@ function row(one) {
   );
 }
 
-// Day and hour: between them the line may break, and nowhere else.
+// Return day and time; the line may break only between them.
 const time = (iso) => [make("span", { textContent: iso.slice(0, 10) }), " ", make("span", { textContent: iso.slice(11, 16) })];
 
 async function choose(file) {

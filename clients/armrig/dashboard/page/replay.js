@@ -1,10 +1,10 @@
-// A recording played again in the page: the cursor moves over its curves, and the arm with it.
+// Replay of a recording on the page: the cursor moves over the curves, and the drawn arm moves, too.
 
 import { ArmDrawing } from "./arm.js";
 import { make } from "./elements.js";
 
 export class Replay {
-  // charts: of u, θ₁ and α; range: gives [from, to] in s of what is seen.
+  // charts: the charts of u, θ₁ and α; range: returns the visible range [from, to] in s.
   constructor(charts, range) {
     this.charts = charts;
     this.range = range;
@@ -47,7 +47,7 @@ export class Replay {
     this.arm.show(this.#value(1), this.#value(2));
   }
 
-  // What a chart shows at the time that is played, null where nothing is known.
+  // Return the value of a chart at the time of the replay; null if the value is unknown.
   #value(chart) {
     const [x, low] = this.charts[chart].data;
     let [a, b] = [0, x.length];
@@ -56,7 +56,7 @@ export class Replay {
       if (x[middle] <= this.t) a = middle;
       else b = middle;
     }
-    while (low[a] === undefined && a > 0) a -= 1; // a point of what lies over it
+    while (low[a] === undefined && a > 0) a -= 1; // skip the points of the other curve
     return low[a] ?? null;
   }
 }

@@ -1,15 +1,15 @@
-// The last five minutes of samples: of each bin of time the least and largest value of a signal.
+// Samples of the last five minutes, as bins of time with the least and largest value of each signal.
 
 const COLUMNS = 9; // t, then least and largest of each signal
 const MOST = 40000; // rows
 export const KEPT_S = 300;
-const SILENT_S = 0.25; // without a row for so much longer than before the line breaks
+const SILENT_S = 0.25; // the line breaks if the next row is later than usual by more than this
 const HALF_TURN = 180; // °
-const POINTS = 4; // of a pixel
+const POINTS = 4; // most points in a pixel
 
 export class Rows {
   #values = new Float64Array(MOST * COLUMNS);
-  #early = null; // what comes before the past is whole
+  #early = null; // live rows that arrive before the history is complete
   length = 0;
 
   begin() {
@@ -31,8 +31,8 @@ export class Rows {
   add(rows) {
     for (const row of rows) {
       if (this.length && row[0] <= this.newest) {
-        if (row[0] > this.newest - KEPT_S) continue; // told already
-        this.length = 0; // another clock
+        if (row[0] > this.newest - KEPT_S) continue; // the page already has this row
+        this.length = 0; // the rows are of another clock
       }
       if (this.length === MOST) this.#forget(MOST / 4);
       const at = this.length * COLUMNS;
@@ -50,7 +50,7 @@ export class Rows {
     return this.length ? this.at(this.length - 1, 0) : NaN;
   }
 
-  // The first row at t or later.
+  // Return the number of the first row at t or later.
   find(t) {
     let low = 0;
     let high = this.length;
@@ -62,14 +62,14 @@ export class Rows {
     return low;
   }
 
-  // The row that holds at t, null where there is none: before the first, and in a break.
+  // Return the number of the row that is valid at t; null before the first row and in a break.
   holding(t) {
     const row = this.find(t + 1e-9) - 1;
     if (row < 0 || (t > this.at(row, 0) + SILENT_S && this.#isBroken(row + 1, this.at(row, 0), 0))) return null;
     return row;
   }
 
-  // Whether the line breaks before a row. Slow samples are as far apart on both sides of it.
+  // Return whether the line breaks before a row; it does not if the rows next to it are as far apart.
   #isBroken(row, before, width) {
     if (row >= this.length) return false;
     const earlier = row > 1 ? this.at(row - 1, 0) - this.at(row - 2, 0) : Infinity;
@@ -82,15 +82,15 @@ export class Rows {
     this.length -= n;
   }
 
-  // x, least, largest for uPlot: of each pixel at most four rows at their own times, the first, the
-  // least, the largest and the last; null where the line breaks.
+  // Return x, least and largest for uPlot. Each pixel has at most four rows at their own times: the
+  // first, the least, the largest and the last. The values are null where the line breaks.
   drawn(signal, { from, to, pixels, zero, wraps }) {
     const column = 1 + 2 * signal;
     const width = (to - from) / Math.max(50, pixels);
     const last = Math.min(this.length, this.find(to) + 1);
     const found = [[], [], []];
     let before = NaN; // time of the last row drawn
-    let valueBefore = NaN; // the last known
+    let valueBefore = NaN; // the last known value
     const isWrap = (i) => wraps && Math.abs(this.at(i, column) - valueBefore) > HALF_TURN;
     for (let i = Math.max(0, this.find(from) - 1); i < last; ) {
       const t = this.at(i, 0);

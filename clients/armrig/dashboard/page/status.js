@@ -1,16 +1,16 @@
-// How the rig is: phase, owner, fault, age of the data, timing.
+// State of the rig: phase, owner, fault, age of the data, timing.
 
 import { FIGURES_MS, attempt, askJson, byId, make, notice, setText, show } from "./elements.js";
 
-const CLOCK_DRIFT = 2e-4; // between the clocks of two machines, at most
+const CLOCK_DRIFT = 2e-4; // largest relative drift between the clocks of two machines
 const FIRST = ["phase", "fault", "to do", "motor", "owner", "Ts", "arm"];
 
 let status = { rows: [], trouble: "" };
 let edges = [];
 let age = null;
-let leastLate = Infinity; // of a message, in s between the clocks of server and browser
+let leastLate = Infinity; // least arrival time of a message minus its sending time, in s
 let arrived = performance.now();
-let agedAt = -FIGURES_MS; // when the age was shown
+let agedAt = -FIGURES_MS; // time at which the age was last shown
 let stale = true;
 
 export const rigStatus = () => status;
@@ -62,7 +62,7 @@ export function showLive(live) {
   setText("age", age === null ? "none yet" : `${seconds(age)} old`);
 }
 
-// The delay of a message in a slow network, in s, compared with the quickest message.
+// Return the delay of a message in a slow network, in s, relative to the fastest message.
 function delay(at, since) {
   const late = arrived / 1000 - at;
   leastLate = Math.min(leastLate + CLOCK_DRIFT * since, late);
@@ -75,7 +75,7 @@ export function showLost(silence, why) {
   setStale(true, total === null ? "No data yet" : `No data for ${seconds(total)}`, why);
 }
 
-// This browser was too late to show what came.
+// Report that this browser was too slow to draw.
 export function showBusy(late) {
   notice(`this browser was too busy to draw for ${seconds(late / 1000)}: close other programs or tabs; the rig continues`);
 }
@@ -108,7 +108,7 @@ export function showTiming(timing) {
   byId("histogram").replaceChildren(
     ...timing.late.map((count, i) => {
       const bar = make("i");
-      // On a scale of logarithms: one late sample among thousands is seen.
+      // The scale is logarithmic: a single late sample among thousands remains visible.
       bar.style.height = `${count ? 8 + 72 * (Math.log1p(count) / Math.log1p(most)) : 0}%`;
       const edge = i < edges.length ? `${edges[i] / 1000}` : "more";
       const title = `${count} samples, ${i < edges.length ? `at most ${micros(edges[i])} late` : "later"}`;

@@ -1,18 +1,18 @@
-// The stream of events from the server. It is opened again when it breaks, for as long as it takes.
+// Stream of events from the server; if the stream breaks, it is opened again until this succeeds.
 
 import { ask } from "./elements.js";
 
-const SILENT_MS = 700; // 30 messages a second come: without one for so long the server is gone
+const SILENT_MS = 700; // without a message for this time the server is silent; it sends 30 a second
 const AGAIN_MS = 250;
 const LOOK_MS = 100;
-const BUSY_MS = 500; // a timer that is so late shows a busy browser, not a silent server
-const LOST_MS = 5000; // silent for so long it is opened anew; so long has each attempt to be answered
+const BUSY_MS = 500; // if the timer is later than this, the browser is busy, not the server silent
+const LOST_MS = 5000; // after this silence the stream is opened again; also limit for its first answer
 
 export class Stream {
   constructor(handlers, lost, busy) {
     this.handlers = handlers;
-    this.lost = lost; // called with why, again and again while nothing comes
-    this.busy = busy; // called with how late this browser was, in ms
+    this.lost = lost; // called repeatedly while no message arrives, with the silence in ms and a reason
+    this.busy = busy; // called with the lateness of this browser in ms
     this.looked = performance.now();
     this.heard = performance.now();
     this.why = "";
@@ -20,7 +20,7 @@ export class Stream {
     this.#run();
   }
 
-  // Open it anew.
+  // Open the stream again.
   open() {
     this.abort?.abort();
   }
@@ -32,7 +32,7 @@ export class Stream {
   #look() {
     const late = performance.now() - this.looked - LOOK_MS;
     this.looked += late + LOOK_MS;
-    // What came meanwhile is still to be read: it is not the server that is silent.
+    // If this browser was late, messages may wait to be read: the server may not be silent.
     if (late > BUSY_MS) return document.hidden ? undefined : this.busy(late);
     if (this.silence > SILENT_MS) {
       this.lost(this.silence, this.why || "the dashboard's server is silent");

@@ -37,8 +37,8 @@ BROWN_OUT = {4: "4.3 V", 5: "2.7 V", 6: "1.8 V", 7: "none"}
 WANTED_FUSE = 0xFC
 """Extended fuse for a brown-out at 4.3 V; 16 MHz need at least 3.8 V (data sheet, figure 29-1)."""
 INSTALL = "avrdude, which writes the firmware, is not installed: apt install avrdude"
-_TIMEOUT_S = 90.0  # three attempts to connect take 17 s, a full Uno 10 s
-_BLOCKS = 50  # of avrdude's full progress bar
+_TIMEOUT_S = 90.0  # three attempts to connect take 17 s; writing all of an Uno's flash takes 10 s
+_BLOCKS = 50  # length of avrdude's full progress bar
 _BAR = re.compile(r"(Reading|Writing|Verifying) +\| (#*)")
 _INCOMPLETE = "the program may be incomplete: leave the motor unplugged, and flash again"
 _UNTOUCHED = "nothing was written"
@@ -213,7 +213,7 @@ def _read(avrdude: subprocess.Popen[bytes], moved: Moved) -> str:
 def progress(said: str) -> tuple[int, int, str]:
     """Return the number of blocks done, the number of all blocks, and the current step."""
     bars = _BAR.findall(said)
-    if not any(doing == "Writing" for doing, _ in bars):  # the signature is read before
+    if not any(doing == "Writing" for doing, _ in bars):  # avrdude first reads the signature
         return 0, _BLOCKS, "asking the boot loader"
     doing, blocks = bars[-1]
     return len(blocks), _BLOCKS, "writing" if doing == "Writing" else "reading back"
@@ -263,7 +263,7 @@ def chosen(port: str | None, boards: Sequence[Board]) -> Board:
     Raises
     ------
     OperationError
-        The given port does not exist; or no port is given, and the number of Unos is not 1.
+        `port` does not exist; or `port` is None, and not exactly one Uno is plugged in.
     """
     if port is not None:
         return _at(port, boards)
@@ -320,7 +320,7 @@ def _at(port: str, boards: Sequence[Board]) -> Board:
     if not Path(port).exists():
         there = f"; there is {_list(boards)}" if boards else ""
         raise OperationError(f"{port} does not exist{there}")
-    real = str(Path(port).resolve())  # of /dev/armrig-SERIAL
+    real = str(Path(port).resolve())  # /dev/armrig-SERIAL is a link
     for board in boards:
         if board.port == real:
             return Board(port=port, name=board.name, is_uno=board.is_uno)

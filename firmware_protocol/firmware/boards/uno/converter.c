@@ -6,7 +6,7 @@
 //   present conversion (data sheet, 24.5).
 // - It applies u when the last conversion of a sample is held, 16 us after its trigger.
 //
-// To find u takes 25 us, and two or three times as long while bytes arrive at 1 Mbaud. The handler
+// Finding u takes 25 us, and two or three times as long while bytes arrive at 1 Mbaud. The handler
 // therefore finds u in advance, in the 118 us between the setting of the multiplexer and the hold.
 // Transmission pauses meanwhile. If the motor is turned off before the hold, this u is discarded.
 //
@@ -17,8 +17,9 @@
 // The long handlers enable other interrupts while they find u or end a conversion. A byte on the
 // line needs an interrupt every 20 us at 500 kbaud, and every 10 us at 1 Mbaud.
 //
-// The shortest Ts is 800 us. From 600 us on, each sample is taken in time, whatever arrives on the
-// line. At 1 Mbaud, if many setpoints arrive at once, main sends each SAMPLE only from 700 us on.
+// The shortest Ts is 800 us. With a Ts of 600 us or more, each sample is taken in time, whatever
+// arrives on the line. At 1 Mbaud, while many setpoints arrive, main sends every SAMPLE only if Ts
+// is at least 700 us.
 // At 500 kbaud the line itself needs a Ts of 810 us (daemon/armrig_daemon/decisions/budget.py).
 #include "converter.h"
 
@@ -270,7 +271,7 @@ static void end_last(uint16_t code)
 {
     phase = SETTING;
     if (!of_sample) {
-        // The reading is all that must be reported.
+        // Report only the reading: it is not of a sample.
     } else if (what & RIG_TIMED) {
         timed_us += ts_us;
         left--;

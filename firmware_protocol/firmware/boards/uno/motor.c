@@ -47,7 +47,8 @@ void board_motor_off(void)
 }
 
 // Connects the pin at the beginning of a period that already has the new duty. With a running
-// timer, two effects would cause up to one period of the previous run (data sheet, 16.7, 16.8):
+// timer, two effects would repeat the previous run's output for up to one period (data sheet, 16.7,
+// 16.8):
 // - The timer loads OCR1A only at the end of its period.
 // - OC1A still has the level at which the pin was disconnected.
 //
