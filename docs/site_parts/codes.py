@@ -15,7 +15,7 @@ from site_parts.pages import GENERATED, table, write_page
 
 
 def meanings(codes: type[StrEnum]) -> dict[str, str]:
-    """Return the docstring of each member of an enumeration, in one line, by the member's value."""
+    """Return the docstring of each member, as one line; the keys are the values of the members."""
     found, last = {}, ""
     for line in ast.iter_child_nodes(ast.parse(inspect.getsource(codes)).body[0]):
         if isinstance(line, ast.Assign) and isinstance(line.targets[0], ast.Name):

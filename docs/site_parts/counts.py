@@ -16,7 +16,7 @@ from site_parts.commands import commands, options
 
 
 class _Page(HTMLParser):
-    """Links of a page, and the ids in the page that are possible targets of a link."""
+    """Links of a page, and the ids to which a link can point."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -34,7 +34,7 @@ class _Page(HTMLParser):
 
 
 def dead_links(site: Path) -> list[str]:
-    """Return the links between pages of a site whose target file or id does not exist."""
+    """Return the links within a site whose target file or target id does not exist."""
     files = sorted(f for f in site.rglob("*.html") if "_static" not in f.relative_to(site).parts)
     pages = {path: _Page(path.read_text(encoding="utf-8")) for path in files}
     dead = []

@@ -30,6 +30,6 @@ def _escape(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Connect to the event of a docstring that Sphinx reads; numpydoc handles the event later."""
+    """Escape the bars of each docstring that Sphinx reads, before numpydoc reads it."""
     app.connect("autodoc-process-docstring", _escape, priority=100)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -44,7 +44,7 @@ def _drawn_by_armrig(path: Path) -> bool:
 
 
 def mark(app: Any, document: nodes.document) -> None:
-    """Mark armrig's figures, so that the theme gives them no white background in dark mode.
+    """Mark armrig's figures, so that they get no white background in dark mode.
 
     If there is a second file NAME-dark, light mode shows NAME, and dark mode shows NAME-dark.
     """

@@ -23,7 +23,7 @@ FOLDER = GENERATED / "gallery"
 
 
 def drawn(code: str) -> Figure:
-    """Run `BEFORE` and then the code, in an empty namespace and folder; return the figure."""
+    """Run `BEFORE` and then the code, in a new namespace and a new folder; return the figure."""
     *statements, last = ast.parse(BEFORE + code).body
     if not isinstance(last, ast.Expr):
         raise TypeError(f"the last line is no figure: {ast.unparse(last)}")
