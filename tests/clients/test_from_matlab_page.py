@@ -41,6 +41,7 @@ def test_every_block_prints_the_text_below_it(
     assert pages.run(PAGE, capsys, atol=2e-3) == 4
 
 
+@pytest.mark.exhaustive
 def test_every_expression_of_the_tables_runs(
     names: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -72,6 +73,7 @@ def test_a_call_of_the_last_column_is_one_of_armrig() -> None:
         assert option in inspect.signature(function).parameters
 
 
+@pytest.mark.exhaustive
 def test_every_command_of_the_page_runs(
     names: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

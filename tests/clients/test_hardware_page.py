@@ -72,6 +72,7 @@ def test_the_parts_list_has_every_value_of_the_drawing() -> None:
     assert {v for v in WIRING.PARTS.values() if v.removesuffix(" 5 W") not in section} == set()
 
 
+@pytest.mark.exhaustive
 def test_the_rig_for_20_euros_has_the_poles_of_its_circuit(tmp_path: Path) -> None:
     """With the page's configuration, from a telegraph of 30 s; the page prints the same poles."""
     found = re.search(r"```toml\n(.*?)```", TEXT, re.DOTALL)

@@ -15,7 +15,17 @@ from tests import same_numbers, same_numbers_calls
 from tests.sampling import without_slow
 
 BEFORE = same_numbers.read_stored()
-SLOW = {"structure_hints", "bj", "report", "plots", "compare", "search", "summary"}
+SLOW = {
+    "structure_hints",
+    "bj",
+    "oe",
+    "MultivariableFit",
+    "report",
+    "plots",
+    "compare",
+    "search",
+    "summary",
+}
 
 
 @pytest.mark.parametrize("call", without_slow(same_numbers_calls.CALLS, lambda call: call in SLOW))

@@ -16,6 +16,7 @@ PAGE = pages.DOCS / "your-data.md"
 _BLOCK = re.compile(r"```(python|sh|text)\n(.*?)```", re.DOTALL)
 
 
+@pytest.mark.exhaustive
 def test_every_line_of_the_page_runs_and_prints_what_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

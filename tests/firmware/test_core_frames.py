@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 
 from tests.firmware import library
 from tests.firmware.core_device import CoreDevice
+from tests.sampling import sampled
 from tests.tools import needs
 
 pytestmark = needs("cc", "make")
@@ -163,7 +164,7 @@ def test_the_same_frames_however_the_line_cuts_them(parts: list[bytes], rng: Any
     assert c.pc_frames() + lost == len(received) - spoilt
 
 
-@pytest.mark.parametrize("bits", [8, 10, 12, 15])
+@pytest.mark.parametrize("bits", sampled([8, 10, 12, 15]))
 def test_duty_and_code_are_those_of_python(bits: int) -> None:
     c = library.library(hardware(bits)).functions
 

@@ -18,6 +18,7 @@ pytestmark = needs("cc", "make")
 SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "40"))
 
 
+@pytest.mark.exhaustive
 def test_every_invariant_holds_under_faults() -> None:
     done = campaign.run(range(SEEDS), c_core=True)
 

@@ -25,6 +25,7 @@ def fuzz(n_bytes: int, seed: int, *constants: str) -> dict[str, int]:
     }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "constants",
     [

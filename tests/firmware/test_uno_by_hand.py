@@ -408,6 +408,7 @@ def _act(host: Host, rng: random.Random) -> None:
     host.wait(rng.random() * 30)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("first", sampled(range(0, 200, 50)))
 def test_in_every_state_but_run_the_pin_is_low(first: int) -> None:
     """S1, S6: over 200 seeds of what hosts do; no spike, no enable line."""

@@ -48,6 +48,7 @@ def in_run(*, after_ns: int = 1 * MS, **config: int) -> BothDevices:
     return both
 
 
+@pytest.mark.exhaustive
 def test_more_frames_than_seq_counts() -> None:
     """70 000 frames of a host, and as many of the device."""
     both = in_run(watchdog_ms=250)

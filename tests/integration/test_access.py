@@ -42,6 +42,7 @@ from tests.integration.laboratory import (
 )
 from tests.integration.processes import WITHIN_S, Bench, settled, wait_for
 from tests.integration.sockets import sockets
+from tests.sampling import sampled
 
 NOT_HELD = "not the lease in force: arm first"
 
@@ -217,12 +218,15 @@ def test_a_user_with_a_password_is_known_by_name(
 
 @pytest.mark.parametrize(
     ("spoilt", "says"),
-    [
-        ("names", "access.toml: there is no such file; `armrig pki ca` writes one"),
-        ("certificate", "rig-1.pem: the certificate has expired: `armrig pki renew`"),
-        ("address", "this machine has no such address"),
-        ("port", "another program listens there; use another port"),
-    ],
+    sampled(
+        [
+            ("names", "access.toml: there is no such file; `armrig pki ca` writes one"),
+            ("certificate", "rig-1.pem: the certificate has expired: `armrig pki renew`"),
+            ("address", "this machine has no such address"),
+            ("port", "another program listens there; use another port"),
+        ],
+        2,
+    ),
 )
 def test_a_daemon_that_cannot_listen_as_it_should_does_not_start(
     bench: Bench, spoilt: str, says: str
@@ -334,6 +338,7 @@ def test_an_observer_records_from_afar(lab: Laboratory, monkeypatch: pytest.Monk
     assert armrig.load(path).t.size > 50
 
 
+@pytest.mark.exhaustive
 def test_a_link_ends_with_the_certificate_that_opened_it(lab: Laboratory, tmp_path: Path) -> None:
     made = Path(shutil.copytree(lab.made, tmp_path / "pki"))
     days = 4 / 86_400
@@ -349,6 +354,7 @@ def _most_resident_mib(pid: int) -> float:
     return int(Path(f"/proc/{pid}/status").read_text().split("VmHWM:")[1].split()[0]) / 1024
 
 
+@pytest.mark.exhaustive
 def test_what_is_too_long_is_dropped_before_anybody_reads_it(lab: Laboratory) -> None:
     """At most 8 MB of 64 MB are ever held."""
     daemon = lab.bench.processes[-1].popen.pid

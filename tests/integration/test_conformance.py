@@ -81,6 +81,7 @@ def test_a_device_at_a_port_is_proved_though_the_host_stalls(rig: Path) -> None:
     assert last_volts(rig) == 0.0
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM]))
 def test_an_interruption_leaves_the_device_at_0_v(rig: Path, number: signal.Signals) -> None:
     """Exit code 130, and one line; not by the watchdog, but by STOP."""

@@ -90,6 +90,7 @@ def test_the_same_seed_gives_the_same_bytes_anywhere(
     assert armrig.load(telegraph).manifest.details["seed"] == 7
 
 
+@pytest.mark.exhaustive
 def test_a_program_gets_the_paths_of_all_files(elsewhere: tuple[Path, str, str]) -> None:
     _, told, said = elsewhere
 

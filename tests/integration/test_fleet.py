@@ -33,6 +33,7 @@ from tests.integration.fleet_lab import (
     sample,
 )
 from tests.integration.processes import Bench, wait_for
+from tests.sampling import sampled
 
 
 @pytest.fixture
@@ -277,7 +278,7 @@ with Rig("1", connect=sys.argv[1], certificate=sys.argv[2]) as rig:
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("number", sampled([signal.SIGKILL, signal.SIGSTOP]))
 def test_a_voltage_held_through_a_router_that_dies_falls_to_0_v(
     lab: FleetLab, bench: Bench, number: signal.Signals
 ) -> None:

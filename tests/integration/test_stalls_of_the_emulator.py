@@ -58,6 +58,7 @@ def test_the_daemon_reports_the_length_of_a_stall(bench: Bench) -> None:
     assert daemon.popen.poll() is None
 
 
+@pytest.mark.exhaustive
 def test_the_stall_is_in_the_recording(bench: Bench) -> None:
     _, pid = _emulated(bench)
     stopper = threading.Timer(0.8, _stop, (pid, 0.1))

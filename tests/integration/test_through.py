@@ -87,6 +87,7 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> list[armrig.Fit]:
     return [armrig.oe(d, nb=4, nf=4, nk=1, integrator=True) for d in data]
 
 
+@pytest.mark.exhaustive
 def test_the_frequency_response_is_the_plant_s(fits: list[armrig.Fit]) -> None:
     """Within 5 % rms over 0.5 to 60 rad/s, in every seed."""
     _, G = _true()

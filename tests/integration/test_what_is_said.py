@@ -126,7 +126,7 @@ def _deaf(bench: Bench, noise: int) -> Iterator[None]:
                 r"\d+ bytes came at 1000000 baud, but no frame; .* \[device\] baud",
             ),
         ],
-        2,
+        1,
     ),
 )
 def test_a_device_that_does_not_answer_is_reported_with_the_way_out(

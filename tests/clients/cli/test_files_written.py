@@ -23,6 +23,7 @@ from tests.clients.made_recordings import manifest, recorded, sample, written
 from tests.clients.told import told
 
 
+@pytest.mark.exhaustive
 def test_report_writes_a_pdf_and_says_where(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

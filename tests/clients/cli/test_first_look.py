@@ -215,6 +215,7 @@ def test_plot_of_a_step_takes_no_swing_for_outliers_or_an_integrator(
     assert abs(found["drift"]["alpha"]["rate"]) < 3 * found["drift"]["alpha"]["std"]
 
 
+@pytest.mark.exhaustive
 def test_sampling_recommends_a_time_with_its_method(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,6 +20,7 @@ from armrig.numerics.whiteness import Whiteness
 
 from tests.clients.made_recordings import recorded, sample, written
 from tests.clients.told import told
+from tests.sampling import sampled
 
 
 @pytest.mark.parametrize(
@@ -199,7 +200,8 @@ def test_an_estimate_has_two_digits_of_its_standard_deviation() -> None:
 
 
 @pytest.mark.parametrize(
-    ("horizon", "how"), [([], "simulated"), (["--horizon", "3"], "predicted 3 samples ahead")]
+    ("horizon", "how"),
+    sampled([([], "simulated"), (["--horizon", "3"], "predicted 3 samples ahead")]),
 )
 def test_compare_says_how_and_on_which_recording_it_validates(
     three_recordings: tuple[Path, ...],

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from armrig.cli import main, options
 
+from tests.sampling import without_slow
+
 COLUMNS, LINES = 80, 24
 # By command: its arguments, what its answer begins with, and what only --verbose says.
 COMMANDS = {
@@ -38,7 +40,10 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+SLOW = {"compare", "identify with four polynomials"}
+
+
+@pytest.mark.parametrize("command", without_slow(COMMANDS, lambda command: command in SLOW))
 def test_an_answer_comes_first_and_fits_a_screen(
     command: str,
     three_recordings: tuple[Path, ...],

@@ -14,6 +14,8 @@ from armrig.cli import main
 from scipy.io import savemat
 from scipy.signal import lfilter
 
+from tests.sampling import sampled
+
 TS = 0.05
 COLUMNS = {
     "data.csv": "",
@@ -132,14 +134,17 @@ def test_a_model_is_validated_on_other_data(
 
 @pytest.mark.parametrize(
     "line",
-    [
-        "sampling data.csv",
-        "identify data.csv --structure arx --na 2 --nb 2",
-        "identify data.csv --structure arx --na 2 --nb 2 --save saved.json",
-        "identify data.csv --structure arx --save saved.json --validate other.csv",
-        "validate data.csv --model next.json",
-        "check data.csv",
-    ],
+    sampled(
+        [
+            "identify data.csv --structure arx --na 2 --nb 2",
+            "identify data.csv --structure arx --na 2 --nb 2 --save saved.json",
+            "identify data.csv --structure arx --save saved.json --validate other.csv",
+            "validate data.csv --model next.json",
+            "check data.csv",
+            "sampling data.csv",
+        ],
+        4,
+    ),
 )
 def test_each_command_ends_with_a_line_for_the_same_columns(
     line: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

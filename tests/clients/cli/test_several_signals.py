@@ -98,6 +98,7 @@ def test_a_state_space_of_data_with_gaps_has_a_model_of_the_noise(plant: Path) -
     assert K.any()
 
 
+@pytest.mark.exhaustive
 def test_the_model_that_is_the_closest_is_named_for_each_output(
     three_recordings: tuple[Path, ...],
     tmp_path: Path,

@@ -70,6 +70,7 @@ def test_standard_deviations_and_intervals_hold(
         assert ((coverage > 0.92) & (coverage < 0.98)).all(), coverage
 
 
+@pytest.mark.exhaustive
 def test_coloured_noise_is_met_by_the_robust_form_only() -> None:
     """The classic form errs by a third for the noise 1/(1 - 0.8 q^-1) e."""
     fits = [oe(oe_data(seed, colour=0.8), nb=2, nf=2, starts="few") for seed in range(RUNS)]
@@ -85,7 +86,9 @@ def test_coloured_noise_is_met_by_the_robust_form_only() -> None:
     assert all("trust std_robust" in repr(fit) for fit in fits)
 
 
-@pytest.mark.parametrize(("estimate", "data"), [(estimate_arx, arx_data), (estimate_oe, oe_data)])
+@pytest.mark.parametrize(
+    ("estimate", "data"), sampled([(estimate_arx, arx_data), (estimate_oe, oe_data)])
+)
 @pytest.mark.parametrize("ahead", [0, 10_000])
 def test_the_residual_tests_keep_their_level(
     estimate: Callable[[int], Fit], data: Callable[[int], Dataset], ahead: int

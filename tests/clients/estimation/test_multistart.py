@@ -168,6 +168,7 @@ def test_roots_of_the_noise_model_are_moved_where_searches_disagree() -> None:
     assert few.loss > least * (1 + 5e-3)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("kind", "seed"),
     sampled(

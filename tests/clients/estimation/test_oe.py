@@ -16,6 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
+from tests.sampling import sampled
+
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
 
@@ -62,6 +64,7 @@ def fits(plant: HandoutPlant) -> list[Fit]:
     return [oe(plant.dataset(seed), nb=4, nf=4, integrator=True) for seed in range(8)]
 
 
+@pytest.mark.exhaustive
 def test_the_integrator_s_root_is_one_exactly(fits: list[Fit]) -> None:
     """Its covariance is zero: the coefficients move only so that the root stays."""
     fit = fits[1]
@@ -147,6 +150,7 @@ def test_each_experiment_has_its_own_state_level_and_offset(plant: HandoutPlant)
     np.testing.assert_allclose([f.offset for f in fit.free], [0, 1, 2], atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_many_short_experiments_leave_the_residuals_white(plant: HandoutPlant) -> None:
     """Without the correction, five nuisance parameters per hundred samples look like colour."""
     p = [
@@ -268,7 +272,7 @@ def test_impossible_orders_are_refused() -> None:
         oe(data, nb=1, nf=1, initial="rest")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("n", [2, 4, 6])
+@pytest.mark.parametrize("n", sampled([2, 4, 6]))
 def test_an_order_too_high_on_quiet_data_has_both_deviations(n: int) -> None:
     """Poles and zeros cancel, so the derivatives agree to seven digits."""
     rng = np.random.default_rng(n)

@@ -12,6 +12,8 @@ from armrig.numerics.polynomial import filtered, lagged
 from armrig.numerics.whiteness import Whiteness, joint_p_value, portmanteau, portmanteau_p_value
 from scipy.special import chdtrc
 
+from tests.sampling import sampled
+
 
 @pytest.mark.parametrize(("N", "lags"), [(250, 10), (250, 25), (500, 25)])
 def test_white_noise_is_rejected_as_often_as_the_level_says(N: int, lags: int) -> None:
@@ -68,7 +70,7 @@ def test_what_was_fitted_is_allowed_for_as_the_formula_says(known: bool) -> None
     assert found.test == "portmanteau test"
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", sampled([0, 1, 2]))
 def test_a_random_walk_is_never_called_white(seed: int) -> None:
     """For seed 1 M is indefinite, and M^+ gave p = 0.999."""
     rng = np.random.default_rng(seed)

@@ -47,6 +47,7 @@ def sound(make: Make) -> list[armrig.GreyFit]:
     return [armrig.inverse_dynamics(make(seed)) for seed in range(60)]
 
 
+@pytest.mark.exhaustive
 def test_its_standard_deviation_is_that_of_repeated_experiments(
     make: Make, sound: list[armrig.GreyFit]
 ) -> None:

@@ -276,6 +276,7 @@ def test_data_without_information_are_reported_in_their_section(tmp_path: Path) 
     assert found["3.3"].lack == f"No result: {study.refused['black']}."
 
 
+@pytest.mark.exhaustive
 def test_the_report_has_at_most_ten_pages(
     typeset_once: Path, without: HandoutStudy, tmp_path: Path
 ) -> None:
@@ -339,6 +340,7 @@ def test_an_emulated_rig_is_named_on_the_cover(
     ]
 
 
+@pytest.mark.exhaustive
 def test_different_calibrations_are_a_warning_on_the_cover(
     three: list[Recording], without: HandoutStudy, tmp_path: Path
 ) -> None:

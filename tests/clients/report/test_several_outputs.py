@@ -82,6 +82,7 @@ def test_the_sentences_name_the_output(both: Study) -> None:
     assert "OE of α: loss" in estimation
 
 
+@pytest.mark.exhaustive
 def test_the_document_has_the_figures_of_both_outputs(both: Study, tmp_path: Path) -> None:
     pdf = report(both, tmp_path / "report.pdf", figures=tmp_path)
 

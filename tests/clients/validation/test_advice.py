@@ -88,6 +88,7 @@ def test_the_right_model_needs_no_advice(plant: HandoutPlant) -> None:
     assert told(armrig.advice(fit)) == set()
 
 
+@pytest.mark.exhaustive
 def test_an_order_too_high_shows_in_a_pole_and_a_zero_that_cancel(plant: HandoutPlant) -> None:
     """Most models with two more orders show it, none with the right order."""
     data = [plant.dataset(seed, N=1500) for seed in range(3)]

@@ -133,7 +133,7 @@ def test_a_pure_delay_is_found_exactly() -> None:
     assert (found.nk, found.interval) == (3, (3, 3))
 
 
-@pytest.mark.parametrize("Ts", [0.005, 0.01, 0.02])
+@pytest.mark.parametrize("Ts", sampled([0.02, 0.01, 0.005], 2))
 def test_an_unnamed_output_that_integrates_is_found_to(Ts: float) -> None:
     data = unnamed(arm(1, Ts=Ts, N=3000))
 
@@ -154,6 +154,7 @@ def test_an_output_that_is_said_to_integrate_needs_no_remark() -> None:
     assert not armrig.delay(unnamed(data), integrator=False).integrator
 
 
+@pytest.mark.exhaustive
 def test_holes_and_several_experiments_are_no_delay(plant: HandoutPlant) -> None:
     parts = [
         plant.through_potentiometer(late(plant.dataset(seed, N=1500), 2), seed) for seed in (1, 2)
@@ -263,6 +264,7 @@ def arm(seed: int, *, Ts: float = FAST, N: int = 4000, delayed: float = 0.0) -> 
     return Dataset(u=u, y=y, Ts=Ts, output="theta_1", unit="rad")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("samples", sampled([0, 2]))
 def test_at_a_short_sampling_time_the_shape_of_the_onset_decides(samples: int) -> None:
     found = armrig.delay(arm(1, delayed=samples) if samples else unnamed(arm(1)))
@@ -291,6 +293,7 @@ def test_without_its_shape_an_onset_within_the_noise_is_not_claimed() -> None:
     assert found.nk == 1
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("Ts", "at", "high"), sampled([(0.002, 161, 4.5), (0.001, 157, 1.5)]))
 def test_one_step_read_in_steps_is_no_delay(Ts: float, at: int, high: float) -> None:
     u = np.where(np.arange(round(3 / Ts)) < at, 0.5, high)

@@ -265,6 +265,7 @@ def test_search_chooses_the_order_of_the_plant() -> None:
     assert "  chosen" in repr(found)
 
 
+@pytest.mark.exhaustive
 def test_search_knows_the_integrator_of_one_output() -> None:
     rng = np.random.default_rng(3)
     u = np.repeat(np.sign(rng.standard_normal(N // 4)), 4)

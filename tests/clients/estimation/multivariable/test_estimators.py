@@ -212,6 +212,7 @@ def fitted_bj(missing: float) -> MultivariableFit:
     return armrig.bj(plant(missing=missing, C=(1, 0.4), D=(1, -0.8)), nc=1, nd=1, **ORDERS)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("missing", [0.0, 0.2])
 def test_estimates_lie_within_their_deviations(missing: float) -> None:
     truth = np.concatenate([*(B[0][0][1:], B[0][1][2:], [0.4], [-0.8], F[0][0][1:], F[0][1][1:])])

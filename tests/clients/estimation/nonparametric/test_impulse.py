@@ -15,6 +15,8 @@ from armrig.estimation.nonparametric.kernels import Evidence, Kernel, factor
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
+from tests.sampling import sampled
+
 KERNELS: tuple[Kernel, ...] = ("tc", "dc", "ss")
 
 
@@ -34,7 +36,9 @@ def test_without_noise_plain_least_squares_gives_back_the_response() -> None:
     assert found.lags.tolist() == [0, 1, 2, 3, 4]
 
 
-@pytest.mark.parametrize(("u_pole", "v_pole", "missing"), [(0, 0.8, 0), (0.8, 0.8, 0.1)])
+@pytest.mark.parametrize(
+    ("u_pole", "v_pole", "missing"), sampled([(0, 0.8, 0), (0.8, 0.8, 0.1)], 0)
+)
 def test_the_band_of_confidence_holds_for_coloured_noise(
     second: Any, u_pole: float, v_pole: float, missing: float
 ) -> None:
@@ -50,6 +54,7 @@ def test_the_band_of_confidence_holds_for_coloured_noise(
     assert 0.93 < held < 0.97
 
 
+@pytest.mark.exhaustive
 def test_regularisation_lowers_the_error_on_short_data(second: Any) -> None:
     """In nearly every one of 12 paired runs, with every kernel (Chen, Ohlsson, Ljung 2012)."""
     truth = second.g(50)

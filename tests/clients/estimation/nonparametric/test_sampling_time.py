@@ -55,6 +55,7 @@ def test_the_arm_gets_5_ms(sampled: Callable[[float], Any], Ts: float) -> None:
     assert "the fast part decides" in repr(found)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", sampled([3, 1, 6, 9]))  # 3 once gave 0.2 ms
 def test_a_step_through_converter_and_dead_band_leads_to_the_same(
     sampled: Callable[[float], Any], seed: int
@@ -191,6 +192,7 @@ def test_one_crossing_of_the_level_is_one_number() -> None:
     assert f"transient: {found.settling:.3g} s to within 5 %" in repr(found)
 
 
+@pytest.mark.exhaustive
 def test_the_band_is_drawn_over_the_gain_of_the_step(sampled: Callable[[float], Any]) -> None:
     """|G| of the arm peaks at its gain."""
     data = sampled(0.002).dataset(step(2500, at=500), 4e-3, 1)

@@ -11,17 +11,21 @@ from armrig.data.merging import merge
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.numerics.polynomial import filtered
 
+from tests.sampling import sampled
+
 OMEGA = np.linspace(0.3, 2.8, 12)
 
 
 @pytest.mark.parametrize(
     ("u_pole", "v_pole", "missing", "method"),
-    [
-        (0, 0, 0, "blackman-tukey"),
-        (0.8, 0.8, 0, "blackman-tukey"),
-        (0.8, 0.8, 0.1, "blackman-tukey"),
-        (0, 0.5, 0, "welch"),
-    ],
+    sampled(
+        [
+            (0, 0, 0, "blackman-tukey"),
+            (0.8, 0.8, 0, "blackman-tukey"),
+            (0.8, 0.8, 0.1, "blackman-tukey"),
+            (0, 0.5, 0, "welch"),
+        ]
+    ),
 )
 def test_the_bands_hold_the_smoothed_expectation(
     second: Any,

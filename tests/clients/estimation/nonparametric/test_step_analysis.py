@@ -124,6 +124,7 @@ def test_what_is_left_next_to_a_hole_is_not_averaged_alone() -> None:
     assert found.overshoot < 0.1
 
 
+@pytest.mark.exhaustive
 def test_the_overshoot_is_that_of_the_answer_and_not_of_its_noise(
     of_the_arm: list[StepAnalysis],
 ) -> None:
@@ -154,6 +155,7 @@ def test_an_answer_that_rings_fast_has_not_settled() -> None:
     assert found.settling == pytest.approx(outside * TS, rel=0.1)
 
 
+@pytest.mark.exhaustive
 def test_what_is_no_overshoot_is_not_called_one() -> None:
     """A first-order system has no overshoot; one record in twenty may show one."""
     told = [repr(found) for found in of_a_first_order_system()]

@@ -48,6 +48,7 @@ def test_the_arm_is_seen_through(arm: Any, output: str) -> None:
     assert found.explain().startswith("- integrator: ")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("pole", "integrates", "seed"),
     sampled(
@@ -70,7 +71,7 @@ def test_a_slow_pole_is_no_integrator(pole: float, integrates: bool, seed: int) 
     assert ("a slow pole, and no integrator" in repr(found)) is not integrates
 
 
-@pytest.mark.parametrize("offset", [0.0, 2.0])
+@pytest.mark.parametrize("offset", sampled([0.0, 2.0]))
 def test_a_circuit_that_has_the_arm_s_names_does_not_integrate(offset: float) -> None:
     """theta_1 counts as integrating unless the response of its rate surely decays."""
     rng = np.random.default_rng(1)
@@ -169,6 +170,7 @@ def _first_order(gain: float) -> Dataset:
     return Dataset(u=u, y=y, Ts=0.05)
 
 
+@pytest.mark.exhaustive
 def test_a_sign_is_no_delay() -> None:
     """The phase of a negative gain begins at 180°."""
     up, down = (structure_hints(_first_order(gain)) for gain in (2.0, -2.0))
@@ -176,6 +178,7 @@ def test_a_sign_is_no_delay() -> None:
     assert down.phase_delay == pytest.approx(up.phase_delay)
 
 
+@pytest.mark.exhaustive
 def test_what_is_not_there_is_reported_in_words() -> None:
     said = structure_hints(_first_order(2.0)).explain()
 
@@ -200,7 +203,7 @@ def test_a_pure_integrator_has_the_one_pole_at_1() -> None:
     assert "shortest" not in replace(more, integrator_shown=False).explain()
 
 
-@pytest.mark.parametrize("samples", [0, 4, 9])
+@pytest.mark.parametrize("samples", sampled([0, 4, 9]))
 def test_the_phase_shows_a_delay_of_more_than_half_a_turn(samples: int) -> None:
     """The phase contains the delay and half a sample of the hold."""
     rng = np.random.default_rng(3)
@@ -227,6 +230,7 @@ def test_dead_time_is_delay_and_not_poles() -> None:
     assert found.nk_interval == (11, 11)
 
 
+@pytest.mark.exhaustive
 def test_under_a_slow_telegraph_no_slope_and_no_delay_is_said_that_is_not_there() -> None:
     """Its power is at low frequency, and the leakage from there has another slope and phase."""
     said = []
@@ -246,6 +250,7 @@ def test_under_a_slow_telegraph_no_slope_and_no_delay_is_said_that_is_not_there(
         assert delay is None or delay == pytest.approx(0.025, abs=0.03)
 
 
+@pytest.mark.exhaustive
 def test_the_true_structure_is_recommended_in_coloured_noise() -> None:
     """The colour of the noise is removed before the orders are compared."""
     rng = np.random.default_rng(5)
@@ -306,6 +311,7 @@ def test_many_short_experiments_show_the_true_structure() -> None:
     assert (first.nb, first.nf, first.nk) == (2, 2, 1)
 
 
+@pytest.mark.exhaustive
 def test_few_samples_do_not_give_the_noise_a_high_order() -> None:
     """By AIC the noise of 300 samples, first order, was taken for one of order 35."""
     plant = drawn(4018)
@@ -348,6 +354,7 @@ def test_if_a_slow_pole_may_be_at_1_both_are_recommended() -> None:
     assert "and the integrator" not in found.explain()
 
 
+@pytest.mark.exhaustive
 def test_a_spectrum_that_u_does_not_explain_leaves_the_structures() -> None:
     """A delay of twenty samples is longer than the window; `delay` finds it."""
     rng = np.random.default_rng(21)

@@ -507,6 +507,7 @@ def test_killed_in_the_middle_and_started_again_it_gives_the_same_table(
     assert not table.with_name(table.name + SUFFIX).exists()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are seen in /proc")
 def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path: Path) -> None:
     folder, whole = lab
