@@ -1,4 +1,4 @@
-"""Application of treatments for a Dataset to all channels of Signals."""
+"""Decorator that applies a treatment of one Dataset to each channel of Signals."""
 
 from __future__ import annotations
 

@@ -203,7 +203,11 @@ def _moved_modes(problem: PolynomialProblem, theta: Array) -> list[Array]:
 def _iterated(
     problem: PolynomialProblem, masks: Sequence[Array], end: Optimum, tolerance: float
 ) -> tuple[float, PolynomialProblem, Optimum]:
-    """Return log det Lambda, the problem and its minimum, after Lambda is iterated from `end`."""
+    """Return log det Lambda, the problem with the last weights, and its minimum.
+
+    From the minimum `end` on, Lambda is estimated and the weighted problem is searched in turn,
+    until Lambda settles.
+    """
     Lambda = _covariance(problem, masks, end.theta)
     for _ in range(_MAX_ROUNDS):
         problem = replace(problem, weights=tuple(whitening(Lambda, m) for m in masks))

@@ -43,7 +43,7 @@ _SETTLED = 1e-4  # relative change of the noise's deviations at which the rounds
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Linearised:
-    """Weighted residuals and derivatives at given coordinates; the outputs are stacked."""
+    """Residuals and derivatives at given coordinates; the outputs are stacked."""
 
     e: tuple[Array, ...]
     """Residuals (N, ny) of each experiment in units of y, NaN where y is missing."""

@@ -204,7 +204,7 @@ def _first(p_values: Vector) -> int:
 
 
 def _response(T: Matrix, scale: Vector, na: int, left_out: int, first: int) -> Vector:
-    """Return the impulse response, from lag 0, of the model without its first `left_out` lags."""
+    """Return the impulse response, from lag 0, of the ARX model without the first lags of u."""
     d, k = T.shape[1] - 1 - left_out, first + left_out
     theta = np.linalg.solve(T[:d, :d], T[:d, -1]) * scale[-1] / scale[:d]
     A, B = np.append(1.0, theta[:na]), np.append(np.zeros(k), theta[na:][::-1])
