@@ -366,10 +366,11 @@ def test_an_iddata_saved_as_a_structure(tmp_path: Path) -> None:
     ("asked", "said"),
     [
         ({"inputs": ["u9"], "outputs": ["y1"]}, "input u9: there is no such column"),
-        ({"inputs": ["u1"], "outputs": ["u1"]}, "a column is given twice"),
-        ({"inputs": ["u1", "1"], "outputs": ["t"]}, "a column is given twice"),
-        ({"inputs": [], "outputs": ["y1"]}, "give at least one input"),
-        ({"inputs": ["u1"], "outputs": []}, "give at least one output"),
+        ({"inputs": ["u1"], "outputs": ["u1"]}, "a column is an input and an output; give --sig"),
+        ({"inputs": ["u1", "2"], "outputs": ["t"]}, "a column is given twice; give --input"),
+        ({"inputs": ["t"], "outputs": ["u1", "u1"]}, "a column is given twice; give --signal"),
+        ({"inputs": [], "outputs": ["y1"]}, "give at least one input; give --input"),
+        ({"inputs": ["u1"], "outputs": []}, "give at least one output; give --signal"),
     ],
 )
 def test_wrong_columns_are_refused_with_the_way_out(

@@ -162,12 +162,14 @@ def _signals(
     source: str,
 ) -> Signals:
     of_u, of_y = _columns_of(table, inputs, "input"), _columns_of(table, outputs, "signal")
-    for what, of in (("input", of_u), ("output", of_y)):
+    for what, option, of in (("input", "input", of_u), ("output", "signal", of_y)):
         if not of:
-            raise FileError(f"give at least one {what}; {listed(table, 'signal')}")
+            raise FileError(f"give at least one {what}; {listed(table, option)}")
+        if len(set(of)) < len(of):
+            raise FileError(f"a column is given twice; {listed(table, option)}")
     taken = {*of_u, *of_y}
     if len(taken) < len(of_u) + len(of_y):
-        raise FileError(f"a column is given twice; {listed(table, 'signal')}")
+        raise FileError(f"a column is an input and an output; {listed(table, 'signal')}")
     notes = list(table.notes)
     if Ts is None:
         Ts = _sampling_time(table, time, taken)
