@@ -21,10 +21,12 @@ MODULES = [
     if ">>> " in path.read_text(encoding="utf-8")
 ]
 LIVE = "running(["
-"""Code of an example that starts an emulated rig, which is real time."""
+"""Code of an example that starts an emulated rig: it needs real time, two seconds each."""
 EXAMPLES = [
     pytest.param(
-        example, id=example.name, marks=[pytest.mark.real_time] * (LIVE in example.docstring)
+        example,
+        id=example.name,
+        marks=[pytest.mark.real_time, pytest.mark.exhaustive] if LIVE in example.docstring else [],
     )
     for module in MODULES
     for example in doctest.DocTestFinder().find(import_module(module))

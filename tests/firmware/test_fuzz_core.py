@@ -44,5 +44,6 @@ def test_no_bytes_do_harm(constants: tuple[str, ...]) -> None:
     assert found["cals"] > 10
 
 
+@pytest.mark.exhaustive
 def test_another_seed_sends_other_bytes() -> None:
     assert fuzz(100_000, 1) == fuzz(100_000, 1) != fuzz(100_000, 2)

@@ -150,6 +150,7 @@ def test_every_u_is_at_its_k_and_on_the_pin(bench: UnoBench, ts_us: int) -> None
     assert figures.interrupts_off_max <= 16 * 16  # 16 us
 
 
+@pytest.mark.exhaustive
 def test_the_same_run_gives_the_same_bytes(switched_on: Callable[..., UnoBench]) -> None:
     told = []
     for _ in range(3):

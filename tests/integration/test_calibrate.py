@@ -122,6 +122,7 @@ def _recorded(bench: Bench) -> armrig.Recording:
         return armrig.load(rig.run(np.full(100, 1.0)))
 
 
+@pytest.mark.exhaustive
 def test_a_calibration_is_taken_between_runs_only(served: Bench) -> None:
     path = served.folder / "c.toml"
     with served.rig() as rig:

@@ -167,6 +167,7 @@ def test_ctrl_c_reaches_both_processes(run: Run) -> None:
     assert "Traceback" not in run.daemon.said
 
 
+@pytest.mark.exhaustive
 def test_a_frozen_loop_does_not_keep_the_service_from_ending(run: Run) -> None:
     """SIGTERM after SIGSTOP of the loop: the device stops the motor, the service ends."""
     freeze(run.loop_pid)
@@ -212,6 +213,7 @@ def test_a_loop_frozen_for_less_than_the_watchdog_costs_nothing(
         assert recording.missing > 0
 
 
+@pytest.mark.exhaustive
 def test_a_client_that_is_killed_does_not_cost_the_recording(served: Bench) -> None:
     run = Run(served, periods=150)
 

@@ -234,6 +234,7 @@ def _opened(lab: FleetLab, who: str) -> zenoh.Session:
     return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
 
 
+@pytest.mark.exhaustive
 def test_the_rigs_that_are_there_are_listed(
     lab: FleetLab, bench: Bench, stack: ExitStack, capsys: pytest.CaptureFixture[str]
 ) -> None:

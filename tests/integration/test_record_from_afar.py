@@ -371,6 +371,7 @@ def test_a_signal_ends_it_with_a_whole_file(
     assert len(ks) >= came
 
 
+@pytest.mark.exhaustive
 def test_what_came_before_an_end_by_force_is_recovered(
     where: str, tmp_path: Path, published: Callable[[], int]
 ) -> None:

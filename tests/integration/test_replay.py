@@ -65,6 +65,7 @@ def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_goes(
         replay(half)
 
 
+@pytest.mark.exhaustive
 def test_the_command_says_what_it_replayed(bench: Bench) -> None:
     emulator = bench.emulate()
     bench.serve()

@@ -23,7 +23,7 @@ from tests.integration.processes import Bench, wait_for
 from tests.sampling import without_slow
 
 STORIES = sorted(Path(__file__).with_name("stories").glob("*.txt"))
-SLOW = {"a_cable", "a_chassis", "two_groups"}
+SLOW = {"a_cable", "a_chassis", "a_run", "two_groups"}
 _OF_A_RUN = re.compile(r"\d{8}T\d{6}|\b[0-9a-f]{8,}\b|\d{4}-\d\d-\d\dT[\d:.+]+")
 _CLOSED = re.compile("end of file|Connection reset by peer|Broken pipe")  # as it comes
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")

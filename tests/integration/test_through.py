@@ -97,6 +97,7 @@ def test_the_frequency_response_is_the_plant_s(fits: list[armrig.Fit]) -> None:
     assert max(errors) < 0.05, np.round(errors, 4)
 
 
+@pytest.mark.exhaustive
 def test_every_coefficient_is_within_3_sigma(fits: list[armrig.Fit]) -> None:
     """In at least 9 of 10 seeds each."""
     true, _ = _true()
@@ -109,6 +110,7 @@ def test_every_coefficient_is_within_3_sigma(fits: list[armrig.Fit]) -> None:
     assert (inside >= 9).all(), dict(zip(names, inside, strict=True))
 
 
+@pytest.mark.exhaustive
 def test_the_standard_deviations_are_not_too_large_either(fits: list[armrig.Fit]) -> None:
     """Over seeds the estimates scatter as reported."""
     true, _ = _true()

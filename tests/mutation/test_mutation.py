@@ -150,6 +150,7 @@ def test_the_bugs_of_c_and_of_javascript() -> None:
     assert {bug.new for bug in text_sites.sites("a.js", js)} == {"!==", "Math.max", "4000"}
 
 
+@pytest.mark.exhaustive
 def test_bugs_are_drawn_from_every_room_by_its_lines_and_the_same_ones_again() -> None:
     every = {name: room for name, room in rooms().items() if name in ("wire", "core", "page")}
     lines = {

@@ -180,6 +180,7 @@ class TrippingDaemon(FakeDaemon):
         return super()._carry_out(request)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("runtime", sampled(["/tmp/" + 100 * "x", "/dev/null/none"]))
 def test_what_cannot_be_done_in_real_time_is_done_in_virtual_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, runtime: str

@@ -99,6 +99,7 @@ def test_a_lab_leaves_nothing(number: signal.Signals, lab: subprocess.Popen[str]
         pass
 
 
+@pytest.mark.exhaustive
 def test_a_second_lab_is_refused_with_the_first(lab: subprocess.Popen[str]) -> None:
     second = subprocess.run(
         [sys.executable, "-m", "armrig", "lab"], capture_output=True, text=True, check=False
@@ -112,6 +113,7 @@ def test_a_second_lab_is_refused_with_the_first(lab: subprocess.Popen[str]) -> N
         assert rig.status().phase == "safe"
 
 
+@pytest.mark.exhaustive
 def test_a_port_that_is_not_there_is_reported_with_the_way_out(tmp_path: Path) -> None:
     said = tmp_path / "said"
     with started(said, "Ctrl-C ends the lab", "--port", "/dev/nowhere") as lab:
@@ -125,6 +127,7 @@ def test_a_port_that_is_not_there_is_reported_with_the_way_out(tmp_path: Path) -
     assert of_this_test() == []
 
 
+@pytest.mark.exhaustive
 @pytest.mark.real_time
 def test_a_program_hears_of_each_change_in_json(tmp_path: Path) -> None:
     said = tmp_path / "said"

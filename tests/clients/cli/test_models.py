@@ -78,6 +78,7 @@ def test_compare_puts_the_models_and_the_physics_side_by_side(
     assert all(f"velocity fit {m['velocity_fit_percent']:7.2f} %" in text for m in facts["models"])
 
 
+@pytest.mark.exhaustive
 def test_a_model_that_is_estimated_here_anyway_is_shown_once(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -259,6 +259,7 @@ def test_a_program_gets_no_next_line(pair: Path, capsys: pytest.CaptureFixture[s
     assert "next:" not in "".join(capsys.readouterr())
 
 
+@pytest.mark.exhaustive
 def test_the_way_from_a_structure_to_its_validation(
     three_recordings: tuple[Path, ...],
     tmp_path: Path,

@@ -408,6 +408,7 @@ def about_20(folder: Path) -> None:
     write(folder / "level.csv", data.replaced(step=None, u=data.u + 3, y=data.y + 20))
 
 
+@pytest.mark.exhaustive
 def test_means_are_taken_off_where_it_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -572,6 +573,7 @@ def test_a_check_of_own_data_speaks_of_their_output(
     assert "rig" not in out
 
 
+@pytest.mark.exhaustive
 def test_hints_name_the_next_command_for_the_same_columns(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -94,6 +94,7 @@ def test_simulate_holds_the_physics_against_a_recording(
     assert right[0]["figures"]["antiresonance"]["value"] == pytest.approx(15.74, abs=0.02)
 
 
+@pytest.mark.exhaustive
 def test_simulate_takes_saved_models_too(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

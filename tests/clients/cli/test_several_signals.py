@@ -39,6 +39,7 @@ def _walk(line: str, steps: int, capsys: pytest.CaptureFixture[str]) -> list[str
     return [*walked, " ".join(typed)]
 
 
+@pytest.mark.exhaustive
 def test_the_way_of_both_outputs_leads_to_the_physics(
     three_recordings: tuple[Path, ...],
     tmp_path: Path,

@@ -103,6 +103,7 @@ def test_the_residual_tests_keep_their_level(
     assert all(t.on_estimation_data == (ahead == 0) for t in tests)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("ahead", [0, 10_000])
 def test_few_lags_allow_for_the_parameters_too(ahead: int) -> None:
     """With as many parameters as lags, uncorrected p values would accumulate at one end."""

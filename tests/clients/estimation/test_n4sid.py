@@ -50,6 +50,7 @@ def test_noise_free_data_give_back_the_true_system(weights: Weights, nk: int) ->
     np.testing.assert_allclose(fit.B, numerator, atol=1e-7)
 
 
+@pytest.mark.exhaustive
 def test_it_comes_close_to_what_a_search_attains() -> None:
     """Root mean square error of A and B at most a quarter above that of ARMAX, 60 runs."""
     error: dict[str, list[float]] = {"n4sid": [], "armax": []}

@@ -303,6 +303,7 @@ def test_residuals_of_the_estimation_are_those_of_the_test() -> None:
         assert tested.on_estimation_data
 
 
+@pytest.mark.exhaustive
 def test_the_noise_spectrum_is_that_of_the_noise() -> None:
     """Its integral is the variance of C/A e."""
     omega = np.linspace(0, np.pi / 0.1, 2001)
@@ -410,6 +411,7 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
         iv4(Dataset(u=np.ones(50), y=bj_data(1).y[:50], Ts=1), na=1, nb=2)
 
 
+@pytest.mark.exhaustive
 def test_the_four_stages_make_instruments_as_sharp_as_the_noise_allows() -> None:
     """Their deviations are those of Box-Jenkins with the true noise model, within 10 %.
 

@@ -23,6 +23,7 @@ B, A = np.array([0, 1, 0.5]), np.array([1, -1.2, 0.6])
 RUNS, N = 200, 400
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("structure", ["oe", "arx"])
 def test_the_prediction_is_what_repeated_experiments_scatter_by(structure: str) -> None:
     """The scatter is known to 5 % (1/sqrt(2 RUNS)); the tolerance of 15 % is three times that."""

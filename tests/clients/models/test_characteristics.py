@@ -113,6 +113,7 @@ def test_a_wrong_inertia_of_the_arm_is_reported_with_what_depends_on_it(
     assert said.startswith("OE is closest")
 
 
+@pytest.mark.exhaustive
 def test_the_right_physics_differs_by_nothing(plant: HandoutPlant) -> None:
     data = plant.dataset(4)
     fit = armrig.oe(data, nb=4, nf=4, integrator=True)

@@ -47,6 +47,7 @@ def test_the_whole_rig_gives_back_both_inertias_and_the_spring() -> None:
             assert fit.values[name] == pytest.approx(getattr(HANDOUT, name), rel=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_the_standard_deviation_is_that_of_repeated_experiments(make: Make) -> None:
     """Over 80 seeds: the ratio within its own 3 sigma (0.24), all errors below 4 deviations."""
     fits = [armrig.greybox(make(seed, N=2000)) for seed in range(80)]

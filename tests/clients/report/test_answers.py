@@ -86,6 +86,7 @@ def test_a_missing_file_is_refused_with_the_command_that_writes_it(tmp_path: Pat
         read_answers(tmp_path / "none.toml")
 
 
+@pytest.mark.exhaustive
 def test_markup_in_an_answer_is_text(tmp_path: Path) -> None:
     wild = '#image("/etc/passwd") *a* $x$ \\ #panic() `b'
     given = Answers(

@@ -60,6 +60,7 @@ def typeset_with_figures(study: Study, folder: Path) -> tuple[bytes, Path]:
     return report(study, folder / "report.pdf", figures=folder).read_bytes(), folder
 
 
+@pytest.mark.exhaustive
 def test_the_report_is_a_pdf_of_three_to_six_pages(done: Study, made: tuple[bytes, Path]) -> None:
     date = recorded_at(done.recordings)
     pdf, _ = typeset(made[1], "report.typ", content(done, []), date)

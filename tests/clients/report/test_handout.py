@@ -371,6 +371,7 @@ def test_a_step_beyond_the_limit_is_marked(without: HandoutStudy) -> None:
         assert "0.1 % of its largest value" in found[number].answer[0]
 
 
+@pytest.mark.exhaustive
 def test_the_source_gives_the_same_report_and_an_edited_one(
     typeset_once: Path, tmp_path: Path
 ) -> None:

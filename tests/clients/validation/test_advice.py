@@ -17,6 +17,8 @@ from armrig.validation.advice.data_advice import examine_fit_of
 from armrig.validation.advice.model_advice import _about_integrator, _about_poles
 from numpy.typing import NDArray
 
+from tests.sampling import sampled
+
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
 
@@ -36,7 +38,7 @@ def test_good_data_need_no_advice_but_on_arx(plant: HandoutPlant) -> None:
     assert "take OE" in repr(found)
 
 
-@pytest.mark.parametrize("Ts", [0.5, 7.0, 3600.0])
+@pytest.mark.parametrize("Ts", sampled([0.5, 7.0, 3600.0]))
 def test_slow_data_are_advised_on_as_fast_ones(Ts: float) -> None:
     """One sample per hour."""
     rng = np.random.default_rng(1)
@@ -163,6 +165,7 @@ def test_a_sine_determines_neither_orders_nor_a_delay() -> None:
     assert told(armrig.advice(data)) == {"excitation", "delay"}
 
 
+@pytest.mark.exhaustive
 def test_a_delay_is_reported_with_the_nk_to_take() -> None:
     found = armrig.advice(of_second_order(switched(), nk=4))
 

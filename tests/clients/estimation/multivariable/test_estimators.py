@@ -182,6 +182,7 @@ def test_an_integrator_of_one_output_is_fixed_and_the_rest_is_estimated() -> Non
     assert not tests.rejects
 
 
+@pytest.mark.exhaustive
 def test_a_shared_denominator_of_an_armax_model_may_have_an_integrator() -> None:
     data = integrated(1)
 
@@ -262,6 +263,7 @@ def test_a_channel_of_a_coupled_model_is_its_transfer_function() -> None:
     ) or np.allclose(np.sort_complex(fit.poles().values), np.sort_complex(system.poles())[-3:])
 
 
+@pytest.mark.exhaustive
 def test_the_covariance_of_a_channel_is_that_of_many_runs() -> None:
     """The gain from v to a of a coupled model, and its deviation, in 60 runs."""
     gains, deviations = [], []
@@ -274,6 +276,7 @@ def test_the_covariance_of_a_channel_is_that_of_many_runs() -> None:
     assert np.abs(ratio - 1).max() < 0.35
 
 
+@pytest.mark.exhaustive
 def test_a_shared_denominator_gains_from_the_second_output() -> None:
     rng = np.random.default_rng(5)
     u = np.repeat(np.sign(rng.standard_normal(N // 5)), 5)
@@ -301,6 +304,7 @@ def test_a_shared_denominator_gains_from_the_second_output() -> None:
     assert len(fit.poles()) == 4
 
 
+@pytest.mark.exhaustive
 def test_predictions_continue_over_missing_samples() -> None:
     data = plant(missing=0.2, C=(1, 0.4), D=(1, -0.8))
     whole = plant(C=(1, 0.4), D=(1, -0.8))

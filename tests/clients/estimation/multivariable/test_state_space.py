@@ -369,6 +369,7 @@ def test_windows_have_one_factor_by_squares_and_by_a_decomposition(
     np.testing.assert_allclose(fast.singular_values, safe.singular_values, rtol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_the_replicates_have_the_deviations_of_many_runs() -> None:
     fits = [armrig.n4sid(data(seed=s), 3, replicates=0) for s in range(60)]
     values = np.array([nearest(f.poles().values) for f in fits])

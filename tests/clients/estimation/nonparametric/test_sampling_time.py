@@ -76,6 +76,7 @@ def test_a_step_through_converter_and_dead_band_leads_to_the_same(
     assert 50 < found.omega_spectrum < 80
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("Ts", "N"), sampled([(0.002, 5000), (0.001, 5000)]))
 def test_a_telegraph_is_no_row_of_steps(sampled: Callable[[float], Any], Ts: float, N: int) -> None:
     """Most holds end before the arm settles."""
@@ -97,6 +98,7 @@ def test_missing_samples_and_steps_lead_to_the_same(arm: Any) -> None:
     assert sampling_time(arm.steps()).Ts == 0.005
 
 
+@pytest.mark.exhaustive
 def test_noise_of_an_angle_is_no_reason_to_record_faster(
     sampled: Callable[[float], Any],
 ) -> None:

@@ -136,6 +136,7 @@ def test_the_overshoot_is_that_of_the_answer_and_not_of_its_noise(
     assert "overshoot 10." in repr(of_the_arm[0])
 
 
+@pytest.mark.exhaustive
 def test_an_overshoot_in_noise_is_no_settled_answer(of_the_arm: list[StepAnalysis]) -> None:
     """The settling time is 0.372 s, with noise as high as the peak."""
     found = [f.settling for f in of_the_arm]
