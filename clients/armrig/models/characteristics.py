@@ -39,8 +39,8 @@ DRAWS = 400
 MAX_INVALID_SHARE = 0.05
 """Largest share of the draws that may lack a number, such as a resonance. If more draws lack the
 number, its range is not known."""
-_SPREAD_ROUNDING = 1e-9  # relative spread of draws up to which it counts as rounding errors
-_NEAR_NYQUIST = 1e-6  # relative distance from the last point of the grid
+_SPREAD_ROUNDING = 1e-9  # a relative spread of draws up to this limit counts as rounding
+_NEAR_NYQUIST = 1e-6  # relative distance from the Nyquist frequency, where the slope is 0
 _DIFFERENCE_SIGMAS = 1e-2  # step of the central differences, in standard deviations
 _FREQUENCY_POINTS = 600
 _MIN_NYQUIST_SHARE = 1 / 3000  # lowest frequency of the grid, as a share of the Nyquist frequency

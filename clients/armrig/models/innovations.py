@@ -34,7 +34,7 @@ _FIRST_RESPONSE_SAMPLES = 256  # samples
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """Signals of one experiment, with missing y interpolated, and the rows with errors."""
+    """Signals of one experiment with interpolated y, and a mask of the prediction errors."""
 
     u: Array
     """Input (N,), summed if F integrates."""
@@ -99,8 +99,8 @@ class Unknown:
     """Rows and basis of z for each segment. The rows end where the impulse response of 1/C has
     decayed to 0."""
     state: Basis
-    """Basis of x and the trend, minus their projection on `noise`. Only the first rows are stored;
-    the other rows are 0."""
+    """Basis of the effects of x and of the trend, minus the projection of these effects on `noise`.
+    Only the first rows are stored; the other rows are 0."""
     volumes: tuple[Callable[[], tuple[float, Array]], ...]
     """For each segment, a function that returns log |Z^T Z| and its gradient with respect to the
     coefficients c of C. The columns of Z are the filtered pulses z. The function of the first
@@ -250,8 +250,8 @@ class LinearPart:
     """Linear equation of the errors for given C, D and F: y = X [a, b] + unknown + e."""
 
     X: Array
-    """Derivatives of the prediction with respect to (a, b), (N, na + nb); 0 in rows without an
-    error."""
+    """Derivatives of the prediction with respect to (a, b), (N, na + nb); 0 in rows without a
+    prediction error."""
     y: Array
     """Signal D/C y, (N,); 0 where the prediction error e is not known."""
     unknown: Unknown

@@ -57,8 +57,8 @@ def drawn(model: Model, *, n: int = DRAWS, rng: np.random.Generator | None = Non
     With P = W W^T the draws are theta + W x, with x standard normal. The draws of x are pairs x and
     -x, scaled so that their covariance is exactly the unit matrix. The standard deviation of a
     response that is linear in theta is then exact. W is computed from the correlation matrix, so
-    that the units of the parameters do not matter. If a root is 1 by construction, W is computed
-    for the coefficients of the other factor, so that the root stays 1.
+    that the units of the parameters do not matter. If a polynomial has a root 1 by construction,
+    only the coefficients of its other factor vary, so that the root stays 1 in each draw.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ def predicted(model: Model, data: Dataset, horizon: int | None) -> Vector:
 
 
 def structure_of(model: Model) -> Structure:
-    """Return the orders of a model without its integrator."""
+    """Return the structure of a model; its orders do not count the root of the integrator."""
     inside = {"a": 0, "f": 0, model.integrating: 1}
     return Structure(
         na=model.A.size - 1 - inside["a"],
@@ -140,7 +140,7 @@ class Residuals:
     """Errors (N,), NaN if y or a necessary past sample is missing."""
     Psi: Array
     """Derivatives of the prediction with respect to the free parameters, (N, d); 0 in rows without
-    an error. Their projection on the basis of the unknown past is subtracted."""
+    a prediction error. Their projection on the basis of the unknown past is subtracted."""
     unknown: Unknown
     """Basis of the unknown past."""
 

@@ -152,7 +152,8 @@ def low_slope(
 ) -> tuple[float, float, Vector]:
     """Return the slope of |G| at low frequency, its standard deviation, and the frequencies.
 
-    The frequencies are the lowest half decade of those with the indices `believed`, at least three.
+    Of the frequencies with the indices `believed`, the lowest half decade is used, or the three
+    lowest frequencies if fewer are in it.
     """
     low = believed[estimate.omega[believed] <= estimate.omega[believed[:1]] * np.sqrt(10)]
     low = low if low.size >= 3 else believed[:3]
@@ -166,7 +167,7 @@ def high_slope(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> float:
 
 
 def high_band(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Return the indices in `believed` of the highest third of a decade of the frequencies.
+    """Return those indices in `believed` whose frequencies are in the highest third of a decade.
 
     If possible, the frequencies are below 0.6 times the Nyquist frequency. If fewer than three
     frequencies are in this range, the three highest frequencies are returned.
@@ -187,9 +188,9 @@ def phase_delay(
 ) -> float:
     """Return the mean of -(arg(sign G) - 90° roll_off/20)/omega over `high_band`, in s.
 
-    The phase is known only up to full turns. Therefore the phase determines only the difference
-    from the known delay `shown`, in s. If the slope of |G| is nearly constant, the phase of a
-    minimum-phase system is about 90° for each 20 dB per decade (H. W. Bode, *Network Analysis and
+    The phase is known only up to full turns. Therefore it determines only how much the delay
+    differs from the known delay `shown`, in s. If the slope of |G| is nearly constant, the phase of
+    a minimum-phase system is about 90° for each 20 dB per decade (H. W. Bode, *Network Analysis and
     Feedback Amplifier Design*, 1945).
     """
     high = high_band(estimate, believed)

@@ -44,12 +44,12 @@ class Structure:
 
     @property
     def memory(self) -> int:
-        """Largest lag of A, C and D: the number of samples that a gap in y makes unknown."""
+        """Largest lag of y or e: after a gap in y, this number of past samples is unknown."""
         return max(self.nd + self.na, self.nc)
 
     @property
     def first(self) -> int:
-        """Number of samples at the start that depend on unknown u; 0 with pulses or at rest."""
+        """Number of first samples that depend on unknown u; 0 if pulses represent u, or at rest."""
         return 0 if self.at_rest or self.count else self.nd + self.reach
 
     @property
@@ -96,7 +96,7 @@ class FreeResponse:
 def transient_count(
     *, numerator_degree: int, denominator_degree: int, integrator: bool = False
 ) -> int:
-    """Return the number of pulses that replace an unknown past: the dimension of the state.
+    """Return the number of pulses that replace an unknown past: the number of states.
 
     With an integrator the count is smaller by one, because the level has a separate column.
     """

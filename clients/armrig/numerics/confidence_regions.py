@@ -41,8 +41,8 @@ LEVEL = 0.95
 HALF_WIDTH = 1.959964  # two-sided 95 % quantile of the normal distribution
 RADIUS = float(np.sqrt(-2 * np.log(1 - LEVEL)))  # of the 95 % ellipse, in standard deviations
 MAX_EDGE_SHIFT = 0.25
-"""The linearised range is used if each edge from draws is at most this distance from the linearised
-edge, in linearised half-widths."""
+"""Largest distance between an edge computed from draws and the linearised edge, in half-widths of
+the linearised range. If an edge is farther away, the range from draws is used."""
 OUTSIDE_RANGE = (0.025, 0.10)
 """A linearised ellipse is used if the share of draws outside the ellipse is in this range."""
 MIN_DRAWS = 100  # fewer draws do not determine a 2.5 % quantile
@@ -83,7 +83,7 @@ class Region:
     """Draws of the root, if the method is "sampled"."""
 
     def contains(self, z: complex) -> bool:
-        """Return whether z is in the region; for a real z, in the interval, if there is one."""
+        """Return whether z is in the region. If there is an interval, a real z must be in it."""
         if abs(z.imag) < REAL_TOLERANCE and self.interval is not None:
             return self.interval[0] <= z.real <= self.interval[1]
         if self.densest is not None:
@@ -294,7 +294,7 @@ def highest_density_region(points: Complex) -> HighestDensityRegion:
     scale = _whitening(points)
     plane = _plane(points) @ scale.T
     tree = cKDTree(plane)
-    # The nearest draw to a draw is the draw itself, so k is one more.
+    # The first neighbour of a draw is the draw itself, so k is larger by 1.
     own, _ = tree.query(plane, k=[_neighbours(points.size) + 1])
     limit = float(np.quantile(own[:, 0], 0.95)) or 1e-12
     return HighestDensityRegion(points=points, scale=scale, limit=limit, tree=tree)

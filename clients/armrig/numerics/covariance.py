@@ -23,7 +23,8 @@ def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arra
 
     R is the covariance matrix of an autoregression fitted to the residuals (Yule-Walker, order by
     AIC). With R = s² H H^T, M is s² (H^T Psi)^T (H^T Psi). H^T Psi is computed by filtering Psi
-    backwards in time. For white residuals the order is 0, and the sandwich has the classic form.
+    backwards in time. For white residuals the order is 0, and the sandwich form equals the classic
+    form.
 
     Parameters
     ----------
@@ -97,7 +98,7 @@ def correlated_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arr
 
 
 def _sums_of_scores(Psi: Array, e: Array, L: int, begin: int, end: int) -> Array:
-    """Return the sums of psi(s) e(s), s = t - L … t, for t = begin … end - 1."""
+    """Return the sum of psi(s) e(s) over s = t - L … t, for each t = begin … end - 1."""
     first = begin - L - 1
     a, b = max(first + 1, 0), min(end, e.size)
     scores = np.zeros((Psi.shape[1], end - first))

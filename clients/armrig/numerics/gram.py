@@ -10,9 +10,9 @@ from scipy.linalg.lapack import dpotrf
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
-# Least share of a column that the earlier columns do not explain. The square of this share is
-# 1e-10, and rounding is 1e-16 of the squares. A variance then has about five correct digits, and an
-# estimate about two.
+# Least share of a column that the earlier columns do not explain. The normal equations contain the
+# square of this share, 1e-10, with rounding errors of about 1e-16. A variance then has about five
+# correct digits, and an estimate about two.
 _MIN_COLUMN_REST = 1e-5
 _MIN_DISPLACEMENT_RATIO = 8  # number of windows over their length; above it the recursion is faster
 
@@ -64,7 +64,8 @@ def gram_of_windows(parts: Sequence[Sequence[Array]], length: int, m: int = 2) -
 def _ends(x: Array, length: int) -> Array:
     """Return the sum of x(i) … x(length - 2) and x(n) … x(n + i - 1) for each i, (m, length).
 
-    With the samples x(length - 1) … x(n - 1), this is the sum of x(i) over all n windows.
+    The sum of the sample number i over all n windows also contains x(length - 1) … x(n - 1), for
+    every i.
     """
     before = np.cumsum(x[:, : length - 1][:, ::-1], axis=1)[:, ::-1]
     after = np.cumsum(x[:, x.shape[1] - length + 1 :], axis=1)

@@ -29,7 +29,7 @@ _COMPLEX_STEP = 1e-20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFilter:
-    """Filter from v to the innovations, scaled to the variance of e.
+    """Filter from the noise v to its innovations, which are scaled to the variance of e.
 
     Each innovation is divided by the square root of s(t), its variance over the variance of e. The
     state before the first sample is unknown. `columns` returns the responses to this state.
@@ -48,7 +48,7 @@ class NoiseFilter:
         return max(self.C.size, self.D.size) - 1
 
     def columns(self, M: Array) -> tuple[Array, Array, float]:
-        """Return the filtered columns of M (N, k), the responses to the state, and a log scale.
+        """Return the filtered M (N, k), the responses to the initial state, and a log sum.
 
         Returns
         -------
@@ -133,9 +133,9 @@ def _settled(P: Array) -> bool:
 
 
 def _steady(M: Array, X: Array, c: Array, d: Array) -> tuple[Array, Array]:
-    """Return the innovations (m, n, k) of rows without a gap, and the states after them.
+    """Return the innovations (m, n, k) of rows without a gap, and the states after the last row.
 
-    The state of lfilter is the negative state of the noise model.
+    The state of `scipy.signal.lfilter` is minus the state of the noise model.
     """
     e = np.empty((X.shape[0], *M.shape), dtype=X.dtype)
     after = np.empty_like(X)

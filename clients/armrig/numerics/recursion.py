@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from armrig.numerics.polynomial import Array
 
-_MAX_CONDITION = 1e5  # of the eigenvectors, for a sum over modes
+_MAX_CONDITION = 1e5  # of the matrix of eigenvectors, up to which a sum over modes is used
 
 
 def recursion(Phi: Array, w: Array, x0: Array) -> Array:
@@ -87,7 +87,7 @@ def free_responses(Phi: Array, C: Array, N: int) -> Array:
 def responses(Phi: Array, C: Array, signals: Array) -> Array:
     """Return C (q - Phi)^-1 e_k s for each signal s and unit vector e_k, (m, n, ny, N).
 
-    Each mode filters each signal by a filter of first order. If the eigenvectors are nearly
+    For each mode, each signal is filtered by a first-order filter. If the eigenvectors are nearly
     dependent, `recursion` is used instead, which takes several times as long.
 
     Parameters

@@ -162,10 +162,10 @@ def portmanteau(
 
     The degrees of freedom are the mean of the statistic under the hypothesis. A negative eigenvalue
     of V^-1/2 M V^-1/2 counts as 0. If (sum of x²)/(sum of x) over its eigenvalues x exceeds 1, the
-    statistic and the degrees of freedom are divided by this ratio. The variance is then right, too.
-    If only the noise determines A, C and D, the number of degrees of freedom is lags - na - nc -
-    nd, as given by Ljung and Box. A parameter that the input determines, such as any parameter of
-    an OE model, does not reduce the degrees of freedom.
+    statistic and the degrees of freedom are divided by this ratio. The variance of the statistic is
+    then also correct. If only the noise determines A, C and D, the number of degrees of freedom is
+    lags - na - nc - nd, as given by Ljung and Box. A parameter that the input determines, such as
+    any parameter of an OE model, does not reduce the degrees of freedom.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def _without_last_zeros(M: Array) -> Array:
 
 def _with_past(e: Vector, M: Array, lags: int) -> Array:
     """Return the sums (lags, d) of e(t - k) m(t)^T, k = 1 … lags, over the rows m(t)^T of M."""
-    # Not one matrix product: to copy e with 25 lags would take longer than to multiply.
+    # A single matrix product would be slower: it needs copies of e at all 25 lags.
     n = M.shape[0]
     before = np.concatenate([np.zeros(lags), e[:n]])
     return np.array([before[lags - k : lags - k + n] @ M for k in range(1, lags + 1)])
@@ -258,10 +258,10 @@ def portmanteau_p_value(Q: float, m: float, N: float) -> float:
     Q' is computed from N white residuals. The mean of Q' is m, but its variance is not 2 m, because
     all r(k)² are divided by the same R(0)² and contain the same residuals. The variance was
     simulated with 60 000 runs for each combination of N = 100, 250, 500 and m = 5, 10, 25. For N >=
-    250 the simulated variance was 2 m (1 + c), with c = (2 m - 5.5)/N, to within 0.02. At N = 500,
-    m = 25 and the level 5 %, a chi-squared test would reject 5.8 % of white residuals. Therefore
-    Q/m is compared with an F(m, v) distribution, scaled to the mean 1. The parameter v is chosen so
-    that this distribution has the simulated variance.
+    250 the simulated variance was 2 m (1 + c). The number c differed from (2 m - 5.5)/N by at most
+    0.02. At N = 500, m = 25 and the level 5 %, a chi-squared test would reject 5.8 % of white
+    residuals. Therefore Q/m is compared with an F(m, v) distribution, scaled to the mean 1. The
+    parameter v is chosen so that this distribution has the simulated variance.
 
     References
     ----------

@@ -55,9 +55,9 @@ def search(
     A candidate of order n has n poles and n numerator coefficients. A Box-Jenkins candidate also
     has a noise model; nc = nd = 1 and nc = nd = 2 are tried. The best candidate has the least mean
     squared error on the validation data. A candidate is as good as the best if its mean of e² -
-    e²_best is at most the standard error of this mean. The errors of a simulation are correlated,
-    so the standard error is computed from 30 batch means. Of the candidates that are as good as the
-    best, the candidate with the fewest parameters is chosen.
+    e²_best is at most the standard error of this mean. Successive errors of a simulation are
+    correlated, so the standard error is computed from 30 batch means. Of the candidates that are as
+    good as the best, the candidate with the fewest parameters is chosen.
 
     An output-error system of order 3 was simulated in 200 runs. Each run had N = 1000 samples to
     estimate, N = 1000 samples to validate, and candidates of orders 1 to 5. The chosen model had
@@ -191,7 +191,7 @@ def _offset(
     level = [f for f in against if f.about == "level"]
     of_validation = None
     if offset is None and not known.integration.integrates:
-        # A constant level in the validation data alone would distort the ranking.
+        # A constant level that only the validation data have would distort the ranking.
         of_validation = level_without_input(validation, _MIN_LEVEL_SIGMAS)
         offset = bool(of_validation or level_without_input(data, _MIN_LEVEL_SIGMAS))
     found = level_without_input(data) if level else of_validation
@@ -275,8 +275,8 @@ def _score(candidate: Candidate, data: Dataset, validation: Dataset, horizon: in
     except (ValueError, np.linalg.LinAlgError) as err:
         return Scored(candidate=candidate, fit=None, reason=str(err), error=none)
     reason = ""
-    # The ranking does not reject errors that grow to the end: their mean is as large as its
-    # standard error.
+    # If the error grows to the end of the data, the standard error of its mean square is as large
+    # as the mean square. The ranking alone would not reject such a candidate.
     bound = _UNBOUNDED * np.max(np.abs(validation.y[validation.valid]), initial=0.0) or np.inf
     if not np.isfinite(fit.theta).all() or (np.abs(error) > bound).any():
         reason = "its output is unbounded"

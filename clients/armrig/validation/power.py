@@ -17,7 +17,7 @@ def lack_of_power(allowance: float, *, on_estimation_data: bool) -> str:
     if on_estimation_data or not allowance > MOST_ALLOWED:
         return ""
     return (
-        f"the deviations of the parameters allow correlations {allowance:.0f} times as "
-        "large as those of a known model, so these tests find nothing. Fix a pole near 1 "
+        "the deviations of the parameters widen the bands of the correlations by a factor "
+        f"of {allowance:.0f}, so these tests find nothing. Fix a pole near 1 "
         "(option integrator), lower the orders, or record more data"
     )

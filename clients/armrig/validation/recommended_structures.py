@@ -111,10 +111,10 @@ class _Fitted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Record:
-    """Experiments, and the largest nk, so that all structures describe the same samples of y.
+    """Experiments, and the largest nk: with it, all structures describe the same samples of y.
 
-    Description lengths of different numbers of samples cannot be compared, because the description
-    lengths depend on the unit of y.
+    Description lengths of different numbers of samples cannot be compared, because their difference
+    depends on the unit of y.
     """
 
     parts: tuple[Dataset, ...]
@@ -236,9 +236,9 @@ def recommended(
 def _chosen(scans: list[list[Tried]], *, shown: bool) -> list[Tried]:
     """Return at most three structures with the shortest description lengths.
 
-    If the decision on the integrator is `shown`, one structure has nb = nf, like a plant under a
-    zero-order hold. Otherwise the structures include a structure with an integrator and a structure
-    without an integrator.
+    If the data decide whether there is an integrator (`shown`), one structure has nb = nf, like a
+    plant under a zero-order hold. Otherwise the structures include a structure with an integrator
+    and a structure without an integrator.
     """
     ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
     two = ranked[:2] if shown else _joined([s[:1] for s in scans])
@@ -411,7 +411,7 @@ def _begun(
 
 
 def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
-    """Return the description length with the cost plus `more`, for `fewer` fewer coefficients.
+    """Return the description length if removal of `fewer` coefficients raises the cost by `more`.
 
     Each dimension of one experiment's initial state costs log N, as a coefficient does. Without
     this cost, a model could fit a sine in the noise by a pair of poles on the unit circle and the

@@ -284,8 +284,8 @@ def _about_highest_order(found: SearchResult) -> Iterator[str]:
     n = found.chosen.candidate.order
     if n == max(j.candidate.order for j in (*found.ranked, *found.failed)):
         yield (
-            f"order {n} is the highest that was tried, so a higher one may be better: search on "
-            f"with --max-order {2 * n}, orders=range(1, {2 * n + 1}) in Python"
+            f"order {n} is the highest that was tried, so a higher order may be better: search "
+            f"with --max-order {2 * n} (in Python, orders=range(1, {2 * n + 1}))"
         )
 
 
@@ -314,6 +314,6 @@ def _about_tests(tests: ResidualTest) -> Iterator[str]:
         yield f"its residuals are correlated with later input: feedback, or nk is too large (p {p})"
     if tests.white.coloured:
         yield (
-            f"its residuals are {tests.white}: good for simulation, but trust the robust "
-            "deviations, and take a noise model for prediction"
+            f"its residuals are {tests.white}: simulate with this model, but trust the "
+            "robust deviations, and estimate a noise model for prediction"
         )

@@ -194,8 +194,8 @@ def structure_hints(
     Raises
     ------
     ValueError
-        There are too few samples; or u explains y at too few frequencies, and `delay` raises an
-        error.
+        There are too few samples, or both of two conditions hold: u explains y at too few
+        frequencies, and `delay` raises an error.
 
     References
     ----------
@@ -340,9 +340,10 @@ def _extremes(
 
     The frequencies are computed from the transform of the impulse response. A spectrum with a lag
     window would have flatter extremes, and a longer delay would make the extremes even flatter. An
-    extreme has a base on each side. An extreme is significant if |G| at the extreme differs from
-    |G| at both bases by more than `SURE` standard deviations of the difference. The distance
-    between the bases must also be larger than 2 pi/(n Ts), the resolution of n lags.
+    extreme has a base on each side, as in `scipy.signal.find_peaks`. An extreme is significant if
+    |G| at the extreme differs from |G| at both bases by more than `SURE` standard deviations of the
+    difference. The distance between the bases must also be larger than 2 pi/(n Ts), the resolution
+    of n lags.
     """
     from scipy.signal import find_peaks
 
@@ -451,7 +452,7 @@ def _reasons(h: StructureHints) -> Iterator[str]:
 
 
 def _more_poles(h: StructureHints) -> str:
-    """Return why the first structure has more poles than `order`; "" if it has no more poles."""
+    """Return the reason why the first structure has more poles than `order`, or ""."""
     if h.order >= h.nf or not h.integrator_shown:
         return ""
     return (

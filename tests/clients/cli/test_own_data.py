@@ -568,7 +568,7 @@ def test_a_check_of_own_data_speaks_of_their_output(
     code, out, _ = run("check data.csv --verbose", folder, capsys)
 
     assert code == 0
-    assert "before y has moved, it is small" in out
+    assert "before y has moved, all coefficients are small" in out
     assert "arm" not in out
     assert "rig" not in out
 

@@ -378,4 +378,4 @@ def test_a_plant_of_relative_degree_four_has_no_dead_time(seed: int) -> None:
 
     assert found.nk == 1
     assert found.interval[0] <= 1 <= found.interval[1] <= 3
-    assert "A slower onset looks like a delay" in found.explain()
+    assert "An even slower onset looks like a delay" in found.explain()

@@ -40,7 +40,7 @@ class Channel:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Polynomials:
-    """Polynomials of all rows."""
+    """Polynomials of all rows of the model: one row for each output."""
 
     A: tuple[Row, ...]
     """A_ik for each row i and output k; A_ii begins with 1, and A_ik with i ≠ k begins with 0."""
@@ -91,7 +91,7 @@ class Polynomials:
         )
 
     def _parts(self) -> Iterator[tuple[str, int, int, int, Vector]]:
-        """Yield letter, row, column, first lag and the estimated coefficients."""
+        """Yield letter, row, column, first lag and coefficients of each estimated polynomial."""
         for i in range(len(self.A)):
             for k, a in enumerate(self.A[i]):
                 yield "a", i, k, 1, a[1:]

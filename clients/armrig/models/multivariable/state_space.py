@@ -17,9 +17,9 @@ from armrig.numerics.least_squares import column_norms
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 
-_MIN_SINGULAR_VALUE = 1e-4  # least used singular value of the responses, over the largest
-_MIN_SHOWN_VALUE = 1e-10  # the same for a combination of states with a significant effect
-_SHOWN_SIGMAS = 5.0  # least significant effect of a combination of states
+_MIN_SINGULAR_VALUE = 1e-4  # least singular value of the responses, divided by the largest
+_MIN_SHOWN_VALUE = 1e-10  # this limit for a combination of states with a significant effect
+_SHOWN_SIGMAS = 5.0  # least significant effect of a combination of states, in σ of the noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,7 +116,7 @@ def predicted(
 def error_responses(
     system: StateSpace, part: Signals, *, integrating: tuple[bool, ...]
 ) -> ErrorResponses:
-    """Return the responses of the one-step error e = y - ŷ to the data and estimated quantities.
+    """Return the responses of the one-step error y - ŷ to the data and to estimated quantities.
 
     The estimated quantities are the initial state and the ramps of `predicted`.
     """
@@ -125,7 +125,7 @@ def error_responses(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ErrorResponses:
-    """The m responses: first to the data, then to each unit initial state, then to each ramp."""
+    """The m responses of a system: to the data, to each unit initial state, and to each ramp."""
 
     inputs: Array
     """Inputs (N, m, nu)."""

@@ -27,7 +27,7 @@ ORDER = 4
 poles."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MAX_MISSING_SHARE = 0.2
-_MIN_POLE_SIGMAS = 10.0  # of the distance from 1 of a pole that is no integrator; σ may be wrong
+_MIN_POLE_SIGMAS = 10.0  # least distance from 1 of a pole that is not 1, in σ; σ may be wrong
 _MIN_CHANCE_P = 1e-3  # one open-loop recording in twenty has a p below the usual 0.05
 
 
@@ -167,7 +167,7 @@ def _about_integrator(decided: Integration) -> Finding:
 
 def _about_missing(data: Dataset) -> Finding:
     share = data.missing / data.N
-    text = f"{percent(100 * share)} of the samples: no estimate replaces them by a value"
+    text = f"{percent(100 * share)} of the samples: no estimator replaces them by a value"
     return finding("missing", text, good=share < _MAX_MISSING_SHARE)
 
 

@@ -44,12 +44,12 @@ def examine_model(fit: Fit) -> Iterator[Finding]:
 
 
 def cancelling(fit: Fit) -> list[_Pair]:
-    """Return pole, zero and p value of the pairs that cancel, except pairs at 1."""
+    """Return pole, zero and p value of the pairs that cancel, except pairs near 1."""
     return _overlaps(fit)[0]
 
 
 def _overlaps(fit: Fit) -> tuple[list[_Pair], list[_Pair]]:
-    """Return the cancelling pairs away from 1, and the pairs at 1, which model a constant level."""
+    """Return the cancelling pairs far from 1, and the pairs near 1, which model a constant."""
     pairs = overlapping(fit)
     at_one = [
         p

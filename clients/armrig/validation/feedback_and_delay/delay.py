@@ -35,8 +35,8 @@ Vector = NDArray[np.float64]
 SECOND_ORDER = frozenset({THETA_1, ALPHA})
 """Outputs whose second derivative jumps at a voltage step, with a continuous first derivative."""
 _MIN_SAMPLES = 50  # with a known y
-_LOSS_LAGS = 3  # number of losses after nk in the result
-_MAX_FEW_CHANGES = 10  # of u; with more changes the error of quantisation averages out
+_LOSS_LAGS = 3  # number of lags after nk for which the result contains the loss
+_MAX_FEW_CHANGES = 10  # changes of u; with more changes the error of quantisation averages out
 Matrix = NDArray[np.float64]
 
 _MIN_OWN_SHARE = 0.005  # least share of a lag of u that the earlier lags leave unexplained
@@ -58,11 +58,11 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     lag, the true coefficient may be too small to be significant. A one-sided test (level 0.1 %)
     therefore compares the coefficient with a bound. The lag is ruled out if the coefficient is
     significantly smaller than the bound. The bound is 1/(1 + 3 n) of the coefficient n samples
-    later, with the n for which it is largest. The slowest onset of a mechanical rig, t²/2 under a
-    hold, has the ratio 1/(1 + 2 n). If the response begins more slowly, the bound is computed from
-    an onset (t/Ts)^d, and d is estimated from the first lags. The first two coefficients of a plant
-    of relative degree d have the ratio 1 : 2^d - 1. If several lags remain for an angle or for an
-    integrating y, the shape of the onset decides (`smooth_onsets`).
+    later, with the n for which the bound is largest. The slowest onset of a mechanical rig, t²/2
+    under a hold, has the ratio 1/(1 + 2 n). If the response begins more slowly, the bound is
+    computed from an onset (t/Ts)^d, and d is estimated from the first lags. The first two
+    coefficients of a plant of relative degree d have the ratio 1 : 2^d - 1. If several lags remain
+    for an angle or for an integrating y, the shape of the onset decides (`smooth_onsets`).
 
     nk is the least lag that is not ruled out, so an unproven delay is never claimed. A direct term,
     nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, the model
@@ -73,8 +73,8 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     ----------
     data : Dataset or Signals
         At least 50 samples with an exciting input. Samples may be missing, and the data may have
-        several experiments. If `data` is a Signals, each pair of an output and an
-        input is tested alone.
+        several experiments. If `data` is a Signals, each pair of an output and an input is tested
+        separately.
     integrator : bool, optional
         True if y integrates. The default is True for theta_1. For any other y a test decides, and
         `remarks` contains the result of this test.
@@ -83,10 +83,10 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     -------
     Delay
         `nk`, `delay` = nk - 1, `told`, `interval`, `p_values`, `explain()`, `plot()`. `delay` is
-        the time delay (dead time) in whole samples, in addition to the sample of the hold; times
-        `Ts` it is in s. If `interval` contains several nk, `delay` is the least possible delay, but
-        at least 0. The command `armrig check` runs the same test. For the response to a step, use
-        `step_analysis`.
+        the time delay (dead time) in whole samples, in addition to the sample of the hold. Multiply
+        it by `Ts` for the delay in s. If `interval` contains several nk, `delay` is the least
+        possible delay, but at least 0. The command `armrig check` runs the same test. For the
+        response to a step, use `step_analysis`.
 
     Raises
     ------
@@ -188,8 +188,8 @@ def _lag_zero(data: Dataset) -> _LagZero:
     return _LagZero(
         rig=True,
         controller=not loop.few_levels,
-        remark="feedback looks the same as a direct term: if y was read before u was applied, nk "
-        "is 1 or more, and a controller computed u from y",
+        remark="feedback looks the same as a direct term: if y was read before u was applied, a "
+        "controller computed u(t) from y(t), and nk is 1 or more",
     )
 
 
@@ -272,8 +272,8 @@ def _hidden_by_steps(onset: _Onset, read: _Readings, Ts: float) -> tuple[int, li
         return onset.first, []
     hidden = ceil(read.t_q / Ts)
     return min(onset.first, max(onset.last - hidden, 1)), [
-        f"u changes only {plural(read.changes, 'time')}, so the data do not separate a delay from "
-        f"the first {hidden} samples, which quantisation hides"
+        f"u changes only {plural(read.changes, 'time')}, and quantisation may hide the first "
+        f"{hidden} samples of the response: this looks like a delay"
     ]
 
 

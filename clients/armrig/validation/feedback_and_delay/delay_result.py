@@ -107,7 +107,7 @@ class Delay:
                 if std[k] > 0
             )
             + ". A coefficient within its band need not be zero: before "
-            f"{self.output} has moved, it is small.",
+            f"{self.output} has moved, all coefficients are small.",
         ]
         if self.t_q is not None:
             lines.append(
@@ -176,8 +176,8 @@ class Delay:
 
 _ASSUMED = (
     "Assumption: the first coefficient is at least 1/(1 + 3 n) of the coefficient n samples later. "
-    "If the response begins more slowly, the bound is the ratio of an onset (t/Ts)^d with the d of "
-    "the first lags. A slower onset looks like a delay."
+    "If the response begins more slowly, the bound is computed from an onset (t/Ts)^d, with d from "
+    "the first significant lags. An even slower onset looks like a delay."
 )
 
 

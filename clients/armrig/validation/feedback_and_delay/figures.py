@@ -25,7 +25,7 @@ Vector = NDArray[np.float64]
 _BAND_99_9_PERCENT = 3.29
 _CHI2_99_9_PERCENT = 10.83  # one degree of freedom
 _ABOUT = 15  # lags shown on the causal side
-_BEYOND = 6  # lags shown past nk
+_BEYOND = 6  # lags shown after nk
 
 
 def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
@@ -105,7 +105,7 @@ def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> Non
 
 
 def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, band: Vector, share: str) -> None:
-    """Show coefficients, and the band of a coefficient that is 0 with its probability `share`."""
+    """Show coefficients, and the band that contains a zero coefficient with probability `share`."""
     ax.fill_between(
         lags,
         -band,

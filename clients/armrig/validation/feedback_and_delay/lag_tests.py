@@ -65,7 +65,7 @@ class LagTests:
     loss: Vector
     """Mean squared error of the model that begins at lag k, (n,)."""
     response: Vector
-    """Impulse response of the model that begins at the first significant lag, from lag 0 on."""
+    """Impulse response, from lag 0 on, of the model that begins at the first significant lag."""
     na: int
     """Order of A; 0 if the model is an impulse response."""
     N: int
@@ -110,7 +110,7 @@ class LagTests:
         first significant lags.
         """
         s = np.abs(np.cumsum(self.response[self.shown :])[: _ONSET + 1])
-        if k == 0 or s.size < 2 or not np.all(s > 0):  # under a hold no smooth onset is at lag 0
+        if k == 0 or s.size < 2 or not np.all(s > 0):  # under a hold, no smooth onset begins at 0
             return float("inf")
         n = np.log(np.arange(s.size) + self.shown - k + 1)
         d = float(np.max(np.diff(np.log(s)) / np.diff(n)))
@@ -234,8 +234,8 @@ def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
 def _in_response(response: ImpulseResponse, first: int) -> LagTests:
     """Return Wald tests of the plain impulse response's first coefficients.
 
-    If g has the covariance L L^T, the components of L^-1 g are independent. Component k times L_kk
-    is g(k) of the response that begins at lag k.
+    If g has the covariance L L^T, the components of L^-1 g are independent. L_kk times component k
+    is the estimate of g(k) for a response that is 0 before lag k.
     """
     g, _ = response.decaying
     covariance = response.covariance if response.rate is None else response.rate_covariance

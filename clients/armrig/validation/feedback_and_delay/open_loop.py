@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MIN_REPEAT_P = 1e-3  # from which another recording is recommended
+_MIN_REPEAT_P = 1e-3  # least significant p at which another recording is recommended
 _MAX_EXACT_REST = 1e-5  # share of u that y(t) may leave unexplained: rounding in a file
-_MAX_FEW_LEVELS = 20  # of u; a controller that carries noise into u makes more
+_MAX_FEW_LEVELS = 20  # levels of u; a controller that carries noise into u causes more
 _MAX_SHOWN_F = 1e6
 
 
@@ -225,7 +225,7 @@ def _remarks(found: Sims, level: float, *, exact: bool) -> tuple[str, ...]:
         )
     if found.p_value < level <= found.p_later:
         return (
-            "u(t) depends on y(t), later u does not: a rig that responds within the sample (nk = "
+            "u(t) depends on y(t), but later u do not: a rig that responds within the sample (nk = "
             "0, y read after u is applied) looks the same",
         )
     return ()

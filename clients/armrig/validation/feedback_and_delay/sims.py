@@ -25,7 +25,7 @@ _LAGS_PER_DECADE = 15  # past samples p for each decade of N
 _MOST_LAGS = 60
 _LEAST_LAGS = 4
 _FORGETTING = (0.0, 1 / 3, 1.0)  # share of a sum of older input that is forgotten in p samples
-_ROWS_PER_PARAMETER = 5  # with fewer the F distribution does not hold
+_ROWS_PER_PARAMETER = 5  # with fewer rows the F distribution does not hold
 _MIN_U_REST = 1e-10  # share of u's power that the past must leave unexplained
 _MIN_Y_REST = 1e-20  # share of y's power that the past must leave unexplained
 _BLOCK = 4096  # rows that are held in memory at a time
@@ -92,8 +92,8 @@ def sims(data: Dataset) -> Sims:
     contains no effect of future u. No row extends over the end of an experiment or over a gap
     longer than p/2.
 
-    The computing time is proportional to N. The memory in addition to u and y is constant, because
-    the QR factorisation computes R block by block.
+    The computing time is proportional to N. In addition to u and y, the test needs a constant
+    amount of memory, because the QR factorisation computes R block by block.
 
     Raises
     ------
@@ -105,8 +105,8 @@ def sims(data: Dataset) -> Sims:
 
     References
     ----------
-    .. [1] C. A. Sims, American Economic Review 62 (1972) 540-552; with y's own past as in
-       J. Geweke, R. Meese, W. Dent, J. Econometrics 21 (1983) 161-194.
+    .. [1] C. A. Sims, American Economic Review 62 (1972) 540-552. J. Geweke, R. Meese, W. Dent, J.
+    Econometrics 21 (1983) 161-194, add the past of y to the regressors.
     .. [2] C. A. Sims, J. H. Stock, M. W. Watson, Econometrica 58 (1990) 113-144.
     .. [3] H. Y. Toda, T. Yamamoto, J. Econometrics 66 (1995) 225-250.
     """

@@ -1,4 +1,4 @@
-"""Test of the first lag by the shape of the onset of an angle, which is proportional to t²."""
+"""Test of the first lag by the shape of the onset: at first, an angle is proportional to t²."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.oe import oe
 
 SURPRISING = 9.21  # 99 % point of chi-squared, two degrees of freedom
-_MAX_DISTANCE_RATIO = 3.0  # distance of a possible lag from the onset, over that of the best lag
+_MAX_DISTANCE_RATIO = 3.0  # sqrt(chi²) of a possible lag, divided by that of the best lag
 _POLES = 4  # of the arm
-_MAX_EXTRA_LAGS = 4  # tested at either end of the range
+_MAX_EXTRA_LAGS = 4  # lags by which the range is extended at each end
 
 
 def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> dict[int, float]:

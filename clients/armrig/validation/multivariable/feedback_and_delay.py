@@ -84,12 +84,12 @@ def delay(data: Signals, *, integrator: bool | None = None) -> ByChannel[Delay]:
     """Find the delay of each channel, one channel at a time.
 
     With several inputs, A and all B_k of an ARX model of the output are estimated; MDL chooses the
-    order of the model. The test is then applied to w, from which the effects of the other inputs
-    are subtracted ::
+    order of the model. The test is then applied to the signal w, which contains no effects of the
+    other inputs ::
 
         w = A y - sum of B_k u_k over k other than j = B_j u_j + e
 
-    The first lag of B_j is the first lag of the channel.
+    The first lag of B_j is the lag at which input j acts first.
 
     Parameters
     ----------

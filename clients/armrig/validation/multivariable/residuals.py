@@ -24,7 +24,7 @@ from armrig.validation.multivariable.residual_test import SignalsResidualTest
 from armrig.validation.multivariable.whiteness import jointly_white, white_by_output
 
 _MIN_SUM_VARIANCE = 1e-4
-"""Least variance of a tested linear combination of the sums, as a share of the largest variance.
+"""Least variance of a tested combination of the sums of `residuals`, as a share of the largest.
 
 A combination with a smaller variance is not tested, because the estimated parameters make it 0. Its
 computed variance is only the error of the differences that approximate Psi.

@@ -1,4 +1,4 @@
-"""Search over models of several signals: a simple model that is as good as the best."""
+"""Search over models of several signals for a simple model that is as good as the best."""
 
 from __future__ import annotations
 
@@ -260,7 +260,7 @@ def _mean(error: Array) -> float:
 
 
 def _free(fit: MultivariableFit) -> int:
-    """Return the number of free parameters; the choice of state coordinates is not counted."""
+    """Return the number of free parameters, without those that choose the state coordinates."""
     if fit.structure not in ("ss", "n4sid"):
         return int(fit.theta.size)
     A, B, C, D, _ = fit.state_space()

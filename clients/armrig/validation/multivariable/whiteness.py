@@ -15,7 +15,7 @@ from armrig.validation.multivariable.projection import Part, Projection, sum_of_
 def white_by_output(
     parts: Sequence[Part], projected: Projection, L: int, *, own: bool
 ) -> tuple[Whiteness, ...]:
-    """Test the residuals of each output."""
+    """Test for each output whether its residuals are white."""
     Lambda = _covariance(parts)
     rows = np.diag(1 / np.sqrt(np.diag(Lambda)))
     return tuple(_white(parts, projected, Lambda, row[None], L, own=own) for row in rows)
