@@ -60,7 +60,7 @@ class Dialogue:
 
 
 class Player:
-    """Runs of a calibration and their recordings."""
+    """Player of the runs of a calibration; each method returns the recording of its run."""
 
     def __init__(self, *, Ts: float | None, rig: str, connect: str | None) -> None:
         self._Ts, self._rig, self._connect = Ts, rig, connect

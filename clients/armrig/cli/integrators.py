@@ -83,7 +83,7 @@ class _Row:
     """Largest step for which the method is stable, in s."""
     stable: bool
     error: float
-    """Largest error over the span, relative to the state's largest value; it may be infinite."""
+    """Largest error of a state, relative to the largest value of this state; it may be infinite."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

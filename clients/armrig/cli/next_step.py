@@ -223,9 +223,9 @@ def for_the_report() -> str:
     """Return the names of the recordings for the handout's report, with a blank before each name.
 
     The report uses four complete recordings with the same calibration: step, estimation,
-    validation, chassis. The function chooses the calibration for which most of the four exist. Of
-    each kind, it takes the newest recording with a name; if none has a name, the newest recording.
-    The result is "" if there is no recording.
+    validation, chassis. The function chooses the calibration that has the most of these four
+    recordings. Of each kind, it takes the newest recording with a name; if none has a name, the
+    newest recording. The result is "" if there is no recording.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.catalogue import newest_first
@@ -333,7 +333,7 @@ def options_of(request: Request) -> str:
 def options_after(
     fit: Fit, request: Request, about: Set[str], *, searched: bool, detrended: bool
 ) -> str:
-    """Return the options of `armrig identify` with which the findings about a model are followed.
+    """Return the options with which `armrig identify` follows the advice about a model.
 
     Parameters
     ----------

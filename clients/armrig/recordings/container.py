@@ -85,7 +85,7 @@ class Content:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """Metadata records by name."""
     attachments: dict[str, bytes] = field(default_factory=dict)
-    """Calibration, its readings and configuration, by the name of the attachment.
+    """Calibration, readings of the calibration, and configuration, by the attachment's name.
 
     The input is left out, because it may be long.
     """

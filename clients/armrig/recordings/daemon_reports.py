@@ -167,7 +167,7 @@ def event_of(message: Any, clock: Clock) -> Event:
 
 
 def is_note(message: Any) -> bool:
-    """Return whether a person wrote a log record, judged by its `name`."""
+    """Return True if the `name` of a log record shows that a person wrote the record."""
     return bool(message.name == protobuf.NOTE)
 
 

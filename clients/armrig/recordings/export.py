@@ -212,7 +212,7 @@ def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
 
 
 def write_transforms(recording: Recording, path: Path) -> None:
-    """Write the frames of each sample as an MCAP file, at the times of the recording.
+    """Write the poses of chassis and arm as an MCAP file, at the times of the samples.
 
     The file does not contain the signals of the recording: open both files in the viewer.
 

@@ -33,7 +33,7 @@ class Grid:
     present: NDArray[np.bool_]
     """Mask (N,), True if the sample arrived."""
     taken: slice
-    """Slice of the samples `k` that are in the grid."""
+    """Slice of the arrived samples that are in the grid."""
 
     def filled(self, gaps: Iterable[tuple[int, int, float]]) -> NDArray[np.float64]:
         """Return for each row the value of the gap that contains it, (N,); NaN outside all gaps.

@@ -79,10 +79,10 @@ class Recording:
     t: Vector
     """Time in s from the first sample that was due, (N,)."""
     u: Vector
-    """Voltage in V at the motor's terminals from `t` on, (N,).
+    """Voltage in V at the motor's terminals, (N,).
 
-    The device held the voltage until the next sample. The calibration converts the voltage of the
-    code to the voltage at the terminals. For a missing sample, `u` is the voltage in the gap
+    The device held `u[i]` from `t[i]` until the next sample. The calibration converts the voltage
+    of the code to the voltage at the terminals. For a missing sample, `u` is the voltage in the gap
     record, or NaN without a gap record.
     """
     theta_1: Vector

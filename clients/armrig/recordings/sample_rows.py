@@ -35,7 +35,7 @@ class SampleRows:
     """Collector of a file's samples; k must increase from sample to sample."""
 
     def __init__(self, spend: Callable[[], None] = lambda: None) -> None:
-        """Call `spend` for each sample that is read individually; `spend` may raise DamageError."""
+        """Set the function that `add` calls for each sample; the function may raise DamageError."""
         self.size = 0
         self.last_k = -1
         self._spend = spend
@@ -48,7 +48,7 @@ class SampleRows:
     def add_run(self, chunk: memoryview, at: int) -> int:
         """Add a run of records that begins at `at`, and return the size of the run in B.
 
-        A run consists of consecutive messages of one channel with the length of a sample. The
+        A run consists of consecutive messages of one channel; each has the length of a sample. The
         layout of the records is checked later, for many records together. Call `settle` before
         adding a run of another chunk.
         """
@@ -138,7 +138,7 @@ class SampleRows:
         return self._samples[self.size : self.size + n]
 
     def _keep(self, samples: NDArray[np.void]) -> None:
-        """Keep samples that are already in the memory; raise DamageError if k does not increase."""
+        """Count the newly written rows as samples; raise DamageError if k does not increase."""
         if not samples.size:
             return
         k = samples["k"]

@@ -1,4 +1,4 @@
-"""Verification that a recording reports all its gaps and has only requested voltages.
+"""Verification of a recording: all gaps are reported, and all voltages were requested.
 
 A recording that fails the verification can still be loaded and exported.
 """

@@ -132,7 +132,7 @@ class Estimate:
             Calibration that contains the values that were not measured, such as the current
             calibration. The magnitude of alpha's rad per count is always taken from `base`.
         made : Made
-            Origin of the recordings, to which the measured values are added.
+            Origin of the calibration. The method adds the measured values.
         """
         size, alpha = self.rad_per_count, base.alpha
         scale = base.theta_1.rad_per_count if size is None else size.value
