@@ -161,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     began is stopped. The exit code is then 128 plus the number of the signal.
     """
     # Must be set before numpy is imported. The threads of OpenBLAS wait by spinning and cost more
-    # time than they save: the matrices are small, and the machine also runs a loop and an emulator.
+    # time than they save: the matrices are small, and the machine also runs daemon and emulator.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with _signals() as received:
         code = _run(arguments)

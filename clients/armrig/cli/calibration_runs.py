@@ -72,7 +72,7 @@ class Player:
         return self._played(experiment, seconds, {}, lambda N, _: np.zeros(N))
 
     def turns(self, levels: Sequence[float], level_seconds: float) -> Recording:
-        """Record the rig while it turns at each voltage, one after another."""
+        """Record the rig while it turns at the given voltages, one after another."""
         import numpy as np
 
         seconds = _START_S + level_seconds * len(levels)

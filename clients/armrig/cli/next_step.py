@@ -28,7 +28,7 @@ _MAX_NAME_LENGTH = 28
 _AGAIN = "-again"
 """Suffix of the name of a repeated step."""
 _MAX_SEARCHED = 100
-"""Largest number of recordings, newest first, among which a kind is searched."""
+"""Largest number of recordings, newest first, that are searched for a kind of experiment."""
 
 AFTER: Mapping[str, str] = {
     "lab": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
@@ -102,9 +102,9 @@ def next_line(after: str, **values: str | float) -> str:
 
 
 def _goes_on(line: str) -> str:
-    """Return the command line, or the command after it if its recording already exists.
+    """Return the command line; if its recording already exists, return the command after it.
 
-    A complete recording with the same --name exists: a second one would make the name ambiguous.
+    A second complete recording with this --name would make the name ambiguous.
     """
     words = shlex.split(line)
     if words[1] != "collect" or words[-2] != "--name":
@@ -381,7 +381,7 @@ def options_after(
 
 
 def _lower(fit: Fit, *, integrator: bool) -> dict[str, int]:
-    """Return the orders, less the number of cancelling pairs; orders of the noise model stay."""
+    """Return the orders, lowered by the number of cancelling pairs; noise orders do not change."""
     from armrig.validation.advice.model_advice import cancelling
 
     many = sum(2 if pole.imag else 1 for pole, _, _ in cancelling(fit)) or 1

@@ -323,7 +323,7 @@ def is_settled(found: os.stat_result, looked_ns: int) -> bool:
 
 
 def now_ns() -> int:
-    """Return the current time in ns, on the clock of the file system's times."""
+    """Return the current time in ns, on the clock of the files' time stamps."""
     return time.time_ns()
 
 

@@ -208,9 +208,9 @@ class _Reader:
         self.budget.spend(WORK, cost)
 
     def wants(self, part: Part, start: int, end: int) -> bool:
-        """Return whether a chunk with these log times may contain samples of a part."""
+        """Return True if a chunk with these log times may contain samples of the part."""
         if self.rows.is_empty:
-            return True  # the first sample is always read: it relates the two clocks
+            return True  # the first sample is always read: it relates times to k
         if end < part.from_ns:
             return False
         if start <= part.to_ns:

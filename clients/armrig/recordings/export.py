@@ -188,7 +188,7 @@ def transforms_channel(rig: str, context: Any) -> Any:
 
 
 def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
-    """Return the frames of a sample: `chassis` turned by θ₁ in `rig`, `arm` by α in `chassis`.
+    """Return the coordinate frames `chassis` (turned by θ₁ in `rig`) and `arm` (by α in `chassis`).
 
     Both frames turn about z, so that the arm's angle in `rig` is θ₁ + α. A frame is left out
     if its angle is not finite. `t_ns` is the time on the wall clock.

@@ -202,7 +202,7 @@ def _layout() -> tuple[list[tuple[int, int, int, int]], list[int], NDArray[np.ui
 
 
 def _run() -> re.Pattern[bytes]:
-    """Return a pattern that matches consecutive records of a sample's length and of one channel.
+    """Return a pattern that matches consecutive records of one channel, each as long as a sample.
 
     There are only about 35 samples between two messages of other streams. For so few samples, a
     pattern is four times as fast as numpy. The pattern never backtracks (`*+`), so that it needs no

@@ -32,9 +32,7 @@ if TYPE_CHECKING:
 
 
 _STRETCH_S = 1.0  # length of the stretches to which straight lines are fitted
-_START_S = (
-    3.0  # runs longer than this are judged without the first second, the start of the chassis
-)
+_START_S = 3.0  # s; in longer runs, the first second (start of the chassis) is left out
 _MIN_LINE_SAMPLES = 4
 _NOISE_ORDER = 10
 FEW = 300

@@ -318,7 +318,7 @@ def sign_by_hand(readings: Readings, rest: Figure, rad_per_count: float) -> int:
         Approximate angle of a count of alpha, in rad; its sign is ignored.
     """
     deflection = (readings.alpha - rest.value) * abs(rad_per_count)
-    # A hand that holds the arm moves one quartile far. A released arm swings to both sides.
+    # If a hand holds the arm, one quartile is far from 0. A released arm swings to both sides.
     low, high = np.quantile(deflection, [0.25, 0.75])
     farthest = max(low, high, key=abs)
     return 0 if abs(farthest) < HAND_RAD else int(np.sign(farthest))
