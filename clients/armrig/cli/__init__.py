@@ -70,8 +70,9 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-# Commands in the order of `armrig --help`: first for a rig, then for its data along the handout.
-# Each command is followed by an example of its arguments, each group of commands by its name.
+# Commands in the order of `armrig --help`: first for a rig, then for its data in the order of the
+# handout. Each command is followed by an example of its arguments, each group of commands by its
+# name.
 for _command, _example in (
     (lab.lab, ""),
     (rig.status, ""),

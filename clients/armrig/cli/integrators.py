@@ -159,7 +159,7 @@ def _check_step(h: float, problem: Sinusoid) -> None:
 
 
 def _plot_solutions(solved: _Solved, plot: Path | None) -> None:
-    """Draw the solutions in all rows of the table; each given step has its own figure."""
+    """Draw the solutions in all rows of the table; each step of --h has its own figure."""
     if plot is None:
         return
     from armrig.physics.integrators.figures import plot_solution

@@ -103,7 +103,7 @@ def _parameter(name: str, kind: Any, option: Any, default: Any = None) -> inspec
 
 
 def _order(name: str, *, several: bool) -> Any:
-    """Return the option of an order; `several` adds structures of several signals to its help."""
+    """Return the option of an order; if `several`, its help adds structures of several signals."""
     default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
     shown = {"by the data" if n is None else str(n) for n in default.values()}
     if len(shown) > 1:

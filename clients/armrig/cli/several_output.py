@@ -53,7 +53,7 @@ def simulated(row: SignalsComparison, data: Signals) -> str:
 def validated(
     table: SignalsComparisonTable, tests: SignalsResidualTest, file: Path, *, verbose: bool
 ) -> Iterator[str]:
-    """Yield a sentence on the simulation and the tests, then each pair whose test rejects."""
+    """Yield a sentence on simulation and tests, then each pair of signals that fails a test."""
     row = table[0]
     yield (
         f"Simulated on {file}, {row.name} fits {simulated(row, table.data)}; "

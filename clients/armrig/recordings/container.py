@@ -73,7 +73,7 @@ class Content:
     size: int = 0
     """Size of the file, in B."""
     damage: str = ""
-    """Unread attachments, and the reason why reading ended early; "" for a complete file."""
+    """Text about unread attachments and the reason for an early end; "" for a complete file."""
     cut_off: bool = False
     """True if reading ended because the file is truncated, not because of another error."""
     read: int = 0

@@ -102,7 +102,7 @@ class Timing:
     collections: int
     """Number of garbage collections since the loop started; each stalls the loop. -1: unknown."""
     cpu_pressure_percent: float
-    """Share of the second, in %, during which a task waited for a processor; NaN: unknown."""
+    """Time for which a task waited for a processor in this second, in %; NaN: unknown."""
     run_queue: int
     """Number of runnable tasks of the host; -1: unknown."""
 

@@ -77,7 +77,7 @@ class Recording:
     k_first: int
     """Index k of the first row; in older files, the index of the first sample that arrived."""
     t: Vector
-    """Time in s from the first sample that was due, (N,)."""
+    """Time at which each sample was due, in s from the first sample of the run, (N,)."""
     u: Vector
     """Voltage in V at the motor's terminals, (N,).
 

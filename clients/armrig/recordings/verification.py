@@ -39,7 +39,7 @@ MAX_DRIFT_PPM = 6_000.0
 """Largest drift, in ppm. A ceramic resonator is accurate to 5 000 ppm, a crystal to 100 ppm."""
 _MAX_JUMP_SIGMAS = 6.0
 _BLOCK_BYTES = 1 << 20
-_TIMES_BYTES = 8 + 8  # before the name in an attachment
+_TIMES_BYTES = 8 + 8  # B; two times precede the name in an attachment
 _MAX_LINE_BYTES = 64  # B; the text of a voltage has at most 24 B
 
 

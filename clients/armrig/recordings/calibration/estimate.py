@@ -200,8 +200,8 @@ def estimate(
         noise_1, noise_2 = (noise_before_rounding(s.value**2, step) for s in (theta_1, alpha))
     else:
         # The spread at rest depends on the position of the readings in a step of the converter. The
-        # spread over whole turns does not depend on it. One converter reads both angles, so the
-        # noise of theta_1 over turns is also the noise of alpha.
+        # spread over whole turns does not depend on this position. One converter reads both angles,
+        # so the noise of theta_1 over turns is also the noise of alpha.
         noise_1 = noise_2 = noise_before_rounding(turned.residual_variance, step)
     alpha_zero = mean_reading(still.alpha, step, noise_2)
     sign = 0

@@ -203,9 +203,9 @@ def _fitted(
 
 
 def _places(settled: _Settled, x: Vector, direction: int, centre: float) -> tuple[Vector, Vector]:
-    """Return the fitted count of each sample within one turn, and the number of turns to it.
+    """Return the fitted counts of the samples, reduced to one turn, and the numbers of turns.
 
-    Each count is within half a turn of `centre`.
+    Each reduced count is within half a turn of `centre`.
     """
     m, d = settled.volts.size, x[-1]
     line = x[settled.level] + x[m + settled.level] * settled.t
