@@ -70,8 +70,9 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-# Commands in the order of `armrig --help`: first for a rig, then for its data along the handout.
-# Each command is followed by an example of its arguments, each group of commands by its name.
+# Commands in the order of `armrig --help`: first for a rig, then for its data in the order of the
+# handout. Each command is followed by an example of its arguments, each group of commands by its
+# name.
 for _command, _example in (
     (lab.lab, ""),
     (rig.status, ""),
@@ -161,7 +162,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     began is stopped. The exit code is then 128 plus the number of the signal.
     """
     # Must be set before numpy is imported. The threads of OpenBLAS wait by spinning and cost more
-    # time than they save: the matrices are small, and the machine also runs a loop and an emulator.
+    # time than they save: the matrices are small, and the machine also runs daemon and emulator.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with _signals() as received:
         code = _run(arguments)

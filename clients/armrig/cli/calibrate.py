@@ -183,7 +183,7 @@ class _Measured:
 
 
 def _measured(wanted: _Wanted, ask: Dialogue, play: Player) -> _Measured:
-    """Guide the user and the rig through the missing measurements."""
+    """Make the measurements that the files do not contain; give the user instructions."""
     rest, turns = _loaded(wanted.rest_file), _loaded(wanted.turns_file)
     deflected, readings = None, wanted.readings
     if rest is None:

@@ -60,7 +60,7 @@ class Dialogue:
 
 
 class Player:
-    """Runs of a calibration and their recordings."""
+    """Player of the runs of a calibration; each method returns the recording of its run."""
 
     def __init__(self, *, Ts: float | None, rig: str, connect: str | None) -> None:
         self._Ts, self._rig, self._connect = Ts, rig, connect
@@ -72,7 +72,7 @@ class Player:
         return self._played(experiment, seconds, {}, lambda N, _: np.zeros(N))
 
     def turns(self, levels: Sequence[float], level_seconds: float) -> Recording:
-        """Record the rig while it turns at each voltage, one after another."""
+        """Record the rig while it turns at the given voltages, one after another."""
         import numpy as np
 
         seconds = _START_S + level_seconds * len(levels)

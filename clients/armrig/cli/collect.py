@@ -284,7 +284,7 @@ def bla(
             f"--seconds {seconds:g} with --period {period:g}: give only one of these two options, "
             f"because a recording has {periods} periods (--periods)"
         )
-    if period is not None and not period > 0:  # NaN neither
+    if period is not None and not period > 0:  # also refuses NaN
         raise InputError(f"--period {period:g}: must be a number of seconds, more than 0")
     if seconds is None:
         seconds = periods * (DEFAULT_PERIOD_S if period is None else period)

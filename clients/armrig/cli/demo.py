@@ -27,9 +27,9 @@ _EMULATED = (
     "that the chain from the converter to the model is right; it shows nothing about a real arm."
 )
 _VIRTUAL = (
-    "{which} made in virtual time: loop, device and recorder are the same programs, but do not "
-    "wait. The dates and times of day are computed from a seed, and the timing shows nothing about "
-    "this machine."
+    "{which} made in virtual time: loop, device and recorder are the same programs as in real "
+    "time, but do not wait. The dates and times of day are computed from a seed, and the timing "
+    "shows nothing about this machine."
 )
 
 _FIRMWARE = (

@@ -70,7 +70,7 @@ def record_in_real_time(
     TooBusyError
         The machine stalls too often.
     RigError
-        The daemon does not start, or refuses.
+        The daemon does not start, or refuses a request.
     """
     patience = Patience(plan)
     log = config.with_name("armrigd.log")

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 Draw = Callable[..., Any]
 """Function that draws into its argument `ax`."""
 _EACH = "*"  # placeholder for the subject in the names of files in a folder
-_WIDTH, _HEIGHT = 6.3, 8.0  # in inches: the text of an A4 page, and a screen
+_WIDTH, _HEIGHT = 6.3, 8.0  # in inches: width of the text of an A4 page, height of a screen
 _DPI = 200
 _RUNS: dict[str, str] = {}
 """Run id of each recording that the command read, by the recording's hash."""
 _ESTIMATION: dict[Path, str] = {}
-"""Run ids of estimation recordings to which read validation recordings belong, by file."""
+"""Run id of the estimation recording of each validation recording that was read, by its file."""
 _MCAP = b"\x89MCAP0\r\n"
 
 
@@ -45,7 +45,7 @@ def name_runs(*recordings: Recording) -> None:
 
 
 def _runs() -> dict[str, str]:
-    """Return the run ids that figures show, by the hashes of the recordings."""
+    """Return the run id of each recording by the recording's hash; figures show these ids."""
     from hashlib import file_digest
 
     runs = dict(_RUNS)
@@ -102,7 +102,7 @@ def write_plot(
 ) -> list[Path]:
     """Write a figure with axes for each subject, print its path, and return the files.
 
-    An existing figure is replaced, and the replacement is printed.
+    An existing figure is replaced, and a message names it.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ Term = Annotated[
 ]
 _ENTRY = re.compile(r"^- \*\*(?P<term>[^*]+)\*\*(?: \((?P<long>[^)]+)\))?: (?P<text>.+)$", re.M)
 _MAX_OFFERED = 3
-"""Number of terms offered in place of an unknown term."""
+"""Largest number of similar terms in the message about an unknown term."""
 
 
 def glossary(term: Term = None, json: Json = False) -> None:

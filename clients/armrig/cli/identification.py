@@ -229,11 +229,11 @@ class _Found:
 
 
 def _warn_of_integrator(data: Dataset) -> None:
-    """Warn if the rig's output has no root at 1; if the data are not a recording, do nothing."""
+    """Warn if the data are a recording and their output does not integrate."""
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
     if from_recording(data) and data.output not in INTEGRATING_OUTPUTS:
-        tell(f"--integrator: {data.output} does not integrate, so the rig has no root at 1 for it")
+        tell(f"--integrator: the rig has no pole at 1 for {data.output}, which does not integrate")
 
 
 def _check_files(

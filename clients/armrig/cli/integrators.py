@@ -83,7 +83,7 @@ class _Row:
     """Largest step for which the method is stable, in s."""
     stable: bool
     error: float
-    """Largest error over the span, relative to the state's largest value; it may be infinite."""
+    """Largest error of a state, relative to the largest value of this state; it may be infinite."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,7 +159,7 @@ def _check_step(h: float, problem: Sinusoid) -> None:
 
 
 def _plot_solutions(solved: _Solved, plot: Path | None) -> None:
-    """Draw the solutions in all rows of the table; each given step has its own figure."""
+    """Draw the solutions in all rows of the table; each step of --h has its own figure."""
     if plot is None:
         return
     from armrig.physics.integrators.figures import plot_solution

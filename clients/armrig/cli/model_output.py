@@ -167,7 +167,7 @@ _SAID_BY = {
     "poorer_minimum": {"search"},
     "not_converged": {"search"},
 }
-"""For the name of an estimate's finding, the names of the advice's findings that repeat it."""
+"""Names of the findings of the advice that repeat a finding of the estimate, by its name."""
 _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"

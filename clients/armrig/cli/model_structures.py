@@ -103,7 +103,7 @@ def _parameter(name: str, kind: Any, option: Any, default: Any = None) -> inspec
 
 
 def _order(name: str, *, several: bool) -> Any:
-    """Return the option of an order; `several` adds structures of several signals to its help."""
+    """Return the option of an order; if `several`, its help adds structures of several signals."""
     default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
     shown = {"by the data" if n is None else str(n) for n in default.values()}
     if len(shown) > 1:
@@ -122,7 +122,7 @@ def _choice(name: str, option: Option, *, several: bool) -> Any:
 def _option(
     name: str, what: str, default: str = "", others: Sequence[str] = (), more: str = ""
 ) -> Any:
-    """Return an option; if not all structures have the option, its help names those structures."""
+    """Return an option; if only some structures have the option, its help names them."""
     titles = dict.fromkeys([*(OFFERED[user].title for user in users(name)), *others])
     which = "" if len(users(name)) == len(OFFERED_NAMES) else f" ({', '.join(titles)})"
     return typer.Option(flag(name), help=f"{what}{which}{more}.", show_default=default or True)

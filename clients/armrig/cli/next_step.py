@@ -28,7 +28,7 @@ _MAX_NAME_LENGTH = 28
 _AGAIN = "-again"
 """Suffix of the name of a repeated step."""
 _MAX_SEARCHED = 100
-"""Largest number of recordings, newest first, among which a kind is searched."""
+"""Largest number of recordings, newest first, that are searched for a kind of experiment."""
 
 AFTER: Mapping[str, str] = {
     "lab": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
@@ -102,9 +102,9 @@ def next_line(after: str, **values: str | float) -> str:
 
 
 def _goes_on(line: str) -> str:
-    """Return the command line, or the command after it if its recording already exists.
+    """Return the command line; if its recording already exists, return the command after it.
 
-    A complete recording with the same --name exists: a second one would make the name ambiguous.
+    A second complete recording with this --name would make the name ambiguous.
     """
     words = shlex.split(line)
     if words[1] != "collect" or words[-2] != "--name":
@@ -223,9 +223,9 @@ def for_the_report() -> str:
     """Return the names of the recordings for the handout's report, with a blank before each name.
 
     The report uses four complete recordings with the same calibration: step, estimation,
-    validation, chassis. The function chooses the calibration for which most of the four exist. Of
-    each kind, it takes the newest recording with a name; if none has a name, the newest recording.
-    The result is "" if there is no recording.
+    validation, chassis. The function chooses the calibration that has the most of these four
+    recordings. Of each kind, it takes the newest recording with a name; if none has a name, the
+    newest recording. The result is "" if there is no recording.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.catalogue import newest_first
@@ -333,7 +333,7 @@ def options_of(request: Request) -> str:
 def options_after(
     fit: Fit, request: Request, about: Set[str], *, searched: bool, detrended: bool
 ) -> str:
-    """Return the options of `armrig identify` with which the findings about a model are followed.
+    """Return the options with which `armrig identify` follows the advice about a model.
 
     Parameters
     ----------
@@ -381,7 +381,7 @@ def options_after(
 
 
 def _lower(fit: Fit, *, integrator: bool) -> dict[str, int]:
-    """Return the orders, less the number of cancelling pairs; orders of the noise model stay."""
+    """Return the orders, lowered by the number of cancelling pairs; noise orders do not change."""
     from armrig.validation.advice.model_advice import cancelling
 
     many = sum(2 if pole.imag else 1 for pole, _, _ in cancelling(fit)) or 1

@@ -83,7 +83,7 @@ def parameters(given: list[str] | None) -> ArmParameters:
 
 
 def cases(given: list[str] | None) -> dict[str, ArmParameters]:
-    """Return the cases of handout 2.3: no change, each change alone, and all changes together."""
+    """Return the parameters by case (handout 2.3): no change, each change alone, all changes."""
     from armrig.physics.systems import beside_the_handout
 
     return beside_the_handout(parameters(given))

@@ -55,7 +55,8 @@ Studied = Annotated[
     typer.Option(
         "--free",
         metavar="NAME",
-        help=f"Parameter to estimate ({PARAMETERS}); repeatable; the first one is compared.",
+        help=f"Parameter to estimate ({PARAMETERS}); repeatable; the first one is compared "
+        "between the parts.",
         show_default="J_1",
     ),
 ]

@@ -123,7 +123,7 @@ class SignalChoice:
         return "".join(typed) + " --detrend" * self.detrend + " --hampel" * self.hampel
 
     def of(self, file: Path, model: Model | None = None) -> Dataset:
-        """Return the data of a file, by default the model's output; print the file's defects."""
+        """Return the data of a file, and print its defects; the default output is the model's."""
         from armrig.data.treatment import detrend, hampel
 
         if self.several:
@@ -144,7 +144,7 @@ class SignalChoice:
         return detrend(data) if self.detrend else data
 
     def signals_of(self, file: Path, model: MultivariableFit | None = None) -> Signals:
-        """Return signals of a file, by default the model's signals; print the file's defects."""
+        """Return signals of a file, and print its defects; the default signals are the model's."""
         from armrig.data.treatment import detrend, hampel
 
         outputs, inputs = names("--signal", self.signal), names("--input", self.input)

@@ -157,7 +157,7 @@ def _recovered(how: Recovered) -> str:
 
 
 def _outcome(rec: Recording) -> str:
-    """Return the outcome of the run as text, and add if the file is cut off or damaged."""
+    """Return the outcome of the run as text, with a remark if the file is cut off or damaged."""
     if not rec.truncated:
         return rec.outcome.outcome if rec.outcome else "not known: the file does not contain it"
     what = "is cut off" if rec.cut_off else "is damaged"

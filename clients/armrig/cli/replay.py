@@ -29,7 +29,7 @@ from armrig.recordings.sample_rows import SAMPLE_DTYPE
 from armrig.recordings.verification import recorded_input
 
 MAX_CHUNK_BYTES = 4096
-"""Largest size of a chunk of steps, in B."""
+"""Largest size of a chunk of the core's steps, in B."""
 _COMPARED_SAMPLES = 4096  # samples compared in one step
 
 
@@ -74,7 +74,7 @@ def replay(path: str | Path) -> Replay:
     Raises
     ------
     FileError
-        The file is not a recording of armrig, has no steps, or has steps of another release.
+        The file is not a recording of armrig, or its core steps are missing or of another release.
     OSError
         The file cannot be read.
     """
@@ -102,7 +102,7 @@ def replay(path: str | Path) -> Replay:
 
 
 def _chunks_of(paths: Sequence[Path]) -> Iterator[Any]:
-    """Yield the chunks of steps in the files of a run."""
+    """Yield the chunks of the core's steps in the files of a run."""
     return chain.from_iterable(streamed(path, "trace") for path in paths)
 
 
@@ -178,14 +178,14 @@ class _Compared:
 
 
 class _Chunks:
-    """Chunks of steps in a file, in order."""
+    """Chunks of the core's steps in a file, in order."""
 
     def __init__(self, chunks: Iterator[Any]) -> None:
         self._chunks = chunks
         self._count, self._last = 0, -1
 
     def steps(self) -> Iterator[trace.Step]:
-        """Yield the steps up to the first missing chunk."""
+        """Yield the core's steps up to the first missing chunk."""
         for chunk in self._next():
             if chunk.number != self._count - 1:
                 return

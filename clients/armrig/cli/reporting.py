@@ -125,8 +125,8 @@ def report(
 ) -> None:
     """Typeset a report as a PDF.
 
-    The first recording that is neither a step nor a staircase is used for estimation, the next such
-    recording for validation. If there is only one such recording, it is cut into halves.
+    Steps and staircases are not used for the models. Of the other recordings, the first is used for
+    estimation and the second for validation. A single other recording is cut into halves.
 
     A report covers complete runs. Here --from is not a start time: it names a folder that --source
     wrote.

@@ -140,7 +140,7 @@ def note(
 
 @contextmanager
 def _opened(rig: str, connect: str | None) -> Iterator[Any]:
-    """Yield the rig; if the daemon refuses, raise an error with the complete command to type."""
+    """Yield the rig; if the daemon refuses a request, the error names the command to type next."""
     from armrig.rig.client import Rig
     from armrig.rig.collection import refusal_sentence, reset_command
     from armrig.rig.replies import RefusedError

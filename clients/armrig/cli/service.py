@@ -47,7 +47,7 @@ _NEXT: dict[Part, str] = {
         "  systemctl enable --now armrig-recorder"
     ),
 }
-"""Steps of the administrator after the installation of a part."""
+"""For each part, what the administrator must do after its installation."""
 _NOT_STARTED: dict[Part, str] = {
     "rig": "no rig is served: systemctl enable --now armrigd@1",
     "router": "no router runs: systemctl enable --now armrig-router",

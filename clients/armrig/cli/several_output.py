@@ -53,7 +53,7 @@ def simulated(row: SignalsComparison, data: Signals) -> str:
 def validated(
     table: SignalsComparisonTable, tests: SignalsResidualTest, file: Path, *, verbose: bool
 ) -> Iterator[str]:
-    """Yield a sentence on the simulation and tests on validation data, then the rejected pairs."""
+    """Yield a sentence on simulation and tests, then each pair of signals that fails a test."""
     row = table[0]
     yield (
         f"Simulated on {file}, {row.name} fits {simulated(row, table.data)}; "
@@ -82,7 +82,7 @@ def validation_lines(
     *,
     verbose: bool,
 ) -> Iterator[str]:
-    """Yield the answer, the fits at each horizon, and the tests of the residuals.
+    """Yield a summary sentence, the fits at each horizon, and the tests of the residuals.
 
     Without `verbose` a pair of input and output is shown only if its test rejects.
     """

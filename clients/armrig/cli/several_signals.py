@@ -59,7 +59,7 @@ def identify(
     most: int | None,
     shared: bool,
 ) -> None:
-    """Estimate or search a model of several signals, of at most `most` poles, and print it."""
+    """Estimate a model of several signals, or search for one with up to `most` poles; print it."""
     from armrig.cli import several_output
     from armrig.cli.spinner import estimating
     from armrig.recordings.usability import doubts_of_estimation
@@ -150,7 +150,7 @@ def _integrating(data: Signals) -> tuple[str, ...]:
 
 
 def _request(given: Given, data: Signals, *, shared: bool) -> SignalsRequest:
-    """Return the request; the rig's outputs share one denominator, and theta_1 integrates."""
+    """Return the request; a rig's outputs share one denominator, and only theta_1 may integrate."""
     from armrig.models.structure_table import OF_SEVERAL
 
     integrating = _integrating(data)

@@ -64,10 +64,10 @@ COLUMNS: dict[str, Any] = {
 SIZE_LIMIT = 128 << 20
 """Largest index that is read or written, in B; 10 000 recordings take about 4 MB."""
 SETTLED_NS = 2_000_000_000
-"""Least age of a file, in ns, from which every later change also changes its stored times.
+"""Least age of a file, in ns, at which each later change also changes the file's time stamps.
 
 The times of a file system have a resolution of up to 2 s. A younger file may therefore change
-without a change of its times.
+without a new time stamp.
 """
 _SUFFIX = ".mcap"
 _STAMP = "%Y%m%dT%H%M%S"
@@ -318,12 +318,12 @@ def state_of(found: os.stat_result) -> str:
 
 
 def is_settled(found: os.stat_result, looked_ns: int) -> bool:
-    """Return whether every change of the file after `looked_ns` changes its stored times."""
+    """Return True if each change of the file after `looked_ns` also changes its time stamps."""
     return max(found.st_mtime_ns, found.st_ctime_ns) < looked_ns - SETTLED_NS
 
 
 def now_ns() -> int:
-    """Return the current time in ns, on the clock of the file system's times."""
+    """Return the current time in ns, on the clock of the files' time stamps."""
     return time.time_ns()
 
 

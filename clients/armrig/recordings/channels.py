@@ -41,7 +41,7 @@ def channels_of(
     Ts: float,
     before: NDArray[np.void],
 ) -> dict[str, Any]:
-    """Return the channels, their masks, and the rows at which the turns become uncertain."""
+    """Return the channels, their masks, and the rows where the number of turns gets uncertain."""
     found: dict[str, Any] = {"others": {}, "turns_unknown": ()}
     for channel in telemetry.CHANNELS:
         pot: Potentiometer | None = getattr(calibration, channel.name, None)

@@ -73,7 +73,7 @@ class Content:
     size: int = 0
     """Size of the file, in B."""
     damage: str = ""
-    """Unread attachments, and the reason why reading ended early; "" for a complete file."""
+    """Text about unread attachments and the reason for an early end; "" for a complete file."""
     cut_off: bool = False
     """True if reading ended because the file is truncated, not because of another error."""
     read: int = 0
@@ -85,7 +85,7 @@ class Content:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """Metadata records by name."""
     attachments: dict[str, bytes] = field(default_factory=dict)
-    """Calibration, its readings and configuration, by the name of the attachment.
+    """Calibration, readings of the calibration, and configuration, by the attachment's name.
 
     The input is left out, because it may be long.
     """
@@ -208,9 +208,9 @@ class _Reader:
         self.budget.spend(WORK, cost)
 
     def wants(self, part: Part, start: int, end: int) -> bool:
-        """Return whether a chunk with these log times may contain samples of a part."""
+        """Return True if a chunk with these log times may contain samples of the part."""
         if self.rows.is_empty:
-            return True  # the first sample is always read: it relates the two clocks
+            return True  # the first sample is always read: it relates times to k
         if end < part.from_ns:
             return False
         if start <= part.to_ns:

@@ -102,7 +102,7 @@ class Timing:
     collections: int
     """Number of garbage collections since the loop started; each stalls the loop. -1: unknown."""
     cpu_pressure_percent: float
-    """Share of the second, in %, during which a task waited for a processor; NaN: unknown."""
+    """Time for which a task waited for a processor in this second, in %; NaN: unknown."""
     run_queue: int
     """Number of runnable tasks of the host; -1: unknown."""
 
@@ -167,7 +167,7 @@ def event_of(message: Any, clock: Clock) -> Event:
 
 
 def is_note(message: Any) -> bool:
-    """Return whether a person wrote a log record, judged by its `name`."""
+    """Return True if the `name` of a log record shows that a person wrote the record."""
     return bool(message.name == protobuf.NOTE)
 
 

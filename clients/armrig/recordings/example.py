@@ -8,7 +8,7 @@ from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 
 _FILE = Path(__file__).with_name("example.mcap")
-"""The telegraph signal of `armrig demo --virtual`, armrig 0.1.0."""
+"""Recording of a telegraph signal, made by `armrig demo --virtual` of armrig 0.1.0."""
 
 
 def example_recording() -> Recording:

@@ -188,7 +188,7 @@ def transforms_channel(rig: str, context: Any) -> Any:
 
 
 def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
-    """Return the frames of a sample: `chassis` turned by θ₁ in `rig`, `arm` by α in `chassis`.
+    """Return the coordinate frames `chassis` (turned by θ₁ in `rig`) and `arm` (by α in `chassis`).
 
     Both frames turn about z, so that the arm's angle in `rig` is θ₁ + α. A frame is left out
     if its angle is not finite. `t_ns` is the time on the wall clock.
@@ -212,7 +212,7 @@ def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
 
 
 def write_transforms(recording: Recording, path: Path) -> None:
-    """Write the frames of each sample as an MCAP file, at the times of the recording.
+    """Write the poses of chassis and arm as an MCAP file, at the times of the samples.
 
     The file does not contain the signals of the recording: open both files in the viewer.
 

@@ -33,7 +33,7 @@ class Grid:
     present: NDArray[np.bool_]
     """Mask (N,), True if the sample arrived."""
     taken: slice
-    """Slice of the samples `k` that are in the grid."""
+    """Slice of the arrived samples that are in the grid."""
 
     def filled(self, gaps: Iterable[tuple[int, int, float]]) -> NDArray[np.float64]:
         """Return for each row the value of the gap that contains it, (N,); NaN outside all gaps.
@@ -54,7 +54,7 @@ class Grid:
             if begin < end:
                 edges.append((begin, -i, end, value))
         edges.sort()
-        open_gaps: list[tuple[int, int, float]] = []  # a heap; first is the last gap in `gaps`
+        open_gaps: list[tuple[int, int, float]] = []  # a heap; the last gap in `gaps` is first
         row = 0
         for begin, order, end, value in [*edges, (self.N, 1, self.N, np.nan)]:
             while open_gaps and row < begin:

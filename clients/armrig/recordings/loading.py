@@ -67,9 +67,8 @@ def load(
         Calibration that converts the counts and codes, or the TOML file in which `armrig calibrate`
         stored it. The default is the calibration that the daemon attached to the recording.
     start, stop : float, optional
-        Range of samples, start <= t < stop, in s from the first sample of the run, as in `t`.
-        Samples outside the range are not loaded. `theta_1` counts its turns from the first sample
-        in the range.
+        Load only the samples with start <= t < stop, in s from the first sample of the run.
+        `theta_1` counts its turns from the first sample in the range.
 
     Returns
     -------
@@ -254,7 +253,7 @@ def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], Part]
 
 
 def origin_of(content: Content, manifest: Manifest) -> int:
-    """Return the index of the sample at which t is 0."""
+    """Return the number k of the sample at which t is 0."""
     if manifest.k_first >= 0 or not content.samples.size:
         return manifest.k_first
     return int(content.samples["k"][0])

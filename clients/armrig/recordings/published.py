@@ -85,7 +85,7 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
     Raises
     ------
     FileError
-        `armrig.load` would raise this error, or the range contains no message.
+        The file cannot be loaded (see `armrig.load`), or the range contains no message.
     OSError
         The file cannot be opened or read.
     """

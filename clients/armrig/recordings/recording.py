@@ -77,12 +77,12 @@ class Recording:
     k_first: int
     """Index k of the first row; in older files, the index of the first sample that arrived."""
     t: Vector
-    """Time in s from the first sample that was due, (N,)."""
+    """Time at which each sample was due, in s from the first sample of the run, (N,)."""
     u: Vector
-    """Voltage in V at the motor's terminals from `t` on, (N,).
+    """Voltage in V at the motor's terminals, (N,).
 
-    The device held the voltage until the next sample. The calibration converts the voltage of the
-    code to the voltage at the terminals. For a missing sample, `u` is the voltage in the gap
+    The device held `u[i]` from `t[i]` until the next sample. The calibration converts the voltage
+    of the code to the voltage at the terminals. For a missing sample, `u` is the voltage in the gap
     record, or NaN without a gap record.
     """
     theta_1: Vector

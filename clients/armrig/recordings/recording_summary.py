@@ -42,7 +42,7 @@ TEXT_LIMIT = 4096
 """Longest text in a summary, in characters."""
 
 _EXPERIMENT = re.compile(rf"({'|'.join(KINDS)})(-validation)?(?:-(.+))?")
-_FOOTER = Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, CRC
+_FOOTER = Struct("<BQQQI")  # opcode, length, start of the summary, start of the offsets, CRC
 _FOOTER_BODY = 8 + 8 + 4
 
 

@@ -25,7 +25,7 @@ SAMPLE_DTYPE = np.dtype([(name, _FORMATS[kind]) for name, kind in telemetry.SAMP
 ROW_LENGTH = MESSAGE_HEAD.size + telemetry.SAMPLE_LENGTH
 """Length of the record of a sample with constant layout, in B."""
 
-_MAX_PENDING_BYTES = 1 << 19  # of rows, before they are turned into samples
+_MAX_PENDING_BYTES = 1 << 19  # B; rows of this size are converted to samples
 _K_LIMIT = np.uint64(1 << 62)
 _ROOM_MARGIN = 1.1  # relative to the estimated size of the rest of the file
 _MIN_GROWTH, _MAX_GROWTH = 1.5, 64  # factors of a new allocation
@@ -35,7 +35,7 @@ class SampleRows:
     """Collector of a file's samples; k must increase from sample to sample."""
 
     def __init__(self, spend: Callable[[], None] = lambda: None) -> None:
-        """Call `spend` for each sample that is read individually; `spend` may raise DamageError."""
+        """Set the function that `add` calls for each sample; the function may raise DamageError."""
         self.size = 0
         self.last_k = -1
         self._spend = spend
@@ -48,7 +48,7 @@ class SampleRows:
     def add_run(self, chunk: memoryview, at: int) -> int:
         """Add a run of records that begins at `at`, and return the size of the run in B.
 
-        A run consists of consecutive messages of one channel with the length of a sample. The
+        A run consists of consecutive messages of one channel; each has the length of a sample. The
         layout of the records is checked later, for many records together. Call `settle` before
         adding a run of another chunk.
         """
@@ -138,7 +138,7 @@ class SampleRows:
         return self._samples[self.size : self.size + n]
 
     def _keep(self, samples: NDArray[np.void]) -> None:
-        """Keep samples that are already in the memory; raise DamageError if k does not increase."""
+        """Count the newly written rows as samples; raise DamageError if k does not increase."""
         if not samples.size:
             return
         k = samples["k"]
@@ -202,7 +202,7 @@ def _layout() -> tuple[list[tuple[int, int, int, int]], list[int], NDArray[np.ui
 
 
 def _run() -> re.Pattern[bytes]:
-    """Return a pattern that matches consecutive records of a sample's length and of one channel.
+    """Return a pattern that matches consecutive records of one channel, each as long as a sample.
 
     There are only about 35 samples between two messages of other streams. For so few samples, a
     pattern is four times as fast as numpy. The pattern never backtracks (`*+`), so that it needs no

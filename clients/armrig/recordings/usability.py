@@ -32,9 +32,7 @@ if TYPE_CHECKING:
 
 
 _STRETCH_S = 1.0  # length of the stretches to which straight lines are fitted
-_START_S = (
-    3.0  # runs longer than this are judged without the first second, the start of the chassis
-)
+_START_S = 3.0  # s; in longer runs, the first second (start of the chassis) is left out
 _MIN_LINE_SAMPLES = 4
 _NOISE_ORDER = 10
 FEW = 300
@@ -170,7 +168,7 @@ def _step(r: Recording) -> float:
 
 
 def _signal(data: Dataset, noise: float) -> float:
-    """Return the rms deviation of y from a line per second, minus the power of the noise."""
+    """Return the rms deviation of y from a straight line in each second, without the noise."""
     n = max(8, round(_STRETCH_S / data.Ts))
     moving = data[n:] if data.N * data.Ts > _START_S else data
     squares, known = 0.0, 0
@@ -242,7 +240,7 @@ def early_ends(recordings: Sequence[Recording]) -> list[str]:
 
 
 def different_calibrations(recordings: Sequence[Recording]) -> list[str]:
-    """Return a list with a warning about different calibrations; empty for one calibration."""
+    """Return a list with one warning if the calibrations differ; otherwise an empty list."""
     of: dict[tuple[object, ...] | None, list[str]] = {}
     for r in recordings:
         of.setdefault(_values(r), []).append(r.path.name)
@@ -316,7 +314,7 @@ def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> li
 
 
 def _reversed(r: Recording) -> bool:
-    """Return True if the angle decreases, although the voltage is never negative."""
+    """Return True if theta_1 decreases; the driver applies no negative voltage."""
     angle = r.theta_1[np.isfinite(r.theta_1)]
     return angle.size > 1 and float(angle[-1] - angle[0]) < -_MIN_TURN_RAD
 

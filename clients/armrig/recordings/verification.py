@@ -1,4 +1,4 @@
-"""Verification that a recording reports all its gaps and has only requested voltages.
+"""Verification of a recording: all gaps are reported, and all voltages were requested.
 
 A recording that fails the verification can still be loaded and exported.
 """
@@ -34,13 +34,13 @@ from armrig.recordings.recording_summary import REMOTE
 Vector = NDArray[np.float64]
 
 _CODE_V = U_MAX_V / CODE_FULL_SCALE
-"""Step of the codes for voltages, in V; requested voltages are rounded to multiples of it."""
+"""Voltage step of one code, in V; requested voltages are rounded to multiples of this step."""
 MAX_DRIFT_PPM = 6_000.0
 """Largest drift, in ppm. A ceramic resonator is accurate to 5 000 ppm, a crystal to 100 ppm."""
 _MAX_JUMP_SIGMAS = 6.0
 _BLOCK_BYTES = 1 << 20
-_TIMES_BYTES = 8 + 8  # before the name in an attachment
-_MAX_LINE_BYTES = 64  # a voltage takes at most 24
+_TIMES_BYTES = 8 + 8  # B; two times precede the name in an attachment
+_MAX_LINE_BYTES = 64  # B; the text of a voltage has at most 24 B
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -132,7 +132,7 @@ class Estimate:
             Calibration that contains the values that were not measured, such as the current
             calibration. The magnitude of alpha's rad per count is always taken from `base`.
         made : Made
-            Origin of the recordings, to which the measured values are added.
+            Origin of the calibration. The method adds the measured values.
         """
         size, alpha = self.rad_per_count, base.alpha
         scale = base.theta_1.rad_per_count if size is None else size.value
@@ -200,8 +200,8 @@ def estimate(
         noise_1, noise_2 = (noise_before_rounding(s.value**2, step) for s in (theta_1, alpha))
     else:
         # The spread at rest depends on the position of the readings in a step of the converter. The
-        # spread over whole turns does not depend on it. One converter reads both angles, so the
-        # noise of theta_1 over turns is also the noise of alpha.
+        # spread over whole turns does not depend on this position. One converter reads both angles,
+        # so the noise of theta_1 over turns is also the noise of alpha.
         noise_1 = noise_2 = noise_before_rounding(turned.residual_variance, step)
     alpha_zero = mean_reading(still.alpha, step, noise_2)
     sign = 0
@@ -318,7 +318,7 @@ def sign_by_hand(readings: Readings, rest: Figure, rad_per_count: float) -> int:
         Approximate angle of a count of alpha, in rad; its sign is ignored.
     """
     deflection = (readings.alpha - rest.value) * abs(rad_per_count)
-    # A hand that holds the arm moves one quartile far. A released arm swings to both sides.
+    # If a hand holds the arm, one quartile is far from 0. A released arm swings to both sides.
     low, high = np.quantile(deflection, [0.25, 0.75])
     farthest = max(low, high, key=abs)
     return 0 if abs(farthest) < HAND_RAD else int(np.sign(farthest))

@@ -53,7 +53,10 @@ class Speeds:
     rate: Figure
     """Speed of the chassis per volt at the terminals, in rad/s/V."""
     zero_torque: Figure
-    """Terminal voltage at which the line has speed 0, in V; it includes friction and offset."""
+    """Terminal voltage at which the line has speed 0, in V.
+
+    Friction and the driver's offset shift this voltage from 0.
+    """
 
 
 def terminal_voltage(

@@ -171,7 +171,7 @@ def mean_reading(counts: Vector, step: float, noise: float) -> Figure:
 
 
 def spread(counts: Vector, step: float) -> Figure:
-    """Return the standard deviation of N readings at rest, with its own standard deviation.
+    """Return the standard deviation of N readings at rest, and the standard error of this estimate.
 
     The estimated variance s² has the variance (m_4 - s⁴) / N, with m_4 the fourth central moment.
     If the noise is small compared with the step, few or no readings differ. The standard deviation

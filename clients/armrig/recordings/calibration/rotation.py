@@ -33,7 +33,7 @@ LEAST_S = 1.0
 """Shortest time at a voltage after `SETTLE_S`, in s."""
 LEAST_TURNS = 3
 """Least number of passes of the shaft through its dead band, at all voltages together."""
-MAX_MISREAD_SHARE = 0.02  # largest share of readings at a rail on the track, from a worn spot
+MAX_MISREAD_SHARE = 0.02  # largest share of rail readings on the track (worn spots)
 _REMEDY = "turn it slowly in one direction, three turns or more: see --volts and --level-seconds"
 
 
@@ -76,10 +76,10 @@ def turning(readings: Readings, step: float) -> Turning:
     """Estimate the turn and the track of theta_1's potentiometer from a run of constant voltages.
 
     An edge of the track is between the last sample with an angle and the first sample without an
-    angle. The straight lines determine the places of these two samples. The edge is in the interval
-    between the two places in each turn, and thus in the intersection of these intervals. If the
-    track begins near 0 counts, a reading of 0 may be on the track or in the dead band. The track
-    begins at 0 counts or above, and ends at full scale or below.
+    angle. The fitted straight lines give the counts of these two samples. In each turn, the edge is
+    between these two counts. Over all turns, the edge is in the intersection of these intervals. If
+    the track begins near 0 counts, a reading of 0 may be on the track or in the dead band. The
+    track begins at 0 counts or above, and ends at full scale or below.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def turning(readings: Readings, step: float) -> Turning:
     Raises
     ------
     InputError
-        No voltage was held long enough, or the shaft did not turn in one direction.
+        No voltage was held long enough, or the shaft did not turn in one direction throughout.
     """
     settled = _settled(readings)
     live = settled.live
@@ -203,9 +203,9 @@ def _fitted(
 
 
 def _places(settled: _Settled, x: Vector, direction: int, centre: float) -> tuple[Vector, Vector]:
-    """Return the place of each sample on the fitted lines, in counts, and its number of turns.
+    """Return the fitted counts of the samples, reduced to one turn, and the numbers of turns.
 
-    Each place is within half a turn of `centre`.
+    Each reduced count is within half a turn of `centre`.
     """
     m, d = settled.volts.size, x[-1]
     line = x[settled.level] + x[m + settled.level] * settled.t
