@@ -309,7 +309,8 @@ def _split(study: HandoutStudy) -> Section:
         ),
         table=Table(header=("", "samples each", "J [kg m²]"), rows=rows),
         figure="split",
-        caption=f"(a) Each estimate with ±2 σ; band: weighted mean of the parts ±2 σ. (b) σ against N{crosses}.",
+        caption="(a) Each estimate with ±2 σ; band: weighted mean of the parts ±2 σ. "
+        f"(b) σ against N{crosses}.",
     )
 
 
