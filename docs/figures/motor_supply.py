@@ -277,7 +277,7 @@ def stops() -> Iterator[tuple[str, str, str]]:
         turn, seconds = turn_after_stop(ohm, diode)
         yield name, f"{turn:.2f} rad", f"{seconds:.2f} s"
     name = "`armrig stop`, end of a run: the driver sleeps, the supply is on"
-    yield name, "friction alone", "friction alone"
+    yield name, "depends on friction", "depends on friction"
 
 
 TABLES = {
