@@ -205,7 +205,7 @@ def currents() -> Iterator[tuple[str, str]]:
     yield f"{turned}, for less than 0.1 s", f"{largest:.2f} A"
     yield "**sum for less than 0.1 s**", f"**{largest + bleeds + rest:.2f} A**"
     name = f"voltage at the driver at {largest + bleeds + rest:.2f} A, after {path * 1e3:.0f} mΩ"
-    yield f"{name} (at least {DRIVER_LEAST_V} V)", f"{at_driver:.2f} V"
+    yield f"{name} (the driver needs at least {DRIVER_LEAST_V} V)", f"{at_driver:.2f} V"
 
 
 def feedback() -> Iterator[tuple[str, ...]]:
@@ -257,7 +257,11 @@ def powers() -> Iterator[tuple[str, str, str]]:
     )
     yield "motor at standstill", f"{V_SUPPLY**2 / ARM.R_m:.1f} W", "unknown: do not block the motor"
     name = f"thyristor at {longest:.1f} A, the most that the fuse may carry for 30 min"
-    yield name, f"{watts:.1f} W", f"{hot:.0f} °C with {HEAT_SINK_KW:.0f} K/W, of 125 °C"
+    yield (
+        name,
+        f"{watts:.1f} W",
+        f"{hot:.0f} °C with a heat sink of {HEAT_SINK_KW:.0f} K/W; limit 125 °C",
+    )
 
 
 def stops() -> Iterator[tuple[str, str, str]]:
@@ -273,7 +277,7 @@ def stops() -> Iterator[tuple[str, str, str]]:
         turn, seconds = turn_after_stop(ohm, diode)
         yield name, f"{turn:.2f} rad", f"{seconds:.2f} s"
     name = "`armrig stop`, end of a run: the driver sleeps, the supply is on"
-    yield name, "friction alone", "friction alone"
+    yield name, "depends on friction", "depends on friction"
 
 
 TABLES = {

@@ -1,4 +1,4 @@
-"""Escapes for bars in docstrings: |G| is a magnitude, not a substitution of reStructuredText."""
+"""Escapes for vertical bars in docstrings: reStructuredText would substitute a text for |G|."""
 
 from __future__ import annotations
 
