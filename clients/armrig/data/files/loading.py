@@ -98,8 +98,8 @@ def load_signals(
     r"""Load several inputs and outputs of a file: CSV, another text table, .mat or .npz.
 
     The file is read as in `load_data`. The name of a matrix, such as u of a saved iddata structure,
-    chooses all its columns. If an input is missing at an instant, the instant is left out, and a
-    new experiment begins after it. If an output is missing, the other outputs are kept.
+    chooses all columns of the matrix. If an input is missing at an instant, the instant is left
+    out, and a new experiment begins after it. If an output is missing, the other outputs are kept.
 
     Parameters
     ----------
@@ -403,8 +403,8 @@ _MAX_DIGITS = 12
 def sampling_time(t: Vector, column: Column, place: Callable[[int], str]) -> float:
     """Return the sampling time Ts, in s, of equidistant times.
 
-    The times of a file often have few digits. Ts is therefore the number with the fewest digits
-    that agrees with the times as well as the mean interval does.
+    The times of a file often have few digits. Ts is therefore the mean interval, rounded to the
+    fewest digits with which multiples of Ts still fit the times.
 
     Parameters
     ----------

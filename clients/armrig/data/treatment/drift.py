@@ -71,7 +71,7 @@ def drift(
     Raises
     ------
     ValueError
-        The output integrates (its line is then the response to the input), or there are too few
+        The output integrates (its trend is then the response to the input), or there are too few
         samples.
 
     Examples

@@ -48,8 +48,8 @@ def prefilter(
     data : Dataset
         N samples.
     numerator, denominator : array_like
-        Coefficients of L in q^-1. Without a denominator, the memory is at most the length of the
-        numerator.
+        Coefficients of L in q^-1. Without a denominator, the memory is at most the number of
+        coefficients in the numerator.
     band : (float, float), optional
         Edges, in rad/s, of the pass band of a Butterworth filter, instead of coefficients. (0, w)
         is a low-pass filter, and (w, inf) is a high-pass filter.

@@ -1,4 +1,4 @@
-"""Detection of outputs that integrate their input; the line of such an output is not a drift."""
+"""Detection of outputs that integrate their input; the trend of such an output is not a drift."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ INTEGRATING_OUTPUTS = frozenset({THETA_1})
 
 DICKEY_FULLER_TREND_5_PERCENT = -3.41  # Fuller 1976, table 8.5.2, constant and trend, n = inf
 _TEST_LAGS = 5
-# Least share of its distance from the line by which an output must return in one sample, so that
-# the test can detect the return.
+# In one sample, the output must return by at least this share of its distance from the trend line,
+# so that the test can detect the return.
 MIN_SEEN_PULL = 0.2
 
 
@@ -44,7 +44,7 @@ def integrating(data: Dataset) -> Finding | None:
 
     If the data are too few for this test, the result is None. The data are too few if fewer than 10
     degrees of freedom remain, or if g = -0.2 would not be significant. With g = -0.2, the distance
-    of the output from its line decreases by 20 % per sample.
+    of the output from its trend line decreases by 20 % per sample.
 
     References
     ----------

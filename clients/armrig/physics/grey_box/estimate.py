@@ -178,7 +178,7 @@ class Problem(Protocol):
 
     @property
     def plain(self) -> GreyBox:
-        """Names and coordinates of the parameters."""
+        """Plain problem, which has the names and the coordinates of the parameters."""
 
     def linearise(self, eta: Vector) -> tuple[Vector, Matrix]:
         """Return residuals and derivatives at the coordinates."""
@@ -187,8 +187,8 @@ class Problem(Protocol):
 def searched(problem: GreyBox | Problem, start: Vector, around: Vector | None = None) -> Optimum:
     """Return the minimum that a search from `start` finds.
 
-    The logarithms of the parameters differ from `around`, by default the start, by less than
-    `MAX_LOG_FACTOR`.
+    Each logarithm of a parameter stays within `MAX_LOG_FACTOR` of its value in `around`, which is
+    `start` by default.
     """
     plain = problem if isinstance(problem, GreyBox) else problem.plain
     logarithms = np.flatnonzero([name not in SIGNED for name in plain.names])

@@ -401,7 +401,7 @@ def _every(s: float, Ts: float) -> int:
 
 
 def _offset_is_free(data: Dataset, names: tuple[str, ...]) -> bool:
-    """Return whether u0 is estimated; together with T_c, this requires a bipolar input."""
+    """Return whether u0 is estimated; if T_c is estimated, too, u0 requires a bipolar input."""
     return COULOMB not in names or bipolar(data.u)
 
 
@@ -459,7 +459,7 @@ def _by_experiment(
 
 
 def _parameters(beta: Vector, names: tuple[str, ...]) -> tuple[dict[str, float], Matrix]:
-    """Return J_1 = 1/beta_1 and the frictions beta_i/beta_1, and their derivatives by beta."""
+    """Return J_1 = 1/beta_1 and the frictions beta_i/beta_1, and the derivatives for each beta."""
     values = {"J_1": float(1 / beta[0])}
     slope = np.zeros((len(names), beta.size))
     slope[0, 0] = -1 / beta[0] ** 2

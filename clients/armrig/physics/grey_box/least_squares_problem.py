@@ -123,7 +123,7 @@ class GreyBoxWithFriction:
     def start(self, eta: Vector) -> Vector:
         """Return start coordinates, computed from the coordinates of the problem without friction.
 
-        If u0 is not free in this problem, T_c is computed from the u0 of the problem without
+        If u0 is not free in the problem with friction, T_c is computed from the u0 of the problem without
         friction. Otherwise the search begins with a small T_c.
         """
         free = self.plain.at(eta).free
@@ -164,14 +164,14 @@ class GreyBoxWithFriction:
         return [bipolar(data.u) for data in self.plain.experiments]
 
     def _parts(self, z: Vector) -> list[slice]:
-        """Return the slice of x0 and u0 of each experiment, after the parameters and T_c."""
+        """Return the slice of z with x0 and u0 of each experiment; parameters and T_c are first."""
         offsets = self._offsets()
         n = (z.size - len(self.plain.names) - 1 - sum(offsets)) // len(offsets)
         edges = np.cumsum([0, *(n + is_free for is_free in offsets)]).tolist()
         return [slice(a, b) for a, b in pairwise(edges)]
 
     def _all(self, z: Vector, by: Sequence[str]) -> tuple[Vector, Matrix, list[tuple[int, int]]]:
-        """Return e (M,), derivatives by (`by`, T_c, x0, u0, …), and the rows of each experiment."""
+        """Return e (M,), derivatives for (`by`, T_c, x0, u0, …), and the rows of each experiment."""
         plain = self.plain
         own, first = len(plain.names) + 1, len(by) + 1
         values = plain.values(z[: own - 1])

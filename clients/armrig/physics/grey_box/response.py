@@ -121,7 +121,7 @@ def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -
 
 
 def _held(model: Sampled, by: Derivative, x: Matrix, u: Vector, speed: int) -> Matrix:
-    """Return the contribution of the derivative of Gamma / (e' Gamma) during stick."""
+    """Return the part of the derivative of x(k+1) from Gamma / (e' Gamma), during stick."""
     g = model.Gamma[speed]
     change = by.Gamma / g - model.Gamma * by.Gamma[speed] / g**2
     needed = x @ model.Phi[speed] + u * g
@@ -212,7 +212,7 @@ def _step(v: float, ahead: float, pull: float, V: float, gain: float) -> tuple[f
 def _braked_alone(
     model: Sampled, u: Vector, x0: Vector, V: float, speed: int
 ) -> tuple[Vector, list[int]]:
-    """Return friction and motion of each step if no other state acts on the speed: see `_step`."""
+    """Return friction and motion of each step if no other state acts on the speed."""
     pole, gain, v = float(model.Phi[speed, speed]), float(model.Gamma[speed]), float(x0[speed])
     frictions, signs = [], []
     for value in u[:-1].tolist():
@@ -226,7 +226,7 @@ def _braked_alone(
 def _braked(
     model: Sampled, u: Vector, x0: Vector, V: float, speed: int
 ) -> tuple[Vector, list[int]]:
-    """Return friction and motion of each step, as `_step` does."""
+    """Return friction and motion of each step, computed with `_step`."""
     rows = [tuple(map(float, row)) for row in model.Phi]
     gamma = [float(g) for g in model.Gamma]
     pole, gain = rows[speed][speed], gamma[speed]

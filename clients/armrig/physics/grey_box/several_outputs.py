@@ -63,7 +63,7 @@ class _Problem:
     """
 
     plain: GreyBox
-    """Names and coordinates of the parameters."""
+    """Plain problem, which has the names and the coordinates of the parameters."""
     physics: tuple[Physics, ...]
     """Model of each output."""
     experiments: tuple[Signals, ...]
@@ -142,7 +142,7 @@ def greybox(
     Returns
     -------
     GreyFit
-        `by_output` has the quality for each output.
+        `by_output` contains loss, fit and whiteness for each output.
 
     Raises
     ------

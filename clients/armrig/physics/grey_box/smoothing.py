@@ -9,12 +9,13 @@ A linear equation between y', y'' and u also holds between the smoothed signals.
 causes no phase lag and needs no differences of noisy samples. At the ends of the bell g, g' and g''
 are 0, so that sums over samples are close to the integrals.
 
-The module also tests whether residuals are white noise of the output, coloured by the kernel. White
-noise v that is smoothed by a kernel h and decimated by m has the autocorrelation rho ::
+The module also tests whether residuals are white noise of the output that the kernel has coloured.
+White noise v that is smoothed by a kernel h and decimated by m becomes e, with the autocorrelation
+rho ::
 
     e(i) = sum of h(k) v(i m - k),    rho(j) = sum of h(k) h(k + j m) / sum of h(k)²
 
-Bartlett's formula gives the covariance of the sample autocorrelation of n such values ::
+Bartlett's formula gives the covariance of the sample autocorrelations r_j of n values of e ::
 
     n cov(r_j, r_k) = sum over l = 1, 2, … of b_j(l) b_k(l),
     b_j(l) = rho(l + j) + rho(l - j) - 2 rho(j) rho(l)

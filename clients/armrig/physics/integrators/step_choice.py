@@ -37,7 +37,7 @@ class Advice:
     steps: int
     """Number of steps in the span."""
     work: int
-    """Number of products with A plus solved systems of equations, over the span."""
+    """Number of products with A and of solved systems of equations over the span."""
     reason: str
     """Text with the reason for this step."""
 
@@ -154,7 +154,7 @@ def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
 def _step_for(
     problem: Sinusoid, method: str, tolerance: float, largest: float
 ) -> tuple[float, float, bool]:
-    """Return the largest step within the tolerance, its error, and True for a measured error."""
+    """Return the largest step within the tolerance, its error, and whether this error was measured."""
     order = METHODS[method].order
     best, best_error = 0.0, inf
     h = _START_SHARE * largest
