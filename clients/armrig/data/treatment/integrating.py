@@ -135,11 +135,11 @@ class Integration:
     integrates: bool
     """True if y is treated as the sum of its rate."""
     reason: str = ""
-    """Evidence from the unit root test; "" if it finds no integrator or is not needed."""
+    """Evidence from the unit root test; "" if the test finds no integrator or is not needed."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for a result that report the evidence of the test; () without evidence."""
+        """Notes for the result, with the evidence from the test; () without evidence."""
         if not self.reason:
             return ()
         what = "taken as integrating (in Python integrator=False prevents this)"

@@ -95,8 +95,8 @@ def _gross(y: Vector) -> Mask:
     wrong = np.zeros(y.size, dtype=np.bool_)
     if known.size > _MEDIAN_SAMPLES:
         off = np.abs(y[known] - median_filter(y[known], _MEDIAN_SAMPLES, mode="nearest"))
-        # Most samples of a signal at rest are equal to the median. The typical deviation is therefore
-        # the median of the deviations other than 0: a single quantisation step is not gross.
+        # Most samples of a signal at rest are equal to the median. The typical deviation is
+        # therefore the median of the deviations other than 0: one quantisation step is not gross.
         typical = float(np.median(off[off > 0])) if off.any() else 0.0
         wrong[known] = off > _GROSS_RATIO * max(typical, 1e-9 * float(np.max(np.abs(y[known]))))
     return wrong
@@ -369,7 +369,7 @@ def _outliers(
 
 
 def quantum(data: Dataset) -> float:
-    """Return the step of which the changes of y are whole multiples; 0 if there is no such step."""
+    """Return the quantisation step of y; 0 if changes of y are not whole multiples of one step."""
     change = np.abs(np.diff(data.y))
     change = change[np.isfinite(change)]
     moved = change[change > 1e-9 * max(float(change.max(initial=0.0)), 1e-300)]

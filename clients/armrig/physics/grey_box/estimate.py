@@ -51,8 +51,8 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 SPEED_STATE = "theta_1_rate"
-ROUNDING_SHARE = 1e-18  # of |y|², below which |e|² is rounding
-_MIN_SEEN_SHARE = 1e-7  # least share of a derivative that must be left without the free responses
+ROUNDING_SHARE = 1e-18  # share of |y|²; a smaller |e|² is rounding error
+_MIN_SEEN_SHARE = 1e-7  # least share of a derivative that the free responses do not explain
 MAX_LOG_FACTOR = 12.0
 """Logarithm of the largest ratio of a parameter to its start value; e^12 is 160 000."""
 _BOUND_SHARE = 0.98  # of the bound; a search halves its steps, so it ends just below the bound
@@ -111,7 +111,7 @@ def greybox(
         `covariance` is lambda (Psi^T Psi)^-1 plus the contribution of `fixed_std`. lambda is the
         variance of the noise. Psi contains the derivatives of the output, without the parts that a
         change of initial state and offset explains. `covariance_robust` is the sandwich form plus
-        the same contribution.
+        the contribution of `fixed_std`.
 
     Raises
     ------
@@ -315,7 +315,7 @@ def at_bound(names: Sequence[str], moved: NDArray[np.float64]) -> Iterator[str]:
     names : sequence of str
         The free parameters.
     moved : ndarray (d,)
-        Change of each coordinate in the search; elements without a name are ignored.
+        Change of each coordinate in the search; elements after the last name are ignored.
     """
     for name, by in zip(names, moved, strict=False):
         if name not in SIGNED and abs(float(by)) > _BOUND_SHARE * MAX_LOG_FACTOR:

@@ -351,7 +351,7 @@ def named_std(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:
 def named_influence(
     names: tuple[str, ...], held: tuple[str, ...], influence: Matrix
 ) -> dict[str, dict[str, float]]:
-    """Return d ln(estimate) / d ln(fixed parameter) by both names, for positive parameters only."""
+    """Return d ln(estimate)/d ln(fixed parameter) by the names of both; only for values above 0."""
     return {
         name: {
             k: float(v) for k, v in zip(held, row, strict=True) if k not in SIGNED and abs(v) > 1e-9

@@ -123,8 +123,8 @@ class GreyBoxWithFriction:
     def start(self, eta: Vector) -> Vector:
         """Return start coordinates, computed from the coordinates of the problem without friction.
 
-        If u0 is not free in the problem with friction, T_c is computed from the u0 of the problem without
-        friction. Otherwise the search begins with a small T_c.
+        If u0 is not free in the problem with friction, T_c is computed from the u0 of the problem
+        without friction. Otherwise the search begins with a small T_c.
         """
         free = self.plain.at(eta).free
         taken = [x[-1] for x, is_free in zip(free, self._offsets(), strict=True) if not is_free]
@@ -171,7 +171,7 @@ class GreyBoxWithFriction:
         return [slice(a, b) for a, b in pairwise(edges)]
 
     def _all(self, z: Vector, by: Sequence[str]) -> tuple[Vector, Matrix, list[tuple[int, int]]]:
-        """Return e (M,), derivatives for (`by`, T_c, x0, u0, …), and the rows of each experiment."""
+        """Return e (M,), derivatives for (`by`, T_c, x0, u0, …), and rows of each experiment."""
         plain = self.plain
         own, first = len(plain.names) + 1, len(by) + 1
         values = plain.values(z[: own - 1])

@@ -37,8 +37,8 @@ from armrig.physics.grey_box.response import linear_parts, sensitivity
 from armrig.physics.grey_box.sampled_model import Model, Physics, Sampled
 from armrig.physics.systems import arm
 
-_MAX_ROUNDS = 8  # estimates of the outputs' noise
-_SETTLED = 1e-4  # relative change of the noise's deviations at which the rounds end
+_MAX_ROUNDS = 8  # largest number of estimates of the outputs' noise
+_SETTLED = 1e-4  # relative change of the noise's standard deviations at which the rounds end
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -43,15 +43,15 @@ Vector = NDArray[np.float64]
 _BELL = Polynomial([1.0, 0.0, -1.0]) ** 8
 _REACH = 19**0.5  # ratio T / s
 MIN_WIDTH = 1.25
-"""Least s in samples, for which sums over samples equal integrals to about 1e-6."""
-_MIN_FFT_SAMPLES = 500  # length of a kernel from which FFT is faster
+"""Least s in samples; from this s on, sums over samples equal integrals to about 1e-6."""
+_MIN_FFT_SAMPLES = 500  # kernels of this length or longer are convolved by FFT
 _MIN_PAIR_SHARE = 0.5  # least number of pairs at a lag, as a share of the pairs at lag 0
-# Directions whose deviation is a smaller share of the largest deviation are not used. In these
-# directions Bartlett's formula, the first term of an expansion, is only as large as the second
-# term. With them, a test at the level of 1 % would reject 2.5 % of true hypotheses.
+# Linear combinations of the r_j whose standard deviation is a smaller share of the largest are not
+# used. For these combinations Bartlett's formula, the first term of an expansion, is only as large
+# as the second term. With them, a test at the 1 % level would reject 2.5 % of true hypotheses.
 _MIN_DEVIATION_SHARE = 0.2
 _MIN_SPEED_SHARE = 0.05  # of the rms speed, below which the sign is not trusted
-_STOP_WIDTHS = 2.0  # time of a stop at the rms acceleration, in widths of the kernel
+_STOP_WIDTHS = 2.0  # longest time to a stop at the rms acceleration, in widths of the kernel
 
 SMOOTHED_NOISE = "test of smoothed noise"
 
@@ -84,7 +84,7 @@ class Kernels:
     second: Vector
     """Kernel of the acceleration."""
     held: Vector
-    """Kernel of a held input."""
+    """Kernel of the input, which is held between samples."""
     reach: int
     """Number of samples on each side of the centre."""
 

@@ -112,7 +112,7 @@ class SplitStudy:
 
     @property
     def std_growth(self) -> float:
-        """Mean standard deviation of the last split divided by the mean of the first split."""
+        """Mean standard deviation in the last split divided by that in the first split."""
         return float(np.mean(self.splits[-1].std) / np.mean(self.splits[0].std))
 
     @property

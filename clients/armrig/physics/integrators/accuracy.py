@@ -39,7 +39,7 @@ class Sinusoid:
     """Duration, in s."""
 
     def solve(self, h: float, n: int, method: str) -> tuple[Vector, Matrix]:
-        """Return t (n + 1,) and x (n + 1, nx) of a method in n steps of h."""
+        """Return times t (n + 1,) and states x (n + 1, nx), computed in n steps of size h."""
         return integrate(
             self.A, self.B, lambda t: self.amplitude * sin(self.omega * t), self.x0, h, n, method
         )

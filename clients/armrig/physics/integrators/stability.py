@@ -124,8 +124,8 @@ def _boundaries(pi: Array, direction: complex) -> list[float]:
 
     All roots of a polynomial p of degree k in zeta are inside the unit circle if and only if two
     conditions hold. |p_k|² - |p_0|² must be > 0, and all roots of the reduction of p must be inside
-    the unit circle. The reduction, of degree k - 1, is conj(p_k) p - p_0 p*, divided by zeta. p* has
-    the conjugated coefficients in reverse order. The coefficients here are polynomials in r.
+    the unit circle. The reduction, of degree k - 1, is conj(p_k) p - p_0 p*, divided by zeta. p*
+    has the conjugated coefficients in reverse order. The coefficients here are polynomials in r.
     """
     p = [np.trim_zeros(row * direction ** np.arange(pi.shape[1]), "b") for row in pi]
     found: list[float] = []

@@ -77,7 +77,7 @@ class Progress:
         self._write(row)
 
     def remove(self) -> None:
-        """Remove the file: the table is complete."""
+        """Remove the file, because the table is complete."""
         self.path.unlink()
 
     def __enter__(self) -> Progress:
