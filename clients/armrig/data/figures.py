@@ -91,7 +91,7 @@ def without_ramp(data: InputAndOutput) -> tuple[Vector, str, tuple[str, ...]]:
     name, digits = NAMES.get(data.output, data.output), minus(f"{abs(slope):.3g}")
     label = f"{name} {'−' if slope > 0 else '+'} {digits} $t$\n[{data.unit or '–'}]"
     rate = f"{minus(f'{slope:.3g}')}{NBSP}{f'{data.unit}/s' if data.unit else 'per s'}"
-    return slope * data.t, label, (f"{name} less its mean rate, {rate}",)
+    return slope * data.t, label, (f"{name} minus its mean rate, {rate}",)
 
 
 def plot_data(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = None) -> Axes:

@@ -33,7 +33,7 @@ _OPAQUE = (
 )
 
 Value = Any
-"""An array, a list of the values of a cell, a dict of the fields of a structure, or `Unread`."""
+"""An array, a list (cell array), a dict with the fields of a structure, or `Unread`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,7 +55,7 @@ def drift(
     Parameters
     ----------
     data : Dataset
-        N samples; rows that depend on a missing sample are left out.
+        N samples; equations that contain a missing sample are left out.
     order : int, default 10
         Order of A and B.
     integrator : bool, optional

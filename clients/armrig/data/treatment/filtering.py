@@ -169,8 +169,8 @@ def resample(data: Dataset, Ts: float) -> Dataset:
     valid = np.concatenate(masks)
     if not valid.any():
         raise InputError(
-            f"no stretch of y without a gap has the {2 * half + 1} samples of the anti-alias "
-            f"filter for {Ts:g} s: record at that rate instead, or difference and average"
+            f"no stretch of y without a gap has the {2 * half + 1} samples that the anti-alias "
+            f"filter for {Ts:g} s needs: record at that rate instead, or difference and average"
         )
     step = f"resampled from {data.Ts:g} s to {factor * data.Ts:g} s after a low-pass filter of "
     step += f"{2 * half + 1} coefficients; {np.count_nonzero(~valid)} of {valid.size} samples "

@@ -91,8 +91,8 @@ def difference(data: Dataset) -> Dataset:
     """Return data with the velocity (y(t) - y(t-1)) / Ts as output; u is unchanged.
 
     The velocity is missing if one of the two samples is missing, and at the first sample of each
-    experiment. A model of the velocity has the same nk as a model of the position. Its orders are
-    the orders of the position's model without the integrator.
+    experiment. A model of the velocity has the same nk as a model of the position, and
+    one pole less, because it has no integrator.
 
     Parameters
     ----------

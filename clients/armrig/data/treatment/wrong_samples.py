@@ -24,7 +24,7 @@ _Found = tuple[Mask, Vector]
 _MAD_TO_STD = 1.4826  # of a normal distribution
 _MEDIAN_SAMPLES = 11  # up to five wrong samples in a row do not move the median of a window
 _GROSS_RATIO = 100  # least ratio of a gross error to the median deviation
-_EARLY_FACTOR = 2  # by which the limit is larger after a start or a gap
+_EARLY_FACTOR = 2  # factor of the limit in the first n samples after a start or a gap
 _MAX_ROUNDS = 25
 MOST = 0.1
 """Largest allowed share of outliers; the search ends early at twice this share."""
@@ -162,7 +162,7 @@ def _sizes(model: Whitening, e: Vector, marked: Mask) -> Vector:
     """Return x (N,), the size of an outlier at each sample, in the unit of e.
 
     x is NaN at samples where an outlier would not be visible. Near marked samples, only the part of
-    a pattern that the marked samples do not explain is used.
+    a pattern that the patterns of the marked samples do not explain is used.
     """
     n = model.A.size - 1
     there = np.isfinite(e)
@@ -357,8 +357,8 @@ def _outliers(
     found = np.flatnonzero(wrong)
     if found.size > MOST * count:
         raise InputError(
-            f"{found.size} of {count} samples would be outliers at threshold={limit:.2f}: that "
-            "many are not outliers but another process; plot the data, or raise the threshold"
+            f"{found.size} of {count} samples would be outliers at threshold={limit:.2f}, "
+            "which is too many for outliers; plot the data, or raise the threshold"
         )
     where = ", ".join(map(str, found[:_MAX_LISTED_SAMPLES]))
     where += ", …" if found.size > _MAX_LISTED_SAMPLES else ""

@@ -336,7 +336,7 @@ def no_model(fit: float) -> Iterator[str]:
 
 
 def noise_warnings(step: float, found: Inference, *, has_friction: bool) -> Iterator[str]:
-    """Yield warnings of noise that is small against a converter step, and of coloured residuals."""
+    """Yield warnings of noise below a third of a converter step, and of coloured residuals."""
     if quiet := too_quiet(step, found.noise_variance):
         yield quiet
     if found.white.coloured:

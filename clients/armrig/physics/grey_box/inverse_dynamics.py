@@ -249,7 +249,7 @@ def _at(
     s: float,
     noise: float | None = None,
 ) -> _Tried:
-    """Return the estimate for a width; `noise` is the variance of the angle's noise, if known."""
+    """Return the estimate for the kernel width s; `noise` is the variance of the angle's noise."""
     balance = _torque_balance(data, p, names, s)
     solution = _solved(balance, s)
     values, slope = _parameters(solution.beta, names)
@@ -276,7 +276,10 @@ def _at(
 
 
 def _meat(blocks: Sequence[Matrix], h: Vector, m: int) -> Matrix:
-    """Return the sum of x(i) x(j)^T r(j - i); r is the autocovariance of h at lags of m samples."""
+    """Return the sum of x(i) x(j)^T r(j - i) over the rows x of each block.
+
+    r is the autocovariance of h at lags of m samples.
+    """
     r = np.correlate(h, h, "full")[h.size - 1 :: m]
     total = np.zeros((blocks[0].shape[1],) * 2)
     for X in blocks:

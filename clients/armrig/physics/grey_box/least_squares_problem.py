@@ -111,8 +111,8 @@ class GreyBoxWithFriction:
 
     The vector of coordinates contains the coordinates of the parameters, then T_c, then x0 of each
     experiment. If the input is bipolar, u0 follows x0. With an input of one sign, as on the rig,
-    the chassis hardly ever turns back, and the friction keeps its sign. Such a friction cannot be
-    distinguished from an offset. The offset u0 is then 0.
+    the chassis hardly ever turns back, and the friction keeps its sign. Friction of constant sign
+    cannot be distinguished from an offset, so the offset u0 is held at 0.
     """
 
     plain: GreyBox

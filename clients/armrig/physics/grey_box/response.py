@@ -133,9 +133,10 @@ def _reversed(
 ) -> Matrix:
     """Return the derivatives after a step in which the chassis turns back.
 
-    The friction is s V (2 f - 1). The share of the step before the turn is f = v / (v - v'), which
-    depends on all parameters. v is the speed at the beginning of the step, and s is its sign. v' is
-    the speed that the unchanged friction s V would cause at the end of the step.
+    v is the speed at the beginning of the step, and s is its sign. v' is the speed at the end of
+    the step if the friction were s V during the whole step. The chassis turns back after the share
+    f = v / (v - v') of the step. The mean friction is s V (2 f - 1), and f depends on all
+    parameters.
     """
     row, gain, v = model.Phi[speed], model.Gamma[speed], x[speed]
     s = np.sign(v)

@@ -100,7 +100,7 @@ class _Problem:
         )
 
     def _fitted(self, models: Sequence[Sampled], data: Signals) -> tuple[Array, Basis, Array]:
-        """Return the weighted errors, the basis of the free responses, and their coefficients."""
+        """Return weighted errors, the basis of the free responses, and the errors' coefficients."""
         errors, columns = [], []
         for i, (model, std) in enumerate(zip(models, self.std, strict=True)):
             y, free = linear_parts(model, data.u[:, 0])
@@ -272,7 +272,7 @@ def _both(found: Inference) -> tuple[Array, Array]:
 
 
 def _inference(problem: _Problem, at: _Linearised, basis: Basis) -> Inference:
-    """Return both covariances of the coordinates, and the quality for each output."""
+    """Return classic and robust covariance of the coordinates, and the quality for each output."""
     H = basis.Q @ basis.W.T
     begin, experiments = 0, []
     for data, e in zip(problem.experiments, at.e, strict=True):

@@ -90,7 +90,7 @@ class Kernels:
 
 
 def kernels(s: float, Ts: float) -> Kernels:
-    """Return the kernels of standard deviation s for the sampling time Ts, both in s."""
+    """Return the kernels for a standard deviation s and the sampling time Ts, both in seconds."""
     T, m = _REACH * s, reach(s, Ts)
     x = np.clip(Ts * np.arange(-m, m + 2) / T, -1.0, 1.0)
     area = _BELL.integ()
@@ -106,7 +106,7 @@ def kernels(s: float, Ts: float) -> Kernels:
 
 
 def smoothed(data: Dataset, s: float) -> Smoothed:
-    """Return the smoothed signals of one experiment for a kernel of standard deviation s, in s."""
+    """Return the smoothed signals of one experiment; s is the kernel's standard deviation in s."""
     k = kernels(s, data.Ts)
     y = np.where(data.valid, data.y, 0.0)
     there = _through((~data.valid).astype(np.float64), np.ones_like(k.first)) < 0.5
@@ -150,11 +150,12 @@ def _effective(x: Vector) -> float:
 def smoothed_noise_p_value(residuals: Sequence[Vector], h: Vector, m: int) -> float:
     """Return the p value of the hypothesis that residuals are smoothed white noise.
 
-    A lag has enough pairs if it has at least half as many pairs as lag 0. All lags before the first
-    lag without enough pairs are used. If no lag is left, the result is NaN. The statistic has the
-    mean of chi-squared but a larger variance, because all r_j are divided by the same R(0). The
-    argument of `portmanteau_p_value` is therefore the number of white values whose R(0) is equally
-    uncertain: n / sum of rho(j)² over all j.
+    A lag has enough pairs of known residuals if it has at least half as many pairs as lag 0. All
+    lags before the first lag without enough pairs are used. If no lag is left, the result is NaN.
+
+    The statistic has the mean of chi-squared but a larger variance, because all r_j are divided by
+    the same R(0). `portmanteau_p_value` needs the number N of white residuals that would give R(0)
+    the same relative uncertainty. From n residuals, N = n / sum of rho(j)² over all j.
 
     Parameters
     ----------

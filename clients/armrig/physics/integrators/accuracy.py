@@ -103,7 +103,7 @@ class Convergence:
     h: Vector
     """Steps in s, in falling order."""
     error: Vector
-    """Largest error over the span at each step; inf if the solution overflowed."""
+    """Error at each step size, as from `Sinusoid.error`; inf if the solution overflowed."""
     limit: float
     """Largest absolutely stable step, in s."""
 

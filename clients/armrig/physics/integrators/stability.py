@@ -76,7 +76,7 @@ def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
 
 
 def counting_eigenvalues(A: Array) -> Array:
-    """Return the eigenvalues that limit the step; a real part that is only rounding becomes 0.
+    """Return the eigenvalues that limit the step; a real part that is rounding error becomes 0.
 
     An eigenvalue at 0 is not returned if it has as many independent eigenvectors as its
     multiplicity. If an eigenvalue with real part 0 has fewer eigenvectors, the function returns

@@ -154,7 +154,7 @@ def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
 def _step_for(
     problem: Sinusoid, method: str, tolerance: float, largest: float
 ) -> tuple[float, float, bool]:
-    """Return the largest step within the tolerance, its error, and whether the error is measured."""
+    """Return the largest step within the tolerance, its error, and True if it was measured."""
     order = METHODS[method].order
     best, best_error = 0.0, inf
     h = _START_SHARE * largest

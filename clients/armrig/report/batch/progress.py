@@ -20,7 +20,7 @@ OTHER = (
 )
 """Message if the header of earlier results differs from the header of this start."""
 SUFFIX = ".progress"
-"""Suffix to the name of the table while the table is incomplete."""
+"""Suffix of the file with the rows so far; the file's name begins with the name of the table."""
 
 
 class Progress:
