@@ -143,7 +143,7 @@ def plot_spectrum(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None
         bare_minor(panel.xaxis, panel.yaxis)
         shown = density[density > 0]
         if shown.size:
-            # Show at most 12 decades: a periodic input has only rounding errors between its lines.
+            # Show at most 12 decades: a periodic input has only rounding errors between its peaks.
             panel.set_ylim(max(float(shown.min()), 1e-12 * float(shown.max())) / 2, None)
     below.set_xlabel(r"$\omega$ [rad/s]")
     finish(ax, below, xlim=(float(omega[0]), np.pi / data.Ts))

@@ -154,7 +154,7 @@ def estimation(model: AssessedFit) -> str:
 
 
 def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
-    """Yield the losses and the findings, without FPE and AIC for a model of several outputs."""
+    """Yield sentences with losses and warnings; FPE and AIC only for a model of one output."""
     fit = model.fit
     of = f" of {symbol}" if symbol else ""
     criteria = f", FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}" if not symbol else ""

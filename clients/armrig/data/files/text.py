@@ -35,7 +35,7 @@ class TextTable:
 
     @property
     def refused(self) -> Mapping[str, str]:
-        """Return no refused variables: everything in a text file is a column."""
+        """Return an empty mapping: everything in a text file is a column."""
         return {}
 
     @property

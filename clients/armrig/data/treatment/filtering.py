@@ -17,7 +17,7 @@ from armrig.numerics.checks import column, require_integers, require_numbers
 from armrig.numerics.polynomial import filtered, stable
 from armrig.numerics.stretches import Mask
 
-MAX_FORGOTTEN_SHARE = 1e-4  # of the impulse response's absolute sum, after the filter's memory
+MAX_FORGOTTEN_SHARE = 1e-4  # share of sum |impulse response| after the filter's memory
 _MAX_MEMORY_SAMPLES = 200_000
 _HALF_LENGTH = 8  # of the anti-alias filter, in samples of the lower rate
 _KAISER_BETA = 5.0
@@ -248,7 +248,7 @@ def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
     else:
         kind, edges = "bandpass", (low / nyquist, high / nyquist)
         name = f"band-pass from {low:g} to {high:g}"
-    # Sections, not polynomials: rounding moves the poles of a polynomial with a low, narrow band.
+    # Second-order sections: in a polynomial, rounding would move the poles of a low, narrow band.
     sections = butter(order, edges, kind, output="sos")
     return _Filter(
         apply=lambda x: np.asarray(sosfilt(sections, x)),

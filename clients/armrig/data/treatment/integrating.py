@@ -133,7 +133,7 @@ class Integration:
     """Decision whether an output is taken as integrating, with the reason for the decision."""
 
     integrates: bool
-    """True if y is treated as the sum of its rate."""
+    """True if the model treats y as the integral of its rate."""
     reason: str = ""
     """Evidence from the unit root test; "" if the test finds no integrator or is not needed."""
 

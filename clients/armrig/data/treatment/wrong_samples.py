@@ -28,7 +28,7 @@ _EARLY_FACTOR = 2  # factor of the limit in the first n samples after a start or
 _MAX_ROUNDS = 25
 MOST = 0.1
 """Largest allowed share of outliers; the search ends early at twice this share."""
-MIN_VISIBLE_SHARE = 1e-3  # least share of a pattern that differs from the marked patterns
+MIN_VISIBLE_SHARE = 1e-3  # least share of a pattern that marked samples do not explain
 ENOUGH_NOISE = 0.32
 """Least noise (std in converter steps) for which the quantisation error is white.
 

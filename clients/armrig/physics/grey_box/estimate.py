@@ -56,7 +56,7 @@ _MIN_SEEN_SHARE = 1e-7  # least share of a derivative that the free responses do
 MAX_LOG_FACTOR = 12.0
 """Logarithm of the largest ratio of a parameter to its start value; e^12 is 160 000."""
 _BOUND_SHARE = 0.98  # of the bound; a search halves its steps, so it ends just below the bound
-_MIN_LOG_RATIO = 10.0  # N ln of the ratio of two costs, above which the difference is significant
+_MIN_LOG_RATIO = 10.0  # least N ln(ratio of two costs) of a significant difference
 _MIN_COST = 1e-300
 
 
@@ -116,7 +116,7 @@ def greybox(
     Raises
     ------
     ValueError
-        A name is unknown or given twice, the model lacks a signal that is needed, there are too few
+        A name is unknown or given twice, the model lacks an output or a state, there are too few
         samples, or the data do not determine the parameters.
 
     References

@@ -205,7 +205,10 @@ class _Tried:
 
 
 def _best(tried: Sequence[_Tried]) -> _Tried:
-    """Return the estimate with the least sum, over parameters, of (std² + bias²) / (least std²)."""
+    """Return the estimate with the least sum of (std² + bias²) / (least std²) over the parameters.
+
+    The least std of a parameter is the least over all widths.
+    """
     least = np.min([one.std for one in tried], axis=0)
     return min(tried, key=lambda one: float(np.sum((one.std**2 + one.bias**2) / least**2)))
 

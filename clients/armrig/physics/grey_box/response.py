@@ -121,7 +121,7 @@ def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -
 
 
 def _held(model: Sampled, by: Derivative, x: Matrix, u: Vector, speed: int) -> Matrix:
-    """Return the part of the derivative of x(k+1) from Gamma / (e' Gamma), during stick."""
+    """Return the derivative of Gamma / (e' Gamma) times e' (Phi x + Gamma u), for each step."""
     g = model.Gamma[speed]
     change = by.Gamma / g - model.Gamma * by.Gamma[speed] / g**2
     needed = x @ model.Phi[speed] + u * g
@@ -142,7 +142,7 @@ def _reversed(
     s = np.sign(v)
     ahead = row @ x + gain * (u - s * V)
     by_ahead = S @ row + w[:, speed]
-    # w contains the effect of the parameters with the mean friction; v' depends on s V instead.
+    # w contains the effect of the parameters with the mean friction; for v' the friction is s V.
     share = v / (v - ahead)
     for j, by in enumerate(model.by):
         by_ahead[j] += (2 * share - 2) * s * V * by.Gamma[speed]

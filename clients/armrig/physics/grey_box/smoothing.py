@@ -50,7 +50,7 @@ _MIN_PAIR_SHARE = 0.5  # least number of pairs at a lag, as a share of the pairs
 # used. For these combinations Bartlett's formula, the first term of an expansion, is only as large
 # as the second term. With them, a test at the 1 % level would reject 2.5 % of true hypotheses.
 _MIN_DEVIATION_SHARE = 0.2
-_MIN_SPEED_SHARE = 0.05  # of the rms speed, below which the sign is not trusted
+_MIN_SPEED_SHARE = 0.05  # share of the rms speed; below it, the sign is not trusted
 _STOP_WIDTHS = 2.0  # longest time to a stop at the rms acceleration, in widths of the kernel
 
 SMOOTHED_NOISE = "test of smoothed noise"
@@ -99,7 +99,8 @@ def kernels(s: float, Ts: float) -> Kernels:
     t = T * x[:-1]
     first = _BELL.deriv()(x[:-1]) * Ts / (c * T**2)
     second = _BELL.deriv(2)(x[:-1]) * Ts / (c * T**3)
-    # Make the kernels exact for constants and lines: a turn is 6 rad, the noise only 1 mrad.
+    # Make the kernels exact for constants and lines: an angle of many radians must cause no error
+    # as large as the noise of 1 mrad.
     first /= -(first @ t)
     second -= second.mean()
     return Kernels(first=first, second=second, held=held, reach=m)

@@ -188,7 +188,7 @@ def _until_a_death(
         while source and len(running) < most:
             try:
                 future = workers.submit(function, source[0])
-            except BrokenExecutor:  # a worker died without work
+            except BrokenExecutor:  # a worker died before this submission
                 return [*running.values()]
             running[future] = source.popleft()
         done, _ = wait(running, return_when=FIRST_COMPLETED)
