@@ -419,7 +419,7 @@ def test_a_ramp_is_shown_without_its_slope(done: Study, recording: Recording) ->
     legend = ax.get_legend()
     assert legend is not None
     explained = legend.get_title().get_text().replace("\xa0", " ")
-    assert explained == rf"$\theta_1$ less its mean rate, {slope:.3g} rad/s"
+    assert explained == rf"$\theta_1$ minus its mean rate, {slope:.3g} rad/s"
 
 
 def test_a_step_keeps_its_ramp(done: Study) -> None:

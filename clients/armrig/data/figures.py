@@ -91,7 +91,7 @@ def without_ramp(data: InputAndOutput) -> tuple[Vector, str, tuple[str, ...]]:
     name, digits = NAMES.get(data.output, data.output), minus(f"{abs(slope):.3g}")
     label = f"{name} {'−' if slope > 0 else '+'} {digits} $t$\n[{data.unit or '–'}]"
     rate = f"{minus(f'{slope:.3g}')}{NBSP}{f'{data.unit}/s' if data.unit else 'per s'}"
-    return slope * data.t, label, (f"{name} less its mean rate, {rate}",)
+    return slope * data.t, label, (f"{name} minus its mean rate, {rate}",)
 
 
 def plot_data(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = None) -> Axes:
@@ -143,7 +143,7 @@ def plot_spectrum(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None
         bare_minor(panel.xaxis, panel.yaxis)
         shown = density[density > 0]
         if shown.size:
-            # Show at most 12 decades: a periodic input has only rounding errors between its lines.
+            # Show at most 12 decades: a periodic input has only rounding errors between its peaks.
             panel.set_ylim(max(float(shown.min()), 1e-12 * float(shown.max())) / 2, None)
     below.set_xlabel(r"$\omega$ [rad/s]")
     finish(ax, below, xlim=(float(omega[0]), np.pi / data.Ts))

@@ -25,7 +25,7 @@ class Finding:
     about: str
     """Subject of the check, one word that a program can compare."""
     text: str
-    """Result and, if it is not good, the remedy."""
+    """Result of the check and, if the level is not "good", the remedy."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

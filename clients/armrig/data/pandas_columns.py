@@ -38,7 +38,7 @@ def is_pandas(values: Any) -> bool:
 
 
 def present(y: Any, valid: Any) -> Any:
-    """Return `valid`, or for a pandas column y a mask that is also False where y is missing."""
+    """Return `valid`; for a pandas column y, also set the mask to False where y is missing."""
     if is_pandas(valid):
         valid = valid.to_numpy(dtype=np.bool_, na_value=False)
     if not is_pandas(y):

@@ -46,7 +46,7 @@ def accepts_signals(home: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def _require_options(f: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    """Refuse an option that only the function of one output and one input has."""
+    """Refuse an option that the function of several signals, `f`, does not have."""
     known = signature(f).parameters
     if any(p.kind is p.VAR_KEYWORD for p in known.values()):
         return

@@ -258,8 +258,8 @@ class Signals:
         Raises
         ------
         ValueError
-            A channel does not exist, the name of one of several channels is left out, or the times
-            are not equidistant.
+            A channel does not exist, a name is left out although there are several channels, or the
+            times are not equidistant.
 
         Examples
         --------

@@ -41,7 +41,7 @@ def took(text: str, start: float, stop: float) -> Step:
 
 
 def in_merged(code: str) -> str:
-    """Return the code of a step after the data of this step are merged with other data."""
+    """Return the code that a step gets when its data are merged with other data."""
     return _SEVERAL_PARTS if code.startswith(f"{_PART} ") else code
 
 

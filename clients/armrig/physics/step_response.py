@@ -120,7 +120,7 @@ def characteristics(p: ArmParameters | None = None) -> Characteristics:
 
 
 def _rise_time(p: ArmParameters, poles: NDArray[np.complex128], steady_speed: float) -> float:
-    """Return the speed's 63 % time, or NaN; the window grows until it contains this time."""
+    """Return the 63 % time of the speed; NaN if even the longest window does not contain it."""
     h = 1 / (_STEPS_PER_TIME * float(np.abs(poles).max()))
     settled = _SETTLING_TIMES * slowest_time(poles.real)
     while h * _POINTS < _WINDOW_GROWTH * settled:

@@ -20,7 +20,7 @@ __all__ = list(homes(__name__))  # in the stub, `__init__.pyi`
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name; its module is loaded at the first use."""
+    """Return a public object; its module is loaded at the first use."""
     return public(__name__, name)
 
 

@@ -135,7 +135,7 @@ def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
 
 
 def _fits(widths: list[float], columns: int, room: float, size: float) -> bool:
-    """Return whether names of these widths fit into the width `room` in this number of columns."""
+    """Return whether names of these widths, in `columns` columns, fit into the width `room`."""
     rest, total = list(widths), 1.2 * size * (columns - 1)
     for k in range(columns):
         n = len(widths) // columns + (k < len(widths) % columns)

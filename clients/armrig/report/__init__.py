@@ -10,5 +10,5 @@ __all__ = list(homes(__name__))  # in the stub, `__init__.pyi`
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name; typst is loaded only here, because a study does not need it."""
+    """Return a public object; load typst only now, because a study does not need typst."""
     return public(__name__, name)

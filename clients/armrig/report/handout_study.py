@@ -61,8 +61,8 @@ class HandoutStudy:
     loop: OpenLoop | None = None
     delay: Delay | None = None
     refused: dict[str, str]
-    """Reason why a result is missing, by the name of the result; only for results with
-    recordings."""
+    """Reason why a result is missing, by the name of the result; only for results whose
+    recordings exist."""
 
 
 def handout_study(

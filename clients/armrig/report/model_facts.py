@@ -51,7 +51,7 @@ def _assigned(orders: Mapping[str, int]) -> str:
 def model_table(m: AssessedFit, reference: Assessed, symbol: str = "") -> dict[str, Any]:
     """Return the equation and the table of a model's coefficients, as values of the template.
 
-    If the reference has the same form as the model, a column contains the reference's coefficients.
+    If reference and model have the same polynomials, one column has the reference's coefficients.
 
     Parameters
     ----------
@@ -149,12 +149,12 @@ def estimations(study: Study) -> str:
 
 
 def estimation(model: AssessedFit) -> str:
-    """Return a text with a model's losses, and with the standard deviations that are valid."""
+    """Return a text with a model's losses and a note on which standard deviations are valid."""
     return " ".join(_estimation(model, ""))
 
 
 def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
-    """Yield the losses and the findings, without FPE and AIC for a model of several outputs."""
+    """Yield sentences with losses and warnings; FPE and AIC only for a model of one output."""
     fit = model.fit
     of = f" of {symbol}" if symbol else ""
     criteria = f", FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}" if not symbol else ""

@@ -21,7 +21,7 @@ from armrig_core.errors import OperationError
 from armrig.recordings.recording import Recording
 
 Places = list[tuple[str, float]]
-"""Name and start of each section: the page, from 1, plus the share of the page above the start."""
+"""Name and start of each section. A start of 2.3 is on page 2, below 30 % of the page."""
 _UNKNOWN_DATE = datetime(1970, 1, 1, tzinfo=UTC)
 
 

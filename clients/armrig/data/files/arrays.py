@@ -18,7 +18,7 @@ from armrig.data.files.table import Column, Vector
 MOST_BYTES = 1 << 28
 """Largest unpacked size of a file, in B; in an .npz, a number counts as at least 8 B."""
 _MIN_LIMIT_BYTES = 1 << 26
-_MAX_RATIO = 100  # packing shrinks measured data by 5 to 20, zeros by 1000
+_MAX_RATIO = 100  # packing shrinks measured data by a factor of 5 to 20, zeros by 1000
 
 
 def most_unpacked(packed: int) -> int:
@@ -45,7 +45,7 @@ class ArrayTable:
         return ()
 
     def numbers(self, i: int) -> Vector:
-        """Return the values of column i, from 0; NaN where a value is missing."""
+        """Return the values of column i, counted from 0; NaN where a value is missing."""
         with np.errstate(invalid="ignore"):  # a signalling NaN is NaN, too
             return np.array(self.values[i], dtype=np.float64)
 
@@ -133,7 +133,7 @@ def read_mat(data: bytes) -> ArrayTable:
 def _sort(name: str, value: Any, arrays: dict[str, Any], refused: dict[str, str]) -> None:
     """Add a variable, or the fields of a structure, to the arrays or to the refused names."""
     while isinstance(value, list) and len(value) == 1:
-        value = value[0]  # a cell of one experiment
+        value = value[0]  # a cell array that contains one experiment
     if isinstance(value, dict):
         for field, inner in value.items():
             _sort(f"{name}.{_NAME_OF_FIELD.get(field, field)}", inner, arrays, refused)
@@ -190,7 +190,7 @@ def read_npz(data: bytes) -> ArrayTable:
 
 
 def _size(archive: ZipFile, member: str) -> int:
-    """Return the size of an array in B, from its header; a number counts as at least 8 B."""
+    """Return the size of an array in B, from its header; each number is counted as at least 8 B."""
     with archive.open(member) as file:
         is_first = np.lib.format.read_magic(file) == (1, 0)
         # Version 3 has the form of version 2, with names in UTF-8.

@@ -28,7 +28,7 @@ MOST_BYTES = 1 << 27
 SOURCE = "data"
 """Prefix of the hash in `source` if the file is not a recording."""
 _TIME_NAMES = ("t", "time")
-MAX_TS_DEVIATION = 0.05  # of the given Ts from the sampling time in the file, relative
+MAX_TS_DEVIATION = 0.05  # largest relative deviation of the given Ts from Ts in the file
 
 
 @checked_call
@@ -98,8 +98,8 @@ def load_signals(
     r"""Load several inputs and outputs of a file: CSV, another text table, .mat or .npz.
 
     The file is read as in `load_data`. The name of a matrix, such as u of a saved iddata structure,
-    chooses all its columns. If an input is missing at an instant, the instant is left out, and a
-    new experiment begins after it. If an output is missing, the other outputs are kept.
+    chooses all columns of the matrix. If an input is missing at an instant, the instant is left
+    out, and a new experiment begins after it. If an output is missing, the other outputs are kept.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def _names(columns: Sequence[Column], letter: str) -> list[str]:
 
 
 def _between_gaps(known: Mask) -> tuple[list[int], list[str]]:
-    """Return the first index of each experiment in the known rows, and the history's new steps."""
+    """Return where each experiment begins among the known rows, and new steps of the history."""
     begins = known & ~np.append(False, known[:-1])
     left_out = int(known.size - np.count_nonzero(known))
     count = "1 sample" if left_out == 1 else f"{left_out} samples"
@@ -309,7 +309,7 @@ def _other_times(table: Table, time: str | None, taken: set[int], Ts: float) -> 
     try:
         said = _sampling_time(table, time, taken)
     except FileError:
-        return []  # a given Ts is the remedy for times that cannot be read
+        return []  # the times cannot be read, and the given Ts replaces them
     if isclose(said, Ts, rel_tol=MAX_TS_DEVIATION):
         return []
     return [f"used the given Ts = {Ts:g} s, although the times are {said:g} s apart"]
@@ -405,8 +405,8 @@ _MAX_DIGITS = 12
 def sampling_time(t: Vector, column: Column, place: Callable[[int], str]) -> float:
     """Return the sampling time Ts, in s, of equidistant times.
 
-    The times of a file often have few digits. Ts is therefore the number with the fewest digits
-    that agrees with the times as well as the mean interval does.
+    The times of a file often have few digits. Ts is therefore the mean interval, rounded to the
+    fewest digits with which multiples of Ts still fit the times.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ _OPAQUE = (
 )
 
 Value = Any
-"""An array, a list of the values of a cell, a dict of the fields of a structure, or `Unread`."""
+"""An array, a list (cell array), a dict with the fields of a structure, or `Unread`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ def _elements(
 
 
 def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
-    """Return the name and the value of an array of any class."""
+    """Return the name and the value of an array of any MATLAB class."""
     parts = _elements(body, order)
     flags = _numbers(parts, order)
     if flags.size < 1 or depth > _MAX_DEPTH:

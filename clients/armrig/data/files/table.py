@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 
 _MAX_LISTED_COLUMNS = 12
-_MAX_SHOWN_CHARACTERS = 40  # of a file's text in a message
-_MAX_NUMBER_DIGITS = 9  # of a column's number
+_MAX_SHOWN_CHARACTERS = 40  # of a text of the file that a message quotes
+_MAX_NUMBER_DIGITS = 9  # of a number that chooses a column
 _UNIT = re.compile(r"(?P<name>.+?)(?:\s*\[(?P<unit>[^][]*)\]|\s+\((?P<other>[^()]*)\))")
 
 
@@ -54,7 +54,7 @@ class Table(Protocol):
         """Notes on lines that contain no values, such as a line of units."""
 
     def numbers(self, i: int) -> Vector:
-        """Return the values of column i, from 0; NaN where a value is missing.
+        """Return the values of column i, counted from 0; NaN where a value is missing.
 
         Raises
         ------
@@ -81,7 +81,7 @@ def chosen(table: Table, wanted: str, what: str) -> int:
     ----------
     wanted : str
         Name of the column, with or without its unit. Lower and upper case are distinguished only if
-        both exist. A number is an index unless it is the name of a column.
+        both exist. A number is the position of a column, unless a column has this name.
     what : str
         Purpose of the column for the message: input, signal or time.
 

@@ -35,7 +35,7 @@ class TextTable:
 
     @property
     def refused(self) -> Mapping[str, str]:
-        """Return no refused variables: everything in a text file is a column."""
+        """Return an empty mapping: everything in a text file is a column."""
         return {}
 
     @property
@@ -43,7 +43,7 @@ class TextTable:
         """Return None, since a text file states no sampling time outside its columns."""
 
     def numbers(self, i: int) -> Vector:
-        """Return the values of column i, from 0; NaN where a value is missing.
+        """Return the values of column i, counted from 0; NaN where a value is missing.
 
         Raises
         ------

@@ -16,7 +16,7 @@ P = ParamSpec("P")
 class Treatment(Protocol, Generic[P]):
     """Function that treats a Dataset, or each channel of Signals."""
 
-    # Signals also have `dataset()`, so both signatures fit them: the first one counts.
+    # Signals also have `dataset()`, so both overloads accept Signals: the first overload applies.
     @overload
     def __call__(  # type: ignore[overload-overlap]
         self, data: Signals, /, *args: P.args, **options: P.kwargs

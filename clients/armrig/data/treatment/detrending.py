@@ -52,7 +52,7 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
     IntegratingOutputWarning
         The order is 1 and the output integrates. The line is then the response to the mean of the
         input, not a drift, and a model of data without the line is wrong. The name of the output
-        (theta_1) or a unit root test decides whether it integrates: see
+        (theta_1) or a unit root test decides whether the output integrates: see
         `armrig.data.treatment.integrating`.
 
     Raises

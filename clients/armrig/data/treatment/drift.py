@@ -55,7 +55,7 @@ def drift(
     Parameters
     ----------
     data : Dataset
-        N samples; rows that depend on a missing sample are left out.
+        N samples; equations that contain a missing sample are left out.
     order : int, default 10
         Order of A and B.
     integrator : bool, optional
@@ -71,7 +71,7 @@ def drift(
     Raises
     ------
     ValueError
-        The output integrates (its line is then the response to the input), or there are too few
+        The output integrates (its trend is then the response to the input), or there are too few
         samples.
 
     Examples

@@ -17,7 +17,7 @@ from armrig.numerics.checks import column, require_integers, require_numbers
 from armrig.numerics.polynomial import filtered, stable
 from armrig.numerics.stretches import Mask
 
-MAX_FORGOTTEN_SHARE = 1e-4  # of the impulse response's absolute sum, after the filter's memory
+MAX_FORGOTTEN_SHARE = 1e-4  # share of sum |impulse response| after the filter's memory
 _MAX_MEMORY_SAMPLES = 200_000
 _HALF_LENGTH = 8  # of the anti-alias filter, in samples of the lower rate
 _KAISER_BETA = 5.0
@@ -48,8 +48,8 @@ def prefilter(
     data : Dataset
         N samples.
     numerator, denominator : array_like
-        Coefficients of L in q^-1. Without a denominator, the memory is at most the length of the
-        numerator.
+        Coefficients of L in q^-1. Without a denominator, the memory is at most the number of
+        coefficients in the numerator.
     band : (float, float), optional
         Edges, in rad/s, of the pass band of a Butterworth filter, instead of coefficients. (0, w)
         is a low-pass filter, and (w, inf) is a high-pass filter.
@@ -169,8 +169,8 @@ def resample(data: Dataset, Ts: float) -> Dataset:
     valid = np.concatenate(masks)
     if not valid.any():
         raise InputError(
-            f"no stretch of y without a gap has the {2 * half + 1} samples of the anti-alias "
-            f"filter for {Ts:g} s: record at that rate instead, or difference and average"
+            f"no stretch of y without a gap has the {2 * half + 1} samples that the anti-alias "
+            f"filter for {Ts:g} s needs: record at that rate instead, or difference and average"
         )
     step = f"resampled from {data.Ts:g} s to {factor * data.Ts:g} s after a low-pass filter of "
     step += f"{2 * half + 1} coefficients; {np.count_nonzero(~valid)} of {valid.size} samples "
@@ -248,7 +248,7 @@ def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
     else:
         kind, edges = "bandpass", (low / nyquist, high / nyquist)
         name = f"band-pass from {low:g} to {high:g}"
-    # Sections, not polynomials: rounding moves the poles of a polynomial with a low, narrow band.
+    # Second-order sections: in a polynomial, rounding would move the poles of a low, narrow band.
     sections = butter(order, edges, kind, output="sos")
     return _Filter(
         apply=lambda x: np.asarray(sosfilt(sections, x)),

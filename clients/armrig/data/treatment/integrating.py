@@ -1,4 +1,4 @@
-"""Detection of outputs that integrate their input; the line of such an output is not a drift."""
+"""Detection of outputs that integrate their input; the trend of such an output is not a drift."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ INTEGRATING_OUTPUTS = frozenset({THETA_1})
 
 DICKEY_FULLER_TREND_5_PERCENT = -3.41  # Fuller 1976, table 8.5.2, constant and trend, n = inf
 _TEST_LAGS = 5
-# Least share of its distance from the line by which an output must return in one sample, so that
-# the test can detect the return.
+# In one sample, the output must return by at least this share of its distance from the trend line,
+# so that the test can detect the return.
 MIN_SEEN_PULL = 0.2
 
 
@@ -44,7 +44,7 @@ def integrating(data: Dataset) -> Finding | None:
 
     If the data are too few for this test, the result is None. The data are too few if fewer than 10
     degrees of freedom remain, or if g = -0.2 would not be significant. With g = -0.2, the distance
-    of the output from its line decreases by 20 % per sample.
+    of the output from its trend line decreases by 20 % per sample.
 
     References
     ----------
@@ -91,8 +91,8 @@ def difference(data: Dataset) -> Dataset:
     """Return data with the velocity (y(t) - y(t-1)) / Ts as output; u is unchanged.
 
     The velocity is missing if one of the two samples is missing, and at the first sample of each
-    experiment. A model of the velocity has the same nk as a model of the position. Its orders are
-    the orders of the position's model without the integrator.
+    experiment. A model of the velocity has the same nk as a model of the position, and
+    one pole less, because it has no integrator.
 
     Parameters
     ----------
@@ -133,13 +133,13 @@ class Integration:
     """Decision whether an output is taken as integrating, with the reason for the decision."""
 
     integrates: bool
-    """True if y is treated as the sum of its rate."""
+    """True if the model treats y as the integral of its rate."""
     reason: str = ""
-    """Evidence from the unit root test; "" if it finds no integrator or is not needed."""
+    """Evidence from the unit root test; "" if the test finds no integrator or is not needed."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for a result that report the evidence of the test; () without evidence."""
+        """Notes for the result, with the evidence from the test; () without evidence."""
         if not self.reason:
             return ()
         what = "taken as integrating (in Python integrator=False prevents this)"

@@ -80,7 +80,10 @@ def whitening(parts: Sequence[tuple[Array, Vector]], n: int, *, slope: bool = Fa
 
 
 def _all_blocks(parts: Sequence[tuple[Array, Vector]], n: int, slope: bool) -> Iterator[Array]:
-    """Yield blocks of the complete rows [-y(t-1) … -y(t-n) u(t) … u(t-n) 1 (t) y(t)]."""
+    """Yield blocks of the rows [-y(t-1) … -y(t-n) u(t) … u(t-n) 1 t y(t)] without missing y.
+
+    The column t is present only if `slope` is True.
+    """
     for u, y in parts:
         if y.size <= n:
             continue

@@ -23,12 +23,12 @@ _Found = tuple[Mask, Vector]
 
 _MAD_TO_STD = 1.4826  # of a normal distribution
 _MEDIAN_SAMPLES = 11  # up to five wrong samples in a row do not move the median of a window
-_GROSS_RATIO = 100  # of a deviation to the median deviation: another order of magnitude
-_EARLY_FACTOR = 2  # by which the limit is larger after a start or a gap
+_GROSS_RATIO = 100  # least ratio of a gross error to the median deviation
+_EARLY_FACTOR = 2  # factor of the limit in the first n samples after a start or a gap
 _MAX_ROUNDS = 25
 MOST = 0.1
 """Largest allowed share of outliers; the search ends early at twice this share."""
-MIN_VISIBLE_SHARE = 1e-3  # least share of a pattern that the marked samples must leave unexplained
+MIN_VISIBLE_SHARE = 1e-3  # least share of a pattern that marked samples do not explain
 ENOUGH_NOISE = 0.32
 """Least noise (std in converter steps) for which the quantisation error is white.
 
@@ -88,15 +88,15 @@ def _count(wrong: Iterable[Mask]) -> int:
 
 
 def _gross(y: Vector) -> Mask:
-    """Return a mask, True where y deviates from the median of its neighbours by a gross error."""
+    """Return a mask, True where y is far from the median of its neighbours: a gross error."""
     from scipy.ndimage import median_filter
 
     known = np.flatnonzero(np.isfinite(y))
     wrong = np.zeros(y.size, dtype=np.bool_)
     if known.size > _MEDIAN_SAMPLES:
         off = np.abs(y[known] - median_filter(y[known], _MEDIAN_SAMPLES, mode="nearest"))
-        # A signal mostly at rest is equal to the median of its neighbours. The typical deviation is
-        # the median of the deviations other than 0, so that one quantisation step is not gross.
+        # Most samples of a signal at rest are equal to the median. The typical deviation is
+        # therefore the median of the deviations other than 0: one quantisation step is not gross.
         typical = float(np.median(off[off > 0])) if off.any() else 0.0
         wrong[known] = off > _GROSS_RATIO * max(typical, 1e-9 * float(np.max(np.abs(y[known]))))
     return wrong
@@ -162,7 +162,7 @@ def _sizes(model: Whitening, e: Vector, marked: Mask) -> Vector:
     """Return x (N,), the size of an outlier at each sample, in the unit of e.
 
     x is NaN at samples where an outlier would not be visible. Near marked samples, only the part of
-    a pattern that the marked samples do not explain is used.
+    a pattern that the patterns of the marked samples do not explain is used.
     """
     n = model.A.size - 1
     there = np.isfinite(e)
@@ -247,14 +247,14 @@ def _groups(indices: Indices, n: int) -> Iterator[Indices]:
             yield indices[group]
 
 
-# Search for single wrong samples, which a model did not predict.
+# Search for single wrong samples, which differ from a model's prediction.
 
 
 FALSE_ALARM_PROBABILITY = 0.01  # of one or more outliers in a clean record
 _MAX_LISTED_SAMPLES = 10
 
 
-# Signals also have `dataset()`, so both signatures fit them: the first one counts.
+# Signals also have `dataset()`, so both overloads accept Signals: the first overload applies.
 @overload
 def hampel(  # type: ignore[overload-overlap]
     data: Signals, *, threshold: float | None = None, order: int | None = None
@@ -357,8 +357,8 @@ def _outliers(
     found = np.flatnonzero(wrong)
     if found.size > MOST * count:
         raise InputError(
-            f"{found.size} of {count} samples would be outliers at threshold={limit:.2f}: that "
-            "many are not outliers but another process; plot the data, or raise the threshold"
+            f"{found.size} of {count} samples would be outliers at threshold={limit:.2f}, "
+            "which is too many for outliers; plot the data, or raise the threshold"
         )
     where = ", ".join(map(str, found[:_MAX_LISTED_SAMPLES]))
     where += ", …" if found.size > _MAX_LISTED_SAMPLES else ""
@@ -369,7 +369,7 @@ def _outliers(
 
 
 def quantum(data: Dataset) -> float:
-    """Return the quantisation step, of which all changes of y are multiples; 0 without a step."""
+    """Return the quantisation step of y; 0 if changes of y are not whole multiples of one step."""
     change = np.abs(np.diff(data.y))
     change = change[np.isfinite(change)]
     moved = change[change > 1e-9 * max(float(change.max(initial=0.0)), 1e-300)]

@@ -51,12 +51,12 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 SPEED_STATE = "theta_1_rate"
-ROUNDING_SHARE = 1e-18  # of |y|², below which |e|² is rounding
-_MIN_SEEN_SHARE = 1e-7  # least share of a derivative that must be left without the free responses
+ROUNDING_SHARE = 1e-18  # share of |y|²; a smaller |e|² is rounding error
+_MIN_SEEN_SHARE = 1e-7  # least share of a derivative that the free responses do not explain
 MAX_LOG_FACTOR = 12.0
 """Logarithm of the largest ratio of a parameter to its start value; e^12 is 160 000."""
 _BOUND_SHARE = 0.98  # of the bound; a search halves its steps, so it ends just below the bound
-_MIN_LOG_RATIO = 10.0  # N ln of the ratio of two costs, above which the difference is significant
+_MIN_LOG_RATIO = 10.0  # least N ln(ratio of two costs) of a significant difference
 _MIN_COST = 1e-300
 
 
@@ -111,12 +111,12 @@ def greybox(
         `covariance` is lambda (Psi^T Psi)^-1 plus the contribution of `fixed_std`. lambda is the
         variance of the noise. Psi contains the derivatives of the output, without the parts that a
         change of initial state and offset explains. `covariance_robust` is the sandwich form plus
-        the same contribution.
+        the contribution of `fixed_std`.
 
     Raises
     ------
     ValueError
-        A name is unknown or given twice, the model lacks a signal that is needed, there are too few
+        A name is unknown or given twice, the model lacks an output or a state, there are too few
         samples, or the data do not determine the parameters.
 
     References
@@ -178,7 +178,7 @@ class Problem(Protocol):
 
     @property
     def plain(self) -> GreyBox:
-        """Names and coordinates of the parameters."""
+        """Plain problem, which has the names and the coordinates of the parameters."""
 
     def linearise(self, eta: Vector) -> tuple[Vector, Matrix]:
         """Return residuals and derivatives at the coordinates."""
@@ -187,8 +187,8 @@ class Problem(Protocol):
 def searched(problem: GreyBox | Problem, start: Vector, around: Vector | None = None) -> Optimum:
     """Return the minimum that a search from `start` finds.
 
-    The logarithms of the parameters differ from `around`, by default the start, by less than
-    `MAX_LOG_FACTOR`.
+    Each logarithm of a parameter stays within `MAX_LOG_FACTOR` of its value in `around`, which is
+    `start` by default.
     """
     plain = problem if isinstance(problem, GreyBox) else problem.plain
     logarithms = np.flatnonzero([name not in SIGNED for name in plain.names])
@@ -315,7 +315,7 @@ def at_bound(names: Sequence[str], moved: NDArray[np.float64]) -> Iterator[str]:
     names : sequence of str
         The free parameters.
     moved : ndarray (d,)
-        Change of each coordinate in the search; elements without a name are ignored.
+        Change of each coordinate in the search; elements after the last name are ignored.
     """
     for name, by in zip(names, moved, strict=False):
         if name not in SIGNED and abs(float(by)) > _BOUND_SHARE * MAX_LOG_FACTOR:
@@ -336,7 +336,7 @@ def no_model(fit: float) -> Iterator[str]:
 
 
 def noise_warnings(step: float, found: Inference, *, has_friction: bool) -> Iterator[str]:
-    """Yield warnings of noise that is small against a converter step, and of coloured residuals."""
+    """Yield warnings of noise below a third of a converter step, and of coloured residuals."""
     if quiet := too_quiet(step, found.noise_variance):
         yield quiet
     if found.white.coloured:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-_MIN_SIGMAS = 2.0  # least distance of a parameter from 0, in standard deviations
+_MIN_SIGMAS = 2.0  # least distance of a determined parameter from 0, in standard deviations
 _WAY_OUT = (
     "estimate fewer parameters, start nearer to them, or record longer with an input that changes "
     "often"
@@ -275,7 +275,7 @@ class GreyFit:
         return "\n".join([*parts, *(f"Note: {w}." for w in self.warnings)])
 
     def __repr__(self) -> str:
-        """Return a table of the estimates with both standard deviations."""
+        """Return a table of the estimates with classic and robust standard deviations."""
         unit = f"{self.unit}/s²" if self.method == "inverse dynamics" else self.unit
         lines = [
             f"grey box ({self.method}), {self.output}, {self.N} samples at {self.Ts:g} s, "
@@ -351,7 +351,7 @@ def named_std(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:
 def named_influence(
     names: tuple[str, ...], held: tuple[str, ...], influence: Matrix
 ) -> dict[str, dict[str, float]]:
-    """Return d ln(estimate) / d ln(fixed parameter) by both names, for positive parameters only."""
+    """Return d ln(estimate)/d ln(fixed parameter) by both names, without the frictions."""
     return {
         name: {
             k: float(v) for k, v in zip(held, row, strict=True) if k not in SIGNED and abs(v) > 1e-9

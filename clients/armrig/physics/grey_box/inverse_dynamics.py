@@ -205,7 +205,10 @@ class _Tried:
 
 
 def _best(tried: Sequence[_Tried]) -> _Tried:
-    """Return the estimate with the least sum, over parameters, of (std² + bias²) / (least std²)."""
+    """Return the estimate with the least sum of (std² + bias²) / (least std²) over the parameters.
+
+    The least std of a parameter is the least over all widths.
+    """
     least = np.min([one.std for one in tried], axis=0)
     return min(tried, key=lambda one: float(np.sum((one.std**2 + one.bias**2) / least**2)))
 
@@ -249,7 +252,7 @@ def _at(
     s: float,
     noise: float | None = None,
 ) -> _Tried:
-    """Return the estimate for a width; `noise` is the variance of the angle's noise, if known."""
+    """Return the estimate for the kernel width s; `noise` is the variance of the angle's noise."""
     balance = _torque_balance(data, p, names, s)
     solution = _solved(balance, s)
     values, slope = _parameters(solution.beta, names)
@@ -276,7 +279,10 @@ def _at(
 
 
 def _meat(blocks: Sequence[Matrix], h: Vector, m: int) -> Matrix:
-    """Return the sum of x(i) x(j)^T r(j - i); r is the autocovariance of h at lags of m samples."""
+    """Return the sum of x(i) x(j)^T r(j - i) over the rows x of each block.
+
+    r is the autocovariance of h at lags of m samples.
+    """
     r = np.correlate(h, h, "full")[h.size - 1 :: m]
     total = np.zeros((blocks[0].shape[1],) * 2)
     for X in blocks:
@@ -401,7 +407,7 @@ def _every(s: float, Ts: float) -> int:
 
 
 def _offset_is_free(data: Dataset, names: tuple[str, ...]) -> bool:
-    """Return whether u0 is estimated; together with T_c, this requires a bipolar input."""
+    """Return whether u0 is estimated; if T_c is estimated, too, u0 requires a bipolar input."""
     return COULOMB not in names or bipolar(data.u)
 
 
@@ -459,7 +465,7 @@ def _by_experiment(
 
 
 def _parameters(beta: Vector, names: tuple[str, ...]) -> tuple[dict[str, float], Matrix]:
-    """Return J_1 = 1/beta_1 and the frictions beta_i/beta_1, and their derivatives by beta."""
+    """Return J_1 = 1/beta_1 and the frictions beta_i/beta_1, and the derivatives for each beta."""
     values = {"J_1": float(1 / beta[0])}
     slope = np.zeros((len(names), beta.size))
     slope[0, 0] = -1 / beta[0] ** 2

@@ -111,8 +111,8 @@ class GreyBoxWithFriction:
 
     The vector of coordinates contains the coordinates of the parameters, then T_c, then x0 of each
     experiment. If the input is bipolar, u0 follows x0. With an input of one sign, as on the rig,
-    the chassis hardly ever turns back, and the friction keeps its sign. Such a friction cannot be
-    distinguished from an offset. The offset u0 is then 0.
+    the chassis hardly ever turns back, and the friction keeps its sign. Friction of constant sign
+    cannot be distinguished from an offset, so the offset u0 is held at 0.
     """
 
     plain: GreyBox
@@ -123,8 +123,8 @@ class GreyBoxWithFriction:
     def start(self, eta: Vector) -> Vector:
         """Return start coordinates, computed from the coordinates of the problem without friction.
 
-        If u0 is not free in this problem, T_c is computed from the u0 of the problem without
-        friction. Otherwise the search begins with a small T_c.
+        If u0 is not free in the problem with friction, T_c is computed from the u0 of the problem
+        without friction. Otherwise the search begins with a small T_c.
         """
         free = self.plain.at(eta).free
         taken = [x[-1] for x, is_free in zip(free, self._offsets(), strict=True) if not is_free]
@@ -164,14 +164,14 @@ class GreyBoxWithFriction:
         return [bipolar(data.u) for data in self.plain.experiments]
 
     def _parts(self, z: Vector) -> list[slice]:
-        """Return the slice of x0 and u0 of each experiment, after the parameters and T_c."""
+        """Return the slice of z with x0 and u0 of each experiment; parameters and T_c are first."""
         offsets = self._offsets()
         n = (z.size - len(self.plain.names) - 1 - sum(offsets)) // len(offsets)
         edges = np.cumsum([0, *(n + is_free for is_free in offsets)]).tolist()
         return [slice(a, b) for a, b in pairwise(edges)]
 
     def _all(self, z: Vector, by: Sequence[str]) -> tuple[Vector, Matrix, list[tuple[int, int]]]:
-        """Return e (M,), derivatives by (`by`, T_c, x0, u0, …), and the rows of each experiment."""
+        """Return e (M,), derivatives for (`by`, T_c, x0, u0, …), and rows of each experiment."""
         plain = self.plain
         own, first = len(plain.names) + 1, len(by) + 1
         values = plain.values(z[: own - 1])

@@ -121,7 +121,7 @@ def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -
 
 
 def _held(model: Sampled, by: Derivative, x: Matrix, u: Vector, speed: int) -> Matrix:
-    """Return the contribution of the derivative of Gamma / (e' Gamma) during stick."""
+    """Return the derivative of Gamma / (e' Gamma) times e' (Phi x + Gamma u), for each step."""
     g = model.Gamma[speed]
     change = by.Gamma / g - model.Gamma * by.Gamma[speed] / g**2
     needed = x @ model.Phi[speed] + u * g
@@ -133,15 +133,16 @@ def _reversed(
 ) -> Matrix:
     """Return the derivatives after a step in which the chassis turns back.
 
-    The friction is s V (2 f - 1). The share of the step before the turn is f = v / (v - v'), which
-    depends on all parameters. v is the speed at the beginning of the step, and s is its sign. v' is
-    the speed that the unchanged friction s V would cause at the end of the step.
+    v is the speed at the beginning of the step, and s is its sign. v' is the speed at the end of
+    the step if the friction were s V during the whole step. The chassis turns back after the share
+    f = v / (v - v') of the step. The mean friction is s V (2 f - 1), and f depends on all
+    parameters.
     """
     row, gain, v = model.Phi[speed], model.Gamma[speed], x[speed]
     s = np.sign(v)
     ahead = row @ x + gain * (u - s * V)
     by_ahead = S @ row + w[:, speed]
-    # w contains the effect of the parameters with the mean friction; v' depends on s V instead.
+    # w contains the effect of the parameters with the mean friction; for v' the friction is s V.
     share = v / (v - ahead)
     for j, by in enumerate(model.by):
         by_ahead[j] += (2 * share - 2) * s * V * by.Gamma[speed]
@@ -212,7 +213,7 @@ def _step(v: float, ahead: float, pull: float, V: float, gain: float) -> tuple[f
 def _braked_alone(
     model: Sampled, u: Vector, x0: Vector, V: float, speed: int
 ) -> tuple[Vector, list[int]]:
-    """Return friction and motion of each step if no other state acts on the speed: see `_step`."""
+    """Return friction and motion of each step if no other state acts on the speed."""
     pole, gain, v = float(model.Phi[speed, speed]), float(model.Gamma[speed]), float(x0[speed])
     frictions, signs = [], []
     for value in u[:-1].tolist():
@@ -226,7 +227,7 @@ def _braked_alone(
 def _braked(
     model: Sampled, u: Vector, x0: Vector, V: float, speed: int
 ) -> tuple[Vector, list[int]]:
-    """Return friction and motion of each step, as `_step` does."""
+    """Return friction and motion of each step, computed with `_step`."""
     rows = [tuple(map(float, row)) for row in model.Phi]
     gamma = [float(g) for g in model.Gamma]
     pole, gain = rows[speed][speed], gamma[speed]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Matrix = NDArray[np.float64]
 Model = Callable[[ArmParameters], "control.StateSpace"]
 
-_LOG_STEP = 1e-3  # of a logarithm; the error of the fourth-order difference is about 1e-12
+_LOG_STEP = 1e-3  # step of a numerical derivative; the fourth-order error is about 1e-12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

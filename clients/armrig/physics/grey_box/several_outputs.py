@@ -37,8 +37,8 @@ from armrig.physics.grey_box.response import linear_parts, sensitivity
 from armrig.physics.grey_box.sampled_model import Model, Physics, Sampled
 from armrig.physics.systems import arm
 
-_MAX_ROUNDS = 8  # estimates of the outputs' noise
-_SETTLED = 1e-4  # relative change of the noise's deviations at which the rounds end
+_MAX_ROUNDS = 8  # largest number of estimates of the outputs' noise
+_SETTLED = 1e-4  # relative change of the noise's standard deviations at which the rounds end
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,7 +63,7 @@ class _Problem:
     """
 
     plain: GreyBox
-    """Names and coordinates of the parameters."""
+    """Plain problem, which has the names and the coordinates of the parameters."""
     physics: tuple[Physics, ...]
     """Model of each output."""
     experiments: tuple[Signals, ...]
@@ -100,7 +100,7 @@ class _Problem:
         )
 
     def _fitted(self, models: Sequence[Sampled], data: Signals) -> tuple[Array, Basis, Array]:
-        """Return the weighted errors, the basis of the free responses, and their coefficients."""
+        """Return weighted errors, the basis of the free responses, and the errors' coefficients."""
         errors, columns = [], []
         for i, (model, std) in enumerate(zip(models, self.std, strict=True)):
             y, free = linear_parts(model, data.u[:, 0])
@@ -142,7 +142,7 @@ def greybox(
     Returns
     -------
     GreyFit
-        `by_output` has the quality for each output.
+        `by_output` contains loss, fit and whiteness for each output.
 
     Raises
     ------
@@ -272,7 +272,7 @@ def _both(found: Inference) -> tuple[Array, Array]:
 
 
 def _inference(problem: _Problem, at: _Linearised, basis: Basis) -> Inference:
-    """Return both covariances of the coordinates, and the quality for each output."""
+    """Return classic and robust covariance of the coordinates, and the quality for each output."""
     H = basis.Q @ basis.W.T
     begin, experiments = 0, []
     for data, e in zip(problem.experiments, at.e, strict=True):

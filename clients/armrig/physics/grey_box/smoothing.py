@@ -9,12 +9,13 @@ A linear equation between y', y'' and u also holds between the smoothed signals.
 causes no phase lag and needs no differences of noisy samples. At the ends of the bell g, g' and g''
 are 0, so that sums over samples are close to the integrals.
 
-The module also tests whether residuals are white noise of the output, coloured by the kernel. White
-noise v that is smoothed by a kernel h and decimated by m has the autocorrelation rho ::
+The module also tests whether residuals are white noise of the output that the kernel has coloured.
+White noise v that is smoothed by a kernel h and decimated by m becomes e, with the autocorrelation
+rho ::
 
     e(i) = sum of h(k) v(i m - k),    rho(j) = sum of h(k) h(k + j m) / sum of h(k)²
 
-Bartlett's formula gives the covariance of the sample autocorrelation of n such values ::
+Bartlett's formula gives the covariance of the sample autocorrelations r_j of n values of e ::
 
     n cov(r_j, r_k) = sum over l = 1, 2, … of b_j(l) b_k(l),
     b_j(l) = rho(l + j) + rho(l - j) - 2 rho(j) rho(l)
@@ -42,15 +43,15 @@ Vector = NDArray[np.float64]
 _BELL = Polynomial([1.0, 0.0, -1.0]) ** 8
 _REACH = 19**0.5  # ratio T / s
 MIN_WIDTH = 1.25
-"""Least s in samples, for which sums over samples equal integrals to about 1e-6."""
-_MIN_FFT_SAMPLES = 500  # length of a kernel from which FFT is faster
+"""Least s in samples; from this s on, sums over samples equal integrals to about 1e-6."""
+_MIN_FFT_SAMPLES = 500  # kernels of this length or longer are convolved by FFT
 _MIN_PAIR_SHARE = 0.5  # least number of pairs at a lag, as a share of the pairs at lag 0
-# Directions whose deviation is a smaller share of the largest deviation are not used. In these
-# directions Bartlett's formula, the first term of an expansion, is only as large as the second
-# term. With them, a test at the level of 1 % would reject 2.5 % of true hypotheses.
+# Linear combinations of the r_j whose standard deviation is a smaller share of the largest are not
+# used. For these combinations Bartlett's formula, the first term of an expansion, is only as large
+# as the second term. With them, a test at the 1 % level would reject 2.5 % of true hypotheses.
 _MIN_DEVIATION_SHARE = 0.2
-_MIN_SPEED_SHARE = 0.05  # of the rms speed, below which the sign is not trusted
-_STOP_WIDTHS = 2.0  # time of a stop at the rms acceleration, in widths of the kernel
+_MIN_SPEED_SHARE = 0.05  # share of the rms speed; below it, the sign is not trusted
+_STOP_WIDTHS = 2.0  # longest time to a stop at the rms acceleration, in widths of the kernel
 
 SMOOTHED_NOISE = "test of smoothed noise"
 
@@ -83,13 +84,13 @@ class Kernels:
     second: Vector
     """Kernel of the acceleration."""
     held: Vector
-    """Kernel of a held input."""
+    """Kernel of the input, which is held between samples."""
     reach: int
     """Number of samples on each side of the centre."""
 
 
 def kernels(s: float, Ts: float) -> Kernels:
-    """Return the kernels of standard deviation s for the sampling time Ts, both in s."""
+    """Return the kernels for a standard deviation s and the sampling time Ts, both in seconds."""
     T, m = _REACH * s, reach(s, Ts)
     x = np.clip(Ts * np.arange(-m, m + 2) / T, -1.0, 1.0)
     area = _BELL.integ()
@@ -98,14 +99,15 @@ def kernels(s: float, Ts: float) -> Kernels:
     t = T * x[:-1]
     first = _BELL.deriv()(x[:-1]) * Ts / (c * T**2)
     second = _BELL.deriv(2)(x[:-1]) * Ts / (c * T**3)
-    # Make the kernels exact for constants and lines: a turn is 6 rad, the noise only 1 mrad.
+    # Make the kernels exact for constants and lines: an angle of many radians must cause no error
+    # as large as the noise of 1 mrad.
     first /= -(first @ t)
     second -= second.mean()
     return Kernels(first=first, second=second, held=held, reach=m)
 
 
 def smoothed(data: Dataset, s: float) -> Smoothed:
-    """Return the smoothed signals of one experiment for a kernel of standard deviation s, in s."""
+    """Return the smoothed signals of one experiment; s is the kernel's standard deviation in s."""
     k = kernels(s, data.Ts)
     y = np.where(data.valid, data.y, 0.0)
     there = _through((~data.valid).astype(np.float64), np.ones_like(k.first)) < 0.5
@@ -149,11 +151,12 @@ def _effective(x: Vector) -> float:
 def smoothed_noise_p_value(residuals: Sequence[Vector], h: Vector, m: int) -> float:
     """Return the p value of the hypothesis that residuals are smoothed white noise.
 
-    A lag has enough pairs if it has at least half as many pairs as lag 0. All lags before the first
-    lag without enough pairs are used. If no lag is left, the result is NaN. The statistic has the
-    mean of chi-squared but a larger variance, because all r_j are divided by the same R(0). The
-    argument of `portmanteau_p_value` is therefore the number of white values whose R(0) is equally
-    uncertain: n / sum of rho(j)² over all j.
+    A lag has enough pairs of known residuals if it has at least half as many pairs as lag 0. All
+    lags before the first lag without enough pairs are used. If no lag is left, the result is NaN.
+
+    The statistic has the mean of chi-squared but a larger variance, because all r_j are divided by
+    the same R(0). `portmanteau_p_value` needs the number N of white residuals that would give R(0)
+    the same relative uncertainty. From n residuals, N = n / sum of rho(j)² over all j.
 
     Parameters
     ----------

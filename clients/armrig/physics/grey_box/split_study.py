@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 _DIFFERENCE_LEVEL = 0.01  # p value below which the parts differ
-_INTERVAL_OUTSIDE_SHARE = 0.05  # probability outside the interval of a scatter
+_INTERVAL_OUTSIDE_SHARE = 0.05  # probability outside the confidence interval of `scatter`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -112,7 +112,7 @@ class SplitStudy:
 
     @property
     def std_growth(self) -> float:
-        """Mean standard deviation of the last split divided by the mean of the first split."""
+        """Mean standard deviation in the last split divided by that in the first split."""
         return float(np.mean(self.splits[-1].std) / np.mean(self.splits[0].std))
 
     @property

@@ -39,7 +39,7 @@ class Sinusoid:
     """Duration, in s."""
 
     def solve(self, h: float, n: int, method: str) -> tuple[Vector, Matrix]:
-        """Return t (n + 1,) and x (n + 1, nx) of a method in n steps of h."""
+        """Return times t (n + 1,) and states x (n + 1, nx), computed in n steps of size h."""
         return integrate(
             self.A, self.B, lambda t: self.amplitude * sin(self.omega * t), self.x0, h, n, method
         )
@@ -103,7 +103,7 @@ class Convergence:
     h: Vector
     """Steps in s, in falling order."""
     error: Vector
-    """Largest error over the span at each step; inf if the solution overflowed."""
+    """Error at each step size, as from `Sinusoid.error`; inf if the solution overflowed."""
     limit: float
     """Largest absolutely stable step, in s."""
 

@@ -102,12 +102,12 @@ def plot_stability_edge(
 ) -> Axes:
     """Plot a state of the free motion at steps of 0.999 and 1.001 times the stability limit.
 
-    The initial state excites all modes equally. The method must have a finite limit.
+    The initial state excites all modes equally. The method must have a finite stability limit.
 
     Raises
     ------
     ValueError
-        The method has no finite limit on this system.
+        The method has no finite stability limit for this system.
     """
     A_, *_ = system(A, np.zeros(np.shape(A)[0]))
     limit = stability_limit(A_, method)

@@ -42,7 +42,7 @@ class Multistep:
     start: str = ""
     """Method of the first k - 1 steps, "" for k = 1."""
     work: int
-    """Number of products with A plus solutions with the factored I - beta_k h A, per step."""
+    """Number of products with A and of solutions with the factored I - beta_k h A, per step."""
     region: str
     """Description of the region of absolute stability."""
 

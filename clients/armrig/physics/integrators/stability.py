@@ -76,7 +76,7 @@ def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
 
 
 def counting_eigenvalues(A: Array) -> Array:
-    """Return the eigenvalues that limit the step; a real part that is only rounding becomes 0.
+    """Return the eigenvalues that limit the step; a real part that is rounding error becomes 0.
 
     An eigenvalue at 0 is not returned if it has as many independent eigenvectors as its
     multiplicity. If an eigenvalue with real part 0 has fewer eigenvectors, the function returns
@@ -101,7 +101,7 @@ def counting_eigenvalues(A: Array) -> Array:
 
 
 def _eigenvectors(A: Array, z: complex, size: float) -> int:
-    """Return the number of independent eigenvectors of A at z."""
+    """Return the number of independent eigenvectors of A for the eigenvalue z."""
     spread = np.linalg.svd(A - z * np.eye(A.shape[0]), compute_uv=False)
     return int(np.count_nonzero(spread <= 100 * np.sqrt(_EPS) * size))
 
@@ -122,10 +122,10 @@ def _along_ray(method: Method, eigenvalue: complex) -> float:
 def _boundaries(pi: Array, direction: complex) -> list[float]:
     """Return all r > 0, in rising order, at which pi(zeta; r direction) may have a root |zeta| = 1.
 
-    All roots of a polynomial p of degree k in zeta are inside the circle if and only if two
+    All roots of a polynomial p of degree k in zeta are inside the unit circle if and only if two
     conditions hold. |p_k|² - |p_0|² must be > 0, and all roots of the reduction of p must be inside
-    the circle. The reduction, of degree k - 1, is conj(p_k) p - p_0 p*, divided by zeta, with p*
-    the conjugated coefficients in reverse order. The coefficients here are polynomials in r.
+    the unit circle. The reduction, of degree k - 1, is conj(p_k) p - p_0 p*, divided by zeta. p*
+    has the conjugated coefficients in reverse order. The coefficients here are polynomials in r.
     """
     p = [np.trim_zeros(row * direction ** np.arange(pi.shape[1]), "b") for row in pi]
     found: list[float] = []

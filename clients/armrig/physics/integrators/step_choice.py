@@ -14,8 +14,8 @@ from armrig.physics.integrators.linear_system import require_positive
 from armrig.physics.integrators.methods import METHODS
 from armrig.physics.integrators.stability import stability_limit
 
-_START_SHARE = 0.25  # ratio of the first to the largest step; below it the error falls as h^p
-_AIMED_SHARE = 0.97  # ratio of the error that a trial aims at to the tolerance
+_START_SHARE = 0.25  # first step as a share of the largest; smaller steps have an error ~ h^p
+_AIMED_SHARE = 0.97  # error that a trial aims at, as a share of the tolerance
 _MAX_TRIALS = 8
 _MAX_STEPS = 2_000_000  # of a solution that verifies a step
 
@@ -37,7 +37,7 @@ class Advice:
     steps: int
     """Number of steps in the span."""
     work: int
-    """Number of products with A plus solved systems of equations, over the span."""
+    """Number of products with A and of solved systems of equations over the span."""
     reason: str
     """Text with the reason for this step."""
 
@@ -154,7 +154,7 @@ def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
 def _step_for(
     problem: Sinusoid, method: str, tolerance: float, largest: float
 ) -> tuple[float, float, bool]:
-    """Return the largest step within the tolerance, its error, and True for a measured error."""
+    """Return the largest step within the tolerance, its error, and True if it was measured."""
     order = METHODS[method].order
     best, best_error = 0.0, inf
     h = _START_SHARE * largest

@@ -27,7 +27,7 @@ def integrate(
     n: int,
     method: str = "forward_euler",
 ) -> tuple[Vector, Matrix]:
-    """Return t (n + 1,) and x (n + 1, nx) of x' = A x + B u(t), x(0) = x0, in n steps of h.
+    """Return times t and states x of x' = A x + B u(t), x(0) = x0, computed in n steps of size h.
 
     With f = A x + B u the multistep methods and the Runge-Kutta methods are ::
 
@@ -153,7 +153,7 @@ def _runge_kutta(
 
 
 def _companion(method: Multistep, A: Matrix, h: float) -> Matrix:
-    """Return the matrix of the recursion of k successive states without input."""
+    """Return the matrix that advances k successive states by one step, without input."""
     size, k = A.shape[0], len(method.alpha) - 1
     factors = lu_factor(np.eye(size) - h * method.beta[-1] * A)
     M = np.eye(k * size, k=size)

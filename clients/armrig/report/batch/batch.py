@@ -147,7 +147,7 @@ def results(
     Parameters
     ----------
     function : callable
-        Function for the workers; it must not raise.
+        Function for the workers; it must not raise an exception.
     items : sequence
         Items, each different from the others.
     open_executor : callable
@@ -188,7 +188,7 @@ def _until_a_death(
         while source and len(running) < most:
             try:
                 future = workers.submit(function, source[0])
-            except BrokenExecutor:  # a worker died without work
+            except BrokenExecutor:  # a worker died before this submission
                 return [*running.values()]
             running[future] = source.popleft()
         done, _ = wait(running, return_when=FIRST_COMPLETED)
@@ -213,7 +213,7 @@ def _is_broken(future: Future[R]) -> bool:
 def header_of(
     task: Task, folder: Path, rigs: Collection[str], kinds: Collection[str]
 ) -> dict[str, str]:
-    """Return the metadata of a table; all starts with the same options have the same metadata.
+    """Return the metadata of a table, which are equal for all starts of a batch with equal options.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def check_writable() -> None:
 
 
 def read_rows(path: Path, header: dict[str, str]) -> list[Row]:
-    """Read the rows of an earlier table with this header; an empty list if there is no table.
+    """Return the rows of the existing table; an empty list if there is no table.
 
     Raises
     ------

@@ -26,7 +26,7 @@ class Item(NamedTuple):
     path: str
     bytes: int
     modified_ns: int
-    """Time of the last change of the file, or of the newest part, in ns."""
+    """Time of the last change of the file, or of the run's newest part, in ns."""
     validation: str
     """Path of the recording that validates this run's model; "" without such a recording."""
 

@@ -1,4 +1,4 @@
-"""Storage of each row as soon as the row is computed, so that a later start can continue."""
+"""Storage of each row at once after its computation, so that a later start continues the batch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OTHER = (
 )
 """Message if the header of earlier results differs from the header of this start."""
 SUFFIX = ".progress"
-"""Suffix to the name of the table while the table is incomplete."""
+"""Suffix of the file with the rows so far; the file's name begins with the name of the table."""
 
 
 class Progress:
@@ -77,7 +77,7 @@ class Progress:
         self._write(row)
 
     def remove(self) -> None:
-        """Remove the file: the table is complete."""
+        """Remove the file, because the table is complete."""
         self.path.unlink()
 
     def __enter__(self) -> Progress:
@@ -110,8 +110,8 @@ def still_right(
 ) -> dict[str, Row]:
     """Return the rows, by name, of the items whose files have not changed.
 
-    An item that is left out is computed again. A row with a problem is left out, because its
-    process may have been killed, or the disk may have been full. A row without all columns is left
+    An item that is left out is computed again. A row with a problem is left out, because a
+    killed process or a full disk may have caused the problem. A row without all columns is left
     out. The row of a report is left out if its validation recording has changed.
     """
     state = {item.name: (item.bytes, item.modified_ns) for item in items}

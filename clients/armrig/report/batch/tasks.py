@@ -28,7 +28,7 @@ class Validate(msgspec.Struct, frozen=True, kw_only=True, tag="validate"):
 
 
 class Verify(msgspec.Struct, frozen=True, kw_only=True, tag="verify"):
-    """Verify each recording against its run."""
+    """Check each recording, as `armrig verify` does."""
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, tag="report"):
