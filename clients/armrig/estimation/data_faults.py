@@ -79,7 +79,7 @@ def swapped(data: Dataset) -> Iterator[EstimateFinding]:
 
 
 def undetermined(data: Dataset) -> str:
-    """Return the text that explains why the data do not determine the parameters, or a remedy."""
+    """Return why the data do not determine the parameters; if the cause is unknown, a remedy."""
     for name, x in (("u", data.u), (data.output, data.y[data.valid])):
         if x.size and np.ptp(x) == 0:
             return f"{name} is always {x[0]:.4g}: give the column that varies, or record again"

@@ -104,7 +104,7 @@ def _lowest_beside(problem: PredictionErrorProblem, best: Optimum, *, thorough: 
 def _from_starts(problem: PredictionErrorProblem) -> Ends:
     """Return the minimum reached from each start value, best first.
 
-    The searches begin with the start value of least cost.
+    The first search is from the start value of least cost.
     """
     starts = sorted(start_values(problem), key=lambda start: problem.cost(start[1]))
     ends: Ends = []

@@ -39,7 +39,7 @@ Matrix = NDArray[np.float64]
 Integers = NDArray[np.int_]
 
 _MIN_INDEPENDENT_SHARE = 1e-10  # least share of a column that earlier columns do not explain
-_BLOCK_ROWS = 4096  # rows decomposed at once, which fit into the cache
+_BLOCK_ROWS = 4096  # rows decomposed at once; they fit into the cache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -121,7 +121,7 @@ def searched(
 
 
 def _part(data: Dataset, structure: Structure) -> PredictionErrorProblem | None:
-    """Return the problem for the part of long data in which the input moves most, or None."""
+    """Return the problem for the part of the data in which u moves most; None for short data."""
     if data.N <= 2 * PART_SAMPLES:
         return None
     begins = np.linspace(0, data.N - PART_SAMPLES, 8).astype(int)

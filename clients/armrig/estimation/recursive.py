@@ -166,10 +166,11 @@ def rarx_step(state: RarxState, u: float, y: float) -> RarxState:
 
     u is applied from t on, and y is measured at t. A missing value is NaN.
 
-    The triangular factor R of earlier rows is multiplied by sqrt(lambda), and the row [phi y] is
-    added to the factor by rotations. After N steps the result equals, except for rounding, the
-    weighted least-squares estimate from all samples. The method needs no covariance matrix, which
-    could become indefinite. A row that depends on a missing y changes neither R nor the weights.
+    The triangular factor R of the earlier rows is multiplied by the square root of the forgetting
+    factor. Rotations then add the row [phi y] to R. After N steps the result equals, except for
+    rounding, the weighted least-squares estimate from all samples. The method needs no covariance
+    matrix, which could become indefinite. A row that depends on a missing y changes neither R nor
+    the weights.
 
     Examples
     --------

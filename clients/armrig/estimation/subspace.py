@@ -238,12 +238,11 @@ class Realisation:
 def realised(w: Windows, found: Projection, n: int) -> Realisation:
     """Return A and the eigenvalues of A - K C for n states.
 
-    A follows from the shift invariance of the observability matrix. K, and with K the
-    matrix A - K C, follow from the residuals of the states.
+    A is computed from the shift invariance of the observability matrix.
 
     The states at t and t + 1 are computed by two projections. The states at t + 1 and y(t) are
-    regressed on the states at t and the inputs. The covariance of the residuals determines K by a
-    Riccati equation.
+    regressed on the states at t and the inputs. K follows from a Riccati equation with the
+    covariance of the residuals.
     """
     f = w.future
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])

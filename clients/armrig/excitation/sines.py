@@ -113,7 +113,7 @@ def _lines(lines: Iterable[int] | None, P: int) -> np.ndarray[tuple[int], np.dty
         require_integers(line=(line, 1))
         if line > highest:
             raise InputError(
-                f"line {line} is above {highest}, the highest below half of the period P={P}; "
+                f"line {line} is above {highest}, the highest line for the period P={P}; "
                 "lower it or lengthen the period"
             )
     return np.fromiter(chosen, dtype=np.intp, count=len(chosen))

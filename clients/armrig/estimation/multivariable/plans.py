@@ -49,9 +49,10 @@ def plans_of(
     Parameters
     ----------
     orders : dict
-        nb, nk and nf (ny, nu), and nc and nd (ny,), by name; nf of an ARMAX model is its na.
+        Arrays nb, nk and nf (ny, nu), and nc and nd (ny,), by name. For an ARMAX model, nf contains
+        na.
     equation_error : bool
-        True if F and D of each row are one polynomial.
+        True if F and D of each row are the same polynomial.
     """
     if initial not in ("estimate", "zero"):
         raise InputError(f'initial={initial!r} must be "estimate" or "zero"')

@@ -166,7 +166,7 @@ class Solution:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PolynomialProblem:
-    """Minimisation of the sum of e^T inv(Lambda) e over time and experiments."""
+    """Minimisation of e^T inv(Lambda) e, summed over all samples of all experiments."""
 
     rows: tuple[Row, ...]
     """Equation of each output."""
@@ -255,7 +255,7 @@ class PolynomialProblem:
         )
 
     def normals(self, theta: Array) -> Array:
-        """Return the gradients in theta of |z| for the roots z of C and F on the unit circle."""
+        """Return the gradient of |z| in theta for each root z of C and F on the unit circle."""
         found = [np.zeros((0, theta.size))]
         for p, bounded, part in zip(
             self.polynomials(theta), self.bounded, self.slices, strict=True

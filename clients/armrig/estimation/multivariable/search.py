@@ -119,7 +119,7 @@ def estimated(
 
 
 def _estimated(data: Signals, plan: Plan, orders: str) -> _Estimated:
-    """Return the estimate of the rows of one plan; with several rows, Lambda is iterated."""
+    """Return the estimate of the outputs of one plan; for several outputs, Lambda is iterated."""
     parts = list(data.experiments())
     experiments = tuple(
         tuple(
@@ -164,11 +164,11 @@ def _reweighted(
 ) -> tuple[PolynomialProblem, list[tuple[str, Optimum]]]:
     """Return the problem of the best minimum, and the minima after Lambda is iterated.
 
-    From each of the minima `ends`, the search and the estimate of Lambda are repeated in turn. The
-    best minimum has the least det Lambda. Then one mode of a denominator is moved, as long as a
-    move leads to a better minimum. The best minimum need not be the first of `ends`, because the
-    searches for `ends` used the variances of the outputs as Lambda. With these variances, an output
-    that integrates has little weight.
+    From each minimum in `ends`, the search and the estimation of Lambda alternate. The best minimum
+    has the least det Lambda. Then one mode of a denominator is moved, as long as a move leads to a
+    better minimum. The best minimum need not be the first of `ends`, because the searches for
+    `ends` used the variances of the outputs as Lambda. With these variances, an output that
+    integrates has little weight.
     """
     found = [(name, *_iterated(problem, masks, end, _SAME_TOLERANCE)) for name, end in ends]
     found = ranked(found, lambda one: one[1])

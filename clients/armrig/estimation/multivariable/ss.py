@@ -294,7 +294,7 @@ def _begun(
 
 
 def _tried(problem: StateSpaceProblem, ends: list[_End], criterion: _Criterion) -> list[_End]:
-    """Return the distinct searches after some rounds, best first."""
+    """Return the distinct models after `_TRIED_ROUNDS` rounds of each search, best first."""
     for _ in range(_TRIED_ROUNDS):
         ends = _different(
             [_round(problem, end, criterion, _TRIED_STEPS, _TRIED_TOLERANCE) for end in ends]
@@ -303,7 +303,7 @@ def _tried(problem: StateSpaceProblem, ends: list[_End], criterion: _Criterion) 
 
 
 def _part(problem: StateSpaceProblem) -> StateSpaceProblem:
-    """Return the problem for the first samples of long data, at most `_PART_SAMPLES`."""
+    """Return the problem for at most the first `_PART_SAMPLES` samples of the data."""
     left, parts = _PART_SAMPLES, []
     for part in problem.parts:
         n = min(part.u.shape[0], left)
@@ -324,7 +324,7 @@ def _different(ends: list[_End]) -> list[_End]:
 
 
 def _improved(problem: StateSpaceProblem, end: _End, criterion: _Criterion, least: float) -> _End:
-    """Return the last state of a search; the search stops early if it cannot reach `least`."""
+    """Continue a search from `end`; stop early if the search cannot reach the criterion `least`."""
     for _ in range(_MAX_ROUNDS):
         before, end = end, _round(problem, end, criterion, _STEPS, _SAME_TOLERANCE)
         decrease = before.criterion - end.criterion
@@ -358,8 +358,8 @@ def _form(
 ) -> tuple[Matrices, Array]:
     """Return the model in units of the data, and the derivatives of its theta.
 
-    The free parameters are the coordinates along the tangent space, then Bbar and K, signal by
-    signal, then D.
+    The derivatives are with respect to the parameters of the search, in this order: the coordinates
+    along the tangent space, Bbar and K (signal by signal), and D.
     """
     n, ny, nu = problem.order, sy.size, su.size
     Abar, C, K, D = predictor.Abar, predictor.C, predictor.K, predictor.D

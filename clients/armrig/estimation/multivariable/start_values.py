@@ -102,7 +102,7 @@ def _paths(problem: PolynomialProblem) -> tuple[_Paths, _Paths, _Paths]:
 
 
 def _differenced(x: RowData) -> RowData:
-    """Return the signals for the equation of an integrating output's rate."""
+    """Return the differences of u and y, for the model of the rate of an integrating output."""
     y = np.diff(_filled(x), prepend=_filled(x)[:1])
     return RowData(u=np.diff(x.u, axis=0, prepend=0.0), y=y, rows=np.ones_like(x.rows))
 

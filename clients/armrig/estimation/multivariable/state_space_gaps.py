@@ -55,10 +55,12 @@ class GapProblem:
     """True if D is estimated."""
 
     def errors(self, predictors: Sequence[Predictor]) -> tuple[Array, Array]:
-        """Return the whitened errors and the mean of log det(S inv(Lambda_oo)) of each predictor.
+        """Return the whitened errors and the mean of the log determinants of each predictor.
 
         The errors (m, N ny) are ordered by experiment and then by output. An error is 0 where the
-        output is missing. The mean is over all measured values, (m,).
+        output is missing. A sample of covariance S after a gap contributes log det(S
+        inv(Lambda_oo)), where o are its measured outputs. The mean (m,) is the sum divided by the
+        number of measured values.
         """
         found, logs, count = [], np.zeros(len(predictors)), 0
         for i, part in enumerate(self.parts):

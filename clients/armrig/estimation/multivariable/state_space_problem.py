@@ -40,7 +40,7 @@ _ORBIT_TOLERANCE = 1e-10  # least relative singular value of a change of coordin
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """Signals of one experiment, scaled."""
+    """Scaled signals of one experiment."""
 
     u: Array
     """Inputs (N, nu)."""
@@ -279,7 +279,7 @@ def output_normal(A: Array, C: Array) -> tuple[Array, Array]:
 
 
 def _balancing(A: Array, C: Array) -> tuple[Array, Array]:
-    """Return the change of coordinates of `output_normal`, and its inverse."""
+    """Return the change of coordinates that `output_normal` applies, and its inverse."""
     gramian = solve_discrete_lyapunov(A.T, C.T @ C)
     values, axes = np.linalg.eigh((gramian + gramian.T) / 2)
     root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
@@ -336,7 +336,7 @@ def _delayed(x: Array, lag: int) -> Array:
 
 
 def parts_of(signals: Sequence[tuple[Array, Array]], Lambda: Array) -> tuple[Part, ...]:
-    """Return the experiments, whitened by Lambda."""
+    """Return the signals of each experiment, with the whitening matrices for Lambda."""
     masks = [np.isfinite(y) for _, y in signals]
     return tuple(
         Part(u=u, y=np.where(m, y, 0.0), rows=m, weights=whitening(Lambda, m))

@@ -150,7 +150,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
 
     All changes of u between two long holds are used as steps. The level before each step is
     subtracted, and each response is weighted by the size of its step. If y integrates, the rate is
-    analysed. The sample (y(t) - y(t-1))/Ts of the rate is at the middle of the interval.
+    analysed. The value (y(t) - y(t-1))/Ts of the rate belongs to the middle of the interval.
 
     The 63 % time, settling, overshoot and dead time are computed from curves. The curves are drawn
     from the posterior of a Gaussian process, given all samples. Each curve is divided by its own
