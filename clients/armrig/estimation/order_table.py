@@ -122,7 +122,7 @@ class OrderTable:
         return without if self.validation_loss is None else ("validation", *without)
 
     def values(self, criterion: Criterion) -> Vector:
-        """Return a criterion of every structure, (n,); NaN if its parameters are not determined.
+        """Return the criterion of every structure, (n,); NaN if the parameters are undetermined.
 
         Raises
         ------

@@ -84,9 +84,9 @@ class RarxState:
     def std(self) -> Vector:
         """Standard deviations of theta (d,), for white noise; inf if theta is not determined.
 
-        With the weights w = lambda^k the covariance is s² G^-1 (sum of w² phi phi^T) G^-1. G is the
-        sum of w phi phi^T, and s² is `noise_variance`. For a stationary input the middle factor is
-        G (sum of w²) / (sum of w).
+        With the weights w = lambda^k, where lambda is `forgetting`, the covariance is s² G^-1 (sum
+        of w² phi phi^T) G^-1. G is the sum of w phi phi^T, and s² is `noise_variance`. For a
+        stationary input the middle factor is G (sum of w²) / (sum of w).
         """
         if not self.determined:
             return np.full(self.na + self.nb, np.inf)

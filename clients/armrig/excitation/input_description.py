@@ -48,7 +48,7 @@ class InputDescription:
     highest_order: int
     """Highest tested order. If `order` equals this number, the true order may be higher."""
     weakest: float
-    """Least eigenvalue of the covariance matrix of `order` samples, divided by the variance.
+    """Least eigenvalue of the covariance matrix of `order` consecutive samples, divided by var u.
 
     With white noise the ratio is 1. In the direction of the corresponding eigenvector, the variance
     of estimated parameters is 1/weakest times as large as with white noise of the same power.

@@ -133,8 +133,8 @@ def chirp(
     """Return a sine (N,) whose frequency moves from `from_hz` to `to_hz`.
 
     A linear sweep takes the same time for each hertz, and a logarithmic sweep takes the same time
-    for each octave. The sine begins in the middle of the interval and fills the interval. The crest
-    factor of the sine is sqrt(2).
+    for each octave. The sine begins in the middle of the interval and moves between low and high.
+    The crest factor of the sine is sqrt(2).
 
     Parameters
     ----------

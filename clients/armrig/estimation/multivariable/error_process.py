@@ -56,7 +56,7 @@ class ErrorProcess:
 
 
 def error_process(errors: Sequence[Array]) -> ErrorProcess:
-    """Return the process of 10 lags, or of fewer if there are few errors.
+    """Return the autoregression with 10 lags, or with fewer lags if there are few errors.
 
     The variance of w is corrected for the number of estimated coefficients.
 

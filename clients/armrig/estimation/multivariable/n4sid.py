@@ -52,7 +52,7 @@ _REPLICATES = 100
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Model:
-    """Matrices in scaled units, and the state at the start of each experiment."""
+    """Matrices for the scaled signals, and the state at the start of each experiment."""
 
     A: Array
     B: Array

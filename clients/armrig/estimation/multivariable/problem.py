@@ -89,7 +89,7 @@ class Row:
 
     @property
     def without_noise(self) -> Row:
-        """Equation of the same output with white noise."""
+        """Same equation with white noise (C = D = 1)."""
         return replace(self, c=ONE, d=ONE, integrated_noise=False)
 
     @property
@@ -103,7 +103,7 @@ class RowData:
     """Signals of one experiment for the equation of one output."""
 
     u: Array
-    """Inputs (N, nu), summed for an integrating output."""
+    """Inputs (N, nu); running sums of the inputs if the output integrates."""
     y: Array
     """Output (N,), 0 where it is missing."""
     rows: Mask
@@ -288,7 +288,8 @@ class PolynomialProblem:
     def _without_states(
         self, equations: list[list[_Equation]], scales: list[float]
     ) -> tuple[list[Basis], Array, Array]:
-        """Return the basis of the states of each experiment, and X and y without these states."""
+        """Return the basis of the states of each experiment; X and y with the states projected
+        out."""
         states, whole = [], []
         for of, G in zip(equations, self.weights, strict=True):
             state = orthonormal(spread_apart(G, [s * g.Z for g, s in zip(of, scales, strict=True)]))

@@ -283,7 +283,7 @@ def _inference(data: Signals, found: Sequence[_Estimated]) -> Inference:
 
 
 def _parameters(data: Signals, found: Sequence[_Estimated]) -> list[float]:
-    """Return the number of parameters of each output; if k outputs share one, it counts 1/k."""
+    """Return the number of parameters of each output; a parameter of k outputs counts 1/k."""
     counts = [0.0] * data.ny
     for one in found:
         users = [

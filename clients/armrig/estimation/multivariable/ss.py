@@ -1,4 +1,4 @@
-"""State-space models by the prediction error, with several inputs and outputs."""
+"""State-space models with several inputs and outputs, by the prediction-error method."""
 
 from __future__ import annotations
 
@@ -285,7 +285,7 @@ def _searched(
 def _begun(
     problem: StateSpaceProblem, values: Mapping[str, tuple[Array, Array]], criterion: _Criterion
 ) -> list[_End]:
-    """Return the state of a search at each start value."""
+    """Return the criterion and Lambda at each start value, as the first state of each search."""
     found = []
     for name, (Abar, C) in values.items():
         Lambda, value = criterion(problem, Abar, C, problem.linear(Abar, C))
@@ -336,7 +336,7 @@ def _improved(problem: StateSpaceProblem, end: _End, criterion: _Criterion, leas
 def _round(
     problem: StateSpaceProblem, end: _End, criterion: _Criterion, most: int, tolerance: float
 ) -> _End:
-    """Return the search after at most `most` steps with one Lambda, and the next Lambda."""
+    """Continue the search for at most `most` steps with the same Lambda, then estimate Lambda."""
     if end.converged:
         return end
     weighted = _weighted(problem, end.Lambda)

@@ -108,7 +108,7 @@ class Linear:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StateSpaceProblem:
-    """Minimisation of the sum of e^T inv(Lambda) e over Abar, C and all linear parameters."""
+    """Search for Abar, C and all linear parameters that minimise the sum of e^T inv(Lambda) e."""
 
     parts: tuple[Part, ...]
     """Signals of each experiment."""
@@ -231,13 +231,13 @@ class StateSpaceProblem:
         return found
 
     def edges(self) -> list[slice]:
-        """Return the slice of each experiment in stacked whitened rows."""
+        """Return the slice of the stacked whitened rows that belongs to each experiment."""
         sizes = np.cumsum([part.y.size for part in self.parts]).tolist()
         return [slice(a, b) for a, b in pairwise([0, *sizes])]
 
 
 def whitened(part: Part, columns: Array) -> Array:
-    """Return the columns (k, ny, N), whitened, as a matrix (ny N, k) with rows output by output."""
+    """Return the whitened columns (k, ny, N) as a matrix (ny N, k), rows ordered by output."""
     k, ny, N = columns.shape
     if part.rows.all():
         white = part.weights[0] @ columns
@@ -262,7 +262,7 @@ def stable_matrix(A: Array) -> bool:
 
 
 def reflected_matrix(A: Array, largest: float = 0.995) -> Array:
-    """Return A with each eigenvalue outside the circle moved into the circle, for a start value."""
+    """Return A, for a start value, with all eigenvalues moved into the unit circle."""
     z, V = np.linalg.eig(A)
     size = np.abs(z)
     if not size.size or size.max() < largest:

@@ -24,7 +24,7 @@ Kernel = Literal["tc", "dc", "ss"]
 KERNELS = ("tc", "dc", "ss")
 _DECAYS = (0.5, 0.7, 0.85, 0.93, 0.98)
 _SCALES = (1e-2, 1.0, 1e2, 1e4)
-_BLOCK_ROWS = 4096  # rows computed at once, which fit into the cache
+_BLOCK_ROWS = 4096  # rows computed at once; they fit into the cache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -30,7 +30,7 @@ Vector = NDArray[np.float64]
 MIN_HOLD_SAMPLES = 8
 """Least number of samples of constant u before and after a step."""
 MIN_GAP_SAMPLES, MIN_GAP_SHARE = 2, 0.1
-"""Least length of a reported gap on the rise: in samples, and as a share of the 63 % time."""
+"""A gap during the rise is reported from this length on: samples, and share of the 63 % time."""
 SETTLING_BAND = 0.05
 """Half width of the band in which the response has settled, as a share of the final value."""
 _SLOPE_SIGMAS = 5  # standard deviations; a smaller slope before the step counts as 0
@@ -40,7 +40,7 @@ _CURVE_ERROR = 0.1
 
 The value was found from data without noise, with 2 to 4 samples in the time tau.
 """
-_MAX_OVERSHOOT_STD = 0.03  # with a larger std the largest value may be noise
+_MAX_OVERSHOOT_STD = 0.03  # with a larger std the overshoot may be noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
