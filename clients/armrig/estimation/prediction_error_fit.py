@@ -31,8 +31,8 @@ PART_SAMPLES = 3000
 """Number of samples in the part of long data on which searches start. If the data have at most
 twice this number of samples, searches start on all data."""
 MAX_PULSE_SHARE = 0.01
-"""Limit of the number of pulses after gaps, divided by the number of errors. If this ratio is
-larger, the fit has a warning."""
+"""The fit has a warning if the number of pulses after gaps, divided by the number of errors, is
+above this limit."""
 CURVED_TEXT = (
     "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
     "within two standard deviations. A pole and a zero may nearly cancel. The standard deviations "

@@ -67,7 +67,7 @@ def details_of(name: str, *, a: float, low: float, high: float, seed: int) -> di
 
 
 def clock_of(a: float) -> int:
-    """Return the clock of a prbs, in samples, for the mean switching rate of a telegraph."""
+    """Return the clock, in samples, of a prbs that switches as often as a telegraph signal."""
     require_numbers(a=a)
     if not 0 < a <= 0.5:
         raise InputError(f"a={a!r}: a prbs switches with a probability of more than 0, at most 0.5")

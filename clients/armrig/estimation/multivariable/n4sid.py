@@ -104,8 +104,8 @@ def n4sid(
     Returns
     -------
     MultivariableFit
-        The covariance describes the scatter of the replicates' impulse responses, converted to
-        changes of the matrices.
+        The covariance of the matrices is computed from the scatter of the replicates' impulse
+        responses.
 
     Raises
     ------

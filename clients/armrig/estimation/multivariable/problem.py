@@ -288,8 +288,7 @@ class PolynomialProblem:
     def _without_states(
         self, equations: list[list[_Equation]], scales: list[float]
     ) -> tuple[list[Basis], Array, Array]:
-        """Return the basis of the states of each experiment; X and y with the states projected
-        out."""
+        """Return the basis of each experiment's states; X and y with the states projected out."""
         states, whole = [], []
         for of, G in zip(equations, self.weights, strict=True):
             state = orthonormal(spread_apart(G, [s * g.Z for g, s in zip(of, scales, strict=True)]))

@@ -243,7 +243,7 @@ def _starts(data: Signals, one: _Estimated) -> Iterator[Start]:
 
 
 def _inference(data: Signals, found: Sequence[_Estimated]) -> Inference:
-    """Return the covariance of the parameters of all plans, side by side."""
+    """Return the covariance of the joined parameters of all plans."""
     widths = [one.problem.row_slices[-1].stop + one.theta.size for one in found]
     d = sum(widths)
     parts = list(data.experiments())

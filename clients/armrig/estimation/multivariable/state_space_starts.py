@@ -121,7 +121,8 @@ def _filled(y: Array) -> Array:
 
 
 def _simulated_impulses(psi: Array, nu: int, length: int) -> Array:
-    """Return the impulse responses (length, ny, nu) from u to y for a predictor's responses psi."""
+    """Return the impulse responses (length, ny, nu) from u to y of the predictor with responses
+    psi."""
     lags, ny, _ = psi.shape
     g = np.zeros((length, ny, nu))
     for k in range(length):

@@ -369,8 +369,7 @@ class _Search:
         return min(self.found, key=self.criterion)
 
     def climb(self, at: Setting) -> Setting:
-        """Return the most likely setting near `at`, by single steps that do not change the
-        delay."""
+        """Return the most likely setting near `at` with the same delay, found in single steps."""
         while (best := min((at, *_near(at)), key=self.criterion)) != at:
             at = best
         return at
