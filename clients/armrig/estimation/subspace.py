@@ -273,8 +273,8 @@ def _steady_filter(A: Array, C: Array, covariance: Array) -> Array | None:
         | F^T               0 |       | I  C C^T / r |
         | (S S^T / r - Q)   I | - z * | 0  F         |
 
-    K itself is not needed. The states are scaled so that both blocks have the same norm for any
-    unit of y.
+    K itself is not needed. The states are scaled so that C C^T / r and S S^T / r - Q have the same
+    norm for any unit of y.
 
     References
     ----------

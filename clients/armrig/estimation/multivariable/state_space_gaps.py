@@ -167,8 +167,7 @@ class GapProblem:
         return self.moved(at, V, found.theta), found
 
     def residuals(self, at: Predictor) -> list[Array]:
-        """Return the errors (N, ny) of each experiment, scaled to the covariance of e; NaN if
-        missing.
+        """Return the errors (N, ny) of each experiment, scaled like e; NaN where y is missing.
 
         An error is scaled by the root of Lambda_oo inv(S), so that its covariance is Lambda_oo.
         """

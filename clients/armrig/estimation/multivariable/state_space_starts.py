@@ -121,8 +121,7 @@ def _filled(y: Array) -> Array:
 
 
 def _simulated_impulses(psi: Array, nu: int, length: int) -> Array:
-    """Return the impulse responses (length, ny, nu) from u to y of the predictor with responses
-    psi."""
+    """Return the impulse responses (length, ny, nu) from u to y; psi are those of the predictor."""
     lags, ny, _ = psi.shape
     g = np.zeros((length, ny, nu))
     for k in range(length):
