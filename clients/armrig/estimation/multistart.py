@@ -30,7 +30,7 @@ Ends = list[tuple[str, Optimum]]
 
 SAME_COST_TOLERANCE = 1e-6  # relative difference in cost up to which two searches agree
 ROUNDING_SHARE = 1e-18  # share of |y|² below which |e|² is rounding noise
-_MIN_NOISE_SHARE = 0.2  # with a larger noise share of the output's variance, a mode may fit noise
+_MIN_NOISE_SHARE = 0.2  # if noise is a larger share of the output's variance, a mode may fit noise
 _MAX_ROUNDS = 6
 _MAX_MOVED_COEFFICIENTS = 30  # coefficients of C, D and F; with 60 a round takes a minute
 _STAGES = ((10, 16), (40, 1))  # (steps of each search, number of searches that continue)

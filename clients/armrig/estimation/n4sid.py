@@ -43,11 +43,11 @@ from armrig.numerics.polynomial import Array, filtered, reflected, without_integ
 _MAX_SUGGESTED_ORDER = 10
 _MAX_DISTANCE_FROM_1 = 0.02  # a pole farther from 1 is not taken for an integrator
 _NO_GAIN_TEXT = (
-    " no steady Kalman gain was found, so C of the subspace model is A with its roots inside the "
+    "no steady Kalman gain was found, so C of the subspace model is A with its roots inside the "
     "unit circle"
 )
 _BOUND_TEXT = (
-    "the standard deviations are the bound that a search attains; the standard deviations of a "
+    "the standard deviations are a lower bound, which a search attains; those of a "
     "subspace estimate are larger"
 )
 _COLOURED_TEXT = (

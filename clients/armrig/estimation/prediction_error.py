@@ -25,7 +25,7 @@ class Solution:
     given: tuple[LinearPart, ...]
     """Linear equation for A, B and the unknown past of each experiment."""
     e: Array
-    """Residuals of all experiments, (M,); 0 in a row that has no residual."""
+    """Residuals of all experiments, (M,); 0 in rows without a residual."""
     by_ab: Array
     """Derivatives of the prediction with respect to (a, b), (M, na + nb). Their projection on the
     effects of the unknown past is subtracted."""

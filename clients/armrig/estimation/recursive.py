@@ -96,7 +96,7 @@ class RarxState:
 
     @property
     def _share(self) -> float:
-        """Ratio (sum of w²) / (sum of w)."""
+        """Ratio (sum of w²) / (sum of w) of the weights w of the samples."""
         return (2 - self.weight * (1 - self.forgetting)) / (1 + self.forgetting)
 
     @property

@@ -159,7 +159,8 @@ class Projection:
     H: Array
     """Matrix H in Y_f = H W_p + L U_f + noise, (f, 2 p)."""
     U: Array
-    """Left singular vectors without weights, (f, f); the first n span the observability matrix."""
+    """Left singular vectors without weights, (f, f); the first n span the columns of the
+    observability matrix."""
     singular_values: Array
     """Singular values (f,); with "cva" the canonical correlations of past and future."""
 

@@ -45,7 +45,7 @@ class ErrorProcess:
         return F
 
     def drawn(self, rng: np.random.Generator, N: int) -> Array:
-        """Return N errors (N, ny) of the process; w is drawn from the estimated w."""
+        """Return N errors (N, ny) of the process, with w drawn from the estimated values of w."""
         p, ny, _ = self.coefficients.shape
         w = self.w[rng.integers(0, self.w.shape[0], N + _SETTLING * (p > 0))]
         if p == 0:

@@ -352,7 +352,7 @@ def _form(model: _Model, su: Array, sy: Array, delays: tuple[int, ...]) -> Matri
 
 
 def _scales(model: _Model, su: Array, sy: Array) -> Array:
-    """Return the factor of each entry from scaled units to the units of the data."""
+    """Return the factors that convert the entries of the scaled matrices to units of the data."""
     n = model.A.shape[0]
     one = np.ones((n, 1))
     parts = (np.ones((n, n)), one / su, sy[:, None] * one.T, sy[:, None] / su, one / sy)

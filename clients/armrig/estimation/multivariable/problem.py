@@ -131,7 +131,7 @@ class _Equation:
     noise: NoiseFilter
     """Filter from the noise of the row to e."""
     log_scale: float
-    """Sum of the logarithms of the relative variances of e."""
+    """Sum of log s(t); s(t) is the variance of the error at t divided by the variance of e."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +145,7 @@ class RowSolution:
     Z: Array
     """Responses to the unknown state (N, r)."""
     by_scale: Array
-    """Derivative of the sum of the log variances of e with respect to theta."""
+    """Derivative of the sum of log s(t) with respect to theta."""
     trend: Array
     """Level and ramp; empty if the output does not integrate."""
 

@@ -41,7 +41,7 @@ from armrig.numerics.polynomial import Array, roots
 _MAX_ROUNDS = 10
 _SAME_TOLERANCE = 1e-6  # relative change of Lambda at which the iteration from a start ends
 _MAX_MOVES = 3  # largest number of rounds in which a mode is moved
-_MOVED_STARTS = 3  # start values in each of these rounds
+_MOVED_STARTS = 3  # start values with a moved mode in each round
 _END_TOLERANCE = 1e-10  # relative change of Lambda at which the last iteration ends
 
 
@@ -205,7 +205,7 @@ def _iterated(
 ) -> tuple[float, PolynomialProblem, Optimum]:
     """Return log det Lambda, the problem with the last weights, and its minimum.
 
-    From the minimum `end` on, Lambda is estimated and the weighted problem is searched in turn,
+    From the minimum `end` on, the estimation of Lambda and the search with this Lambda alternate,
     until Lambda settles.
     """
     Lambda = _covariance(problem, masks, end.theta)

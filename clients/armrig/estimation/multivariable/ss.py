@@ -45,7 +45,7 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed
 
 _STEPS = 2  # steps of the search between two estimates of Lambda
-_TRIED_STEPS = 6  # the same number while the start values are tried
+_TRIED_STEPS = 6  # steps between two estimates of Lambda while the start values are tried
 _MAX_ROUNDS = 120
 _SAME_TOLERANCE = 1e-9  # change of log det Lambda at which the search ends
 _TRIED_ROUNDS = 3  # rounds from every start value before only the best searches continue
@@ -54,7 +54,7 @@ _PART_SAMPLES = 2000  # samples of long data on which every start is tried
 _DISTINCT = 1e-3  # difference of log det Lambda between two minima
 _CONTINUED = 3  # searches that continue on all data
 _MAX_MOVES = 3  # largest number of rounds in which a mode is moved
-_MAX_CATCH_UP = 10  # distance to the best criterion, in last decreases, at which a search ends
+_MAX_CATCH_UP = 10  # a search ends if it is this many of its decreases above the best
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

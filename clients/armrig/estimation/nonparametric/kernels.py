@@ -259,7 +259,7 @@ def regression(data: Dataset, lags: range, *, integrator: bool) -> FirRegression
 
 
 def _experiment(part: Dataset, x: Vector, lags: range, *, columns: int) -> FirExperiment:
-    """Return one experiment's regression; its level (and ramp, with 2 columns) is projected out."""
+    """Return one experiment's regression; level and (if `columns` is 2) ramp are projected out."""
     first, last = lags[-1], -lags[0]
     padded = np.concatenate([np.zeros(first), x, np.zeros(last)])
     windows = sliding_window_view(padded, len(lags))[:, ::-1]

@@ -65,8 +65,8 @@ class StepAnalysis:
     """Standard deviation of `tau` due to noise, gaps on the rise, and a possible dead time."""
     equivalent_time: float
     """Area between the response and its final value, divided by the final value, in s. The dead
-    time is subtracted. For a rate the area is computed as the time from the step to the zero of the
-    angle's final ramp, extended backwards. A gap on the rise does not affect this zero."""
+    time is subtracted. For a rate, the final ramp of the angle is extended backwards to 0. The area
+    is the time from the step to this zero, which does not depend on gaps on the rise."""
     equivalent_time_std: float
     """Standard deviation of `equivalent_time`, in s."""
     smooth_t: Vector

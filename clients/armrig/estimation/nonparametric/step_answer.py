@@ -1,6 +1,6 @@
 """Step response with its uncertainty, from random curves of a Gaussian process.
 
-The impulse response g is 0 up to the dead time L. At L, g jumps by any amount. After L, g is a
+The impulse response g is 0 up to the dead time L. At L, g may jump by any amount. After L, g is a
 random walk with decaying increments::
 
     var dg = c exp(-(t - L)/T) / (t - L)^2 dt
