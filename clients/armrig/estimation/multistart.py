@@ -282,8 +282,8 @@ def start_values(problem: PredictionErrorProblem) -> Iterator[tuple[str, Array]]
     """Yield named start values (c, d, f) with stable C and F.
 
     F is estimated by output-error models. C and D are then estimated from the residual noise. If
-    the noise is strong, a Box-Jenkins search from the output-error model alone ends in a poor
-    minimum.
+    the noise is strong, a Box-Jenkins search that starts only from the fitted output-error model
+    ends in a poor minimum.
     """
     n = problem.structure
     if n.nf == 0:

@@ -115,10 +115,11 @@ def n4sid(
         `covariance` is the bound lambda (Psi^T Psi)^-1 that a search attains for the same
         polynomials. The covariance of the subspace estimate is larger and not known. In 200
         simulations of an ARMAX system of order 2 (N = 2000), the true standard deviations were 0.92
-        to 1.06 times the bound. The test of `whiteness` assumes minimal one-step errors. The errors
-        of a subspace estimate have a bias that does not decrease with N. Therefore the test rejects
-        whiteness too often if the data are long. For a Box-Jenkins system of order 3 (N = 1000) the
-        test at the level 5 % rejected whiteness in 10 of 100 simulations.
+        to 1.06 times the bound. The test of `whiteness` assumes that the model minimises the
+        one-step errors. The errors of a subspace estimate have a bias that does not decrease with
+        N. Therefore the test rejects whiteness too often if the data are long. For a Box-Jenkins
+        system of order 3 (N = 1000) the test at the level 5 % rejected whiteness in 10 of 100
+        simulations.
 
     Raises
     ------

@@ -58,7 +58,7 @@ class PredictionErrorProblem:
     flat prior. The cost is then |e|² |Z^T Z|^(1/M). The columns of Z are the pulses, and M is the
     number of errors minus the number of pulses. Z excludes the pulses at the beginning of the data,
     so that data without gaps are fitted by plain least squares. The factor |Z^T Z|^(1/M) corrects C
-    but not D. With the same missing samples, the bias of D remains 0.4 standard deviations.
+    but not D. If 3 % of 2000 samples are missing, the bias of D remains 0.4 standard deviations.
 
     References
     ----------

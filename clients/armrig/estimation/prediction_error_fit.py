@@ -318,7 +318,7 @@ def _gap_warnings(unknown: list[Unknown], N: int) -> Iterator[EstimateFinding]:
 def curvature(
     problem: PredictionErrorProblem, theta: Array, covariance: Array, noise_variance: float
 ) -> float:
-    """Return the largest |ln r|; r is the rise of the loss divided by the rise of its parabola.
+    """Return the largest |ln r|; r is the rise of the loss divided by the rise of a parabola.
 
     Both rises are computed two standard deviations from the minimum, in both directions of each
     principal axis v. The axes are the principal axes of the scaled covariance of (c, d, f). At each

@@ -45,7 +45,7 @@ _LIKELIHOOD_TOLERANCE = 1e-3  # change of -2 log likelihood at which the search 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapProblem:
-    """Minimisation over all parameters of a predictor, with missing outputs."""
+    """Minimisation over all parameters of a predictor, for data with missing outputs."""
 
     parts: tuple[Part, ...]
     """Signals of each experiment, whitened by `Lambda`."""
@@ -188,8 +188,8 @@ class GapProblem:
     def influence(self, at: Predictor) -> Array:
         """Return the derivatives of the whitened predictions; initial states are projected out.
 
-        The columns belong to the coordinates of `moved`, (ny N, d). The covariance S is held
-        constant.
+        The columns belong to the coordinates of `moved`, (ny N, d). The covariance S(t) of the
+        errors is held constant.
         """
         V = tangent(at.Abar, at.C)
         states = at.Abar.shape[0] * len(self.parts)

@@ -93,7 +93,7 @@ class ImpulseResponse:
 
     @property
     def rate_std(self) -> Vector | None:
-        """Standard deviations of `rate`, or None."""
+        """Standard deviations of `rate`; None if y does not integrate."""
         if self.rate_covariance is None:
             return None
         return np.sqrt(np.maximum(np.diag(self.rate_covariance), 0.0))
@@ -264,7 +264,8 @@ def impulse_response(
     Raises
     ------
     ValueError
-        There are too few samples for the lags, the kernel is unknown, or u does not excite.
+        There are too few samples for the lags, the kernel is unknown, or u excites too few
+        frequencies.
 
     References
     ----------

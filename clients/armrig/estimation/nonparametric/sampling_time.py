@@ -356,7 +356,7 @@ def _low(estimate: SpectralEstimate) -> float:
 
 
 def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
-    """Return the first frequency with |G| < -3 dB, and the last frequency with |G| > -3 dB."""
+    """Return the first frequency with |G| < gain/sqrt(2), and the last with |G| > gain/sqrt(2)."""
     known = np.isfinite(estimate.G)
     omega, magnitude = estimate.omega[known], estimate.magnitude[known]
     # By chance, |G| exceeds the level at some frequencies that contain only noise. If the coherence

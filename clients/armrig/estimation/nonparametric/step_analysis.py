@@ -30,7 +30,7 @@ Vector = NDArray[np.float64]
 MIN_HOLD_SAMPLES = 8
 """Least number of samples of constant u before and after a step."""
 MIN_GAP_SAMPLES, MIN_GAP_SHARE = 2, 0.1
-"""A gap during the rise is reported from this length on: samples, and share of the 63 % time."""
+"""Least length of a reported gap during the rise: in samples, and as a share of the 63 % time."""
 SETTLING_BAND = 0.05
 """Half width of the band in which the response has settled, as a share of the final value."""
 _SLOPE_SIGMAS = 5  # standard deviations; a smaller slope before the step counts as 0
@@ -362,7 +362,7 @@ def _answer(
 
 
 def _weight(data: Dataset, steps: _Steps) -> float:
-    """Return the ratio of a sample's noise to the noise of the mean response, in units of u."""
+    """Return the noise of one sample divided by the noise of the mean response, in units of u."""
     parts = list(data.experiments())
     sizes = [p.u[at] - p.u[at - 1] for p, at in ((parts[i], at) for i, at in steps.at)]
     return float(np.linalg.norm(sizes))
