@@ -435,8 +435,8 @@ def _notes(
     if near > MIN_ALIASING_SHARE and of and near < MOST_DIFFERENCED:
         yield (
             f"{100 * near:.2g} % of the power is near Nyquist. If {of} has white noise, the "
-            f"differences of the noise have {100 * DIFFERENCED:g} % of the power there at any Ts: "
-            "a faster recording does not lower this share"
+            f"differences of the noise have {100 * DIFFERENCED:g} % of their power there at any "
+            "Ts: a faster recording does not lower this share"
         )
     elif near > MIN_ALIASING_SHARE:
         yield (
