@@ -27,7 +27,7 @@ Vector = NDArray[np.float64]
 NO_OPTION = "remove the means (detrend), or take a structure with the option offset, such as OE"
 """Remedy for an offset if the estimator cannot estimate an offset."""
 
-_MAD_TO_STD = 1.4826  # standard deviation over median |x| of a normal distribution
+_MAD_TO_STD = 1.4826  # ratio of the standard deviation to median |x| for a normal distribution
 _OUTLIER_SIGMAS = 10.0  # robust standard deviations that Gaussian residuals never exceed
 _MIN_OUTLIER_SHARE = 0.2  # share of the sum of squares above which outliers dominate the estimate
 _TWO_LEVELS = 2
@@ -79,7 +79,7 @@ def swapped(data: Dataset) -> Iterator[EstimateFinding]:
 
 
 def undetermined(data: Dataset) -> str:
-    """Return the text that explains why the data do not determine the parameters, or a remedy."""
+    """Return why the data do not determine the parameters; if the cause is unknown, a remedy."""
     for name, x in (("u", data.u), (data.output, data.y[data.valid])):
         if x.size and np.ptp(x) == 0:
             return f"{name} is always {x[0]:.4g}: give the column that varies, or record again"

@@ -1,4 +1,4 @@
-"""Start values for a search, from linear regressions: noise models and output-error models.
+"""Start values for a search: noise models and output-error models from linear regressions.
 
 References
 ----------

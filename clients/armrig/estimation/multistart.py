@@ -30,7 +30,7 @@ Ends = list[tuple[str, Optimum]]
 
 SAME_COST_TOLERANCE = 1e-6  # relative difference in cost up to which two searches agree
 ROUNDING_SHARE = 1e-18  # share of |y|² below which |e|² is rounding noise
-_MIN_NOISE_SHARE = 0.2  # with a larger noise share of the output's variance, a mode may fit noise
+_MIN_NOISE_SHARE = 0.2  # if noise is a larger share of the output's variance, a mode may fit noise
 _MAX_ROUNDS = 6
 _MAX_MOVED_COEFFICIENTS = 30  # coefficients of C, D and F; with 60 a round takes a minute
 _STAGES = ((10, 16), (40, 1))  # (steps of each search, number of searches that continue)
@@ -104,7 +104,7 @@ def _lowest_beside(problem: PredictionErrorProblem, best: Optimum, *, thorough: 
 def _from_starts(problem: PredictionErrorProblem) -> Ends:
     """Return the minimum reached from each start value, best first.
 
-    The searches begin with the start value of least cost.
+    The first search is from the start value of least cost.
     """
     starts = sorted(start_values(problem), key=lambda start: problem.cost(start[1]))
     ends: Ends = []
@@ -282,8 +282,8 @@ def start_values(problem: PredictionErrorProblem) -> Iterator[tuple[str, Array]]
     """Yield named start values (c, d, f) with stable C and F.
 
     F is estimated by output-error models. C and D are then estimated from the residual noise. If
-    the noise is strong, a Box-Jenkins search from the output-error model alone ends in a poor
-    minimum.
+    the noise is strong, a Box-Jenkins search that starts only from the fitted output-error model
+    ends in a poor minimum.
     """
     n = problem.structure
     if n.nf == 0:

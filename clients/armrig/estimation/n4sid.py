@@ -43,11 +43,11 @@ from armrig.numerics.polynomial import Array, filtered, reflected, without_integ
 _MAX_SUGGESTED_ORDER = 10
 _MAX_DISTANCE_FROM_1 = 0.02  # a pole farther from 1 is not taken for an integrator
 _NO_GAIN_TEXT = (
-    "no steady Kalman gain was found, so in the subspace model C is A with its roots inside the "
+    "no steady Kalman gain was found, so C of the subspace model is A with its roots inside the "
     "unit circle"
 )
 _BOUND_TEXT = (
-    "the standard deviations are the bound that a search attains; the standard deviations of a "
+    "the standard deviations are a lower bound, which a search attains; those of a "
     "subspace estimate are larger"
 )
 _COLOURED_TEXT = (
@@ -115,10 +115,11 @@ def n4sid(
         `covariance` is the bound lambda (Psi^T Psi)^-1 that a search attains for the same
         polynomials. The covariance of the subspace estimate is larger and not known. In 200
         simulations of an ARMAX system of order 2 (N = 2000), the true standard deviations were 0.92
-        to 1.06 times the bound. The test of `whiteness` assumes minimal one-step errors. The errors
-        of a subspace estimate have a bias that does not decrease with N. Therefore the test rejects
-        whiteness too often if the data are long. For a Box-Jenkins system of order 3 (N = 1000) the
-        test at the level 5 % rejected whiteness in 10 of 100 simulations.
+        to 1.06 times the bound. The test of `whiteness` assumes that the model minimises the
+        one-step errors. The errors of a subspace estimate have a bias that does not decrease with
+        N. Therefore the test rejects whiteness too often if the data are long. For a Box-Jenkins
+        system of order 3 (N = 1000) the test at the level 5 % rejected whiteness in 10 of 100
+        simulations.
 
     Raises
     ------

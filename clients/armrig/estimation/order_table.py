@@ -39,7 +39,7 @@ Matrix = NDArray[np.float64]
 Integers = NDArray[np.int_]
 
 _MIN_INDEPENDENT_SHARE = 1e-10  # least share of a column that earlier columns do not explain
-_BLOCK_ROWS = 4096  # rows decomposed at once, which fit into the cache
+_BLOCK_ROWS = 4096  # rows decomposed at once; they fit into the cache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,7 +122,7 @@ class OrderTable:
         return without if self.validation_loss is None else ("validation", *without)
 
     def values(self, criterion: Criterion) -> Vector:
-        """Return a criterion of every structure, (n,); NaN if its parameters are not determined.
+        """Return the criterion of every structure, (n,); NaN if the parameters are undetermined.
 
         Raises
         ------

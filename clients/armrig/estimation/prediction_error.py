@@ -25,7 +25,7 @@ class Solution:
     given: tuple[LinearPart, ...]
     """Linear equation for A, B and the unknown past of each experiment."""
     e: Array
-    """Residuals of all experiments, (M,); 0 in a row that has no residual."""
+    """Residuals of all experiments, (M,); 0 in rows without a residual."""
     by_ab: Array
     """Derivatives of the prediction with respect to (a, b), (M, na + nb). Their projection on the
     effects of the unknown past is subtracted."""
@@ -56,9 +56,9 @@ class PredictionErrorProblem:
     pulses also fit part of the noise itself, so that many gaps bias C. If 3 % of 2000 samples are
     missing, the bias is 0.7 standard deviations. Therefore the pulses are integrated out with a
     flat prior. The cost is then |e|² |Z^T Z|^(1/M). The columns of Z are the pulses, and M is the
-    number of errors minus the number of pulses. Z excludes the pulses before the first gap, so that
-    data without gaps are fitted by plain least squares. The factor |Z^T Z|^(1/M) corrects C but not
-    D. With the same missing samples, the bias of D remains 0.4 standard deviations.
+    number of errors minus the number of pulses. Z excludes the pulses at the beginning of the data,
+    so that data without gaps are fitted by plain least squares. The factor |Z^T Z|^(1/M) corrects C
+    but not D. If 3 % of 2000 samples are missing, the bias of D remains 0.4 standard deviations.
 
     References
     ----------

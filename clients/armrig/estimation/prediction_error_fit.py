@@ -31,8 +31,8 @@ PART_SAMPLES = 3000
 """Number of samples in the part of long data on which searches start. If the data have at most
 twice this number of samples, searches start on all data."""
 MAX_PULSE_SHARE = 0.01
-"""Limit of the number of pulses after gaps, divided by the number of errors. If this ratio is
-larger, the fit has a warning."""
+"""The fit has a warning if the number of pulses after gaps, divided by the number of errors, is
+above this limit."""
 CURVED_TEXT = (
     "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
     "within two standard deviations. A pole and a zero may nearly cancel. The standard deviations "
@@ -121,7 +121,7 @@ def searched(
 
 
 def _part(data: Dataset, structure: Structure) -> PredictionErrorProblem | None:
-    """Return the problem for the part of long data in which the input moves most, or None."""
+    """Return the problem for the part of the data in which u moves most; None for short data."""
     if data.N <= 2 * PART_SAMPLES:
         return None
     begins = np.linspace(0, data.N - PART_SAMPLES, 8).astype(int)
@@ -318,7 +318,7 @@ def _gap_warnings(unknown: list[Unknown], N: int) -> Iterator[EstimateFinding]:
 def curvature(
     problem: PredictionErrorProblem, theta: Array, covariance: Array, noise_variance: float
 ) -> float:
-    """Return the largest |ln r|; r is the rise of the loss divided by the rise of its parabola.
+    """Return the largest |ln r|; r is the rise of the loss divided by the rise of a parabola.
 
     Both rises are computed two standard deviations from the minimum, in both directions of each
     principal axis v. The axes are the principal axes of the scaled covariance of (c, d, f). At each

@@ -84,9 +84,9 @@ class RarxState:
     def std(self) -> Vector:
         """Standard deviations of theta (d,), for white noise; inf if theta is not determined.
 
-        With the weights w = lambda^k the covariance is s² G^-1 (sum of w² phi phi^T) G^-1. G is the
-        sum of w phi phi^T, and s² is `noise_variance`. For a stationary input the middle factor is
-        G (sum of w²) / (sum of w).
+        With the weights w = lambda^k, where lambda is `forgetting`, the covariance is s² G^-1 (sum
+        of w² phi phi^T) G^-1. G is the sum of w phi phi^T, and s² is `noise_variance`. For a
+        stationary input the middle factor is G (sum of w²) / (sum of w).
         """
         if not self.determined:
             return np.full(self.na + self.nb, np.inf)
@@ -96,7 +96,7 @@ class RarxState:
 
     @property
     def _share(self) -> float:
-        """Ratio (sum of w²) / (sum of w)."""
+        """Ratio (sum of w²) / (sum of w) of the weights w of the samples."""
         return (2 - self.weight * (1 - self.forgetting)) / (1 + self.forgetting)
 
     @property
@@ -166,10 +166,11 @@ def rarx_step(state: RarxState, u: float, y: float) -> RarxState:
 
     u is applied from t on, and y is measured at t. A missing value is NaN.
 
-    The triangular factor R of earlier rows is multiplied by sqrt(lambda), and the row [phi y] is
-    added to the factor by rotations. After N steps the result equals, except for rounding, the
-    weighted least-squares estimate from all samples. The method needs no covariance matrix, which
-    could become indefinite. A row that depends on a missing y changes neither R nor the weights.
+    The triangular factor R of the earlier rows is multiplied by the square root of the forgetting
+    factor. Rotations then add the row [phi y] to R. After N steps the result equals, except for
+    rounding, the weighted least-squares estimate from all samples. The method needs no covariance
+    matrix, which could become indefinite. A row that depends on a missing y changes neither R nor
+    the weights.
 
     Examples
     --------

@@ -34,7 +34,7 @@ class Option:
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True):
-    """A structure with its orders and the options of its estimator."""
+    """Structure of a model, its orders, and the options of its estimator."""
 
     structure: OfferedName
     orders: dict[str, int | None]
@@ -67,7 +67,7 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
         return estimator(self.structure)(data, **self.orders, nk=self.nk, **self.asked)
 
     def of_fit(self, fit: Fit) -> Self:
-        """Return this request with the orders, the integrator and the offset of a model."""
+        """Return this request with the orders, the integrator and the offset of the model `fit`."""
         orders = dict(fit.orders)
         nk = orders.pop("nk")
         # With an integrator the offset is always estimated.

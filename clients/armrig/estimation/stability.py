@@ -98,7 +98,7 @@ def largest_unstable(model: Model) -> float:
 
 
 def with_stability_warning(fit: Fit) -> Fit:
-    """Return the fit, with a warning if a pole is not inside the circle."""
+    """Return the fit, with a warning if a pole is not inside the unit circle."""
     farthest = largest_unstable(fit)
     if not farthest:
         return fit

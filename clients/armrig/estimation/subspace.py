@@ -159,7 +159,8 @@ class Projection:
     H: Array
     """Matrix H in Y_f = H W_p + L U_f + noise, (f, 2 p)."""
     U: Array
-    """Left singular vectors without weights, (f, f); the first n span the observability matrix."""
+    """Left singular vectors without weights, (f, f); the first n span the columns of the
+    observability matrix."""
     singular_values: Array
     """Singular values (f,); with "cva" the canonical correlations of past and future."""
 
@@ -238,12 +239,11 @@ class Realisation:
 def realised(w: Windows, found: Projection, n: int) -> Realisation:
     """Return A and the eigenvalues of A - K C for n states.
 
-    A follows from the shift invariance of the observability matrix. K, and with K the
-    matrix A - K C, follow from the residuals of the states.
+    A is computed from the shift invariance of the observability matrix.
 
     The states at t and t + 1 are computed by two projections. The states at t + 1 and y(t) are
-    regressed on the states at t and the inputs. The covariance of the residuals determines K by a
-    Riccati equation.
+    regressed on the states at t and the inputs. K follows from a Riccati equation with the
+    covariance of the residuals.
     """
     f = w.future
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
@@ -274,8 +274,8 @@ def _steady_filter(A: Array, C: Array, covariance: Array) -> Array | None:
         | F^T               0 |       | I  C C^T / r |
         | (S S^T / r - Q)   I | - z * | 0  F         |
 
-    K itself is not needed. The states are scaled so that both blocks have the same norm for any
-    unit of y.
+    K itself is not needed. The states are scaled so that C C^T / r and S S^T / r - Q have the same
+    norm for any unit of y.
 
     References
     ----------

@@ -35,8 +35,8 @@ from armrig.numerics.stretches import stretches
 
 MIN_HORIZON, MAX_HORIZON = 10, 30
 """Limits of the horizon that AIC chooses, in samples."""
-_MAX_WINDOWS = 4000  # most windows from which the longest horizon is chosen
-_MAX_COMPARED_SAMPLES = 2000  # most samples on which models are compared
+_MAX_WINDOWS = 4000  # largest number of windows for the choice of the longest horizon
+_MAX_COMPARED_SAMPLES = 2000  # largest number of samples for the comparison of models
 _MIN_LOSS_SHARE = 1e-10  # share of |y|²; normal equations lose all digits of a smaller loss
 
 Signals = Sequence[tuple[Array, Array]]
@@ -52,7 +52,7 @@ def delayed_signals(data: Dataset, nk: int) -> Signals:
 def usable_windows(
     data: Dataset, signals: Signals, order: int | None, horizon: int | None
 ) -> Windows:
-    """Return the windows for the given horizon, or for the longest useful horizon."""
+    """Return the windows for `horizon`; if it is None, for the longest useful horizon."""
     measured = data.N - data.missing
     i = longest_horizon(signals, measured, order) if horizon is None else int(horizon)
     require_integers(horizon=(i, 3 if order is None else int(order) + 2))
@@ -140,14 +140,14 @@ class Poles:
     A: Array
     """Polynomial of the poles; with an integrator one pole is exactly 1."""
     C: Array
-    """Polynomial of the predictor's poles, none outside the circle."""
+    """Polynomial of the predictor's poles; no pole is outside the unit circle."""
     horizon: int
     """Number of past and of future samples of the projection."""
     singular_values: Array
     """Singular values of the projection."""
     steady: bool
     """True if there is a steady Kalman filter. Otherwise C is A with all roots moved inside the
-    circle."""
+    unit circle."""
 
 
 def poles_at(w: Windows, found: Projection, order: int, *, integrator: bool) -> Poles:

@@ -24,7 +24,7 @@ def telegraph(
     high: float = 4.5,
     seed: int | np.random.Generator = 1,
 ) -> Vector:
-    """Return a random telegraph signal (N,), which switches between two levels with probability a.
+    """Return a random telegraph signal (N,): at each sample, the level changes with probability a.
 
     Both levels have equal probability for the first sample. The spectrum equals the spectrum of a
     first-order process with the autocorrelation (1 - 2a)^|k|.

@@ -153,7 +153,7 @@ def _may_be_decimals(text: str) -> bool:
 
 
 def _unreadable(path: str | Path, lines: list[str], rows: list[int]) -> str:
-    """Return the message about the first line that is no row of the table."""
+    """Return the message about the first line that is not a row of the table."""
     width = len(lines[0].split())
     for row, line in zip(rows, lines, strict=True):
         words = line.split()

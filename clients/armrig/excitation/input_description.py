@@ -48,7 +48,7 @@ class InputDescription:
     highest_order: int
     """Highest tested order. If `order` equals this number, the true order may be higher."""
     weakest: float
-    """Least eigenvalue of the covariance matrix of `order` samples, divided by the variance.
+    """Least eigenvalue of the covariance matrix of `order` consecutive samples, divided by var u.
 
     With white noise the ratio is 1. In the direction of the corresponding eigenvector, the variance
     of estimated parameters is 1/weakest times as large as with white noise of the same power.
@@ -179,7 +179,7 @@ def _halves(u: Vector) -> tuple[Vector, ...]:
 
 
 def _excitation(u: Vector, highest: int) -> tuple[int, float]:
-    """Return the order, and the least eigenvalue of the covariance matrix of that order."""
+    """Return the order of excitation, and the least eigenvalue of the covariance of that order."""
     windows = np.lib.stride_tricks.sliding_window_view(u, highest)
     R = triangle(in_blocks(windows, _BLOCK_ROWS), highest) / np.sqrt(windows.shape[0])
     order, weakest = 0, 0.0

@@ -27,7 +27,7 @@ def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:
     low, high : float
         Levels in V, 0 <= low < high <= 5.
     at : int, default 0
-        First sample at the higher level, 0 to N; with N the signal stays low.
+        Number of the first sample at `high`, 0 to N; if it is N, the signal stays at `low`.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def staircase(
     Returns
     -------
     ndarray, shape (N,)
-        Voltage in V at each sample; the times at the levels differ by at most one sample.
+        Voltage in V at each sample; the durations of the levels differ by at most one sample.
 
     Raises
     ------

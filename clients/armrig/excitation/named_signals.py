@@ -32,8 +32,8 @@ def named_signal(
     Ts : float
         Sampling time, in s.
     a : float
-        Probability of a switch of the telegraph at each sample. A prbs holds each value for 1/(2 a)
-        samples, so that both signals have the same mean switching rate.
+        Probability that the telegraph signal switches at a sample. A prbs holds each value for 1/(2
+        a) samples, so that both signals have the same mean switching rate.
     low, high : float
         Interval in V, 0 <= low < high <= 5.
     seed : int
@@ -67,7 +67,7 @@ def details_of(name: str, *, a: float, low: float, high: float, seed: int) -> di
 
 
 def clock_of(a: float) -> int:
-    """Return the clock of a prbs, in samples, for the mean switching rate of a telegraph."""
+    """Return the clock, in samples, of a prbs that switches as often as a telegraph signal."""
     require_numbers(a=a)
     if not 0 < a <= 0.5:
         raise InputError(f"a={a!r}: a prbs switches with a probability of more than 0, at most 0.5")
@@ -120,7 +120,7 @@ def realisations(
     Raises
     ------
     ValueError
-        `multisine` refuses the settings.
+        `multisine` does not allow one of the settings.
     """
     require_integers(N=(N, 1), R=(R, 1), seed=(seed, 0), periods=(periods, 1))
     lines = range(1, max(1, N // periods // 4) + 1)

@@ -113,7 +113,7 @@ def _lines(lines: Iterable[int] | None, P: int) -> np.ndarray[tuple[int], np.dty
         require_integers(line=(line, 1))
         if line > highest:
             raise InputError(
-                f"line {line} is above {highest}, the highest below half of the period P={P}; "
+                f"line {line} is above {highest}, the highest line for the period P={P}; "
                 "lower it or lengthen the period"
             )
     return np.fromiter(chosen, dtype=np.intp, count=len(chosen))
@@ -133,8 +133,8 @@ def chirp(
     """Return a sine (N,) whose frequency moves from `from_hz` to `to_hz`.
 
     A linear sweep takes the same time for each hertz, and a logarithmic sweep takes the same time
-    for each octave. The sine begins in the middle of the interval and fills the interval. The crest
-    factor of the sine is sqrt(2).
+    for each octave. The sine begins in the middle of the interval and moves between low and high.
+    The crest factor of the sine is sqrt(2).
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ class ErrorProcess:
         return F
 
     def drawn(self, rng: np.random.Generator, N: int) -> Array:
-        """Return N errors (N, ny) of the process; w is drawn from the estimated w."""
+        """Return N errors (N, ny) of the process, with w drawn from the estimated values of w."""
         p, ny, _ = self.coefficients.shape
         w = self.w[rng.integers(0, self.w.shape[0], N + _SETTLING * (p > 0))]
         if p == 0:
@@ -56,7 +56,7 @@ class ErrorProcess:
 
 
 def error_process(errors: Sequence[Array]) -> ErrorProcess:
-    """Return the process of 10 lags, or of fewer if there are few errors.
+    """Return the autoregression with 10 lags, or with fewer lags if there are few errors.
 
     The variance of w is corrected for the number of estimated coefficients.
 

@@ -52,7 +52,7 @@ _REPLICATES = 100
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Model:
-    """Matrices in scaled units, and the state at the start of each experiment."""
+    """Matrices for the scaled signals, and the state at the start of each experiment."""
 
     A: Array
     B: Array
@@ -104,8 +104,8 @@ def n4sid(
     Returns
     -------
     MultivariableFit
-        The covariance describes the scatter of the replicates' impulse responses, converted to
-        changes of the matrices.
+        The covariance of the matrices is computed from the scatter of the replicates' impulse
+        responses.
 
     Raises
     ------
@@ -352,7 +352,7 @@ def _form(model: _Model, su: Array, sy: Array, delays: tuple[int, ...]) -> Matri
 
 
 def _scales(model: _Model, su: Array, sy: Array) -> Array:
-    """Return the factor of each entry from scaled units to the units of the data."""
+    """Return the factors that convert the entries of the scaled matrices to units of the data."""
     n = model.A.shape[0]
     one = np.ones((n, 1))
     parts = (np.ones((n, n)), one / su, sy[:, None] * one.T, sy[:, None] / su, one / sy)

@@ -127,7 +127,7 @@ def select_orders(
 
 
 def _rows(data: Signals, i: int, delays: Integers) -> list[_Row]:
-    """Return the experiments with each input delayed, and one output."""
+    """Return the delayed inputs and output i of each experiment."""
     return [
         _Row(
             u=np.hstack([past(u, [lag]) for u, lag in zip(part.u.T, delays.tolist(), strict=True)]),

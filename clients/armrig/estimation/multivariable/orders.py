@@ -63,7 +63,7 @@ def _matrix(name: str, value: Any, keys: list[list[Any]], least: int, what: str)
 
 
 def _named(name: str, value: Mapping[Any, Any], keys: list[Any], least: int) -> Integers:
-    """Return the orders of all keys; in nk, a channel without a key has the order 1."""
+    """Return the orders of all keys; in nk, a channel without a key has the delay 1."""
     unknown = [key for key in value if key not in keys]
     missing = [key for key in keys if key not in value] if name != "nk" else []
     if unknown or missing:

@@ -49,9 +49,10 @@ def plans_of(
     Parameters
     ----------
     orders : dict
-        nb, nk and nf (ny, nu), and nc and nd (ny,), by name; nf of an ARMAX model is its na.
+        Arrays nb, nk and nf (ny, nu), and nc and nd (ny,), by name. For an ARMAX model, nf contains
+        na.
     equation_error : bool
-        True if F and D of each row are one polynomial.
+        True if F and D of each row are the same polynomial.
     """
     if initial not in ("estimate", "zero"):
         raise InputError(f'initial={initial!r} must be "estimate" or "zero"')
@@ -66,7 +67,9 @@ def plans_of(
     inside = np.zeros(data.ny, dtype=np.int_) if shared else np.array(integrators, dtype=np.int_)
     if (nf < inside[:, None]).any():
         name = "na" if equation_error else "nf"
-        raise InputError(f"{name} must be at least 1 with an integrator, because its root counts")
+        raise InputError(
+            f"{name} must be at least 1 with an integrator, because the root at 1 counts"
+        )
     if shared and not (nf == nf[0, 0]).all():
         raise InputError(f"nf={nf.tolist()}: outputs that share a denominator need one order nf")
     groups = [range(data.ny)] if shared else [range(i, i + 1) for i in range(data.ny)]

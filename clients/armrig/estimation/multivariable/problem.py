@@ -89,7 +89,7 @@ class Row:
 
     @property
     def without_noise(self) -> Row:
-        """Equation of the same output with white noise."""
+        """Same equation with white noise (C = D = 1)."""
         return replace(self, c=ONE, d=ONE, integrated_noise=False)
 
     @property
@@ -103,7 +103,7 @@ class RowData:
     """Signals of one experiment for the equation of one output."""
 
     u: Array
-    """Inputs (N, nu), summed for an integrating output."""
+    """Inputs (N, nu); running sums of the inputs if the output integrates."""
     y: Array
     """Output (N,), 0 where it is missing."""
     rows: Mask
@@ -131,7 +131,7 @@ class _Equation:
     noise: NoiseFilter
     """Filter from the noise of the row to e."""
     log_scale: float
-    """Sum of the logarithms of the relative variances of e."""
+    """Sum of log s(t); s(t) is the variance of the error at t divided by the variance of e."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +145,7 @@ class RowSolution:
     Z: Array
     """Responses to the unknown state (N, r)."""
     by_scale: Array
-    """Derivative of the sum of the log variances of e with respect to theta."""
+    """Derivative of the sum of log s(t) with respect to theta."""
     trend: Array
     """Level and ramp; empty if the output does not integrate."""
 
@@ -166,7 +166,7 @@ class Solution:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PolynomialProblem:
-    """Minimisation of the sum of e^T inv(Lambda) e over time and experiments."""
+    """Minimisation of e^T inv(Lambda) e, summed over all samples of all experiments."""
 
     rows: tuple[Row, ...]
     """Equation of each output."""
@@ -255,7 +255,7 @@ class PolynomialProblem:
         )
 
     def normals(self, theta: Array) -> Array:
-        """Return the gradients in theta of |z| for the roots z of C and F on the unit circle."""
+        """Return the gradient of |z| in theta for each root z of C and F on the unit circle."""
         found = [np.zeros((0, theta.size))]
         for p, bounded, part in zip(
             self.polynomials(theta), self.bounded, self.slices, strict=True
@@ -288,7 +288,7 @@ class PolynomialProblem:
     def _without_states(
         self, equations: list[list[_Equation]], scales: list[float]
     ) -> tuple[list[Basis], Array, Array]:
-        """Return the basis of the states of each experiment, and X and y without these states."""
+        """Return the basis of each experiment's states; X and y with the states projected out."""
         states, whole = [], []
         for of, G in zip(equations, self.weights, strict=True):
             state = orthonormal(spread_apart(G, [s * g.Z for g, s in zip(of, scales, strict=True)]))

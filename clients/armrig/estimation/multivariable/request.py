@@ -69,7 +69,7 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
         return orders | {"nk": self.nk} | {name: x for name, x in options.items() if name in takes}
 
     def _without_root(self, name: str, n: int, data: Signals) -> Any:
-        """Return an order of each channel, lower by one for an output without an integrator."""
+        """Return the order n for each channel, lowered by one if the output has no integrator."""
         if name in _DENOMINATORS and self.shared:
             return n - 1
         others = [output for output in data.outputs if output not in self.integrating]

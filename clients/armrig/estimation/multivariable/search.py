@@ -41,7 +41,7 @@ from armrig.numerics.polynomial import Array, roots
 _MAX_ROUNDS = 10
 _SAME_TOLERANCE = 1e-6  # relative change of Lambda at which the iteration from a start ends
 _MAX_MOVES = 3  # largest number of rounds in which a mode is moved
-_MOVED_STARTS = 3  # start values in each of these rounds
+_MOVED_STARTS = 3  # start values with a moved mode in each round
 _END_TOLERANCE = 1e-10  # relative change of Lambda at which the last iteration ends
 
 
@@ -119,7 +119,7 @@ def estimated(
 
 
 def _estimated(data: Signals, plan: Plan, orders: str) -> _Estimated:
-    """Return the estimate of the rows of one plan; with several rows, Lambda is iterated."""
+    """Return the estimate of the outputs of one plan; for several outputs, Lambda is iterated."""
     parts = list(data.experiments())
     experiments = tuple(
         tuple(
@@ -164,11 +164,11 @@ def _reweighted(
 ) -> tuple[PolynomialProblem, list[tuple[str, Optimum]]]:
     """Return the problem of the best minimum, and the minima after Lambda is iterated.
 
-    From each of the minima `ends`, the search and the estimate of Lambda are repeated in turn. The
-    best minimum has the least det Lambda. Then one mode of a denominator is moved, as long as a
-    move leads to a better minimum. The best minimum need not be the first of `ends`, because the
-    searches for `ends` used the variances of the outputs as Lambda. With these variances, an output
-    that integrates has little weight.
+    From each minimum in `ends`, the search and the estimation of Lambda alternate. The best minimum
+    has the least det Lambda. Then one mode of a denominator is moved, as long as a move leads to a
+    better minimum. The best minimum need not be the first of `ends`, because the searches for
+    `ends` used the variances of the outputs as Lambda. With these variances, an output that
+    integrates has little weight.
     """
     found = [(name, *_iterated(problem, masks, end, _SAME_TOLERANCE)) for name, end in ends]
     found = ranked(found, lambda one: one[1])
@@ -205,7 +205,7 @@ def _iterated(
 ) -> tuple[float, PolynomialProblem, Optimum]:
     """Return log det Lambda, the problem with the last weights, and its minimum.
 
-    From the minimum `end` on, Lambda is estimated and the weighted problem is searched in turn,
+    From the minimum `end` on, the estimation of Lambda and the search with this Lambda alternate,
     until Lambda settles.
     """
     Lambda = _covariance(problem, masks, end.theta)
@@ -243,7 +243,7 @@ def _starts(data: Signals, one: _Estimated) -> Iterator[Start]:
 
 
 def _inference(data: Signals, found: Sequence[_Estimated]) -> Inference:
-    """Return the covariance of the parameters of all plans, side by side."""
+    """Return the covariance of the joined parameters of all plans."""
     widths = [one.problem.row_slices[-1].stop + one.theta.size for one in found]
     d = sum(widths)
     parts = list(data.experiments())
@@ -283,7 +283,7 @@ def _inference(data: Signals, found: Sequence[_Estimated]) -> Inference:
 
 
 def _parameters(data: Signals, found: Sequence[_Estimated]) -> list[float]:
-    """Return the number of parameters of each output; if k outputs share one, it counts 1/k."""
+    """Return the number of parameters of each output; a parameter of k outputs counts 1/k."""
     counts = [0.0] * data.ny
     for one in found:
         users = [

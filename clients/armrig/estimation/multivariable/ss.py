@@ -1,4 +1,4 @@
-"""State-space models by the prediction error, with several inputs and outputs."""
+"""State-space models with several inputs and outputs, by the prediction-error method."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed
 
 _STEPS = 2  # steps of the search between two estimates of Lambda
-_TRIED_STEPS = 6  # the same number while the start values are tried
+_TRIED_STEPS = 6  # steps between two estimates of Lambda while the start values are tried
 _MAX_ROUNDS = 120
 _SAME_TOLERANCE = 1e-9  # change of log det Lambda at which the search ends
 _TRIED_ROUNDS = 3  # rounds from every start value before only the best searches continue
 _TRIED_TOLERANCE = 1e-3  # change of log det Lambda at which a trial ends
 _PART_SAMPLES = 2000  # samples of long data on which every start is tried
-_DISTINCT = 1e-3  # difference of log det Lambda between two minima
+_DISTINCT = 1e-3  # least difference of log det Lambda between two distinct minima
 _CONTINUED = 3  # searches that continue on all data
 _MAX_MOVES = 3  # largest number of rounds in which a mode is moved
-_MAX_CATCH_UP = 10  # distance to the best criterion, in last decreases, at which a search ends
+_MAX_CATCH_UP = 10  # a search ends if it is this many of its decreases above the best
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -285,7 +285,7 @@ def _searched(
 def _begun(
     problem: StateSpaceProblem, values: Mapping[str, tuple[Array, Array]], criterion: _Criterion
 ) -> list[_End]:
-    """Return the state of a search at each start value."""
+    """Return the criterion and Lambda at each start value, as the first state of each search."""
     found = []
     for name, (Abar, C) in values.items():
         Lambda, value = criterion(problem, Abar, C, problem.linear(Abar, C))
@@ -294,7 +294,7 @@ def _begun(
 
 
 def _tried(problem: StateSpaceProblem, ends: list[_End], criterion: _Criterion) -> list[_End]:
-    """Return the distinct searches after some rounds, best first."""
+    """Return the distinct models after `_TRIED_ROUNDS` rounds of each search, best first."""
     for _ in range(_TRIED_ROUNDS):
         ends = _different(
             [_round(problem, end, criterion, _TRIED_STEPS, _TRIED_TOLERANCE) for end in ends]
@@ -303,7 +303,7 @@ def _tried(problem: StateSpaceProblem, ends: list[_End], criterion: _Criterion) 
 
 
 def _part(problem: StateSpaceProblem) -> StateSpaceProblem:
-    """Return the problem for the first samples of long data, at most `_PART_SAMPLES`."""
+    """Return the problem for at most the first `_PART_SAMPLES` samples of the data."""
     left, parts = _PART_SAMPLES, []
     for part in problem.parts:
         n = min(part.u.shape[0], left)
@@ -324,7 +324,7 @@ def _different(ends: list[_End]) -> list[_End]:
 
 
 def _improved(problem: StateSpaceProblem, end: _End, criterion: _Criterion, least: float) -> _End:
-    """Return the last state of a search; the search stops early if it cannot reach `least`."""
+    """Continue a search from `end`; stop early if the search cannot reach the criterion `least`."""
     for _ in range(_MAX_ROUNDS):
         before, end = end, _round(problem, end, criterion, _STEPS, _SAME_TOLERANCE)
         decrease = before.criterion - end.criterion
@@ -336,7 +336,7 @@ def _improved(problem: StateSpaceProblem, end: _End, criterion: _Criterion, leas
 def _round(
     problem: StateSpaceProblem, end: _End, criterion: _Criterion, most: int, tolerance: float
 ) -> _End:
-    """Return the search after at most `most` steps with one Lambda, and the next Lambda."""
+    """Continue the search for at most `most` steps with the same Lambda, then estimate Lambda."""
     if end.converged:
         return end
     weighted = _weighted(problem, end.Lambda)
@@ -358,8 +358,8 @@ def _form(
 ) -> tuple[Matrices, Array]:
     """Return the model in units of the data, and the derivatives of its theta.
 
-    The free parameters are the coordinates along the tangent space, then Bbar and K, signal by
-    signal, then D.
+    The derivatives are with respect to the parameters of the search, in this order: the coordinates
+    along the tangent space, Bbar and K (signal by signal), and D.
     """
     n, ny, nu = problem.order, sy.size, su.size
     Abar, C, K, D = predictor.Abar, predictor.C, predictor.K, predictor.D

@@ -54,7 +54,7 @@ def start_values(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
 
 
 def _denominators(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
-    """Yield named start values in which only the denominators are set."""
+    """Yield named start values with estimated denominators; all other polynomials are 1."""
     groups = [g for g in dict.fromkeys(f for row in problem.rows for f in row.f) if g != ONE]
     if not groups:
         return
@@ -80,7 +80,7 @@ def _paths(problem: PolynomialProblem) -> tuple[_Paths, _Paths, _Paths]:
 
     In the first form the output is the contribution of one input. In the second form the output is
     y minus the contributions of all other inputs. In the third form the output is y, and the
-    equation has all inputs. Only a row whose inputs share one denominator has this form.
+    equation has all inputs. Only a row whose inputs share one denominator has the third form.
     """
     alone: _Paths = {}
     rest: _Paths = {}
@@ -102,7 +102,7 @@ def _paths(problem: PolynomialProblem) -> tuple[_Paths, _Paths, _Paths]:
 
 
 def _differenced(x: RowData) -> RowData:
-    """Return the signals for the equation of an integrating output's rate."""
+    """Return the differences of u and y, for the model of the rate of an integrating output."""
     y = np.diff(_filled(x), prepend=_filled(x)[:1])
     return RowData(u=np.diff(x.u, axis=0, prepend=0.0), y=y, rows=np.ones_like(x.rows))
 

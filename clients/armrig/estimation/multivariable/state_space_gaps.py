@@ -45,7 +45,7 @@ _LIKELIHOOD_TOLERANCE = 1e-3  # change of -2 log likelihood at which the search 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapProblem:
-    """Minimisation over all parameters of a predictor, with missing outputs."""
+    """Minimisation over all parameters of a predictor, for data with missing outputs."""
 
     parts: tuple[Part, ...]
     """Signals of each experiment, whitened by `Lambda`."""
@@ -55,10 +55,12 @@ class GapProblem:
     """True if D is estimated."""
 
     def errors(self, predictors: Sequence[Predictor]) -> tuple[Array, Array]:
-        """Return the whitened errors and the mean of log det(S inv(Lambda_oo)) of each predictor.
+        """Return the whitened errors and the mean of the log determinants of each predictor.
 
         The errors (m, N ny) are ordered by experiment and then by output. An error is 0 where the
-        output is missing. The mean is over all measured values, (m,).
+        output is missing. A sample of covariance S after a gap contributes log det(S
+        inv(Lambda_oo)), where o are its measured outputs. The mean (m,) is the sum divided by the
+        number of measured values.
         """
         found, logs, count = [], np.zeros(len(predictors)), 0
         for i, part in enumerate(self.parts):
@@ -165,7 +167,7 @@ class GapProblem:
         return self.moved(at, V, found.theta), found
 
     def residuals(self, at: Predictor) -> list[Array]:
-        """Return the errors (N, ny) of each experiment, scaled to the covariance of e; NaN if none.
+        """Return the errors (N, ny) of each experiment, scaled like e; NaN where y is missing.
 
         An error is scaled by the root of Lambda_oo inv(S), so that its covariance is Lambda_oo.
         """
@@ -186,8 +188,8 @@ class GapProblem:
     def influence(self, at: Predictor) -> Array:
         """Return the derivatives of the whitened predictions; initial states are projected out.
 
-        The columns belong to the coordinates of `moved`, (ny N, d). The covariance S is held
-        constant.
+        The columns belong to the coordinates of `moved`, (ny N, d). The covariance S(t) of the
+        errors is held constant.
         """
         V = tangent(at.Abar, at.C)
         states = at.Abar.shape[0] * len(self.parts)

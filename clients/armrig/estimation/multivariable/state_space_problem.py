@@ -40,7 +40,7 @@ _ORBIT_TOLERANCE = 1e-10  # least relative singular value of a change of coordin
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """Signals of one experiment, scaled."""
+    """Scaled signals of one experiment."""
 
     u: Array
     """Inputs (N, nu)."""
@@ -108,7 +108,7 @@ class Linear:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StateSpaceProblem:
-    """Minimisation of the sum of e^T inv(Lambda) e over Abar, C and all linear parameters."""
+    """Search for Abar, C and all linear parameters that minimise the sum of e^T inv(Lambda) e."""
 
     parts: tuple[Part, ...]
     """Signals of each experiment."""
@@ -231,13 +231,13 @@ class StateSpaceProblem:
         return found
 
     def edges(self) -> list[slice]:
-        """Return the slice of each experiment in stacked whitened rows."""
+        """Return the slice of the stacked whitened rows that belongs to each experiment."""
         sizes = np.cumsum([part.y.size for part in self.parts]).tolist()
         return [slice(a, b) for a, b in pairwise([0, *sizes])]
 
 
 def whitened(part: Part, columns: Array) -> Array:
-    """Return the columns (k, ny, N), whitened, as a matrix (ny N, k) with rows output by output."""
+    """Return the whitened columns (k, ny, N) as a matrix (ny N, k), rows ordered by output."""
     k, ny, N = columns.shape
     if part.rows.all():
         white = part.weights[0] @ columns
@@ -262,7 +262,7 @@ def stable_matrix(A: Array) -> bool:
 
 
 def reflected_matrix(A: Array, largest: float = 0.995) -> Array:
-    """Return A with each eigenvalue outside the circle moved into the circle, for a start value."""
+    """Return A, for a start value, with all eigenvalues moved into the unit circle."""
     z, V = np.linalg.eig(A)
     size = np.abs(z)
     if not size.size or size.max() < largest:
@@ -279,7 +279,7 @@ def output_normal(A: Array, C: Array) -> tuple[Array, Array]:
 
 
 def _balancing(A: Array, C: Array) -> tuple[Array, Array]:
-    """Return the change of coordinates of `output_normal`, and its inverse."""
+    """Return the change of coordinates that `output_normal` applies, and its inverse."""
     gramian = solve_discrete_lyapunov(A.T, C.T @ C)
     values, axes = np.linalg.eigh((gramian + gramian.T) / 2)
     root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
@@ -336,7 +336,7 @@ def _delayed(x: Array, lag: int) -> Array:
 
 
 def parts_of(signals: Sequence[tuple[Array, Array]], Lambda: Array) -> tuple[Part, ...]:
-    """Return the experiments, whitened by Lambda."""
+    """Return the signals of each experiment, with the whitening matrices for Lambda."""
     masks = [np.isfinite(y) for _, y in signals]
     return tuple(
         Part(u=u, y=np.where(m, y, 0.0), rows=m, weights=whitening(Lambda, m))

@@ -76,10 +76,11 @@ def starts(
 def moved_modes(
     problem: StateSpaceProblem, Abar: Array, C: Array
 ) -> dict[str, tuple[Array, Array]]:
-    """Return (Abar, C) with a weak mode moved into the widest gap between the modes' frequencies.
+    """Return start values (Abar, C) in which one weak mode has another frequency.
 
-    A mode is a complex pair of eigenvalues, or two real eigenvalues. In each start value one mode
-    has another frequency, so that the search can leave a local minimum.
+    A mode is a complex pair of eigenvalues, or two real eigenvalues. The mode is moved into the
+    widest gap between the frequencies of the other modes, so that the search can leave a local
+    minimum.
     """
     z, V = np.linalg.eig(Abar)
     linear = problem.linear(Abar, C)
@@ -121,7 +122,7 @@ def _filled(y: Array) -> Array:
 
 
 def _simulated_impulses(psi: Array, nu: int, length: int) -> Array:
-    """Return the impulse responses (length, ny, nu) from u to y for a predictor's responses psi."""
+    """Return the impulse responses (length, ny, nu) from u to y; psi are those of the predictor."""
     lags, ny, _ = psi.shape
     g = np.zeros((length, ny, nu))
     for k in range(length):

@@ -19,7 +19,7 @@ FINE_LAG_RATIO = 4
 """Ratio of the longer lag window (for the noise and for `blunted`) to the lag window of G."""
 MIN_POWER_SHARE = 1e-8
 """Share of the largest value of Phi_u; G is not known at frequencies with a smaller Phi_u."""
-_MIN_BLUNTED_RATIO = 1.1  # for a note, |G| by the longer window exceeds |G| by this factor
+_MIN_BLUNTED_RATIO = 1.1  # for a note, |G| of the longer window is higher by this factor
 _BLUNTED_SIGMAS = 4.0  # for a note, the difference exceeds this many standard deviations
 MAX_RESPONSE_LAGS = 60
 """Largest number of lags of the impulse response from which missing outputs are computed."""

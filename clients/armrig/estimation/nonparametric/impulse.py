@@ -93,7 +93,7 @@ class ImpulseResponse:
 
     @property
     def rate_std(self) -> Vector | None:
-        """Standard deviations of `rate`, or None."""
+        """Standard deviations of `rate`; None if y does not integrate."""
         if self.rate_covariance is None:
             return None
         return np.sqrt(np.maximum(np.diag(self.rate_covariance), 0.0))
@@ -246,8 +246,8 @@ def impulse_response(
     data : Dataset
         N samples; missing samples and several experiments are allowed.
     n : int, optional
-        Number of lags 0 … n - 1. The default is a fifth of the samples, at most 100. With
-        kernel=None the default is a tenth of the samples, at most 70.
+        Number of lags 0 … n - 1. The default is a fifth of N, at most 100. With kernel=None the
+        default is a tenth of N, at most 70.
     kernel : {"tc", "dc", "ss", None}
         Kernel: tuned/correlated, diagonal/correlated or stable spline; None for least squares.
     negative_lags : int, default 0
@@ -264,7 +264,8 @@ def impulse_response(
     Raises
     ------
     ValueError
-        There are too few samples for the lags, the kernel is unknown, or u does not excite.
+        There are too few samples for the lags, the kernel is unknown, or u excites too few
+        frequencies.
 
     References
     ----------
@@ -352,7 +353,7 @@ def _response(
 
 
 def long_enough(data: Dataset, lags: tuple[int, ...], *, integrator: bool) -> ImpulseResponse:
-    """Return the regularised response for the first number in `lags` that is large enough.
+    """Return the regularised response for the first number of lags in `lags` that is large enough.
 
     A number is large enough if the response and the prior have decayed at the last lag.
 

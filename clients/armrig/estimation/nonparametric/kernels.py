@@ -24,7 +24,7 @@ Kernel = Literal["tc", "dc", "ss"]
 KERNELS = ("tc", "dc", "ss")
 _DECAYS = (0.5, 0.7, 0.85, 0.93, 0.98)
 _SCALES = (1e-2, 1.0, 1e2, 1e4)
-_BLOCK_ROWS = 4096  # rows computed at once, which fit into the cache
+_BLOCK_ROWS = 4096  # rows computed at once; they fit into the cache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -259,7 +259,7 @@ def regression(data: Dataset, lags: range, *, integrator: bool) -> FirRegression
 
 
 def _experiment(part: Dataset, x: Vector, lags: range, *, columns: int) -> FirExperiment:
-    """Return one experiment's regression; its level (and ramp, with 2 columns) is projected out."""
+    """Return one experiment's regression; level and (if `columns` is 2) ramp are projected out."""
     first, last = lags[-1], -lags[0]
     padded = np.concatenate([np.zeros(first), x, np.zeros(last)])
     windows = sliding_window_view(padded, len(lags))[:, ::-1]

@@ -356,7 +356,7 @@ def _low(estimate: SpectralEstimate) -> float:
 
 
 def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
-    """Return the first frequency with |G| < -3 dB, and the last frequency with |G| > -3 dB."""
+    """Return the first frequency with |G| < gain/sqrt(2), and the last with |G| > gain/sqrt(2)."""
     known = np.isfinite(estimate.G)
     omega, magnitude = estimate.omega[known], estimate.magnitude[known]
     # By chance, |G| exceeds the level at some frequencies that contain only noise. If the coherence
@@ -435,8 +435,8 @@ def _notes(
     if near > MIN_ALIASING_SHARE and of and near < MOST_DIFFERENCED:
         yield (
             f"{100 * near:.2g} % of the power is near Nyquist. If {of} has white noise, the "
-            f"differences of the noise have {100 * DIFFERENCED:g} % there at any sampling time, so "
-            "a faster recording does not lower this share"
+            f"differences of the noise have {100 * DIFFERENCED:g} % of their power there at any "
+            "Ts: a faster recording does not lower this share"
         )
     elif near > MIN_ALIASING_SHARE:
         yield (

@@ -164,9 +164,7 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
     parts = [part for part in data.experiments() if delay + 1 < part.N]
     if not parts:
         longest = max(part.N for part in data.experiments())
-        raise InputError(
-            f"delay={delay} is as long as every experiment; the longest is {longest} samples"
-        )
+        raise InputError(f"delay={delay} is too long; the longest experiment has {longest} samples")
     return merged_datasets(
         [
             part.replaced(

@@ -30,7 +30,7 @@ Vector = NDArray[np.float64]
 MIN_HOLD_SAMPLES = 8
 """Least number of samples of constant u before and after a step."""
 MIN_GAP_SAMPLES, MIN_GAP_SHARE = 2, 0.1
-"""Least length of a reported gap on the rise: in samples, and as a share of the 63 % time."""
+"""Least length of a reported gap during the rise: in samples, and as a share of the 63 % time."""
 SETTLING_BAND = 0.05
 """Half width of the band in which the response has settled, as a share of the final value."""
 _SLOPE_SIGMAS = 5  # standard deviations; a smaller slope before the step counts as 0
@@ -40,7 +40,7 @@ _CURVE_ERROR = 0.1
 
 The value was found from data without noise, with 2 to 4 samples in the time tau.
 """
-_MAX_OVERSHOOT_STD = 0.03  # with a larger std the largest value may be noise
+_MAX_OVERSHOOT_STD = 0.03  # with a larger std the overshoot may be noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -65,8 +65,8 @@ class StepAnalysis:
     """Standard deviation of `tau` due to noise, gaps on the rise, and a possible dead time."""
     equivalent_time: float
     """Area between the response and its final value, divided by the final value, in s. The dead
-    time is subtracted. For a rate the area is computed as the time from the step to the zero of the
-    angle's final ramp, extended backwards. A gap on the rise does not affect this zero."""
+    time is subtracted. For a rate, the final ramp of the angle is extended backwards to 0. The area
+    is the time from the step to this zero, which does not depend on gaps on the rise."""
     equivalent_time_std: float
     """Standard deviation of `equivalent_time`, in s."""
     smooth_t: Vector
@@ -150,7 +150,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
 
     All changes of u between two long holds are used as steps. The level before each step is
     subtracted, and each response is weighted by the size of its step. If y integrates, the rate is
-    analysed. The sample (y(t) - y(t-1))/Ts of the rate is at the middle of the interval.
+    analysed. The value (y(t) - y(t-1))/Ts of the rate belongs to the middle of the interval.
 
     The 63 % time, settling, overshoot and dead time are computed from curves. The curves are drawn
     from the posterior of a Gaussian process, given all samples. Each curve is divided by its own
@@ -362,7 +362,7 @@ def _answer(
 
 
 def _weight(data: Dataset, steps: _Steps) -> float:
-    """Return the ratio of a sample's noise to the noise of the mean response, in units of u."""
+    """Return the noise of one sample divided by the noise of the mean response, in units of u."""
     parts = list(data.experiments())
     sizes = [p.u[at] - p.u[at - 1] for p, at in ((parts[i], at) for i, at in steps.at)]
     return float(np.linalg.norm(sizes))

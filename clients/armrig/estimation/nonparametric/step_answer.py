@@ -1,6 +1,6 @@
 """Step response with its uncertainty, from random curves of a Gaussian process.
 
-The impulse response g is 0 up to the dead time L. At L, g jumps by any amount. After L, g is a
+The impulse response g is 0 up to the dead time L. At L, g may jump by any amount. After L, g is a
 random walk with decaying increments::
 
     var dg = c exp(-(t - L)/T) / (t - L)^2 dt
@@ -36,8 +36,8 @@ MAX_NO_DEAD_TIME = 0.01
 
 _CELLS = 1000  # number of cells of the time grid; more only if there are more samples
 _MAX_CELLS_PER_SAMPLE = 4
-_LOG_SMOOTHNESS = np.arange(-28.0, 16.0)  # logarithm of the ratio of the noise to c
-_TIME_SHARES = 2.0 ** -np.arange(9.0)  # T divided by the time after the step
+_LOG_SMOOTHNESS = np.arange(-28.0, 16.0)  # logarithms of the tried ratios of the noise to c
+_TIME_SHARES = 2.0 ** -np.arange(9.0)  # tried values of T, divided by the duration after the step
 _MAX_WEIGHT = 1e10  # with larger weights the equations are singular to rounding
 _DELAYS_AT_ONCE = 13  # number of dead times tried in a round
 _MAX_DEVIANCE = 7.0  # excess of -2 log likelihood up to which neighbours are tried
@@ -369,7 +369,7 @@ class _Search:
         return min(self.found, key=self.criterion)
 
     def climb(self, at: Setting) -> Setting:
-        """Return the most likely setting with the same delay as `at`, by steps to neighbours."""
+        """Return the most likely setting near `at` with the same delay, found in single steps."""
         while (best := min((at, *_near(at)), key=self.criterion)) != at:
             at = best
         return at

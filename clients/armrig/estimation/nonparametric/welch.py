@@ -12,13 +12,13 @@ from armrig.data.dataset import Dataset
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 
 Vector = NDArray[np.float64]
-OVERLAP_CORRELATION = 1 / 36  # correlation of periodograms of Hann segments that overlap by half
+OVERLAP_CORRELATION = 1 / 36  # correlation of two periodograms if the Hann segments overlap by half
 MIN_FREQUENCIES = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spectra:
-    """Spectra at n frequencies, in squared units times s."""
+    """Spectra at n frequencies, in the product of the units of the two signals, times s."""
 
     u: Vector
     """Spectrum Phi_u, (n,)."""

@@ -37,13 +37,13 @@ class PredictedStd:
     def seconds_for(self, **wanted: float) -> float:
         """Return the length, in s, at which a similar input reaches all wanted standard deviations.
 
-        The information is assumed to grow with the length. This assumption is inaccurate for an
-        experiment that is short compared with the slowest mode.
+        The information is assumed to be proportional to the length of the experiment. This
+        assumption is inaccurate if the experiment is short compared with the slowest time constant.
         """
         return self.seconds * max(self._times_longer(name, std) for name, std in wanted.items())
 
     def explain(self, **wanted: float) -> str:
-        """Return a text that states whether the experiment is long enough for the wanted std.
+        """Return a text that states whether the experiment is long enough for the wanted accuracy.
 
         An example is ``predicted.explain(f1=0.001)``. Without arguments the text contains all
         predicted standard deviations.
