@@ -283,7 +283,7 @@ class Model:
         if omega_.size and not (omega_.min() >= 0 and omega_.max() <= nyquist * (1 + 1e-9)):
             raise InputError(
                 f"omega from {omega_.min():g} to {omega_.max():g} rad/s is outside 0 to "
-                f"{nyquist:g} rad/s (pi/Ts); a sampled model has no response beyond"
+                f"{nyquist:g} rad/s (pi/Ts); a sampled model has no response above pi/Ts"
             )
         return omega_
 

@@ -221,7 +221,8 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
             records.check_whole_numbers(recovered)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
         raise FileError(
-            f"{path}: armrig did not write its manifest or calibration: {_first_line(err)}"
+            f"{path}: armrig did not write the manifest, the outcome or the calibration of this "
+            f"file: {_first_line(err)}"
         ) from err
     try:
         check_sampling_time(manifest)

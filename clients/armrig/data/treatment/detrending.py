@@ -114,7 +114,8 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
     Parameters
     ----------
     data : Dataset
-        N samples treated by `detrend`; slices, parts and merged data keep their trends.
+        N samples treated by `detrend`, or slices, parts or merges of such data. Their `trends`
+        still store what was removed.
     y : array_like, shape (N,), optional
         An output simulated or predicted from these data, in y's unit.
 

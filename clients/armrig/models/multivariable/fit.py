@@ -163,7 +163,7 @@ class MultivariableFit:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences of the findings."""
+        """Text of each finding about the reliability of the numbers."""
         return tuple(f.text for f in self.findings)
 
     @property
