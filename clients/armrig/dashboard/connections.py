@@ -33,8 +33,8 @@ class Connections:
     def add(self, address: Address, protocol: BoundedProtocol) -> None:
         """Add a connection; above the limit, close one connection.
 
-        The oldest connection without a request is closed. If there is none, the oldest connection
-        is closed whose client does not read its answer. If there is none, the new one is closed.
+        The oldest connection without a request is closed. If every connection has a request, the
+        oldest connection whose client does not read its answer is closed, or else the new one.
         """
         self._open[address] = protocol
         if len(self._open) > MOST:

@@ -77,7 +77,7 @@ def csv(path: Path, start: float | None, stop: float | None) -> bytes:
 
 
 def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[np.float64]]:
-    """Return t in s, u in V, theta_1 (turns counted) and alpha in ° between two times in s."""
+    """Return t in s, u in V, and theta_1 (turns counted) and alpha in °, from `start` to `stop`."""
     recording = _loaded(path)
     first = 0 if start is None else int(np.searchsorted(recording.t, start))
     first = min(first, recording.N - 1)

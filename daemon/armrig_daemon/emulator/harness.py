@@ -80,7 +80,7 @@ class Figures(NamedTuple):
 
 Record = Duty | Left | Violated
 Convert = Callable[[int, int], int]
-"""Function that returns the ten bits of a conversion; arguments: cycle of its hold, channel."""
+"""Function of the cycle at which the input is held, and of the channel; returns the ten bits."""
 
 
 class Harness:

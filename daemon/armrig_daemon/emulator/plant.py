@@ -75,7 +75,7 @@ def build(
         Coulomb friction T_c in Nm, and cubic part k_3 of the spring in Nm/rad³; 0 disables the
         effect.
     substep_ns : int, default 100 000
-        Step of the splitting, in ns; without friction and stiffening it has no effect.
+        Step of the Strang splitting, in ns; it has no effect without friction and stiffening.
 
     Raises
     ------

@@ -73,7 +73,7 @@ class SetpointQueue:
         return True
 
     def advance(self) -> bool:
-        """Latch the setpoint of `next`; return whether the queue had it.
+        """Latch the setpoint of `next`; return True if the setpoint was in the queue.
 
         If the queue is empty, the policy decides: u_rest, or the last code for `hold` samples.
         """

@@ -26,7 +26,7 @@ from armrig_core.errors import ArmrigError, InputError
 from armrig_core.waiting import TERMINAL_BYTES, Waiter
 
 READ = 2048
-"""Largest number of bytes handled in a step; one record holds them and the step's answers."""
+"""Largest number of bytes that a step handles; one record contains them and their answers."""
 SEND_BUFFER_BYTES: Final = 1 << 16
 """SO_SNDBUF of a socket, in bytes. The kernel doubles it: 171 frames of about 0.75 kB fit.
 
