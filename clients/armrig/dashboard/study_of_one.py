@@ -22,7 +22,7 @@ from armrig.validation.comparison import compare
 from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
 
-_POINTS = 4000  # of a curve: four for each pixel, so that its extremes keep their times
+_POINTS = 4000  # of a curve: four for each pixel, so that extremes keep their times
 _MOST_GAPS = _MOST_NOTES = 100
 _KEPT = 2  # number of recordings kept: the recording on the page, and its validation recording
 

@@ -120,7 +120,7 @@ class Harness:
     def advance(
         self, cycle: int, convert: Convert, *, until_frame: bool = False
     ) -> Iterator[Record]:
-        """Advance to a cycle or to the end of a frame to the host; yield the records until then.
+        """Advance to a cycle or, with `until_frame`, to the end of a sent frame; yield the records.
 
         `convert` is called for each conversion. The caller must consume all records.
         """
@@ -150,7 +150,7 @@ class Harness:
         self._order(b"R", 0, deaf_cycles)
 
     def optiboot(self, version: int, r2: int) -> None:
-        """Put a boot loader of this version, such as 0x0803, into flash; it leaves `r2` in r2."""
+        """Put a boot loader of this version, such as 0x0803, into flash; it sets register r2 to `r2`."""
         self._order(b"O", r2, version)
 
     def supply(self, millivolts: int) -> None:

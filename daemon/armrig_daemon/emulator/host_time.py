@@ -34,7 +34,7 @@ class HostTime:
         now_ns : int
             Current monotonic time.
         due_ns : int
-            Emulation time, in ns, until which the process intended to wait after the last reading.
+            Emulation time, in ns, until which the process wanted to wait when it last read the clock.
         """
         late_ns = now_ns - max(self._read_ns, self.monotonic_ns(due_ns))
         self._read_ns = now_ns
@@ -43,7 +43,7 @@ class HostTime:
         return now_ns - self.held_up_ns
 
     def look_ns(self, due_ns: int) -> int:
-        """Return the emulation time at which the clock must be read next, at the latest `due_ns`."""
+        """Return the emulation time at which the clock must be read next, at latest `due_ns`."""
         if not self._tolerates_stalls:
             return due_ns
         return min(due_ns, self._read_ns - self.held_up_ns + LOOK_NS)

@@ -173,7 +173,7 @@ def _torque(plant: Plant, x: State, u: float) -> float:
 
 
 def _kick(plant: Plant, x: State, dt_s: float, *, held: bool, breakaway: float) -> State:
-    """Return the state after the impulses of spring and friction, which are computed exactly.
+    """Return the state after the exact impulses of friction and of the stiffening spring.
 
     Only the spring acts on the absolute speed of the arm, theta_1' + alpha'.
     """

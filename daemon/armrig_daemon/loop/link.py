@@ -140,7 +140,7 @@ class Link:
 
 
 class SocketLink(Link):
-    """Open socket of an emulated rig; a read does not wait for a kernel worker.
+    """Open socket of an emulated rig; unlike a terminal, it is read without a kernel worker.
 
     As with a serial port, only one program at a time can open the socket, and opening it resets the
     device.
@@ -158,7 +158,7 @@ class SocketLink(Link):
         self._begin(port, connection.fileno())
 
     def watch(self, waiter: Waiter) -> None:
-        """Add the socket to a waiter, level-triggered: a query of a socket never waits."""
+        """Add the socket to a waiter, level-triggered; querying a socket needs no kernel worker."""
         waiter.watch(self.fd)
 
     def close(self) -> None:

@@ -126,7 +126,7 @@ def leave_fifo(but: int | None = None) -> bool:
 
 
 def be_prompt(thread: int) -> None:
-    """Set the lowest real-time priority for `thread`, which only waits, if this is permitted."""
+    """If permitted, set the lowest real-time priority for `thread`, a thread that only waits."""
     with contextlib.suppress(OSError):
         if os.sched_getscheduler(thread) == os.SCHED_OTHER:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))
