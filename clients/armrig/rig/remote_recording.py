@@ -127,7 +127,7 @@ class RemoteRecording:
                 )
             return
         file.add(self._taken())
-        # Wait: the file's queue would drop messages, but the daemon keeps them until they are read.
+        # Wait: a full queue of the file would drop messages, but the daemon keeps later messages.
         while file.behind > _MAX_PENDING_PIECES and not file.error:
             time.sleep(_DISK_INTERVAL_S)
         if file.error:

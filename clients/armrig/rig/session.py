@@ -101,7 +101,7 @@ def default_endpoint(rig: str) -> str:
 
 
 def own_endpoint(rig: str) -> str:
-    """Return an endpoint for this process to listen at, in a directory that only this user opens.
+    """Return an endpoint for this process, in a directory that only this user can open.
 
     Raises
     ------

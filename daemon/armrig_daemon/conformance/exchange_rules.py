@@ -23,7 +23,7 @@ from armrig_daemon.conformance.rule import expect, kinds, rule, shown
 
 _U32 = 0xFFFF_FFFF
 _SAMPLE_LIMIT_MS = 30
-"""Time in ms in which a sample that must not come would have arrived."""
+"""Time to wait for a sample, in ms; every sample arrives within this time."""
 _ROUNDED_US = 3
 _MAX_EARLY_MS, _MAX_LATE_MS = 0.1, 1.0
 """Tolerances of the watchdog's time, in ms of the device's clock."""

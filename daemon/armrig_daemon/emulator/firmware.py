@@ -150,7 +150,7 @@ class Firmware:
     def accept(self, config: Config) -> None:
         """Apply a configuration, and give it a nonce that is new in this boot."""
         self.config, self.config_crc = config, config_crc(config)
-        # A boot's nonces begin after its boot_id, so that boots differ; 1 follows after 2^32 - 1.
+        # Nonces begin after boot_id, so that other boots have other nonces; 1 follows 2^32 - 1.
         self.nonce = (self.boot_id + self.accepted) % U32 + 1
         self.accepted += 1
 

@@ -150,7 +150,7 @@ class Harness:
         self._order(b"R", 0, deaf_cycles)
 
     def optiboot(self, version: int, r2: int) -> None:
-        """Put a boot loader of this version, such as 0x0803, into flash; it sets register r2 to `r2`."""
+        """Put a boot loader of `version`, such as 0x0803, into flash; its register r2 is `r2`."""
         self._order(b"O", r2, version)
 
     def supply(self, millivolts: int) -> None:

@@ -34,7 +34,7 @@ class HostTime:
         now_ns : int
             Current monotonic time.
         due_ns : int
-            Emulation time, in ns, until which the process wanted to wait when it last read the clock.
+            Emulation time, in ns, until which the process intended to wait at the last call.
         """
         late_ns = now_ns - max(self._read_ns, self.monotonic_ns(due_ns))
         self._read_ns = now_ns
