@@ -172,7 +172,7 @@ class Order(Tagged, frozen=True, kw_only=True):
     order: int = 0
 
 
-# The steps of a recorded run contain the tags of orders: a new order needs a new trace version.
+# A recorded run contains the tags of orders, so a new kind of order needs a new trace version.
 class Arm(Order, frozen=True, kw_only=True):
     """Arm the rig for `owner`; the service has generated the lease."""
 

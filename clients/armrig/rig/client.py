@@ -211,7 +211,7 @@ class Rig:
             Clock that triggers each sample: the device's timer ("scheduled"), or the host
             ("exchange"). With "exchange", the data contain the jitter of the host.
         experiment : str, default "run"
-            Kind of experiment, of a-z, 0-9 and -; part of the recording's name.
+            Kind of experiment, part of the recording's name; allowed are a-z, 0-9 and -.
         details : mapping, optional
             Settings of the experiment, such as its seed; the recording contains them.
         dead_man : float, optional

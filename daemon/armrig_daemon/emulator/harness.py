@@ -150,7 +150,10 @@ class Harness:
         self._order(b"R", 0, deaf_cycles)
 
     def optiboot(self, version: int, r2: int) -> None:
-        """Put a boot loader of `version`, such as 0x0803, into flash; its register r2 is `r2`."""
+        """Put a boot loader of `version`, such as 0x0803, into flash.
+
+        The boot loader leaves the value `r2` in register r2.
+        """
         self._order(b"O", r2, version)
 
     def supply(self, millivolts: int) -> None:
