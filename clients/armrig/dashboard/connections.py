@@ -1,10 +1,10 @@
 """Connections of the server, with a limit on their number.
 
 uvicorn closes a connection that is idle after an answer. It does not close a connection that never
-sends a request. A client with a thousand connections could therefore prevent a stop. Above the limit,
-the server closes the oldest connection without a request. If every connection has sent a request,
-the server closes the oldest connection whose client does not read its answer. Clients without a
-token can open both kinds of connections.
+sends a request. A client with a thousand connections could therefore prevent a stop. Above the
+limit, the server closes the oldest connection without a request. If every connection has sent a
+request, the server closes the oldest connection whose client does not read its answer. Clients
+without a token can open both kinds of connections.
 """
 
 from __future__ import annotations
