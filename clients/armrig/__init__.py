@@ -10,7 +10,7 @@ __all__ = list(homes(__name__))  # in the stub, `__init__.pyi`
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name, or the version."""
+    """Return the object of a public name, or the version."""
     if name == "__version__":
         from importlib.metadata import version
 

@@ -255,7 +255,7 @@ def emulate(
     from armrig_daemon.emulator.settings import EmulatorSettings, load
 
     try:
-        if settings is not None:  # from `armrigd run --emulate`, with which the emulator ends
+        if settings is not None:  # from `armrigd run --emulate`; the emulator ends with it
             from armrig_daemon.loop.realtime import end_with_parent
 
             end_with_parent(parent)
@@ -304,7 +304,7 @@ def show_config(
 
 
 def _check_file(file: Path) -> None:
-    """Print the rig and the networks of a configuration; an error has the daemon's exit code."""
+    """Print the rig and the networks of a configuration; exit like the daemon after an error."""
     from armrig_core.recording_directory import SYSTEM
 
     from armrig_daemon.config import load, load_installed, recordings

@@ -147,7 +147,10 @@ class Motor(Table, frozen=True, kw_only=True):
     """`[motor]`: the driver of the motor."""
 
     rest_v: float | None = None
-    """Key without effect, because every stop is at 0 V. Only 0 is accepted, with a message."""
+    """Key without effect, because every stop is at 0 V.
+
+    Only 0 is accepted; the daemon then reports that the key has no effect.
+    """
 
     def __post_init__(self) -> None:
         """Refuse a voltage at rest other than 0 V."""
@@ -267,7 +270,7 @@ class Config(Table, frozen=True, kw_only=True):
 
     @property
     def calibration_sentence(self) -> str:
-        """Return file and date of the calibration, or the text that no calibration was measured."""
+        """Return a text: file and date of the calibration, or that it was not measured."""
         made = self.calibration.made
         if made is not None:
             return f"{made.file or 'given in the configuration'}, made {made.date}"
@@ -277,7 +280,7 @@ class Config(Table, frozen=True, kw_only=True):
 
     @property
     def calibration_sha256(self) -> str:
-        """Return the hash of the current calibration in the form that is attached to recordings."""
+        """Return the SHA-256 of the calibration's JSON text, as attached to recordings."""
         return hashlib.sha256(msgspec.json.encode(self.calibration)).hexdigest()
 
     @property

@@ -90,7 +90,7 @@ class Clock(Tagged, frozen=True, kw_only=True):
     """Rate of change of the offset; positive if the device's clock is slow."""
     drift_std_ppm: float
     bound_ns: float
-    """Largest error of the offset from a constant asymmetry of the line's delays, in ns."""
+    """Largest error of the offset, in ns, that a constant asymmetry of the line's delays causes."""
 
 
 class State(Tagged, frozen=True, kw_only=True):
@@ -172,7 +172,7 @@ class Order(Tagged, frozen=True, kw_only=True):
     order: int = 0
 
 
-# The steps of a recorded run contain the tags of orders: a new order needs a new trace version.
+# A recorded run contains the tags of orders, so a new kind of order needs a new trace version.
 class Arm(Order, frozen=True, kw_only=True):
     """Arm the rig for `owner`; the service has generated the lease."""
 
@@ -248,12 +248,12 @@ _ORDERS = msgspec.msgpack.Decoder(Orders)
 
 
 def sample_bytes(sample: bytes) -> bytes:
-    """Return the message, as bytes, that passes an encoded sample through the pipe."""
+    """Return the bytes of the pipe's message that contains an encoded sample."""
     return _HEAD.pack(len(sample), _SAMPLE_KIND) + sample
 
 
 def record_bytes(record: Record | Orders) -> bytes:
-    """Return the message, as bytes, that passes a record or an order through the pipe."""
+    """Return the bytes of the pipe's message that contains a record or an order."""
     payload = _ENCODER.encode(record)
     return _HEAD.pack(len(payload), _RECORD_KIND) + payload
 

@@ -62,7 +62,7 @@ class VirtualPorts:
         switched_on_ns: int = 0,
         switch_on: SwitchOn = Device,
     ) -> None:
-        """Switch the device on at time 0 or before, and connect it at time 0."""
+        """Switch the device on at `switched_on_ns`, at most 0; connect the device at time 0."""
         self.now = 0
         self.device = switch_on(settings, switched_on_ns)
         self.to_device: Line = sound
@@ -142,7 +142,7 @@ class VirtualRig:
         switched_on_ns: int = 0,
         switch_on: SwitchOn = Device,
     ) -> None:
-        """Switch on the loop at time 0, and the device at time 0 or before."""
+        """Switch on the device at `switched_on_ns`, at most 0, and the loop at time 0."""
         self.ports = VirtualPorts(settings, lateness, switched_on_ns, switch_on)
         self.loop = Loop(rules, self.ports)
         self.records: list[bytes | Record] = []

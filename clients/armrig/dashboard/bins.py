@@ -69,7 +69,7 @@ def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.fl
 
 
 def needed_before(found: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rows that the rate of later samples may need, at most `_MAX_ROWS_BEFORE`."""
+    """Return the newest rows, at most `_MAX_ROWS_BEFORE`, that the rates of later samples need."""
     found = found[-_MAX_ROWS_BEFORE:]
     first = int(np.searchsorted(found[:, 1], found[-1, 1] - 2 * RATE_S))
     return found[min(first, found.shape[0] - 1) :]

@@ -1,10 +1,10 @@
 """Connections of the server, with a limit on their number.
 
 uvicorn closes a connection that is idle after an answer. It does not close a connection that never
-sends a request. A client with a thousand connections would therefore block a stop. Above the limit,
-the server closes the oldest connection without a request. If every connection has sent a request,
-the server closes the oldest connection whose client does not read its answer. Clients without a
-token can open both kinds of connections.
+sends a request. A client with a thousand connections could therefore prevent a stop. Above the
+limit, the server closes the oldest connection without a request. If every connection has sent a
+request, the server closes the oldest connection whose client does not read its answer. Clients
+without a token can open both kinds of connections.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Connections:
     def add(self, address: Address, protocol: BoundedProtocol) -> None:
         """Add a connection; above the limit, close one connection.
 
-        The oldest connection without a request is closed. If there is none, the oldest connection
-        is closed whose client does not read its answer. If there is none, the new one is closed.
+        The oldest connection without a request is closed. If every connection has a request, the
+        oldest connection whose client does not read its answer is closed, or else the new one.
         """
         self._open[address] = protocol
         if len(self._open) > MOST:

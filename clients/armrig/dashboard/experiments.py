@@ -65,7 +65,7 @@ def plan_of(experiment: Experiment, owner: str) -> Plan:
     Raises
     ------
     ValueError
-        A setting is not possible at any sampling time.
+        A setting is invalid, whatever the sampling time.
     """
     make, details = _input_of(experiment)
     seconds = experiment.seconds or _SECONDS.get(experiment.kind, _DEFAULT_S)

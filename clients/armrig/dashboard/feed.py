@@ -88,7 +88,7 @@ class Feed:
         self._told: deque[Any] = deque(maxlen=MOST_TOLD)
         self._timing = Timing()
         self._phase = ""  # of the newest state heard
-        self._states: deque[tuple[int, str]] = deque(maxlen=_MOST_STATES)  # in ns, and phase
+        self._states: deque[tuple[int, str]] = deque(maxlen=_MOST_STATES)  # time in ns, phase
         self._notes: deque[int] = deque(maxlen=_MOST_NOTES)  # in ns
         self.status: StatusReport | None = None
         """Newest status of the daemon."""

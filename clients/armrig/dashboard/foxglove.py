@@ -34,8 +34,8 @@ _MOST_WAITING = 100  # waiting messages of a slow stream; above this limit, the 
 def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str]:
     """Serve the streams on the loopback interface until the block ends; yield the address.
 
-    The frames of chassis and arm are sent with the samples. The server has no services or
-    parameters, and ignores all messages of a client.
+    The coordinate frames of chassis and arm are sent with the samples. The server has no services
+    or parameters, and ignores all messages of a client.
 
     Raises
     ------

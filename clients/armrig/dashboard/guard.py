@@ -120,7 +120,7 @@ class Guard:
         if scope["method"] not in ("GET", "HEAD", "POST"):
             raise Refusal(405, f"{scope['method'][:20]}: GET and POST are allowed")
         if not scope["path"].startswith("/api/"):
-            if scope["method"] == "POST":  # its body is not read without a token
+            if scope["method"] == "POST":  # without a token, no body is read
                 raise Refusal(405, "POST: the page's files are for GET")
             return
         kind, _, given = headers.get("authorization", "").partition(" ")

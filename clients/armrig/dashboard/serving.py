@@ -238,7 +238,7 @@ class ServerThread:
 
     def begin(self) -> None:
         """Start the thread, and wait until the server listens."""
-        # asyncio would print a line for a client that disconnects, as uvicorn would.
+        # Without this level, asyncio prints a line when a client disconnects.
         logging.getLogger("asyncio").setLevel(logging.ERROR)
         self._thread.start()
         pause = threading.Event()

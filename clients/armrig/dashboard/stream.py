@@ -66,8 +66,8 @@ class Stream:
         TooManyViewersError
             The largest number of viewers is reached.
         """
-        # All viewers now receive the newest state. Otherwise this viewer would receive a state
-        # that the others have not received; if it then changed back, nothing would be sent.
+        # All viewers receive the newest state first, so that they all know the same state. A later
+        # change of the state is then sent to all of them.
         self._send_changed()
         self.viewers.add(viewer)
         # News are queued for the viewer from here on. The page ignores rows that it already has.
@@ -123,7 +123,7 @@ class History:
 
     async def _encoded(self) -> list[bytes]:
         await asyncio.sleep(self._began_s + PAUSE_S - time.monotonic())
-        # Later viewers get the next encoding: this one may lack their newest rows.
+        # Later viewers get the next encoding, because this encoding may lack the newest rows.
         self._began_s, self._next = time.monotonic(), None
         return await asyncio.to_thread(lambda: encoded(self._rows()))
 

@@ -22,7 +22,7 @@ from armrig.validation.comparison import compare
 from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
 
-_POINTS = 4000  # of a curve: four for each pixel, so that its extremes keep their times
+_POINTS = 4000  # of a curve: four for each pixel, so that extremes keep their times
 _MOST_GAPS = _MOST_NOTES = 100
 _KEPT = 2  # number of recordings kept: the recording on the page, and its validation recording
 
@@ -77,7 +77,7 @@ def csv(path: Path, start: float | None, stop: float | None) -> bytes:
 
 
 def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[np.float64]]:
-    """Return t in s, u in V, theta_1 (turns counted) and alpha in ° between two times in s."""
+    """Return t in s, u in V, and theta_1 (turns counted) and alpha in °, from `start` to `stop`."""
     recording = _loaded(path)
     first = 0 if start is None else int(np.searchsorted(recording.t, start))
     first = min(first, recording.N - 1)

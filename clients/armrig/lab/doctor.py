@@ -198,7 +198,7 @@ def _idle(host: Host) -> list[HostCheck]:
 
 
 def _holds_idle_off(host: Host) -> bool:
-    """Return True if the daemon's loop (without a daemon: this user) can prevent idle states."""
+    """Return True if the daemon's loop, or this user without a daemon, can prevent idle states."""
     if host.daemon is not None:
         return not _refused(host.daemon, "/dev/cpu_dma_latency")
     return os.access(host.root / "dev/cpu_dma_latency", os.W_OK)

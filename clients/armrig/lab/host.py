@@ -181,6 +181,6 @@ class Host:
     root: Path
     granted: Granted
     daemon: StatusReport | None = None
-    """Status of this machine's daemon; None: the rights of this user are examined."""
+    """Status of this machine's daemon; if None, the rights of this user are examined instead."""
     silent: str = ""
     """Reason why this machine's service does not answer; if it is not "", no right is examined."""

@@ -10,5 +10,5 @@ __all__ = list(homes(__name__))  # in the stub, `__init__.pyi`
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name; zenoh is loaded only when a name is used."""
+    """Return the object of a public name; only the first use of a name loads zenoh."""
     return public(__name__, name)

@@ -211,7 +211,7 @@ class Rig:
             Clock that triggers each sample: the device's timer ("scheduled"), or the host
             ("exchange"). With "exchange", the data contain the jitter of the host.
         experiment : str, default "run"
-            Kind of experiment, of a-z, 0-9 and -; part of the recording's name.
+            Kind of experiment, part of the recording's name; allowed are a-z, 0-9 and -.
         details : mapping, optional
             Settings of the experiment, such as its seed; the recording contains them.
         dead_man : float, optional
@@ -306,7 +306,7 @@ class Rig:
                 if last.finished and status.phase != "active":
                     return last
             if request.dead_man is not None:
-                # This loop sends the sign of life: a thread would send it even if the client hangs.
+                # This loop sends the sign of life; a thread would send it even if the client hung.
                 with suppress(RefusedError):  # the run has just ended
                     self._ask(commands.Renew(**self._stamp()), commands.Done)
             time.sleep(wait_s)
@@ -564,7 +564,7 @@ class Rig:
         return {"lease": self._lease, "n": self._n}
 
     def _has_command(self, name: str) -> bool:
-        """Return whether the daemon knows a command: it then publishes the command's schema."""
+        """Return True if the daemon knows a command, and therefore publishes its schema."""
         key = topics.schema_key(self.rig, f"cmd/{name}")
         return any(reply.ok for reply in self._connected().get(key, timeout=REPLY_S))
 

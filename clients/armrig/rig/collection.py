@@ -46,7 +46,7 @@ DEAD_MAN_S = (0.5, 60.0)
 _FINISH_TIMEOUT_S = 2.0  # until a stopped run is complete on the disk
 _POLL_INTERVAL_S = 0.05
 _MAX_RECEIVED_BYTES = 1 << 16  # a listener sends its subscriptions only
-_MAX_SLEEP_S = 1.0  # a longer pause is divided: time.sleep refuses the longest times of a file
+_MAX_SLEEP_S = 1.0  # longer pauses are divided: time.sleep refuses very long ones
 _LISTENER_INTERVAL_S = 0.05
 Publish = Callable[[str, bytes], None]
 
@@ -97,7 +97,7 @@ class Plan:
     """True if the experiment needs the chassis without the arm."""
 
     def __post_init__(self) -> None:
-        """Raise ParameterError for settings that are not possible at any sampling time."""
+        """Raise ParameterError for settings that are invalid, whatever the sampling time."""
         for name, value in (("seconds", self.seconds), ("Ts", self.Ts)):
             if value is not None and not (isfinite(value) and value > 0):
                 raise ParameterError(name, f"{value:g}", "must be a number of seconds, more than 0")

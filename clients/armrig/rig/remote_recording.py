@@ -41,7 +41,7 @@ _MAX_FILES, _MAX_FILES_PERIOD_S = 60, 60.0  # no daemon causes more files in thi
 _MAX_WAITING_BYTES, _OVERHEAD_BYTES = (
     16 << 20,
     200,
-)  # messages that wait for the first state, which has Ts
+)  # messages that wait for the first state, because only the state contains Ts
 _MAX_PENDING_PIECES, _DISK_INTERVAL_S = 16, 0.01  # pieces not yet on the disk
 Tell = Callable[[str], None]
 _LIMIT = 1 << 62
@@ -127,7 +127,7 @@ class RemoteRecording:
                 )
             return
         file.add(self._taken())
-        # The daemon keeps later messages. A full queue would drop messages.
+        # Wait: a full queue of the file would drop messages, but the daemon keeps later messages.
         while file.behind > _MAX_PENDING_PIECES and not file.error:
             time.sleep(_DISK_INTERVAL_S)
         if file.error:
@@ -231,7 +231,7 @@ class RemoteRecording:
         file.add(waiting)
         file.finish(ended)
         file.join(_FINISH_TIMEOUT_S)
-        if not file.kept.name.endswith(ACTIVE):  # the file is complete, even if the disk ended it
+        if not file.kept.name.endswith(ACTIVE):  # the file is complete
             how = "its recording ended early" if file.error else ended.text
             self.done.append(
                 RecordedFile(path=file.kept, outcome=how, samples=file.synced, missing=file.missing)

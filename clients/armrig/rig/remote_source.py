@@ -73,9 +73,9 @@ class RemoteSource:
         return Piece(past=past, is_new_life=is_new and began, lost=lost if began else 0)
 
     def _asked(self, first: int, life: bytes) -> Past | None:
-        """Return the answer of the daemon `life`; without it, that of the only answering daemon.
+        """Return the answer of the daemon `life`, or otherwise of the only daemon that answers.
 
-        `life` is the id that a daemon chooses at its start.
+        Each daemon chooses its id `life` at its start.
         """
         question = msgspec.json.encode(HistoryRequest(first=first))
         others: dict[bytes, Past] = {}

@@ -120,6 +120,6 @@ def complete_recording(last: commands.LastRun, asked: int) -> Path:
     recording = Path(last.recording)
     if not last.is_complete:
         why = f"the run ended after {last.samples} of {asked} samples: {last.outcome}"
-        # If the file failed, the outcome contains its state and its path.
+        # If the recording failed, the outcome contains the state and the path of the file.
         raise RunEndedError(why, recording, is_named=last.code == OutcomeCode.RECORDING)
     return recording

@@ -57,7 +57,7 @@ class RigError(OperationError):
     """
 
     def __init__(self, message: str) -> None:
-        """Store the message, with escapes for unprintable characters in text from elsewhere."""
+        """Store the message; replace its unprintable characters by escapes."""
         super().__init__(printable(message))
 
 
@@ -101,7 +101,7 @@ def default_endpoint(rig: str) -> str:
 
 
 def own_endpoint(rig: str) -> str:
-    """Return an endpoint at which this process can listen; only this user can open its directory.
+    """Return an endpoint for this process, in a directory that only this user can open.
 
     Raises
     ------

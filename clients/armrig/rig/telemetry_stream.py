@@ -29,7 +29,7 @@ SILENCE_S = 1.0
 _LOOK_TIMEOUT_S = 1.0
 _LISTEN_INTERVAL_S = 0.002
 _RING_MESSAGES = 10_000  # a slower listener misses the oldest messages
-_RING_BYTES = MOST_RECEIVED  # in total; a stranger can send a single message of this length
+_RING_BYTES = MOST_RECEIVED  # of all messages; one message may be this long
 
 
 def stream(
@@ -91,7 +91,7 @@ def listen(session: zenoh.Session, key: str, where: str) -> Iterator[Any]:
         before: telemetry.Sample | None = None
         reported = told_gaps()
         for messages in _until_gone(session, rig, where, messages_since):
-            # A gap is published before the sample after it, so it has arrived before this sample.
+            # The daemon publishes a gap first, then the sample that follows the gap.
             for gap in gaps_since():
                 reported.add(gap, gap.ByteSize())
             for message in messages:

@@ -89,7 +89,7 @@ class Conversation:
         self.silence_ms = max(self.silence_ms, silence_ms)
 
     def put(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> int:
-        """Send a frame and return its seq; the next frame has the following seq."""
+        """Send a frame; return its seq, which is by default the last seq plus one."""
         self.seq = (self.seq + 1) & 0xFFFF if seq is None else seq
         message: Any = kind  # each type has its own fields
         self.write(frame.encode(message(0, self.seq, **fields)))

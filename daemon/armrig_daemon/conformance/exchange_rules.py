@@ -23,7 +23,7 @@ from armrig_daemon.conformance.rule import expect, kinds, rule, shown
 
 _U32 = 0xFFFF_FFFF
 _SAMPLE_LIMIT_MS = 30
-"""Waiting time for an unexpected sample, in ms; no sample takes longer."""
+"""Time to wait for a sample, in ms; every sample arrives within this time."""
 _ROUNDED_US = 3
 _MAX_EARLY_MS, _MAX_LATE_MS = 0.1, 1.0
 """Tolerances of the watchdog's time, in ms of the device's clock."""
@@ -35,7 +35,7 @@ def elapsed(from_us: int, to_us: int) -> int:
 
 
 def expect_watchdog(event: Event, fed_us: int, watchdog_ms: int) -> None:
-    """Expect FAULT(WATCHDOG) at the watchdog's time after the last frame that fed the watchdog."""
+    """Expect FAULT(WATCHDOG) `watchdog_ms` after the last frame that fed the watchdog."""
     expect((event.state, event.cause) == (State.FAULT, Cause.WATCHDOG), [event])
     ms = elapsed(fed_us, event.t_us) / 1000
     is_in_time = watchdog_ms - _MAX_EARLY_MS <= ms <= watchdog_ms + _MAX_LATE_MS

@@ -169,7 +169,7 @@ def _still(host: Host) -> None:
 
 @rule(
     7,
-    "STATUS reports the supply once a second, and VCC_LOW is set if it is below 4000 mV",
+    "STATUS reports the supply once a second, and VCC_LOW is set if the supply is below 4000 mV",
     silent=True,
 )
 def _supply(host: Host) -> None:

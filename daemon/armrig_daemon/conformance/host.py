@@ -126,7 +126,7 @@ class Host(Conversation):
 
     def to_idle(self) -> None:
         """Go to IDLE from any state."""
-        self.put(Stop)  # with any seq: a device in RUN stops first
+        self.put(Stop)  # takes effect with any seq, and ends RUN
         self.hello()
         self.k = 0
         self.fence()

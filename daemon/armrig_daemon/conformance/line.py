@@ -1,4 +1,4 @@
-"""Interface of a line to a device; port, emulator and simulated board implement it."""
+"""Interface of a line to a device: a serial port, an emulated device or a simulated board."""
 
 from __future__ import annotations
 

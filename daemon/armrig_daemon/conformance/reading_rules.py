@@ -26,7 +26,7 @@ from armrig_daemon.conformance.rule import NotTried, codes, expect, rule, shown
 
 _U32 = 0xFFFF_FFFF
 _SAMPLE_LIMIT_MS = 30
-"""Waiting time for an unexpected sample, in ms; no sample takes longer."""
+"""Time to wait for a sample, in ms; every sample arrives within this time."""
 _ROUNDED_US = 3
 _MAX_OVERSAMPLING = 32
 
@@ -69,7 +69,7 @@ def _waiting(host: Host) -> None:
             again = host.exchange(0, k=k + 3)  # the third was not accepted, so its k is still new
             expect(isinstance(again, Sample), [again])
             return
-    expect(False, came)  # after five attempts: the line does not separate the frames each time
+    expect(False, came)  # five attempts failed: the line cannot be the reason
 
 
 @rule(5, "If RUN ends before the latch, the SAMPLE reports the state after the end, and u_k 0")

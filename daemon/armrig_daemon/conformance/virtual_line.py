@@ -18,7 +18,7 @@ class TimedDevice(Protocol):
         """Advance to a time; return the sent frames, each with the time of its last byte."""
 
     def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
-        """Advance to `limit_ns` or to a frame; return the time and the sent frames."""
+        """Advance to `limit_ns` or, if earlier, to a sent frame; return the time and the frames."""
 
     def reset(self, now_ns: int) -> None:
         """Reset the processor; bytes on the wires are lost."""
@@ -51,7 +51,7 @@ class VirtualLine:
             self._due.extend(frames)
 
     def reopen(self, after_ms: float) -> None:
-        """Advance by `after_ms`; frames on the line are lost."""
+        """Advance by `after_ms`, then reopen the port; frames on the line are lost."""
         self._now_ns += round(after_ms * _NS_PER_MS)
         self.device.advance(self._now_ns)
         self._due.clear()

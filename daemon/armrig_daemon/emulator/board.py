@@ -111,7 +111,7 @@ class Board:
     def motion(self, now_ns: int) -> plant.State:
         """Return the angles of the arm and their rates."""
         if now_ns == self._now_ns:
-            return self._x  # as at each latch: theta_1 was held at the same instant
+            return self._x  # at each latch, because theta_1 was read at the same instant
         self._x = plant.advance(self._plant, self._x, self._volts, now_ns - self._now_ns)
         self._now_ns = now_ns
         return self._x

@@ -69,7 +69,7 @@ class Device:
 
     @property
     def state(self) -> State:
-        """State of the firmware at the last call."""
+        """State of the firmware."""
         return self._fw.state
 
     @property
@@ -139,7 +139,7 @@ class Device:
         return self._tx.pop_sent()
 
     def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
-        """Advance to a limit or to the next step; return the time and the sent frames."""
+        """Advance to the limit or the next step, whichever is earlier; return time and frames."""
         now_ns = min(limit_ns, self._next_ns)
         return now_ns, self.advance(now_ns)
 

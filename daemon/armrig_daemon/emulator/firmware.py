@@ -96,7 +96,7 @@ class Counters:
 
 @dataclass(slots=True, kw_only=True)
 class Firmware:
-    """One boot of the firmware."""
+    """State of the firmware during one boot."""
 
     board: Board
     hardware: Hardware
@@ -150,7 +150,7 @@ class Firmware:
     def accept(self, config: Config) -> None:
         """Apply a configuration, and give it a nonce that is new in this boot."""
         self.config, self.config_crc = config, config_crc(config)
-        # Nonces count from boot_id through 1 ... 2^32 - 1, so that other boots have other nonces.
+        # Nonces begin after boot_id, so that other boots have other nonces; 1 follows 2^32 - 1.
         self.nonce = (self.boot_id + self.accepted) % U32 + 1
         self.accepted += 1
 

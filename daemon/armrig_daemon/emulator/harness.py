@@ -80,7 +80,7 @@ class Figures(NamedTuple):
 
 Record = Duty | Left | Violated
 Convert = Callable[[int, int], int]
-"""Function that returns the ten bits of a conversion; arguments: cycle of its hold, channel."""
+"""Function of the cycle at which the input is held, and of the channel; returns the ten bits."""
 
 
 class Harness:
@@ -120,7 +120,7 @@ class Harness:
     def advance(
         self, cycle: int, convert: Convert, *, until_frame: bool = False
     ) -> Iterator[Record]:
-        """Advance to a cycle or to the end of a frame to the host; yield the records until then.
+        """Advance to a cycle or, with `until_frame`, to the end of a sent frame; yield the records.
 
         `convert` is called for each conversion. The caller must consume all records.
         """
@@ -150,7 +150,10 @@ class Harness:
         self._order(b"R", 0, deaf_cycles)
 
     def optiboot(self, version: int, r2: int) -> None:
-        """Put a boot loader of this version, such as 0x0803, into flash; it leaves `r2` in r2."""
+        """Put a boot loader of `version`, such as 0x0803, into flash.
+
+        The boot loader leaves the value `r2` in register r2.
+        """
         self._order(b"O", r2, version)
 
     def supply(self, millivolts: int) -> None:

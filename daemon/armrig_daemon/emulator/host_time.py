@@ -1,8 +1,9 @@
 """Emulation time, the time that an emulated device receives: the host's time without stalls.
 
-An emulated device receives nothing while its process is stalled. If its clock continued during the
-stall, its watchdog would trip after the stall. Therefore the device's clock and the arm stop during
-a stall. The watchdog's time, measured by the device's clock, does not change.
+An emulated device receives nothing while its process is stalled. If the device's clock continued
+during the stall, its watchdog would trip after the stall. Therefore the device's clock and the arm
+stop during a stall. By the device's clock, the watchdog trips after the same time as without a
+stall.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class HostTime:
         now_ns : int
             Current monotonic time.
         due_ns : int
-            Emulation time, in ns, until which the process intended to wait after the last reading.
+            Emulation time, in ns, until which the process intended to wait at the last call.
         """
         late_ns = now_ns - max(self._read_ns, self.monotonic_ns(due_ns))
         self._read_ns = now_ns
@@ -42,7 +43,7 @@ class HostTime:
         return now_ns - self.held_up_ns
 
     def look_ns(self, due_ns: int) -> int:
-        """Return the emulation time of the next clock reading if nothing is due before `due_ns`."""
+        """Return the emulation time at which the clock must be read next, at latest `due_ns`."""
         if not self._tolerates_stalls:
             return due_ns
         return min(due_ns, self._read_ns - self.held_up_ns + LOOK_NS)

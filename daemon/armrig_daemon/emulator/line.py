@@ -26,14 +26,14 @@ class Line:
     """The device's end of a line, which knows whether a program has the other end open."""
 
     fd = -1
-    """Descriptor of the bytes from the program at the port; negative for an unconnected socket."""
+    """Descriptor to read the program's bytes from; negative while a socket is unconnected."""
     opened_fd: int
     """Descriptor that is readable after a program has opened the port."""
 
     def __init__(self) -> None:
         """Begin with a closed port."""
         self.connected = False
-        """True while a program has the port open; a failed read detects the end."""
+        """True while a program has the port open; a failed read makes it False."""
         self.has_input = False
         """True if bytes are waiting to be read, or the port was closed."""
         self._is_hung_up = False
@@ -136,7 +136,7 @@ class Terminal(Line):
         self._closed = False
 
     def offer(self, port: Path, stack: ExitStack) -> None:
-        """Create the link in one step; replace the link of an earlier emulator."""
+        """Create the link `port` to the terminal; replace an earlier emulator's link atomically."""
         if port.exists() and not port.is_symlink():
             raise OperationError(f"{port}: exists and is not a link; choose another --port")
         fresh = port.with_name(f"{port.name}.{os.getpid()}")
@@ -159,8 +159,8 @@ class Terminal(Line):
 
         An opening counts only if the port was closed before. POLLHUP alone would miss a program
         that closes and reopens the port at once. (If a second program opens and closes a port that
-        is already open, its next opening of the port resets the device without need. The daemon
-        prevents this: it opens the port exclusively.)
+        is already open, the next opening counts although the port is open. The daemon prevents
+        this: it opens the port exclusively.)
         """
         opened = False
         for _, mask, _, _ in _INOTIFY_EVENT.iter_unpack(self._opened.read(4096) or b""):

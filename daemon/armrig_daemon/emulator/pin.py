@@ -22,7 +22,7 @@ _START = TYPES[Start]
 _U32 = (1 << 32) - 1
 _TOLERANCE_US = 3
 _MAX_HOLDS = 64
-"""Largest number of holds of theta_1 that are stored until a SAMPLE reports them."""
+"""Largest number of stored readings of theta_1 that no SAMPLE has reported yet."""
 
 
 def sentence(what: Violation) -> str:
@@ -60,7 +60,7 @@ class Pins:
         self._is_noted = False
         self._holds: deque[int] = deque(maxlen=_MAX_HOLDS)
         self._offsets_us: set[int] = set()
-        """Possible values of the time of a hold minus the device time of its trigger, in µs."""
+        """Possible values of the board's time minus the device time in `t_us`, in µs."""
 
     def send(self, cycle: int, data: bytes) -> None:
         """Note the host's bytes; after a START the device may drive the pin."""
@@ -71,7 +71,7 @@ class Pins:
                 self._low_from, self._start = None, message.seq
 
     def hold(self, cycle: int) -> None:
-        """Note a reading of theta_1; u is latched just after it."""
+        """Note the cycle at which the converter held theta_1; u is latched just after it."""
         self._holds.append(cycle)
 
     def measure(self, duty: Duty) -> None:
@@ -119,9 +119,9 @@ class Pins:
     def _hold_of(self, begun: int, m: Sample) -> int | None:
         """Return the cycle at which theta_1 was held for a sample; None until the clock is known.
 
-        A SAMPLE may leave the device after theta_1 was held for the next sample. Each hold before
-        the SAMPLE may therefore belong to it, until later samples exclude all possibilities except
-        one.
+        A SAMPLE may leave the device after theta_1 was held for the next sample. Each stored
+        cycle before the SAMPLE is therefore possible, until later samples leave only one
+        possibility.
         """
         held = {hold // CYCLES_PER_US - m.t_us & _U32: hold for hold in self._holds if hold < begun}
         if self._offsets_us:

@@ -75,7 +75,7 @@ def build(
         Coulomb friction T_c in Nm, and cubic part k_3 of the spring in Nm/rad³; 0 disables the
         effect.
     substep_ns : int, default 100 000
-        Step of the splitting, in ns; without friction and stiffening it has no effect.
+        Step of the Strang splitting, in ns; it has no effect without friction and stiffening.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def _torque(plant: Plant, x: State, u: float) -> float:
 
 
 def _kick(plant: Plant, x: State, dt_s: float, *, held: bool, breakaway: float) -> State:
-    """Return the state after the impulses of spring and friction, which are computed exactly.
+    """Return the state after the exact impulses of friction and of the stiffening spring.
 
     Only the spring acts on the absolute speed of the arm, theta_1' + alpha'.
     """

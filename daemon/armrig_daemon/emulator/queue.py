@@ -56,7 +56,7 @@ class SetpointQueue:
     def add(self, m: Setpoints) -> bool:
         """Add the setpoints of `m` that are new; return False if `m` contradicts the queue.
 
-        Setpoints that are late or follow a gap are dropped; if the queue is full, also new ones.
+        Setpoints that are late or follow a gap are dropped. A full queue also drops new setpoints.
         """
         offset, have = self._offset(m.k0), len(self._entries)
         if offset > have:
@@ -73,7 +73,7 @@ class SetpointQueue:
         return True
 
     def advance(self) -> bool:
-        """Latch the setpoint of `next`; return whether the queue had it.
+        """Latch the setpoint of `next`; return True if the setpoint was in the queue.
 
         If the queue is empty, the policy decides: u_rest, or the last code for `hold` samples.
         """

@@ -78,7 +78,7 @@ def is_newer(number: int, last: int | None, mask: int) -> bool:
 
 
 def makes_sample(fw: Firmware, m: Exchange) -> bool:
-    """Return whether a sample answers `m` in the present state."""
+    """Return True if the device, in its present state, answers `m` with a sample."""
     fresh = is_newer(m.seq, fw.newest, U16) and is_newer(m.k, fw.k, U32)
     free = fw.timer is None and fw.cal is None
     return free and fresh and _trip(fw, m) is _NONE

@@ -39,7 +39,7 @@ def latch(fw: Firmware, now_ns: int) -> None:
 
 
 def _next_setpoint(fw: Firmware) -> Setpoint:
-    """Return the setpoint to latch, from the queue or, if the queue is empty, from the policy."""
+    """Return the setpoint to latch: the next in the queue, or that of the underrun policy."""
     if fw.queue is None:
         raise RuntimeError("a sample of scheduled mode needs a queue")
     if not fw.queue.advance():

@@ -16,7 +16,7 @@ from armrig_daemon.emulator.firmware import Firmware
 
 
 def setpoints(fw: Firmware, now_ns: int, m: Setpoints) -> list[Message]:
-    """Put the setpoints into the queue; valid setpoints are not answered, even if dropped."""
+    """Put the setpoints into the queue; do not answer valid setpoints, even if they are dropped."""
     if fw.queue is None:
         return [fw.answer(TYPES[Setpoints], m.seq, Code.WRONG_STATE)]
     if not 1 <= m.n <= SETPOINTS_PER_FRAME or m.zero:

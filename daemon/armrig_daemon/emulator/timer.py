@@ -31,5 +31,5 @@ class Timer:
     def due_ns(self) -> int:
         """Time of the first conversion of sample k, or of the end of the run."""
         tick_ns = self.first_ns + self.k * self.period_ns
-        # The end is due where a latch would be, so that the last input is held for its whole Ts.
+        # The run ends at the time of the next latch, so that the last input is held for a whole Ts.
         return tick_ns + self.hold_ns if self.ends else tick_ns - self.lead_ns

@@ -6,7 +6,7 @@ BITS_PER_BYTE = 10  # 8N1: start bit, eight data bits, stop bit
 
 
 def wire_ns(n_bytes: int, baud: int) -> int:
-    """Return the time of `n_bytes` at `baud`, in ns; with baud 0, bytes take no time."""
+    """Return the time that `n_bytes` take on the wire, in ns; with baud 0, bytes take no time."""
     return n_bytes * BITS_PER_BYTE * 1_000_000_000 // baud if baud else 0
 
 

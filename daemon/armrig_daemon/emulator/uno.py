@@ -137,7 +137,7 @@ class Uno:
         return frames
 
     def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
-        """Advance to `limit_ns` or to a frame; return the time and the sent frames."""
+        """Advance to `limit_ns` or, if earlier, to a sent frame; return the time and the frames."""
         self._run(limit_ns, until_frame=True)
         frames = list(self._frames)
         self._frames.clear()

@@ -58,7 +58,7 @@ def estop(port: str, baud: int) -> bool:
 
 
 def _opened(port: str, baud: int, until_s: float) -> Link:
-    """Open the port; try again for a while if another program holds it."""
+    """Open the port; if another program holds the port, try again until `until_s`."""
     while time.monotonic() < until_s:
         with contextlib.suppress(TakenPortError):
             return open_link(port, baud)

@@ -26,7 +26,7 @@ from armrig_core.errors import ArmrigError, InputError
 from armrig_core.waiting import TERMINAL_BYTES, Waiter
 
 READ = 2048
-"""Largest number of bytes handled in a step; one record holds them and the step's answers."""
+"""Largest number of bytes that a step handles; one record contains them and their answers."""
 SEND_BUFFER_BYTES: Final = 1 << 16
 """SO_SNDBUF of a socket, in bytes. The kernel doubles it: 171 frames of about 0.75 kB fit.
 
@@ -140,7 +140,7 @@ class Link:
 
 
 class SocketLink(Link):
-    """Open socket of an emulated rig; a read does not wait for a kernel worker.
+    """Open socket of an emulated rig; unlike a terminal, it is read without a kernel worker.
 
     As with a serial port, only one program at a time can open the socket, and opening it resets the
     device.
@@ -158,7 +158,7 @@ class SocketLink(Link):
         self._begin(port, connection.fileno())
 
     def watch(self, waiter: Waiter) -> None:
-        """Add the socket to a waiter, level-triggered: a query of a socket never waits."""
+        """Add the socket to a waiter, level-triggered; querying a socket needs no kernel worker."""
         waiter.watch(self.fd)
 
     def close(self) -> None:

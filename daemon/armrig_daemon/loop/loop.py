@@ -67,7 +67,7 @@ class Loop:
             self._step(self.ports.now_ns(), late)
 
     def _serve_until(self, until_ns: int, due_ns: int) -> int:
-        """Handle events, and wake when the core needs it, until shortly before the tick."""
+        """Handle events, and wake-ups that the core requested, until shortly before the tick."""
         pace, ports = self._pace, self.ports
         now = ports.now_ns()
         while now < until_ns and not self.ended and self._pace is pace:

@@ -37,7 +37,7 @@ class Meter:
         self._queue.add(depth)
 
     def sampled(self, sample: Sample, ts_ns: int) -> None:
-        """Count a deviation of the device's sampling interval from its period."""
+        """Count the deviation of the device's sampling interval from the sampling time."""
         last, self._device = self._device, (sample.k, sample.t_device_us, ts_ns)
         if last is not None and sample.k > last[0] and ts_ns == last[2]:
             apart_ns = (sample.t_device_us - last[1]) * 1000

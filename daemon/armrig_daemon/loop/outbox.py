@@ -21,7 +21,7 @@ from armrig_daemon.pipe import (
 )
 
 MAX_WAITING_RECORDS = 1000
-"""Number of waiting records above which further records of `_INFORM` are dropped."""
+"""Number of waiting records above which further records of the types in `_INFORM` are dropped."""
 _INFORM = (Log, State, Timing, Clock, Trace)
 
 

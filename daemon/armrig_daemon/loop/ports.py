@@ -1,4 +1,4 @@
-"""Interface of the loop to its environment: the product, a test or the simulator."""
+"""Interface of the loop to its environment: the real daemon, a test or the simulator."""
 
 from __future__ import annotations
 

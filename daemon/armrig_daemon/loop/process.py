@@ -54,10 +54,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ProcessPorts:
-    """Ports of the product: the monotonic clock, the serial line, the service's pipes."""
+    """Ports of the real daemon: the monotonic clock, the serial line, the service's pipes."""
 
     def __init__(self, settings: Settings, orders_fd: int, records_fd: int) -> None:
-        """Take the pipes and open the line; the loop waits for a missing port as for a lost port.
+        """Take the pipes and open the line; if the port is missing, the loop waits for the port.
 
         Raises
         ------

@@ -46,7 +46,7 @@ def prepare(priority: int, cpu: int | None) -> dict[str, Any]:
         refused.append(f"cpu {cpu} (allowed are {sorted(os.sched_getaffinity(0))})")
     gc.collect()
     gc.freeze()
-    gc.disable()  # nothing here makes cycles; a collection costs milliseconds
+    gc.disable()  # no code here makes reference cycles; a collection costs milliseconds
     return {
         "fifo": fifo,
         "mlockall": locked,
@@ -57,7 +57,7 @@ def prepare(priority: int, cpu: int | None) -> dict[str, Any]:
 
 
 def _set_fifo(priority: int) -> int:
-    """Request a SCHED_FIFO priority; return the priority in force, 0 under another policy."""
+    """Request a SCHED_FIFO priority; return the granted priority, or 0 without SCHED_FIFO."""
     if not priority:
         leave_fifo()
         return _fifo_priority()
@@ -104,7 +104,7 @@ def _pin(cpu: int | None) -> bool:
 
 
 def leave_fifo(but: int | None = None) -> bool:
-    """Return to the ordinary policy, which later children and threads inherit.
+    """Return to the ordinary scheduling policy, which later children and threads inherit.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def leave_fifo(but: int | None = None) -> bool:
 
 
 def be_prompt(thread: int) -> None:
-    """Set the lowest real-time priority for `thread`, which only waits, if this is permitted."""
+    """If permitted, set the lowest real-time priority for `thread`, a thread that only waits."""
     with contextlib.suppress(OSError):
         if os.sched_getscheduler(thread) == os.SCHED_OTHER:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))

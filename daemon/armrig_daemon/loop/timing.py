@@ -15,11 +15,11 @@ from itertools import accumulate
 from armrig_daemon.pipe import Distribution
 
 _BINS_PER_OCTAVE = 32  # resolution of the values: 1/32, which is 3 %
-_MAX_MISSED = 10_000  # more missed ticks than any run survives; bounds the work after a suspend
+_MAX_MISSED = 10_000  # more than any run survives; bounds the work after a suspend
 
 
 def _bin(value: int) -> int:
-    """Return the log-linear bin of a value: exact below 64, then at most 1/32 of the value wide."""
+    """Return the bin of a value; a bin is 1 wide below 64, and at most value / 32 wide above."""
     shift = value.bit_length() - 6
     return shift * _BINS_PER_OCTAVE + (value >> shift) if shift > 0 else value
 
@@ -41,7 +41,7 @@ class Histogram:
         self.missed = 0
 
     def add(self, value_ns: int, missed: int = 0, period_ns: int = 0) -> None:
-        """Count the lateness of a tick; each of the `missed` next ticks counts one period less."""
+        """Count the lateness of a tick and of `missed` next ticks, each one period less late."""
         # A comparison is faster than `max`: three values are added at each tick.
         value = value_ns if value_ns > 0 else 0
         if value > self._max:

@@ -33,7 +33,8 @@ function panel(u, { signal, letter }, top) {
   return out.join("\n");
 }
 
-// Return the path through the least and largest values of each pair, with breaks at missing values.
+// Yield the path, colour and dashes of each curve. A path goes through the least and the largest
+// value at each time, with breaks at missing values.
 function* curves(u, at, up) {
   const x = u.data[0];
   for (let s = 1; s < u.data.length; s += 2) {

@@ -32,7 +32,7 @@ export class Stream {
   #look() {
     const late = performance.now() - this.looked - LOOK_MS;
     this.looked += late + LOOK_MS;
-    // If this browser was late, messages may wait to be read: the server may not be silent.
+    // If this browser was late, unread messages may be waiting, so the server need not be silent.
     if (late > BUSY_MS) return document.hidden ? undefined : this.busy(late);
     if (this.silence > SILENT_MS) {
       this.lost(this.silence, this.why || "the dashboard's server is silent");
