@@ -330,7 +330,7 @@ def test_a_column_with_the_name_of_the_rigs_angle_is_reported(
     run("identify data.csv --signal theta_1 --structure arx", tmp_path, capsys)
     _, _, said = run("identify data.csv --signal theta_1 --structure arx", tmp_path, capsys)
 
-    assert "theta_1 is assumed to be the rig's angle, which integrates its input; rename" in said
+    assert "theta_1 is assumed to be the rig's angle, which integrates its input; if it is" in said
 
 
 @pytest.mark.parametrize(
