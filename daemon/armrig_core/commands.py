@@ -215,7 +215,7 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     fault: str = ""
     """Id of the fault, for programs; empty without a fault."""
     motor: str = ""
-    """Known state of the motor."""
+    """State of the motor, as far as the daemon knows it."""
     remedy: str = ""
     """Remedy of the fault."""
     owner: str

@@ -154,14 +154,14 @@ def manifest_of(metadata: dict[str, str]) -> Manifest:
 
 
 def outcome_of(metadata: dict[str, str]) -> Outcome:
-    """Return the outcome in a metadata record named `OUTCOME`; raises as `manifest_of`."""
+    """Return the outcome in a metadata record named `OUTCOME`; raise what `manifest_of` raises."""
     found = msgspec.convert(_fields(metadata), Outcome)
     code = found.code or version_1.outcome_code(found.outcome)
     return msgspec.structs.replace(found, code=code)
 
 
 def recovered_of(metadata: dict[str, str]) -> Recovered:
-    """Return the recovery in a metadata record named `RECOVERED`; raises as `manifest_of`."""
+    """Return the recovery in a metadata record named `RECOVERED`; raise what `manifest_of` raises."""
     return msgspec.convert(_fields(metadata), Recovered)
 
 

@@ -56,7 +56,7 @@ def read_users(path: Path) -> dict[str, str]:
 
 
 def read_passwords(path: Path) -> frozenset[str]:
-    """Return the names of the users in a password file; raises as `read_users`."""
+    """Return the names of the users in a password file; raise what `read_users` raises."""
     return frozenset(read_users(path))
 
 

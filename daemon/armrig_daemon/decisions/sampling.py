@@ -22,7 +22,7 @@ from armrig_daemon.decisions.requests import Step, linked, log
 from armrig_daemon.decisions.state import ActiveRun, Link, Phase, Publish, RoundTrip, Sent, State
 from armrig_daemon.decisions.stopping import trip
 
-_RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)  # `&` of a Flag makes a Flag: 0.5 µs each
+_RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)  # int: `&` of two Flags takes 0.5 µs
 _ARMED, _ACTIVE, _FAULT = Phase.ARMED, Phase.ACTIVE, Phase.FAULT
 
 MIN_MAP_EXCHANGES = 8
@@ -90,10 +90,11 @@ def _find_exchange(sent: tuple[Sent, ...], k: int) -> int | None:
 
 def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Handle a sample of a device that samples by its own timer."""
-    # The echo is checked first: after this sample the daemon sends setpoints, and an echo that is
-    # ahead could then look like the echo of one of these frames.
+    # The echo is checked first: after this sample the daemon sends setpoints. The echo
+    # of another host's frame could then look like the echo of one of these setpoints.
     state, done = _check_echo(state, now_ns, m)
-    # The state is noted before the sample: RUN shows that START has worked, and defines k.
+    # The device's state is handled before the sample, because the state RUN shows that START has
+    # worked, and defines k.
     state, actions = transitions.note_state(note_echo(state, m.echo), now_ns, m.state)
     done += actions
     state, actions = _handle_of_run(state, now_ns, m)
@@ -141,7 +142,7 @@ def _sched_ns(state: State, run: ActiveRun, m: DeviceSample) -> int:
 
 
 def note_echo(state: State, echo: int) -> State:
-    """Note that the device has received the frame `echo`, which proves a round trip."""
+    """Store that the device has received the frame `echo`, which proves a round trip."""
     link = state.link
     if link is None or is_ahead(link, echo):
         return state

@@ -1,4 +1,4 @@
-"""Load of this machine, reported with the timing and with a run that the load may have ended."""
+"""Load of this machine, for the timing and for the outcome of a run that the load ended."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _OF_LOAD = (Id.STALE, Id.PAUSE, Id.MISSED)
 
 
 class Pressure:
-    """Source of the processors' pressure stall information, and of the run queue."""
+    """Reader of the processors' pressure stall information, and of the run queue."""
 
     def __init__(self, path: Path = CPU) -> None:
         """Start to count the waiting time now."""

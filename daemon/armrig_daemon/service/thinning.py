@@ -12,7 +12,7 @@ from armrig_daemon.pipe import Log
 HOLD_NS = 1_000_000_000
 """Time for which repeated lines are held back, in ns; repeated lines differ only in numbers."""
 MAX_KINDS = 100
-"""Largest number of distinguished kinds of lines; a line of a further kind is always logged."""
+"""Largest number of kinds of lines to remember; a line of a further kind is always logged."""
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
@@ -49,7 +49,7 @@ class Thinning:
         return False
 
     def due(self, now_ns: int, *, end: bool = False) -> list[Log]:
-        """Return a line for each kind of lines held back for 1 s; with `end`, for all kinds."""
+        """Return the newest line of each kind held back for 1 s; with `end`, of all kinds."""
         lines: list[Log] = []
         for kind, (ns, held, newest) in list(self._kinds.items()):
             if now_ns - ns < HOLD_NS and not end:
