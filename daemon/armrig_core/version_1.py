@@ -46,7 +46,7 @@ def passes(error: str) -> bool:
 
 
 def outcome_code(text: str) -> OutcomeCode:
-    """Return the code of an outcome, whose file or status contains only the sentence `text`."""
+    """Return the outcome code for the sentence `text` of a file or a status without codes."""
     return next(
         (code for begin, code in _BEGINNINGS.items() if text.startswith(begin)),
         _OUTCOMES.get(text, OutcomeCode.UNKNOWN),
@@ -54,7 +54,7 @@ def outcome_code(text: str) -> OutcomeCode:
 
 
 def gap_code(reason: str) -> GapCode:
-    """Return the code of a gap, whose message of version 1 contains only the sentence `reason`."""
+    """Return the gap code for the sentence `reason` in a message of version 1."""
     return _GAPS.get(reason, GapCode.UNKNOWN)
 
 

@@ -241,7 +241,7 @@ class Part:
             self.active.unlink()
 
     def give_up(self) -> None:
-        """Cut off the data after the last flush, and close the file."""
+        """Cut the file at the end of its last flush, and close it."""
         with suppress(OSError, ValueError):  # it is closed or does not exist any more
             self._cut()
             self._file.close()

@@ -125,8 +125,7 @@ def extend(last_us: int, raw_us: int) -> int:
 
     `last_us` is the extended time of an earlier reading. The result is at most 16.8 s before
     `last_us` (messages may overtake each other), or less than 71.3 min after `last_us`. After a
-    longer silence, a wrap is lost. The extended time of the first
-    reading is the reading itself.
+    longer silence, a wrap is lost. The extended time of the first reading is the reading itself.
     """
     return last_us - _BACK_US + ((raw_us - last_us + _BACK_US) % _WRAP)
 
@@ -274,9 +273,9 @@ def _window(clock: ClockMap, r: int) -> ClockMap:
     """Add a round trip, and estimate `gap_ns`.
 
     The sum of two exponential waiting times with means m and m' is below x with a probability of
-    x²/(2 m m'). `gap_ns` is the excess of the window's minimum over the shortest possible
-    round trip, and the smallest of N such sums. It therefore has the root mean square √(2 m m'/N).
-    This is at most 0.84/√N times the median. Stalls do not change the median.
+    x²/(2 m m'). `gap_ns` is the excess of the window's minimum over the shortest possible round
+    trip, and the smallest of N such sums. It therefore has the root mean square √(2 m m'/N). This
+    is at most 0.84/√N times the median. Stalls do not change the median.
     """
     link = clock.link
     round_trips = (*clock.round_trips[1 - _WINDOW_SIZE :], r)

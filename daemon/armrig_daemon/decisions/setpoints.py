@@ -119,7 +119,7 @@ def tick(state: State, now_ns: int) -> Step:
 
 
 def complete(state: State, now_ns: int) -> Step:
-    """End the run after the device has taken its last sample; store the missing samples."""
+    """Store that the device has taken the run's last sample; also store the missing samples."""
     run = state.run
     if run is None:
         return state, []

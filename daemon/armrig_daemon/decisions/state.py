@@ -218,7 +218,7 @@ class Link(msgspec.Struct, frozen=True, gc=False):
     beats: tuple[Unechoed, ...] = ()
     """In a scheduled run: frames whose echo has not arrived yet."""
     last_round_trip_ns: int = msgspec.field(default=0, name="fresh_ns")
-    """Time of sending of the newest frame that the device has answered or echoed (S4)."""
+    """Time at which the newest frame that the device has answered or echoed was sent (S4)."""
     ping_ns: int = 0
     """Time of the last PING."""
     came: Traffic = Traffic()
@@ -337,7 +337,7 @@ class Publish(NamedTuple):
 
 
 class RoundTrip(NamedTuple):
-    """Action: add this time, from a request to the device's answer in ns, to the timing."""
+    """Action: add this round-trip time, in ns, to the timing of the loop."""
 
     ns: int
 

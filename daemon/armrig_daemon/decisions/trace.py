@@ -153,7 +153,7 @@ def restored(data: bytes, codes: bytes, version: int = VERSION) -> State:
 
 
 def steps_of(chunk: bytes, version: int = VERSION) -> list[Step]:
-    """Return the steps of a chunk; raises the exceptions of `restored`."""
+    """Return the steps of a chunk; raise as `restored` does."""
     order_of = _known(_ORDER_OF, version)
     return [
         Step(now_ns, tuple(_event(number, data, order_of) for number, data in events), tuple(sent))

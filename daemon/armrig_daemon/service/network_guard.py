@@ -16,7 +16,7 @@ SHUT_S = 10.0
 
 
 class NetworkGuard:
-    """Guard that shuts the network while too many files are open, counted once a second."""
+    """Guard that shuts the network while too many files are open; call `look` once a second."""
 
     def __init__(
         self, count: Callable[[], int], shut: Callable[[], None], open_again: Callable[[], str]

@@ -1,4 +1,7 @@
-"""Load of this machine, for the timing and for the outcome of a run that the load ended."""
+"""Load of this machine.
+
+The load is published with the timing. The outcome of a run states the load if it may be the cause.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,10 @@ from armrig_daemon.pipe import State, Timing
 
 CPU = Path("/proc/pressure/cpu")
 MAX_LATENESS_MS = 100
-"""Largest lateness at which arming is allowed, in ms: 99th percentile of the last second.
+"""Largest lateness at which arming is allowed, in ms.
 
-A longer watchdog tolerates a stall during a run, but does not permit arming on a late host.
+The lateness is the 99th percentile of the ticks in the last second. A longer watchdog tolerates a
+stall during a run, but does not permit arming on a late host.
 """
 _OF_LOAD = (Id.STALE, Id.PAUSE, Id.MISSED)
 

@@ -64,7 +64,7 @@ class Runs:
         changed: Callable[[], None],
         circumstances: HostFacts | None = None,
     ) -> None:
-        """Record into `directory`; a recording's thread calls `changed` when its state changes."""
+        """Record into `directory`; the thread of a recording calls `changed` after each change."""
         self._config = config
         self._circumstances = circumstances or of_this_host()
         self._directory = directory
@@ -131,7 +131,7 @@ class Runs:
         theta_1_rad : float, optional
             Angle of the chassis, in rad.
         alive : callable
-            Function that is called several times, because the method is slow for a long run.
+            Function that is called between the steps, because a long run takes seconds to plan.
 
         Raises
         ------

@@ -36,8 +36,8 @@ class Thinning:
 
     def lets_through(self, log: Log) -> bool:
         """Return whether a line must be logged now; if not, count the line."""
-        # Lines about commands that differ in a number are not repeated: "group 3" and "group 4"
-        # are two owners.
+        # Two lines about commands are different even if only a number differs: "group 3" and
+        # "group 4" are two owners.
         kind = log.message if "command" in log.fields else _NUMBER.sub("#", log.message)
         before = self._kinds.get(kind)
         if log.level == "error" or (before is None and len(self._kinds) >= MAX_KINDS):
