@@ -30,7 +30,7 @@ MOST_BYTES = 4096
 MOST_CALIBRATION_BYTES = (RAW_LIMIT + 2) // 3 * 4 + (1 << 16)
 """Longest payload of `calibrate`, in B: the samples, as base64, and the values."""
 MOST_LOCAL_BYTES = 88 << 20  # the longest run: 20 B per sample as JSON, and its details
-MOST_MESSAGE_BYTES = 8 << 20  # over a network: memory that one client can occupy
+MOST_MESSAGE_BYTES = 8 << 20  # longest message over a network, so that no client fills the memory
 
 
 def remote(rig: str, people: AccessList, subject: Subject) -> dict[str, Any]:

@@ -72,7 +72,7 @@ def tables_of(path: Path) -> dict[str, Any]:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Return the calibration in the TOML file at `path`; raises FileError."""
+    """Return the calibration in the TOML file at `path`; raise FileError if it cannot be used."""
     tables = tables_of(path)
     try:
         return msgspec.convert(tables, Calibration)

@@ -103,7 +103,7 @@ class OutcomeCode(StrEnum):
     DAEMON_ENDED = "daemon_ended"
     """The daemon or its loop ended."""
     RECORDING = "recording"
-    """The recording could not begin or continue; the sentence names the file."""
+    """The recording could not begin or continue; the sentence of the outcome names the file."""
     MOVED = "moved"
     """The file was moved during the recording."""
     CUT_OFF = "cut_off"

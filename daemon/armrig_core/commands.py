@@ -85,7 +85,7 @@ class Run(Leased, frozen=True, kw_only=True):
     details: dict[str, Any] = {}
     """Parameters of the experiment, such as its seed; the recording contains them."""
     dead_man: Annotated[float, Meta(ge=0.5, le=60, description="s")] | None = None
-    """Longest time without a `renew`, in s, after which the run stops; default: none."""
+    """Longest time without a `renew`, in s, after which the run stops; None: no limit."""
 
 
 class Renew(Leased, frozen=True, kw_only=True):
@@ -100,7 +100,7 @@ class Stop(Request, frozen=True, kw_only=True, omit_defaults=True):
     name: ClassVar[str] = "stop"
     by: str = ""
     """Name of the client, for the recording. A name of any length is allowed, because no stop may
-    be refused for a name."""
+    be refused because of a name."""
 
 
 class Note(Request, frozen=True, kw_only=True, omit_defaults=True):
@@ -215,7 +215,7 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     fault: str = ""
     """Id of the fault, for programs; empty without a fault."""
     motor: str = ""
-    """Known state of the motor."""
+    """State of the motor, as far as the daemon knows it."""
     remedy: str = ""
     """Remedy of the fault."""
     owner: str

@@ -104,8 +104,8 @@ def check_listen(where: str) -> str:
     Raises
     ------
     ValueError
-        The protocol is neither tls nor tcp, or it is tcp at an address that other machines can
-        reach.
+        The protocol is neither tls nor tcp, or the protocol is tcp and other machines can reach
+        the address.
     """
     found = _NETWORK.fullmatch(where)
     if found is None or not 0 < int(found[4]) < 1 << 16:

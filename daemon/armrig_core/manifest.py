@@ -124,7 +124,7 @@ class Recovered(msgspec.Struct, frozen=True, kw_only=True):
     cut_off_bytes: int
     """Length of the damaged rest, which was cut off, in B."""
     damage: str
-    """Omitted attachments, and why the rest was unreadable; empty for an undamaged file."""
+    """Omitted attachments, and reason why the rest is unreadable; empty for an undamaged file."""
 
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP needs them; each value is a JSON text."""
@@ -154,14 +154,14 @@ def manifest_of(metadata: dict[str, str]) -> Manifest:
 
 
 def outcome_of(metadata: dict[str, str]) -> Outcome:
-    """Return the outcome in a metadata record named `OUTCOME`; raises as `manifest_of`."""
+    """Return the outcome in a metadata record named `OUTCOME`; raise as `manifest_of` does."""
     found = msgspec.convert(_fields(metadata), Outcome)
     code = found.code or version_1.outcome_code(found.outcome)
     return msgspec.structs.replace(found, code=code)
 
 
 def recovered_of(metadata: dict[str, str]) -> Recovered:
-    """Return the recovery in a metadata record named `RECOVERED`; raises as `manifest_of`."""
+    """Return the recovery in a metadata record named `RECOVERED`; raise as `manifest_of` does."""
     return msgspec.convert(_fields(metadata), Recovered)
 
 

@@ -75,7 +75,7 @@ which a loop runs without its service.
 
 
 def transport(most_received: int, answer_us: int | None = None) -> dict[str, Any]:
-    """Return zenoh's `transport` of a session that never waits for a subscriber.
+    """Return zenoh's `transport` settings of a session that never waits for a subscriber.
 
     Parameters
     ----------

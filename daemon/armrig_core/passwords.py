@@ -56,7 +56,7 @@ def read_users(path: Path) -> dict[str, str]:
 
 
 def read_passwords(path: Path) -> frozenset[str]:
-    """Return the names of the users in a password file; raises as `read_users`."""
+    """Return the names of the users in a password file; raise as `read_users` does."""
     return frozenset(read_users(path))
 
 

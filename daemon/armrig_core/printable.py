@@ -41,7 +41,7 @@ def json_printable(text: str) -> str:
 def brief(message: str) -> str:
     """Return a message in which long words and long quotations are shortened.
 
-    A message may quote a user's value of any length; the advice after it must stay visible.
+    A message may quote a very long value of a user; the advice after the value must stay visible.
     """
     return _LONG_WORD.sub(_shortened, message)
 

@@ -16,7 +16,7 @@ from armrig_core.toml_file import read_toml
 SYSTEM = Path("/etc/armrig/armrig.toml")
 VARIABLE = "ARMRIG_RECORDING_DIRECTORY"
 OF_SERVICE = Path("/var/lib/armrig/recordings")
-"""Directory of the recordings of this machine's service, from StateDirectory= of its unit."""
+"""Recordings directory of the service on this machine, set by StateDirectory= of its unit."""
 
 
 def installed(rig: str = "", *, system: bool = False) -> list[Path]:
@@ -56,7 +56,7 @@ def directory_of(given: str) -> Path:
 
 
 def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
-    """Return the directory of the recordings of a daemon that reads these files and variables.
+    """Return the recordings directory of a daemon that has these files and variables.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ _Array = NDArray[np.float64]
 MOST_POINTS = 20_000_000
 """Largest number of points in time of one rehearsal; they take half a second to compute."""
 _BLOCK_SAMPLES = 64  # samples that one matrix product advances
-_STEP_PHASE_RAD = 0.2  # phase of the arm's oscillation from point to point: 0.5 % error at a peak
+_STEP_PHASE_RAD = 0.2  # phase of the oscillation between points: 0.5 % error at a peak
 
 
 class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):

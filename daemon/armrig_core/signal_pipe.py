@@ -34,7 +34,7 @@ class SignalPipe:
         Parameters
         ----------
         handler : callable, optional
-            Called for each signal in the main thread. It must take no lock.
+            Function that the main thread calls for each signal. It must take no lock.
         """
         # Sockets: recording over a network also runs on Windows, whose select accepts only sockets.
         self._reader, self._waker = socket.socketpair()
@@ -60,7 +60,7 @@ class SignalPipe:
         numbers: set[int] = set()
         with suppress(BlockingIOError):
             numbers = {*self._reader.recv(_READ_BYTES)} - {0}
-        # After the read, which may have taken the byte that another thread has just written.
+        # Reset after the read, because the read may take a byte that another thread has just sent.
         self._is_woken = False
         return numbers
 
@@ -90,7 +90,7 @@ class SignalPipe:
 
 @contextmanager
 def until_signal() -> Iterator[SignalPipe]:
-    """Yield a pipe that an ending signal sets; a second signal raises KeyboardInterrupt.
+    """Yield a pipe that a signal of `ENDING` sets; a second signal raises KeyboardInterrupt.
 
     The first signal interrupts nothing, so that a received message is still written to the file. A
     signal that nohup ignores stays ignored.
@@ -116,7 +116,7 @@ def until_signal() -> Iterator[SignalPipe]:
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Block the ending signals in a `with` block; a process started in the block inherits the mask.
+    """Block the signals of `ENDING` in a `with` block; a process started there inherits the mask.
 
     The new process unblocks the signals when it creates its `SignalPipe`. A Ctrl-C reaches all
     processes of a terminal. Without the mask, a new process could lose the Ctrl-C while it imports

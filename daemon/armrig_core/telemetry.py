@@ -84,7 +84,7 @@ class Sample(NamedTuple):
     t_sched_ns: int
     """Due time of the sample, on the host's monotonic clock."""
     t_host_ns: int
-    """Time at which the host requested the sample, on the same clock."""
+    """Time at which the host requested the sample (in a scheduled run: received it); same clock."""
     t_device_us: int
     """Time at which the conversion of theta_1 was triggered, on the unwrapped device clock."""
     theta_1_rad: float

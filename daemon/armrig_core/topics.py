@@ -32,7 +32,7 @@ def check_rig_id(rig: str) -> str:
 
 
 def check_own_id(rig: str) -> str:
-    """Return `rig`; raise ValueError if the id is invalid or begins like a played id."""
+    """Return `rig`; raise ValueError if the id is invalid or begins with `PLAYED`."""
     if check_rig_id(rig).startswith(PLAYED):
         msg = f"rig id {rig!r}: an id that begins with {PLAYED} belongs to a recording that "
         raise InputError(msg + "`armrig play` plays; choose another id")

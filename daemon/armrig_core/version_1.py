@@ -41,12 +41,12 @@ _GAPS = {
 
 
 def passes(error: str) -> bool:
-    """Return whether a refusal, from a daemon without codes, is temporary."""
+    """Return whether a refusal is temporary, judged by the text of a daemon without codes."""
     return error.endswith(TRY_AGAIN)
 
 
 def outcome_code(text: str) -> OutcomeCode:
-    """Return the code for the sentence of an outcome in a file or a status without codes."""
+    """Return the outcome code for the sentence `text` of a file or a status without codes."""
     return next(
         (code for begin, code in _BEGINNINGS.items() if text.startswith(begin)),
         _OUTCOMES.get(text, OutcomeCode.UNKNOWN),
@@ -54,7 +54,7 @@ def outcome_code(text: str) -> OutcomeCode:
 
 
 def gap_code(reason: str) -> GapCode:
-    """Return the code for the reason of a gap in a message of version 1, which has no code."""
+    """Return the gap code for the sentence `reason` in a message of version 1."""
     return _GAPS.get(reason, GapCode.UNKNOWN)
 
 

@@ -28,7 +28,7 @@ def code_of(u: float) -> int:
 
 
 def codes_of(u: Iterable[float]) -> bytes:
-    """Return the codes of the voltages as little-endian u16 values; raises as `code_of`."""
+    """Return the codes of the voltages as little-endian u16 values; raise as `code_of` does."""
     codes = [code_of(voltage) for voltage in u]
     return pack(f"<{len(codes)}H", *codes)
 

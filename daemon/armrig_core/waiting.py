@@ -40,7 +40,7 @@ _until_at = ctypes.byref(_until)
 
 
 def sleep_until(deadline_ns: int, spin_ns: int = 0) -> int:
-    """Sleep, then spin for the last `spin_ns` before a deadline; return the final time, in ns."""
+    """Sleep, then spin for the last `spin_ns` before a deadline; return the time then, in ns."""
     now = time.monotonic_ns()
     wake = deadline_ns - spin_ns
     if now < wake:
@@ -104,7 +104,7 @@ class Waiter:
         Parameters
         ----------
         deadline_ns : int
-            Time on the monotonic clock, in 64 bits; if this time is past, the call returns at once.
+            Time on the monotonic clock, in ns; if this time is past, the call returns at once.
         """
         if deadline_ns != self._due_ns:  # a loop waits for the same deadline many times
             self._due_ns = deadline_ns

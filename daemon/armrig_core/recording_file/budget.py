@@ -5,13 +5,17 @@ from __future__ import annotations
 from armrig_core.errors import ArmrigError
 
 MESSAGES_LIMIT, MESSAGES_PER_BYTE = 40 << 20, 16
-"""Limit on messages other than samples: `MESSAGES_LIMIT` + n `MESSAGES_PER_BYTE` B in n B."""
+"""Limit on the messages other than samples, in B.
+
+For a file of n B, the limit is `MESSAGES_LIMIT` + n `MESSAGES_PER_BYTE`.
+"""
 UNPACKED_LIMIT, UNPACKED_PER_BYTE, UNPACKED_MORE = 64 << 20, 64, 4 << 30
-"""Limit on the unpacked chunks of a file of n B, in B.
-The limit is `UNPACKED_LIMIT` + min(n `UNPACKED_PER_BYTE`, n + `UNPACKED_MORE`).
+"""Limit on the unpacked chunks, in B.
+
+For a file of n B, the limit is `UNPACKED_LIMIT` + min(n `UNPACKED_PER_BYTE`, n + `UNPACKED_MORE`).
 """
 WORK_LIMIT, BYTES_PER_WORK = 3_000_000, 64
-"""Limit on the work with records; one unit is a skipped message, about 1 µs.
+"""Limit on the work with records; skipping one message costs one unit, about 1 µs.
 
 For a file of n B the limit is `WORK_LIMIT` + n / `BYTES_PER_WORK` units. A recording of one hour at
 1 kHz, 290 MB, needs 1 to 2 million units.
@@ -31,7 +35,7 @@ class Budget:
     """Cost of reading a file up to now, and the limits of this cost."""
 
     def __init__(self, size: int, messages: int = 0) -> None:
-        """Set the limits for a file of `size` B; `messages`, if not 0, is the limit `KEPT`."""
+        """Set the limits for a file of `size` B; `messages`, unless 0, is the limit of `KEPT`."""
         more = min(UNPACKED_PER_BYTE * size, size + UNPACKED_MORE)
         self.limits = {
             WORK: WORK_LIMIT + size // BYTES_PER_WORK,

@@ -50,8 +50,8 @@ class Unpacker:
 
     def _unpacked(self, packed: memoryview, size: int) -> bytes:
         try:
-            # If the frame states the size of the chunk, decompress returns at most this size.
-            # Otherwise the read is limited; decompress(max_output_size=…) would trust the frame.
+            # If the frame states `size`, `decompress` returns at most `size` B. Any other frame is
+            # read as a stream, because decompress(max_output_size=…) would trust the frame.
             if zstandard.frame_content_size(packed) == size:
                 return self._zstd.decompress(packed)
             with self._zstd.stream_reader(packed) as stream:

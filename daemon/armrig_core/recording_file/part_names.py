@@ -29,7 +29,7 @@ def part_paths(path: Path) -> list[Path]:
 
 
 def part_number(path: Path) -> int:
-    """Return the number of a part from its file's name, from 1; 0 if the file is not a part."""
+    """Return the part number in a file's name, 1 or more; 0 if the file is not a part."""
     run, _, rest = path.name.rpartition(PART)
     number, _, ending = rest.partition(".")
     is_number = number.isascii() and number.isdigit()

@@ -108,7 +108,7 @@ class Recording:
 
     @property
     def kept(self) -> Path:
-        """Current path: of the finished recording, or before that of the file being written."""
+        """Path of the finished recording; until it is finished, path of the file being written."""
         part = self._part
         if not part.is_named:
             return part.active
@@ -259,7 +259,7 @@ class Recording:
             self._changed()
 
     def _give_up(self, err: Exception) -> None:
-        """Close the file at the end of its last flush; more data would follow an unreported gap."""
+        """Cut the file at its last flush, and close it; later data would follow a hidden gap."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
         # Another file may have taken the name, but RemovedError proves that this file is removed.
         there = not isinstance(err, RemovedError) and os.access(self.kept, os.F_OK)

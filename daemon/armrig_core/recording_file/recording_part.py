@@ -49,7 +49,7 @@ class Part:
         Raises
         ------
         OSError
-            The file cannot be created, or exists already; nothing is left of the new file.
+            The file cannot be created, or a file with this name exists. No new file is left.
         """
         _check_free(path)
         self.path = path
@@ -106,9 +106,9 @@ class Part:
 
     def add(self, message: Outgoing) -> None:
         """Add a message, which the next flush writes."""
-        # Log times never decrease in the file. A message that is newer than the last sample gets
-        # the sample's time, because older samples may follow; an older message gets the last log
-        # time. The payload contains the message's own time.
+        # Log times never decrease in the file. A message newer than the last sample gets the log
+        # time of this sample, because the next sample may be older than the message. A message
+        # older than the last log time gets this log time. The payload keeps the original time.
         t_ns = message.t_host_ns
         if message.stream == "sample":
             self._sample_ns = t_ns
@@ -241,7 +241,7 @@ class Part:
             self.active.unlink()
 
     def give_up(self) -> None:
-        """Close the file at the end of the last flush."""
+        """Cut the file at the end of its last flush, and close it."""
         with suppress(OSError, ValueError):  # it is closed or does not exist any more
             self._cut()
             self._file.close()

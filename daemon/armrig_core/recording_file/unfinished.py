@@ -40,7 +40,7 @@ def unfinished(folder: Path, rig: str = "") -> list[Path]:
 def remove_copies(folder: Path, rig: str, owner: int) -> list[Path]:
     """Remove the incomplete copies that dead processes have left; return the paths of the copies.
 
-    The original of each copy is complete and stays.
+    The originals, which contain all data of the copies, stay.
     """
     removed = []
     for path in sorted(folder.glob(f"{rig}-*.mcap{COPY}")):

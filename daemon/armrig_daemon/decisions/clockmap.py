@@ -109,20 +109,23 @@ class Estimate(NamedTuple):
     """Growth of the offset; positive if the device's clock is slow."""
     drift_std_ppm: float
     bound_ns: float
-    """Largest error from a constant asymmetry, in ns: half the wait in the shortest round trip."""
+    """Largest error of the offset from a constant asymmetry, in ns.
+
+    The bound is half the waiting time in the shortest round trip.
+    """
 
 
 def start(link: Link) -> ClockMap:
-    """Return a map without an exchange."""
+    """Return the map before the first exchange."""
     return ClockMap(link)
 
 
 def extend(last_us: int, raw_us: int) -> int:
-    """Return the device's time `raw_us` without wraps, near the earlier extended time `last_us`.
+    """Return the reading `raw_us` of the device's 32-bit clock, extended to a time without wraps.
 
-    The result is at most 16.8 s before `last_us` (messages may overtake each other), or less than
-    71.3 min after `last_us`. After a longer silence, a wrap is lost. The extended time of the first
-    reading is the reading itself.
+    `last_us` is the extended time of an earlier reading. The result is at most 16.8 s before
+    `last_us` (messages may overtake each other), or less than 71.3 min after `last_us`. After a
+    longer silence, a wrap is lost. The extended time of the first reading is the reading itself.
     """
     return last_us - _BACK_US + ((raw_us - last_us + _BACK_US) % _WRAP)
 
@@ -141,10 +144,10 @@ def update(clock: ClockMap, h1_ns: int, rx_us: int, tx_us: int, h4_ns: int) -> C
 
     Notes
     -----
-    v is the variance of an exchange's error for a random c. The weight is less than 1/v and
-    decreases as the round trip grows, because the mean error of long round trips does not average
-    out. If the innovation exceeds five times its standard deviation, the exchange is rejected.
-    After eight rejections in a row the map restarts with the last exchange.
+    v is the variance of an exchange's error for a random c. A long round trip gets a weight below
+    1/v, because the mean error of long round trips does not average out. If the innovation exceeds
+    five times its standard deviation, the exchange is rejected. After eight rejections in a row the
+    map restarts with the last exchange.
     """
     link = clock.link
     r = h4_ns - h1_ns - 1000 * (tx_us - rx_us)
@@ -241,7 +244,10 @@ def _slope(clock: ClockMap) -> float:
 
 
 def _trend(clock: ClockMap) -> float:
-    """Return the growth of the round trip, in ns/µs; c times this growth appears as drift."""
+    """Return the growth of the round trip, in ns/µs.
+
+    The drift has an error of c times this growth.
+    """
     return clock.dr / (clock.dd + _DRIFT_PRIOR)
 
 
@@ -252,7 +258,8 @@ def _variance(clock: ClockMap, d: float, fading: float) -> float:
     excess = clock.r - clock.floor_ns + clock.gap_ns
     common = excess * excess + _trend(clock) ** 2 * from_mean
     step = (1000.0 * clock.link.resolution_us) ** 2
-    # The drift may go on changing at the same rate: (1 + x)² is at least 1 + 2 x + x²/2.
+    # Here the drift keeps changing at its present rate. Then y lags by lag · (1 + 2 x + x²/2), with
+    # x = ahead - 1, which is at most lag · (1 + x)².
     ahead = 1 + max(0.0, d) * math.sqrt(clock.weight / (clock.dd + _DRIFT_PRIOR))
     return averaged + _C_VARIANCE * (common + step) + (clock.lag * ahead * ahead) ** 2
 
@@ -263,12 +270,12 @@ def _fading(link: Link, past_ns: int) -> float:
 
 
 def _window(clock: ClockMap, r: int) -> ClockMap:
-    """Add a round trip, and estimate `gap_ns`, the excess of the window's minimum.
+    """Add a round trip, and estimate `gap_ns`.
 
     The sum of two exponential waiting times with means m and m' is below x with a probability of
-    x²/(2 m m'). The smallest of N sums, which is the excess of the minimum over the shortest
-    possible round trip, therefore has the root mean square √(2 m m'/N). This is at most 0.84/√N
-    times the median. Stalls do not change the median.
+    x²/(2 m m'). `gap_ns` is the excess of the window's minimum over the shortest possible round
+    trip, and the smallest of N such sums. It therefore has the root mean square √(2 m m'/N). This
+    is at most 0.84/√N times the median. Stalls do not change the median.
     """
     link = clock.link
     round_trips = (*clock.round_trips[1 - _WINDOW_SIZE :], r)

@@ -48,7 +48,7 @@ class Fault(NamedTuple):
     cause: str
     """Observed and allowed values, as text for a person."""
     device_cause: int = Cause.NONE
-    """Cause that the device reported, a `Cause` if it is known; NONE for other faults."""
+    """Number of the cause that the device reported, see `Cause`; NONE if it reported no cause."""
 
 
 REMEDIES: dict[Id, str] = {
@@ -85,7 +85,7 @@ OF_DEVICE: dict[int, str] = {
 
 
 def of_device(cause: int) -> str:
-    """Return a cause that the device reported as text: its name or number, and its meaning."""
+    """Return the name (or number) and the meaning of a cause that the device reported."""
     name = Cause(cause).name if cause in set(Cause) else str(cause)
     return f"{name}, {OF_DEVICE[cause]}" if cause in OF_DEVICE else name
 

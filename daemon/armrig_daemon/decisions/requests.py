@@ -46,7 +46,7 @@ Step = tuple[State, list[Action]]
 """Result of each part of the core: the next state, and the actions."""
 
 
-MAX_REMEMBERED_FRAMES = 64  # without an echo; a fault (STALE) comes long before
+MAX_REMEMBERED_FRAMES = 64  # frames without an echo; the fault STALE occurs with far fewer
 NOTICE_TRIES = 18
 """Number of unanswered HELLOs, 0.1 s apart, after which the daemon reports a silent device."""
 

@@ -22,7 +22,7 @@ from armrig_daemon.decisions.requests import Step, linked, log
 from armrig_daemon.decisions.state import ActiveRun, Link, Phase, Publish, RoundTrip, Sent, State
 from armrig_daemon.decisions.stopping import trip
 
-_RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)  # `&` of a Flag makes a Flag: 0.5 µs each
+_RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)  # int: `&` of two Flags takes 0.5 µs
 _ARMED, _ACTIVE, _FAULT = Phase.ARMED, Phase.ACTIVE, Phase.FAULT
 
 MIN_MAP_EXCHANGES = 8
@@ -90,10 +90,11 @@ def _find_exchange(sent: tuple[Sent, ...], k: int) -> int | None:
 
 def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Handle a sample of a device that samples by its own timer."""
-    # The echo is checked first: after this sample the daemon sends setpoints, and an echo that is
-    # ahead could then look like the echo of one of these frames.
+    # The echo is checked first: after this sample the daemon sends setpoints. The echo of
+    # another host's frame could then look like the echo of one of these setpoints.
     state, done = _check_echo(state, now_ns, m)
-    # The state is noted before the sample: RUN shows that START has worked, and defines k.
+    # The device's state is handled before the sample, because the state RUN shows that START has
+    # worked, and defines k.
     state, actions = transitions.note_state(note_echo(state, m.echo), now_ns, m.state)
     done += actions
     state, actions = _handle_of_run(state, now_ns, m)
@@ -127,13 +128,13 @@ def _handle_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
     if m.flags & _UNDERRUN:
         text = f"sample {due.k} had no setpoint: its input was {volts_of(m.u_k):.3g} V"
         return state, [*done, log(now_ns, "warning", text)]
-    # Also in a fault: if the device still plays its queue, STOP is sent again at once.
+    # Check this even in a fault: if the device still plays its queue, STOP is sent again at once.
     state, actions = _check_applied(state, now_ns, m, due)
     return state, done + actions
 
 
 def _sched_ns(state: State, run: ActiveRun, m: DeviceSample) -> int:
-    """Return the host's time at which a sample was due, by the clock map after enough exchanges."""
+    """Return the host's time at which a sample was due, from the clock map or from `t_zero_ns`."""
     clock = state.clock
     if clock is not None and clock.map.weight and len(clock.map.round_trips) >= MIN_MAP_EXCHANGES:
         return host_ns_at(clock.map, extend(clock.device_us, m.t_us))
@@ -141,7 +142,7 @@ def _sched_ns(state: State, run: ActiveRun, m: DeviceSample) -> int:
 
 
 def note_echo(state: State, echo: int) -> State:
-    """Note that the device has received the frame `echo`, which proves a round trip."""
+    """Store that the device has received the frame `echo`, which proves a round trip."""
     link = state.link
     if link is None or is_ahead(link, echo):
         return state

@@ -71,13 +71,13 @@ def refill(state: State, now_ns: int) -> Step:
 
 
 def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
-    """Note the number of setpoints in the device; send more, or START if there are enough."""
+    """Store the number of setpoints in the device; send more, or START if there are enough."""
     queue, run = state.queue, state.run
     if queue is None or run is None:
         return state, []
     held = base + queued
     moved_ns = now_ns if held > queue.held else queue.moved_ns
-    # `sent` may be above `held`, or below it after a return to an earlier `held`.
+    # `sent` is less than `held` if `refill` has set it back to an earlier `held`.
     queue = replace(queue, base=base, held=held, sent=max(queue.sent, held), moved_ns=moved_ns)
     state = replace(state, queue=queue)
     if state.phase is _ARMED and state.asked is None:
@@ -119,7 +119,7 @@ def tick(state: State, now_ns: int) -> Step:
 
 
 def complete(state: State, now_ns: int) -> Step:
-    """Note that the device has taken the run's last sample, and which samples are missing."""
+    """Store that the device has taken the run's last sample; also store the missing samples."""
     run = state.run
     if run is None:
         return state, []
@@ -129,7 +129,7 @@ def complete(state: State, now_ns: int) -> Step:
 
 
 def note_missing(state: State, run: ActiveRun, end: int, now_ns: int) -> State:
-    """Note the missing samples of a run before `end`; their input is the code of the setpoint."""
+    """Store the missing samples of a run before `end`; their input is the code of the setpoint."""
     bits = state.device.pwm_bits if state.device else 16
     for i in range(max(run.due, end - gaps.MAX_MISSING_PIECES), end):
         code = applied_code(run.code(i), bits)

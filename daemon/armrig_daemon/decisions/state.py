@@ -58,7 +58,7 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     baud: int
     """Speed of the wire, in bit/s."""
     turns: int
-    """Largest rotation of theta_1 in a run, in turns/100; 0 is no limit."""
+    """Largest rotation of theta_1 in a run, in hundredths of a turn; 0 is no limit."""
     rail_ticks: int
     """Consecutive samples at a rail after which a run ends with FAULT(ADC_RAIL); 0 is no limit."""
     oversampling: int = 1
@@ -184,7 +184,7 @@ class Queue(msgspec.Struct, frozen=True, gc=False):
     """Setpoints of a scheduled run on their way to the device."""
 
     order: Run | None
-    """Order of the run, until it has been answered."""
+    """Order of the run; None after the answer to the order."""
     base: int = 0
     """Index of the next sample that the device takes."""
     held: int = 0
@@ -192,7 +192,7 @@ class Queue(msgspec.Struct, frozen=True, gc=False):
     sent: int = 0
     """All setpoints before this index were sent."""
     moved_ns: int = 0
-    """Time at which `held` last grew, or at which the first frame from `held` on was sent."""
+    """Time at which `held` last grew, or at which a frame that begins at `held` was last sent."""
     asked_ns: int = 0
     """Time of the run's order."""
 
@@ -218,7 +218,7 @@ class Link(msgspec.Struct, frozen=True, gc=False):
     beats: tuple[Unechoed, ...] = ()
     """In a scheduled run: frames whose echo has not arrived yet."""
     last_round_trip_ns: int = msgspec.field(default=0, name="fresh_ns")
-    """Time of sending of the newest frame that the device has answered or echoed (S4)."""
+    """Time at which the newest frame that the device has answered or echoed was sent (S4)."""
     ping_ns: int = 0
     """Time of the last PING."""
     came: Traffic = Traffic()
@@ -337,7 +337,7 @@ class Publish(NamedTuple):
 
 
 class RoundTrip(NamedTuple):
-    """Action: count this time between a request to the device and its answer, in ns."""
+    """Action: add this round-trip time, in ns, to the timing of the loop."""
 
     ns: int
 

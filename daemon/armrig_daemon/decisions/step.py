@@ -179,8 +179,8 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
         return state, done
     if state.device is None:
         if state.asked is not None:
-            return transitions.retry(state, now_ns)  # a line that is never quiet has no Wakeup
-        # A HELLO that a STOP has replaced must not be the last HELLO (T1).
+            return transitions.retry(state, now_ns)  # if events never pause, no Wakeup comes
+        # A STOP may have replaced the pending HELLO: send HELLO again (T1).
         return ask(state, now_ns, RequestKind.HELLO)
     rules, driving, ts_us = state.rules, state.phase in _DRIVING, state.ts_us
     fault: Fault | None = None

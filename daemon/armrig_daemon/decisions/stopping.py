@@ -55,7 +55,7 @@ def end_run(state: State, now_ns: int) -> Step:
 
 
 def ending(state: State, outcome: str, code: OutcomeCode) -> State:
-    """Note the outcome of the run, unless an outcome is already noted."""
+    """Store the outcome of the run, unless an outcome is already stored."""
     if state.outcome or not outcome:
         return state
     return replace(state, outcome=outcome, outcome_code=code)

@@ -79,11 +79,11 @@ class Trace:
         self._bytes = len(self._state)
 
     def note(self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]) -> None:
-        """Note a step. The step is written later, because its actions must not wait."""
+        """Store a step. It is encoded later, because its actions must not wait."""
         self._noted.append((now_ns, events, actions))
 
     def full(self) -> list[Chunk]:
-        """Write the noted steps; return the chunks that are full."""
+        """Encode the stored steps; return the chunks that are full."""
         chunks = []
         for now_ns, events, actions in self._noted:
             chunk = self._write(now_ns, events, actions)
@@ -93,13 +93,13 @@ class Trace:
         return chunks
 
     def rest(self) -> list[Chunk]:
-        """Write the noted steps; return all chunks that were not returned yet."""
+        """Encode the stored steps; return all chunks that were not returned yet."""
         return [*self.full(), self._next_chunk()]
 
     def _write(
         self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]
     ) -> Chunk | None:
-        """Add a step; if it does not fit into the current chunk, return this chunk first."""
+        """Add a step; if the current chunk has no room for it, return this full chunk."""
         written = [(_NUMBERS[type(e)], _written_event(e, self._lease)) for e in events]
         sent = [a.data for a in actions if type(a) is Send]
         size = _STEP_BYTES
@@ -153,7 +153,7 @@ def restored(data: bytes, codes: bytes, version: int = VERSION) -> State:
 
 
 def steps_of(chunk: bytes, version: int = VERSION) -> list[Step]:
-    """Return the steps of a chunk; raises the exceptions of `restored`."""
+    """Return the steps of a chunk; raise as `restored` does."""
     order_of = _known(_ORDER_OF, version)
     return [
         Step(now_ns, tuple(_event(number, data, order_of) for number, data in events), tuple(sent))

@@ -33,7 +33,7 @@ def state_of(data: bytes) -> State:
 
 
 def order_of(data: bytes) -> Orders:
-    """Return an order to the loop from a trace of version 1, with the current name of its type."""
+    """Decode an order in a trace of version 1, and give its type the present name."""
     fields = msgspec.msgpack.decode(data)
     fields["type"] = _TAGS.get(fields["type"], fields["type"])
     order: Orders = msgspec.convert(fields, Orders)

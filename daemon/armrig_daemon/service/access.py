@@ -24,7 +24,7 @@ class Network:
     endpoint: str
     """Endpoint at which the daemon listens, or endpoint of the router to which it connects."""
     known_by: str
-    """Proof of a client's name: `certificate` or `user`."""
+    """Proof of a client's name: `certificate`, or `user` for a user name with password."""
     access_control: dict[str, Any]
     low_pass_filter: list[dict[str, Any]]
     transport: dict[str, Any]

@@ -18,7 +18,7 @@ _MAX_CHARACTERS = 80  # of a name or a date
 def checked_calibration(
     calibration: Calibration, raw: bytes, config: Config, device: dict[str, Any]
 ) -> Calibration:
-    """Return a calibration as recordings contain it; refuse a calibration of another rig.
+    """Return the checked calibration for the recordings; refuse a calibration of another rig.
 
     The ranges of zeros, angles, gain and offset were checked when the request was decoded.
 

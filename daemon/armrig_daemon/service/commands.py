@@ -44,10 +44,10 @@ _SILENT = commands.refused(
 )
 _NOT_HELD = commands.refused(RefusalCode.NOT_HELD, orders.NOT_HELD)
 _SOMEBODY = "somebody on this machine"
-_MAX_COMMANDS = 16  # of one kind, handled between two checks of the loop and the run's client
-_MAX_PENDING = 16  # unanswered orders; with as many, arm, reset and calibrate are refused
-_NOTES_PER_S, _MAX_NOTES = 2, 20  # of all clients: a flood must not fill the recording or the log
-_MAX_UNANSWERED = 64  # of all clients; more would delay the orders of the service itself
+_MAX_COMMANDS = 16  # commands of a kind handled at once; then loop and run's client are checked
+_MAX_PENDING = 16  # unanswered orders; at this number, arm, reset and calibrate are refused
+_NOTES_PER_S, _MAX_NOTES = 2, 20  # of all clients; a flood must fill neither recording nor log
+_MAX_UNANSWERED = 64  # orders of all clients; more would delay the orders of the service itself
 
 
 class _Waiting(NamedTuple):
@@ -110,7 +110,7 @@ class Commands:
         self._n = -1  # number of the newest order with this lease
 
     def note_lease(self, lease: str) -> None:
-        """Note the lease in force, "" for none; a client without this lease is a stranger."""
+        """Store the lease in force, "" for none; a client without this lease is a stranger."""
         self._lease, self._n = lease, -1
         self._session.lease = lease.encode()
 
@@ -142,7 +142,7 @@ class Commands:
     def answer(self, answer: Answer) -> None:
         """Pass on an answer of the loop."""
         if self._calibration is not None and answer.order == self._calibration[0]:
-            # Even if the client was refused because of the delay: the loop uses the calibration.
+            # The loop uses the calibration even if the client got a refusal because of the delay.
             (_, request), self._calibration = self._calibration, None
             if answer.code is None:
                 self._note_calibration(request)

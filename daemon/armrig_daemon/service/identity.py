@@ -13,7 +13,7 @@ _SQUARE = str.maketrans("()", "[]")
 def signed(said: str, by: str) -> str:
     """Return a client's name for people; the daemon has checked the part in round brackets.
 
-    Programs read `owner_checked` in the status, the log and the manifest.
+    Programs read the checked identity from `owner_checked` in the status, the log and the manifest.
 
     Parameters
     ----------

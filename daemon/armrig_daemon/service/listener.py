@@ -125,21 +125,21 @@ class Listener:
         admit : callable
             Function that zenoh's threads call with each command that passes the limits.
         past : callable
-            Returns the answer to a request for the history. Its arguments are the first requested
-            number and the offset of the clocks in ns.
+            Function that returns the answer to a request for the history. Its arguments are the
+            number of the first requested message, and the offset of the clocks in ns.
         network : Network, optional
             Network endpoint with its permissions; None is the Unix socket.
 
         Raises
         ------
         zenoh.ZError
-            The endpoint is in use or cannot be opened, or the router does not answer now.
+            The endpoint is in use or cannot be opened, or the router does not answer.
         """
         self._admit = admit
         self._known_by = "" if network is None else network.known_by
         self._buckets: dict[str, token_bucket.Bucket] = {}
-        # A network endpoint creates no socket file, and therefore needs no `group_may_open`, in
-        # which another session would have to wait.
+        # A network endpoint creates no socket file. It therefore needs no `group_may_open`, which
+        # admits only one session at a time.
         with group_may_open() if network is None else nullcontext():
             self._session = zenoh.open(session_config(endpoint, network))
         self._publishers = {

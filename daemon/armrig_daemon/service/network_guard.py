@@ -1,4 +1,4 @@
-"""Guard of the network: shuts the network before strangers use up the daemon's open files.
+"""Guard of the network: shuts the network before strangers exhaust the limit on open files.
 
 Each connection is an open file from its beginning, long before its client shows a certificate. A
 process at its limit of open files accepts no client on its Unix socket and begins no recording.
@@ -16,7 +16,7 @@ SHUT_S = 10.0
 
 
 class NetworkGuard:
-    """Guard that closes the network while too many files are open; it counts them once a second."""
+    """Guard that shuts the network while too many files are open; call `look` once a second."""
 
     def __init__(
         self, count: Callable[[], int], shut: Callable[[], None], open_again: Callable[[], str]
@@ -37,7 +37,7 @@ class NetworkGuard:
         self._is_shut = False
 
     def look(self, now_s: float, *, is_busy: bool) -> tuple[str, str] | None:
-        """Shut or open the network if necessary; return a level and a line after a change.
+        """Shut or open the network if necessary; after a change, return a log line and its level.
 
         Parameters
         ----------

@@ -14,8 +14,8 @@ from armrig_daemon.config import Limits
 
 def one_a_line(volts: NDArray[np.float64]) -> bytes:
     """Return the input (N,) as text for the recording: a heading, then a voltage per line."""
-    # This takes a tenth of the time of repr. For millions of samples repr would take longer than
-    # the silence after which the loop considers the service frozen.
+    # msgspec takes a tenth of the time of repr. For millions of samples, repr would take so long
+    # that the loop would consider the service frozen.
     text = msgspec.json.encode(volts.tolist())
     return b"u_v\n" + text[1:-1].replace(b",", b"\n") + b"\n"
 

@@ -1,4 +1,7 @@
-"""Load of this machine, reported with the timing and with a run that the load may have ended."""
+"""Load of this machine.
+
+The load is published with the timing. The outcome of a run states the load if it may be the cause.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +20,16 @@ from armrig_daemon.pipe import State, Timing
 
 CPU = Path("/proc/pressure/cpu")
 MAX_LATENESS_MS = 100
-"""Largest lateness at which arming is allowed, in ms: 99th percentile of the last second.
+"""Largest lateness at which arming is allowed, in ms.
 
-A longer watchdog tolerates a stall during a run, but does not permit arming on a late host.
+The lateness is the 99th percentile of the ticks in the last second. A longer watchdog tolerates a
+stall during a run, but does not permit arming on a late host.
 """
 _OF_LOAD = (Id.STALE, Id.PAUSE, Id.MISSED)
 
 
 class Pressure:
-    """Source of the processors' pressure stall information, and of the run queue."""
+    """Reader of the processors' pressure stall information, and of the run queue."""
 
     def __init__(self, path: Path = CPU) -> None:
         """Start to count the waiting time now."""

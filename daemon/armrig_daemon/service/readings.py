@@ -1,11 +1,11 @@
 """Recent readings of the potentiometers, and the check whether they permit arming the rig.
 
 At rest a constant reading proves nothing, because a still shaft and a torn wire give the same
-reading. Two faults can be detected. The first is alpha at an end of its track, which alpha never
-reaches in motion. The second is a constant theta_1 although the motor was driven long enough for a
-whole turn. At rest, theta_1 at a rail is no fault, because the chassis may be in the dead band. A
-constant alpha is no fault either, because under a constant voltage the arm follows the chassis
-without deflection.
+reading. Two faults can be detected. The first is a reading of alpha at an end of its range, which
+the moving arm never reaches. The second is a constant theta_1 although the motor was driven long
+enough for a whole turn. At rest, theta_1 at a rail is no fault, because the chassis may be in the
+dead band. A constant alpha is no fault either, because under a constant voltage the arm follows the
+chassis without deflection.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RAIL_NS = 200_000_000
 STILL_COUNTS = 256
 """Largest spread of the readings at one position, in counts of 65536: 1.4°, above any noise."""
 FRICTION_V = 1.0
-"""Voltage below which the motor may not overcome the friction, in V."""
+"""Voltage below which the friction may stop the motor, in V."""
 APART_S = 0.2
 """Largest time between two compared samples, in s; 1/3 turn of the chassis takes longer."""
 _ADC1_RAIL = int(Flag.ADC1_RAIL)

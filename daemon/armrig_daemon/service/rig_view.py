@@ -24,7 +24,7 @@ class RigView:
     """Newest reports of the loop about the rig."""
 
     def __init__(self, config: Config, endpoint: str, directory: Path) -> None:
-        """Create the view without a report."""
+        """Create the view before the first report."""
         self._state = _UNKNOWN
         self._host: dict[str, Any] = {}
         self._config = config
@@ -65,25 +65,25 @@ class RigView:
         return readings.theta_1_rad(self._readings)
 
     def note_state(self, state: State) -> None:
-        """Note the state of the loop."""
+        """Store the state that the loop reports."""
         self._state = state
 
     def note_host(self, host: Host) -> None:
-        """Note the properties that the kernel granted to the loop."""
+        """Store the properties that the kernel granted to the loop."""
         self._host = host.granted
 
     def note_calibration(self, calibration: Calibration) -> None:
-        """Note a new calibration that the loop has accepted."""
+        """Store a new calibration that the loop has accepted."""
         # The stored readings are in counts, and stay valid.
         self._config = replace(self._config, calibration=calibration)
         self._calibration = taken(calibration)
 
     def note_sample(self, sample: Sample) -> None:
-        """Note a sample."""
+        """Update the view with a sample."""
         self._readings = readings.updated(self._readings, sample)
 
     def note_timing(self, timing: Timing) -> Timing:
-        """Note the timing of the last second; return it with the load of this machine."""
+        """Store the timing of the last second; return it together with the load of this machine."""
         share, runnable = self._pressure.read()
         self._timing = replace(timing, cpu_pressure_percent=share, run_queue=runnable)
         return self._timing

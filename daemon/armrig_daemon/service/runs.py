@@ -64,7 +64,7 @@ class Runs:
         changed: Callable[[], None],
         circumstances: HostFacts | None = None,
     ) -> None:
-        """Record into `directory`; a recording's thread calls `changed` when its state changes."""
+        """Record into `directory`; the thread of a recording calls `changed` after each change."""
         self._config = config
         self._circumstances = circumstances or of_this_host()
         self._directory = directory
@@ -131,7 +131,7 @@ class Runs:
         theta_1_rad : float, optional
             Angle of the chassis, in rad.
         alive : callable
-            Called between the steps, which take a long time for millions of samples.
+            Function that is called between the steps, because a long run takes seconds to plan.
 
         Raises
         ------
@@ -179,7 +179,7 @@ class Runs:
         return order, RunAccepted(run_id=run_id, recording=path, rehearsal=rehearsal)
 
     def renew(self, sign: Renew, now_s: float) -> None:
-        """Note a sign of life; raise ValueError if the current run belongs to another client."""
+        """Accept a sign of life; raise ValueError if the current run belongs to another client."""
         self._presence = renewed(self._presence, sign, now_s)
 
     @property
@@ -294,7 +294,7 @@ class Runs:
         return Ending(OutcomeCode.MOVED, recording.moved) if recording.moved else None
 
     def unrecorded(self) -> str:
-        """Return why the run is no longer recorded, only once; otherwise return an empty text."""
+        """Return the reason why recording has stopped, each reason once; else an empty text."""
         recording = self._recording
         if recording is None or not recording.error or recording.error == self._reported_error:
             return ""
@@ -302,7 +302,7 @@ class Runs:
         return "" if self._config.recording.stop_when_full else f"{error}; the run continues"
 
     def finished(self, timeout: float = 0.0) -> tuple[str, str]:
-        """Return a level and a line for a person if a recording is complete, else two empty texts.
+        """Return the level and text of a log line if a recording is complete, else two empty texts.
 
         Parameters
         ----------

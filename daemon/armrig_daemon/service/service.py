@@ -78,7 +78,7 @@ _QUIT_S = 2.0  # longest time for a frozen loop to end
 _LOAD_S = 30.0  # a loop that still loads has not reached the device yet
 _AT_FIFO = "not granted: the ordinary policy for the service, whose threads may delay the loop"
 _READ = 1 << 16
-_BREATH_S = 0.005  # between two checks of a loop with too many unanswered orders
+_BREATH_S = 0.005  # pause between two checks while too many orders are unanswered
 _SWITCH_S = 0.0005  # longest time for which a thread of zenoh holds the interpreter
 
 

@@ -47,7 +47,7 @@ class StartupRecovery:
         changed: Callable[[], None],
         config: Recording = Recording(),  # noqa: B008 - frozen
     ) -> None:
-        """Create the thread without starting it; it calls `changed` when a line can be logged."""
+        """Create the thread, but do not start it; it calls `changed` after each new log line."""
         self._directory = directory
         self._rig = rig
         self._changed = changed

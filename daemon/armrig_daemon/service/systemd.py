@@ -1,4 +1,4 @@
-"""Reports to systemd and to the journal in their protocols, as datagrams of lines.
+"""Reports to systemd and to the journal, as datagrams in their protocols.
 
 References
 ----------

@@ -12,7 +12,7 @@ from armrig_daemon.pipe import Log
 HOLD_NS = 1_000_000_000
 """Time for which repeated lines are held back, in ns; repeated lines differ only in numbers."""
 MAX_KINDS = 100
-"""Largest number of distinguished kinds of lines; a line of a further kind is always logged."""
+"""Largest number of kinds of lines to remember; a line of a further kind is always logged."""
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
@@ -36,8 +36,8 @@ class Thinning:
 
     def lets_through(self, log: Log) -> bool:
         """Return whether a line must be logged now; if not, count the line."""
-        # Lines about commands that differ in a number are not repeated: "group 3" and "group 4"
-        # are two owners.
+        # Two lines about commands are different even if only a number differs: "group 3" and
+        # "group 4" are two owners.
         kind = log.message if "command" in log.fields else _NUMBER.sub("#", log.message)
         before = self._kinds.get(kind)
         if log.level == "error" or (before is None and len(self._kinds) >= MAX_KINDS):
@@ -49,7 +49,7 @@ class Thinning:
         return False
 
     def due(self, now_ns: int, *, end: bool = False) -> list[Log]:
-        """Return a line for each kind of lines held back for 1 s; with `end`, for all kinds."""
+        """Return the newest line of each kind held back for 1 s; with `end`, of all kinds."""
         lines: list[Log] = []
         for kind, (ns, held, newest) in list(self._kinds.items()):
             if now_ns - ns < HOLD_NS and not end:

@@ -46,7 +46,7 @@ class Uplink:
         return self._listener is not None and self._listener.has_router
 
     def look(self) -> tuple[str, str] | None:
-        """Return a level and a line if the connection has changed since the last call."""
+        """Return a log level and a log line if the connection has changed since the last call."""
         connected = self.has_router
         if connected is self._was_connected:
             return None
