@@ -63,19 +63,29 @@ def test_the_values_of_the_example_are_the_defaults(tmp_path: Path) -> None:
     assert same == Config()
 
 
-def _cases() -> Iterator[tuple[str, str, str]]:
-    for table, _, keys in tables():
-        for key in keys:
-            if re.fullmatch(r"-?\d\S* to \S+", key.allowed):
-                yield table, key.name, key.allowed
+def _outside(allowed: str) -> list[float]:
+    """Return a value below the lowest that is allowed, and one above the highest."""
+    numbers = [float(x) for x in re.findall(r"-?\d[\d.]*", allowed)]
+    low, high = numbers[0], numbers[1:]
+    return [low if allowed.startswith("above ") else low - 1, *(2 * x for x in high)]
 
 
-@pytest.mark.parametrize(("table", "name", "allowed"), [*_cases()])
+CASES = [
+    (table, key.name, value)
+    for table, _, keys in tables()
+    for key in keys
+    if re.fullmatch(r"(above )?-?\d\S*( to \S+| or more|, at most \S+|)", key.allowed)
+    if "." not in key.name
+    for value in _outside(key.allowed)
+]
+
+
+@pytest.mark.parametrize(("table", "name", "value"), CASES)
 def test_a_documented_range_is_enforced(
-    tmp_path: Path, table: str, name: str, allowed: str
+    tmp_path: Path, table: str, name: str, value: float
 ) -> None:
     path = tmp_path / "armrig.toml"
-    path.write_text(f"[{table}]\n{name} = {float(allowed.split(' to ')[1]) * 2:.0f}\n")
+    path.write_text(f"[{table}]\n{name} = {value:g}\n")
 
     with pytest.raises(InputError, match=name):
         load([path], {}, {})

@@ -175,13 +175,13 @@ SPOILT: dict[str, SpoiltDevice] = {
     "what disagrees is taken": SpoiltDevice(_overwrites, "differ from the queue"),
     "a greater code does not disagree": SpoiltDevice(_more_may_disagree, "differ from the queue"),
     "the queue is one too small": SpoiltDevice(_smaller_queue, "capacity in HELLO_R"),
-    "the queue outlives its run": SpoiltDevice(_queue_outlives_its_run, "end with it"),
+    "the queue outlives its run": SpoiltDevice(_queue_outlives_its_run, "the queue is empty"),
     "too few frames in the queue": SpoiltDevice(_half_the_setpoint_frames, "`queue`/8"),
-    "n of 25 is taken": SpoiltDevice(_n_of_25, "n of 0 or above 24"),
+    "n of 25 is taken": SpoiltDevice(_n_of_25, "n = 0, n > 24"),
     "n of 25 has another code": SpoiltDevice(
-        _bad_setpoints_are_of_the_wrong_state, "n of 0 or above 24"
+        _bad_setpoints_are_of_the_wrong_state, "n = 0, n > 24"
     ),
     "queued setpoints feed": SpoiltDevice(_setpoints_feed, "do not feed"),
     "padding is looked at": SpoiltDevice(_padding_counts, "padding"),
-    "a late repeat is a step": SpoiltDevice(_late_repeat_steps, "A repeat that ends"),
+    "a late repeat is a step": SpoiltDevice(_late_repeat_steps, "Repeated setpoints before"),
 }
