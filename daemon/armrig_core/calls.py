@@ -18,8 +18,8 @@ T = TypeVar("T")
 def checked_call(f: Callable[P, R]) -> Callable[P, R]:
     """Return the function with checks for missing, unknown or too many arguments.
 
-    Python's own message contains only the number of arguments. The message of the returned function
-    names the arguments and shows the correct call.
+    For too many arguments, Python's own message contains only their number. The message of the
+    returned function names the arguments and shows the correct call.
     """
     asked = signature(f)
     name = f.__qualname__.removesuffix(".__init__").rpartition(".")[2]

@@ -90,8 +90,8 @@ def replay(path: str | Path) -> Replay:
     if first is None or not first.state:
         why = "the file may be older than `armrig replay`"
         if content.damage:
-            why = f"{content.damage}; no steps precede the damage"
-        raise FileError(f"{path}: no steps of the daemon's core: {why}")
+            why = f"{content.damage}; nothing to replay precedes the damage"
+        raise FileError(f"{path}: nothing to replay: {why}")
     try:
         return _replayed(paths, content, first)
     except Exception as err:  # the steps in the file may be anything, so any exception may occur

@@ -1,4 +1,4 @@
-"""Service of this machine: the files and commands that install and remove the service."""
+"""Installation and removal of armrig's systemd services: their files, and the commands for it."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ def compiled(source: Path) -> tuple[bytes, Places]:
         return pdf, [(str(name), float(page)) for name, page in json.loads(marks)]
     except (TypeError, ValueError) as err:
         raise OperationError(
-            f"{source}: somebody changed a <place> of the template: leave #mark unchanged"
+            f"{source}: a #mark of the template is missing or changed: restore each #mark"
         ) from err
 
 

@@ -50,7 +50,7 @@ def _ahead(host: Host) -> None:
         expect(not came, came)
 
 
-@rule(2, "A frame of unknown type is ACK(UNKNOWN_TYPE), and not accepted")
+@rule(2, "A frame of unknown type is answered by ACK(UNKNOWN_TYPE), and is not taken in")
 def _unknown(host: Host) -> None:
     for number in (UNKNOWN_TYPE, TYPES[Ack]):
         seq = (host.seq + 1) & _U16

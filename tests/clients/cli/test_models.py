@@ -177,7 +177,7 @@ def test_an_integrator_is_hinted_at_where_it_belongs(
     velocity = capsys.readouterr().err
 
     assert "the angle theta_1 integrates: try --integrator" in angle
-    assert "--integrator: velocity does not integrate" in velocity
+    assert "--integrator: the rig has no pole at 1 for velocity" in velocity
 
 
 def test_a_model_judged_on_its_own_data_is_reported(

@@ -130,4 +130,4 @@ def test_the_allowance_is_the_widening_of_the_band() -> None:
     assert 0.9 < sure.allowance < 2
     assert wide.allowance > 10 * sure.allowance
     assert not sure.powerless
-    assert f"correlations {wide.allowance:.0f} times as large" in wide.powerless
+    assert f"correlations by a factor of {wide.allowance:.0f}" in wide.powerless

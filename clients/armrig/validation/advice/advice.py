@@ -77,7 +77,7 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     advice on OE[3 3 1] of alpha: nothing to act on
       search     one minimum
       residuals  residuals white (p = 0.10..., portmanteau test): trust the ordinary deviations
-      order      no pole and zero cancel
+      order      no pole is cancelled by a zero
     """
     if not isinstance(data_or_fit, Fit):
         data = as_dataset(data_or_fit)

@@ -71,7 +71,7 @@ def _about_search(fit: Fit) -> Finding:
 
 def _about_overlap(fit: Fit, pairs: list[_Pair]) -> Finding:
     if not pairs:
-        return finding("order", "no pole and zero cancel", good=True)
+        return finding("order", "no pole is cancelled by a zero", good=True)
     places = ", ".join(f"{_z(pole)} and {_z(zero)}" for pole, zero, _ in pairs)
     text = (
         f"pole and zero {places} (z plane) cannot be distinguished: they cancel, and the order is "
