@@ -420,9 +420,9 @@ def test_a_link_out_of_the_source_is_refused(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("Nothing", "the #mark of each section is missing"),
-        ("#metadata(3) <place>", "somebody changed a <place> of the template"),
-        ('#metadata("abc") <place>', "somebody changed a <place> of the template"),
-        ('#metadata(("2.1", float.nan)) <place>', "somebody changed a <place> of the template"),
+        ("#metadata(3) <place>", "a #mark of the template is missing or changed"),
+        ('#metadata("abc") <place>', "a #mark of the template is missing or changed"),
+        ('#metadata(("2.1", float.nan)) <place>', "a #mark of the template is missing or changed"),
     ],
 )
 def test_marks_that_were_edited_are_named(text: str, message: str, tmp_path: Path) -> None:
