@@ -322,7 +322,9 @@ def load(
     *,
     below: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> Config:
-    """Return the configuration of these layers; a later layer overrides an earlier layer.
+    """Return the configuration from defaults, files, environment and command line.
+
+    A value of a later source overrides the value of an earlier source.
 
     Parameters
     ----------
@@ -331,9 +333,9 @@ def load(
     environ : mapping
         Environment variables; only variables that begin with `ARMRIG_` are read.
     overrides : mapping
-        Tables of the command line.
+        Values of the command line, by table and key.
     below : mapping
-        Defaults, which every layer overrides.
+        Defaults, by table and key.
 
     Raises
     ------

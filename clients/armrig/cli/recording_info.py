@@ -150,7 +150,7 @@ def _sample_count(rec: Recording) -> str:
 
 
 def _recovered(how: Recovered) -> str:
-    cut_off = f", the {how.cut_off_bytes} B after them were cut off" if how.cut_off_bytes else ""
+    cut_off = f", the last {how.cut_off_bytes} B were cut off" if how.cut_off_bytes else ""
     cut_off += f"; {how.damage}" if how.damage else ""
     when = how.when[:19].replace("T", " ")
     return f"{when} by armrig {how.armrig}: {how.kept_bytes} B were kept{cut_off}"

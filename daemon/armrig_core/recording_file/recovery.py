@@ -223,7 +223,7 @@ def sentence(done: RecoveredFile) -> str:
     text = f"{done.path}: recovered, {outcome.samples} samples, {seconds:g} s of "
     text += f"{manifest.samples * manifest.Ts:g} s"
     if done.recovered.cut_off_bytes:
-        text += f"; a torn write of {done.recovered.cut_off_bytes} B after them was cut off"
+        text += f"; the last {done.recovered.cut_off_bytes} B were incomplete and were cut off"
     return text
 
 

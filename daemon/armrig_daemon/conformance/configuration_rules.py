@@ -1,4 +1,4 @@
-"""Rules of section 4: configuration; and the rule of HELLO_R."""
+"""Rules of section 4 (configuration), and the rule of section 3 about HELLO_R."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ def test_the_file_says_that_it_was_recovered(tmp_path: Path) -> None:
     assert (said.when, said.armrig) == ("2026-11-20T06:00:00.000+01:00", "0.2.0")
     assert (said.kept_bytes, said.cut_off_bytes) == (cut - 7, 7)
     assert "cut off" in said.damage
-    assert "a torn write of 7 B after them was cut off" in sentence(done)
+    assert "the last 7 B were incomplete and were cut off" in sentence(done)
     assert armrig.load(written(tmp_path, DATA)).recovered is None
 
 

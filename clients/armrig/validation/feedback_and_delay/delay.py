@@ -267,7 +267,11 @@ def _readings(data: Dataset, response: ImpulseResponse, first: int) -> _Readings
 
 
 def _hidden_by_steps(onset: _Onset, read: _Readings, Ts: float) -> tuple[int, list[str]]:
-    """Return the least nk that is not ruled out, and a remark if quantisation may lower this nk."""
+    """Return the least nk that is not ruled out, and remarks.
+
+    Quantisation may hide the first samples of the response, so that the response seems to begin
+    later. The least nk allows for these samples; a remark then reports it.
+    """
     if read.t_q is None or read.changes >= _MAX_FEW_CHANGES or onset.last <= 1:
         return onset.first, []
     hidden = ceil(read.t_q / Ts)
