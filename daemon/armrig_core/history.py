@@ -83,5 +83,5 @@ def decode_past(data: bytes) -> Past:
     except error as err:
         raise MalformedReplyError(f"{len(data)} B: not an answer with messages") from err
     if first + len(messages) > NUMBER_LIMIT:
-        raise MalformedReplyError(f"no message has the number {first}")
+        raise MalformedReplyError(f"the answer begins with the number {first}, which is too large")
     return Past(life, first, offset_ns, tuple(messages))

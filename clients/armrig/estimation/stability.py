@@ -55,7 +55,7 @@ def with_stable_poles(
     """Return theta = (c, d, f), the solution and the warnings, after A, D and F are reflected.
 
     C does not change. For given A, C, D and F the errors are linear in B and the unknown past.
-    Therefore least squares estimate B and the past again.
+    B and the past are therefore estimated again, by least squares.
     """
     n = problem.structure
     free = problem.named(solution.ab, theta)

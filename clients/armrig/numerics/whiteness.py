@@ -291,7 +291,7 @@ def joint_p_value(s: Array, M: Array, least: float = 1e-8, N: float | None = Non
     """Return P(chi² >= s^T M^+ s); the degrees of freedom are the rank of M. NaN for rank 0.
 
     A direction does not count if its variance is less than the share `least` of the largest
-    variance. If N is given, the noise variance in M was estimated from N free residuals. Then
+    variance. Give N if the noise variance in M is an estimate with N degrees of freedom. Then
     s^T M^+ s / N has the beta distribution with the parameters k/2 and (N - k)/2, where k is the
     rank. For large k a chi-squared test would reject too rarely.
     """

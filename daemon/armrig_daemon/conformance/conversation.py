@@ -71,7 +71,7 @@ class Conversation:
         self._limits = inf, inf
 
     def limit(self, ms: float = inf, received: float = inf) -> None:
-        """Let reads raise `EndlessError` after `ms` of the line's clock, or after `received` B.
+        """Set limits: a read then raises `EndlessError` after `ms` or after `received` bytes.
 
         Each wait has its own limit, but a device can cause an unlimited number of waits.
         """

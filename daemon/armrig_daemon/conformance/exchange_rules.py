@@ -43,7 +43,7 @@ def expect_watchdog(event: Event, fed_us: int, watchdog_ms: int) -> None:
 
 
 def trigger(host: Host, m: int) -> tuple[int, int]:
-    """Return the times of the first conversion's trigger and of a PING after the EXCHANGE, in µs.
+    """Return the time of the first conversion's trigger and the time of a later PING, in µs.
 
     Both times are relative to a PING before the EXCHANGE. The three frames are sent as one piece.
     """

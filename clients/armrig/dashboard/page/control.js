@@ -45,7 +45,7 @@ export function setUpControl(lookAt) {
   const who = make("input", { id: "owner-name", maxLength: 80, required: true, value: localStorage.getItem("armrig-owner") || "dashboard" });
   who.addEventListener("change", () => localStorage.setItem("armrig-owner", who.value));
   form.append(make("label", { className: "wide" }, "your name, for others to read", who));
-  form.append(make("button", { id: "show", type: "submit", textContent: "Show what it does" }));
+  form.append(make("button", { id: "show", type: "submit", textContent: "Preview the experiment" }));
   kind.addEventListener("change", chooseKind);
   form.addEventListener("input", (event) => event.target !== who && forget());
   form.addEventListener("submit", (event) => {

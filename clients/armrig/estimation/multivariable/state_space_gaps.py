@@ -118,7 +118,7 @@ class GapProblem:
         return z, logs
 
     def moved(self, at: Predictor, V: Array, t: Array) -> Predictor:
-        """Return the predictor `at`, moved by the coordinates t.
+        """Return a predictor that differs from `at` by the coordinates t.
 
         The first coordinates move (Abar, C) along the tangent space V. The other coordinates are
         changes of Bbar and K signal by signal, of D row by row, and of the initial states.

@@ -204,8 +204,8 @@ class ImpulseResponse:
         k = int(np.argmax(np.abs(g)))
         name = "rate's largest" if self.integrator else "largest"
         lines.append(
-            f"  {name} coefficient {g[k]:.4g} ± {std[k]:.2g} at lag {self.lags[k]}; first outside "
-            f"its 99 % {self.band_name} band: lag {self.first_lag()}"
+            f"  {name} coefficient {g[k]:.4g} ± {std[k]:.2g} at lag {self.lags[k]}; the first "
+            f"outside its 99 % {self.band_name} band is at lag {self.first_lag()}"
         )
         lines.append(f"  residuals: variance {self.noise_variance:.4g}, {self.white}")
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
