@@ -117,6 +117,7 @@ def test_validating_on_the_estimation_data_is_reported(
     assert "(estimation data)" in said.out
 
 
+@pytest.mark.exhaustive
 def test_compare_takes_models_from_files_in_addition_to_its_own(
     three_recordings: tuple[Path, ...], model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -178,6 +179,7 @@ def test_a_file_that_is_no_model_is_reported_in_one_line(
     )
 
 
+@pytest.mark.exhaustive
 def test_identify_says_roots_and_advice(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:

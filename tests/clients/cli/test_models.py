@@ -164,6 +164,7 @@ def test_numerics_that_give_up_are_reported_as_orders_too_high() -> None:
         give_up()
 
 
+@pytest.mark.exhaustive
 def test_an_integrator_is_hinted_at_where_it_belongs(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:

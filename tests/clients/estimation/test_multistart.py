@@ -115,6 +115,7 @@ def test_much_data_is_searched_from_where_a_part_leads(monkeypatch: pytest.Monke
     assert through_part.agreed
 
 
+@pytest.mark.exhaustive
 def test_starts_that_lead_apart_on_a_part_are_all_followed() -> None:
     """A part of the data may mislead; the whole decides."""
     data, _ = hard(87)

@@ -97,6 +97,7 @@ def test_a_deviation_is_the_scatter_of_draws(plant: HandoutPlant, seed: int) -> 
         assert t.std[name] == pytest.approx(scatter, rel=0.2), name
 
 
+@pytest.mark.exhaustive
 def test_a_wrong_inertia_of_the_arm_is_reported_with_what_depends_on_it(
     plant: HandoutPlant,
 ) -> None:

@@ -223,6 +223,7 @@ def test_after_a_gap_a_prediction_is_the_best_there_is() -> None:
     np.testing.assert_allclose(variance, expected, rtol=0.1)
 
 
+@pytest.mark.exhaustive
 def test_what_follows_a_gap_informs_on_the_missing_sample() -> None:
     """With one missing y and na = 2 the next y improves its estimate: 1 + a2²/(1 + a1²)."""
     a1, a2 = -1.5, 0.9

@@ -102,6 +102,7 @@ def test_an_offset_with_both_frictions(make: Make) -> None:
     assert fit.offset[0] == pytest.approx(0.3, abs=0.02)
 
 
+@pytest.mark.exhaustive
 def test_residuals_are_held_against_what_smoothing_makes_of_noise(
     make: Make, sound: list[armrig.GreyFit]
 ) -> None:

@@ -27,6 +27,7 @@ print(peak() - before, sum(getattr(rec, name).nbytes for name in names) / 2**20)
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc/self/status")
 def test_memory_is_linear_in_the_arrays(tmp_path: Path) -> None:
     """At most twice the returned arrays, in addition to what any file may need."""

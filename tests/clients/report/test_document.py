@@ -72,6 +72,7 @@ def test_the_report_is_a_pdf_of_three_to_six_pages(done: Study, made: tuple[byte
     assert pdf.count(b"/FontFile") >= 3
 
 
+@pytest.mark.exhaustive
 def test_every_figure_names_its_recording(done: Study, made: tuple[bytes, Path]) -> None:
     figures = {path.stem: path.read_text() for path in made[1].glob("*.svg")}
 

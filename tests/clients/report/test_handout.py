@@ -199,6 +199,7 @@ def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStu
     assert "Its root at 1 is fixed" in found["3.3"].answer[1]
 
 
+@pytest.mark.exhaustive
 def test_the_comparison_has_each_characteristic_in_its_column(done: HandoutStudy) -> None:
     assert done.black is not None
     table = sections(done)["3.4"].table
@@ -225,6 +226,7 @@ def test_the_comparison_has_each_characteristic_in_its_column(done: HandoutStudy
     ]
 
 
+@pytest.mark.exhaustive
 def test_a_recording_without_its_arm_is_not_held_against_the_physics_in_silence(
     done: HandoutStudy,
 ) -> None:

@@ -107,6 +107,7 @@ def test_an_arx_model_of_the_angle_gets_advice_on_each_fault(plant: HandoutPlant
     assert {"residuals", "poles", "integrator", "structure"} <= told(found)
 
 
+@pytest.mark.exhaustive
 def test_a_first_coefficient_that_is_nothing_points_to_a_delay(plant: HandoutPlant) -> None:
     """The chosen nk is too small."""
     fit = armrig.oe(plant.dataset(1), nb=5, nf=4, nk=0, integrator=True)

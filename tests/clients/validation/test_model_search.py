@@ -245,6 +245,7 @@ def test_a_search_shows_each_structure_and_rings_the_choice() -> None:
     )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("processes", [0, 2])
 def test_progress_is_reported_before_each_candidate_and_at_the_end(
     processes: int, elsewhere: ProcessPoolExecutor
@@ -264,6 +265,7 @@ def test_progress_is_reported_before_each_candidate_and_at_the_end(
     assert told == [(k, 4, name) for k, name in enumerate(names)]
 
 
+@pytest.mark.exhaustive
 def test_in_closed_loop_the_controller_is_not_taken_for_the_rig() -> None:
     found = search(_under_control(), orders=(1, 2))
 

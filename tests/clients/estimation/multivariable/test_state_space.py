@@ -280,6 +280,7 @@ def test_a_subspace_estimate_predicts_the_missing_outputs() -> None:
     assert [found.fit_percent for found in fit.quality] == pytest.approx([99.99, 97.4], abs=0.1)
 
 
+@pytest.mark.exhaustive
 def test_weights_choose_the_output_that_a_simple_model_fits() -> None:
     signals = data()
     by_noise = armrig.ss(signals, order=1)

@@ -71,6 +71,7 @@ def test_a_slow_pole_is_no_integrator(pole: float, integrates: bool, seed: int) 
     assert ("a slow pole, and no integrator" in repr(found)) is not integrates
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("offset", sampled([0.0, 2.0]))
 def test_a_circuit_that_has_the_arm_s_names_does_not_integrate(offset: float) -> None:
     """theta_1 counts as integrating unless the response of its rate surely decays."""
@@ -339,6 +340,7 @@ def test_poles_on_the_unit_circle_that_fit_the_noise_are_not_recommended_first()
     assert (first.nb, first.nf, first.nk, first.integrator) == (2, 2, 3, False)
 
 
+@pytest.mark.exhaustive
 def test_if_a_slow_pole_may_be_at_1_both_are_recommended() -> None:
     rng = np.random.default_rng(2)
     u = telegraph(300, 0.05, seed=2)
