@@ -106,6 +106,7 @@ def device_sample(state: State, **fields: int) -> DeviceSample:
     assert state.device is not None
     zero = DeviceSample._make([0] * len(DeviceSample._fields))
     known = {
+        "seq": ((state.link.device_seq or 0) + 1) & 0xFFFF,
         "state": state.link.device_state,
         "boot": state.device.boot_id & 0xFFFF,
         "t_us": state.t_us & 0xFFFFFFFF,

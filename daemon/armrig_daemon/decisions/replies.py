@@ -27,7 +27,15 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import clock_comparison, sampling, transitions
 from armrig_daemon.decisions.faults import Fault, Id, of_device
 from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.requests import Step, ask, linked, log, report_state, send
+from armrig_daemon.decisions.requests import (
+    Step,
+    ask,
+    is_newer,
+    linked,
+    log,
+    report_state,
+    send,
+)
 from armrig_daemon.decisions.state import Action, Phase, RequestKind, RoundTrip, State
 from armrig_daemon.decisions.stopping import end_run, trip
 
@@ -43,6 +51,10 @@ _TYPES = {
 
 def handle(state: State, now_ns: int, message: Message) -> Step:
     """Return the state after one message of the device."""
+    if state.link is not None:
+        known = state.link.device_seq
+        if known is None or isinstance(message, HelloReply) or is_newer(message.seq, known):
+            state = linked(state, device_seq=message.seq)  # a reset begins the numbers again
     match message:
         case DeviceSample():
             if _is_other_boot(state, message.boot):

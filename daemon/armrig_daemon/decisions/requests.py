@@ -57,6 +57,11 @@ def linked(state: State, **changes: Any) -> State:
     return state if link is None else replace(state, link=replace(link, **changes))
 
 
+def is_newer(seq: int, known: int) -> bool:
+    """Return whether a frame was sent after another one of the same sender, by their numbers."""
+    return 0 < (seq - known) & 0xFFFF < 0x8000
+
+
 def send(state: State, now_ns: int, data: bytes, exchange: Sent | None = None) -> Step:
     """Send the frame with the next seq; remember an EXCHANGE until its SAMPLE arrives."""
     link, in_force = state.link, state.configuration

@@ -18,7 +18,7 @@ from armrig_daemon.decisions import clock_comparison, gaps, setpoints, transitio
 from armrig_daemon.decisions.clockmap import extend, host_ns_at
 from armrig_daemon.decisions.conversion import converted, extended, is_older
 from armrig_daemon.decisions.faults import Fault, Id
-from armrig_daemon.decisions.requests import Step, linked, log
+from armrig_daemon.decisions.requests import Step, is_newer, linked, log
 from armrig_daemon.decisions.state import ActiveRun, Link, Phase, Publish, RoundTrip, Sent, State
 from armrig_daemon.decisions.stopping import trip
 
@@ -59,6 +59,8 @@ def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
     if _is_older_than_last(state, m):
         return state, []
     sent, later = link.sent[at], link.sent[at + 1 :]
+    if sent.device_seq is not None and not is_newer(m.seq, sent.device_seq):
+        return state, []  # sent before the EXCHANGE: it answers a repeated frame of an old session
     if sent.k <= state.last_reported_k:
         return linked(state, sent=later), []  # too late: it was already reported as a gap
     for before in link.sent[:at]:

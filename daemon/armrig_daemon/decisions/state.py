@@ -126,6 +126,8 @@ class Sent(NamedTuple):
     sched_ns: int
     sent_ns: int
     code: int
+    device_seq: int | None = None
+    """`Link.device_seq` when the EXCHANGE was sent. The number of the answer must be newer."""
 
 
 class MissingSamples(NamedTuple):
@@ -214,6 +216,8 @@ class Link(msgspec.Struct, frozen=True, gc=False):
     """Sequence number of the next frame to the device."""
     last_send_ns: int = msgspec.field(default=0, name="any_ns")
     """Time of the last frame to the device."""
+    device_seq: int | None = None
+    """Sequence number of the newest frame from the device; None before its first frame."""
     sent: tuple[Sent, ...] = ()
     beats: tuple[Unechoed, ...] = ()
     """In a scheduled run: frames whose echo has not arrived yet."""

@@ -209,8 +209,9 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
         return _skip(state, tick.k, 1, now_ns, GapCode.DEVICE_LATE), done
     state, code, actions = _decide(state, now_ns, tick.k)
     done += actions
-    seq = link.seq if state.link is None else state.link.seq
-    sent = Sent(seq, tick.k, tick.sched_ns, now_ns, code)
+    link = link if state.link is None else state.link
+    seq = link.seq
+    sent = Sent(seq, tick.k, tick.sched_ns, now_ns, code, link.device_seq)
     frame = encode(Exchange(0, seq, tick.k & 0xFFFFFFFF, code))
     state, actions = send(state, now_ns, frame, sent)
     return state, done + actions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from armrig_core.calibration import Calibration
 from armrig_daemon.decisions import replies, sampling, step
 from armrig_daemon.decisions.faults import Id
@@ -13,6 +14,7 @@ from armrig_daemon.decisions.state import (
     RequestKind,
     Rules,
     Send,
+    Sent,
     State,
     Unechoed,
 )
@@ -20,7 +22,7 @@ from armrig_protocol.decoder import feed
 from armrig_protocol.messages import Ack, Code, Flag, Sample, Stop
 from armrig_protocol.messages import State as DeviceState
 
-from tests.daemon.decision_states import changed
+from tests.daemon.decision_states import changed, device_sample, driven, rested
 
 RULES = Rules(
     code_min=0,
@@ -81,6 +83,31 @@ def test_an_old_frame_that_the_device_has_heard_stops_the_motor() -> None:
     assert after.fault is not None
     assert after.fault.id is Id.STATE
     assert any(isinstance(a, Send) for a in actions)
+
+
+@pytest.mark.parametrize(("received", "late"), [(100, 90), (100, 100), (3, 0xFFFE)])
+def test_a_sample_that_was_sent_before_an_exchange_does_not_answer_it(
+    received: int, late: int
+) -> None:
+    """S4: it answers the same frame of an old session, and the line has delayed it."""
+    state = changed(driven().loop.state, device_seq=received, sent=())
+    waiting = changed(state, sent=(Sent(9, state.k + 1, 5, 6, 0, device_seq=received),))
+    sample = device_sample(waiting, k=state.k + 1)
+
+    ignored, _ = replies.handle(waiting, 7, sample._replace(seq=late))
+    answered, _ = replies.handle(waiting, 7, sample._replace(seq=received + 1))
+
+    assert (ignored.link.sent, ignored.link.device_seq) == (waiting.link.sent, received)
+    assert (answered.link.sent, answered.link.device_seq) == ((), received + 1)
+
+
+def test_the_answer_to_hello_begins_the_numbers_of_the_device_again() -> None:
+    state = changed(rested().loop.state, device_seq=500)
+    assert state.device is not None
+
+    after, _ = replies.handle(state, 7, state.device._replace(seq=0))
+
+    assert after.link.device_seq == 0
 
 
 def test_a_device_that_drives_and_takes_no_hello_is_stopped() -> None:

@@ -390,7 +390,8 @@ def test_a_sample_of_no_exchange_of_ours_is_none() -> None:
     decided = heard(bench, device_sample(state, k=state.link.sent[-1].k + 1))
 
     assert decided.actions == []
-    assert decided.state == changed(state, pending=decided.state.link.pending)
+    link = decided.state.link
+    assert decided.state == changed(state, pending=link.pending, device_seq=link.device_seq)
 
 
 def test_a_sample_that_has_heard_what_we_have_not_sent_is_none() -> None:
@@ -418,7 +419,8 @@ def test_a_sample_of_a_device_that_is_not_met_is_none() -> None:
     decided = heard(bench, sample, unmet)
 
     assert decided.actions == []
-    assert decided.state == changed(unmet, pending=decided.state.link.pending)
+    link = decided.state.link
+    assert decided.state == changed(unmet, pending=link.pending, device_seq=link.device_seq)
 
 
 @pytest.mark.parametrize(("u_k", "trips"), [(0, False), (1, True)])

@@ -181,7 +181,8 @@ def test_a_tick_sends_one_exchange_and_remembers_it() -> None:
     (frame,) = decided.sent
     assert isinstance(frame, Exchange)
     assert (frame.k, frame.u, frame.seq) == (state.k + 1, code_of(1.0), state.link.seq)
-    kept = Sent(state.link.seq, state.k + 1, now - 5, now, code_of(1.0))
+    answered = state.link.device_seq
+    kept = Sent(state.link.seq, state.k + 1, now - 5, now, code_of(1.0), answered)
     assert decided.state.link.sent == (*state.link.sent, kept)
     assert (decided.state.k, decided.state.tick_ns) == (state.k + 1, now)
 
