@@ -51,10 +51,10 @@ _TYPES = {
 
 def handle(state: State, now_ns: int, message: Message) -> Step:
     """Return the state after one message of the device."""
-    if state.link is not None:
-        known = state.link.device_seq
-        if known is None or isinstance(message, HelloReply) or is_newer(message.seq, known):
-            state = linked(state, device_seq=message.seq)  # a reset begins the numbers again
+    known = None if state.link is None else state.link.device_seq
+    # A device that was reset begins its numbers again.
+    if known is None or isinstance(message, HelloReply) or is_newer(message.seq, known):
+        state = linked(state, device_seq=message.seq)
     match message:
         case DeviceSample():
             if _is_other_boot(state, message.boot):
