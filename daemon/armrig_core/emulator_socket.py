@@ -65,7 +65,7 @@ def require_safe_folder(path: Path) -> None:
 
 
 def is_socket(path: Path) -> bool:
-    """Return whether `path` is a socket; a link to a socket does not count.
+    """Return whether `path` is a socket, and not a link to a socket.
 
     Raises
     ------

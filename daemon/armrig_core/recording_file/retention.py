@@ -89,7 +89,7 @@ class Retention:
         total = sum(run.size for run in found)
         for run in found[:-1]:
             if why := self._reason(run, total, now_s):
-                # Subtract it even if the removal fails: no other run is then removed instead.
+                # Subtract the size even if the removal fails, so that no other run is removed.
                 total -= run.size
                 if (done := self._removed(run, why)) is not None:
                     yield done

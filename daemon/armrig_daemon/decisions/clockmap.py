@@ -15,8 +15,8 @@ No exchange shows the constant part of qf - qb. Half of this part, at most `Esti
 an error of the offset, which the standard deviation of the offset does not include. The drift is
 not affected.
 
-The raw times of the device stay unchanged. A time of the host is computed from the map only where
-this time is needed.
+The device's raw times are stored unchanged. They are converted to the host's time only where that
+time is needed.
 
 References
 ----------
@@ -109,7 +109,7 @@ class Estimate(NamedTuple):
     """Growth of the offset; positive if the device's clock is slow."""
     drift_std_ppm: float
     bound_ns: float
-    """Largest error of the offset from a constant asymmetry, in ns.
+    """Largest error of the offset, in ns, that a constant qf - qb can cause.
 
     The bound is half the waiting time in the shortest round trip.
     """
@@ -274,8 +274,8 @@ def _window(clock: ClockMap, r: int) -> ClockMap:
 
     The sum of two exponential waiting times with means m and m' is below x with a probability of
     x²/(2 m m'). `gap_ns` is the excess of the window's minimum over the shortest possible round
-    trip, and the smallest of N such sums. It therefore has the root mean square √(2 m m'/N). This
-    is at most 0.84/√N times the median. Stalls do not change the median.
+    trip. It is therefore the smallest of N such sums, with the root mean square √(2 m m'/N). This
+    value is at most 0.84/√N times the median. Stalls do not change the median.
     """
     link = clock.link
     round_trips = (*clock.round_trips[1 - _WINDOW_SIZE :], r)
@@ -331,7 +331,7 @@ def _reject(clock: ClockMap) -> ClockMap:
 
 
 def _blank(clock: ClockMap) -> ClockMap:
-    """Forget the regression, but keep the round trips: the line has not changed."""
+    """Delete the regression, but keep the round trips, because the serial line is the same."""
     return clock._replace(
         weight=0.0, d=0.0, y=0.0, r=0.0, dd=0.0, dy=0.0, dr=0.0, lag=0.0, rejected=0
     )

@@ -148,7 +148,7 @@ def unanswered(state: State) -> str:
 
 
 def report_state(state: State, now_ns: int) -> Action:
-    """Return the record of the state, which includes the sampling time."""
+    """Return the record of the state, with the sampling time."""
     paces_itself = state.scheduled and state.device_state == DeviceState.RUN
     return Emit(
         StateRecord(

@@ -26,7 +26,7 @@ _RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)  # int: `&` of two Flags tak
 _ARMED, _ACTIVE, _FAULT = Phase.ARMED, Phase.ACTIVE, Phase.FAULT
 
 MIN_MAP_EXCHANGES = 8
-"""Number of exchanges after which the clock map is more accurate than the time of START."""
+"""Number of exchanges after which the clock map is more accurate than times counted from START."""
 
 
 class _Due(NamedTuple):

@@ -129,7 +129,7 @@ def complete(state: State, now_ns: int) -> Step:
 
 
 def note_missing(state: State, run: ActiveRun, end: int, now_ns: int) -> State:
-    """Store the missing samples of a run before `end`; their input is the code of the setpoint."""
+    """Store the missing samples of a run before `end`; their inputs are the setpoints' codes."""
     bits = state.device.pwm_bits if state.device else 16
     for i in range(max(run.due, end - gaps.MAX_MISSING_PIECES), end):
         code = applied_code(run.code(i), bits)

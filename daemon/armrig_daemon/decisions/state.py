@@ -135,7 +135,7 @@ class MissingSamples(NamedTuple):
     n: int
     reason: str
     code: int | None
-    """Code latched during the samples, as far as known; None if the earlier code was held."""
+    """Code latched during the samples, as far as known; None if the code before was held."""
     t_from_ns: int
     t_to_ns: int
     reason_code: GapCode
@@ -313,7 +313,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def device_state(self) -> int:
-        """Return the state that the device last reported, by its number on the wire."""
+        """Return the number of the state that the device last reported."""
         return 0 if self.link is None else self.link.device_state
 
     @property
@@ -363,7 +363,7 @@ Action = Send | Publish | RoundTrip | Emit | SetPeriod | Exit
 
 
 class Tick(NamedTuple):
-    """Event: tick `k`, due at `sched_ns`, is now."""
+    """Event: the timer's tick `k`, which was due at `sched_ns`."""
 
     k: int
     sched_ns: int

@@ -58,7 +58,7 @@ def start(rules: Rules) -> State:
 
 
 def step(state: State, now_ns: int, events: Iterable[Event]) -> Step:
-    """Return the state after `events`, which happened by `now_ns`, and the actions."""
+    """Return the state after `events`, and the actions; `now_ns` is the time after the events."""
     done: list[Action] = []
     for event in events:
         state, actions = _one(state, now_ns, event)

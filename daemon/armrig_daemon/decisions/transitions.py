@@ -122,7 +122,7 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
 
 
 def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False) -> Step:
-    """Handle the state in a frame of the device; it shows whether a request took effect.
+    """Handle the state that a frame reports; this state shows whether a request took effect.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ class ClientWatchdog(NamedTuple):
 
 
 def begun(run: Run, now_s: float) -> ClientWatchdog:
-    """Return the watchdog at the start of a run, which counts as a sign of life."""
+    """Return the watchdog at the start of a run; the start is the first sign of life."""
     return ClientWatchdog(run.lease, run.n, run.dead_man or inf, now_s)
 
 

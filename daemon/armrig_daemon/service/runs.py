@@ -131,7 +131,7 @@ class Runs:
         theta_1_rad : float, optional
             Angle of the chassis, in rad.
         alive : callable
-            Function that is called between the steps, because a long run takes seconds to plan.
+            Function that is called several times, because the check of a long run takes seconds.
 
         Raises
         ------
@@ -294,7 +294,7 @@ class Runs:
         return Ending(OutcomeCode.MOVED, recording.moved) if recording.moved else None
 
     def unrecorded(self) -> str:
-        """Return the reason why recording has stopped, each reason once; else an empty text."""
+        """Return a new reason why recording has stopped; an empty text if there is none."""
         recording = self._recording
         if recording is None or not recording.error or recording.error == self._reported_error:
             return ""

@@ -301,7 +301,7 @@ class Service:
         return message
 
     def _about(self, log: Log) -> dict[str, str]:
-        """Return the fields of a log line: rig, holder, current run, and the line's own fields."""
+        """Return the fields of a log line: rig, holder, current run, and the fields of `log`."""
         about = {
             "rig": self._config.rig.id,
             "run": self._runs.run_id,
@@ -316,7 +316,7 @@ class Service:
         self._handle([Log(t_host_ns=now_ns, level=level, message=message, fields=fields)])
 
     def _note(self, t_host_ns: int, text: str, owner: str) -> None:
-        """Publish and record a note; the thinning of the log drops no note."""
+        """Publish and record a note; the filter of the log never holds back a note."""
         fields = {"owner": owner, "command": commands.Note.name}
         log = Log(t_host_ns=t_host_ns, level="info", message=text, fields=fields, is_note=True)
         self._runs.add_note(self._publish(log))

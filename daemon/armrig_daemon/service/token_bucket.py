@@ -31,7 +31,7 @@ def take(bucket: Bucket, now_s: float) -> Bucket | None:
 
 
 def take_at(per_s: float, burst: float, bucket: Bucket, now_s: float) -> Bucket | None:
-    """Return the bucket after another query, for a rate and a burst; None beyond the limit."""
+    """Return the bucket after another query; None beyond the limits `per_s` and `burst`."""
     tokens = min(burst, bucket.tokens + per_s * (now_s - bucket.at_s))
     return Bucket(tokens - 1, now_s) if tokens >= 1 else None
 
