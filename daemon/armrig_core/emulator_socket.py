@@ -76,7 +76,7 @@ def is_socket(path: Path) -> bool:
 
 
 def stranger(connection: socket.socket) -> int | None:
-    """Return the id of another user at the other end; None for this user or root."""
+    """Return the id of the user at the other end; None for this user and for root."""
     data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     _, uid, _ = _CREDENTIALS.unpack(data)
     return None if uid in (os.geteuid(), 0) else int(uid)

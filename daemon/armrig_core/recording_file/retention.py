@@ -62,7 +62,7 @@ class Retention:
     keep_gb: float
     """Largest size of the rig's recordings, in GB; 0 sets no limit."""
     owner: int
-    """User to whose files the removal is restricted."""
+    """Id of the user whose files may be removed."""
     breath: Callable[[], None] = lambda: None
     """Function that is called between two records; it may wait."""
     _reported: set[tuple[Path, float]] = field(default_factory=set)

@@ -48,11 +48,11 @@ class Link(NamedTuple):
     """Known properties of the line to the device."""
 
     request_ns: int = 0
-    """Time of PING on the wire."""
+    """Transmission time of PING, in ns."""
     answer_ns: int = 0
-    """Time of PONG on the wire."""
+    """Transmission time of PONG, in ns."""
     resolution_us: int = 1
-    """Step of the device's clock."""
+    """Resolution of the device's clock, in µs."""
     tau_ns: int = 30_000_000_000
     """Time constant with which the weights of old exchanges fade."""
 
@@ -258,7 +258,7 @@ def _variance(clock: ClockMap, d: float, fading: float) -> float:
     excess = clock.r - clock.floor_ns + clock.gap_ns
     common = excess * excess + _trend(clock) ** 2 * from_mean
     step = (1000.0 * clock.link.resolution_us) ** 2
-    # Here the drift keeps changing at its present rate. Then y lags by lag · (1 + 2 x + x²/2), with
+    # If the drift changes at a constant rate, y lags by lag · (1 + 2 x + x²/2) with
     # x = ahead - 1, which is at most lag · (1 + x)².
     ahead = 1 + max(0.0, d) * math.sqrt(clock.weight / (clock.dd + _DRIFT_PRIOR))
     return averaged + _C_VARIANCE * (common + step) + (clock.lag * ahead * ahead) ** 2

@@ -13,7 +13,7 @@ from armrig_daemon.decisions.requests import Step
 from armrig_daemon.decisions.state import Action, Emit, MissingSamples, Sent, State
 from armrig_daemon.pipe import Gap
 
-MAX_MISSING_PIECES = 1000  # separate gaps of one outage; the samples before them are one gap
+MAX_MISSING_PIECES = 1000  # most gaps of one outage; all samples before these are one more gap
 
 
 def note(state: State, absent: MissingSamples) -> State:

@@ -93,8 +93,8 @@ def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     # The echo is checked first: after this sample the daemon sends setpoints. The echo of
     # another host's frame could then look like the echo of one of these setpoints.
     state, done = _check_echo(state, now_ns, m)
-    # The device's state is handled before the sample, because the state RUN shows that START has
-    # worked, and defines k.
+    # The device's state is handled before the sample, because the state RUN confirms START and
+    # thereby determines k.
     state, actions = transitions.note_state(note_echo(state, m.echo), now_ns, m.state)
     done += actions
     state, actions = _handle_of_run(state, now_ns, m)
@@ -154,7 +154,7 @@ def note_echo(state: State, echo: int) -> State:
 
 
 def is_ahead(link: Link, echo: int) -> bool:
-    """Return whether the frame `echo` was sent by another host, or before this link."""
+    """Return whether the frame `echo` was sent by another host, or before this link was opened."""
     return (echo - link.seq) & 0xFFFF < 0x8000
 
 

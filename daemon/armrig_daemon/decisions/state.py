@@ -218,7 +218,7 @@ class Link(msgspec.Struct, frozen=True, gc=False):
     beats: tuple[Unechoed, ...] = ()
     """In a scheduled run: frames whose echo has not arrived yet."""
     last_round_trip_ns: int = msgspec.field(default=0, name="fresh_ns")
-    """Time at which the newest frame that the device has answered or echoed was sent (S4)."""
+    """Send time of the newest frame that the device has answered or echoed (S4)."""
     ping_ns: int = 0
     """Time of the last PING."""
     came: Traffic = Traffic()

@@ -29,7 +29,7 @@ class ClientWatchdog(NamedTuple):
 
     @property
     def gone_s(self) -> float:
-        """Time after which the client counts as gone, on the monotonic clock."""
+        """Monotonic time, in s, after which the client is regarded as gone."""
         return self.heard_s + self.period_s
 
 

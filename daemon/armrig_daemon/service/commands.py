@@ -44,7 +44,7 @@ _SILENT = commands.refused(
 )
 _NOT_HELD = commands.refused(RefusalCode.NOT_HELD, orders.NOT_HELD)
 _SOMEBODY = "somebody on this machine"
-_MAX_COMMANDS = 16  # commands of a kind handled at once; then loop and run's client are checked
+_MAX_COMMANDS = 16  # commands of a kind in a row; then the loop and the run's client are checked
 _MAX_PENDING = 16  # unanswered orders; at this number, arm, reset and calibrate are refused
 _NOTES_PER_S, _MAX_NOTES = 2, 20  # of all clients; a flood must fill neither recording nor log
 _MAX_UNANSWERED = 64  # orders of all clients; more would delay the orders of the service itself

@@ -12,9 +12,9 @@ from armrig_core.codes import RefusalCode
 from armrig_core.commands import Refused, refused
 
 PER_S = 200
-"""Number of queries of a kind that are answered each second, for all clients together."""
+"""Largest number of queries of one kind that are answered each second, for all clients together."""
 BURST = 100
-"""Number of queries of a kind that may arrive at once after a time without queries."""
+"""Largest number of queries of one kind that may arrive at once after a time without queries."""
 
 
 class Bucket(NamedTuple):
