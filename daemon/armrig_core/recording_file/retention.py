@@ -138,7 +138,7 @@ class Retention:
         return self._rigs[known]
 
     def _removed(self, run: _Run, why: str) -> Removal | None:
-        """Remove a run; return None if a file is in use, or if the failure was reported before."""
+        """Remove a run; return None if a file is in use or a failure was already reported."""
         path = run.files[-1]
         if (path, run.ended_s) in self._reported:
             return None

@@ -119,7 +119,7 @@ def tick(state: State, now_ns: int) -> Step:
 
 
 def complete(state: State, now_ns: int) -> Step:
-    """Store that the device has taken the run's last sample; also store the missing samples."""
+    """Store that the run has ended with its last sample; also store the missing samples."""
     run = state.run
     if run is None:
         return state, []

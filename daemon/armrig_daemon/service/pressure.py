@@ -1,6 +1,7 @@
 """Load of this machine.
 
-The load is published with the timing. The outcome of a run states the load if it may be the cause.
+The load is published with the timing. The outcome of a run states the load if the load may be the
+cause.
 """
 
 from __future__ import annotations

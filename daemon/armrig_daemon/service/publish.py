@@ -80,7 +80,7 @@ class Session:
         NetworkError
             The endpoint of the network is in use or cannot be opened.
         """
-        self.lease = b""  # lease in force; b"" admits no command of a holder
+        self.lease = b""  # lease in force; with b"", no command with a lease is admitted
         self._waiting = {
             kind: queue.Queue[Command](1 if kind is Kind.CALIBRATE else MAX_WAITING)
             for kind in Kind

@@ -109,7 +109,7 @@ class Runs:
         return check_directory(self._directory, _BASE_BYTES)
 
     def note_calibration(self, calibration: Calibration, raw: bytes) -> None:
-        """Store another calibration and its samples with the following runs."""
+        """Use another calibration; all later recordings contain it and its samples."""
         self._config = msgspec.structs.replace(self._config, calibration=calibration)
         self._calibration_raw = raw
 
@@ -285,7 +285,7 @@ class Runs:
         self._finishing = recording
 
     def disturbed(self) -> Ending | None:
-        """Return the outcome of a run that must end because of its recording, or None."""
+        """Return the outcome if the run must end because its recording failed or was moved."""
         recording = self._recording
         if recording is None:
             return None

@@ -201,7 +201,7 @@ class Service:
                 self._say("warning", problem)
         by = "`systemctl stop`" if self._notifier.is_asked else "Ctrl-C"
         self._say("info", served(self._config, by))
-        if objection := self._runs.no_room():  # now, and not at the first run
+        if objection := self._runs.no_room():  # report it now, not only at the first run
             self._say("warning", f"nothing can be recorded: {objection.error}")
 
     def _serve(self) -> None:
