@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 ACTIVE, COPY = ".active", ".compact"
-"""Suffix of a file's name while the file is written, and suffix while it is rewritten."""
+"""Suffixes of the name of a file that is being written, and of a file that is being rewritten."""
 PART = ".part-"
 """Text between a run's name and a part's number, as in NAME.part-0001.mcap."""
 

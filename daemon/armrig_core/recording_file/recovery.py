@@ -105,8 +105,7 @@ class Recovery:
                     done = self._copied(path, stream, copy)
                     if sys.platform == "win32":  # Windows cannot rename an open file
                         stream.close()
-                    # If the process dies between these calls, the file under one of the names is
-                    # complete.
+                    # If the process dies between these calls, `path` or `final` is complete.
                     copy.replace(path)
                     path.replace(final)
                     sync_directory(final.parent)

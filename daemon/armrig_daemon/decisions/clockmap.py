@@ -2,7 +2,7 @@
 
 An exchange has four time stamps. PING leaves the host at `h1_ns` and has arrived at the device at
 `rx_us`. PONG begins to leave the device at `tx_us` and has arrived at the host at `h4_ns`. The
-times on the wire are known and subtracted. Then the middle of `h1_ns` and `h4_ns` is the host's
+transmission times are known and subtracted. Then the middle of `h1_ns` and `h4_ns` is the host's
 time at the middle of `rx_us` and `tx_us`, with an error of (qf - qb)/2. Here qf and qb >= 0 are the
 waiting times of the request and of the answer. Only their sum e = qf + qb is observed, so the error
 is c · e with c in [-1/2, 1/2].

@@ -69,13 +69,13 @@ def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
     state, done = _publish(state, link, state.run, now_ns, m, due)
     done.append(RoundTrip(now_ns - sent.sent_ns))
     state = clock_comparison.by_sample(state, now_ns, sent, m)
-    # The state is noted after the sample: if the device has stopped, this sample still counts.
+    # Handle the sample before the state: if the device has stopped, the sample is still valid.
     state, actions = transitions.note_state(state, now_ns, m.state)
     done += actions
     state, actions = setpoints.note_queue(state, now_ns, 0, m.queued)
     done += actions
     if state.phase is _FAULT:
-        return state, done  # the commanded code is 0 now, and the first cause is kept
+        return state, done  # the commanded code is 0 now; the cause of the fault is kept
     state, actions = _check_applied(state, now_ns, m, due)
     return state, done + actions
 

@@ -224,7 +224,7 @@ class Link(msgspec.Struct, frozen=True, gc=False):
     came: Traffic = Traffic()
     """Traffic from the device, counted while HELLO has no answer."""
     device_state: int = 0
-    """State that the device last reported, by its number on the wire."""
+    """Number of the state that the device last reported."""
     token: int = 0
 
 

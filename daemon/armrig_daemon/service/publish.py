@@ -24,7 +24,7 @@ from armrig_daemon.service.uplink import Uplink
 
 TOO_MANY = refused(RefusalCode.TOO_MANY, "too many commands are waiting: try again")
 """Refusal of a command whose queue is full."""
-MAX_WAITING = 64  # unread commands of a kind; more are refused
+MAX_WAITING = 64  # most unread commands of one kind; further commands are refused
 
 
 class NetworkError(OperationError):

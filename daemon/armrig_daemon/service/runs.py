@@ -131,7 +131,7 @@ class Runs:
         theta_1_rad : float, optional
             Angle of the chassis, in rad.
         alive : callable
-            Function that is called several times, because the check of a long run takes seconds.
+            Function that is called after each slow step, because the plan may take seconds.
 
         Raises
         ------

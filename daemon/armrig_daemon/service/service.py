@@ -228,7 +228,7 @@ class Service:
                 self._hear_of_stalls(self._stalls_fd)
             if self._signals.fd in ready:
                 self._woken()
-            # First the signs of life that have arrived: a sign that waited counts from its arrival.
+            # First handle the signs of life, so that a sign that had to wait is not too late.
             self._commands.serve_signs()
             if time.monotonic() >= self._runs.client_gone_s:
                 gone = self._runs.client_gone()

@@ -49,7 +49,7 @@ class Thinning:
         return False
 
     def due(self, now_ns: int, *, end: bool = False) -> list[Log]:
-        """Return the newest line of each kind that was held back for 1 s; with `end`, of all."""
+        """Return the newest line of each kind held back for 1 s; for any time if `end` is True."""
         lines: list[Log] = []
         for kind, (ns, held, newest) in list(self._kinds.items()):
             if now_ns - ns < HOLD_NS and not end:
