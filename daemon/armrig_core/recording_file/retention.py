@@ -157,7 +157,7 @@ class Retention:
         except _READ_ERRORS as err:
             self._reported.add((path, run.ended_s))
             reason = err.strerror if isinstance(err, OSError) else err
-            text = f"{path}: {why}, but it stays, because it cannot be read completely or removed"
+            text = f"{path}: {why}, but it stays, because reading or removing it failed"
             return Removal(False, f"{text}: {reason}")
         parts = f" and the {len(run.files) - 1} parts before it" if len(run.files) > 1 else ""
         return Removal(True, f"{path}{parts}: removed, {run.size / 1e6:.1f} MB: {why}")
