@@ -88,7 +88,6 @@ def at_router(rig: str) -> dict[str, Any]:
 
     The router verifies each client's certificate, and guarantees that the client's name in the key
     of a message is true.
-
     """
     mirrored = {"ingress": "egress", "egress": "ingress"}
     rules = [

@@ -99,8 +99,8 @@ class Stop(Request, frozen=True, kw_only=True, omit_defaults=True):
 
     name: ClassVar[str] = "stop"
     by: str = ""
-    """Name of the client, for the recording. A name of any length is allowed, because no stop may
-    be refused because of a name."""
+    """Name of the client, for the recording. A name of any length is allowed, because a name must
+    not prevent a stop."""
 
 
 class Note(Request, frozen=True, kw_only=True, omit_defaults=True):

@@ -65,7 +65,7 @@ def require_safe_folder(path: Path) -> None:
 
 
 def is_socket(path: Path) -> bool:
-    """Return whether `path` is a socket; a link to a socket does not count.
+    """Return whether `path` is a socket, and not a link to a socket.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def is_socket(path: Path) -> bool:
 
 
 def stranger(connection: socket.socket) -> int | None:
-    """Return the id of another user at the other end; None for this user or root."""
+    """Return the id of the user at the other end; None for this user and for root."""
     data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     _, uid, _ = _CREDENTIALS.unpack(data)
     return None if uid in (os.geteuid(), 0) else int(uid)

@@ -66,7 +66,7 @@ def require_trusted(found: os.stat_result, *, owners: Collection[int]) -> None:
     Raises
     ------
     InputError
-        Another user owns the directory or may write to it, or the path is a link or no directory.
+        Another user owns the directory or may write to it. The path is a link or not a directory.
         The message names only this defect, not the directory.
     """
     if stat.S_ISLNK(found.st_mode):

@@ -1,8 +1,8 @@
 """The recent messages of a rig: the request for them and the answer.
 
 A subscriber may miss messages or connect late. The daemon keeps published messages for a while and
-numbers them across all streams. A client requests all messages from a number on. It receives as
-many messages as one answer can contain, and then requests the messages after the last received
+numbers them across all streams. A client requests all messages from a given number on. It receives
+as many messages as one answer can contain, and then requests the messages after the last received
 message. If the daemon no longer keeps the first requested message, the client knows exactly which
 messages are lost.
 """
@@ -37,7 +37,7 @@ class HistoryRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class Past(NamedTuple):
-    """An answer: consecutive messages."""
+    """Answer to a request for the history: consecutive messages."""
 
     life: bytes
     """16 B that identify one start of a daemon; the message numbers begin again at each start."""

@@ -16,7 +16,7 @@ from typing import Any
 
 @cache
 def homes(package: str) -> dict[str, str]:
-    """Return the module of each public name of a package, by name."""
+    """Return the module of each public name of a package."""
     stub = Path(str(sys.modules[package].__file__)).with_suffix(".pyi")
     body = ast.parse(stub.read_text(encoding="utf-8")).body
     imports = (node for node in body if isinstance(node, ast.ImportFrom))

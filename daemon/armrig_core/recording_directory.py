@@ -56,7 +56,7 @@ def directory_of(given: str) -> Path:
 
 
 def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
-    """Return the recordings directory of a daemon that has these files and variables.
+    """Return the recordings directory that these files and variables configure.
 
     Parameters
     ----------

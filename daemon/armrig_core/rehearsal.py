@@ -90,7 +90,7 @@ def rehearse(
     Phi, Gamma, m = _steps(parameters, arm_removed, Ts, volts.size)
     whole = np.linalg.matrix_power(_augmented(Phi, Gamma), m)
     x = _states(whole[:4, :4], whole[:4, 4], volts)
-    # Largest rotation and deflection during each hold of u, its end included, its begin excluded.
+    # Largest rotation and deflection in each sampling interval, without the start of the interval.
     peaks = np.abs(x[1:, :2])
     point = np.eye(5)
     for _ in range(m - 1):

@@ -90,7 +90,7 @@ class SignalPipe:
 
 @contextmanager
 def until_signal() -> Iterator[SignalPipe]:
-    """Yield a pipe that a signal of `ENDING` sets; a second signal raises KeyboardInterrupt.
+    """Yield a pipe for the first signal of `ENDING`; a second signal raises KeyboardInterrupt.
 
     The first signal interrupts nothing, so that a received message is still written to the file. A
     signal that nohup ignores stays ignored.

@@ -41,7 +41,7 @@ _GAPS = {
 
 
 def passes(error: str) -> bool:
-    """Return whether a refusal is temporary, judged by the text of a daemon without codes."""
+    """Return whether a refusal without a code is temporary, judged by its text."""
     return error.endswith(TRY_AGAIN)
 
 

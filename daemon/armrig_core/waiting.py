@@ -40,7 +40,7 @@ _until_at = ctypes.byref(_until)
 
 
 def sleep_until(deadline_ns: int, spin_ns: int = 0) -> int:
-    """Sleep, then spin for the last `spin_ns` before a deadline; return the time then, in ns."""
+    """Sleep, then spin for the last `spin_ns` before a deadline; return the final time, in ns."""
     now = time.monotonic_ns()
     wake = deadline_ns - spin_ns
     if now < wake:

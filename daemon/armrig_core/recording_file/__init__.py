@@ -1,1 +1,1 @@
-"""The file of a recording, for daemon and clients: its records, its lock, its completion."""
+"""Reading, writing, locking and completing the file of a recording."""

@@ -51,5 +51,5 @@ class Budget:
             raise DamageError(f"more than {self.limits[what]} {what}")
 
     def regain(self, what: str) -> None:
-        """Set a cost to 0, because the memory that it counts was released."""
+        """Set a cost to 0, because the counted memory was released."""
         self.spent[what] = 0

@@ -22,7 +22,7 @@ class Unpacker:
         self._zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_LIMIT)
 
     def records(self, body: bytes) -> bytes:
-        """Return the records of a chunk, unpacked and checked.
+        """Check a chunk; return its unpacked records.
 
         Raises
         ------

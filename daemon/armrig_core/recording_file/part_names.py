@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 ACTIVE, COPY = ".active", ".compact"
-"""Last characters of a file's name while the file is written, and while it is rewritten."""
+"""Suffixes of the name of a file that is being written, and of a file that is being rewritten."""
 PART = ".part-"
 """Text between a run's name and a part's number, as in NAME.part-0001.mcap."""
 
 
 def part_path(path: Path, number: int) -> Path:
-    """Return the path of part `number` (from 1) of the run NAME.mcap; part 0 is NAME.mcap."""
+    """Return the path of part `number` (1, 2, …) of the run `path`; for 0, return `path`."""
     return path.with_name(f"{path.stem}{PART}{number:04}.mcap") if number else path
 
 

@@ -108,7 +108,7 @@ class Recording:
 
     @property
     def kept(self) -> Path:
-        """Path of the finished recording; until it is finished, path of the file being written."""
+        """Path of the finished recording; before the end, path of the unfinished file."""
         part = self._part
         if not part.is_named:
             return part.active
@@ -245,8 +245,8 @@ class Recording:
             self._give_up(worse)
         else:
             self._parts.append(self._part)
-            self.error = f"{self.kept}: {err}; the recording ended early and is complete up to "
-            self.error += "its end: free disk space"
+            self.error = f"{self.kept}: {err}; the recording ended early, but the file is "
+            self.error += "complete: free disk space"
 
     def _flush(self) -> None:
         self._part.flush()
@@ -259,7 +259,7 @@ class Recording:
             self._changed()
 
     def _give_up(self, err: Exception) -> None:
-        """Cut the file at its last flush, and close it; later data would follow a hidden gap."""
+        """Cut the file at its last flush, and close it: later data would follow a hidden gap."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
         # Another file may have taken the name, but RemovedError proves that this file is removed.
         there = not isinstance(err, RemovedError) and os.access(self.kept, os.F_OK)

@@ -215,7 +215,7 @@ class Part:
         Raises
         ------
         RemovedError
-            The file has no name any more.
+            The file was deleted.
         """
         if self._is_at(self.active):
             return False

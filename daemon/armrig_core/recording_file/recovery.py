@@ -68,9 +68,9 @@ class Recovery:
     now: Callable[[], str]
     """Function that returns the time of day, ISO 8601."""
     owner: int | None = None
-    """User to whose files the recovery is restricted; None for all users."""
+    """Id of the user whose files may be recovered; None for all users."""
     rig: str = ""
-    """Rig to whose recordings the recovery is restricted; "" for all rigs."""
+    """Id of the rig whose recordings may be recovered; "" for all rigs."""
     breath: Callable[[], None] = lambda: None
     """Function that is called between two records; it may wait."""
 
@@ -99,14 +99,13 @@ class Recovery:
                     raise RecoveryError(
                         f"{path}: {final.name} exists already; move one of the two files away"
                     )
-                # Any copy was left by a process that died, because this process holds the lock.
+                # This process holds the lock, so a process that died has left any existing copy.
                 copy.unlink(missing_ok=True)
                 try:
                     done = self._copied(path, stream, copy)
                     if sys.platform == "win32":  # Windows cannot rename an open file
                         stream.close()
-                    # If the process dies between these calls, the file under one of the names is
-                    # complete.
+                    # If the process dies between these calls, `path` or `final` is complete.
                     copy.replace(path)
                     path.replace(final)
                     sync_directory(final.parent)

@@ -62,7 +62,7 @@ class Retention:
     keep_gb: float
     """Largest size of the rig's recordings, in GB; 0 sets no limit."""
     owner: int
-    """User to whose files the removal is restricted."""
+    """Id of the user whose files may be removed."""
     breath: Callable[[], None] = lambda: None
     """Function that is called between two records; it may wait."""
     _reported: set[tuple[Path, float]] = field(default_factory=set)
@@ -89,7 +89,7 @@ class Retention:
         total = sum(run.size for run in found)
         for run in found[:-1]:
             if why := self._reason(run, total, now_s):
-                # Subtract it even if the removal fails: no other run is then removed instead.
+                # Subtract the size even if the removal fails, so that no other run is removed.
                 total -= run.size
                 if (done := self._removed(run, why)) is not None:
                     yield done
@@ -138,7 +138,7 @@ class Retention:
         return self._rigs[known]
 
     def _removed(self, run: _Run, why: str) -> Removal | None:
-        """Remove a run; return None if a file is in use, or if the failure was reported before."""
+        """Remove a run; return None if a file is in use or a failure was already reported."""
         path = run.files[-1]
         if (path, run.ended_s) in self._reported:
             return None
@@ -157,7 +157,7 @@ class Retention:
         except _READ_ERRORS as err:
             self._reported.add((path, run.ended_s))
             reason = err.strerror if isinstance(err, OSError) else err
-            text = f"{path}: {why}, but it stays, because it cannot be read completely or removed"
+            text = f"{path}: {why}, but it stays, because reading or removing it failed"
             return Removal(False, f"{text}: {reason}")
         parts = f" and the {len(run.files) - 1} parts before it" if len(run.files) > 1 else ""
         return Removal(True, f"{path}{parts}: removed, {run.size / 1e6:.1f} MB: {why}")

@@ -2,7 +2,7 @@
 
 An exchange has four time stamps. PING leaves the host at `h1_ns` and has arrived at the device at
 `rx_us`. PONG begins to leave the device at `tx_us` and has arrived at the host at `h4_ns`. The
-times on the wire are known and subtracted. Then the middle of `h1_ns` and `h4_ns` is the host's
+transmission times are known and subtracted. Then the middle of `h1_ns` and `h4_ns` is the host's
 time at the middle of `rx_us` and `tx_us`, with an error of (qf - qb)/2. Here qf and qb >= 0 are the
 waiting times of the request and of the answer. Only their sum e = qf + qb is observed, so the error
 is c · e with c in [-1/2, 1/2].
@@ -15,8 +15,8 @@ No exchange shows the constant part of qf - qb. Half of this part, at most `Esti
 an error of the offset, which the standard deviation of the offset does not include. The drift is
 not affected.
 
-The raw times of the device stay unchanged. A time of the host is computed from the map only where
-this time is needed.
+The device's raw times are stored unchanged. They are converted to the host's time only where that
+time is needed.
 
 References
 ----------
@@ -48,11 +48,11 @@ class Link(NamedTuple):
     """Known properties of the line to the device."""
 
     request_ns: int = 0
-    """Time of PING on the wire."""
+    """Transmission time of PING, in ns."""
     answer_ns: int = 0
-    """Time of PONG on the wire."""
+    """Transmission time of PONG, in ns."""
     resolution_us: int = 1
-    """Step of the device's clock."""
+    """Resolution of the device's clock, in µs."""
     tau_ns: int = 30_000_000_000
     """Time constant with which the weights of old exchanges fade."""
 
@@ -109,7 +109,7 @@ class Estimate(NamedTuple):
     """Growth of the offset; positive if the device's clock is slow."""
     drift_std_ppm: float
     bound_ns: float
-    """Largest error of the offset from a constant asymmetry, in ns.
+    """Largest error of the offset, in ns, that a constant qf - qb can cause.
 
     The bound is half the waiting time in the shortest round trip.
     """
@@ -258,7 +258,7 @@ def _variance(clock: ClockMap, d: float, fading: float) -> float:
     excess = clock.r - clock.floor_ns + clock.gap_ns
     common = excess * excess + _trend(clock) ** 2 * from_mean
     step = (1000.0 * clock.link.resolution_us) ** 2
-    # Here the drift keeps changing at its present rate. Then y lags by lag · (1 + 2 x + x²/2), with
+    # If the drift changes at a constant rate, y lags by lag · (1 + 2 x + x²/2) with
     # x = ahead - 1, which is at most lag · (1 + x)².
     ahead = 1 + max(0.0, d) * math.sqrt(clock.weight / (clock.dd + _DRIFT_PRIOR))
     return averaged + _C_VARIANCE * (common + step) + (clock.lag * ahead * ahead) ** 2
@@ -274,8 +274,8 @@ def _window(clock: ClockMap, r: int) -> ClockMap:
 
     The sum of two exponential waiting times with means m and m' is below x with a probability of
     x²/(2 m m'). `gap_ns` is the excess of the window's minimum over the shortest possible round
-    trip, and the smallest of N such sums. It therefore has the root mean square √(2 m m'/N). This
-    is at most 0.84/√N times the median. Stalls do not change the median.
+    trip. It is therefore the smallest of N such sums, with the root mean square √(2 m m'/N). This
+    value is at most 0.84/√N times the median. Stalls do not change the median.
     """
     link = clock.link
     round_trips = (*clock.round_trips[1 - _WINDOW_SIZE :], r)
@@ -331,7 +331,7 @@ def _reject(clock: ClockMap) -> ClockMap:
 
 
 def _blank(clock: ClockMap) -> ClockMap:
-    """Forget the regression, but keep the round trips: the line has not changed."""
+    """Delete the regression, but keep the round trips, because the serial line is the same."""
     return clock._replace(
         weight=0.0, d=0.0, y=0.0, r=0.0, dd=0.0, dy=0.0, dr=0.0, lag=0.0, rejected=0
     )

@@ -13,7 +13,7 @@ from armrig_daemon.decisions.requests import Step
 from armrig_daemon.decisions.state import Action, Emit, MissingSamples, Sent, State
 from armrig_daemon.pipe import Gap
 
-MAX_MISSING_PIECES = 1000  # separate gaps of one outage; the samples before them are one gap
+MAX_MISSING_PIECES = 1000  # most gaps of one outage; all samples before these are one more gap
 
 
 def note(state: State, absent: MissingSamples) -> State:
@@ -56,7 +56,7 @@ def report_missing(state: State, end: int, now_ns: int, u_before: int | None = N
     for i, piece in enumerate(pieces):
         code = code if piece.code is None else piece.code
         if i == len(pieces) - 1 and u_before is not None and (piece.n == 1 or piece.code is None):
-            code = u_before  # no code was latched since: the whole piece was held at `u_before`
+            code = u_before  # no code was latched in this gap, so `u_before` was held
         done.append(Emit(_gap(piece, code)))
     return replace(state, last_reported_k=end - 1, absent=later), done
 

@@ -64,7 +64,7 @@ def held_by(owner: str) -> str:
 
 
 def quit_(state: State, now_ns: int) -> Step:
-    """Stop and exit; if a device answers, exit after the device has reported that it stopped."""
+    """Stop the motor and exit; if a device answers, exit only after it has confirmed the stop."""
     if state.quitting:
         return state, []
     state = replace(state, quitting=True)

@@ -40,5 +40,5 @@ Any other pair raises an exception; the loop then stops the motor and ends.
 
 
 def moved(state: State, on: On, **changes: Any) -> State:
-    """Return the state in the next phase, with further changes."""
+    """Return the state with the next phase after `on`, and with `changes`."""
     return replace(state, phase=TRANSITIONS[on][state.phase], **changes)

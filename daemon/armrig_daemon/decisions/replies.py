@@ -114,7 +114,7 @@ def _ack(state: State, now_ns: int, ack: Ack) -> Step:
         return transitions.note_state(state, now_ns, ack.state)
     if ack.code == Code.STALE:
         if asked.want is RequestKind.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):
-            # Repeated old frames keep the device in this state. HELLO waits; STOP is sent at once.
+            # Repeated old frames keep the device in this state: send STOP at once, before HELLO.
             return send(state, now_ns, encode(Stop(0, link.seq)))
         return state, []  # the request will be sent again, with a newer seq
     if (

@@ -43,7 +43,7 @@ from armrig_daemon.pipe import State as StateRecord
 NO_DEVICE = "no device answers; check that it is plugged in, and that its supply is on: try again"
 """Refusal of an order that needs a device while no device answers."""
 Step = tuple[State, list[Action]]
-"""Result of each part of the core: the next state, and the actions."""
+"""Result of a function of the core: the next state, and the actions."""
 
 
 MAX_REMEMBERED_FRAMES = 64  # frames without an echo; the fault STALE occurs with far fewer
@@ -153,7 +153,7 @@ def unanswered(state: State) -> str:
 
 
 def report_state(state: State, now_ns: int) -> Action:
-    """Return the record of the state, which includes the sampling time."""
+    """Return the record of the state, with the sampling time."""
     paces_itself = state.scheduled and state.device_state == DeviceState.RUN
     return Emit(
         StateRecord(

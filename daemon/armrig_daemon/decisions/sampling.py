@@ -26,7 +26,7 @@ _RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)  # int: `&` of two Flags tak
 _ARMED, _ACTIVE, _FAULT = Phase.ARMED, Phase.ACTIVE, Phase.FAULT
 
 MIN_MAP_EXCHANGES = 8
-"""Number of exchanges after which the clock map is more accurate than the time of START."""
+"""Number of exchanges after which the clock map is more accurate than times counted from START."""
 
 
 class _Due(NamedTuple):
@@ -71,13 +71,13 @@ def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
     state, done = _publish(state, link, state.run, now_ns, m, due)
     done.append(RoundTrip(now_ns - sent.sent_ns))
     state = clock_comparison.by_sample(state, now_ns, sent, m)
-    # The state is noted after the sample: if the device has stopped, this sample still counts.
+    # Handle the sample before the state: if the device has stopped, the sample is still valid.
     state, actions = transitions.note_state(state, now_ns, m.state)
     done += actions
     state, actions = setpoints.note_queue(state, now_ns, 0, m.queued)
     done += actions
     if state.phase is _FAULT:
-        return state, done  # the commanded code is 0 now, and the first cause is kept
+        return state, done  # the commanded code is 0 now; the cause of the fault is kept
     state, actions = _check_applied(state, now_ns, m, due)
     return state, done + actions
 
@@ -95,8 +95,8 @@ def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     # The echo is checked first: after this sample the daemon sends setpoints. The echo of
     # another host's frame could then look like the echo of one of these setpoints.
     state, done = _check_echo(state, now_ns, m)
-    # The device's state is handled before the sample, because the state RUN shows that START has
-    # worked, and defines k.
+    # The device's state is handled before the sample, because the state RUN confirms START and
+    # thereby determines k.
     state, actions = transitions.note_state(note_echo(state, m.echo), now_ns, m.state)
     done += actions
     state, actions = _handle_of_run(state, now_ns, m)
@@ -156,7 +156,7 @@ def note_echo(state: State, echo: int) -> State:
 
 
 def is_ahead(link: Link, echo: int) -> bool:
-    """Return whether the frame `echo` was sent by another host, or before this link."""
+    """Return whether the frame `echo` was sent by another host, or before this link was opened."""
     return (echo - link.seq) & 0xFFFF < 0x8000
 
 

@@ -33,7 +33,7 @@ MAX_FRAMES = 8
 
 
 def begin(state: State, now_ns: int, order: Run) -> Step:
-    """Begin to fill the queue of the device, which is armed for this run, at 0 V."""
+    """Begin to fill the queue of the device, which is armed at 0 V for this run."""
     run = ActiveRun(order.run_id, order.codes, -1, scheduled=True)
     queue = Queue(order, moved_ns=now_ns, asked_ns=now_ns)
     return refill(replace(state, run=run, queue=queue), now_ns)
@@ -77,7 +77,7 @@ def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
         return state, []
     held = base + queued
     moved_ns = now_ns if held > queue.held else queue.moved_ns
-    # `sent` is less than `held` if `refill` has set it back to an earlier `held`.
+    # `sent` is less than `held` if `refill` has reset `sent` to an earlier `held`.
     queue = replace(queue, base=base, held=held, sent=max(queue.sent, held), moved_ns=moved_ns)
     state = replace(state, queue=queue)
     if state.phase is _ARMED and state.asked is None:
@@ -119,7 +119,7 @@ def tick(state: State, now_ns: int) -> Step:
 
 
 def complete(state: State, now_ns: int) -> Step:
-    """Store that the device has taken the run's last sample; also store the missing samples."""
+    """Store that the run has ended with its last sample; also store the missing samples."""
     run = state.run
     if run is None:
         return state, []
@@ -129,7 +129,7 @@ def complete(state: State, now_ns: int) -> Step:
 
 
 def note_missing(state: State, run: ActiveRun, end: int, now_ns: int) -> State:
-    """Store the missing samples of a run before `end`; their input is the code of the setpoint."""
+    """Store the missing samples of a run before `end`; their inputs are the setpoints' codes."""
     bits = state.device.pwm_bits if state.device else 16
     for i in range(max(run.due, end - gaps.MAX_MISSING_PIECES), end):
         code = applied_code(run.code(i), bits)

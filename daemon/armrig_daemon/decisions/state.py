@@ -137,7 +137,7 @@ class MissingSamples(NamedTuple):
     n: int
     reason: str
     code: int | None
-    """Code latched during the samples, as far as known; None if the earlier code was held."""
+    """Code latched during the samples, as far as known; None if the code before was held."""
     t_from_ns: int
     t_to_ns: int
     reason_code: GapCode
@@ -222,13 +222,13 @@ class Link(msgspec.Struct, frozen=True, gc=False):
     beats: tuple[Unechoed, ...] = ()
     """In a scheduled run: frames whose echo has not arrived yet."""
     last_round_trip_ns: int = msgspec.field(default=0, name="fresh_ns")
-    """Time at which the newest frame that the device has answered or echoed was sent (S4)."""
+    """Send time of the newest frame that the device has answered or echoed (S4)."""
     ping_ns: int = 0
     """Time of the last PING."""
     came: Traffic = Traffic()
     """Traffic from the device, counted while HELLO has no answer."""
     device_state: int = 0
-    """State that the device last reported, by its number on the wire."""
+    """Number of the state that the device last reported."""
     token: int = 0
 
 
@@ -317,7 +317,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def device_state(self) -> int:
-        """Return the state that the device last reported, by its number on the wire."""
+        """Return the number of the state that the device last reported."""
         return 0 if self.link is None else self.link.device_state
 
     @property
@@ -367,7 +367,7 @@ Action = Send | Publish | RoundTrip | Emit | SetPeriod | Exit
 
 
 class Tick(NamedTuple):
-    """Event: tick `k`, due at `sched_ns`, is now."""
+    """Event: the timer's tick `k`, which was due at `sched_ns`."""
 
     k: int
     sched_ns: int

@@ -3,7 +3,7 @@
 The function is pure: no clock, I/O, randomness, logging or threads. It keeps these invariants of
 ARCHITECTURE.md. Every non-zero code that the function sends belongs to a command of the lease's
 holder (S5). The code is within the limits (S1), and the last round trip is recent enough (S4). A
-trip latches a fault (S6).
+fault stays latched until a reset (S6).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def start(rules: Rules) -> State:
 
 
 def step(state: State, now_ns: int, events: Iterable[Event]) -> Step:
-    """Return the state after `events`, which happened by `now_ns`, and the actions."""
+    """Return the state after `events`, and the actions; `now_ns` is the time after the events."""
     done: list[Action] = []
     for event in events:
         state, actions = _one(state, now_ns, event)
@@ -204,8 +204,8 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
         # The device has stopped, but the run has not ended yet. No tick is needed.
         return state, done
     if len(link.sent) >= MAX_UNECHOED:
-        # This limits the number of old commands on the line. If no answer comes, `_stale` stops
-        # the motor.
+        # Send nothing, to limit the number of old commands on the line. If no answer comes,
+        # `_stale` stops the motor.
         return _skip(state, tick.k, 1, now_ns, GapCode.DEVICE_LATE), done
     state, code, actions = _decide(state, now_ns, tick.k)
     done += actions

@@ -34,7 +34,7 @@ def end_run(state: State, now_ns: int) -> Step:
         for sent in (s for s in waiting if s.k < end):
             state = gaps.note(state, gaps.lost(sent, now_ns))
         if run.scheduled and state.phase is Phase.FAULT:
-            # The samples that the device would have taken by now if it had not stopped.
+            # Report the samples that the device would have taken by now without the fault.
             by_now = (now_ns - run.t_zero_ns) // (state.ts_us * 1000) + 1
             n = max(0, min(by_now, run.samples) - run.due)
             due_ns = gaps.due_ns(state, end)
@@ -45,7 +45,7 @@ def end_run(state: State, now_ns: int) -> Step:
         done += actions
         state = linked(state, sent=tuple(s for s in waiting if s.k >= end))
     if run.scheduled and run.k_first >= 0:
-        # The device has counted the samples: the loop's ticks continue after the last sample.
+        # The device has paced the samples: number the loop's next tick after the last sample.
         k = run.k_first + run.due - 1
         state = replace(state, k=k, pace_us=state.rules.ts_us)
         done.append(SetPeriod(state.rules.ts_us, k + 1))

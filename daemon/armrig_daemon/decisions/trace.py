@@ -62,7 +62,7 @@ class Chunk(NamedTuple):
     number: int
     """Number of the chunk, from 0 at the start of the run."""
     state: bytes
-    """State before the first step, in the first chunk; else empty."""
+    """State before the first step of the trace; empty in all chunks except the first."""
     steps: bytes
 
 
@@ -99,7 +99,7 @@ class Trace:
     def _write(
         self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]
     ) -> Chunk | None:
-        """Add a step; if the current chunk has no room for it, return this full chunk."""
+        """Add a step; return the full chunk if the step begins a new chunk."""
         written = [(_NUMBERS[type(e)], _written_event(e, self._lease)) for e in events]
         sent = [a.data for a in actions if type(a) is Send]
         size = _STEP_BYTES

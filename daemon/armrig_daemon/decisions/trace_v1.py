@@ -33,7 +33,7 @@ def state_of(data: bytes) -> State:
 
 
 def order_of(data: bytes) -> Orders:
-    """Decode an order in a trace of version 1, and give its type the present name."""
+    """Decode an order in a trace of version 1, and give its type the current name."""
     fields = msgspec.msgpack.decode(data)
     fields["type"] = _TAGS.get(fields["type"], fields["type"])
     order: Orders = msgspec.convert(fields, Orders)

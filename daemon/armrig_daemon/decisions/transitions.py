@@ -122,7 +122,7 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
 
 
 def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False) -> Step:
-    """Handle the state in a frame of the device; it shows whether a request took effect.
+    """Handle the state that a frame reports; this state shows whether a request took effect.
 
     Parameters
     ----------
@@ -346,8 +346,8 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     before_us = state.pace_us
     pace_us = CARE_PERIOD_US if asked.scheduled else asked.ts_us
     arms = isinstance(asked.order, Arm | Run)
-    # `tick_ns` is now, because the earlier ticks had another period. The answer does not name the
-    # CONFIG to which it belongs. Before arming, it is therefore no proof of a round trip.
+    # `tick_ns` is set to now, because earlier ticks had another period. The answer does not name
+    # its CONFIG. Before arming, the answer is therefore no proof of a round trip.
     accepted = Configuration(
         asked.ts_us, asked.scheduled, reply.config_crc, reply.nonce, asked.sent_ns
     )

@@ -25,7 +25,7 @@ _READ = 1 << 16
 
 
 class LoopChild:
-    """A running loop."""
+    """Process of a running loop."""
 
     def __init__(self, starter: Starter, orders_fd: int, records_fd: int) -> None:
         """Take the descriptors of both pipes."""
@@ -114,7 +114,7 @@ class Starter(threading.Thread):
 
     @property
     def number(self) -> int:
-        """Number of this thread in the kernel, after the start of the process."""
+        """Kernel's id of this thread; available after the start of the process."""
         self._process.result()
         assert self.native_id is not None  # noqa: S101 - the thread has begun
         return self.native_id
@@ -126,7 +126,7 @@ class Starter(threading.Thread):
 
 
 def start(settings: Settings) -> LoopChild:
-    """Start the loop; call this before opening a session, which the loop would inherit."""
+    """Start the loop. The caller must not have opened a session, which the loop would inherit."""
     orders_out, orders_in = os.pipe()
     records_out, records_in = os.pipe()
     for fd in (orders_in, records_in):

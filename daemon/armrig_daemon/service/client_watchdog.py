@@ -29,12 +29,12 @@ class ClientWatchdog(NamedTuple):
 
     @property
     def gone_s(self) -> float:
-        """Time after which the client counts as gone, on the monotonic clock."""
+        """Monotonic time, in s, after which the client is regarded as gone."""
         return self.heard_s + self.period_s
 
 
 def begun(run: Run, now_s: float) -> ClientWatchdog:
-    """Return the watchdog at the start of a run, which counts as a sign of life."""
+    """Return the watchdog at the start of a run; the start is the first sign of life."""
     return ClientWatchdog(run.lease, run.n, run.dead_man or inf, now_s)
 
 

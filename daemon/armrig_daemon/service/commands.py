@@ -44,7 +44,7 @@ _SILENT = commands.refused(
 )
 _NOT_HELD = commands.refused(RefusalCode.NOT_HELD, orders.NOT_HELD)
 _SOMEBODY = "somebody on this machine"
-_MAX_COMMANDS = 16  # commands of a kind handled at once; then loop and run's client are checked
+_MAX_COMMANDS = 16  # commands of a kind in a row; then the loop and the run's client are checked
 _MAX_PENDING = 16  # unanswered orders; at this number, arm, reset and calibrate are refused
 _NOTES_PER_S, _MAX_NOTES = 2, 20  # of all clients; a flood must fill neither recording nor log
 _MAX_UNANSWERED = 64  # orders of all clients; more would delay the orders of the service itself
@@ -110,7 +110,7 @@ class Commands:
         self._n = -1  # number of the newest order with this lease
 
     def note_lease(self, lease: str) -> None:
-        """Store the lease in force, "" for none; a client without this lease is a stranger."""
+        """Store the lease in force; "" if no lease is in force."""
         self._lease, self._n = lease, -1
         self._session.lease = lease.encode()
 
@@ -258,7 +258,7 @@ class Commands:
         command.answer(commands.Done(done=self._runs.takes_notes))
 
     def _calibrate(self, command: Command, request: commands.Calibrate) -> None:
-        """Pass a calibration to the loop, without its origin."""
+        """Pass a calibration to the loop, without its field `made`."""
         if self._calibration is not None:
             text = "another calibration is on its way: try again"
             raise CommandRefusedError(commands.refused(RefusalCode.TOO_MANY, text))

@@ -24,8 +24,8 @@ _START_S = 30.0  # on a busy machine a program takes seconds to load
 def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
     """Start an emulator on a socket; yield the configuration for its port, and a descriptor.
 
-    Lines can be read from the descriptor. Each line is a time, in ns, for which the device's clock
-    stood still.
+    The emulator writes lines that can be read from the descriptor. Each line is a time, in ns, for
+    which the device's clock stood still.
 
     Parameters
     ----------

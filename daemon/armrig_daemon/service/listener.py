@@ -47,11 +47,11 @@ _COUNTED = (*REQUESTS, _SCHEMA, _HISTORY)
 MAX_LINKS = 250
 """Largest number of simultaneous links over a network."""
 _RETRY_MS = 1000  # longest time between two attempts to connect to a lost router
-_MAX_QUESTION_BYTES = 64  # of a request for the history
+_MAX_QUESTION_BYTES = 64  # longest request for the history
 
 
 def session_config(endpoint: str, network: Network | None = None) -> zenoh.Config:
-    """Return the configuration of a session at `endpoint` only, hidden from zenoh's scouting."""
+    """Return the configuration of a session that uses only `endpoint`, without scouting."""
     if network is not None and network.is_router:
         return zenoh.Config.from_json5(json.dumps(_router_config(network)))
     if network is None:

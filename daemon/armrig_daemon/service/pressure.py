@@ -1,6 +1,7 @@
 """Load of this machine.
 
-The load is published with the timing. The outcome of a run states the load if it may be the cause.
+The load is published with the timing. The outcome of a run states the load if the load may be the
+cause.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> Refused | No
 
 
 def with_load(ended: Ending, state: State, load: str) -> Ending:
-    """Return the end of a run; its sentence states the load if the load may be the cause."""
+    """Return the outcome of a run; its sentence states the load if the load may be the cause."""
     is_late = state.fault in _OF_LOAD or state.device_cause == Cause.WATCHDOG
     # A fault after the end of a run did not end the run.
     if not is_late or ended.code != OutcomeCode.FAULT:

@@ -24,7 +24,7 @@ from armrig_daemon.service.uplink import Uplink
 
 TOO_MANY = refused(RefusalCode.TOO_MANY, "too many commands are waiting: try again")
 """Refusal of a command whose queue is full."""
-MAX_WAITING = 64  # unread commands of a kind; more are refused
+MAX_WAITING = 64  # most unread commands of one kind; further commands are refused
 
 
 class NetworkError(OperationError):
@@ -80,7 +80,7 @@ class Session:
         NetworkError
             The endpoint of the network is in use or cannot be opened.
         """
-        self.lease = b""  # lease in force; b"" admits no command of a holder
+        self.lease = b""  # lease in force; with b"", no command with a lease is admitted
         self._waiting = {
             kind: queue.Queue[Command](1 if kind is Kind.CALIBRATE else MAX_WAITING)
             for kind in Kind

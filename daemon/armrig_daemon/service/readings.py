@@ -19,13 +19,13 @@ from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
 
 RAIL_NS = 200_000_000
-"""Time at a rail after which alpha counts as out of its range, in ns."""
+"""Time at a rail, in ns, after which alpha is treated as out of its range."""
 STILL_COUNTS = 256
-"""Largest spread of the readings at one position, in counts of 65536: 1.4°, above any noise."""
+"""Largest difference between readings of one position, in counts: 1.4°, more than the noise."""
 FRICTION_V = 1.0
 """Voltage below which the friction may stop the motor, in V."""
 APART_S = 0.2
-"""Largest time between two compared samples, in s; 1/3 turn of the chassis takes longer."""
+"""Largest time between two compared samples, in s; the chassis needs longer for 1/3 turn."""
 _ADC1_RAIL = int(Flag.ADC1_RAIL)
 
 
@@ -34,7 +34,7 @@ class Readings(NamedTuple):
 
     newest: Sample | None = None
     alpha_free_ns: int = 0
-    """Last time at which alpha was inside its range, on the host's clock."""
+    """Host's time at which alpha was last inside its range, in ns."""
     least: int = 0
     """Smallest reading of theta_1 since theta_1 last changed its position."""
     greatest: int = 0
@@ -73,7 +73,7 @@ def objection(
     Parameters
     ----------
     turns_per_volt_s : float
-        Turns of the chassis per Vs of input, which the model predicts for a moving chassis.
+        Turns of a moving chassis per Vs of input, as the model predicts.
     alpha_is_read : bool
         True if the arm is mounted, and the shaft of its potentiometer stops at the ends.
     """

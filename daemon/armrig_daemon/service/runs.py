@@ -109,7 +109,7 @@ class Runs:
         return check_directory(self._directory, _BASE_BYTES)
 
     def note_calibration(self, calibration: Calibration, raw: bytes) -> None:
-        """Store another calibration and its samples with the following runs."""
+        """Use another calibration; all later recordings contain it and its samples."""
         self._config = msgspec.structs.replace(self._config, calibration=calibration)
         self._calibration_raw = raw
 
@@ -131,7 +131,7 @@ class Runs:
         theta_1_rad : float, optional
             Angle of the chassis, in rad.
         alive : callable
-            Function that is called between the steps, because a long run takes seconds to plan.
+            Function that is called after each slow step, because the plan may take seconds.
 
         Raises
         ------
@@ -285,7 +285,7 @@ class Runs:
         self._finishing = recording
 
     def disturbed(self) -> Ending | None:
-        """Return the outcome of a run that must end because of its recording, or None."""
+        """Return the outcome if the run must end because its recording failed or was moved."""
         recording = self._recording
         if recording is None:
             return None
@@ -294,7 +294,7 @@ class Runs:
         return Ending(OutcomeCode.MOVED, recording.moved) if recording.moved else None
 
     def unrecorded(self) -> str:
-        """Return the reason why recording has stopped, each reason once; else an empty text."""
+        """Return a new reason why recording has stopped; an empty text if there is none."""
         recording = self._recording
         if recording is None or not recording.error or recording.error == self._reported_error:
             return ""

@@ -201,7 +201,7 @@ class Service:
                 self._say("warning", problem)
         by = "`systemctl stop`" if self._notifier.is_asked else "Ctrl-C"
         self._say("info", served(self._config, by))
-        if objection := self._runs.no_room():  # now, and not at the first run
+        if objection := self._runs.no_room():  # report it now, not only at the first run
             self._say("warning", f"nothing can be recorded: {objection.error}")
 
     def _serve(self) -> None:
@@ -228,7 +228,7 @@ class Service:
                 self._hear_of_stalls(self._stalls_fd)
             if self._signals.fd in ready:
                 self._woken()
-            # First the signs of life that have arrived: a sign that waited counts from its arrival.
+            # First handle the signs of life, so that a sign that had to wait is not too late.
             self._commands.serve_signs()
             if time.monotonic() >= self._runs.client_gone_s:
                 gone = self._runs.client_gone()
@@ -301,7 +301,7 @@ class Service:
         return message
 
     def _about(self, log: Log) -> dict[str, str]:
-        """Return the fields of a log line: rig, holder, current run, and the line's own fields."""
+        """Return the fields of a log line: rig, holder, current run, and the fields of `log`."""
         about = {
             "rig": self._config.rig.id,
             "run": self._runs.run_id,
@@ -316,7 +316,7 @@ class Service:
         self._handle([Log(t_host_ns=now_ns, level=level, message=message, fields=fields)])
 
     def _note(self, t_host_ns: int, text: str, owner: str) -> None:
-        """Publish and record a note; the thinning of the log drops no note."""
+        """Publish and record a note; the filter of the log never holds back a note."""
         fields = {"owner": owner, "command": commands.Note.name}
         log = Log(t_host_ns=t_host_ns, level="info", message=text, fields=fields, is_note=True)
         self._runs.add_note(self._publish(log))

@@ -117,7 +117,7 @@ class StartupRecovery:
                 continue
             except RecoveryError as err:
                 line = Line("warning", str(err))
-            except Exception as err:  # one file must not keep the others from being recovered
+            except Exception as err:  # one file must not prevent the recovery of the others
                 line = Line("error", f"{path}: {err!r}; the file stays as it is")
             self._tell(line)
         for path in remove_copies(self._directory, self._rig, os.geteuid()):

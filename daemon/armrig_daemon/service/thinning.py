@@ -1,4 +1,4 @@
-"""Thinning of the log: a repeated line is logged once a second, with its count."""
+"""Thinning of the log: a repeated line is logged once a second, with the number of repetitions."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Thinning:
         return False
 
     def due(self, now_ns: int, *, end: bool = False) -> list[Log]:
-        """Return the newest line of each kind held back for 1 s; with `end`, of all kinds."""
+        """Return the newest line of each kind held back for 1 s; for any time if `end` is True."""
         lines: list[Log] = []
         for kind, (ns, held, newest) in list(self._kinds.items()):
             if now_ns - ns < HOLD_NS and not end:

@@ -12,9 +12,9 @@ from armrig_core.codes import RefusalCode
 from armrig_core.commands import Refused, refused
 
 PER_S = 200
-"""Number of queries of a kind that are answered each second, for all clients together."""
+"""Largest number of queries of one kind that are answered each second, for all clients together."""
 BURST = 100
-"""Number of queries of a kind that may arrive at once after a time without queries."""
+"""Largest number of queries of one kind that may arrive at once after a time without queries."""
 
 
 class Bucket(NamedTuple):
@@ -31,7 +31,7 @@ def take(bucket: Bucket, now_s: float) -> Bucket | None:
 
 
 def take_at(per_s: float, burst: float, bucket: Bucket, now_s: float) -> Bucket | None:
-    """Return the bucket after another query, for a rate and a burst; None beyond the limit."""
+    """Return the bucket after another query; None beyond the limits `per_s` and `burst`."""
     tokens = min(burst, bucket.tokens + per_s * (now_s - bucket.at_s))
     return Bucket(tokens - 1, now_s) if tokens >= 1 else None
 

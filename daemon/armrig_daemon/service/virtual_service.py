@@ -173,7 +173,7 @@ def _name(seed: int, codes: bytes) -> str:
 
 
 def requests_of(text: bytes) -> list[Run]:
-    """Return the runs for `armrigd virtual`; each JSON line is a `run` command without its lease.
+    """Return the runs in `text`; each line is a `run` command as JSON, without its lease.
 
     Raises
     ------
