@@ -77,7 +77,7 @@ def names_without_example() -> list[str]:
 
 
 def options_without_help() -> list[str]:
-    """Return the arguments and options of all commands that have no help."""
+    """Return the arguments and options without a help text, of all commands."""
     return [
         f"{name} {spelling}"
         for name, command in commands()
