@@ -182,7 +182,7 @@ def _focused(
     *,
     stable: bool,
 ) -> SubspaceFit:
-    """Return the model with the poles `free`, or with poles that minimise the simulation error."""
+    """Return the model with the subspace poles, or with the poles of least simulation error."""
     facts = {**facts, "horizon": free.horizon, "singular_values": free.singular_values}
     notes = [] if free.steady else [warning("no_gain", _NO_GAIN_TEXT)]
     if focus == "simulation":

@@ -161,7 +161,7 @@ class OrderTable:
         return self.orders(self.chosen(criterion))
 
     def chosen(self, criterion: Criterion | None = None) -> int:
-        """Return the index of the structure that a criterion chooses, as `best` does."""
+        """Return the index of the structure whose orders `best` returns."""
         criterion = criterion or self._default
         if criterion != "validation":
             return self._lowest(criterion)

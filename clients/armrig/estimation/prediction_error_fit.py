@@ -221,7 +221,7 @@ def _fit(
 
 
 def _inference(data: Dataset, problem: PredictionErrorProblem, solution: Solution) -> Inference:
-    """Return the covariance of the free parameters, the loss and the test of whiteness."""
+    """Return the covariance of the parameters, the loss and the test of whiteness."""
     rows = [x.rows for x in problem.experiments]
     return infer(
         _residuals(problem, solution),

@@ -112,7 +112,7 @@ def unstable(farthest: float, way_out: str, asks: Asks) -> EstimateFinding:
 
 
 def _way_out(fit: Fit) -> tuple[str, Asks]:
-    """Return the remedy for an unstable pole, which may be an integrator."""
+    """Return the remedy for an unstable pole; the pole may be an integrator."""
     poles = fit.poles()
     for z, std in zip(poles.values, poles.std, strict=True):
         real = z.imag == 0 and not fit.integrator

@@ -35,7 +35,7 @@ from armrig.numerics.stretches import stretches
 
 Integers = NDArray[np.int_]
 _BLOCK_ROWS = 1024  # rows decomposed at once
-_SINGULAR_VALUE_ROUNDING = 1e-10  # share of the largest singular value; a smaller value is rounding
+_SINGULAR_VALUE_ROUNDING = 1e-10  # a singular value below this share of the largest is 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,7 +194,7 @@ def visible_states(w: Windows) -> int:
 
 
 def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
-    """Return the mean squared errors of y(t), predicted from u(t) and 1 … `most` states, (most,).
+    """Return the mean squared one-step errors of models with 1 … `most` states, (most,).
 
     The n states of a model are the components of H W_p along the first n singular vectors.
     Therefore a single QR decomposition determines the losses for all n.

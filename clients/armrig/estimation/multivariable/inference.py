@@ -172,7 +172,7 @@ def _filtered(C: Array, e: Array) -> Array:
 
 
 def _correlated(experiments: Sequence[Sequence[OutputResiduals]]) -> Array:
-    """Return the sandwich form by Newey and West's method."""
+    """Return the covariance in sandwich form, by the method of Newey and West."""
     scores = [np.sum([r.H * np.nan_to_num(r.e)[:, None] for r in of], axis=0) for of in experiments]
     return correlated_score(scores, [np.ones(s.shape[0]) for s in scores])
 

@@ -97,7 +97,7 @@ def n4sid(
         Number of replicates, from which the covariance is computed. For each replicate a data set
         is simulated by the model, and another model is estimated from this data set in the same
         way. The errors of the simulation are drawn from an autoregression of the model's one-step
-        errors. With 0 the covariance is NaN.
+        errors. With fewer than 2 replicates the covariance is NaN.
     seed : int, default 0
         Seed of the drawn errors.
 

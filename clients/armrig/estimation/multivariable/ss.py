@@ -79,7 +79,7 @@ class _Criterion:
     def __call__(
         self, problem: StateSpaceProblem, Abar: Array, C: Array, linear: Linear
     ) -> tuple[Array, float]:
-        """Return the Lambda that weights the errors in the next round, and the log criterion."""
+        """Return the weighting Lambda of the next round, and the logarithm of the criterion."""
         e = np.vstack(problem.residuals(Abar, C, linear))
         if self.given is None:
             Lambda = pairwise_covariance(e)

@@ -137,7 +137,7 @@ def _contributions(row: Row, parts: Sequence[RowData], order: int) -> list[Array
 
 
 def _equation_error(paths: Sequence[_Path], F: Array, n: int) -> Array:
-    """Return a stable F that minimises |F y_F - sum of B_j u_jF| over all paths."""
+    """Return a stable F by least squares on all paths, with the signals filtered by 1 / `F`."""
     left, right = [], []
     for path in paths:
         y = filtered([1.0], F, path.y)

@@ -45,12 +45,12 @@ def blackman_tukey(data: Dataset, gamma: NDArray[np.int_], omega: Vector, N: int
 
 
 def finer(data: Dataset, gamma: int) -> int:
-    """Return the length of the longer lag window; the shorter window has the length gamma."""
+    """Return the length of a longer lag window, for comparison with a window of gamma samples."""
     return min(FINE_LAG_RATIO * gamma, max(data.N // 5, gamma))
 
 
 def blunted(data: Dataset, found: Spectra, gamma: int, omega: Vector, N: int) -> list[str]:
-    """Return a note if |G| is clearly higher with the longer lag window.
+    """Return a note if a longer lag window gives a clearly higher |G|.
 
     The window of gamma samples smooths the response over 2 pi/(gamma Ts) rad/s. A resonance that is
     narrower than this interval becomes lower and wider. The standard deviations do not include this
@@ -151,9 +151,9 @@ def filled(data: Dataset, *, integrator: bool) -> Dataset:
     """Return the data with each missing y replaced by the part that the input explains.
 
     This part is the output of a regularised impulse response plus the level of the experiment. With
-    an integrator, the ramp of the experiment is added too. The method does not interpolate y. If a
-    correlation left out the missing samples instead, its error would depend on all of y, not only
-    on the noise. A filled sample adds no information, so only the valid samples are counted.
+    an integrator, the ramp of the experiment is added too. The method does not interpolate y. If the
+    missing samples were left out of a correlation instead, the error of the correlation would
+    depend on all of y, not only on the noise.
     """
     if data.missing == 0:
         return data
