@@ -166,9 +166,9 @@ def _reweighted(
 
     Starting from each minimum in `ends`, Lambda is estimated and a search with this Lambda is run,
     in turn. The best minimum has the least det Lambda. Then one mode of a denominator is moved, as
-    long as a move leads to a better minimum. The best minimum need not be the first of `ends`, because the searches for
-    `ends` used the variances of the outputs as Lambda. With these variances, an output that
-    integrates has little weight.
+    long as a move leads to a better minimum. The best minimum need not be the first of `ends`,
+    because the searches for `ends` used the variances of the outputs as Lambda. With these
+    variances, an output that integrates has little weight.
     """
     found = [(name, *_iterated(problem, masks, end, _SAME_TOLERANCE)) for name, end in ends]
     found = ranked(found, lambda one: one[1])

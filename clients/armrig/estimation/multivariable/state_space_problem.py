@@ -97,9 +97,9 @@ class Linear:
     rank: int
     """Number of linear parameters that the data determine."""
     basis: Basis
-    """Basis of the whitened responses to Bbar, K and D, without the responses to x0."""
+    """Basis of the columns of `X`."""
     X: Array
-    """Whitened responses to Bbar, K and D, without the responses to x0."""
+    """Whitened responses to Bbar, K and D; their projection on the responses to x0 is subtracted."""
     states: tuple[Basis, ...]
     """Basis of the whitened responses to x0 of each experiment."""
     e: Array

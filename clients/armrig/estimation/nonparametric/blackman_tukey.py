@@ -151,8 +151,8 @@ def filled(data: Dataset, *, integrator: bool) -> Dataset:
     """Return the data with each missing y replaced by the part that the input explains.
 
     This part is the output of a regularised impulse response plus the level of the experiment. With
-    an integrator, the ramp of the experiment is added too. The method does not interpolate y. If the
-    missing samples were left out of a correlation instead, the error of the correlation would
+    an integrator, the ramp of the experiment is added too. The method does not interpolate y. If
+    the missing samples were left out of a correlation instead, the error of the correlation would
     depend on all of y, not only on the noise.
     """
     if data.missing == 0:
