@@ -47,8 +47,8 @@ _NO_GAIN_TEXT = (
     "unit circle"
 )
 _BOUND_TEXT = (
-    "the standard deviations are a lower bound, which a search attains; those of a "
-    "subspace estimate are larger"
+    "the standard deviations are a lower bound; the true standard deviations of a subspace "
+    "estimate are larger"
 )
 _COLOURED_TEXT = (
     "the residuals are coloured, maybe only because a subspace estimate does not minimise the "

@@ -189,7 +189,7 @@ class OrderTable:
     def _reasons(self) -> Iterator[str]:
         i = self.chosen()
         if self.validation_loss is None:
-            yield f"chosen: {_named(self.orders(i))}, by lowest MDL: log N for each parameter"
+            yield f"chosen: {_named(self.orders(i))}, by lowest MDL (log N for each parameter)"
             yield "validation data give a better choice: give select_orders validation=…"
         else:
             yield from self._about_validation(i)

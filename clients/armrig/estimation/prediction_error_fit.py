@@ -240,7 +240,7 @@ def _residuals(problem: PredictionErrorProblem, solution: Solution) -> list[Arra
 
 
 def with_integrator(n: Structure) -> Array:
-    """Return the derivatives of theta with respect to the free parameters.
+    """Return the derivatives of the coefficients with respect to the coefficients without 1 - q^-1.
 
     For F = (1 - q^-1) F̃ the coefficients are f_k = f̃_k - f̃_(k-1), and f_1 = f̃_1 - 1. Their
     derivatives are therefore constant. An integrator in A leads to the same equations.

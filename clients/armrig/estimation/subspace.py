@@ -159,8 +159,8 @@ class Projection:
     H: Array
     """Matrix H in Y_f = H W_p + L U_f + noise, (f, 2 p)."""
     U: Array
-    """Left singular vectors without weights, (f, f); the first n span the columns of the
-    observability matrix."""
+    """Left singular vectors, multiplied by the inverse of the left weight matrix, (f, f). The first
+    n vectors span the columns of the observability matrix."""
     singular_values: Array
     """Singular values (f,); with "cva" the canonical correlations of past and future."""
 
@@ -268,7 +268,7 @@ def realised(w: Windows, found: Projection, n: int) -> Realisation:
 def _steady_filter(A: Array, C: Array, covariance: Array) -> Array | None:
     """Return the eigenvalues of A - K C of the steady Kalman filter, or None if there is none.
 
-    Q, S and r are the blocks of the covariance. With F = A - S C / r, the Riccati equation has the
+    Q, S and r are the blocks of `covariance`. With F = A - S C / r, the Riccati equation has the
     pencil below. The eigenvalues of A - K C are the n smallest eigenvalues of the pencil ::
 
         | F^T               0 |       | I  C C^T / r |

@@ -116,7 +116,7 @@ def _filled(x: RowData) -> Array:
 
 
 def _contributions(row: Row, parts: Sequence[RowData], order: int) -> list[Array]:
-    """Return the contribution of each input (N, nu), simulated by an ARX model of high order."""
+    """Return each input's contribution to y, (N, nu), simulated by a high-order ARX model."""
     N = sum(x.y.size for x in parts)
     nu = len(row.nb)
     n = max(min(order, N // (4 * (nu + 1))), 1)

@@ -188,8 +188,8 @@ class GapProblem:
     def influence(self, at: Predictor) -> Array:
         """Return the derivatives of the whitened predictions; initial states are projected out.
 
-        The columns belong to the coordinates of `moved`, (ny N, d). The covariance S(t) of the
-        errors is held constant.
+        The matrix (ny N, d) has one column for each entry of t in `moved`, except the initial
+        states. The covariance S(t) of the errors is held constant.
         """
         V = tangent(at.Abar, at.C)
         states = at.Abar.shape[0] * len(self.parts)

@@ -99,7 +99,7 @@ class Linear:
     basis: Basis
     """Basis of the columns of `X`."""
     X: Array
-    """Whitened responses to Bbar, K and D; their projection on the responses to x0 is subtracted."""
+    """Whitened responses to Bbar, K and D, with the responses to x0 projected out."""
     states: tuple[Basis, ...]
     """Basis of the whitened responses to x0 of each experiment."""
     e: Array

@@ -429,7 +429,7 @@ def _notes(
         )
     if bandwidth > 0.4 * np.pi / now:
         yield (
-            f"the band reaches {100 * bandwidth * now / np.pi:.0f} % of these data's Nyquist "
+            f"the bandwidth is {100 * bandwidth * now / np.pi:.0f} % of these data's Nyquist "
             f"frequency: record at {times(now / SPEED_UP)} and repeat the analysis"
         )
     if near > MIN_ALIASING_SHARE and of and near < MOST_DIFFERENCED:
