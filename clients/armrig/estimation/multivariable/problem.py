@@ -89,7 +89,7 @@ class Row:
 
     @property
     def without_noise(self) -> Row:
-        """This equation with white noise (C = D = 1)."""
+        """Equation of this row with white noise (C = D = 1)."""
         return replace(self, c=ONE, d=ONE, integrated_noise=False)
 
     @property
