@@ -1,4 +1,4 @@
-"""Subspace identification: a state-space model without an iterative search and its local minima."""
+"""Subspace identification: a state-space model without an iterative search."""
 
 from __future__ import annotations
 

@@ -31,8 +31,8 @@ PART_SAMPLES = 3000
 """Number of samples in the part of long data on which searches start. If the data have at most
 twice this number of samples, searches start on all data."""
 MAX_PULSE_SHARE = 0.01
-"""The fit has a warning if the number of pulses after gaps, divided by the number of errors, is
-above this limit."""
+"""Largest number of pulses after gaps, divided by the number of errors, without a warning of the
+fit. `PredictionErrorProblem` explains the pulses."""
 CURVED_TEXT = (
     "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
     "within two standard deviations. A pole and a zero may nearly cancel. The standard deviations "
@@ -240,7 +240,7 @@ def _residuals(problem: PredictionErrorProblem, solution: Solution) -> list[Arra
 
 
 def with_integrator(n: Structure) -> Array:
-    """Return the derivatives of the coefficients with respect to the coefficients without 1 - q^-1.
+    """Return the derivatives of (a, b, c, d, f) with respect to the estimated coefficients.
 
     For F = (1 - q^-1) F̃ the coefficients are f_k = f̃_k - f̃_(k-1), and f_1 = f̃_1 - 1. Their
     derivatives are therefore constant. An integrator in A leads to the same equations.

@@ -1,4 +1,4 @@
-"""Input signals by their names in commands, each with a few settings."""
+"""Input signals with the names that commands use."""
 
 from __future__ import annotations
 

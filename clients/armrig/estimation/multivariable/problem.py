@@ -246,7 +246,7 @@ class PolynomialProblem:
         return all(stable(p) for p, bounded in pairs if bounded)
 
     def inside(self, theta: Array, previous: Array) -> Array:
-        """Return theta with each root of C and F outside the unit circle moved into the circle."""
+        """Move the roots of C and F that are outside the unit circle inside; return theta."""
         triples = zip(
             self.polynomials(theta), self.polynomials(previous), self.bounded, strict=True
         )
@@ -255,7 +255,7 @@ class PolynomialProblem:
         )
 
     def normals(self, theta: Array) -> Array:
-        """Return the gradient of |z| in theta for each root z of C and F on the unit circle."""
+        """Return the gradient d|z|/dtheta for each root z of C and F on the unit circle."""
         found = [np.zeros((0, theta.size))]
         for p, bounded, part in zip(
             self.polynomials(theta), self.bounded, self.slices, strict=True

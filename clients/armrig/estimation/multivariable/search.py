@@ -119,7 +119,7 @@ def estimated(
 
 
 def _estimated(data: Signals, plan: Plan, orders: str) -> _Estimated:
-    """Return the estimated model of one plan; several outputs are weighted by their Lambda."""
+    """Return the estimated model of one plan; with several outputs, Lambda is estimated too."""
     parts = list(data.experiments())
     experiments = tuple(
         tuple(

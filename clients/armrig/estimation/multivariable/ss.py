@@ -324,7 +324,7 @@ def _different(ends: list[_End]) -> list[_End]:
 
 
 def _improved(problem: StateSpaceProblem, end: _End, criterion: _Criterion, least: float) -> _End:
-    """Continue a search from `end`; stop early if the search cannot reach the criterion `least`."""
+    """Continue the search `end`; stop early if the criterion falls too slowly to reach `least`."""
     for _ in range(_MAX_ROUNDS):
         before, end = end, _round(problem, end, criterion, _STEPS, _SAME_TOLERANCE)
         decrease = before.criterion - end.criterion

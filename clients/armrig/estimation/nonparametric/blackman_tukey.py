@@ -26,7 +26,7 @@ MAX_RESPONSE_LAGS = 60
 
 
 def blackman_tukey(data: Dataset, gamma: NDArray[np.int_], omega: Vector, N: int) -> Spectra:
-    """Return the spectra of data in which missing outputs were filled; N outputs were measured."""
+    """Return the spectra of data after `filled`; N is the number of measured outputs."""
     L = int(gamma.max())
     R = covariances(data, L)
     k = np.arange(-L, L + 1)

@@ -70,10 +70,11 @@ class SamplingTime:
     near_nyquist: float
     """Share of the power of y (or its rate if y integrates) above 0.8 of the Nyquist frequency."""
     beyond: float
-    """Share of the power of y (or its rate) above pi/`Ts`, in the data; NaN if `Ts` <
+    """Share of the power of y (or its rate if y integrates) above pi/`Ts`; NaN if `Ts` is less than
     `recorded_at`."""
     from_step: bool
-    """True if steps measure the response, False if a regularised impulse response estimates it."""
+    """True if `response` was measured with steps, False if it was computed from a regularised
+    impulse response."""
     recorded_at: float
     """Sampling time of the data, in s."""
     output: str
@@ -408,7 +409,7 @@ def _notes(
     seen: bool,
     of: str,
 ) -> Iterator[str]:
-    """Yield notes on the recommendation; `of` is "", or the output whose rate was analysed."""
+    """Yield notes on the recommendation; `of` is the output whose rate was analysed, or ""."""
     if not seen:
         yield (
             f"63 % is reached within one sample of {times(now)}, so the data do not determine the "
