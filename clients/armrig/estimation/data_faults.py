@@ -37,7 +37,7 @@ _COLOUR_LAGS = 10  # lags of the test of whiteness
 _MAX_OFFSET_ORDER = 12  # order of the model that estimates an offset
 _MAX_OFFSET_SAMPLES = 10_000  # enough samples to detect an offset that matters
 _MAX_SHOWN_SIGMAS = 1000.0
-_MIN_LEVEL_SHARE = 1e-9  # share of the largest |y|; a smaller level is rounding
+_MIN_LEVEL_SHARE = 1e-9  # a level below this share of the largest |y| is a rounding error
 _MIN_LEVEL_SIGMAS = 4.0  # if there is no offset, 6 of 100 000 estimates exceed this limit
 
 

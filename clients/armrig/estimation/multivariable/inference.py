@@ -132,7 +132,7 @@ def pairwise_covariance(e: Array) -> Array:
     if not (std > 0).all():
         return np.diag(np.maximum(std, 1e-150) ** 2)
     values, axes = np.linalg.eigh(found / np.outer(std, std))
-    # Each pair of outputs has other missing samples, so that the estimate can be indefinite.
+    # The missing samples differ between pairs of outputs, so the estimate can be indefinite.
     inside = (axes * np.maximum(values, 1e-8)) @ axes.T
     return np.asarray(inside * np.outer(std, std))
 

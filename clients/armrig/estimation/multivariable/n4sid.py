@@ -46,7 +46,7 @@ _STEP = 1e-6  # change of a matrix entry for a numerical derivative
 _RANK_TOLERANCE = 1e-8  # a smaller relative singular value belongs to a change of coordinates
 _MIN_HORIZON = 10
 _MAX_PASSES = 20
-_SMALL_DECREASE = 1e-3  # relative decrease of the sum of squared errors at which the passes end
+_SMALL_DECREASE = 1e-3  # relative decrease of the sum of squared errors at which the iteration ends
 _REPLICATES = 100
 
 

@@ -45,7 +45,7 @@ def start_values(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
         yield "least squares", _with_noise(problem, np.zeros(sum(problem.sizes)))
         return
     candidates = ranked(candidates, lambda found: log_cost(output_error.cost(found[1])))
-    names = dict(reversed(candidates))  # the best of each name
+    names = dict(reversed(candidates))  # the best start value of each name
     for name, theta in names.items():
         yield name, _with_noise(problem, theta)
     if any(row.c or row.d or row.integrated_noise for row in problem.rows):

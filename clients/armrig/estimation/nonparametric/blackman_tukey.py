@@ -19,8 +19,8 @@ FINE_LAG_RATIO = 4
 """Ratio of the longer lag window (for the noise and for `blunted`) to the lag window of G."""
 MIN_POWER_SHARE = 1e-8
 """Share of the largest value of Phi_u; G is not known at frequencies with a smaller Phi_u."""
-_MIN_BLUNTED_RATIO = 1.1  # for a note, |G| of the longer window is higher by this factor
-_BLUNTED_SIGMAS = 4.0  # for a note, the difference exceeds this many standard deviations
+_MIN_BLUNTED_RATIO = 1.1  # least ratio of |G| with the longer window to |G| for a note
+_BLUNTED_SIGMAS = 4.0  # least difference of the two |G| for a note, in standard deviations
 MAX_RESPONSE_LAGS = 60
 """Largest number of lags of the impulse response from which missing outputs are computed."""
 

@@ -36,7 +36,7 @@ MAX_STEP_LAGS = 500  # largest number of lags of the impulse response from steps
 MIN_TRANSIENT_SAMPLES, MAX_TRANSIENT_SAMPLES = 7, 10  # handout 3.1.1: samples in the transient
 NYQUIST_SHARE = 0.8  # lower limit of the frequencies near Nyquist, as a share of Nyquist
 SPEED_UP = 5  # factor of a faster recording, if the response ends within a sample
-MIN_GAIN_SHARE = 0.05  # share of a response's largest value; a smaller final value counts as 0
+MIN_GAIN_SHARE = 0.05  # a final value below this share of the largest value counts as 0
 MIN_ALIASING_SHARE = 0.05  # a larger share of power near Nyquist leads to a note on aliasing
 # Differences of white noise have the spectrum 1 - cos(omega Ts). DIFFERENCED is the share of its
 # power near Nyquist. In an estimate, scatter may increase this share to MOST_DIFFERENCED.

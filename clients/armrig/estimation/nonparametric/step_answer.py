@@ -41,7 +41,7 @@ _TIME_SHARES = 2.0 ** -np.arange(9.0)  # tried values of T, divided by the durat
 _MAX_WEIGHT = 1e10  # with larger weights, rounding errors make the equations singular
 _DELAYS_AT_ONCE = 13  # number of dead times tried in a round
 _MAX_DEVIANCE = 7.0  # excess of -2 log likelihood up to which neighbours are tried
-_MIN_WEIGHT_SHARE = 0.01  # share of the largest weight; smaller weights are ignored
+_MIN_WEIGHT_SHARE = 0.01  # weights below this share of the largest weight are ignored
 _MIN_NOISE_SHARE = 1e-6  # least standard deviation of the noise, as a share of the largest value
 _MAX_CURVE_VALUES = 4_000_000  # number of values in memory at once
 
