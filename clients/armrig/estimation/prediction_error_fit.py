@@ -36,7 +36,7 @@ fit. `PredictionErrorProblem` explains the pulses."""
 CURVED_TEXT = (
     "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
     "within two standard deviations. A pole and a zero may nearly cancel. The standard deviations "
-    "of the responses hold"
+    "of the responses are valid"
 )
 _CIRCLE_TOLERANCE = 1e-6
 AUTO_LEVEL = 0.05
@@ -281,7 +281,8 @@ def _search_warnings(
         yield warning("not_converged", text, steps=best.iterations)
     if not agreed:
         text = (
-            f"the start {starts[-1].name!r} ended in a poorer minimum (loss {starts[-1].loss:.4g})"
+            f"the search from {starts[-1].name!r} ended in a poorer minimum "
+            f"(loss {starts[-1].loss:.4g})"
         )
         yield warning("poorer_minimum", text, loss=starts[-1].loss)
 

@@ -118,7 +118,7 @@ def _way_out(fit: Fit) -> tuple[str, Asks]:
         real = z.imag == 0 and not fit.integrator
         if real and abs(z) >= 1 - CIRCLE_ROUNDING and std > _MAX_POLE_STD:
             return (
-                f"the standard deviation is {std:.2g}, so the data do not determine the model",
+                f"its standard deviation is {std:.2g}, so the data do not determine the model",
                 "",
             )
         if (

@@ -54,7 +54,7 @@ _PART_SAMPLES = 2000  # samples of long data on which every start is tried
 _DISTINCT = 1e-3  # least difference of log det Lambda between two distinct minima
 _CONTINUED = 3  # searches that continue on all data
 _MAX_MOVES = 3  # largest number of rounds in which a mode is moved
-_MAX_CATCH_UP = 10  # a search ends if its excess over the best exceeds this many last decreases
+_MAX_CATCH_UP = 10  # a search ends if its excess over the best is larger than 10 last decreases
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

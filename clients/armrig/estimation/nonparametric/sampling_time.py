@@ -445,4 +445,4 @@ def _notes(
             "faster recording before you trust the spectrum"
         )
     if Ts < now:
-        yield "the recommended Ts is below Ts of the data, which show nothing above their Nyquist"
+        yield "the recommended Ts is below the data's Ts; the data show nothing above their Nyquist"
