@@ -78,7 +78,7 @@ class Row:
         return {g: tuple(j for j, n in enumerate(self.nb) if n and self.f[j] == g) for g in used}
 
     def pulses(self, sizes: Sequence[int]) -> dict[int, int]:
-        """Return the number of columns for the unknown state of 1/F, by the index of F."""
+        """Return the number of pulses that represent the state of 1/F, by the index of F."""
         if self.at_rest:
             return dict.fromkeys(self.groups(), 0)
         inside = int(self.integrator)
@@ -398,7 +398,7 @@ def integrated(M: Array) -> Array:
 
 
 def _padded(responses: Array, counts: dict[int, int], k: int, N: int) -> Array:
-    """Return the responses that belong to the k-th polynomial F, padded with zeros to (N,)."""
+    """Return the initial pulses that represent the state of the k-th 1/F, as a signal (N,)."""
     begins = np.cumsum([0, *counts.values()])
     x = np.zeros(N)
     own = responses[begins[k] : begins[k + 1]][:N]

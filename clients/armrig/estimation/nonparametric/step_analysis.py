@@ -36,7 +36,7 @@ SETTLING_BAND = 0.05
 _SLOPE_SIGMAS = 5  # a slope before the step counts as 0 up to this many standard deviations
 _MIN_UNSETTLED_SHARE = 0.005  # least reported motion before the step, as a share of the response
 _CURVE_ERROR = 0.1
-"""Standard deviation of tau due to interpolation between samples, divided by Ts²/tau.
+"""Standard deviation of tau due to the unknown curve between samples, divided by Ts²/tau.
 
 The value was found from data without noise, with 2 to 4 samples in the time tau.
 """
