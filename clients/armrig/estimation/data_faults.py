@@ -28,7 +28,7 @@ NO_OPTION = "remove the means (detrend), or take a structure with the option off
 """Remedy for an offset if the estimator cannot estimate an offset."""
 
 _MAD_TO_STD = 1.4826  # ratio of the standard deviation to median |x| for a normal distribution
-_OUTLIER_SIGMAS = 10.0  # robust standard deviations that Gaussian residuals never exceed
+_OUTLIER_SIGMAS = 10.0  # Gaussian residuals never exceed this many robust std
 _MIN_OUTLIER_SHARE = 0.2  # share of the sum of squares above which outliers dominate the estimate
 _TWO_LEVELS = 2
 _MIN_RESIDUALS = 50  # least number of residuals for the check of outliers
@@ -37,7 +37,7 @@ _COLOUR_LAGS = 10  # lags of the test of whiteness
 _MAX_OFFSET_ORDER = 12  # order of the model that estimates an offset
 _MAX_OFFSET_SAMPLES = 10_000  # enough samples to detect an offset that matters
 _MAX_SHOWN_SIGMAS = 1000.0
-_MIN_LEVEL_SHARE = 1e-9  # share of the largest |y|; a smaller level is rounding
+_MIN_LEVEL_SHARE = 1e-9  # a level below this share of the largest |y| is a rounding error
 _MIN_LEVEL_SIGMAS = 4.0  # if there is no offset, 6 of 100 000 estimates exceed this limit
 
 
@@ -79,7 +79,7 @@ def swapped(data: Dataset) -> Iterator[EstimateFinding]:
 
 
 def undetermined(data: Dataset) -> str:
-    """Return why the data do not determine the parameters; if the cause is unknown, a remedy."""
+    """Return the cause of undetermined parameters, or a remedy if the cause is unknown."""
     for name, x in (("u", data.u), (data.output, data.y[data.valid])):
         if x.size and np.ptp(x) == 0:
             return f"{name} is always {x[0]:.4g}: give the column that varies, or record again"

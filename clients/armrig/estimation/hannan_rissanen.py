@@ -76,7 +76,7 @@ def _regressors(
 
 
 def _long_order(v: Sequence[Array], parameters: int) -> int:
-    """Return the order of the long autoregression, which grows slowly with N."""
+    """Return the order of the long autoregression; the order grows slowly with N."""
     N = sum(x.size for x in v)
     return int(max(1, min(2 * parameters + 10 * np.log10(max(N, 10)) - 10, N // 10, N // 4)))
 

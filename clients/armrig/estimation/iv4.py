@@ -125,7 +125,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
 
 
 def _by_least_squares(parts: Sequence[ArxRows], orders: str) -> tuple[Array, Array]:
-    """Return y of all complete rows and theta of y = Phi theta + e; refuse too few samples."""
+    """Return y of the complete rows, and the least-squares theta in y = Phi theta + e."""
     Phi = np.vstack([p.Phi[p.usable] for p in parts])
     y = np.concatenate([p.y[p.usable] for p in parts])
     d = Phi.shape[1]

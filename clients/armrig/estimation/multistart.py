@@ -115,7 +115,7 @@ def _from_starts(problem: PredictionErrorProblem) -> Ends:
 
 
 def _through(part: PredictionErrorProblem, problem: PredictionErrorProblem) -> Ends:
-    """Return the minima that searches on the whole data reach from the minima on the part.
+    """Continue from the minima on a part of the data, and return the minima on all data.
 
     The best minimum is the first.
     """
@@ -281,9 +281,9 @@ def _without_one_pair(z: Array) -> Iterator[Array]:
 def start_values(problem: PredictionErrorProblem) -> Iterator[tuple[str, Array]]:
     """Yield named start values (c, d, f) with stable C and F.
 
-    F is estimated by output-error models. C and D are then estimated from the residual noise. If
-    the noise is strong, a Box-Jenkins search that starts only from the fitted output-error model
-    ends in a poor minimum.
+    F is estimated by output-error models. C and D are then estimated from the residual noise. The
+    last start value is the fitted output-error model. With strong noise this start value alone is
+    not sufficient, because a Box-Jenkins search from it ends in a poor minimum.
     """
     n = problem.structure
     if n.nf == 0:

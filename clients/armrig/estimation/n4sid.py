@@ -1,4 +1,4 @@
-"""Subspace identification: a state-space model without an iterative search and its local minima."""
+"""Subspace identification: a state-space model without an iterative search."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ _NO_GAIN_TEXT = (
     "unit circle"
 )
 _BOUND_TEXT = (
-    "the standard deviations are a lower bound, which a search attains; those of a "
-    "subspace estimate are larger"
+    "the standard deviations are a lower bound; the true standard deviations of a subspace "
+    "estimate are larger"
 )
 _COLOURED_TEXT = (
     "the residuals are coloured, maybe only because a subspace estimate does not minimise the "
@@ -182,7 +182,7 @@ def _focused(
     *,
     stable: bool,
 ) -> SubspaceFit:
-    """Return the model with the poles `free`, or with poles that minimise the simulation error."""
+    """Return the model with the subspace poles, or with the poles of least simulation error."""
     facts = {**facts, "horizon": free.horizon, "singular_values": free.singular_values}
     notes = [] if free.steady else [warning("no_gain", _NO_GAIN_TEXT)]
     if focus == "simulation":

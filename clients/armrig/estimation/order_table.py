@@ -161,7 +161,7 @@ class OrderTable:
         return self.orders(self.chosen(criterion))
 
     def chosen(self, criterion: Criterion | None = None) -> int:
-        """Return the index of the structure that a criterion chooses, as `best` does."""
+        """Return the index of the structure whose orders `best` returns."""
         criterion = criterion or self._default
         if criterion != "validation":
             return self._lowest(criterion)
@@ -189,7 +189,7 @@ class OrderTable:
     def _reasons(self) -> Iterator[str]:
         i = self.chosen()
         if self.validation_loss is None:
-            yield f"chosen: {_named(self.orders(i))}, by lowest MDL: log N for each parameter"
+            yield f"chosen: {_named(self.orders(i))}, by lowest MDL (log N for each parameter)"
             yield "validation data give a better choice: give select_orders validation=…"
         else:
             yield from self._about_validation(i)

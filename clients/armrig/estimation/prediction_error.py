@@ -128,7 +128,7 @@ class PredictionErrorProblem:
         return float(e @ e) * float(np.exp(2 * self._scale(given)[0]))
 
     def _scale(self, given: Sequence[LinearPart]) -> tuple[float, Array]:
-        """Return log |Z^T Z| / (2 M) for all stretches except the first, and its gradient in c."""
+        """Return log |Z^T Z| / (2 M) without the first stretch, and d/dc of this number."""
         volumes = [v() for v in [v for g in given for v in g.unknown.volumes][1:]]
         none = np.zeros(self.structure.nc)
         if not volumes:
@@ -144,13 +144,13 @@ class PredictionErrorProblem:
         return stable(C) and stable(F)
 
     def inside(self, theta: Array, previous: Array) -> Array:
-        """Return theta with each root of C and F outside the unit circle moved into the circle."""
+        """Move the roots of C and F that are outside the unit circle inside; return theta."""
         C, D, F = self.polynomials(theta)
         C_0, _, F_0 = self.polynomials(previous)
         return np.concatenate([drawn_to_edge(C, C_0)[1:], D[1:], drawn_to_edge(F, F_0)[1:]])
 
     def normals(self, theta: Array) -> Array:
-        """Return the gradient of |z| in theta for each root z of C and F on the unit circle."""
+        """Return the gradient d|z|/dtheta for each root z of C and F on the unit circle."""
         C, D, F = self.polynomials(theta)
         by_c, by_f = outward_normals(C), outward_normals(F)
         rows = np.zeros((len(by_c) + len(by_f), theta.size))

@@ -31,12 +31,12 @@ PART_SAMPLES = 3000
 """Number of samples in the part of long data on which searches start. If the data have at most
 twice this number of samples, searches start on all data."""
 MAX_PULSE_SHARE = 0.01
-"""The fit has a warning if the number of pulses after gaps, divided by the number of errors, is
-above this limit."""
+"""Largest number of pulses after gaps, divided by the number of errors, without a warning of the
+fit. `PredictionErrorProblem` explains the pulses."""
 CURVED_TEXT = (
     "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
     "within two standard deviations. A pole and a zero may nearly cancel. The standard deviations "
-    "of the responses hold"
+    "of the responses are valid"
 )
 _CIRCLE_TOLERANCE = 1e-6
 AUTO_LEVEL = 0.05
@@ -221,7 +221,7 @@ def _fit(
 
 
 def _inference(data: Dataset, problem: PredictionErrorProblem, solution: Solution) -> Inference:
-    """Return the covariance of the free parameters, the loss and the test of whiteness."""
+    """Return the covariance of the parameters, the loss and the test of whiteness."""
     rows = [x.rows for x in problem.experiments]
     return infer(
         _residuals(problem, solution),
@@ -240,7 +240,7 @@ def _residuals(problem: PredictionErrorProblem, solution: Solution) -> list[Arra
 
 
 def with_integrator(n: Structure) -> Array:
-    """Return the derivatives of theta with respect to the free parameters.
+    """Return the derivatives of (a, b, c, d, f) with respect to the estimated coefficients.
 
     For F = (1 - q^-1) F̃ the coefficients are f_k = f̃_k - f̃_(k-1), and f_1 = f̃_1 - 1. Their
     derivatives are therefore constant. An integrator in A leads to the same equations.
@@ -281,7 +281,8 @@ def _search_warnings(
         yield warning("not_converged", text, steps=best.iterations)
     if not agreed:
         text = (
-            f"the start {starts[-1].name!r} ended in a poorer minimum (loss {starts[-1].loss:.4g})"
+            f"the search from {starts[-1].name!r} ended in a poorer minimum "
+            f"(loss {starts[-1].loss:.4g})"
         )
         yield warning("poorer_minimum", text, loss=starts[-1].loss)
 

@@ -116,7 +116,7 @@ def _well_conditioned(T: Array) -> bool:
 
 
 def rarx_start(*, na: int, nb: int, nk: int = 1, forgetting: float = 1.0) -> RarxState:
-    """Return the state before the first sample.
+    """Return the state of the recursive estimate before the first sample.
 
     Parameters
     ----------

@@ -112,13 +112,13 @@ def unstable(farthest: float, way_out: str, asks: Asks) -> EstimateFinding:
 
 
 def _way_out(fit: Fit) -> tuple[str, Asks]:
-    """Return the remedy for an unstable pole, which may be an integrator."""
+    """Return the remedy for an unstable pole; the pole may be an integrator."""
     poles = fit.poles()
     for z, std in zip(poles.values, poles.std, strict=True):
         real = z.imag == 0 and not fit.integrator
         if real and abs(z) >= 1 - CIRCLE_ROUNDING and std > _MAX_POLE_STD:
             return (
-                f"the standard deviation is {std:.2g}, so the data do not determine the model",
+                f"its standard deviation is {std:.2g}, so the data do not determine the model",
                 "",
             )
         if (

@@ -35,7 +35,7 @@ from armrig.numerics.stretches import stretches
 
 Integers = NDArray[np.int_]
 _BLOCK_ROWS = 1024  # rows decomposed at once
-_SINGULAR_VALUE_ROUNDING = 1e-10  # share of the largest singular value; a smaller value is rounding
+_SINGULAR_VALUE_ROUNDING = 1e-10  # a singular value below this share of the largest is 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,8 +159,8 @@ class Projection:
     H: Array
     """Matrix H in Y_f = H W_p + L U_f + noise, (f, 2 p)."""
     U: Array
-    """Left singular vectors without weights, (f, f); the first n span the columns of the
-    observability matrix."""
+    """Left singular vectors, multiplied by the inverse of the left weight matrix, (f, f). The first
+    n vectors span the columns of the observability matrix."""
     singular_values: Array
     """Singular values (f,); with "cva" the canonical correlations of past and future."""
 
@@ -194,7 +194,7 @@ def visible_states(w: Windows) -> int:
 
 
 def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
-    """Return the mean squared errors of y(t), predicted from u(t) and 1 … `most` states, (most,).
+    """Return the mean squared one-step errors of models with 1 … `most` states, (most,).
 
     The n states of a model are the components of H W_p along the first n singular vectors.
     Therefore a single QR decomposition determines the losses for all n.
@@ -268,7 +268,7 @@ def realised(w: Windows, found: Projection, n: int) -> Realisation:
 def _steady_filter(A: Array, C: Array, covariance: Array) -> Array | None:
     """Return the eigenvalues of A - K C of the steady Kalman filter, or None if there is none.
 
-    Q, S and r are the blocks of the covariance. With F = A - S C / r, the Riccati equation has the
+    Q, S and r are the blocks of `covariance`. With F = A - S C / r, the Riccati equation has the
     pencil below. The eigenvalues of A - K C are the n smallest eigenvalues of the pencil ::
 
         | F^T               0 |       | I  C C^T / r |

@@ -37,7 +37,7 @@ MIN_HORIZON, MAX_HORIZON = 10, 30
 """Limits of the horizon that AIC chooses, in samples."""
 _MAX_WINDOWS = 4000  # largest number of windows for the choice of the longest horizon
 _MAX_COMPARED_SAMPLES = 2000  # largest number of samples for the comparison of models
-_MIN_LOSS_SHARE = 1e-10  # share of |y|²; normal equations lose all digits of a smaller loss
+_MIN_LOSS_SHARE = 1e-10  # least loss / |y|²; normal equations lose all digits of a smaller loss
 
 Signals = Sequence[tuple[Array, Array]]
 
@@ -52,7 +52,7 @@ def delayed_signals(data: Dataset, nk: int) -> Signals:
 def usable_windows(
     data: Dataset, signals: Signals, order: int | None, horizon: int | None
 ) -> Windows:
-    """Return the windows for `horizon`; if it is None, for the longest useful horizon."""
+    """Return the windows for `horizon`, or for the longest useful horizon if `horizon` is None."""
     measured = data.N - data.missing
     i = longest_horizon(signals, measured, order) if horizon is None else int(horizon)
     require_integers(horizon=(i, 3 if order is None else int(order) + 2))

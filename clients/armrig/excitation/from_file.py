@@ -74,7 +74,7 @@ def from_csv(
 def from_text(
     text: str, Ts: float, *, name: str | Path, low: float = LOWEST_V, high: float = HIGHEST_V
 ) -> Vector:
-    """Return the input (N,) from the text of the file `name`, as `from_csv` does."""
+    """Return the input (N,) from `text`, the content of the file `name`; see `from_csv`."""
     _require_figures(Ts, low, high)
     numbers, rows = _table(name, text)
     t, u = numbers

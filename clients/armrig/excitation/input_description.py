@@ -179,7 +179,7 @@ def _halves(u: Vector) -> tuple[Vector, ...]:
 
 
 def _excitation(u: Vector, highest: int) -> tuple[int, float]:
-    """Return the order of excitation, and the least eigenvalue of the covariance of that order."""
+    """Return the order n of excitation, and the least eigenvalue of the (n, n) covariance."""
     windows = np.lib.stride_tricks.sliding_window_view(u, highest)
     R = triangle(in_blocks(windows, _BLOCK_ROWS), highest) / np.sqrt(windows.shape[0])
     order, weakest = 0, 0.0

@@ -1,4 +1,4 @@
-"""Input signals by their names in commands, each with a few settings."""
+"""Input signals with the names that commands use."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def realisations(
     Raises
     ------
     ValueError
-        `multisine` does not allow one of the settings.
+        A setting is outside the range that `multisine` allows.
     """
     require_integers(N=(N, 1), R=(R, 1), seed=(seed, 0), periods=(periods, 1))
     lines = range(1, max(1, N // periods // 4) + 1)

@@ -193,7 +193,7 @@ def test_an_input_that_teaches_too_little_is_refused_beforehand() -> None:
         ({"F": [1.0, -0.5], "integrator": True}, r"F\(1\)=0.5 is not 0"),
         ({"A": [1.0, -0.5], "integrator": True}, r"A\(1\)=0.5 is not 0"),
         ({"C": [1.0, 2.0]}, "C has a root on or outside"),
-        ({"B": [0.0, 0.0]}, "B has no coefficient but 0"),
+        ({"B": [0.0, 0.0]}, "all coefficients of B are 0"),
     ],
 )
 def test_a_model_that_cannot_be_is_refused(change: dict[str, Any], message: str) -> None:

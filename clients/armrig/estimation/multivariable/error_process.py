@@ -34,7 +34,7 @@ class ErrorProcess:
     coefficients: Array
     """Matrices A_1 … A_p (p, ny, ny); p = 0 for white errors."""
     w: Array
-    """Estimated w of all instants (N, ny), with mean 0."""
+    """Estimates of w at all instants (N, ny), with mean 0."""
 
     @property
     def companion(self) -> Array:

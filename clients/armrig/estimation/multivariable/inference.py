@@ -132,7 +132,7 @@ def pairwise_covariance(e: Array) -> Array:
     if not (std > 0).all():
         return np.diag(np.maximum(std, 1e-150) ** 2)
     values, axes = np.linalg.eigh(found / np.outer(std, std))
-    # Each pair of outputs has other missing samples, so that the estimate can be indefinite.
+    # The missing samples differ between pairs of outputs, so the estimate can be indefinite.
     inside = (axes * np.maximum(values, 1e-8)) @ axes.T
     return np.asarray(inside * np.outer(std, std))
 
@@ -172,7 +172,7 @@ def _filtered(C: Array, e: Array) -> Array:
 
 
 def _correlated(experiments: Sequence[Sequence[OutputResiduals]]) -> Array:
-    """Return the sandwich form by Newey and West's method."""
+    """Return the covariance in sandwich form, by the method of Newey and West."""
     scores = [np.sum([r.H * np.nan_to_num(r.e)[:, None] for r in of], axis=0) for of in experiments]
     return correlated_score(scores, [np.ones(s.shape[0]) for s in scores])
 

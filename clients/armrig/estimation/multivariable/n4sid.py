@@ -46,7 +46,7 @@ _STEP = 1e-6  # change of a matrix entry for a numerical derivative
 _RANK_TOLERANCE = 1e-8  # a smaller relative singular value belongs to a change of coordinates
 _MIN_HORIZON = 10
 _MAX_PASSES = 20
-_SMALL_DECREASE = 1e-3  # relative decrease of the sum of squared errors at which the passes end
+_SMALL_DECREASE = 1e-3  # relative decrease of the sum of squared errors at which the iteration ends
 _REPLICATES = 100
 
 
@@ -97,7 +97,7 @@ def n4sid(
         Number of replicates, from which the covariance is computed. For each replicate a data set
         is simulated by the model, and another model is estimated from this data set in the same
         way. The errors of the simulation are drawn from an autoregression of the model's one-step
-        errors. With 0 the covariance is NaN.
+        errors. With fewer than 2 replicates the covariance is NaN.
     seed : int, default 0
         Seed of the drawn errors.
 

@@ -96,7 +96,7 @@ def select_orders(
     data : Signals
         N samples of nu inputs and ny outputs.
     na, nb : iterable of int
-        Orders to try, as for one output.
+        Orders to try.
     nk : iterable of int, or mapping
         Delays to try. A mapping such as {("alpha", "u"): 2} gives the delay of each channel, for
         example from `armrig.delay`; a channel that is not named has the delay 1.

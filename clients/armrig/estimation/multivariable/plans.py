@@ -68,7 +68,7 @@ def plans_of(
     if (nf < inside[:, None]).any():
         name = "na" if equation_error else "nf"
         raise InputError(
-            f"{name} must be at least 1 with an integrator, because the root at 1 counts"
+            f"{name} must be at least 1 with an integrator, because it also counts the root at 1"
         )
     if shared and not (nf == nf[0, 0]).all():
         raise InputError(f"nf={nf.tolist()}: outputs that share a denominator need one order nf")

@@ -73,12 +73,12 @@ class Row:
         return range(self.nk[j], self.nk[j] + self.nb[j])
 
     def groups(self) -> dict[int, tuple[int, ...]]:
-        """Return the inputs that use each polynomial F, by the index of F."""
+        """Return a mapping from the index of each polynomial F to the inputs that use F."""
         used = dict.fromkeys(f for f, n in zip(self.f, self.nb, strict=True) if n)
         return {g: tuple(j for j, n in enumerate(self.nb) if n and self.f[j] == g) for g in used}
 
     def pulses(self, sizes: Sequence[int]) -> dict[int, int]:
-        """Return the number of pulses for the unknown state of each 1/F, by the index of F."""
+        """Return the number of pulses that represent the state of 1/F, by the index of F."""
         if self.at_rest:
             return dict.fromkeys(self.groups(), 0)
         inside = int(self.integrator)
@@ -89,7 +89,7 @@ class Row:
 
     @property
     def without_noise(self) -> Row:
-        """Same equation with white noise (C = D = 1)."""
+        """Equation of this row with white noise (C = D = 1)."""
         return replace(self, c=ONE, d=ONE, integrated_noise=False)
 
     @property
@@ -125,7 +125,7 @@ class _Equation:
     X: Array
     """Derivatives of the prediction with respect to b, (N, sum of nb)."""
     Z: Array
-    """Responses to the unknown state, (N, r): pulses of each 1/F, trend, past of the noise."""
+    """Responses to the unknown state, (N, r): state of each 1/F, trend, past of the noise."""
     y: Array
     """Output filtered by D/C, (N,)."""
     noise: NoiseFilter
@@ -191,11 +191,11 @@ class PolynomialProblem:
         return [slice(a, b) for a, b in pairwise([0, *widths])]
 
     def polynomials(self, theta: Array) -> list[Array]:
-        """Return all polynomials for their coefficients theta."""
+        """Return all polynomials with the coefficients theta."""
         return [np.append(1.0, theta[part]) for part in self.slices]
 
     def solve(self, theta: Array) -> Solution:
-        """Return B and the unknown states by least squares for given polynomials."""
+        """Return B and the unknown states by least squares for given C, D and F."""
         equations = self._equations(theta)
         states, X, y = self._without_states(equations, [1.0] * len(self.rows))
         basis = orthonormal(X)
@@ -246,7 +246,7 @@ class PolynomialProblem:
         return all(stable(p) for p, bounded in pairs if bounded)
 
     def inside(self, theta: Array, previous: Array) -> Array:
-        """Return theta with each root of C and F outside the unit circle moved into the circle."""
+        """Move the roots of C and F that are outside the unit circle inside; return theta."""
         triples = zip(
             self.polynomials(theta), self.polynomials(previous), self.bounded, strict=True
         )
@@ -255,7 +255,7 @@ class PolynomialProblem:
         )
 
     def normals(self, theta: Array) -> Array:
-        """Return the gradient of |z| in theta for each root z of C and F on the unit circle."""
+        """Return the gradient d|z|/dtheta for each root z of C and F on the unit circle."""
         found = [np.zeros((0, theta.size))]
         for p, bounded, part in zip(
             self.polynomials(theta), self.bounded, self.slices, strict=True
@@ -398,7 +398,7 @@ def integrated(M: Array) -> Array:
 
 
 def _padded(responses: Array, counts: dict[int, int], k: int, N: int) -> Array:
-    """Return the pulses for the k-th polynomial F as a signal (N,)."""
+    """Return the initial pulses that represent the state of the k-th 1/F, as a signal (N,)."""
     begins = np.cumsum([0, *counts.values()])
     x = np.zeros(N)
     own = responses[begins[k] : begins[k + 1]][:N]

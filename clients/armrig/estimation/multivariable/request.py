@@ -25,12 +25,12 @@ _DENOMINATORS = ("na", "nf")
 
 
 class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """A structure with its orders, which all outputs and inputs have in common.
+    """Structure and orders of a model; all outputs and inputs have the same orders.
 
     If an output integrates, the orders also count the root at 1 of this output. The orders na, nb
     and nf of the outputs that do not integrate are then lower by one. In the rig, for example, the
-    transfer function to alpha has one pole and one coefficient of B less than the transfer function
-    to theta_1.
+    transfer function to alpha has one pole and one coefficient of B fewer than the transfer
+    function to theta_1.
     """
 
     structure: CommandName

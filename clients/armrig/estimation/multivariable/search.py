@@ -119,7 +119,7 @@ def estimated(
 
 
 def _estimated(data: Signals, plan: Plan, orders: str) -> _Estimated:
-    """Return the estimate of the outputs of one plan; for several outputs, Lambda is iterated."""
+    """Return the estimated model of one plan; with several outputs, Lambda is estimated too."""
     parts = list(data.experiments())
     experiments = tuple(
         tuple(
@@ -162,13 +162,13 @@ def _estimated(data: Signals, plan: Plan, orders: str) -> _Estimated:
 def _reweighted(
     problem: PolynomialProblem, masks: Sequence[Array], ends: Sequence[tuple[str, Optimum]]
 ) -> tuple[PolynomialProblem, list[tuple[str, Optimum]]]:
-    """Return the problem of the best minimum, and the minima after Lambda is iterated.
+    """Return the problem of the best minimum, and the minima with an estimated Lambda.
 
-    From each minimum in `ends`, the search and the estimation of Lambda alternate. The best minimum
-    has the least det Lambda. Then one mode of a denominator is moved, as long as a move leads to a
-    better minimum. The best minimum need not be the first of `ends`, because the searches for
-    `ends` used the variances of the outputs as Lambda. With these variances, an output that
-    integrates has little weight.
+    Starting from each minimum in `ends`, Lambda is estimated and a search with this Lambda is run,
+    in turn. The best minimum has the least det Lambda. Then one mode of a denominator is moved, as
+    long as a move leads to a better minimum. The best minimum need not be the first of `ends`,
+    because the searches for `ends` used the variances of the outputs as Lambda. With these
+    variances, an output that integrates has little weight.
     """
     found = [(name, *_iterated(problem, masks, end, _SAME_TOLERANCE)) for name, end in ends]
     found = ranked(found, lambda one: one[1])
@@ -187,7 +187,7 @@ def _reweighted(
 
 
 def _moved_modes(problem: PolynomialProblem, theta: Array) -> list[Array]:
-    """Return the start values of least cost in which one mode of a denominator is moved."""
+    """Move one mode of a denominator in many ways; return the start values of least cost."""
     polynomials = problem.polynomials(theta)
     starts = []
     for g in {f for row in problem.rows for f in row.f if f != ONE}:
@@ -205,8 +205,8 @@ def _iterated(
 ) -> tuple[float, PolynomialProblem, Optimum]:
     """Return log det Lambda, the problem with the last weights, and its minimum.
 
-    From the minimum `end` on, the estimation of Lambda and the search with this Lambda alternate,
-    until Lambda settles.
+    The function starts at the minimum `end`. It estimates Lambda and searches with this Lambda, in
+    turn, until Lambda hardly changes.
     """
     Lambda = _covariance(problem, masks, end.theta)
     for _ in range(_MAX_ROUNDS):
@@ -243,7 +243,7 @@ def _starts(data: Signals, one: _Estimated) -> Iterator[Start]:
 
 
 def _inference(data: Signals, found: Sequence[_Estimated]) -> Inference:
-    """Return the covariance of the joined parameters of all plans."""
+    """Return the covariance of the parameters of all plans together."""
     widths = [one.problem.row_slices[-1].stop + one.theta.size for one in found]
     d = sum(widths)
     parts = list(data.experiments())
@@ -283,7 +283,7 @@ def _inference(data: Signals, found: Sequence[_Estimated]) -> Inference:
 
 
 def _parameters(data: Signals, found: Sequence[_Estimated]) -> list[float]:
-    """Return the number of parameters of each output; a parameter of k outputs counts 1/k."""
+    """Return the number of parameters of each output; if k outputs share one, it counts 1/k."""
     counts = [0.0] * data.ny
     for one in found:
         users = [

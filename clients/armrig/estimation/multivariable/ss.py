@@ -54,7 +54,7 @@ _PART_SAMPLES = 2000  # samples of long data on which every start is tried
 _DISTINCT = 1e-3  # least difference of log det Lambda between two distinct minima
 _CONTINUED = 3  # searches that continue on all data
 _MAX_MOVES = 3  # largest number of rounds in which a mode is moved
-_MAX_CATCH_UP = 10  # a search ends if it is this many of its decreases above the best
+_MAX_CATCH_UP = 10  # a search ends if its excess over the best is larger than 10 last decreases
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +79,7 @@ class _Criterion:
     def __call__(
         self, problem: StateSpaceProblem, Abar: Array, C: Array, linear: Linear
     ) -> tuple[Array, float]:
-        """Return the Lambda that weights the errors in the next round, and the log criterion."""
+        """Return the weighting Lambda of the next round, and the logarithm of the criterion."""
         e = np.vstack(problem.residuals(Abar, C, linear))
         if self.given is None:
             Lambda = pairwise_covariance(e)
@@ -324,7 +324,7 @@ def _different(ends: list[_End]) -> list[_End]:
 
 
 def _improved(problem: StateSpaceProblem, end: _End, criterion: _Criterion, least: float) -> _End:
-    """Continue a search from `end`; stop early if the search cannot reach the criterion `least`."""
+    """Continue the search `end`; stop early if the criterion falls too slowly to reach `least`."""
     for _ in range(_MAX_ROUNDS):
         before, end = end, _round(problem, end, criterion, _STEPS, _SAME_TOLERANCE)
         decrease = before.criterion - end.criterion

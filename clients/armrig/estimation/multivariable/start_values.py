@@ -45,7 +45,7 @@ def start_values(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
         yield "least squares", _with_noise(problem, np.zeros(sum(problem.sizes)))
         return
     candidates = ranked(candidates, lambda found: log_cost(output_error.cost(found[1])))
-    names = dict(reversed(candidates))  # the best of each name
+    names = dict(reversed(candidates))  # the best start value of each name
     for name, theta in names.items():
         yield name, _with_noise(problem, theta)
     if any(row.c or row.d or row.integrated_noise for row in problem.rows):
@@ -116,7 +116,7 @@ def _filled(x: RowData) -> Array:
 
 
 def _contributions(row: Row, parts: Sequence[RowData], order: int) -> list[Array]:
-    """Return the contribution of each input (N, nu), simulated by an ARX model of high order."""
+    """Return each input's contribution to y, (N, nu), simulated by a high-order ARX model."""
     N = sum(x.y.size for x in parts)
     nu = len(row.nb)
     n = max(min(order, N // (4 * (nu + 1))), 1)
@@ -137,7 +137,7 @@ def _contributions(row: Row, parts: Sequence[RowData], order: int) -> list[Array
 
 
 def _equation_error(paths: Sequence[_Path], F: Array, n: int) -> Array:
-    """Return a stable F that minimises |F y_F - sum of B_j u_jF| over all paths."""
+    """Return a stable F by least squares on all paths, with the signals filtered by 1 / `F`."""
     left, right = [], []
     for path in paths:
         y = filtered([1.0], F, path.y)

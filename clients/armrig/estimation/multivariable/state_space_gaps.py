@@ -58,9 +58,9 @@ class GapProblem:
         """Return the whitened errors and the mean of the log determinants of each predictor.
 
         The errors (m, N ny) are ordered by experiment and then by output. An error is 0 where the
-        output is missing. A sample of covariance S after a gap contributes log det(S
-        inv(Lambda_oo)), where o are its measured outputs. The mean (m,) is the sum divided by the
-        number of measured values.
+        output is missing. After a gap, S is the covariance of a sample's error, and the sample
+        contributes log det(S inv(Lambda_oo)) to the sum; o marks its measured outputs. The mean
+        (m,) is this sum divided by the number of measured values.
         """
         found, logs, count = [], np.zeros(len(predictors)), 0
         for i, part in enumerate(self.parts):
@@ -73,7 +73,7 @@ class GapProblem:
     def _filtered(
         self, part: Part, predictors: Sequence[Predictor], x: Array
     ) -> tuple[Array, Array]:
-        """Return the whitened errors (N, m, ny), and the sum of the logarithms (m,)."""
+        """Return the whitened errors (N, m, ny), and the sums (m,) of log det(S inv(Lambda_oo))."""
         K, C = (np.array([getattr(p, name) for p in predictors]) for name in ("K", "C"))
         D = np.array([p.D for p in predictors])
         A = np.array([p.Abar for p in predictors]) + K @ C
@@ -118,10 +118,10 @@ class GapProblem:
         return z, logs
 
     def moved(self, at: Predictor, V: Array, t: Array) -> Predictor:
-        """Return a predictor that differs from `at` by the coordinates t.
+        """Return the predictor after a step t from the predictor `at`.
 
-        The first coordinates move (Abar, C) along the tangent space V. The other coordinates are
-        changes of Bbar and K signal by signal, of D row by row, and of the initial states.
+        The first entries of t move (Abar, C) along the tangent space V. The other entries change
+        Bbar and K signal by signal, D row by row, and the initial states.
         """
         n, ny = at.K.shape
         nu = at.Bbar.shape[1]
@@ -188,8 +188,8 @@ class GapProblem:
     def influence(self, at: Predictor) -> Array:
         """Return the derivatives of the whitened predictions; initial states are projected out.
 
-        The columns belong to the coordinates of `moved`, (ny N, d). The covariance S(t) of the
-        errors is held constant.
+        The matrix (ny N, d) has one column for each entry of t in `moved`, except the initial
+        states. The covariance S(t) of the errors is held constant.
         """
         V = tangent(at.Abar, at.C)
         states = at.Abar.shape[0] * len(self.parts)
@@ -215,7 +215,7 @@ class GapSearch:
 def searched(
     signals: Sequence[tuple[Array, Array]], at: Predictor, Lambda: Array, *, direct: bool
 ) -> GapSearch:
-    """Return the result of a search from `at`; Lambda is estimated again after every few steps."""
+    """Search from the predictor `at`, and estimate Lambda again after every few steps."""
     last, iterations = np.inf, 0
     for _ in range(_MAX_ROUNDS):
         problem = GapProblem(parts=parts_of(signals, Lambda), Lambda=Lambda, direct=direct)

@@ -35,7 +35,7 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import free_responses, recursion, responses
 
 _MAX_MODULUS = 1 - 1e-7  # largest modulus of an eigenvalue of Abar in a search
-_ORBIT_TOLERANCE = 1e-10  # least relative singular value of a change of coordinates
+_ORBIT_TOLERANCE = 1e-10  # a smaller relative singular value is a rounding error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +70,7 @@ class Predictor:
     """State at the start of each experiment, (n,)."""
 
     def balanced(self) -> Predictor:
-        """Return the same predictor in the coordinates of `output_normal`."""
+        """Return this predictor in the coordinates of `output_normal`."""
         T, inverse = _balancing(self.Abar, self.C)
         return Predictor(
             Abar=T @ self.Abar @ inverse,
@@ -97,9 +97,9 @@ class Linear:
     rank: int
     """Number of linear parameters that the data determine."""
     basis: Basis
-    """Basis of the whitened responses to Bbar, K and D, without the responses to x0."""
+    """Basis of the columns of `X`."""
     X: Array
-    """Whitened responses to Bbar, K and D, without the responses to x0."""
+    """Whitened responses to Bbar, K and D, with the responses to x0 projected out."""
     states: tuple[Basis, ...]
     """Basis of the whitened responses to x0 of each experiment."""
     e: Array

@@ -122,7 +122,7 @@ def _filled(y: Array) -> Array:
 
 
 def _simulated_impulses(psi: Array, nu: int, length: int) -> Array:
-    """Return the impulse responses (length, ny, nu) from u to y; psi are those of the predictor."""
+    """Return the responses (length, ny, nu) from u to y, given the predictor's responses psi."""
     lags, ny, _ = psi.shape
     g = np.zeros((length, ny, nu))
     for k in range(length):

@@ -49,7 +49,7 @@ class Projected:
     H: Array
     """Matrix H in Y_f = H W_p + L U_f + noise."""
     U: Array
-    """Left singular vectors without the weights."""
+    """Left singular vectors, multiplied by the inverse of the left weight matrix."""
     singular_values: Array
     """Singular values of the weighted projection."""
     horizon: int

@@ -19,14 +19,14 @@ FINE_LAG_RATIO = 4
 """Ratio of the longer lag window (for the noise and for `blunted`) to the lag window of G."""
 MIN_POWER_SHARE = 1e-8
 """Share of the largest value of Phi_u; G is not known at frequencies with a smaller Phi_u."""
-_MIN_BLUNTED_RATIO = 1.1  # for a note, |G| of the longer window is higher by this factor
-_BLUNTED_SIGMAS = 4.0  # for a note, the difference exceeds this many standard deviations
+_MIN_BLUNTED_RATIO = 1.1  # least ratio of |G| with the longer window to |G| for a note
+_BLUNTED_SIGMAS = 4.0  # least difference of the two |G| for a note, in standard deviations
 MAX_RESPONSE_LAGS = 60
 """Largest number of lags of the impulse response from which missing outputs are computed."""
 
 
 def blackman_tukey(data: Dataset, gamma: NDArray[np.int_], omega: Vector, N: int) -> Spectra:
-    """Return the spectra of data in which missing outputs were filled; N outputs were measured."""
+    """Return the spectra of data after `filled`; N is the number of measured outputs."""
     L = int(gamma.max())
     R = covariances(data, L)
     k = np.arange(-L, L + 1)
@@ -45,12 +45,12 @@ def blackman_tukey(data: Dataset, gamma: NDArray[np.int_], omega: Vector, N: int
 
 
 def finer(data: Dataset, gamma: int) -> int:
-    """Return the length of the longer lag window; the shorter window has the length gamma."""
+    """Return the length of a longer lag window, for comparison with a window of gamma samples."""
     return min(FINE_LAG_RATIO * gamma, max(data.N // 5, gamma))
 
 
 def blunted(data: Dataset, found: Spectra, gamma: int, omega: Vector, N: int) -> list[str]:
-    """Return a note if |G| is clearly higher with the longer lag window.
+    """Return a note if a longer lag window gives a clearly higher |G|.
 
     The window of gamma samples smooths the response over 2 pi/(gamma Ts) rad/s. A resonance that is
     narrower than this interval becomes lower and wider. The standard deviations do not include this
@@ -151,9 +151,9 @@ def filled(data: Dataset, *, integrator: bool) -> Dataset:
     """Return the data with each missing y replaced by the part that the input explains.
 
     This part is the output of a regularised impulse response plus the level of the experiment. With
-    an integrator, the ramp of the experiment is added too. The method does not interpolate y. If a
-    correlation left out the missing samples instead, its error would depend on all of y, not only
-    on the noise. A filled sample adds no information, so only the valid samples are counted.
+    an integrator, the ramp of the experiment is added too. The method does not interpolate y. If
+    the missing samples were left out of a correlation instead, the error of the correlation would
+    depend on all of y, not only on the noise.
     """
     if data.missing == 0:
         return data

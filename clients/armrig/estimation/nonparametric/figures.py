@@ -39,7 +39,7 @@ MIN_SHOWN_POWER = 1e-5
 
 
 class Signals(Protocol):
-    """Names of the axes and of the recording."""
+    """Labels of the axes, and the hash of the recording."""
 
     @property
     def output(self) -> str: ...  # noqa: D102
@@ -52,7 +52,7 @@ class Signals(Protocol):
 
 
 class Response(Signals, Protocol):
-    """Fields of an impulse response in a figure; `ImpulseResponse` has these fields."""
+    """Fields of `ImpulseResponse` that its figure uses."""
 
     @property
     def lags(self) -> NDArray[np.int_]: ...  # noqa: D102
@@ -72,7 +72,7 @@ class Response(Signals, Protocol):
 
 
 class Correlated(Signals, Protocol):
-    """Fields of a correlation analysis in a figure; `Correlation` has these fields."""
+    """Fields of `Correlation` that its figure uses."""
 
     @property
     def lags(self) -> NDArray[np.int_]: ...  # noqa: D102
@@ -82,7 +82,7 @@ class Correlated(Signals, Protocol):
 
 
 class Step(Signals, Protocol):
-    """Fields of a step analysis in a figure; `StepAnalysis` has these fields."""
+    """Fields of `StepAnalysis` that its figure uses."""
 
     @property
     def t(self) -> Vector: ...  # noqa: D102
@@ -105,7 +105,7 @@ class Step(Signals, Protocol):
 
 
 class Hints(Protocol):
-    """Fields of structure hints in a figure; `StructureHints` has these fields."""
+    """Fields of `StructureHints` that its figure uses."""
 
     @property
     def spectrum(self) -> SpectralEstimate: ...  # noqa: D102

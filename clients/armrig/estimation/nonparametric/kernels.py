@@ -58,8 +58,8 @@ def factor(kernel: Kernel, n: int, decay: float, correlation: float = 0.0) -> Ma
     if kernel == "ss":
         largest = np.maximum.outer(i, i)
         P = decay ** (np.add.outer(i, i) + largest) / 2 - decay ** (3 * largest) / 6
-        # Eigenvalues, because P is singular to rounding: a Cholesky factor would need a larger
-        # diagonal.
+        # P is nearly singular, so that a Cholesky factor would need a larger diagonal. The
+        # eigenvalues do not need it.
         value, vector = np.linalg.eigh(P)
         return np.asarray(vector * np.sqrt(np.maximum(value, 0.0)))
     # TC is DC with rho = sqrt(lambda). The covariance of an AR(1) process has a closed-form factor.

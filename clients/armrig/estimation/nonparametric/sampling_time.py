@@ -36,7 +36,7 @@ MAX_STEP_LAGS = 500  # largest number of lags of the impulse response from steps
 MIN_TRANSIENT_SAMPLES, MAX_TRANSIENT_SAMPLES = 7, 10  # handout 3.1.1: samples in the transient
 NYQUIST_SHARE = 0.8  # lower limit of the frequencies near Nyquist, as a share of Nyquist
 SPEED_UP = 5  # factor of a faster recording, if the response ends within a sample
-MIN_GAIN_SHARE = 0.05  # share of a response's largest value; a smaller final value counts as 0
+MIN_GAIN_SHARE = 0.05  # a final value below this share of the largest value counts as 0
 MIN_ALIASING_SHARE = 0.05  # a larger share of power near Nyquist leads to a note on aliasing
 # Differences of white noise have the spectrum 1 - cos(omega Ts). DIFFERENCED is the share of its
 # power near Nyquist. In an estimate, scatter may increase this share to MOST_DIFFERENCED.
@@ -70,10 +70,11 @@ class SamplingTime:
     near_nyquist: float
     """Share of the power of y (or its rate if y integrates) above 0.8 of the Nyquist frequency."""
     beyond: float
-    """Share of the power of y (or its rate) above pi/`Ts`, in the data; NaN if `Ts` <
+    """Share of the power of y (or its rate if y integrates) above pi/`Ts`; NaN if `Ts` is less than
     `recorded_at`."""
     from_step: bool
-    """True if steps measure the response, False if a regularised impulse response estimates it."""
+    """True if `response` was measured with steps, False if it was computed from a regularised
+    impulse response."""
     recorded_at: float
     """Sampling time of the data, in s."""
     output: str
@@ -408,7 +409,7 @@ def _notes(
     seen: bool,
     of: str,
 ) -> Iterator[str]:
-    """Yield notes on the recommendation; `of` is "", or the output whose rate was analysed."""
+    """Yield notes on the recommendation; `of` is the output whose rate was analysed, or ""."""
     if not seen:
         yield (
             f"63 % is reached within one sample of {times(now)}, so the data do not determine the "
@@ -429,7 +430,7 @@ def _notes(
         )
     if bandwidth > 0.4 * np.pi / now:
         yield (
-            f"the band reaches {100 * bandwidth * now / np.pi:.0f} % of these data's Nyquist "
+            f"the bandwidth is {100 * bandwidth * now / np.pi:.0f} % of these data's Nyquist "
             f"frequency: record at {times(now / SPEED_UP)} and repeat the analysis"
         )
     if near > MIN_ALIASING_SHARE and of and near < MOST_DIFFERENCED:
@@ -444,4 +445,4 @@ def _notes(
             "faster recording before you trust the spectrum"
         )
     if Ts < now:
-        yield "the recommended Ts is below Ts of the data, which show nothing above their Nyquist"
+        yield "the recommended Ts is below the data's Ts; the data show nothing above their Nyquist"

@@ -33,10 +33,10 @@ MIN_GAP_SAMPLES, MIN_GAP_SHARE = 2, 0.1
 """Least length of a reported gap during the rise: in samples, and as a share of the 63 % time."""
 SETTLING_BAND = 0.05
 """Half width of the band in which the response has settled, as a share of the final value."""
-_SLOPE_SIGMAS = 5  # standard deviations; a smaller slope before the step counts as 0
-_MIN_UNSETTLED_SHARE = 0.005  # share of the response; less motion before the step is not reported
+_SLOPE_SIGMAS = 5  # a slope before the step counts as 0 up to this many standard deviations
+_MIN_UNSETTLED_SHARE = 0.005  # least reported motion before the step, as a share of the response
 _CURVE_ERROR = 0.1
-"""Error of a curve between samples, as a share of Ts²/tau.
+"""Standard deviation of tau due to the unknown curve between samples, divided by Ts²/tau.
 
 The value was found from data without noise, with 2 to 4 samples in the time tau.
 """
@@ -65,8 +65,8 @@ class StepAnalysis:
     """Standard deviation of `tau` due to noise, gaps on the rise, and a possible dead time."""
     equivalent_time: float
     """Area between the response and its final value, divided by the final value, in s. The dead
-    time is subtracted. For a rate, the final ramp of the angle is extended backwards to 0. The area
-    is the time from the step to this zero, which does not depend on gaps on the rise."""
+    time is subtracted. For a rate, the area equals the time from the step to the zero of the final
+    ramp of the angle, extended backwards. This time does not depend on gaps on the rise."""
     equivalent_time_std: float
     """Standard deviation of `equivalent_time`, in s."""
     smooth_t: Vector
@@ -362,7 +362,7 @@ def _answer(
 
 
 def _weight(data: Dataset, steps: _Steps) -> float:
-    """Return the noise of one sample divided by the noise of the mean response, in units of u."""
+    """Return the std of one sample divided by the std of the mean response, in units of u."""
     parts = list(data.experiments())
     sizes = [p.u[at] - p.u[at - 1] for p, at in ((parts[i], at) for i, at in steps.at)]
     return float(np.linalg.norm(sizes))

@@ -34,14 +34,14 @@ dead times up to the 63 % time."""
 MAX_NO_DEAD_TIME = 0.01
 """A dead time is reported if the probability of no dead time is below this limit."""
 
-_CELLS = 1000  # number of cells of the time grid; more only if there are more samples
+_CELLS = 1000  # number of cells of the time grid; larger if there are more samples
 _MAX_CELLS_PER_SAMPLE = 4
 _LOG_SMOOTHNESS = np.arange(-28.0, 16.0)  # logarithms of the tried ratios of the noise to c
 _TIME_SHARES = 2.0 ** -np.arange(9.0)  # tried values of T, divided by the duration after the step
-_MAX_WEIGHT = 1e10  # with larger weights the equations are singular to rounding
+_MAX_WEIGHT = 1e10  # with larger weights, rounding errors make the equations singular
 _DELAYS_AT_ONCE = 13  # number of dead times tried in a round
 _MAX_DEVIANCE = 7.0  # excess of -2 log likelihood up to which neighbours are tried
-_MIN_WEIGHT_SHARE = 0.01  # share of the largest weight; smaller weights are ignored
+_MIN_WEIGHT_SHARE = 0.01  # weights below this share of the largest weight are ignored
 _MIN_NOISE_SHARE = 1e-6  # least standard deviation of the noise, as a share of the largest value
 _MAX_CURVE_VALUES = 4_000_000  # number of values in memory at once
 
@@ -86,9 +86,10 @@ class Answer:
 
     @property
     def settling_std(self) -> float:
-        """Distance from `settling` within which 68.3 % of the curves settle, in s.
+        """Standard deviation of `settling`, in s.
 
-        The distance includes the rounding of times to cells of the grid.
+        The settling times of 68.3 % of the curves are at most this distance from `settling`. The
+        rounding of times to cells of the grid is added.
         """
         cell = float(self.t[1] - self.t[0])
         return float(np.hypot(_deviation(self.settlings - self.settling), cell / np.sqrt(12)))
@@ -222,7 +223,7 @@ class _Spline:
     variance: float
     """Variance of the noise."""
     criterion: float
-    """-2 log of the restricted likelihood, except for a constant."""
+    """-2 log of the restricted likelihood, up to a constant."""
 
 
 class _Record:
@@ -357,7 +358,7 @@ class _Search:
         self.found: dict[Setting, _Spline] = {}
 
     def criterion(self, at: Setting) -> float:
-        """Return -2 log of the restricted likelihood of a setting, except for a constant."""
+        """Return -2 log of the restricted likelihood of a setting, up to a constant."""
         if at not in self.found:
             delay, i, j = at
             self.found[at] = self._record.spline(delay, _LOG_SMOOTHNESS[i], _TIME_SHARES[j])
@@ -369,7 +370,7 @@ class _Search:
         return min(self.found, key=self.criterion)
 
     def climb(self, at: Setting) -> Setting:
-        """Return the most likely setting near `at` with the same delay, found in single steps."""
+        """Return the most likely setting reached in single steps from `at`, at fixed delay."""
         while (best := min((at, *_near(at)), key=self.criterion)) != at:
             at = best
         return at

@@ -254,7 +254,7 @@ class PlannedModel:
             if name != "B" and p[0] != 1:
                 raise InputError(f"{name}={p.tolist()} must begin with 1")
         if not self.B.any():
-            raise InputError("B has no coefficient but 0; give the numerator in q^-1, delay first")
+            raise InputError("all coefficients of B are 0; give the numerator in q^-1, delay first")
         name = integrating_polynomial(self)
         p = getattr(self, name or "F")
         if name and abs(np.sum(p)) > 1e-8 * np.sum(np.abs(p)):

@@ -105,7 +105,8 @@ def inverted(
 ) -> PredictedStd:
     """Return the Cramér-Rao bound from Psi; Psi^T Psi is `variance` times the information.
 
-    `to` contains the derivatives of the reported parameters with respect to the parameters of Psi.
+    The matrix `to` contains the derivatives of the reported parameters with respect to the
+    parameters of Psi.
     """
     basis = orthonormal(Psi)
     if basis.rank < Psi.shape[1]:
