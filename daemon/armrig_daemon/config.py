@@ -247,7 +247,7 @@ class Client(Table, frozen=True, kw_only=True):
     connect: str = ""
     """Endpoint of the daemon, such as tls/lab-1.example.edu:7447; default: the local daemon."""
     certificate: str = ""
-    """File with your key and certificates, from `armrig pki operator` or `observer`; for tls/."""
+    """File with your key and certificates for tls/, from `armrig pki operator` or `observer`."""
     password: str = ""
     """File with a line user:password; needed for tcp/."""
 
@@ -265,7 +265,7 @@ class Config(Table, frozen=True, kw_only=True):
     access: Access = Access()
     client: Client = Client()
     calibration: Calibration = Calibration()
-    """`[calibration]`: conversion of readings to angles, and of codes to volts: a file, or keys."""
+    """`[calibration]`: conversion of readings to angles and of codes to volts, in a file or keys."""
     emulator: EmulatorSettings = EmulatorSettings()
 
     @property
@@ -399,7 +399,7 @@ def load_installed(
 
 
 def _calibrated(layer: dict[str, Any], directory: Path, where: str) -> dict[str, Any]:
-    """Return a layer whose calibration is read from its `file`, a path relative to `directory`."""
+    """Return a layer with the calibration that is in the file `file`, relative to `directory`."""
     given = layer.get("calibration")
     if not isinstance(given, Mapping) or "file" not in given:
         return layer

@@ -106,7 +106,7 @@ def own_endpoint(rig: str) -> str:
     Raises
     ------
     RigError
-        Another user may own the directory, or the directory cannot be created.
+        Another user owns the directory or may write to it, or the directory cannot be created.
     """
     directory = Path(_socket_directory())
     try:
@@ -427,8 +427,8 @@ def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
     except ssl.SSLError as err:
         alert = (err.reason or "").rpartition("ALERT_")[2].replace("_", " ").lower()
         return (
-            f"it refuses the certificate of {credential.name} ({alert}): check that both "
-            "certificates are of the same authority, and that the clock of its machine is set"
+            f"the daemon refuses the certificate of {credential.name} ({alert}): check that both "
+            "certificates are of one authority, and that the clock of the daemon's machine is set"
         )
     except OSError:
         return ""

@@ -36,7 +36,7 @@ def _arm(host: Host) -> None:
         expect(host.state == State.READY, f"state {host.state} after a wrong ARM")
 
 
-@rule(3, "START needs the nonce of the configuration, and in exchange mode k_stop 0")
+@rule(3, "START needs the nonce of the configuration, and k_stop = 0 in exchange mode")
 def _start(host: Host) -> None:
     host.reach(State.ARMED)
     for fields, code in (

@@ -27,7 +27,7 @@ NEVER: Final = 1 << 62
 """Time of an event that never occurs, in ns."""
 U16: Final = 0xFFFF
 UNNUMBERED: Final = 0
-"""Sequence number of a frame before `device` numbers it."""
+"""Sequence number in a frame to which `device` has not yet given a number."""
 SUPPLY_LOW_MV = 4000
 MOTOR_MAY_TURN: Final = (State.ARMED, State.RUN)
 NO_STACK_LIMIT = 0xFFFF  # an emulator cannot run out of stack

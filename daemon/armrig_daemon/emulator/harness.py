@@ -80,7 +80,7 @@ class Figures(NamedTuple):
 
 Record = Duty | Left | Violated
 Convert = Callable[[int, int], int]
-"""Function of the cycle at which the input is held, and of the channel; returns the ten bits."""
+"""Function of a cycle and a channel that returns the channel's reading, 10 bits, at the cycle."""
 
 
 class Harness:

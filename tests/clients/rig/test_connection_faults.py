@@ -106,7 +106,7 @@ def test_a_rig_that_refuses_our_certificate_is_reported(made: Path, tmp_path: Pa
     other = str(tmp_path / "other" / "authority.pem")
     trusts = {"root_ca_certificate_base64": None, "root_ca_certificate": other}
     with _listening(made / "rig-1.pem", **trusts) as port:
-        assert _told(made, port).startswith("it refuses the certificate of alice (")
+        assert _told(made, port).startswith("the daemon refuses the certificate of alice (")
 
 
 @pytest.mark.exhaustive
