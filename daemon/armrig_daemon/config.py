@@ -265,7 +265,7 @@ class Config(Table, frozen=True, kw_only=True):
     access: Access = Access()
     client: Client = Client()
     calibration: Calibration = Calibration()
-    """`[calibration]`: conversion of readings to angles and of codes to volts, in a file or keys."""
+    """`[calibration]`: conversion of readings to angles and of codes to volts, by file or keys."""
     emulator: EmulatorSettings = EmulatorSettings()
 
     @property

@@ -72,7 +72,7 @@ def _waiting(host: Host) -> None:
     expect(False, came)  # five attempts failed: the line cannot be the reason
 
 
-@rule(5, "If RUN ends before the latch, the SAMPLE reports the state after the end, and u_k 0")
+@rule(5, "If RUN ends before the latch, SAMPLE reports the new state and u_k = 0")
 def _overtaken(host: Host) -> None:
     m = _oversample(host)
     config = {"oversampling": m, "ts_us": ts_min_us(host, m) + 10_000}

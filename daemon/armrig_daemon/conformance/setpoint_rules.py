@@ -44,9 +44,7 @@ def _holes(host: Host) -> None:
         expect(held == wanted, f"{held} queued after k0={k0}, n={len(u)}, not {wanted}")
 
 
-@rule(
-    6, "Setpoints that differ from the queue's setpoints are BAD_VALUE; the queue does not change"
-)
+@rule(6, "Setpoints that differ from the queue's are answered BAD_VALUE; the queue does not change")
 def _disagree(host: Host) -> None:
     armed(host)
     fill(host, [1_000, 2_000, 3_000])
