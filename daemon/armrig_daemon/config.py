@@ -223,11 +223,11 @@ class Access(Table, frozen=True, kw_only=True):
     listen: str = ""
     """Endpoint for clients, in addition to the Unix socket, such as tls/0.0.0.0:7447."""
     certificate: str = ""
-    """File with the rig's key and certificates, from `armrig pki rig`; for tls/ or a router."""
+    """File with the rig's key and certificates for tls/ or a router, from `armrig pki rig`."""
     names: str = ""
-    """File of the access list, which `armrig pki` writes: the clients that may drive or watch."""
+    """File with the access list from `armrig pki`: the clients that may drive or watch."""
     passwords: str = ""
-    """File with a line user:password for each user; needed for tcp/, on this machine only."""
+    """File with a line user:password for each user; needed for tcp/, which only this machine may use."""
     router: str = ""
     """Endpoint of the laboratory's router, such as tls/lab.example.edu:7447; default: no router."""
 
@@ -381,7 +381,7 @@ def load_installed(
     Raises
     ------
     InputError
-        As in `load`; the rig's own file is missing, or belongs to another rig.
+        As in `load`; or the rig's own file is missing or belongs to another rig.
     """
     first = load(installed(system=system), environ, overrides, below=below)
     own = of_rig(first.rig.id)

@@ -93,9 +93,7 @@ def _latched(host: Host) -> None:
         before = code
 
 
-@rule(
-    5, "In RUN, a u outside [u_min, u_max] is FAULT(RANGE): the answer is only EVENT, with the code"
-)
+@rule(5, "In RUN, a u outside [u_min, u_max] leads to FAULT(RANGE); only an EVENT answers it")
 def _range(host: Host) -> None:
     for u in (99, 40_001, 65_535, 0):
         host.to_idle()

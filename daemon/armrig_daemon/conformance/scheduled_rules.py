@@ -113,7 +113,7 @@ def _aligned(host: Host) -> None:
         expect(b.u_km1 == a.u_k, f"u_km1 {b.u_km1} after u_k {a.u_k}")
 
 
-@rule(6, "Sample k is triggered at t_0 + k Ts, to 1 us, and t_0 is one Ts after START")
+@rule(6, "Sample k is triggered within 1 us of t_0 + k Ts; t_0 is one Ts after START")
 def _time(host: Host) -> None:
     armed(host)
     n = min(host.known.queue, 200)

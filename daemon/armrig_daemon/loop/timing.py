@@ -41,7 +41,7 @@ class Histogram:
         self.missed = 0
 
     def add(self, value_ns: int, missed: int = 0, period_ns: int = 0) -> None:
-        """Count the lateness of a tick and of `missed` later ticks, one period less for each tick."""
+        """Count the lateness of a tick and of `missed` later ticks, each a period less late."""
         # A comparison is faster than `max`: three values are added at each tick.
         value = value_ns if value_ns > 0 else 0
         if value > self._max:
