@@ -227,7 +227,7 @@ class Access(Table, frozen=True, kw_only=True):
     names: str = ""
     """File with the access list from `armrig pki`: the clients that may drive or watch."""
     passwords: str = ""
-    """File with a line user:password for each user; needed for tcp/, which only this machine may use."""
+    """File with a line user:password for each user; needed for tcp/ (only on this machine)."""
     router: str = ""
     """Endpoint of the laboratory's router, such as tls/lab.example.edu:7447; default: no router."""
 

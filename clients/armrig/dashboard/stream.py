@@ -1,4 +1,4 @@
-"""Stream of server-sent events for the pages, with news 30 times a second."""
+"""Stream of server-sent events for the pages, with new data 30 times a second."""
 
 from __future__ import annotations
 

@@ -182,8 +182,8 @@ def open_connection(
     NoReplyError
         Nobody listens at the endpoint.
     RigError
-        `connect` is not an endpoint, the credential cannot be used, or another user may own the
-        directory of a socket.
+        `connect` is not an endpoint, the credential cannot be used, or another user owns the
+        directory of a socket or may write to it.
     """
     settings = _settings(rig)
     where = connect or settings.connect

@@ -118,7 +118,7 @@ class Conversation:
         Raises
         ------
         Broken
-            No message arrives for which `found` is true.
+            `found` is false for every message that arrives in time.
         """
         end_ns = self.line.now_ns() + round(within_ms * 1e6)
         looked = 0

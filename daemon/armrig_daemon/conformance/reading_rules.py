@@ -110,7 +110,7 @@ def _cal_reply(host: Host, channel: int, n: int) -> CalReply:
     return only(CalReply, host.until(lambda m: isinstance(m, CalReply), "CAL_R", 4 * PATIENCE_MS))
 
 
-@rule(5, "CAL answers with n readings of one channel, and possible statistics")
+@rule(5, "CAL_R reports n readings of one channel, with statistics that are possible")
 def _cal(host: Host) -> None:
     _need_cal(host)
     for channel in (0, 1):

@@ -160,7 +160,7 @@ def _rest(host: Host) -> None:
     expect(sample.u_km1 == sample.u_k and (sample.u_km1 > 0) == (u_rest > 0), [sample])
 
 
-@rule(3, "An EVENT contains the time of its transition, between the two PONGs around it")
+@rule(3, "The time in an EVENT is between the times of the PONGs before and after it")
 def _event_time(host: Host) -> None:
     host.fence()
     before = host.rx_us

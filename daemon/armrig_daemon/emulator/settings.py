@@ -1,4 +1,4 @@
-"""Settings of the emulator: the table `[emulator]` of a TOML file, each key checked."""
+"""Settings of the emulator, read from the table `[emulator]` of a TOML file and checked."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from itertools import accumulate
 from armrig_daemon.pipe import Distribution
 
 _BINS_PER_OCTAVE = 32  # resolution of the values: 1/32, which is 3 %
-_MAX_MISSED = 10_000  # more than any run survives; bounds the work after a suspend
+_MAX_MISSED = 10_000  # limits the work after a suspend; no run survives so many
 
 
 def _bin(value: int) -> int:
