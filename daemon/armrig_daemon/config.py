@@ -1,4 +1,4 @@
-"""The daemon's configuration: TOML in layers, each key checked.
+"""The daemon's configuration: layers of TOML, with a check of each key.
 
 Each layer overrides the layers after it in this list: command line, `ARMRIG_<TABLE>_<KEY>`,
 `$XDG_CONFIG_HOME/armrig/armrig.toml`, `/etc/armrig/<id>.toml`, `/etc/armrig/armrig.toml`. A file

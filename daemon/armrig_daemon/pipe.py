@@ -37,7 +37,7 @@ class Gap(Tagged, frozen=True, kw_only=True):
 
 
 class Log(Tagged, frozen=True, kw_only=True):
-    """A message for a person."""
+    """A message for the user."""
 
     t_host_ns: int
     level: str
@@ -214,9 +214,9 @@ class Stop(Order, frozen=True, kw_only=True):
     """Stop the motor; the order needs no lease."""
 
     reason: str = "stopped"
-    """Outcome of the run that the stop ends, for a person."""
+    """Outcome of the run that the stop ends, as a text for the user."""
     outcome_code: OutcomeCode = OutcomeCode.STOPPED
-    """Outcome of the run, for programs."""
+    """Code of the outcome, for programs."""
 
 
 class Reset(Order, frozen=True, kw_only=True):

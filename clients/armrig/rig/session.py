@@ -418,7 +418,7 @@ def _context(credential: Credential, path: Path) -> ssl.SSLContext:
 
 
 def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
-    """Return why the daemon refuses the client's certificate; "" if the daemon accepts it."""
+    """Return why the listener refuses the client's certificate; "" if the listener accepts it."""
     connected.settimeout(_ANSWER_TIMEOUT_S)
     try:
         connected.recv(1)
@@ -427,8 +427,8 @@ def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
     except ssl.SSLError as err:
         alert = (err.reason or "").rpartition("ALERT_")[2].replace("_", " ").lower()
         return (
-            f"the daemon refuses the certificate of {credential.name} ({alert}): check that both "
-            "certificates are of one authority, and that the clock of the daemon's machine is set"
+            f"the listener refuses the certificate of {credential.name} ({alert}): check that both "
+            "certificates are of one authority, and that the clock of the listener's machine is set"
         )
     except OSError:
         return ""
@@ -438,12 +438,12 @@ def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
 def _of_its_certificate(err: ssl.SSLCertVerificationError, host: str) -> str:
     if err.verify_code in _OTHER_HOST:
         return (
-            f"its certificate is not for {host}: use a name in this certificate, or make another "
-            f"certificate by `armrig pki rig ID --host {host}`"
+            f"the listener's certificate is not for {host}: use a name in it, or make "
+            f"another certificate by `armrig pki rig ID --host {host}`"
         )
     if err.verify_code == _EXPIRED:
-        return "its certificate has expired: `armrig pki renew` makes a new one"
+        return "the listener's certificate has expired: `armrig pki renew` makes a new one"
     return (
-        "the authority that signed your certificate did not sign its certificate "
+        "the authority that signed your certificate did not sign the listener's certificate "
         f"({err.verify_message}): the listener belongs to another laboratory, or to a stranger"
     )

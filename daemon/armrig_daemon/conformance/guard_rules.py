@@ -130,7 +130,7 @@ def _left_alone(host: Host) -> None:
     expect(host.sample(20_000).u_k == 0, "a code that is not 0")
 
 
-@rule(7, "After `rail_ticks` consecutive samples at a rail, the state is FAULT(ADC_RAIL)")
+@rule(7, "`rail_ticks` consecutive samples at a rail lead to FAULT(ADC_RAIL) after the last sample")
 def _rails(host: Host) -> None:
     host.reach(State.RUN, rail_ticks=4)
     for tick in range(1, 9):

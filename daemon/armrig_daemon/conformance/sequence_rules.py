@@ -117,7 +117,7 @@ def _boot(host: Host) -> None:
 
 @rule(
     2,
-    "If opening the port resets the device, it is in IDLE, and boot_id has another low half",
+    "If opening the port resets the device, the state is IDLE, and boot_id has a new low half",
     silent=True,
 )
 def _reset(host: Host) -> None:

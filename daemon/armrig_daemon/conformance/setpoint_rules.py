@@ -59,7 +59,7 @@ def _disagree(host: Host) -> None:
     expect(got == [*wanted, 0], f"u_k {got}, not {[*wanted, 0]}")
 
 
-@rule(6, "The queue has the capacity in HELLO_R; setpoints beyond it are dropped unanswered")
+@rule(6, "The queue has the capacity in HELLO_R; further setpoints are dropped without an answer")
 def _capacity(host: Host) -> None:
     armed(host)
     queue = host.known.queue

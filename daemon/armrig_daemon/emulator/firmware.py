@@ -165,7 +165,7 @@ class Firmware:
         return self.supply_mv < SUPPLY_LOW_MV
 
     def measure_supply(self, now_ns: int) -> list[Message]:
-        """Measure the supply; trip if it is too low and the motor may turn."""
+        """Measure the supply; if it is too low in ARMED or RUN, enter FAULT."""
         self.supply_mv = self.board.supply_mv(now_ns)
         if not self.supply_is_low or self.state not in MOTOR_MAY_TURN:
             return []
