@@ -34,7 +34,7 @@ _NAME_OF_MATLAB = {
     "impulseest": "impulse_response",
     "cra": "correlation",
 }
-"""Names of the System Identification Toolbox, and the corresponding names of armrig."""
+"""Functions of the System Identification Toolbox, and the corresponding functions of armrig."""
 
 
 def _no_attribute(name: str) -> str:

@@ -1,4 +1,4 @@
-"""The command `armrigd`, and `python -m armrig_daemon`; Ctrl-C also ends it during imports."""
+"""The command `armrigd`, also `python -m armrig_daemon`; Ctrl-C also ends its imports."""
 
 from __future__ import annotations
 

@@ -304,7 +304,7 @@ def show_config(
 
 
 def _check_file(file: Path) -> None:
-    """Print the rig and the networks of a configuration; exit like the daemon after an error."""
+    """Print a configuration's rig and networks; after an error, exit with the daemon's code."""
     from armrig_core.recording_directory import SYSTEM
 
     from armrig_daemon.config import load, load_installed, recordings

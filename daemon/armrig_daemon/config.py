@@ -1,4 +1,4 @@
-"""The daemon's configuration: TOML in layers, each key checked.
+"""The daemon's configuration: layers of TOML, with a check of each key.
 
 Each layer overrides the layers after it in this list: command line, `ARMRIG_<TABLE>_<KEY>`,
 `$XDG_CONFIG_HOME/armrig/armrig.toml`, `/etc/armrig/<id>.toml`, `/etc/armrig/armrig.toml`. A file
@@ -223,11 +223,11 @@ class Access(Table, frozen=True, kw_only=True):
     listen: str = ""
     """Endpoint for clients, in addition to the Unix socket, such as tls/0.0.0.0:7447."""
     certificate: str = ""
-    """File with the rig's key and certificates, from `armrig pki rig`; for tls/ or a router."""
+    """File with the rig's key and certificates for tls/ or a router, from `armrig pki rig`."""
     names: str = ""
-    """File of the access list, which `armrig pki` writes: the clients that may drive or watch."""
+    """File with the access list from `armrig pki`: the clients that may drive or watch."""
     passwords: str = ""
-    """File with a line user:password for each user; needed for tcp/, on this machine only."""
+    """File with a line user:password for each user; needed for tcp/ (only on this machine)."""
     router: str = ""
     """Endpoint of the laboratory's router, such as tls/lab.example.edu:7447; default: no router."""
 
@@ -247,7 +247,7 @@ class Client(Table, frozen=True, kw_only=True):
     connect: str = ""
     """Endpoint of the daemon, such as tls/lab-1.example.edu:7447; default: the local daemon."""
     certificate: str = ""
-    """File with your key and certificates, from `armrig pki operator` or `observer`; for tls/."""
+    """File with your key and certificates for tls/, from `armrig pki operator` or `observer`."""
     password: str = ""
     """File with a line user:password; needed for tcp/."""
 
@@ -265,7 +265,7 @@ class Config(Table, frozen=True, kw_only=True):
     access: Access = Access()
     client: Client = Client()
     calibration: Calibration = Calibration()
-    """`[calibration]`: conversion of readings to angles, and of codes to volts: a file, or keys."""
+    """`[calibration]`: conversion of readings to angles and of codes to volts, by file or keys."""
     emulator: EmulatorSettings = EmulatorSettings()
 
     @property
@@ -381,7 +381,7 @@ def load_installed(
     Raises
     ------
     InputError
-        As in `load`; the rig's own file is missing, or belongs to another rig.
+        As in `load`; or the rig's own file is missing or belongs to another rig.
     """
     first = load(installed(system=system), environ, overrides, below=below)
     own = of_rig(first.rig.id)
@@ -399,7 +399,7 @@ def load_installed(
 
 
 def _calibrated(layer: dict[str, Any], directory: Path, where: str) -> dict[str, Any]:
-    """Return a layer whose calibration is read from its `file`, a path relative to `directory`."""
+    """Return a layer with the calibration that is in the file `file`, relative to `directory`."""
     given = layer.get("calibration")
     if not isinstance(given, Mapping) or "file" not in given:
         return layer

@@ -1,4 +1,4 @@
-"""Messages between the loop and the service over pipes: records of the loop, and orders to it.
+"""Messages over pipes: records from the loop to the service, and orders from it to the loop.
 
 Each message is `length u32, kind u8, payload`. The payload of a sample is its protobuf bytes, which
 reach the subscribers and the file unchanged. All other payloads are msgpack with a tag.
@@ -37,7 +37,7 @@ class Gap(Tagged, frozen=True, kw_only=True):
 
 
 class Log(Tagged, frozen=True, kw_only=True):
-    """A message for a person."""
+    """A message for the user."""
 
     t_host_ns: int
     level: str
@@ -105,7 +105,7 @@ class State(Tagged, frozen=True, kw_only=True):
     fault: str = ""
     """Id of the fault (`armrig_daemon.decisions.faults.Id`); empty without a fault."""
     motor: str = ""
-    """Known state of the motor, for a person."""
+    """Text about the known state of the motor, for the user."""
     remedy: str = ""
     """Remedy of the fault."""
     line: str = ""
@@ -145,7 +145,7 @@ class RunEnded(Tagged, frozen=True, kw_only=True):
 
 
 class Answer(Tagged, frozen=True, kw_only=True):
-    """Answer to the order with the number `order`: a body, or an error for a person."""
+    """Answer to the order with the number `order`: a body, or an error text for the user."""
 
     order: int
     body: dict[str, Any] = {}
@@ -214,9 +214,9 @@ class Stop(Order, frozen=True, kw_only=True):
     """Stop the motor; the order needs no lease."""
 
     reason: str = "stopped"
-    """Outcome of the run that the stop ends, for a person."""
+    """Outcome of the run that the stop ends, as a text for the user."""
     outcome_code: OutcomeCode = OutcomeCode.STOPPED
-    """Outcome of the run, for programs."""
+    """Code of the outcome, for programs."""
 
 
 class Reset(Order, frozen=True, kw_only=True):

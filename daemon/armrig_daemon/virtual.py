@@ -20,7 +20,7 @@ from armrig_daemon.pipe import Orders, Record, take_records
 Lateness = Callable[[], int]
 """Function that returns the host's lateness after a deadline, in ns."""
 Line = Callable[[bytes], bytes]
-"""Function that returns the bytes that a line delivers for the bytes sent."""
+"""Function that returns the bytes that a line delivers for the sent bytes."""
 
 
 class VirtualDevice(Protocol):

@@ -105,13 +105,13 @@ PLANTED = {
         "core/rig_requests.c",
         " || m->u > rig.config.u_max",
         "",
-        "is FAULT(RANGE)",
+        "leads to FAULT(RANGE)",
     ),
     "the slew is not looked at": Planted(
         "core/rig_requests.c",
         "rig.config.slew && step > rig.config.slew",
         "0 && step",
-        "is FAULT(SLEW), a change of `slew` is not",
+        "leads to FAULT(SLEW), a change of `slew` does not",
     ),
     "a dry queue holds the last voltage": Planted(
         "core/rig_queue.c",
@@ -130,7 +130,7 @@ PLANTED = {
         "core/rig_requests.c",
         "return !rig.has_newest || (int16_t)(seq - rig.newest) > 0;",
         "return seq || true;",
-        "is ACK(STALE)",
+        "is answered ACK(STALE)",
     ),
     "RUN begins with another code than u_rest": Planted(
         "core/rig_motor.c",

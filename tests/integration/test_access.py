@@ -147,7 +147,7 @@ def test_a_client_on_no_list_gets_no_answer(lab: Laboratory, who: str) -> None:
 @pytest.mark.parametrize(
     ("who", "says"),
     [
-        ("forged", "the authority that signed your certificate did not sign its certificate"),
+        ("forged", "that signed your certificate did not sign the listener's certificate"),
         ("expired", "expired.pem: the certificate has expired: `armrig pki renew`"),
     ],
 )

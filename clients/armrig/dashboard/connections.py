@@ -34,7 +34,8 @@ class Connections:
         """Add a connection; above the limit, close one connection.
 
         The oldest connection without a request is closed. If every connection has a request, the
-        oldest connection whose client does not read its answer is closed, or else the new one.
+        oldest connection with an unread answer is closed. Without an unread answer, the new
+        connection is closed.
         """
         self._open[address] = protocol
         if len(self._open) > MOST:

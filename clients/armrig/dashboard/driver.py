@@ -42,7 +42,7 @@ class BusyDriverError(OperationError):
 
 
 class Driver:
-    """Sender of the page's commands, one at a time: arm, run, release. A stop does not wait."""
+    """Sender of the page's commands, one at a time: arm, run, release. A stop is sent at once."""
 
     def __init__(self, *, rig: str, connect: str | None) -> None:
         """Prepare commands to a rig; the arguments have the same meaning as for `armrig.Rig`."""
@@ -83,7 +83,7 @@ class Driver:
             return self._give_back()
 
     def start(self, plan: Plan, *, asked_s: float) -> None:
-        """Start a run in a thread; the attribute `run` is updated with its state.
+        """Start a run in a thread; the attribute `run` contains the state of the run.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class Driver:
 
     @contextmanager
     def _shown(self, asked_s: float, rig: Rig, experiment: str, N: int) -> Iterator[Progress]:
-        # The rig is armed at 0 V: from now on, after a stop, the daemon refuses the run.
+        # The rig is armed: the daemon now refuses the run if a stop comes.
         stopped_s, by = self._stopped
         if stopped_s >= asked_s:
             raise RigError(f"not started: stopped by {by or 'somebody'}")

@@ -60,7 +60,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def plan_of(experiment: Experiment, owner: str) -> Plan:
-    """Return the same plan for an experiment as `armrig collect` makes.
+    """Return the plan that `armrig collect` would make for an experiment.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
 
 
 def _drawn(u: NDArray[np.float64], Ts: float) -> tuple[list[float], list[float]]:
-    """Return times and values to draw the input; for a long input, the extremes of intervals."""
+    """Return times and values to draw the input; for a long input, least and largest values."""
     changes = np.flatnonzero(np.diff(u, prepend=np.nan) != 0)
     if changes.size <= _MAX_POINTS:
         at, values = [*changes.tolist(), u.size], [*u[changes].tolist(), float(u[-1])]

@@ -61,7 +61,7 @@ class Timing:
     """Timing of the rig."""
 
     late: list[int] = field(default_factory=lambda: [0] * (len(LATE_US) + 1))
-    """Numbers of samples of the last minute in each bin of lateness: see `LATE_US`."""
+    """Number of samples in each bin of lateness (`LATE_US`) during the last minute."""
     missing: int = 0
     """Number of missing samples since the start of the dashboard."""
     unheard: int = 0

@@ -47,7 +47,7 @@ class RecordingRoutes:
     """Routes for recordings; slow requests run one after another in a separate process."""
 
     def __init__(self, feed: Feed, rig: str) -> None:
-        """Prepare routes to the daemon's folder or, if unreadable, the folder of `armrig ls`."""
+        """Prepare routes for the daemon's folder; if it is unreadable, for that of `armrig ls`."""
         self._feed, self._rig = feed, rig
         self._worker: ProcessPoolExecutor | None = None
 

@@ -1,4 +1,4 @@
-"""Server of a dashboard: its sockets, rights, threads and end."""
+"""Server of a dashboard: its sockets, rights, threads and shutdown."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ class _Door:
 
 
 def _allow_many_files() -> None:
-    """Raise the limit of open files above the limit of connections, so that a stop can connect."""
+    """Raise the limit of open files above the limit of connections, so that a stop can be sent."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _FILES if hard == resource.RLIM_INFINITY else min(_FILES, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:

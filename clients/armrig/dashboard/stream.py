@@ -1,4 +1,4 @@
-"""Stream of server-sent events for the pages, with news 30 times a second."""
+"""Stream of server-sent events for the pages, with new data 30 times a second."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Stream:
         self._told: dict[str, bytes] = {}
 
     async def fill(self) -> None:
-        """Send news 30 times a second until the task is cancelled; missed times are skipped."""
+        """Send new data 30 times a second until the task is cancelled; missed times are skipped."""
         due = timing_due = time.monotonic()
         seen = self._feed.news().pieces
         while True:
@@ -59,7 +59,7 @@ class Stream:
                 timing_due = due + _TIMING_S
 
     async def messages(self, viewer: Viewer) -> AsyncIterator[bytes]:
-        """Yield the messages for one viewer: the current state, the news, and the history.
+        """Yield the messages for one viewer: the current state, the history, and new messages.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class Stream:
         # change of the state is then sent to all of them.
         self._send_changed()
         self.viewers.add(viewer)
-        # News are queued for the viewer from here on. The page ignores rows that it already has.
+        # From here on, new messages are queued for the viewer. The page ignores repeated rows.
         past = asyncio.create_task(self._offer_past(viewer))
         try:
             hello = {"may_command": self.may_command, "late_us": LATE_US}

@@ -72,7 +72,7 @@ def csv(path: Path, start: float | None, stop: float | None) -> bytes:
     """Return a CSV of all samples between two times in s, with the page's quantities and units."""
     rows = zip(*(column.tolist() for column in _part(path, start, stop)), strict=True)
     lines = (f"{t:.6f},{u:.4f},{theta_1:.4f},{alpha:.4f}\n" for t, u, theta_1, alpha in rows)
-    # The worker encodes these 100 MB: the server's process must be free for a stop.
+    # This process encodes up to 100 MB, so that the server's process is free for a stop.
     return ("t [s],u [V],theta_1 counted [deg],alpha [deg]\n" + "".join(lines)).encode()
 
 

@@ -12,7 +12,7 @@ from armrig_core.errors import OperationError
 
 MOST_VIEWERS = 64
 """Largest number of viewers of one listening socket."""
-_MAX_WAITING = 250  # messages: the history, and the news of five seconds at 30 Hz
+_MAX_WAITING = 250  # messages: the history, and the new data of five seconds at 30 Hz
 
 
 class TooManyViewersError(OperationError):

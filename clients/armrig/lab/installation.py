@@ -1,4 +1,4 @@
-"""Installation and removal of armrig's systemd services: their files, and the commands for it."""
+"""Installation and removal of armrig's systemd services: files and commands."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _PART_OF: dict[str, Part] = {
     "armrig-router.conf": "router",
     "armrig-recorder.conf": "recorder",
 }
-"""Part that needs a file, by the file's name; every part needs the files that are not listed."""
+"""Part of the service that needs a file, by file name; all parts need the other files."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

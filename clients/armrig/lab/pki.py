@@ -26,7 +26,7 @@ from armrig_core.topics import check_rig_id
 Role = Literal["operators", "observers"]
 RIG_DAYS = 365
 AUTHORITY_DAYS = 3650
-_CLOCK_TOLERANCE = timedelta(hours=1)  # a new certificate is also valid where a clock is late
+_CLOCK_TOLERANCE = timedelta(hours=1)  # for machines whose clock is slow
 _KEY, _CERTIFICATE, ACCESS_LIST = "authority.key", "authority.pem", "access.toml"
 _HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?<!-)(\.(?!-)[A-Za-z0-9-]{1,63}(?<!-))*")
 

@@ -70,7 +70,8 @@ class Rig:
     NoReplyError
         No daemon answers at the start of the block, or the daemon refuses the client.
     RigError
-        Another user may own the socket's directory, or the credential cannot be used.
+        Another user owns the socket's directory or may write to it, or the credential cannot be
+        used.
     ValueError
         The id is not valid.
 

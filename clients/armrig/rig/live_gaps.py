@@ -68,7 +68,7 @@ def gaps_between(before: Sample, after: Sample, told: Iterable[Any]) -> Iterator
     ----------
     before, after : Sample
         Two consecutively received samples. If `k` does not increase, the daemon was restarted, and
-        nothing is missing.
+        no sample is missing.
     told : iterable of armrig.v1.Gap
         Gaps that the daemon reported, in any order.
     """

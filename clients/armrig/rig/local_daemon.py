@@ -64,7 +64,7 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
 
 
 def _require_none(rig: str) -> None:
-    """Raise RigError if a daemon of this rig already runs: clients could not distinguish two."""
+    """Raise RigError if a daemon of this rig already runs: clients cannot distinguish two."""
     try:
         with Rig(rig) as opened:
             opened.status()

@@ -71,7 +71,7 @@ class RemoteRecording:
 
     A new file begins if the sample index restarts, or if the sampling time changes. A file with too
     many samples or too many missing samples cannot be loaded. A new file therefore begins before
-    the current file has too many.
+    the current file reaches one of these limits.
     """
 
     path: Path

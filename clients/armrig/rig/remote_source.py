@@ -73,9 +73,9 @@ class RemoteSource:
         return Piece(past=past, is_new_life=is_new and began, lost=lost if began else 0)
 
     def _asked(self, first: int, life: bytes) -> Past | None:
-        """Return the answer of the daemon `life`, or otherwise of the only daemon that answers.
+        """Return the answer of the daemon with the id `life`, or of the only daemon that answers.
 
-        Each daemon chooses its id `life` at its start.
+        Each daemon chooses its id at its start.
         """
         question = msgspec.json.encode(HistoryRequest(first=first))
         others: dict[bytes, Past] = {}

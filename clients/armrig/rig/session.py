@@ -106,7 +106,7 @@ def own_endpoint(rig: str) -> str:
     Raises
     ------
     RigError
-        Another user may own the directory, or the directory cannot be created.
+        Another user owns the directory or may write to it, or the directory cannot be created.
     """
     directory = Path(_socket_directory())
     try:
@@ -182,8 +182,8 @@ def open_connection(
     NoReplyError
         Nobody listens at the endpoint.
     RigError
-        `connect` is not an endpoint, the credential cannot be used, or another user may own the
-        directory of a socket.
+        `connect` is not an endpoint, the credential cannot be used, or another user owns the
+        directory of a socket or may write to it.
     """
     settings = _settings(rig)
     where = connect or settings.connect
@@ -418,7 +418,7 @@ def _context(credential: Credential, path: Path) -> ssl.SSLContext:
 
 
 def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
-    """Return why the daemon refuses the client's certificate; "" if the daemon accepts it."""
+    """Return why the listener refuses the client's certificate; "" if the listener accepts it."""
     connected.settimeout(_ANSWER_TIMEOUT_S)
     try:
         connected.recv(1)
@@ -427,8 +427,8 @@ def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
     except ssl.SSLError as err:
         alert = (err.reason or "").rpartition("ALERT_")[2].replace("_", " ").lower()
         return (
-            f"it refuses the certificate of {credential.name} ({alert}): check that both "
-            "certificates are of the same authority, and that the clock of its machine is set"
+            f"the listener refuses the certificate of {credential.name} ({alert}): check that both "
+            "certificates are of one authority, and that the clock of the listener's machine is set"
         )
     except OSError:
         return ""
@@ -438,12 +438,12 @@ def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
 def _of_its_certificate(err: ssl.SSLCertVerificationError, host: str) -> str:
     if err.verify_code in _OTHER_HOST:
         return (
-            f"its certificate is not for {host}: use a name in this certificate, or make another "
-            f"certificate by `armrig pki rig ID --host {host}`"
+            f"the listener's certificate is not for {host}: use a name in it, or make "
+            f"another certificate by `armrig pki rig ID --host {host}`"
         )
     if err.verify_code == _EXPIRED:
-        return "its certificate has expired: `armrig pki renew` makes a new one"
+        return "the listener's certificate has expired: `armrig pki renew` makes a new one"
     return (
-        "the authority that signed your certificate did not sign its certificate "
+        "the authority that signed your certificate did not sign the listener's certificate "
         f"({err.verify_message}): the listener belongs to another laboratory, or to a stranger"
     )

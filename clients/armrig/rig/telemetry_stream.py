@@ -46,7 +46,7 @@ def stream(
     key : str
         `rig/<id>/STREAM`; STREAM is sample, gap, event, timing, clock or state.
     connect : str, optional
-        zenoh endpoint of the daemon; the default is the default of `armrig.Rig`.
+        zenoh endpoint of the daemon; by default the endpoint that `armrig.Rig` uses.
     certificate : str or Path, optional
         Credential of the client, for an endpoint such as tls/lab-1.local:7447.
 
@@ -62,7 +62,8 @@ def stream(
     NoReplyError
         There is no daemon, or the daemon stopped.
     RigError
-        The socket's directory may belong to another user, or a message did not come from armrigd.
+        Another user owns the socket's directory or may write to it, or a message did not come from
+        armrigd.
     ValueError
         The key is not a stream of a rig.
 

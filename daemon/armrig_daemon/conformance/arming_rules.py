@@ -20,7 +20,7 @@ from armrig_daemon.conformance.rule import codes, expect, rule
 from armrig_daemon.conformance.state_rules import STATES
 
 
-@rule(3, "ARM needs the current boot_id, config_crc and nonce: else WRONG_BOOT, _CONFIG, _NONCE")
+@rule(3, "ARM with a wrong boot_id, config_crc or nonce is answered WRONG_BOOT, _CONFIG or _NONCE")
 def _arm(host: Host) -> None:
     host.reach(State.READY)
     boot_id, crc, nonce = host.known.boot_id, host.config_crc, host.nonce
@@ -36,7 +36,7 @@ def _arm(host: Host) -> None:
         expect(host.state == State.READY, f"state {host.state} after a wrong ARM")
 
 
-@rule(3, "START needs the nonce of the configuration, and in exchange mode k_stop 0")
+@rule(3, "START needs the nonce of the configuration, and k_stop = 0 in exchange mode")
 def _start(host: Host) -> None:
     host.reach(State.ARMED)
     for fields, code in (
@@ -74,7 +74,7 @@ def _estop(host: Host) -> None:
         expect(host.hello().token == event.token, f"token {host.known.token} in HELLO_R")
 
 
-@rule(3, "ESTOP in ESTOP is OK, and changes nothing")
+@rule(3, "ESTOP in ESTOP is answered OK, and changes nothing")
 def _estop_again(host: Host) -> None:
     token = only(Event, host.ask(Estop)).token
     came = host.ask(Estop)
@@ -82,7 +82,7 @@ def _estop_again(host: Host) -> None:
     expect(host.hello().token == token, "another token")
 
 
-@rule(3, "Only CLEAR_FAULT with the token leads from FAULT and ESTOP to IDLE; else WRONG_TOKEN")
+@rule(3, "Only CLEAR_FAULT with the right token leads from FAULT and ESTOP to IDLE")
 def _clear(host: Host) -> None:
     for state in (State.FAULT, State.ESTOP):
         host.to_idle()

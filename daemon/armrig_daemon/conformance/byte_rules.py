@@ -49,7 +49,7 @@ def _spoilt(host: Host) -> None:
         expect(not came, came)
 
 
-@rule(1, "A piece longer than any frame is dropped, and the next frame is not")
+@rule(1, "A piece longer than any frame is dropped; the next frame is accepted")
 def _too_long(host: Host) -> None:
     host.write(bytes(range(1, 256)) + b"\0")
     came = host.fence()
@@ -101,7 +101,7 @@ def _counted(host: Host) -> None:
     expect(grew == (2, len(spoilt), 1), f"frames, spoilt, refused grew by {grew}")
 
 
-@rule(1, "The device's frames are valid, and their seq counts them")
+@rule(1, "The device's frames are valid, and seq increases by 1 from frame to frame")
 def _sender(host: Host) -> None:
     expect(host.spoilt == 0, f"{host.spoilt} of the device's frames were spoilt")
     expect(host.breaks == 0, f"{host.breaks} breaks in the device's seq")

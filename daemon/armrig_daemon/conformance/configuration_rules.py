@@ -69,7 +69,7 @@ def _accepted(host: Host) -> None:
 
 @rule(
     4,
-    "A CONFIG with a wrong value is BAD_VALUE as a whole, and the last valid CONFIG stays in force",
+    "A CONFIG with a wrong value is answered BAD_VALUE, and the last valid CONFIG stays in force",
 )
 def _refused(host: Host) -> None:
     shortest = host.known.ts_min_us
@@ -94,7 +94,7 @@ def _refused(host: Host) -> None:
         expect(host.state == State.READY, f"{fields}: state {host.state}")
 
 
-@rule(4, "Limits are accepted: the shortest and longest Ts and watchdog's time, and u_min = u_max")
+@rule(4, "The least and largest `ts_us` and `watchdog_ms` are accepted, and also u_min = u_max")
 def _limits(host: Host) -> None:
     good: tuple[dict[str, int], ...] = (
         {"ts_us": host.known.ts_min_us},
@@ -108,7 +108,7 @@ def _limits(host: Host) -> None:
         expect(reply.code == Code.OK, f"{fields}: {Code(reply.code).name}")
 
 
-@rule(4, "u_rest other than 0 needs an enable line, else BAD_VALUE")
+@rule(4, "u_rest other than 0 needs an enable line; otherwise the answer is BAD_VALUE")
 def _rest(host: Host) -> None:
     reply = host.configure(u_rest=100)
     has_line = host.known.capabilities & Capability.ENABLE_LINE
@@ -129,7 +129,7 @@ def _nonce(host: Host) -> None:
     expect(host.configure(oversampling=0).nonce == 0, "a nonce in IDLE")
 
 
-@rule(4, "With oversampling m, Ts is at least `ts_min_us` + 2 (m - 1) `skew_us`; or UNSUPPORTED")
+@rule(4, "Oversampling m needs Ts >= `ts_min_us` + 2 (m - 1) `skew_us`; or it is UNSUPPORTED")
 def _unsupported(host: Host) -> None:
     none = host.configure(oversampling=2, ts_us=100_000).code
     for m in (2, 3, 8):
@@ -145,7 +145,7 @@ def _unsupported(host: Host) -> None:
         raise NotTried("the device offers no oversampling")
 
 
-@rule(4, "Scheduled mode is accepted if it is offered, else UNSUPPORTED")
+@rule(4, "Scheduled mode is accepted if it is offered; otherwise the answer is UNSUPPORTED")
 def _mode(host: Host) -> None:
     reply = host.configure(mode=Mode.SCHEDULED)
     offered = host.known.capabilities & Capability.SCHEDULED

@@ -35,7 +35,7 @@ class Broken(Exception):  # noqa: N818 - the device's error
 
 
 class EndlessError(Exception):
-    """The device sends more data, or takes longer, than the whole suite allows."""
+    """The device sends more data or takes longer than the suite's limits allow."""
 
 
 class Conversation:
@@ -96,7 +96,7 @@ class Conversation:
         return self.seq
 
     def put_together(self, messages: Sequence[Message]) -> None:
-        """Send several frames as one piece, each with its seq."""
+        """Send several frames, with consecutive seq, as one piece."""
         data = b""
         for message in messages:
             self.seq = (self.seq + 1) & 0xFFFF
@@ -118,7 +118,7 @@ class Conversation:
         Raises
         ------
         Broken
-            No message arrives for which `found` is true.
+            `found` is false for every message that arrives in time.
         """
         end_ns = self.line.now_ns() + round(within_ms * 1e6)
         looked = 0

@@ -60,7 +60,7 @@ def trigger(host: Host, m: int) -> tuple[int, int]:
     return elapsed(before, t_us), elapsed(before, rx_us[last.host_ns])
 
 
-@rule(5, "the EXCHANGE triggers alpha, and theta_1 `skew_us` later; t_us is the trigger of theta_1")
+@rule(5, "EXCHANGE triggers alpha; theta_1 is triggered `skew_us` later, at t_us")
 def _time(host: Host) -> None:
     for _ in range(10):
         at, end = trigger(host, 1)
@@ -68,7 +68,7 @@ def _time(host: Host) -> None:
         expect(in_time, f"alpha {at} us after a PING, the next PING at {end} us")
 
 
-@rule(5, "k must be newer than the last k, else ACK(STALE); after a HELLO it may be any")
+@rule(5, "A k not newer than the last k is answered ACK(STALE); after a HELLO, any k is new")
 def _k(host: Host) -> None:
     host.sample(k=100)
     for k in (100, 99, 100 + 2**31):
@@ -93,9 +93,7 @@ def _latched(host: Host) -> None:
         before = code
 
 
-@rule(
-    5, "In RUN, a u outside [u_min, u_max] is FAULT(RANGE): the answer is only EVENT, with the code"
-)
+@rule(5, "In RUN, a u outside [u_min, u_max] leads to FAULT(RANGE); only an EVENT answers it")
 def _range(host: Host) -> None:
     for u in (99, 40_001, 65_535, 0):
         host.to_idle()
@@ -113,7 +111,7 @@ def _bounds(host: Host) -> None:
 
 @rule(
     5,
-    "A change above `slew` from the last accepted code is FAULT(SLEW), a change of `slew` is not",
+    "A change above `slew` from the last code leads to FAULT(SLEW), a change of `slew` does not",
 )
 def _slew(host: Host) -> None:
     host.reach(State.RUN, slew=100)

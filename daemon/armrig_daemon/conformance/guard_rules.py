@@ -52,7 +52,7 @@ def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") ->
 
 @rule(
     7,
-    "In ARMED and RUN, a silence of the host of `watchdog_ms` is FAULT(WATCHDOG) within 1 ms",
+    "In ARMED and RUN, a silence of the host of `watchdog_ms` trips FAULT(WATCHDOG) within 1 ms",
     silent=True,
 )
 def _watchdog(host: Host) -> None:
@@ -130,7 +130,7 @@ def _left_alone(host: Host) -> None:
     expect(host.sample(20_000).u_k == 0, "a code that is not 0")
 
 
-@rule(7, "`rail_ticks` consecutive samples at a rail are FAULT(ADC_RAIL), after the last sample")
+@rule(7, "`rail_ticks` consecutive samples at a rail lead to FAULT(ADC_RAIL) after the last sample")
 def _rails(host: Host) -> None:
     host.reach(State.RUN, rail_ticks=4)
     for tick in range(1, 9):
@@ -151,7 +151,7 @@ def _rails(host: Host) -> None:
     )
 
 
-@rule(7, "With `rail_ticks` and `turns` 0, no reading is a fault")
+@rule(7, "If `rail_ticks` and `turns` are 0, no reading leads to FAULT")
 def _no_guard(host: Host) -> None:
     host.reach(State.RUN)
     for _ in range(30):

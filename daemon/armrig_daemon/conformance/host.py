@@ -107,7 +107,7 @@ class Host(Conversation):
         return only(ConfigReply, self.fence())
 
     def exchange(self, u: int, *, k: int | None = None) -> Message:
-        """Return the SAMPLE or other answer to an EXCHANGE; k is the next index by default."""
+        """Return the answer to an EXCHANGE, normally SAMPLE; k is the next index by default."""
         self.k = self.k + 1 if k is None else k
         seq = self.put(Exchange, k=self.k & 0xFFFF_FFFF, u=u)
 

@@ -52,7 +52,7 @@ def _mean_time(host: Host) -> None:
         expect(in_time, f"the first {at} us after a PING, the next PING at {end} us; m={m}")
 
 
-@rule(5, "A second EXCHANGE waits and is TICK_LATE; a third is lost, and not accepted")
+@rule(5, "A second EXCHANGE waits, and its SAMPLE has the flag TICK_LATE; a third one is lost")
 def _waiting(host: Host) -> None:
     m = _oversample(host)
     came: list[Message] = []
@@ -72,7 +72,7 @@ def _waiting(host: Host) -> None:
     expect(False, came)  # five attempts failed: the line cannot be the reason
 
 
-@rule(5, "If RUN ends before the latch, the SAMPLE reports the state after the end, and u_k 0")
+@rule(5, "If RUN ends before the latch, SAMPLE reports the new state and u_k = 0")
 def _overtaken(host: Host) -> None:
     m = _oversample(host)
     config = {"oversampling": m, "ts_us": ts_min_us(host, m) + 10_000}
@@ -110,7 +110,7 @@ def _cal_reply(host: Host, channel: int, n: int) -> CalReply:
     return only(CalReply, host.until(lambda m: isinstance(m, CalReply), "CAL_R", 4 * PATIENCE_MS))
 
 
-@rule(5, "CAL answers with n readings of one channel, and possible statistics")
+@rule(5, "CAL_R reports n readings of one channel, with statistics that are possible")
 def _cal(host: Host) -> None:
     _need_cal(host)
     for channel in (0, 1):
@@ -125,7 +125,7 @@ def _cal(host: Host) -> None:
             expect(it.variance_256 > 0 or not spreads, f"{it}")
 
 
-@rule(5, "CAL is BAD_VALUE with n = 0, n > 1024, an unknown channel, or `zero` other than 0")
+@rule(5, "CAL with n = 0, n > 1024, an unknown channel, or `zero` not 0 is answered BAD_VALUE")
 def _cal_bounds(host: Host) -> None:
     _need_cal(host)
     for channel, zero, n in ((0, 0, 0), (0, 0, 1025), (2, 0, 1), (0, 1, 1)):
@@ -133,7 +133,7 @@ def _cal_bounds(host: Host) -> None:
         expect(codes(came) == [Code.BAD_VALUE], came)
 
 
-@rule(5, "During CAL, another CAL, EXCHANGE and ARM are WRONG_STATE; CAL continues, even in ESTOP")
+@rule(5, "During CAL, another CAL, EXCHANGE and ARM are answered WRONG_STATE; CAL continues")
 def _cal_meanwhile(host: Host) -> None:
     _need_cal(host)
     host.reach(State.READY)
@@ -141,7 +141,7 @@ def _cal_meanwhile(host: Host) -> None:
     busy: list[Message] = host.ask(Cal, channel=1, zero=0, n=1)
     busy += host.ask(Exchange, k=1, u=0) + host.ask(Arm)
     if any(isinstance(m, CalReply) for m in busy):
-        raise Broken("CAL_R came before the next requests of the host, which was held up")
+        raise Broken("the host was held up: its next requests arrived after CAL_R")
     expect(codes(busy) == [Code.WRONG_STATE] * 3 and len(busy) == 3, busy)
     host.reach(State.ESTOP)
     came = host.until(lambda m: isinstance(m, CalReply), "CAL_R", 4 * PATIENCE_MS)

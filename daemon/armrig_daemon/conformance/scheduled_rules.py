@@ -113,7 +113,7 @@ def _aligned(host: Host) -> None:
         expect(b.u_km1 == a.u_k, f"u_km1 {b.u_km1} after u_k {a.u_k}")
 
 
-@rule(6, "Sample k is triggered at t_0 + k Ts, to 1 us, and t_0 is one Ts after START")
+@rule(6, "Sample k is triggered within 1 us of t_0 + k Ts; t_0 is one Ts after START")
 def _time(host: Host) -> None:
     armed(host)
     n = min(host.known.queue, 200)
@@ -130,7 +130,7 @@ def _time(host: Host) -> None:
     expect(TS_US <= early <= span + TS_US, f"t_0 {early} us after a PING, START within {span} us")
 
 
-@rule(6, "With k_stop, the last input is held for its Ts; then EVENT(RUN to IDLE, END)")
+@rule(6, "With k_stop, the last input is held for one Ts; then EVENT(RUN to IDLE, END) follows")
 def _end(host: Host) -> None:
     armed(host)
     fill(host, [1_000] * 10)
@@ -144,7 +144,7 @@ def _end(host: Host) -> None:
     expect(host.configure(ts_us=0).config_crc == 0, "a configuration after the end")
 
 
-@rule(6, "An empty queue sets UNDERRUN; ZERO latches u_rest, HOLD the last code for `hold` samples")
+@rule(6, "An empty queue sets UNDERRUN, and latches u_rest (ZERO) or holds the last code (HOLD)")
 def _underrun(host: Host) -> None:
     bits = host.known.pwm_bits
     last = applied_code(30_000, bits)
@@ -193,7 +193,7 @@ def _late_repeat(host: Host) -> None:
     expect(kinds(others) == [Ack, Event] and host.state == State.RUN, others)
 
 
-@rule(6, "EXCHANGE in RUN is WRONG_STATE; after a run, the queue is empty")
+@rule(6, "EXCHANGE in RUN is answered WRONG_STATE; after a run, the queue is empty")
 def _exchange(host: Host) -> None:
     armed(host)
     fill(host, [500] * 48)

@@ -28,7 +28,7 @@ _HELLO = {"version": VERSION, "schema": SCHEMA_HASH}
 _U16 = 0xFFFF
 
 
-@rule(2, "A frame whose seq is not 1 ... 32767 ahead of the newest is ACK(STALE)")
+@rule(2, "A frame whose seq is not 1 ... 32767 ahead of the newest is answered ACK(STALE)")
 def _stale(host: Host) -> None:
     for lag in (0, 1, 32_767, 32_768):
         came = _answers_to_old(host, lag)
@@ -71,7 +71,7 @@ def _hello(host: Host) -> None:
         expect(kinds(came) == [HelloReply], came)
 
 
-@rule(2, "In ARMED and RUN, an old HELLO is ACK(STALE)")
+@rule(2, "In ARMED and RUN, an old HELLO is answered ACK(STALE)")
 def _hello_armed(host: Host) -> None:
     for state in (State.ARMED, State.RUN):
         host.to_idle()
@@ -117,7 +117,7 @@ def _boot(host: Host) -> None:
 
 @rule(
     2,
-    "If opening the port resets the device, it is in IDLE, and boot_id has another low half",
+    "If opening the port resets the device, the state is IDLE, and boot_id has a new low half",
     silent=True,
 )
 def _reset(host: Host) -> None:

@@ -44,9 +44,7 @@ def _holes(host: Host) -> None:
         expect(held == wanted, f"{held} queued after k0={k0}, n={len(u)}, not {wanted}")
 
 
-@rule(
-    6, "Setpoints that differ from the queue's setpoints are BAD_VALUE; the queue does not change"
-)
+@rule(6, "Setpoints that differ from the queue's are answered BAD_VALUE; the queue does not change")
 def _disagree(host: Host) -> None:
     armed(host)
     fill(host, [1_000, 2_000, 3_000])
@@ -61,7 +59,7 @@ def _disagree(host: Host) -> None:
     expect(got == [*wanted, 0], f"u_k {got}, not {[*wanted, 0]}")
 
 
-@rule(6, "The queue has the capacity in HELLO_R; setpoints beyond it are dropped unanswered")
+@rule(6, "The queue has the capacity in HELLO_R; further setpoints are dropped without an answer")
 def _capacity(host: Host) -> None:
     armed(host)
     queue = host.known.queue
@@ -82,7 +80,7 @@ def _frames(host: Host) -> None:
     expect(held == most, f"{held} queued of {most + 1} frames with one setpoint each, not {most}")
 
 
-@rule(6, "SETPOINTS is BAD_VALUE with n = 0, n > 24, or `zero` other than 0")
+@rule(6, "SETPOINTS with n = 0, n > 24, or `zero` other than 0 is answered BAD_VALUE")
 def _bad(host: Host) -> None:
     armed(host)
     for fields in ({"n": 0}, {"n": _PLACES + 1}, {"n": 255}, {"zero": 1}):
@@ -94,7 +92,7 @@ def _bad(host: Host) -> None:
 
 @rule(
     6,
-    "A frame with a code outside [u_min, u_max] is FAULT(RANGE) as a whole; padding is ignored",
+    "A frame with a code outside [u_min, u_max] leads to FAULT(RANGE); padding is ignored",
 )
 def _range(host: Host) -> None:
     armed(host, u_max=30_000)
@@ -106,7 +104,7 @@ def _range(host: Host) -> None:
     _trips(host, 3, [4, 30_001], Cause.RANGE, 30_001)
 
 
-@rule(6, "A step above `slew` from index to index is FAULT(SLEW); before index 0, u is u_rest")
+@rule(6, "A step above `slew` between indices leads to FAULT(SLEW); before index 0, u is u_rest")
 def _slew(host: Host) -> None:
     for frames, detail in (
         ([(0, [101])], 101),

@@ -73,7 +73,7 @@ def _wire_name(kind: type[Message]) -> str:
 REFUSALS = tuple(
     Rule(
         section=3,
-        sentence=f"In {state.name}, these requests are WRONG_STATE: "
+        sentence=f"In {state.name}, these requests are answered WRONG_STATE: "
         + ", ".join(map(_wire_name, kinds_)),
         check=partial(_refuses, state),
     )
@@ -160,7 +160,7 @@ def _rest(host: Host) -> None:
     expect(sample.u_km1 == sample.u_k and (sample.u_km1 > 0) == (u_rest > 0), [sample])
 
 
-@rule(3, "An EVENT contains the time of its transition, between the two PONGs around it")
+@rule(3, "The time in an EVENT is between the times of the PONGs before and after it")
 def _event_time(host: Host) -> None:
     host.fence()
     before = host.rx_us
@@ -182,7 +182,7 @@ def _pong(host: Host) -> None:
     expect(isinstance(pong, Pong) and pong.host_ns > 0, [pong])
 
 
-@rule(3, "SETPOINTS in ARMED of exchange mode is WRONG_STATE")
+@rule(3, "SETPOINTS in ARMED of exchange mode is answered WRONG_STATE")
 def _setpoints_mode(host: Host) -> None:
     host.reach(State.ARMED, mode=Mode.EXCHANGE)
     came = host.ask(Setpoints, **_FIELDS[Setpoints])

@@ -104,7 +104,7 @@ class Device:
         """Return a time before which no byte can leave and the watchdog cannot trip.
 
         If only internal work is due, the returned time is later than `next_ns`. A caller that only
-        needs the bytes can sleep until this time. The bytes are then the same.
+        needs the bytes can sleep until this time. The sleep does not change the bytes.
 
         An answer is ready `LEAD_NS` before it is due. A sample of the timer is ready only when it
         is due, because no host waits for it. The caller then wakes only once for each sample.

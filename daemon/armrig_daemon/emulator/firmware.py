@@ -27,7 +27,7 @@ NEVER: Final = 1 << 62
 """Time of an event that never occurs, in ns."""
 U16: Final = 0xFFFF
 UNNUMBERED: Final = 0
-"""Sequence number of a frame before `device` numbers it."""
+"""Sequence number in a frame to which `device` has not yet given a number."""
 SUPPLY_LOW_MV = 4000
 MOTOR_MAY_TURN: Final = (State.ARMED, State.RUN)
 NO_STACK_LIMIT = 0xFFFF  # an emulator cannot run out of stack
@@ -165,7 +165,7 @@ class Firmware:
         return self.supply_mv < SUPPLY_LOW_MV
 
     def measure_supply(self, now_ns: int) -> list[Message]:
-        """Measure the supply; trip if it is too low and the motor may turn."""
+        """Measure the supply; if it is too low in ARMED or RUN, enter FAULT."""
         self.supply_mv = self.board.supply_mv(now_ns)
         if not self.supply_is_low or self.state not in MOTOR_MAY_TURN:
             return []

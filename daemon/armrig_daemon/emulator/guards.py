@@ -15,7 +15,7 @@ class Guards(msgspec.Struct, frozen=True, gc=False):
     """State of the guards since START."""
 
     rails: tuple[int, int] = (0, 0)
-    """Consecutive samples at a rail, of theta_1 and of alpha."""
+    """Numbers of consecutive samples at a rail, for theta_1 and for alpha."""
     turned: int = 0
     """Net rotation of theta_1 since START, in counts."""
     y0: int | None = None

@@ -23,7 +23,7 @@ _FIGURES = Struct("<6Q")
 
 
 class Violation(IntEnum):
-    """Forbidden events on the board; the harness detects 1 to 4 (fil.h), module `pin` 5 and 6."""
+    """Forbidden events on the board: `fil` detects 1 to 4 (fil.h), the module `pin` 5 and 6."""
 
     PIN_HIGH_WITHOUT_ENABLE = 1
     """The PWM pin is high while the driver's enable line is low."""
@@ -80,7 +80,7 @@ class Figures(NamedTuple):
 
 Record = Duty | Left | Violated
 Convert = Callable[[int, int], int]
-"""Function of the cycle at which the input is held, and of the channel; returns the ten bits."""
+"""Function of a cycle and a channel that returns the channel's reading, 10 bits, at the cycle."""
 
 
 class Harness:

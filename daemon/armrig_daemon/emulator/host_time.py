@@ -49,5 +49,5 @@ class HostTime:
         return min(due_ns, self._read_ns - self.held_up_ns + LOOK_NS)
 
     def monotonic_ns(self, given_ns: int) -> int:
-        """Return the monotonic time that corresponds to an emulation time after the last stall."""
+        """Return the monotonic time of an emulation time that is later than the last stall."""
         return given_ns + self.held_up_ns

@@ -53,7 +53,7 @@ class Line:
         raise NotImplementedError
 
     def watch(self, waiter: Waiter) -> None:
-        """Let a waiter also wait for the line's bytes and for the opening of its port."""
+        """Let a waiter also wait for the line's bytes and for a program that opens the port."""
         self._waiter = waiter
         waiter.watch(self.opened_fd)
 
@@ -96,7 +96,7 @@ class Line:
         return data
 
     def hang_up(self) -> None:
-        """Note that no program has the port open."""
+        """Record that the port was closed."""
         self.connected = self._is_hung_up = False
         self.backlog.clear()
 
@@ -150,7 +150,7 @@ class Terminal(Line):
         stack.callback(remove)
 
     def watch(self, waiter: Waiter) -> None:
-        """Let a waiter also wait for the line's bytes and for the opening of its port."""
+        """Let a waiter also wait for the line's bytes and for a program that opens the port."""
         super().watch(waiter)
         waiter.watch_terminal(self.fd)
 

@@ -36,7 +36,7 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.emulator.uart import wire_ns
 
-PRIORITY = 20  # below the loop's: the device is fast enough, and must not delay the daemon
+PRIORITY = 20  # lower than the loop's, so that the device does not delay the daemon
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 _libc = ctypes.CDLL(None)
 _REPORT_INTERVAL_NS = 1_000_000_000

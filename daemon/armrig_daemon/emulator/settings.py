@@ -1,4 +1,4 @@
-"""Settings of the emulator: the table `[emulator]` of a TOML file, each key checked."""
+"""Settings of the emulator, read from the table `[emulator]` of a TOML file and checked."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ class _File(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def load(path: Path) -> EmulatorSettings:
-    """Return the settings in the table `[emulator]` of the TOML at `path`.
+    """Return the settings in the table `[emulator]` of the TOML file `path`.
 
     Other tables are ignored; a missing key has its default.
 

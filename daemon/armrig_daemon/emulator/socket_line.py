@@ -123,7 +123,7 @@ def _occupied(path: Path) -> str:
     """Return the reason why no socket may be created at `path`; "" if it may be created.
 
     A test connection shows whether another emulator answers at `path`. If no program has opened the
-    port of this other emulator, the connection resets its device.
+    port of the other emulator, the test resets the other emulator's device.
     """
     try:
         if not is_socket(path):

@@ -34,7 +34,7 @@ ACTIVE_NS: Final = 20_000_000
 """Time after a byte during which the simulation is polled at shorter intervals, in ns."""
 ACTIVE_POLL_NS, IDLE_POLL_NS = 250_000, 2_000_000
 Stuck = Callable[[int, int], int | None]
-"""Function of time and channel that returns the converter's reading if it is stuck, or None."""
+"""Function of time and channel: reading of a stuck converter; None for a working converter."""
 
 
 class Uno:

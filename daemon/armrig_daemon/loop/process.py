@@ -62,7 +62,7 @@ class ProcessPorts:
         Raises
         ------
         LinkError
-            The port is open in another program, not permitted, or not a serial port.
+            The port is used by another program, is not permitted, or is not a serial port.
         """
         self._settings = settings
         self._orders_fd = orders_fd
@@ -193,7 +193,7 @@ class ProcessPorts:
         return [LinkDown(self._reopen_error)]
 
     def _read_again(self) -> list[Event]:
-        """Read the bytes that the last read left, because their arrival is not reported again."""
+        """Read the bytes that the last read did not return; their arrival is not reported again."""
         if self._link is not None and self._link.has_rest:
             return self._read()
         more = self._is_hung_up or self._is_unread

@@ -1,4 +1,4 @@
-"""Histograms of the loop's timing, whose percentiles count stalls in full.
+"""Histograms of the loop's timing, in which a stall counts once for each tick that it delays.
 
 References
 ----------
@@ -15,7 +15,7 @@ from itertools import accumulate
 from armrig_daemon.pipe import Distribution
 
 _BINS_PER_OCTAVE = 32  # resolution of the values: 1/32, which is 3 %
-_MAX_MISSED = 10_000  # more than any run survives; bounds the work after a suspend
+_MAX_MISSED = 10_000  # limits the work after a suspend; no run survives so many
 
 
 def _bin(value: int) -> int:
@@ -41,7 +41,7 @@ class Histogram:
         self.missed = 0
 
     def add(self, value_ns: int, missed: int = 0, period_ns: int = 0) -> None:
-        """Count the lateness of a tick and of `missed` next ticks, each one period less late."""
+        """Count the lateness of a tick and of `missed` later ticks, each a period less late."""
         # A comparison is faster than `max`: three values are added at each tick.
         value = value_ns if value_ns > 0 else 0
         if value > self._max:

@@ -81,7 +81,7 @@ def test_another_authority_s_rig_is_no_rig_of_ours(made: Path, tmp_path: Path) -
     pki.make_authority(tmp_path / "other")
     rig = pki.issue_to_rig(tmp_path / "other", "1", ["localhost"]).path
     with _listening(rig) as port:
-        assert "your certificate did not sign its certificate" in _told(made, port)
+        assert "your certificate did not sign the listener's certificate" in _told(made, port)
 
 
 def test_a_rig_s_expired_certificate_is_reported(
@@ -98,7 +98,7 @@ def test_a_rig_s_expired_certificate_is_reported(
         path.write_bytes(parts[name])
     none = {f"{name}_base64": None for name in parts}
     with _listening(made / "rig-1.pem", **none, **{n: str(p) for n, p in files.items()}) as port:
-        assert _told(made, port).startswith("its certificate has expired: `armrig pki renew`")
+        assert _told(made, port).startswith("the listener's certificate has expired: ")
 
 
 def test_a_rig_that_refuses_our_certificate_is_reported(made: Path, tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_rig_that_refuses_our_certificate_is_reported(made: Path, tmp_path: Pa
     other = str(tmp_path / "other" / "authority.pem")
     trusts = {"root_ca_certificate_base64": None, "root_ca_certificate": other}
     with _listening(made / "rig-1.pem", **trusts) as port:
-        assert _told(made, port).startswith("it refuses the certificate of alice (")
+        assert _told(made, port).startswith("the listener refuses the certificate of alice (")
 
 
 @pytest.mark.exhaustive

@@ -134,7 +134,7 @@ def _latches_after_the_run(patch: Patch) -> None:
 
 
 SPOILT: dict[str, SpoiltDevice] = {
-    "t_us is not the trigger": SpoiltDevice(_t_us_of_the_answer, "the trigger of theta_1"),
+    "t_us is not the trigger": SpoiltDevice(_t_us_of_the_answer, "EXCHANGE triggers alpha"),
     "u_k is not what the duty gives": SpoiltDevice(_raw_code, "code of the applied duty"),
     "CAL has less readings": SpoiltDevice(_fewer_readings, "n readings of one channel"),
     "one reading has a variance": SpoiltDevice(_variance_over_n, "n readings of one channel"),
@@ -142,12 +142,14 @@ SPOILT: dict[str, SpoiltDevice] = {
     "oversampling is accepted, and not done": SpoiltDevice(_m_means_nothing, "(2 m - 1)"),
     "any Ts with oversampling": SpoiltDevice(_ts_min_of_one, "2 (m - 1)"),
     "three EXCHANGEs wait": SpoiltDevice(_three_wait, "a third"),
-    "the rail's guard is one early": SpoiltDevice(_rail_one_early, "after the last sample"),
-    "a guard that is off trips": SpoiltDevice(_rail_without_being_asked, "no reading is a fault"),
-    "no flag of a rail": SpoiltDevice(_flag_missing, "after the last sample"),
+    "the rail's guard is one early": SpoiltDevice(_rail_one_early, "consecutive samples at a rail"),
+    "a guard that is off trips": SpoiltDevice(
+        _rail_without_being_asked, "no reading leads to FAULT"
+    ),
+    "no flag of a rail": SpoiltDevice(_flag_missing, "consecutive samples at a rail"),
     "VCC_LOW with a good supply": SpoiltDevice(_vcc_flag, "VCC_LOW"),
     "STATUS is slow": SpoiltDevice(_slow_status, "once a second"),
     "no stack left": SpoiltDevice(_no_stack, "once a second"),
     "a waiting u is latched after the run": SpoiltDevice(_latches_after_the_run, "RUN ends before"),
-    "HELLO_R has a wrong skew": SpoiltDevice(_wrong_skew, "theta_1 `skew_us` later"),
+    "HELLO_R has a wrong skew": SpoiltDevice(_wrong_skew, "is triggered `skew_us` later"),
 }

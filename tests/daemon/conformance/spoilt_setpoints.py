@@ -166,9 +166,9 @@ def _late_repeat_steps(patch: Patch) -> None:
 
 
 SPOILT: dict[str, SpoiltDevice] = {
-    "the timer drifts": SpoiltDevice(_drifts, "to 1 us"),
-    "one sample is 5 us late": SpoiltDevice(_one_late, "to 1 us"),
-    "one sample is 5 us early": SpoiltDevice(_one_early, "to 1 us"),
+    "the timer drifts": SpoiltDevice(_drifts, "within 1 us"),
+    "one sample is 5 us late": SpoiltDevice(_one_late, "within 1 us"),
+    "one sample is 5 us early": SpoiltDevice(_one_early, "within 1 us"),
     "START samples at once": SpoiltDevice(_starts_at_once, "one Ts after START"),
     "each u is one sample late": SpoiltDevice(_one_sample_late, "Sample k applies u[k]"),
     "HOLD does not hold": SpoiltDevice(_hold_is_zero, "empty queue sets"),
