@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 def simulated(model: Model, part: Dataset) -> Vector:
     """Return the simulated output of one experiment (N,), from the least-squares initial state.
 
-    With an integrator, or if the model has `offset`, the input offset is estimated too. The fit is
-    then the same for detrended and for raw data.
+    With an integrator, or if the model has `offset`, the input offset is estimated too. The
+    simulation error is then the same for detrended and for raw data.
     """
     F, u = model.denominator, part.u
     if model.integrator:

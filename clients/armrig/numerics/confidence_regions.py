@@ -242,7 +242,7 @@ def _distance(z: Complex, P: Matrix) -> Vector:
 REAL_TOLERANCE = 1e-9
 """A root with an imaginary part below this number counts as real."""
 MIN_KIND_SHARE = 0.005
-"""The real draws, or the pairs, are ignored if they are less than this share of a root's draws."""
+"""Least share of a root's draws: rarer real draws, or rarer complex pairs, are ignored."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -48,7 +48,7 @@ class NoiseFilter:
         return max(self.C.size, self.D.size) - 1
 
     def columns(self, M: Array) -> tuple[Array, Array, float]:
-        """Return the filtered M (N, k), the responses to the initial state, and a log sum.
+        """Return the filtered M, the responses to the initial state, and the sum of log s(t).
 
         Returns
         -------

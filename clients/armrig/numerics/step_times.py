@@ -102,8 +102,8 @@ def lag_of_angle(
     Parameters
     ----------
     t, y : ndarray, shape (n,)
-        Samples of the last third of the ramp. t is 0 at the step. y is given minus a line: the line
-        that fits the samples before the step. A missing sample is NaN.
+        Samples of the last third of the ramp. t is 0 at the step. y is the angle minus the line
+        that was fitted before the step. A missing sample is NaN.
     before : (int, float)
         Number of samples to which the line before the step was fitted, and their duration in s.
     rounding : float

@@ -161,11 +161,11 @@ def portmanteau(
         (s - m)^T V^-1 (s - m)     against chi-squared with tr(V^-1 M) degrees of freedom
 
     The degrees of freedom are the mean of the statistic under the hypothesis. A negative eigenvalue
-    of V^-1/2 M V^-1/2 counts as 0. If (sum of x²)/(sum of x) over its eigenvalues x exceeds 1, the
-    statistic and the degrees of freedom are divided by this ratio. The variance of the statistic is
-    then also correct. If only the noise determines A, C and D, the number of degrees of freedom is
-    lags - na - nc - nd, as given by Ljung and Box. A parameter that the input determines, such as
-    any parameter of an OE model, does not reduce the degrees of freedom.
+    of V^-1/2 M V^-1/2 counts as 0. Let x be the eigenvalues. If the ratio (sum of x²)/(sum of x)
+    exceeds 1, the statistic and the degrees of freedom are divided by this ratio. The variance of
+    the statistic is then also correct. If only the noise determines A, C and D, the number of
+    degrees of freedom is lags - na - nc - nd, as given by Ljung and Box. A parameter that the input
+    determines, such as any parameter of an OE model, does not reduce the degrees of freedom.
 
     Parameters
     ----------
@@ -290,10 +290,10 @@ def two_sided(level: float) -> float:
 def joint_p_value(s: Array, M: Array, least: float = 1e-8, N: float | None = None) -> float:
     """Return P(chi² >= s^T M^+ s); the degrees of freedom are the rank of M. NaN for rank 0.
 
-    A direction does not count if its variance is less than the share `least` of the largest
-    variance. Give N if the noise variance in M is an estimate with N degrees of freedom. Then
-    s^T M^+ s / N has the beta distribution with the parameters k/2 and (N - k)/2, where k is the
-    rank. For large k a chi-squared test would reject too rarely.
+    An eigenvector of the correlation matrix of s does not count if its eigenvalue is less than the
+    share `least` of the largest. Give N if the noise variance in M is an estimate with N degrees of
+    freedom. Then s^T M^+ s / N has the beta distribution with the parameters k/2 and (N - k)/2,
+    where k is the rank. For large k a chi-squared test would reject too rarely.
     """
     from scipy.special import betainc, chdtrc
 

@@ -112,7 +112,7 @@ def search(
     Raises
     ------
     ValueError
-        Nothing could be estimated, or an argument is out of range.
+        No model could be estimated, or an argument is out of range.
 
     References
     ----------
@@ -304,7 +304,7 @@ def _ranked(scored: list[Scored], validation: Dataset) -> _Ranking:
         msg = "none of the structures could be estimated"
         msg += f"; the first, {scored[0].candidate.name}: {scored[0].reason}" if scored else ""
         raise InputError(msg)
-    # The same samples for all models, since their initial transients differ.
+    # All models are compared at the same samples, since their initial transients differ.
     both = np.all([np.isfinite(j.error) for j in usable], axis=0)
     if not both.any():
         raise InputError("no validation sample is predicted by all models; validate on longer data")

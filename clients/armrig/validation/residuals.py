@@ -217,7 +217,7 @@ def residuals(
     order 2: coloured True, p 0.00
     order 3: coloured False, p 0.03
 
-    A p value below 0.01 rejects the hypothesis.
+    Each line below names a hypothesis. A p value below 0.01 rejects this hypothesis.
 
     >>> print(test)
     residuals on estimation data, 3000 samples
@@ -291,7 +291,7 @@ class _InputSums:
     power: float
     """Sum of u(t)²."""
     variance: float
-    """Variance N P of one sum, if the parameters of the model are exactly known."""
+    """Variance of s_0 for exactly known parameters of the model."""
 
 
 def _input_sums(

@@ -165,9 +165,9 @@ def structure_hints(
     - Integrator: the step response of y's rate does not return to 0, and the description is shorter
       with a pole at 1. If only one of the two statements is true, or if the description lengths
       hardly differ, a structure with an integrator and a structure without an integrator are
-      recommended. The output theta_1 is taken as integrating. The only exception is data of another
-      rig that uses the name theta_1: the step response of the rate returns to 0 significantly. With
-      an integrator the slope of the gain at low frequency is -20 dB a decade.
+      recommended. The output theta_1 is taken as integrating, unless the step response of its rate
+      significantly returns to 0. Such data are from another rig that uses the name theta_1. With an
+      integrator the slope of the gain at low frequency is -20 dB a decade.
     - Order: the number of singular values of a Hankel matrix that exceed `threshold`. The matrix is
       computed from the regularised impulse response, and `threshold` from the uncertainty of this
       response.

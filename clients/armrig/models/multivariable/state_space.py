@@ -18,7 +18,7 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 
 _MIN_SINGULAR_VALUE = 1e-4  # least singular value of the responses, divided by the largest
-_MIN_SHOWN_VALUE = 1e-10  # this limit for a combination of states with a significant effect
+_MIN_SHOWN_VALUE = 1e-10  # this ratio for a combination of states with a significant effect
 _SHOWN_SIGMAS = 5.0  # least significant effect of a combination of states, in σ of the noise
 
 

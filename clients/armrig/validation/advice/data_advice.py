@@ -27,7 +27,7 @@ ORDER = 4
 poles."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MAX_MISSING_SHARE = 0.2
-_MIN_POLE_SIGMAS = 10.0  # least distance from 1 of a pole that is not 1, in σ; σ may be wrong
+_MIN_POLE_SIGMAS = 10.0  # a pole fewer σ away from 1 may be 1; the number is large: σ may be wrong
 _MIN_CHANCE_P = 1e-3  # one open-loop recording in twenty has a p below the usual 0.05
 
 
@@ -36,7 +36,7 @@ class Tested:
     """Tests of the data before a model is chosen."""
 
     integration: Integration
-    """Decision whether y is taken as integrating."""
+    """Decision whether y integrates."""
     loop: OpenLoop | None
     """Result of the test for feedback; None if there are too few samples."""
     late: Delay | str
@@ -130,7 +130,7 @@ def examine_fit_of(data: Dataset, fit: Fit) -> Iterator[Finding]:
 
 
 def _all_within(fit: Fit) -> bool:
-    """Return whether all poles of the model differ significantly from 1."""
+    """Return whether the search converged and all poles of the model differ clearly from 1."""
     poles = fit.poles()
     apart = np.abs(poles.values - 1) > _MIN_POLE_SIGMAS * np.asarray(poles.std)
     return bool(fit.converged and np.all(apart))

@@ -112,8 +112,8 @@ class Delay:
         if self.t_q is not None:
             lines.append(
                 f"Quantisation is no delay: {self.output} is read in steps of "
-                f"{_quantity(self.quantum, self.unit)}. After a step of "
-                f"{self.largest_step:.3g} {self.input_unit}, {self.output} crosses the first step "
+                f"{_quantity(self.quantum, self.unit)} (1 LSB). After a step of "
+                f"{self.largest_step:.3g} {self.input_unit} in u, {self.output} changes by one LSB "
                 f"at t_q = sqrt(2 LSB / (b Δu)) = {1e3 * self.t_q:.2g} ms, "
                 f"{self.t_q / self.Ts:.2g} samples. Here b is the mean acceleration per unit of "
                 "input until t_q, from the impulse response. On one step response t_q looks like "

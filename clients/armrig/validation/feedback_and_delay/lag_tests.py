@@ -37,9 +37,9 @@ class Before:
     """Test for a weak effect of u one lag before the first significant lag."""
 
     k: int
-    """The lag."""
+    """The tested lag."""
     found: float
-    """Size of the lag's coefficient, in σ."""
+    """Size of the coefficient of u at the tested lag, in σ."""
     predicted: float
     """Least size, in σ, that the coefficient would have if u acted first at this lag. The size is
     computed from later coefficients."""
@@ -131,9 +131,9 @@ def lag_tests(
 
     The model is ARX with a constant for each experiment. AIC chooses na <= 20 and the number of
     lags of u. The number of lags of u is at most the number of lags in `response`. The sum of na
-    and the number of lags of u is at most `determined` (see `determined_lags`). Otherwise past
-    outputs could replace lags of u. An ARX model of high order approximates any linear system and
-    any colour of the noise [1]_. Therefore the F test of the ARX model has the correct level
+    and the number of lags of u is at most `determined` (see `determined_lags`). With a larger sum,
+    past outputs could replace lags of u. An ARX model of high order approximates any linear system
+    and any colour of the noise [1]_. Therefore the F test of the ARX model has the correct level
     without a separate model of the noise ::
 
         F_k = (V_k+1 - V_0)/(k + 1) / (V_0/(N - d)),      H_k: b_0 = … = b_k = 0
@@ -220,7 +220,7 @@ def _triangle_of(R: Matrix, columns: list[int]) -> Matrix:
 
 
 def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
-    """Return the na and the number of lags of u (from the least lag on) with the least AIC."""
+    """Return na and the number of lags of u (from the least lag on) with the least AIC."""
     values = np.empty((most + 1, lags))
     for na in range(most + 1):
         T = _triangle_of(R, [*range(na), *range(most, most + lags + 1)])

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _MIN_REPEAT_P = 1e-3  # least significant p at which another recording is recommended
 _MAX_EXACT_REST = 1e-5  # share of u that y(t) may leave unexplained: rounding in a file
-_MAX_FEW_LEVELS = 20  # levels of u; a controller that carries noise into u causes more
+_MAX_FEW_LEVELS = 20  # a controller that carries the noise of y into u causes more levels of u
 _MAX_SHOWN_F = 1e6
 
 

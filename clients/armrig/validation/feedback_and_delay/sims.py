@@ -200,7 +200,7 @@ def _pieces(data: Dataset, p: int) -> Iterator[_Piece]:
 
 
 def _sums(u: Vector, p: int) -> Array:
-    """Return w_1(t - p) … w_3(t - p), (N, 3): sums of the input more than p samples ago."""
+    """Return three sums of the input more than p samples ago, w_1(t - p) … w_3(t - p), (N, 3)."""
     before = np.append(np.zeros(p + 1), u - u.mean())[: u.size]
     return np.column_stack([filtered([1.0], [1.0, slow / p - 1.0], before) for slow in _FORGETTING])
 

@@ -10,16 +10,16 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.oe import oe
 
 SURPRISING = 9.21  # 99 % point of chi-squared, two degrees of freedom
-_MAX_DISTANCE_RATIO = 3.0  # sqrt(chi²) of a possible lag, divided by that of the best lag
-_POLES = 4  # of the arm
+_MAX_DISTANCE_RATIO = 3.0  # largest ratio of sqrt(chi²) of a possible lag and of the best lag
+_POLES = 4  # number of poles of the arm
 _MAX_EXTRA_LAGS = 4  # lags by which the range is extended at each end
 
 
 def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> dict[int, float]:
     """Return chi-squared of the model with a smooth onset, for each first lag.
 
-    OE models with different first lags k are compared. Their numerator is 1 + q^-1 times a
-    polynomial of three coefficients, so that the onset is smooth. The statistic is ::
+    OE models with different first lags k are compared. Their numerator is the product of (1 + q^-1)
+    and a polynomial of three coefficients, so that the onset is smooth. The statistic is ::
 
         chi² = (N - d)(V_k - V_0)/V_0,      two degrees of freedom
 

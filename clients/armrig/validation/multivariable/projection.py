@@ -147,7 +147,7 @@ class Projection:
 
 
 def projection(parts: Sequence[Part], *, own: bool) -> Projection:
-    """Return the projection on the effects of initial states, ramps and, if `own`, parameters."""
+    """Return the projection on the effects of initial states and ramps (`own`: also parameters)."""
     bases = [orthonormal(_weighted(part, part.S)) for part in parts]
     ranks = np.cumsum([0, *(basis.rank for basis in bases)])
     B = []

@@ -143,8 +143,8 @@ def search(
     nk : int, default 1
         Number of samples before each input affects the outputs.
     integrator : bool, str or sequence of str, default False
-        Outputs with a pole at 1. If there are any, only "oe" is tried, because a state-space model
-        has no fixed pole.
+        Outputs with a pole at 1. With such an output, only "oe" is tried, because a state-space
+        model has no fixed pole.
     horizon : int, optional
         Samples to predict ahead, >= 1; by default the models are simulated.
     progress : callable, optional
