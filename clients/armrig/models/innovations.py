@@ -43,7 +43,7 @@ class Experiment:
     rows: Mask
     """Rows (N,) that have a prediction error."""
     stretches: tuple[slice, ...]
-    """Slices of the segments that have prediction errors and contain no gap in y."""
+    """Slices of the segments that have prediction errors; a segment contains no gap in y."""
     whole: bool
     """True if every sample has a prediction error."""
 

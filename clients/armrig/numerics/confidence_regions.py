@@ -39,7 +39,7 @@ Method = Literal["linearised", "sampled"]
 
 LEVEL = 0.95
 HALF_WIDTH = 1.959964  # two-sided 95 % quantile of the normal distribution
-RADIUS = float(np.sqrt(-2 * np.log(1 - LEVEL)))  # of the 95 % ellipse, in standard deviations
+RADIUS = float(np.sqrt(-2 * np.log(1 - LEVEL)))  # half axis of the 95 % ellipse, in σ
 MAX_EDGE_SHIFT = 0.25
 """Largest distance between an edge computed from draws and the linearised edge, in half-widths of
 the linearised range. If an edge is farther away, the range from draws is used."""

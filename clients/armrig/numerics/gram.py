@@ -22,10 +22,10 @@ def gram_of_windows(parts: Sequence[Sequence[Array]], length: int, m: int = 2) -
 
     The shape of the Gram matrix is (m length, m length).
 
-    Row t of the matrix of windows contains the samples t … t + length - 1 of the first signal of a
-    part, then the same samples of the second signal, and so on. Let x and z be two signals. Then
-    entry (i, j) of their block is the sum of x(t + i) z(t + j) over the n windows. A recursion
-    computes this sum ::
+    Row t of the matrix of windows contains the samples t … t + length - 1 of the first signal. The
+    same samples of the second signal follow, and so on. Let x and z be two signals. Then entry
+    (i, j) of their block is the sum of x(t + i) z(t + j) over the n windows. A recursion computes
+    this sum ::
 
         G(i + 1, j + 1) = G(i, j) + x(n + i) z(n + j) - x(i) z(j)
 

@@ -57,7 +57,7 @@ def joined(parts: Iterable[Vector], gap: int) -> Vector:
 
 
 def autocovariance(e: Vector, lags: int) -> tuple[Vector, Vector]:
-    """Return autocovariances R(0) … R(lags) for a mean of 0, and the number of pairs in each."""
+    """Return the autocovariances R(0) … R(lags) for mean 0, and the number of pairs at each lag."""
     there = np.isfinite(e)
     e, mark = np.where(there, e, 0.0), there.astype(np.float64)
     N = e.size

@@ -80,7 +80,7 @@ def examine_data(data: Dataset) -> Iterator[Finding]:
     known = tested(data, None)
     findings = [*examine_experiment(data, known)]
     yield from findings
-    if all(f.level == "good" for f in findings):  # else the cause of a difference is known
+    if all(f.level == "good" for f in findings):  # else a finding explains why ARX and OE differ
         yield from _about_structures(data, known)
 
 

@@ -232,7 +232,7 @@ def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
 
 
 def _in_response(response: ImpulseResponse, first: int) -> LagTests:
-    """Return Wald tests of the plain impulse response's first coefficients.
+    """Return Wald tests of the first coefficients of the impulse response.
 
     If g has the covariance L L^T, the components of L^-1 g are independent. L_kk times component k
     is the estimate of g(k) for a response that is 0 before lag k.
