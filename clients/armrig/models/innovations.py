@@ -103,8 +103,8 @@ class Unknown:
     Only the first rows are stored; the other rows are 0."""
     volumes: tuple[Callable[[], tuple[float, Array]], ...]
     """For each segment, a function that returns log |Z^T Z| and its gradient with respect to the
-    coefficients c of C. The columns of Z are the filtered pulses z. The function of the first
-    segment of all data is never called."""
+    coefficients c of C. The columns of Z are the filtered pulses z. The estimator does not use the
+    function of the first segment of all data."""
     N: int
     """Number of samples."""
 

@@ -49,7 +49,7 @@ class Structure:
 
     @property
     def first(self) -> int:
-        """Number of first samples that depend on unknown u; 0 if pulses represent u, or at rest."""
+        """Number of first samples that depend on u before the data; 0 with pulses, or at rest."""
         return 0 if self.at_rest or self.count else self.nd + self.reach
 
     @property

@@ -42,7 +42,7 @@ class Whiteness:
     def __str__(self) -> str:
         """Return the text that follows "residuals": coloured (p < 0.001, Ljung-Box test)."""
         if isnan(self.p_value):
-            return "too few, or all zero, to test"
+            return "not tested (too few, or all zero)"
         by = f", {self.test}" if self.test else ""
         return f"{'coloured' if self.coloured else 'white'} (p {p_relation(self.p_value)}{by})"
 

@@ -111,7 +111,7 @@ class _Fitted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Record:
-    """Experiments, and the largest nk: with it, all structures describe the same samples of y.
+    """Experiments, with the largest nk, so that all structures describe the same samples of y.
 
     Description lengths of different numbers of samples cannot be compared, because their difference
     depends on the unit of y.

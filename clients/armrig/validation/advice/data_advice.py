@@ -227,7 +227,9 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
         text += ". A rig whose y is read after u is applied looks the same: then take nk=0, else "
         text += "take nk=1"
     if loop.p_value >= _MIN_CHANCE_P:
-        text += f". By chance one open-loop recording in {1 / loop.level:.0f} has such a p"
+        text += (
+            f". By chance one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"
+        )
     yield finding("feedback", text, good=False)
 
 

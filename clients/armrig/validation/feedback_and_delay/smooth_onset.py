@@ -74,7 +74,7 @@ def possible(misfit: dict[int, float]) -> tuple[int, int]:
 
 
 def _averaged(data: Dataset) -> Dataset:
-    """Return the data with input (u(t) + u(t - 1))/2: the factor 1 + q^-1 of a smooth onset."""
+    """Return the data with the input (u(t) + u(t - 1))/2, for the factor 1 + q^-1 of the model."""
     before = np.concatenate([data.u[:1], data.u[:-1]])
     starts = list(data.starts)
     before[starts] = data.u[starts]

@@ -15,7 +15,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
 _STEP = 1e-3  # standard deviations by which a parameter moves for a derivative
-_MIN_VARIANCE_SHARE = 1e-12  # share of the largest variance; less is not determined by the data
+_MIN_VARIANCE_SHARE = 1e-12  # share of the largest variance below which a variance counts as 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
