@@ -89,7 +89,7 @@ class FreeResponse:
     level: float = 0.0
     """Constant part of an integrating output, in the unit of y."""
     offset: float = 0.0
-    """Input offset u0, in the unit of u: the constant input at which y is 0, or constant if y
+    """Input offset u0, in the unit of u. At this constant input y is 0, or constant if y
     integrates."""
 
 

@@ -66,7 +66,7 @@ def linear_crossing(t: Vector, y: Vector, level: float) -> float:
 
 
 def ramp_lag(t: Vector, y: Vector) -> float:
-    """Return the time at which a line fitted to the samples of a ramp response crosses 0."""
+    """Fit a line to the samples of a ramp response; return the time at which the line is 0."""
     slope, level = np.polyfit(t, y, 1)
     return float(-level / slope) if slope else float("nan")
 

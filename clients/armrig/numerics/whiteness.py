@@ -22,7 +22,7 @@ WHITE_LEVEL = 0.01
 """Each test of residuals in this package rejects whiteness if the p value is below this number."""
 PORTMANTEAU = "portmanteau test"
 LJUNG_BOX = "Ljung-Box test"
-_MIN_EIGENVALUE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 for the weights M^-1
+_MIN_EIGENVALUE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 for the portmanteau test
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,7 +224,7 @@ def decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
     if value.size and value[0] > _MIN_EIGENVALUE:
         Q, degrees, test = float(np.sum((vector.T @ z) ** 2 / value)), float(z.size), PORTMANTEAU
     else:
-        # z^T z has the mean and, if scale > 1, the variance of scale times chi-squared.
+        # Scale times chi-squared has the mean of z^T z and, if scale > 1, also its variance.
         value = np.maximum(value, 0.0)
         scale = max(1.0, float(np.sum(value**2) / max(np.sum(value), 1e-300)))
         Q, degrees, test = float(z @ z) / scale, float(np.sum(value)) / scale, LJUNG_BOX

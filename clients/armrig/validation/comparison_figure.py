@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 _MAX_NAMED = 3  # models in a figure whose legend names the differences
-_MIN_DISTANCE_PT = 16.0  # between two tick labels, before the layout lowers the panel
+_MIN_DISTANCE_PT = 16.0  # least distance of two tick labels, before the layout lowers the panel
 
 
 def plot_comparison(

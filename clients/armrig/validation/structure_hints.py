@@ -272,7 +272,7 @@ def _delay(data: Dataset, *, integrates: bool) -> Delay | None:
 def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
     """Return the indices of the frequencies at which u explains y.
 
-    If there are too few such frequencies, raise ValueError if `needed`, otherwise return no index.
+    If there are too few such frequencies, the result is empty; ValueError is raised if `needed`.
     """
     try:
         return explained(estimate)
@@ -283,7 +283,7 @@ def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
 
 
 def _agreed(slope: float, best: Recommendation, omega: Vector, Ts: float) -> float | None:
-    """Return the slope if the first structure's slope at these frequencies is close, else None."""
+    """Return `slope` if the slope of the first structure at `omega` is nearly equal, else None."""
     other, _ = log_slope(omega, np.abs(best.G(omega, Ts)))
     return slope if abs(slope - other) <= AGREED_SLOPE else None
 
@@ -378,7 +378,7 @@ def _extremes(
 
 
 def _covariance(response: ImpulseResponse) -> Matrix:
-    """Return the covariance of the decaying response."""
+    """Return the covariance of `response.decaying`, the rate's response if y integrates."""
     rate = response.rate_covariance
     return response.covariance if rate is None else rate
 

@@ -27,8 +27,8 @@ ORDER = 4
 poles."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MAX_MISSING_SHARE = 0.2
-_MIN_POLE_SIGMAS = 10.0  # a pole fewer σ away from 1 may be 1; the number is large: σ may be wrong
-_MIN_CHANCE_P = 1e-3  # one open-loop recording in twenty has a p below the usual 0.05
+_MIN_POLE_SIGMAS = 10.0  # least distance from 1, in σ, of a pole that is not 1; σ may be too small
+_MIN_CHANCE_P = 1e-3  # the usual 0.05 finds feedback in one of twenty open-loop recordings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

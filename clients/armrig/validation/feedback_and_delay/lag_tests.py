@@ -19,7 +19,7 @@ Matrix = NDArray[np.float64]
 
 LEVEL = 0.001
 MOST_LAGS = 50  # lags of u, for the delay and B together
-_ORDERS = (20, 10, 5)  # largest na; the next one if too many rows contain a missing sample
+_ORDERS = (20, 10, 5)  # largest na; a smaller number if too many rows contain a missing sample
 MOST_COEFFICIENTS = MOST_LAGS + _ORDERS[0]
 _MIN_WHOLE_SHARE = 0.5  # share of the rows that must have no missing past y
 _ROWS_PER_ORDER = 20  # samples for each a that is tried
@@ -85,8 +85,8 @@ class LagTests:
         """Test whether u may act first at lag k with a coefficient that is not significant.
 
         The test assumes that a first coefficient is at least 1/(1 + 3 n) of any coefficient n
-        samples later. The slowest onset of a mechanical rig, t²/2 under a hold, has the ratio 1/(1
-        + 2 n). If the response begins more slowly, the bound is computed from the onset of the
+        samples later. For the slowest onset of a mechanical rig, t²/2 under a hold, this ratio is
+        1/(1 + 2 n). If the response begins more slowly, the bound is computed from the onset of the
         response itself, (t/Ts)^d under a hold.
         """
         from scipy.special import ndtr
@@ -255,7 +255,7 @@ def _in_response(response: ImpulseResponse, first: int) -> LagTests:
 
 
 def _joint(score: Vector, degrees: int) -> Vector:
-    """Return, for each k, the p value of the mean square of the first k scores, F(k, degrees)."""
+    """Return the p value for each k: the mean square of the first k scores is F(k, degrees)."""
     from scipy.special import fdtrc
 
     k = np.arange(1, score.size + 1)

@@ -10,7 +10,7 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.oe import oe
 
 SURPRISING = 9.21  # 99 % point of chi-squared, two degrees of freedom
-_MAX_DISTANCE_RATIO = 3.0  # largest ratio of sqrt(chi²) of a possible lag and of the best lag
+_MAX_DISTANCE_RATIO = 3.0  # largest sqrt(chi²) of a possible lag, in units of the least sqrt(chi²)
 _POLES = 4  # number of poles of the arm
 _MAX_EXTRA_LAGS = 4  # lags by which the range is extended at each end
 

@@ -14,7 +14,7 @@ from armrig.models.multivariable.state_space import ErrorResponses, error_respon
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
-_STEP = 1e-3  # standard deviations by which a parameter moves for a derivative
+_STEP = 1e-3  # step of a parameter for a difference quotient, in standard deviations
 _MIN_VARIANCE_SHARE = 1e-12  # share of the largest variance below which a variance counts as 0
 
 

@@ -260,7 +260,7 @@ def _mean(error: Array) -> float:
 
 
 def _free(fit: MultivariableFit) -> int:
-    """Return the number of free parameters, without those that choose the state coordinates."""
+    """Return the number of free parameters; the choice of the state coordinates does not count."""
     if fit.structure not in ("ss", "n4sid"):
         return int(fit.theta.size)
     A, B, C, D, _ = fit.state_space()
