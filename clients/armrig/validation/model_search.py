@@ -32,7 +32,7 @@ Vector = NDArray[np.float64]
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
 _ROUNDING = 1e-9  # share of y below which errors count as equal
-_UNBOUNDED = 1e3  # times the largest output, beyond which a model's output counts as unbounded
+_UNBOUNDED = 1e3  # multiple of the largest |y| above which an error counts as unbounded
 
 
 @accepts_signals("armrig.validation.multivariable.search")

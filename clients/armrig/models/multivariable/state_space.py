@@ -137,7 +137,7 @@ class ErrorResponses:
     """Errors of the one-step predictions (N, m, ny)."""
 
     def combination(self, part: Signals, noise_std: Vector) -> Array:
-        """Return the coefficients (m,) with the least squared errors; the first coefficient is 1."""
+        """Return the coefficients (m,) with the least squared errors; the first of them is 1."""
         weighted = (self.errors / noise_std).transpose(0, 2, 1)[part.valid]
         return np.append(1.0, -_initial(weighted[:, 1:], weighted[:, 0]))
 

@@ -40,7 +40,7 @@ _MAX_FEW_CHANGES = 10  # changes of u; with more changes the error of quantisati
 Matrix = NDArray[np.float64]
 
 _MIN_OWN_SHARE = 0.005  # least share of a lag of u that the earlier lags leave unexplained
-_MIN_DETERMINED_LAGS = 28  # u determines fewer if it is a sum of few sines
+_MIN_DETERMINED_LAGS = 28  # a sum of few sines determines fewer lags
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
 
 

@@ -18,7 +18,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 LEVEL = 0.001
-MOST_LAGS = 50  # lags of u, for the delay and B together
+MOST_LAGS = 50  # largest number of lags of u, for the delay and B together
 _ORDERS = (20, 10, 5)  # largest na; a smaller number if too many rows contain a missing sample
 MOST_COEFFICIENTS = MOST_LAGS + _ORDERS[0]
 _MIN_WHOLE_SHARE = 0.5  # share of the rows that must have no missing past y

@@ -159,7 +159,7 @@ def search(
     Raises
     ------
     ValueError
-        Nothing could be estimated, or an argument is out of range.
+        No model could be estimated, or an argument is out of range.
     """
     require_several(orders=orders)
     halved = validation is None
