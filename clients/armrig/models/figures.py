@@ -223,7 +223,7 @@ def _method(estimate: SpectralEstimate) -> str:
 def _response(
     model: Any, omega: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
-    """Return frequencies up to the Nyquist frequency, G, its bands, and the draws for the bands."""
+    """Return G, its frequencies (at most pi/Ts), its bands, and the draws for the bands."""
     if isinstance(model, Model):
         w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
         answer = model.frequency_response(w)

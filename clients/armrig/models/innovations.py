@@ -43,7 +43,7 @@ class Experiment:
     rows: Mask
     """Rows (N,) that have a prediction error."""
     stretches: tuple[slice, ...]
-    """Slices of the segments that have prediction errors and contain no gap in y."""
+    """Slices of the segments that have prediction errors; a segment contains no gap in y."""
     whole: bool
     """True if every sample has a prediction error."""
 
@@ -103,8 +103,8 @@ class Unknown:
     Only the first rows are stored; the other rows are 0."""
     volumes: tuple[Callable[[], tuple[float, Array]], ...]
     """For each segment, a function that returns log |Z^T Z| and its gradient with respect to the
-    coefficients c of C. The columns of Z are the filtered pulses z. The function of the first
-    segment of all data is never called."""
+    coefficients c of C. The columns of Z are the filtered pulses z. The estimator does not use the
+    function of the first segment of all data."""
     N: int
     """Number of samples."""
 

@@ -113,7 +113,7 @@ def _draw_densest(ax: Axes, densest: HighestDensityRegion, colour: str) -> None:
 
 
 def _mark_cancelling(ax: Axes, model: Model) -> None:
-    """Mark each pole and zero that cannot be distinguished, and their conjugates."""
+    """Mark each pair of a pole and a zero that cannot be distinguished, and its conjugate pair."""
     for pole, zero, _ in overlapping(model):
         middle = (pole + zero) / 2
         said = "cannot be distinguished"

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 def simulated(model: Model, part: Dataset) -> Vector:
     """Return the simulated output of one experiment (N,), from the least-squares initial state.
 
-    With an integrator, or if the model has `offset`, the input offset is estimated too. The fit is
-    then the same for detrended and for raw data.
+    With an integrator, or if the model has `offset`, the input offset is estimated too. The
+    simulation error is then the same for detrended and for raw data.
     """
     F, u = model.denominator, part.u
     if model.integrator:
@@ -103,10 +103,10 @@ def _arx_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
 
 
 def _known_past(model: Model, part: Dataset) -> Array:
-    """Return E[y(t-1) … y(t-na) | data to t-1], (N, na); NaN before the first na measured samples.
+    """Return E[y(t-1) … y(t-na) | data to t-1], (N, na); NaN before na successive measurements.
 
     If all na samples were measured, the result contains the measured samples. During and after a
-    gap, a Kalman filter estimates the samples, starting from the last na measured samples. If y is
+    gap, a Kalman filter estimates the samples, starting from the na samples before the gap. If y is
     missing, the filter is not updated.
     """
     na = model.A.size - 1

@@ -152,8 +152,8 @@ def low_slope(
 ) -> tuple[float, float, Vector]:
     """Return the slope of |G| at low frequency, its standard deviation, and the frequencies.
 
-    Of the frequencies with the indices `believed`, the lowest half decade is used, or the three
-    lowest frequencies if fewer are in it.
+    Of the frequencies with the indices `believed`, the lowest half decade is used. If the half
+    decade contains fewer than three of these frequencies, the three lowest are used.
     """
     low = believed[estimate.omega[believed] <= estimate.omega[believed[:1]] * np.sqrt(10)]
     low = low if low.size >= 3 else believed[:3]

@@ -49,7 +49,7 @@ class Structure:
 
     @property
     def first(self) -> int:
-        """Number of first samples that depend on unknown u; 0 if pulses represent u, or at rest."""
+        """Number of first samples that depend on u before the data; 0 with pulses, or at rest."""
         return 0 if self.at_rest or self.count else self.nd + self.reach
 
     @property
@@ -89,7 +89,7 @@ class FreeResponse:
     level: float = 0.0
     """Constant part of an integrating output, in the unit of y."""
     offset: float = 0.0
-    """Input offset u0, in the unit of u: the constant input at which y is 0, or constant if y
+    """Input offset u0, in the unit of u. At this constant input y is 0, or constant if y
     integrates."""
 
 

@@ -25,8 +25,8 @@ Focus = Literal["prediction", "simulation"]
 Starts = Literal["many", "few"]
 
 ARM_POLES = 4
-"""Number of poles of the arm, including the integrator. The arm has as many numerator
-coefficients."""
+"""Number of poles of the arm, including the integrator. The number of numerator coefficients is
+equal."""
 
 COUNTED = {
     "na": "a's",

@@ -39,7 +39,7 @@ Method = Literal["linearised", "sampled"]
 
 LEVEL = 0.95
 HALF_WIDTH = 1.959964  # two-sided 95 % quantile of the normal distribution
-RADIUS = float(np.sqrt(-2 * np.log(1 - LEVEL)))  # of the 95 % ellipse, in standard deviations
+RADIUS = float(np.sqrt(-2 * np.log(1 - LEVEL)))  # half axis of the 95 % ellipse, in σ
 MAX_EDGE_SHIFT = 0.25
 """Largest distance between an edge computed from draws and the linearised edge, in half-widths of
 the linearised range. If an edge is farther away, the range from draws is used."""
@@ -242,7 +242,7 @@ def _distance(z: Complex, P: Matrix) -> Vector:
 REAL_TOLERANCE = 1e-9
 """A root with an imaginary part below this number counts as real."""
 MIN_KIND_SHARE = 0.005
-"""The real draws, or the pairs, are ignored if they are less than this share of a root's draws."""
+"""Least share of a root's draws: rarer real draws, or rarer complex pairs, are ignored."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

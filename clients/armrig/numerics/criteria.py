@@ -51,7 +51,7 @@ def batch_means(x: Array) -> Array:
 
 
 def standard_error(means: Array) -> Array:
-    """Return the standard error of the mean of batch means (..., K), along the last axis.
+    """Return the standard error of the mean, from batch means (..., K) along the last axis.
 
     If neighbouring samples are correlated, the standard error of the mean exceeds s / sqrt(N). If
     the batches are longer than the correlation time of the samples, the batch means are nearly

@@ -14,7 +14,7 @@ from armrig.numerics.polynomial import Array
 # square of this share, 1e-10, with rounding errors of about 1e-16. A variance then has about five
 # correct digits, and an estimate about two.
 _MIN_COLUMN_REST = 1e-5
-_MIN_DISPLACEMENT_RATIO = 8  # number of windows over their length; above it the recursion is faster
+_MIN_DISPLACEMENT_RATIO = 8  # with more windows than 8 times their length, the recursion is faster
 
 
 def gram_of_windows(parts: Sequence[Sequence[Array]], length: int, m: int = 2) -> Array:
@@ -22,15 +22,16 @@ def gram_of_windows(parts: Sequence[Sequence[Array]], length: int, m: int = 2) -
 
     The shape of the Gram matrix is (m length, m length).
 
-    Row t of the matrix of windows contains the samples t … t + length - 1 of the first signal of a
-    part, then these samples of the second signal, and so on. Let x and z be two signals. Then entry
+    Row t of the matrix of windows contains the samples t … t + length - 1 of the first signal. The
+    same samples of the second signal follow, and so on. Let x and z be two signals. Then entry
     (i, j) of their block is the sum of x(t + i) z(t + j) over the n windows. A recursion computes
     this sum ::
 
         G(i + 1, j + 1) = G(i, j) + x(n + i) z(n + j) - x(i) z(j)
 
-    The first row and column are correlations. The recursion needs m² n length multiplications. A
-    product of the matrix of windows with itself would need (m length)² n multiplications.
+    The first row and column of each block are computed as correlations of x and z. The recursion
+    needs m² n length multiplications. A product of the matrix of windows with itself would need
+    (m length)² n multiplications.
 
     Parameters
     ----------

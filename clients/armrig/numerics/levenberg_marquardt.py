@@ -57,7 +57,7 @@ def levenberg_marquardt(
     """Return the local minimum of |e(theta)|² that a descent from `theta` reaches.
 
     The search stops if both the relative change of the cost and the scaled gradient |Q^T e| / |e|
-    are below 1e-10. The columns of Q are an orthonormal basis of the column space of J. The
+    are below 1e-10. The columns of Q are an orthonormal basis of the column space of J. The scaled
     gradient is therefore the cosine of the angle between e and this space. The search also stops if
     rounding prevents further progress. A trial step that ends outside the admissible set is halved
     until it ends inside.

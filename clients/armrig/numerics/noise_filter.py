@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 from armrig.numerics.polynomial import Array
 from armrig.numerics.stretches import Mask, stretches
 
-_SETTLED_VARIANCE = 1e-14  # variance of the state, in variances of e, that counts as 0
+_SETTLED_VARIANCE = 1e-14  # largest variance of the state that counts as 0, divided by var e
 _COMPLEX_STEP = 1e-20
 
 
@@ -48,7 +48,7 @@ class NoiseFilter:
         return max(self.C.size, self.D.size) - 1
 
     def columns(self, M: Array) -> tuple[Array, Array, float]:
-        """Return the filtered M (N, k), the responses to the initial state, and a log sum.
+        """Return the filtered M, the responses to the initial state, and the sum of log s(t).
 
         Returns
         -------

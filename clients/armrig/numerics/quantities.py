@@ -112,7 +112,7 @@ def percent(x: float) -> str:
 
 
 def error(x: float, unit: str) -> str:
-    """Return an error with its unit; an angle below 0.1 rad is given in mrad."""
+    """Return the text of an error and its unit; an angle below 0.1 rad is given in mrad."""
     if unit == "rad" and abs(x) < 0.1:
         return f"{number(1e3 * x)}{NBSP}mrad"
     return f"{number(x)}{NBSP}{unit}"

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from armrig.numerics.polynomial import Array
 
-_MAX_CONDITION = 1e5  # of the matrix of eigenvectors, up to which a sum over modes is used
+_MAX_CONDITION = 1e5  # largest condition number of the eigenvectors for a sum over modes
 
 
 def recursion(Phi: Array, w: Array, x0: Array) -> Array:

@@ -66,7 +66,7 @@ def linear_crossing(t: Vector, y: Vector, level: float) -> float:
 
 
 def ramp_lag(t: Vector, y: Vector) -> float:
-    """Return the time at which a line fitted to the samples of a ramp response crosses 0."""
+    """Fit a line to the samples of a ramp response; return the time at which the line is 0."""
     slope, level = np.polyfit(t, y, 1)
     return float(-level / slope) if slope else float("nan")
 
@@ -102,8 +102,8 @@ def lag_of_angle(
     Parameters
     ----------
     t, y : ndarray, shape (n,)
-        Samples of the last third of the ramp. t is 0 at the step. y is given minus a line: the line
-        that fits the samples before the step. A missing sample is NaN.
+        Samples of the last third of the ramp. t is 0 at the step. y is the angle minus the line
+        that was fitted before the step. A missing sample is NaN.
     before : (int, float)
         Number of samples to which the line before the step was fitted, and their duration in s.
     rounding : float

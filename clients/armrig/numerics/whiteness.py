@@ -22,7 +22,7 @@ WHITE_LEVEL = 0.01
 """Each test of residuals in this package rejects whiteness if the p value is below this number."""
 PORTMANTEAU = "portmanteau test"
 LJUNG_BOX = "Ljung-Box test"
-_MIN_EIGENVALUE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 for the weights M^-1
+_MIN_EIGENVALUE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 for the portmanteau test
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +42,7 @@ class Whiteness:
     def __str__(self) -> str:
         """Return the text that follows "residuals": coloured (p < 0.001, Ljung-Box test)."""
         if isnan(self.p_value):
-            return "too few, or all zero, to test"
+            return "not tested (too few, or all zero)"
         by = f", {self.test}" if self.test else ""
         return f"{'coloured' if self.coloured else 'white'} (p {p_relation(self.p_value)}{by})"
 
@@ -57,7 +57,7 @@ def joined(parts: Iterable[Vector], gap: int) -> Vector:
 
 
 def autocovariance(e: Vector, lags: int) -> tuple[Vector, Vector]:
-    """Return autocovariances R(0) … R(lags) for a mean of 0, and the number of pairs in each."""
+    """Return the autocovariances R(0) … R(lags) for mean 0, and the number of pairs at each lag."""
     there = np.isfinite(e)
     e, mark = np.where(there, e, 0.0), there.astype(np.float64)
     N = e.size
@@ -161,11 +161,11 @@ def portmanteau(
         (s - m)^T V^-1 (s - m)     against chi-squared with tr(V^-1 M) degrees of freedom
 
     The degrees of freedom are the mean of the statistic under the hypothesis. A negative eigenvalue
-    of V^-1/2 M V^-1/2 counts as 0. If (sum of x²)/(sum of x) over its eigenvalues x exceeds 1, the
-    statistic and the degrees of freedom are divided by this ratio. The variance of the statistic is
-    then also correct. If only the noise determines A, C and D, the number of degrees of freedom is
-    lags - na - nc - nd, as given by Ljung and Box. A parameter that the input determines, such as
-    any parameter of an OE model, does not reduce the degrees of freedom.
+    of V^-1/2 M V^-1/2 counts as 0. Let x be the eigenvalues. If the ratio (sum of x²)/(sum of x)
+    exceeds 1, the statistic and the degrees of freedom are divided by this ratio. The variance of
+    the statistic is then also correct. If only the noise determines A, C and D, the number of
+    degrees of freedom is lags - na - nc - nd, as given by Ljung and Box. A parameter that the input
+    determines, such as any parameter of an OE model, does not reduce the degrees of freedom.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
     if value.size and value[0] > _MIN_EIGENVALUE:
         Q, degrees, test = float(np.sum((vector.T @ z) ** 2 / value)), float(z.size), PORTMANTEAU
     else:
-        # z^T z has the mean and, if scale > 1, the variance of scale times chi-squared.
+        # Scale times chi-squared has the mean of z^T z and, if scale > 1, also its variance.
         value = np.maximum(value, 0.0)
         scale = max(1.0, float(np.sum(value**2) / max(np.sum(value), 1e-300)))
         Q, degrees, test = float(z @ z) / scale, float(np.sum(value)) / scale, LJUNG_BOX
@@ -290,10 +290,10 @@ def two_sided(level: float) -> float:
 def joint_p_value(s: Array, M: Array, least: float = 1e-8, N: float | None = None) -> float:
     """Return P(chi² >= s^T M^+ s); the degrees of freedom are the rank of M. NaN for rank 0.
 
-    A direction does not count if its variance is less than the share `least` of the largest
-    variance. Give N if the noise variance in M is an estimate with N degrees of freedom. Then
-    s^T M^+ s / N has the beta distribution with the parameters k/2 and (N - k)/2, where k is the
-    rank. For large k a chi-squared test would reject too rarely.
+    An eigenvector of the correlation matrix of s does not count if its eigenvalue is less than the
+    share `least` of the largest. Give N if the noise variance in M is an estimate with N degrees of
+    freedom. Then s^T M^+ s / N has the beta distribution with the parameters k/2 and (N - k)/2,
+    where k is the rank. For large k a chi-squared test would reject too rarely.
     """
     from scipy.special import betainc, chdtrc
 

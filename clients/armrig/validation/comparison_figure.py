@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from armrig.validation.comparison import Comparison
 
 
-_MAX_NAMED = 3  # models in a figure whose legend names the differences
-_MIN_DISTANCE_PT = 16.0  # between two tick labels, before the layout lowers the panel
+_MAX_NAMED = 3  # largest number of models in a figure whose legend names the differences
+_MIN_DISTANCE_PT = 16.0  # least distance of two tick labels, before the layout lowers the panel
 
 
 def plot_comparison(

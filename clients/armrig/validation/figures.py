@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 _MARKERS = "osD^vP"
-_MOST = 1000.0  # times the least error; worse models are counted, but not drawn
+_MOST = 1000.0  # models with a larger multiple of the least error are counted, but not drawn
 
 
 def plot_compare(

@@ -12,9 +12,9 @@ from armrig.models.estimate import Estimate
 from armrig.models.model import Model
 from armrig.numerics.quantities import minus, places, with_range, with_std
 
-SURE = 2.58  # standard deviations of a significant difference, level 1 %
-_MIN_BETTER_RATIO = 2.0  # of rms errors, from which a model is called better
-_MAX_COMPARED_RATIO = 5.0  # of rms errors; the characteristics of a poorer model are not compared
+SURE = 2.58  # least significant difference, in standard deviations, at the level 1 %
+_MIN_BETTER_RATIO = 2.0  # least ratio of rms errors at which a model is called better
+_MAX_COMPARED_RATIO = 5.0  # largest ratio of rms errors at which characteristics are compared
 _NAMES = {
     "gain": "steady gain",
     "resonance": "resonance [rad/s]",

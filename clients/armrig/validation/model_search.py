@@ -30,9 +30,9 @@ from armrig.validation.search_result import Candidate, Scored, SearchResult
 Vector = NDArray[np.float64]
 
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
-_NOISE_ORDERS = (1, 2)  # of C and of D in a Box-Jenkins model
+_NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
 _ROUNDING = 1e-9  # share of y below which errors count as equal
-_UNBOUNDED = 1e3  # times the largest output, beyond which a model's output counts as unbounded
+_UNBOUNDED = 1e3  # multiple of the largest |y| above which an error counts as unbounded
 
 
 @accepts_signals("armrig.validation.multivariable.search")
@@ -112,7 +112,7 @@ def search(
     Raises
     ------
     ValueError
-        Nothing could be estimated, or an argument is out of range.
+        No model could be estimated, or an argument is out of range.
 
     References
     ----------
@@ -208,7 +208,7 @@ def _counted(
     names: list[str],
     progress: Callable[[int, int, str], object] | None,
 ) -> list[Scored]:
-    """Return the results; call `progress` with each name before its result is computed."""
+    """Return the results; before each result, call `progress` with the name of its candidate."""
     tell = progress or (lambda done, total, name: None)
     scored, following = [], iter(coming)
     for k, name in enumerate(names):
@@ -251,7 +251,7 @@ def _candidates(
 
 
 def _likely_delays(known: Tested) -> list[int]:
-    """Return the nk to try: the found nk, at least 1, and 0 if a direct term is not ruled out."""
+    """Return the nk to try: the nk of `delay`, at least 1; also 0 if it is not ruled out."""
     if not isinstance(known.late, Delay):
         return [1]
     nk = max(known.late.nk, 1)
@@ -304,7 +304,7 @@ def _ranked(scored: list[Scored], validation: Dataset) -> _Ranking:
         msg = "none of the structures could be estimated"
         msg += f"; the first, {scored[0].candidate.name}: {scored[0].reason}" if scored else ""
         raise InputError(msg)
-    # The same samples for all models, since their initial transients differ.
+    # All models are compared at the same samples, since their initial transients differ.
     both = np.all([np.isfinite(j.error) for j in usable], axis=0)
     if not both.any():
         raise InputError("no validation sample is predicted by all models; validate on longer data")

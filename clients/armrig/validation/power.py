@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 MOST_ALLOWED = 10.0
-"""Factor by which uncertain parameters may widen the bands; beyond this factor a test has no
-power."""
+"""Largest factor by which uncertain parameters may widen the bands of a test. With a larger factor,
+the test has no power."""
 
 
 def lack_of_power(allowance: float, *, on_estimation_data: bool) -> str:

@@ -28,12 +28,12 @@ Matrix = NDArray[np.float64]
 
 RECOMMENDED = 3
 BARE = 2.0  # difference of description length that hardly counts (Kass, Raftery 1995, BIC)
-HIGHEST = 7  # number of poles that is tried
-_FIRST_ORDERS = (3, 6)  # of the models for the first estimate of the noise
+HIGHEST = 7  # largest number of poles that is tried
+_FIRST_ORDERS = (3, 6)  # orders of the models for the first estimate of the noise
 _MAX_LAG = 30  # largest nk of the ARX models
 _ARX_ORDERS = range(1, 7)  # na and nb of the ARX models that propose values of nk
 _MAX_LAGS = 6  # values of nk that are tried with each order
-_EXTRA_COEFFICIENTS = 2  # of B, before lag nk and after lag nk + nf - 1
+_EXTRA_COEFFICIENTS = 2  # additional b's before lag nk, and after lag nk + nf - 1
 _MAX_STEPS = 30  # steps of one search
 _MAX_SEARCHES = 2  # searches for each structure, from the start values with the least cost
 _ADDED_ROOTS = (0.3, 0.8)  # roots that are added to F if a start value has fewer than nf roots
@@ -111,7 +111,7 @@ class _Fitted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Record:
-    """Experiments, and the largest nk: with it, all structures describe the same samples of y.
+    """Experiments, with the largest nk, so that all structures describe the same samples of y.
 
     Description lengths of different numbers of samples cannot be compared, because their difference
     depends on the unit of y.

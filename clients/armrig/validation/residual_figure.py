@@ -26,10 +26,10 @@ def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
     """Show the autocorrelation of the residuals; below, their correlation with the input.
 
     If the residuals are white, the value at each lag is inside the upper band with a probability of
-    99 %. If the residuals are independent of the input, the same holds for the lower band. On
-    average the values at one of 100 lags are outside the band, so a test of all lags together
-    decides. A correlation at negative lags indicates feedback. A correlation at positive lags
-    indicates missing dynamics.
+    99 %. If the residuals are independent of the input, the value at each lag is inside the lower
+    band with a probability of 99 %. On average one of 100 values is outside its band by chance, so
+    a test of all lags together decides. A correlation at negative lags indicates feedback. A
+    correlation at positive lags indicates missing dynamics.
     """
     ax, below = panels(ax, 0.5, sharex=False)
     shade: dict[str, Any] = {"color": GREY, "alpha": 0.25, "lw": 0, "label": BAND}

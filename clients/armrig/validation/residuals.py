@@ -178,8 +178,8 @@ def residuals(
     The band for a single lag has the variance P/(N R_e(0) R_u(0)). P is the sum over k of the
     product of the autocovariances R_e(k) and R_u(k). The variance is 1/N only if e or u is white.
     The band is valid for a model with exactly known parameters. `cross_std` is computed from the
-    diagonal of M. Compared with the band, `cross_std` is smaller at some lags on estimation data,
-    and larger on other data.
+    diagonal of M. On estimation data, `cross_std` is at some lags smaller than the standard
+    deviation of the band. On other data, `cross_std` is larger.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def residuals(
     order 2: coloured True, p 0.00
     order 3: coloured False, p 0.03
 
-    A p value below 0.01 rejects the hypothesis.
+    Each line below names a hypothesis. A p value below 0.01 rejects this hypothesis.
 
     >>> print(test)
     residuals on estimation data, 3000 samples
@@ -291,7 +291,7 @@ class _InputSums:
     power: float
     """Sum of u(t)²."""
     variance: float
-    """Variance N P of one sum, if the parameters of the model are exactly known."""
+    """Variance of s_0 for exactly known parameters of the model."""
 
 
 def _input_sums(

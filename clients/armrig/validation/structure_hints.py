@@ -165,9 +165,9 @@ def structure_hints(
     - Integrator: the step response of y's rate does not return to 0, and the description is shorter
       with a pole at 1. If only one of the two statements is true, or if the description lengths
       hardly differ, a structure with an integrator and a structure without an integrator are
-      recommended. The output theta_1 is taken as integrating. The only exception is data of another
-      rig that uses the name theta_1: the step response of the rate returns to 0 significantly. With
-      an integrator the slope of the gain at low frequency is -20 dB a decade.
+      recommended. The output theta_1 is taken as integrating, unless the step response of its rate
+      significantly returns to 0. Such data are from another rig that uses the name theta_1. With an
+      integrator the slope of the gain at low frequency is -20 dB a decade.
     - Order: the number of singular values of a Hankel matrix that exceed `threshold`. The matrix is
       computed from the regularised impulse response, and `threshold` from the uncertainty of this
       response.
@@ -272,7 +272,7 @@ def _delay(data: Dataset, *, integrates: bool) -> Delay | None:
 def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
     """Return the indices of the frequencies at which u explains y.
 
-    If there are too few such frequencies, raise ValueError if `needed`, otherwise return no index.
+    If there are too few such frequencies, the result is empty; ValueError is raised if `needed`.
     """
     try:
         return explained(estimate)
@@ -283,7 +283,7 @@ def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
 
 
 def _agreed(slope: float, best: Recommendation, omega: Vector, Ts: float) -> float | None:
-    """Return the slope if the first structure's slope at these frequencies is close, else None."""
+    """Return `slope` if the slope of the first structure at `omega` is nearly equal, else None."""
     other, _ = log_slope(omega, np.abs(best.G(omega, Ts)))
     return slope if abs(slope - other) <= AGREED_SLOPE else None
 
@@ -378,7 +378,7 @@ def _extremes(
 
 
 def _covariance(response: ImpulseResponse) -> Matrix:
-    """Return the covariance of the decaying response."""
+    """Return the covariance of `response.decaying`, the rate's response if y integrates."""
     rate = response.rate_covariance
     return response.covariance if rate is None else rate
 

@@ -111,7 +111,7 @@ def test_where_the_noise_determines_a_ljung_box_loses_as_many_degrees() -> None:
         (0.01, "", "white (p = 0.010)"),
         (0.009, "Ljung-Box test", "coloured (p = 0.009, Ljung-Box test)"),
         (1e-9, "Ljung-Box test", "coloured (p < 0.001, Ljung-Box test)"),
-        (np.nan, "", "too few, or all zero, to test"),
+        (np.nan, "", "not tested (too few, or all zero)"),
     ],
 )
 def test_the_verdict_is_worded_in_one_place(p: float, test: str, said: str) -> None:

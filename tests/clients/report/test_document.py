@@ -273,7 +273,7 @@ def test_residuals_that_were_not_tested_are_not_called_coloured(done: Study) -> 
 
     said = str(content(replace(done, estimated=(untested,)), ())["estimation"])
 
-    assert "on the estimation data, residuals too few, or all zero, to test." in said
+    assert "on the estimation data, residuals not tested (too few, or all zero)." in said
     assert "coloured" not in said
     assert not untested.fit.trusts_robust
 

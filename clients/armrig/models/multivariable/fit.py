@@ -332,10 +332,10 @@ class MultivariableFit:
     def predict(self, data: Signals, horizon: int | None = 1) -> Matrix:
         """Return ŷ(t) (N, ny) from u up to t and y up to t - horizon; horizon None uses u alone.
 
-        The initial state of each experiment is estimated from the data by least squares. For an
-        integrating output the input offset is estimated too, as a ramp. If a sample of an output is
-        missing, the prediction continues without the sample. The prediction of an output is NaN
-        before the first measured sample of this output.
+        The initial state of each experiment is estimated from the data by least squares. The input
+        offset is estimated too if an output integrates: it causes a ramp of this output. If a
+        sample of an output is missing, the prediction continues without the sample. The prediction
+        of an output is NaN before the first measured sample of this output.
 
         Raises
         ------

@@ -18,7 +18,7 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 
 _MIN_SINGULAR_VALUE = 1e-4  # least singular value of the responses, divided by the largest
-_MIN_SHOWN_VALUE = 1e-10  # this limit for a combination of states with a significant effect
+_MIN_SHOWN_VALUE = 1e-10  # this ratio for a combination of states with a significant effect
 _SHOWN_SIGMAS = 5.0  # least significant effect of a combination of states, in σ of the noise
 
 
@@ -137,7 +137,7 @@ class ErrorResponses:
     """Errors of the one-step predictions (N, m, ny)."""
 
     def combination(self, part: Signals, noise_std: Vector) -> Array:
-        """Return the coefficients (m,) that minimise the squared errors; the first is always 1."""
+        """Return the coefficients (m,) with the least squared errors; the first of them is 1."""
         weighted = (self.errors / noise_std).transpose(0, 2, 1)[part.valid]
         return np.append(1.0, -_initial(weighted[:, 1:], weighted[:, 0]))
 

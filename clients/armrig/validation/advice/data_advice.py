@@ -27,8 +27,8 @@ ORDER = 4
 poles."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MAX_MISSING_SHARE = 0.2
-_MIN_POLE_SIGMAS = 10.0  # least distance from 1 of a pole that is not 1, in σ; σ may be wrong
-_MIN_CHANCE_P = 1e-3  # one open-loop recording in twenty has a p below the usual 0.05
+_MIN_POLE_SIGMAS = 10.0  # least distance from 1, in σ, of a pole that is not 1; σ may be too small
+_MIN_CHANCE_P = 1e-3  # the usual 0.05 finds feedback in one of twenty open-loop recordings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +36,7 @@ class Tested:
     """Tests of the data before a model is chosen."""
 
     integration: Integration
-    """Decision whether y is taken as integrating."""
+    """Decision whether y integrates."""
     loop: OpenLoop | None
     """Result of the test for feedback; None if there are too few samples."""
     late: Delay | str
@@ -80,7 +80,7 @@ def examine_data(data: Dataset) -> Iterator[Finding]:
     known = tested(data, None)
     findings = [*examine_experiment(data, known)]
     yield from findings
-    if all(f.level == "good" for f in findings):  # else the cause of a difference is known
+    if all(f.level == "good" for f in findings):  # else a finding explains why ARX and OE differ
         yield from _about_structures(data, known)
 
 
@@ -130,7 +130,7 @@ def examine_fit_of(data: Dataset, fit: Fit) -> Iterator[Finding]:
 
 
 def _all_within(fit: Fit) -> bool:
-    """Return whether all poles of the model differ significantly from 1."""
+    """Return whether the search converged and all poles of the model differ clearly from 1."""
     poles = fit.poles()
     apart = np.abs(poles.values - 1) > _MIN_POLE_SIGMAS * np.asarray(poles.std)
     return bool(fit.converged and np.all(apart))
@@ -227,7 +227,9 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
         text += ". A rig whose y is read after u is applied looks the same: then take nk=0, else "
         text += "take nk=1"
     if loop.p_value >= _MIN_CHANCE_P:
-        text += f". By chance one open-loop recording in {1 / loop.level:.0f} has such a p"
+        text += (
+            f". By chance one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"
+        )
     yield finding("feedback", text, good=False)
 
 

@@ -17,9 +17,9 @@ COLOURED = "raise the orders, look at the delay, or add a noise model"
 """Remedy for residuals that are not white."""
 _FIX_POLE = "fix it (OE with the option integrator)"
 _DEVIATIONS = "the ordinary deviations", "the robust deviations"
-_MAX_IMAGINARY = 1e-9  # of a real pole
-_MAX_POLE_STD = 0.1  # above it the data do not determine a pole
-_MAX_DISTANCE_FROM_ONE = 0.01  # in the z plane
+_MAX_IMAGINARY = 1e-9  # imaginary part below which a pole counts as real
+_MAX_POLE_STD = 0.1  # standard deviation above which the data do not determine a pole
+_MAX_DISTANCE_FROM_ONE = 0.01  # distance in the z plane below which a pole or zero is near 1
 _STD_99 = 2.58
 _Pair = tuple[complex, complex, float]
 """A pole, a zero, and the p value of their difference."""

@@ -40,7 +40,7 @@ _MAX_FEW_CHANGES = 10  # changes of u; with more changes the error of quantisati
 Matrix = NDArray[np.float64]
 
 _MIN_OWN_SHARE = 0.005  # least share of a lag of u that the earlier lags leave unexplained
-_MIN_DETERMINED_LAGS = 28  # u determines fewer if it is a sum of few sines
+_MIN_DETERMINED_LAGS = 28  # a sum of few sines determines fewer lags
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
 
 
@@ -58,11 +58,11 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     lag, the true coefficient may be too small to be significant. A one-sided test (level 0.1 %)
     therefore compares the coefficient with a bound. The lag is ruled out if the coefficient is
     significantly smaller than the bound. The bound is 1/(1 + 3 n) of the coefficient n samples
-    later, with the n for which the bound is largest. The slowest onset of a mechanical rig, t²/2
-    under a hold, has the ratio 1/(1 + 2 n). If the response begins more slowly, the bound is
+    later, with the n for which the bound is largest. For the slowest onset of a mechanical rig,
+    t²/2 under a hold, this ratio is 1/(1 + 2 n). If the response begins more slowly, the bound is
     computed from an onset (t/Ts)^d, and d is estimated from the first lags. The first two
-    coefficients of a plant of relative degree d have the ratio 1 : 2^d - 1. If several lags remain
-    for an angle or for an integrating y, the shape of the onset decides (`smooth_onsets`).
+    coefficients of a plant of relative degree d have the ratio 1 to (2^d - 1). If several lags
+    remain for an angle or for an integrating y, the shape of the onset decides (`smooth_onsets`).
 
     nk is the least lag that is not ruled out, so an unproven delay is never claimed. A direct term,
     nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, the model

@@ -41,12 +41,12 @@ class Delay:
     """Loss of the ARX model for each nk, in y's unit squared; all models have the same last lag of
     u."""
     response: ImpulseResponse
-    """Plain impulse response, with bands."""
+    """Impulse response by least squares without regularisation."""
     integrator: bool
     """True if y was taken as integrating; `remarks` contains the reason if the data decided."""
     na: int
     """Order of A in the ARX model, by AIC. If too many samples are missing, the order is 0, and the
-    plain impulse response was tested instead."""
+    coefficients of `response` were tested instead."""
     t_q: float | None
     """Time in s for which quantisation hides the response to the largest change of u, sqrt(2 LSB /
     (b |Δu|)); None if y is not quantised."""
@@ -112,8 +112,8 @@ class Delay:
         if self.t_q is not None:
             lines.append(
                 f"Quantisation is no delay: {self.output} is read in steps of "
-                f"{_quantity(self.quantum, self.unit)}. After a step of "
-                f"{self.largest_step:.3g} {self.input_unit}, {self.output} crosses the first step "
+                f"{_quantity(self.quantum, self.unit)} (1 LSB). After a step of "
+                f"{self.largest_step:.3g} {self.input_unit} in u, {self.output} changes by one LSB "
                 f"at t_q = sqrt(2 LSB / (b Δu)) = {1e3 * self.t_q:.2g} ms, "
                 f"{self.t_q / self.Ts:.2g} samples. Here b is the mean acceleration per unit of "
                 "input until t_q, from the impulse response. On one step response t_q looks like "
@@ -170,7 +170,9 @@ class Delay:
         lines = [f"{self._answer()} (level {100 * self.level:g} %)"]
         lines += [f"  {line}" for line in self._tests()]
         if self.t_q is not None:
-            lines.append(f"  t_q = {1e3 * self.t_q:.2g} ms is hidden by quantisation: no delay")
+            lines.append(
+                f"  quantisation hides {self.output} for t_q = {1e3 * self.t_q:.2g} ms: no delay"
+            )
         return "\n".join([*lines, *(f"  note: {r}" for r in self.remarks)])
 
 
@@ -201,7 +203,7 @@ def _shape_sentence(misfit: dict[int, float]) -> str:
     lags, values = ", ".join(map(str, misfit)), ", ".join(f"{x:.3g}" for x in misfit.values())
     return (
         f"near the noise, the shape of the onset decides: a smooth onset at lag {lags} has chi² "
-        f"{values} ({SURPRISING:g} at 1 %)"
+        f"{values} (limit {SURPRISING:g} at the level 1 %)"
     )
 
 

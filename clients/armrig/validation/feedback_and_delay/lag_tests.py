@@ -18,8 +18,8 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 LEVEL = 0.001
-MOST_LAGS = 50  # lags of u, for the delay and B together
-_ORDERS = (20, 10, 5)  # largest na; the next one if too many rows contain a missing sample
+MOST_LAGS = 50  # largest number of lags of u, for the delay and B together
+_ORDERS = (20, 10, 5)  # largest na; a smaller number if too many rows contain a missing sample
 MOST_COEFFICIENTS = MOST_LAGS + _ORDERS[0]
 _MIN_WHOLE_SHARE = 0.5  # share of the rows that must have no missing past y
 _ROWS_PER_ORDER = 20  # samples for each a that is tried
@@ -37,9 +37,9 @@ class Before:
     """Test for a weak effect of u one lag before the first significant lag."""
 
     k: int
-    """The lag."""
+    """The tested lag."""
     found: float
-    """Size of the lag's coefficient, in σ."""
+    """Size of the coefficient of u at the tested lag, in σ."""
     predicted: float
     """Least size, in σ, that the coefficient would have if u acted first at this lag. The size is
     computed from later coefficients."""
@@ -85,8 +85,8 @@ class LagTests:
         """Test whether u may act first at lag k with a coefficient that is not significant.
 
         The test assumes that a first coefficient is at least 1/(1 + 3 n) of any coefficient n
-        samples later. The slowest onset of a mechanical rig, t²/2 under a hold, has the ratio 1/(1
-        + 2 n). If the response begins more slowly, the bound is computed from the onset of the
+        samples later. For the slowest onset of a mechanical rig, t²/2 under a hold, this ratio is
+        1/(1 + 2 n). If the response begins more slowly, the bound is computed from the onset of the
         response itself, (t/Ts)^d under a hold.
         """
         from scipy.special import ndtr
@@ -131,9 +131,9 @@ def lag_tests(
 
     The model is ARX with a constant for each experiment. AIC chooses na <= 20 and the number of
     lags of u. The number of lags of u is at most the number of lags in `response`. The sum of na
-    and the number of lags of u is at most `determined` (see `determined_lags`). Otherwise past
-    outputs could replace lags of u. An ARX model of high order approximates any linear system and
-    any colour of the noise [1]_. Therefore the F test of the ARX model has the correct level
+    and the number of lags of u is at most `determined` (see `determined_lags`). With a larger sum,
+    past outputs could replace lags of u. An ARX model of high order approximates any linear system
+    and any colour of the noise [1]_. Therefore the F test of the ARX model has the correct level
     without a separate model of the noise ::
 
         F_k = (V_k+1 - V_0)/(k + 1) / (V_0/(N - d)),      H_k: b_0 = … = b_k = 0
@@ -220,7 +220,7 @@ def _triangle_of(R: Matrix, columns: list[int]) -> Matrix:
 
 
 def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
-    """Return the na and the number of lags of u (from the least lag on) with the least AIC."""
+    """Return na and the number of lags of u (from the least lag on) with the least AIC."""
     values = np.empty((most + 1, lags))
     for na in range(most + 1):
         T = _triangle_of(R, [*range(na), *range(most, most + lags + 1)])
@@ -232,7 +232,7 @@ def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
 
 
 def _in_response(response: ImpulseResponse, first: int) -> LagTests:
-    """Return Wald tests of the plain impulse response's first coefficients.
+    """Return Wald tests of the first coefficients of the impulse response.
 
     If g has the covariance L L^T, the components of L^-1 g are independent. L_kk times component k
     is the estimate of g(k) for a response that is 0 before lag k.
@@ -255,7 +255,7 @@ def _in_response(response: ImpulseResponse, first: int) -> LagTests:
 
 
 def _joint(score: Vector, degrees: int) -> Vector:
-    """Return, for each k, the p value of the mean square of the first k scores, F(k, degrees)."""
+    """Return the p value for each k: the mean square of the first k scores is F(k, degrees)."""
     from scipy.special import fdtrc
 
     k = np.arange(1, score.size + 1)

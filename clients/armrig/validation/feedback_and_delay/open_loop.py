@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MIN_REPEAT_P = 1e-3  # least significant p at which another recording is recommended
+_MIN_REPEAT_P = 1e-3  # for p from this number to the level, another recording is recommended
 _MAX_EXACT_REST = 1e-5  # share of u that y(t) may leave unexplained: rounding in a file
-_MAX_FEW_LEVELS = 20  # levels of u; a controller that carries noise into u causes more
+_MAX_FEW_LEVELS = 20  # a controller that carries the noise of y into u causes more levels of u
 _MAX_SHOWN_F = 1e6
 
 
@@ -65,7 +65,7 @@ class OpenLoop:
 
     @property
     def may_be_direct_term(self) -> bool:
-        """True if u(t) depends on y(t), but later u do not: a direct term looks the same."""
+        """True if u(t) depends on y(t), but u(t + 1), … do not: a direct term looks the same."""
         s = self.sims
         return s is not None and not self.exact and s.p_value < self.level <= s.p_later
 
@@ -217,7 +217,7 @@ def _is_exact(data: Dataset) -> bool:
 
 
 def _remarks(found: Sims, level: float, *, exact: bool) -> tuple[str, ...]:
-    """Return a remark if u is computed from y(t), or if u(t), but no later u, depends on y(t)."""
+    """Return a remark if u is computed from y(t), or if only u(t) and no later u depends on it."""
     if exact:
         return (
             "u(t) = a y(t) + b in every sample, as under a P controller with a constant set "

@@ -24,7 +24,7 @@ FUTURE = 5
 _LAGS_PER_DECADE = 15  # past samples p for each decade of N
 _MOST_LAGS = 60
 _LEAST_LAGS = 4
-_FORGETTING = (0.0, 1 / 3, 1.0)  # share of a sum of older input that is forgotten in p samples
+_FORGETTING = (0.0, 1 / 3, 1.0)  # p (1 - l_j) for the forgetting factors l_j of the sums w_j
 _ROWS_PER_PARAMETER = 5  # with fewer rows the F distribution does not hold
 _MIN_U_REST = 1e-10  # share of u's power that the past must leave unexplained
 _MIN_Y_REST = 1e-20  # share of y's power that the past must leave unexplained
@@ -200,7 +200,7 @@ def _pieces(data: Dataset, p: int) -> Iterator[_Piece]:
 
 
 def _sums(u: Vector, p: int) -> Array:
-    """Return w_1(t - p) … w_3(t - p), (N, 3): sums of the input more than p samples ago."""
+    """Return three sums of the input more than p samples ago, w_1(t - p) … w_3(t - p), (N, 3)."""
     before = np.append(np.zeros(p + 1), u - u.mean())[: u.size]
     return np.column_stack([filtered([1.0], [1.0, slow / p - 1.0], before) for slow in _FORGETTING])
 

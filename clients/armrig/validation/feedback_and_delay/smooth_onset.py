@@ -10,16 +10,16 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.oe import oe
 
 SURPRISING = 9.21  # 99 % point of chi-squared, two degrees of freedom
-_MAX_DISTANCE_RATIO = 3.0  # sqrt(chi²) of a possible lag, divided by that of the best lag
-_POLES = 4  # of the arm
+_MAX_DISTANCE_RATIO = 3.0  # largest sqrt(chi²) of a possible lag, in units of the least sqrt(chi²)
+_POLES = 4  # number of poles of the arm
 _MAX_EXTRA_LAGS = 4  # lags by which the range is extended at each end
 
 
 def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> dict[int, float]:
     """Return chi-squared of the model with a smooth onset, for each first lag.
 
-    OE models with different first lags k are compared. Their numerator is 1 + q^-1 times a
-    polynomial of three coefficients, so that the onset is smooth. The statistic is ::
+    OE models with different first lags k are compared. Their numerator is the product of (1 + q^-1)
+    and a polynomial of three coefficients, so that the onset is smooth. The statistic is ::
 
         chi² = (N - d)(V_k - V_0)/V_0,      two degrees of freedom
 
@@ -74,7 +74,7 @@ def possible(misfit: dict[int, float]) -> tuple[int, int]:
 
 
 def _averaged(data: Dataset) -> Dataset:
-    """Return the data with input (u(t) + u(t - 1))/2: the factor 1 + q^-1 of a smooth onset."""
+    """Return the data with the input (u(t) + u(t - 1))/2, for the factor 1 + q^-1 of the model."""
     before = np.concatenate([data.u[:1], data.u[:-1]])
     starts = list(data.starts)
     before[starts] = data.u[starts]

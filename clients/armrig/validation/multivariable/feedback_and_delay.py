@@ -53,7 +53,7 @@ class ByChannel(Generic[Result]):
         Raises
         ------
         ValueError
-            There is no such channel, or the test refused it.
+            There is no such channel, or the channel is in `refused`.
         """
         if channel in self.refused:
             raise InputError(f"{_arrow(channel)}: {self.refused[channel]}")

@@ -23,7 +23,7 @@ _HEAD_POINTS = 22.0  # height of two lines above a panel
 
 
 def plot_signals_residuals(test: SignalsResidualTest, *, ax: Axes | None = None) -> Axes:
-    """Show a row for each output: its autocorrelation, and its correlation with each input.
+    """Show a row for each output: residual autocorrelation, and correlation with each input.
 
     If the model is true, the value at each lag is inside its band with a probability of 99 %. The p
     values above a panel are from the tests of all its lags together.

@@ -14,8 +14,8 @@ from armrig.models.multivariable.state_space import ErrorResponses, error_respon
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
-_STEP = 1e-3  # standard deviations by which a parameter moves for a derivative
-_MIN_VARIANCE_SHARE = 1e-12  # share of the largest variance; less is not determined by the data
+_STEP = 1e-3  # step of a parameter for a difference quotient, in standard deviations
+_MIN_VARIANCE_SHARE = 1e-12  # share of the largest variance below which a variance counts as 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -147,7 +147,7 @@ class Projection:
 
 
 def projection(parts: Sequence[Part], *, own: bool) -> Projection:
-    """Return the projection on the effects of initial states, ramps and, if `own`, parameters."""
+    """Return the projection on the effects of initial states and ramps (`own`: also parameters)."""
     bases = [orthonormal(_weighted(part, part.S)) for part in parts]
     ranks = np.cumsum([0, *(basis.rank for basis in bases)])
     B = []

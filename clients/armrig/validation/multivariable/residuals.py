@@ -26,8 +26,8 @@ from armrig.validation.multivariable.whiteness import jointly_white, white_by_ou
 _MIN_SUM_VARIANCE = 1e-4
 """Least variance of a tested combination of the sums of `residuals`, as a share of the largest.
 
-A combination with a smaller variance is not tested, because the estimated parameters make it 0. Its
-computed variance is only the error of the differences that approximate Psi.
+A combination with a smaller variance is not tested, because the estimation of the parameters sets
+it to 0. Its computed variance is only the error of the differences that approximate Psi.
 """
 
 

@@ -143,8 +143,8 @@ def search(
     nk : int, default 1
         Number of samples before each input affects the outputs.
     integrator : bool, str or sequence of str, default False
-        Outputs with a pole at 1. If there are any, only "oe" is tried, because a state-space model
-        has no fixed pole.
+        Outputs with a pole at 1. With such an output, only "oe" is tried, because a state-space
+        model has no fixed pole.
     horizon : int, optional
         Samples to predict ahead, >= 1; by default the models are simulated.
     progress : callable, optional
@@ -159,7 +159,7 @@ def search(
     Raises
     ------
     ValueError
-        Nothing could be estimated, or an argument is out of range.
+        No model could be estimated, or an argument is out of range.
     """
     require_several(orders=orders)
     halved = validation is None
@@ -260,7 +260,7 @@ def _mean(error: Array) -> float:
 
 
 def _free(fit: MultivariableFit) -> int:
-    """Return the number of free parameters, without those that choose the state coordinates."""
+    """Return the number of free parameters; the choice of the state coordinates does not count."""
     if fit.structure not in ("ss", "n4sid"):
         return int(fit.theta.size)
     A, B, C, D, _ = fit.state_space()

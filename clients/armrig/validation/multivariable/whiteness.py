@@ -22,7 +22,7 @@ def white_by_output(
 
 
 def jointly_white(parts: Sequence[Part], projected: Projection, L: int, *, own: bool) -> Whiteness:
-    """Test the residuals of all outputs together, with the correlations between outputs.
+    """Test whether the residuals of all outputs are jointly white, also across outputs.
 
     The residuals are whitened across the outputs. Instants with a missing output are left out.
     """
@@ -86,7 +86,7 @@ def _white(
 
 
 def _vary(parts: Sequence[Part], used: Array) -> bool:
-    """Return whether the residuals of each used output differ from 0."""
+    """Return whether each used output has a residual that is not 0."""
     return bool(np.all(np.sum([np.nansum(part.e[:, used] ** 2, axis=0) for part in parts], axis=0)))
 
 
