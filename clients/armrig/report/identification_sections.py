@@ -245,7 +245,7 @@ def _figure(x: float, std: float, scale: float) -> str:
 
 
 def _difference(black: Study) -> str:
-    """Return a sentence with the distance of the best estimated model to the physics."""
+    """Return a sentence on the deviation of the best estimated model from the physics."""
     import numpy as np
 
     median = percent(100 * float(np.median(black.best.deviation)))
@@ -358,6 +358,6 @@ def _delay(study: HandoutStudy) -> Section:
         ),
         figure="delay",
         caption="(a) Impulse response. The band contains 99.9 % of the estimates of a coefficient "
-        "that is 0. (b) Loss of ARX models against nk. A model below the dotted line is not worse "
-        "than the best, at a level of 0.1 %.",
+        "that is 0. (b) Loss of ARX models against nk. A model below the dotted line is not "
+        "significantly worse than the best model (level 0.1 %).",
     )

@@ -1,4 +1,4 @@
-"""Facts about the models of a report: coefficients, losses, residuals, distance to the physics."""
+"""Facts about a report's models: coefficients, losses, residuals, deviation from the physics."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def percent_warning(study: Study) -> str:
 
 
 def physics(study: Study) -> str:
-    """Return a text with the distance of each model to the physics, the best model first."""
+    """Return a text on the deviation of each model from the physics, the best model first."""
     return (
         "The physical model is the handout's: two inertias, a spring and a DC motor. It has the "
         "handout's parameters and is sampled exactly for a held input; nothing in it was fitted. "
@@ -194,7 +194,7 @@ def physics(study: Study) -> str:
 
 
 def _deviations(one: Study, study: Study) -> str:
-    """Return a sentence with the distance of each model of one output to the physics."""
+    """Return a sentence on the deviation of each model of one output from the physics."""
     first, *others = (_deviation(m, one) for m in one.ranked)
     name, (median, most, at) = one.best.name, first
     to = f" to the {one.angle}" if study.others else ""

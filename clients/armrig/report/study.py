@@ -101,7 +101,7 @@ class Assessed:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AssessedFit(Assessed):
-    """An estimated model, its residuals on the validation data, and its distance to the physics."""
+    """An estimated model, its residuals on validation data, and its deviation from the physics."""
 
     fit: Fit
     """The estimated model, with the results of its estimation."""
@@ -132,7 +132,7 @@ class Study:
     note: str
     """Text that names the quantities that the comparisons estimated from the validation data."""
     timing: tuple[SamplingStatistics, ...]
-    """Statistics of each recording, times in µs."""
+    """Statistics of the sampling times of each recording, in µs."""
     disturbances: tuple[Disturbances, ...]
     """Disturbances of the timing of each recording."""
     omega: Vector

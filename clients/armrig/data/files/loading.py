@@ -226,7 +226,7 @@ def _names(columns: Sequence[Column], letter: str) -> list[str]:
 
 
 def _between_gaps(known: Mask) -> tuple[list[int], list[str]]:
-    """Return where each experiment begins among the known rows, and new steps of the history."""
+    """Return the first row of each experiment, counted in the known rows, and history steps."""
     begins = known & ~np.append(False, known[:-1])
     left_out = int(known.size - np.count_nonzero(known))
     count = "1 sample" if left_out == 1 else f"{left_out} samples"
@@ -280,7 +280,7 @@ def _dataset(
 
 
 def _chosen(table: Table, columns: dict[str, str], *, has_times: bool) -> dict[str, int]:
-    """Return the index of each requested column; an error names all options that are missing."""
+    """Return the index of each requested column; an error names all columns that do not exist."""
     at: dict[str, int] = {}
     missing: dict[str, NoColumnError] = {}
     for what, wanted in columns.items():

@@ -20,7 +20,7 @@ _PROBED_LINES = 20  # to find the separator
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextTable:
-    """Rows of a text, kept as text because a column that is not used may contain words."""
+    """Rows of a text file, not yet converted to numbers: unused columns may contain words."""
 
     columns: tuple[Column, ...]
     """Names and units; "" if the text contains no names."""

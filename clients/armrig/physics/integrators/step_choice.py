@@ -31,7 +31,7 @@ class Advice:
     limit: float
     """Largest absolutely stable step, in s."""
     error: float
-    """Largest error over the span at h, as a share of each state's largest value."""
+    """Largest error of a state over the span with the step h, divided by its largest value."""
     verified: bool
     """True if the error was measured; False if it was estimated from the order of the method."""
     steps: int
@@ -154,7 +154,7 @@ def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
 def _step_for(
     problem: Sinusoid, method: str, tolerance: float, largest: float
 ) -> tuple[float, float, bool]:
-    """Return the largest step within the tolerance, its error, and True if it was measured."""
+    """Return the largest step within the tolerance, its error, and if the error was measured."""
     order = METHODS[method].order
     best, best_error = 0.0, inf
     h = _START_SHARE * largest
