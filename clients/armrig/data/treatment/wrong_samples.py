@@ -34,8 +34,8 @@ ENOUGH_NOISE = 0.32
 
 The variance of the error is then step²/12. The theory requires a third of a step. The limit is a
 little lower, because the noise is estimated with an error. B. Widrow, I. Kollár, *Quantization
-Noise*, 2008, chapter 5: with Gaussian noise of this size, the first moments of the error differ from
-the moments of uniform white noise by a few percent.
+Noise*, 2008, chapter 5: with Gaussian noise of this size, the first moments of the error differ
+from the moments of uniform white noise by a few percent.
 """
 
 

@@ -127,8 +127,8 @@ class SplitStudy:
             lines.append(
                 "Each sample adds its share psi(t)²/lambda to the information. The covariance is "
                 "the inverse of the information: half the data have half the information and twice "
-                "the variance. Deviations from this law have two reasons: the input does not excite "
-                "all parts equally, and each part must estimate an initial state."
+                "the variance. Deviations from this law have two reasons: the input does not "
+                "excite all parts equally, and each part must estimate an initial state."
             )
         return "\n".join([*lines, *self._agreement(scatter=True), *self._pooled()])
 
