@@ -69,7 +69,8 @@ def _physics_verdict(study: Study, to: str) -> str:
         [f"{percent(100 * float(np.median(m.deviation)))} ({m.name})" for m in study.ranked]
     )
     return (
-        f"From {span} the frequency response{to} differs from the physics by a median of {medians}."
+        f"From {span} the frequency response{to} differs from that of the physical model by a "
+        f"median of {medians}."
     )
 
 

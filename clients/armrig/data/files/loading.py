@@ -137,7 +137,7 @@ def load_signals(
 
 
 def _loaded(path: str | PathLike[str], made: Callable[[Table, str], Data]) -> Data:
-    """Return the result of `made`, called with the table in a file and the hash of the file."""
+    """Call `made` with the table in a file and the hash of the file, and return the result."""
     path = Path(path)
     try:
         data = read_bounded(path, MOST_BYTES)
@@ -220,7 +220,7 @@ def _columns_of(table: Table, wanted: str | Sequence[str], what: str) -> list[in
 
 
 def _names(columns: Sequence[Column], letter: str) -> list[str]:
-    """Return a name for each column: u1 for column 1 of a matrix u, or of a file without names."""
+    """Return a name for each column, such as u1 for `u:1` and for a first input without a name."""
     names = [column.name.rpartition(".")[2].replace(":", "") for column in columns]
     return [name or f"{letter}{k}" for k, name in enumerate(names, 1)]
 
@@ -316,7 +316,7 @@ def _other_times(table: Table, time: str | None, taken: set[int], Ts: float) -> 
 
 
 def _sampling_time(table: Table, time: str | None, taken: set[int]) -> float:
-    """Return Ts from the column of times, or from the file's own Ts."""
+    """Return Ts from the column of times, or the Ts that the file states."""
     if time is not None:
         i = chosen(table, time, "time")
     elif table.Ts is not None:

@@ -72,7 +72,7 @@ def integrating(data: Dataset) -> Finding | None:
     limit = DICKEY_FULLER_TREND_5_PERCENT * std
     if g < limit or limit < -MIN_SEEN_PULL:
         return None
-    text = f"{data.output} behaves as an integrating output (it shows no return to a line)"
+    text = f"{data.output} behaves as an integrating output (no return to a trend line is visible)"
     return warning("integrator", text, pull=float(g), std=float(std))
 
 

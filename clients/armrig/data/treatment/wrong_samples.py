@@ -234,7 +234,7 @@ def _rows(there: Mask, group: Indices, n: int) -> Indices:
 
 
 def _columns(model: Whitening, rows: Indices, samples: Indices) -> Array:
-    """Return the contribution of a unit error of each sample to the residuals in the rows."""
+    """Return the contribution of an error of 1 in each sample to the residuals at `rows`."""
     n = model.A.size - 1
     lag = rows[:, None] - samples[None, :]
     return np.where((lag >= 0) & (lag <= n), model.A[np.clip(lag, 0, n)], 0.0)

@@ -178,7 +178,7 @@ class Problem(Protocol):
 
     @property
     def plain(self) -> GreyBox:
-        """Problem of one output without Coulomb friction; it has the parameters' names."""
+        """`GreyBox` problem, used for the names and the coordinates of the parameters."""
 
     def linearise(self, eta: Vector) -> tuple[Vector, Matrix]:
         """Return residuals and derivatives at the coordinates."""

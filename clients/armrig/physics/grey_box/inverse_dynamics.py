@@ -402,7 +402,7 @@ def _whiteness(
 
 
 def _every(s: float, Ts: float) -> int:
-    """Return the decimation: the number of samples for each row."""
+    """Return the decimation, in samples per row."""
     return max(1, int(_WIDTHS_PER_ROW * s / Ts))
 
 

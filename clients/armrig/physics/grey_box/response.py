@@ -1,7 +1,7 @@
 """Response of a sampled physical model with friction of the chassis, and its derivatives.
 
 Coulomb friction T_c acts on the chassis against its motion. It is equivalent to a voltage V = T_c
-R_m / (N K_m) at the motor's terminals. The model is linear during slip, and during stick::
+R_m / (N K_m) at the motor's terminals. The model is linear during slip and linear during stick::
 
     slip    x(k+1) = Phi x + Gamma (u - s V),    s = sign of the speed
     stick   x(k+1) = P (Phi x + Gamma u),        P = I - Gamma e' / (e' Gamma)
@@ -106,7 +106,7 @@ def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -
         w[:, -1] = -abs(s) * model.Gamma
         S[a : b + 1] = recursion(model.Phi if s else P @ model.Phi, w, S[a])
         if s == 0:
-            S[a + 1 : b + 1, :, speed] = 0.0  # it is 0 except for rounding
+            S[a + 1 : b + 1, :, speed] = 0.0  # the speed stays 0 during stick
     y = S @ model.C
     for j, by in enumerate(model.by):
         y[:, j] += x @ by.C + by.D * u

@@ -43,7 +43,7 @@ Vector = NDArray[np.float64]
 _BELL = Polynomial([1.0, 0.0, -1.0]) ** 8
 _REACH = 19**0.5  # ratio T / s
 MIN_WIDTH = 1.25
-"""Least s in samples; from this s on, sums over samples equal integrals to about 1e-6."""
+"""Least s of the kernel, in samples; from this s on, sums equal integrals to about 1e-6."""
 _MIN_FFT_SAMPLES = 500  # kernels of this length or longer are convolved by FFT
 _MIN_PAIR_SHARE = 0.5  # least number of pairs at a lag, as a share of the pairs at lag 0
 # Least standard deviation of the used linear combinations of the r_j, as a share of the largest.
@@ -107,7 +107,7 @@ def kernels(s: float, Ts: float) -> Kernels:
 
 
 def smoothed(data: Dataset, s: float) -> Smoothed:
-    """Return the smoothed signals of one experiment; s is the kernel's standard deviation in s."""
+    """Return smoothed signals of one experiment for a kernel of standard deviation s seconds."""
     k = kernels(s, data.Ts)
     y = np.where(data.valid, data.y, 0.0)
     there = _through((~data.valid).astype(np.float64), np.ones_like(k.first)) < 0.5

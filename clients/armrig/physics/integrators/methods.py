@@ -159,7 +159,7 @@ def method_named(name: str) -> Method:
 
 
 def amplification(method: Method, z: Array) -> Array:
-    """Return the largest |zeta| at each z (any shape): the growth factor of an error per step."""
+    """Return the largest root |zeta| for each element of z: the growth of an error per step."""
     p = method.stability_polynomial
     at_z = np.stack([np.polyval(row[::-1], z) for row in p], axis=-1)
     if at_z.shape[-1] == 2:

@@ -120,7 +120,9 @@ def recommend_step(
     """
     require_positive(tolerance=tolerance)
     if not 1e-8 <= tolerance <= 0.5:
-        raise InputError(f"tolerance={tolerance!r} must be from 1e-8 (near rounding) to 0.5")
+        raise InputError(
+            f"tolerance={tolerance!r} must be from 1e-8 (near the rounding errors) to 0.5"
+        )
     problem = sinusoid(A, B, amplitude=amplitude, omega=omega, x0=x0, span=span)
     rows = sorted(
         (_advice(problem, m, tolerance) for m in all_methods(methods)), key=lambda r: r.work
@@ -154,7 +156,7 @@ def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
 def _step_for(
     problem: Sinusoid, method: str, tolerance: float, largest: float
 ) -> tuple[float, float, bool]:
-    """Return the largest step within the tolerance, its error, and if the error was measured."""
+    """Return the largest step within the tolerance, its error, and True for a measured error."""
     order = METHODS[method].order
     best, best_error = 0.0, inf
     h = _START_SHARE * largest
