@@ -52,7 +52,7 @@ def _of(one: Study, study: Study, word: str) -> str:
 
 def _simulation_verdict(study: Study, of: str) -> str:
     """Return a sentence with the rms error of each model, the best estimated model first."""
-    names = [*(m.name for m in study.ranked), "the physics of the handout"]
+    names = [*(m.name for m in study.ranked), "the physical model"]
     errors = ", ".join(
         f"{error(m.comparison.rms_error, study.validation.unit)} ({name})"
         for m, name in zip([*study.ranked, study.reference], names, strict=True)

@@ -245,7 +245,7 @@ def _figure(x: float, std: float, scale: float) -> str:
 
 
 def _difference(black: Study) -> str:
-    """Return a sentence on the deviation of the best estimated model from the physics."""
+    """Return a sentence on the deviation of the best model from the physical model."""
     import numpy as np
 
     median = percent(100 * float(np.median(black.best.deviation)))
