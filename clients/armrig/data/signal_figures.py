@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def plot_signals(signals: Signals, *, ax: Axes | None = None) -> Axes:
     """Plot all outputs and, below, all inputs against time; missing outputs are shaded.
 
-    A vertical line marks the beginning of each experiment but the first.
+    A vertical line marks the beginning of each experiment, except the first.
     """
     panels = rows(ax or high_axes(signals.ny + signals.nu), signals.ny + signals.nu)
     t = signals.t

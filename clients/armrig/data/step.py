@@ -36,7 +36,7 @@ def codes_of(history: Iterable[str]) -> list[str]:
 
 
 def took(text: str, start: float, stop: float) -> Step:
-    """Return the step that selected the part from `start` to `stop`, in s from the first sample."""
+    """Return the history step of a selection from `start` to `stop`, in s from the first sample."""
     return Step(text, f"{_PART} {start:.9g} {stop:.9g}")
 
 
@@ -46,7 +46,7 @@ def in_merged(code: str) -> str:
 
 
 def span_of(history: Iterable[str]) -> tuple[float, float] | None:
-    """Return start and end, in s, of the part of the source that the data contain.
+    """Return the start and the end of the data, in s from the start of their recording or file.
 
     If no step selected a part, the result is (0, inf). If several parts were merged, the result is
     None.

@@ -135,7 +135,7 @@ def _rise_time(p: ArmParameters, poles: NDArray[np.complex128], steady_speed: fl
 def step_response(
     p: ArmParameters, t: ArrayLike, *, u: float = 1.0, model: Model = arm, state: str = SPEED
 ) -> Vector:
-    """Return the exact response from rest, (len(t),), of a state to a step of u volts at t = 0.
+    """Return the exact response (len(t),) of a state, from rest, to a step of u volts at t = 0.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def step_sensitivities(
 def _stepped(
     p: ArmParameters, t: ArrayLike, by: Sequence[str], u: float, model: Model, state: str
 ) -> tuple[Sampled, Vector, int]:
-    """Return the sampled model with derivatives, the voltages at times t, and a state's index."""
+    """Return the sampled model with derivatives, the voltages at times t, and `state`'s index."""
     times = np.asarray(t, dtype=np.float64)
     if times.ndim != 1 or times.size < 2 or times[0] != 0 or not _even(times):
         raise InputError(

@@ -166,5 +166,5 @@ def named(output: str, unit: str) -> str:
 
 
 def short(x: float) -> str:
-    """Return a number as text with three digits, or with all digits before the decimal point."""
+    """Return a number as text with three significant digits; from 1000 on, without decimals."""
     return three_digits(x)

@@ -204,7 +204,7 @@ def shade(ax: Axes, valid: NDArray[np.bool_], Ts: float, *, first: float = 0.0) 
 
 
 def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
-    """Draw each value as a stem from zero at its lag."""
+    """Draw a vertical line from 0 to y at each x."""
     ax.vlines(x, 0, y, color=colour, lw=1.0)
     ax.plot(x, y, "o", color=colour, ms=2.6)
     ax.axhline(0, color=INK, lw=0.6)

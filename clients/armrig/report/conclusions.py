@@ -52,7 +52,7 @@ def _of(one: Study, study: Study, word: str) -> str:
 
 def _simulation_verdict(study: Study, of: str) -> str:
     """Return a sentence with the rms error of each model, the best estimated model first."""
-    names = [*(m.name for m in study.ranked), "the physics of the handout"]
+    names = [*(m.name for m in study.ranked), "the physical model"]
     errors = ", ".join(
         f"{error(m.comparison.rms_error, study.validation.unit)} ({name})"
         for m, name in zip([*study.ranked, study.reference], names, strict=True)
@@ -69,7 +69,8 @@ def _physics_verdict(study: Study, to: str) -> str:
         [f"{percent(100 * float(np.median(m.deviation)))} ({m.name})" for m in study.ranked]
     )
     return (
-        f"From {span} the frequency response{to} differs from the physics by a median of {medians}."
+        f"From {span} the frequency response{to} differs from that of the physical model by a "
+        f"median of {medians}."
     )
 
 

@@ -41,7 +41,7 @@ def handout_report(
 
     Each assignment from 2.1 to 4.4 has a section: the result, the method, and the student's reasons
     or blank space for the reasons. If a recording is missing, the section contains the command that
-    makes the recording. The cover has the fields of the handout.
+    makes the recording. The cover has the fields of the handout's cover.
 
     Parameters
     ----------

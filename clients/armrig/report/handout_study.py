@@ -73,7 +73,7 @@ def handout_study(
     amplitude: float = AMPLITUDE_V,
     omega: float = OMEGA,
 ) -> HandoutStudy:
-    """Compute the results for the assignments; only sections 2 and 4 need no recordings.
+    """Compute the results for the assignments; the results of section 3 need recordings.
 
     Parameters
     ----------

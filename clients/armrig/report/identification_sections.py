@@ -73,7 +73,7 @@ def _sampling(study: HandoutStudy) -> Section:
             f"ω_s = 20/τ then corresponds to {number(1e3 * found.Ts_step)} ms. The spectrum is at "
             f"−3 dB at {number(found.omega_spectrum)} rad/s, which corresponds to "
             f"{number(1e3 * found.Ts_spectrum)} ms. 7 to 10 samples in the transient of "
-            f"{number(1e3 * found.settling)} ms correspond to {number(1e3 * low)} to "
+            f"{number(1e3 * found.settling)} ms correspond to Ts = {number(1e3 * low)} to "
             f"{number(1e3 * high)} ms.{other}",
         ),
         figure="sampling",
@@ -151,7 +151,7 @@ def _black_box(study: HandoutStudy) -> Section:
             f"The {best.name} model simulates the validation data{halves} with an rms error of "
             f"{error(best.comparison.rms_error, black.validation.unit)}. It is estimated from "
             f"{best.fit.N} of {black.estimation.N} samples at {milliseconds(black.estimation.Ts)}: "
-            "the angle and the past of these samples are known. ± is one standard deviation."
+            "for these samples the angle and its past are known. ± is one standard deviation."
             f"{other}",
             f"The equation of the {best.name} model contains the delay q⁻¹ and white noise "
             f"e(t). The table contains the coefficients of the polynomials.{_fixed_root(black)} "
@@ -245,14 +245,14 @@ def _figure(x: float, std: float, scale: float) -> str:
 
 
 def _difference(black: Study) -> str:
-    """Return a sentence with the distance of the best estimated model to the physics."""
+    """Return a sentence on the deviation of the best model from the physical model."""
     import numpy as np
 
     median = percent(100 * float(np.median(black.best.deviation)))
     return (
         f"From {black.omega[0]:g} to {black.omega[-1]:.0f} rad/s the frequency response of "
-        f"{black.best.name} differs from the physics by a median of {median}. Nothing in the "
-        f"physics was fitted.{arm_at_rest(black)}"
+        f"{black.best.name} differs from that of the physical model by a median of {median}. "
+        f"Nothing in the physical model was fitted.{arm_at_rest(black)}"
     )
 
 
@@ -328,8 +328,8 @@ def _loop(study: HandoutStudy) -> Section:
             f"p {p_relation(found.p_value)} in Sims' F-test (F = {s.F:.3g} with {s.q} and "
             f"{s.degrees} degrees of freedom): {verdict}.",
             "θ₁(t) is regressed on its own past, past u, and u(t) … u(t + 4). θ₁ is read before u "
-            "is applied. In open loop u(t) and later inputs therefore contain no information on "
-            "θ₁(t) in addition to the past.",
+            "is applied. In open loop u(t) and later inputs therefore add nothing to the "
+            "information of the past on θ₁(t).",
         ),
         figure="loop",
         caption="Coefficients of u in the regression of θ₁(t). The band contains 99 % of the "
@@ -358,6 +358,6 @@ def _delay(study: HandoutStudy) -> Section:
         ),
         figure="delay",
         caption="(a) Impulse response. The band contains 99.9 % of the estimates of a coefficient "
-        "that is 0. (b) Loss of ARX models against nk. A model below the dotted line is not worse "
-        "than the best, at a level of 0.1 %.",
+        "that is 0. (b) Loss of ARX models against nk. A model below the dotted line is not "
+        "significantly worse than the best model (level 0.1 %).",
     )

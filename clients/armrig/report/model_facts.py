@@ -1,4 +1,4 @@
-"""Facts about the models of a report: coefficients, losses, residuals, distance to the physics."""
+"""Facts about a report's models: coefficients, losses, residuals, and deviations."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def percent_warning(study: Study) -> str:
 
 
 def physics(study: Study) -> str:
-    """Return a text with the distance of each model to the physics, the best model first."""
+    """Return a text on the deviation of each model from the physical model, the best first."""
     return (
         "The physical model is the handout's: two inertias, a spring and a DC motor. It has the "
         "handout's parameters and is sampled exactly for a held input; nothing in it was fitted. "
@@ -194,7 +194,7 @@ def physics(study: Study) -> str:
 
 
 def _deviations(one: Study, study: Study) -> str:
-    """Return a sentence with the distance of each model of one output to the physics."""
+    """Return a sentence on the deviation of the models of one output from the physical model."""
     first, *others = (_deviation(m, one) for m in one.ranked)
     name, (median, most, at) = one.best.name, first
     to = f" to the {one.angle}" if study.others else ""
@@ -222,7 +222,7 @@ def arm_at_rest(study: Study) -> str:
 
 
 def _deviation(m: AssessedFit, study: Study) -> tuple[str, str, str]:
-    """Return the deviation from the physics: median, maximum, and frequency of the maximum."""
+    """Return median and maximum of a model's deviation, and the frequency of the maximum."""
     at = float(study.omega[np.argmax(m.deviation)])
     median, most = float(np.median(m.deviation)), float(np.max(m.deviation))
     return percent(100 * median), percent(100 * most), f"{number(at)} rad/s"

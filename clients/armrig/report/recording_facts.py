@@ -170,7 +170,11 @@ def _units(study: Study) -> str:
         angle += f", accurate to {percent(100 * known)} (one standard deviation)"
     volt = "the volt is from a meter at the motor's terminals"
     if not all("driver_gain" in m.figures for m in made):
-        of = "the codes" if all(c.driver == Driver() for c in measured) else "a configured driver"
+        of = (
+            "the converter codes"
+            if all(c.driver == Driver() for c in measured)
+            else "a configured driver"
+        )
         volt = f"the volt is from {of}: no meter was read at the motor's terminals"
     alpha = any(one.output == ALPHA for one in each_output(study))
     scale = ". The scale of α is a configured value that was never measured" if alpha else ""

@@ -101,7 +101,7 @@ class Assessed:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AssessedFit(Assessed):
-    """An estimated model, its residuals on the validation data, and its distance to the physics."""
+    """An estimated model, its validation residuals, and its deviation from the physical model."""
 
     fit: Fit
     """The estimated model, with the results of its estimation."""
@@ -132,11 +132,11 @@ class Study:
     note: str
     """Text that names the quantities that the comparisons estimated from the validation data."""
     timing: tuple[SamplingStatistics, ...]
-    """Statistics of each recording, times in µs."""
+    """Statistics of the sampling times of each recording, in µs."""
     disturbances: tuple[Disturbances, ...]
     """Disturbances of the timing of each recording."""
     omega: Vector
-    """Frequencies at which the models are compared with the physics, in rad/s, (n,)."""
+    """Frequencies at which the models are compared with the physical model, in rad/s, (n,)."""
     others: tuple[Study, ...] = ()
     """Studies of the other outputs of the same models and recordings."""
 
@@ -324,7 +324,7 @@ def assessed(
     validation: Dataset,
     together: Mapping[str, SignalsResidualTest] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Compare the models and the physics with the validation data; return fields of a `Study`.
+    """Compare all models with the validation data; return fields of a `Study`.
 
     Parameters
     ----------

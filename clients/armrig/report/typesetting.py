@@ -151,7 +151,7 @@ def _compiled(source: Path) -> tuple[bytes, str]:
             ignore_system_fonts=True,
         )
         pdf = compiler.compile()
-        if not isinstance(pdf, bytes):  # never: pictures give a list, an output file gives None
+        if not isinstance(pdf, bytes):  # only images and output files have another type
             raise OperationError(source.name)
         return pdf, compiler.query("<place>", field="value")
     except RuntimeError as err:

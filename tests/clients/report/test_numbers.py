@@ -183,7 +183,7 @@ def test_each_model_is_off_by_its_own_error(done: Study) -> None:
 
     assert said == (
         "In a simulation of the 12 s of validation data the rms error is 2\xa0mrad (OE), "
-        "30\xa0mrad (ARX), 50\xa0mrad (the physics of the handout)."
+        "30\xa0mrad (ARX), 50\xa0mrad (the physical model)."
     )
 
 

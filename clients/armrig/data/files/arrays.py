@@ -102,7 +102,7 @@ def _columns(array: Any) -> list[Any]:
     return list(rows)
 
 
-# The columns of a MAT-file: vectors and matrices, structures of them, and old iddata objects.
+# The columns of a MAT-file: vectors, matrices, structures with these, and old iddata objects.
 
 
 _NAME_OF_FIELD = {"OutputData": "y", "InputData": "u"}  # fields of iddata

@@ -137,7 +137,7 @@ def load_signals(
 
 
 def _loaded(path: str | PathLike[str], made: Callable[[Table, str], Data]) -> Data:
-    """Return the result of `made`, called with the table in a file and the hash of the file."""
+    """Call `made` with the table in a file and the hash of the file, and return the result."""
     path = Path(path)
     try:
         data = read_bounded(path, MOST_BYTES)
@@ -220,13 +220,13 @@ def _columns_of(table: Table, wanted: str | Sequence[str], what: str) -> list[in
 
 
 def _names(columns: Sequence[Column], letter: str) -> list[str]:
-    """Return a name for each column: u1 for column 1 of a matrix u, or of a file without names."""
+    """Return a name for each column, such as u1 for `u:1` and for a first input without a name."""
     names = [column.name.rpartition(".")[2].replace(":", "") for column in columns]
     return [name or f"{letter}{k}" for k, name in enumerate(names, 1)]
 
 
 def _between_gaps(known: Mask) -> tuple[list[int], list[str]]:
-    """Return where each experiment begins among the known rows, and new steps of the history."""
+    """Return the first row of each experiment, counted in the known rows, and history steps."""
     begins = known & ~np.append(False, known[:-1])
     left_out = int(known.size - np.count_nonzero(known))
     count = "1 sample" if left_out == 1 else f"{left_out} samples"
@@ -280,7 +280,7 @@ def _dataset(
 
 
 def _chosen(table: Table, columns: dict[str, str], *, has_times: bool) -> dict[str, int]:
-    """Return the index of each requested column; an error names all options that are missing."""
+    """Return the index of each requested column; an error names all columns that do not exist."""
     at: dict[str, int] = {}
     missing: dict[str, NoColumnError] = {}
     for what, wanted in columns.items():
@@ -316,7 +316,7 @@ def _other_times(table: Table, time: str | None, taken: set[int], Ts: float) -> 
 
 
 def _sampling_time(table: Table, time: str | None, taken: set[int]) -> float:
-    """Return Ts from the column of times, or from the file's own Ts."""
+    """Return Ts from the column of times, or the Ts that the file states."""
     if time is not None:
         i = chosen(table, time, "time")
     elif table.Ts is not None:

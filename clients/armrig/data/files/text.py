@@ -20,7 +20,7 @@ _PROBED_LINES = 20  # to find the separator
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextTable:
-    """Rows of a text, kept as text because a column that is not used may contain words."""
+    """Rows of a text file, not yet converted to numbers: unused columns may contain words."""
 
     columns: tuple[Column, ...]
     """Names and units; "" if the text contains no names."""
@@ -75,8 +75,8 @@ def table_of(text: str) -> TextTable:
     """Return the table that a text contains.
 
     Lines that are empty, or begin with # or %, are remarks. The separator is a semicolon if the
-    first 20 other lines contain a semicolon, otherwise a tab, otherwise a comma. If these lines
-    contain none of the three, blanks separate the cells. The first line that is not a remark
+    first 20 lines of the table contain a semicolon, otherwise a tab, otherwise a comma. If these
+    lines contain none of the three, blanks separate the cells. The first line that is not a remark
     contains names if none of its cells is a number. The line after the names contains units if none
     of its cells is a number. If semicolons separate the cells, the decimal mark may be a comma.
 

@@ -103,7 +103,7 @@ def _drift_of(part: Dataset, n: int) -> Drift:
     model = whitening([(part.u, part.y)], n, slope=True)
     if model.rows < needed - n:
         raise InputError(
-            f"{model.rows} samples of an experiment follow {n} samples without a gap; a drift "
+            f"an experiment has {model.rows} samples after {n} samples without a gap; a drift "
             f"estimate of order {n} needs {needed - n}: lower the order"
         )
     gain = float(np.sum(model.A))

@@ -192,7 +192,7 @@ def _decimated(part: Dataset, h: Vector, factor: int) -> tuple[Vector, Vector, M
 
     level = float(np.mean(part.y[part.valid])) if part.valid.any() else 0.0
     y = np.where(part.valid, part.y - level, 0.0)
-    # Row j of the decimated convolution is centred on sample j factor - half.
+    # Row j of the decimated convolution is centred on sample j * factor - half.
     rows = slice(2 * _HALF_LENGTH, (part.N - 1) // factor + 1)
     return (
         upfirdn(h, part.u, down=factor)[rows],
@@ -266,7 +266,7 @@ def _memory(L: _Filter) -> int:
         weight = np.abs(L.apply(pulse))
         ahead = np.cumsum(weight[::-1])[::-1]
         short = np.flatnonzero(ahead <= MAX_FORGOTTEN_SHARE * ahead[0])
-        # The response decays: what is not computed is smaller than the computed second half.
+        # The response decays, so its uncomputed part is smaller than the computed second half.
         if short.size and short[0] <= length // 2:
             return max(int(short[0]), 1)
         length *= 4

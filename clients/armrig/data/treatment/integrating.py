@@ -21,8 +21,8 @@ INTEGRATING_OUTPUTS = frozenset({THETA_1})
 
 DICKEY_FULLER_TREND_5_PERCENT = -3.41  # Fuller 1976, table 8.5.2, constant and trend, n = inf
 _TEST_LAGS = 5
-# In one sample, the output must return by at least this share of its distance from the trend line,
-# so that the test can detect the return.
+# The test must be able to detect a return to the trend line by this share of the distance per
+# sample. Otherwise the data are too few for the test.
 MIN_SEEN_PULL = 0.2
 
 
@@ -72,7 +72,7 @@ def integrating(data: Dataset) -> Finding | None:
     limit = DICKEY_FULLER_TREND_5_PERCENT * std
     if g < limit or limit < -MIN_SEEN_PULL:
         return None
-    text = f"{data.output} behaves as an integrating output (it shows no return to a line)"
+    text = f"{data.output} behaves as an integrating output (no return to a trend line is visible)"
     return warning("integrator", text, pull=float(g), std=float(std))
 
 

@@ -29,7 +29,7 @@ class Whitening:
     c: float
     """Constant."""
     d: float
-    """Slope, per sample; 0 without a slope."""
+    """Slope, per sample; 0 if the slope is not estimated."""
     covariance: Array
     """Covariance of (a1 … an, b0 … bn of each input, c, d)."""
     rows: int

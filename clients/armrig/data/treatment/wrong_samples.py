@@ -28,14 +28,14 @@ _EARLY_FACTOR = 2  # factor of the limit in the first n samples after a start or
 _MAX_ROUNDS = 25
 MOST = 0.1
 """Largest allowed share of outliers; the search ends early at twice this share."""
-MIN_VISIBLE_SHARE = 1e-3  # least share of a pattern that marked samples do not explain
+MIN_VISIBLE_SHARE = 1e-3  # least share of a visible pattern that marked samples do not explain
 ENOUGH_NOISE = 0.32
 """Least noise (std in converter steps) for which the quantisation error is white.
 
 The variance of the error is then step²/12. The theory requires a third of a step. The limit is a
 little lower, because the noise is estimated with an error. B. Widrow, I. Kollár, *Quantization
-Noise*, 2008, chapter 5: with this Gaussian noise the first moments of the error agree with the
-moments of uniform white noise to a few percent.
+Noise*, 2008, chapter 5: with Gaussian noise of this size, the first moments of the error differ
+from the moments of uniform white noise by a few percent.
 """
 
 
@@ -161,8 +161,8 @@ def _robust_std(x: Vector, parts: Sequence[tuple[Array, Vector]]) -> float:
 def _sizes(model: Whitening, e: Vector, marked: Mask) -> Vector:
     """Return x (N,), the size of an outlier at each sample, in the unit of e.
 
-    x is NaN at samples where an outlier would not be visible. Near marked samples, only the part of
-    a pattern that the patterns of the marked samples do not explain is used.
+    x is NaN at samples where an outlier would not be visible. Near marked samples, x uses only the
+    part of a pattern that the patterns of the marked samples do not explain.
     """
     n = model.A.size - 1
     there = np.isfinite(e)
@@ -192,8 +192,8 @@ def _peaks(z: Vector, limit: float, n: int) -> Indices:
 def _expect(model: Whitening, u: Array, y: Vector, marked: Mask, least: float) -> Vector:
     """Return y with the marked samples set to the values that minimise the residuals.
 
-    The values of samples near each other are estimated jointly. A sample whose size in this joint
-    estimate is below `least` is unmarked.
+    The values of samples near each other are estimated jointly. A sample is unmarked if its
+    estimated error, in the unit of `_sizes`, is below `least`.
     """
     n = model.A.size - 1
     expected, e = y.copy(), model.residuals(u, y)
@@ -206,10 +206,10 @@ def _expect(model: Whitening, u: Array, y: Vector, marked: Mask, least: float) -
 
 
 def _surely_wrong(columns: Array, e: Vector, least: float) -> tuple[Indices, Vector]:
-    """Return the columns whose size is at least `least`, and their coefficients.
+    """Return the columns j with |b_j| / sqrt(P_jj) >= `least`, and their coefficients b_j.
 
-    The covariance of the coefficients b is P times the residual variance. The size of column j is
-    |b_j| / sqrt(P_jj). The column with the least size is removed until all sizes are large enough.
+    The covariance of the coefficients b is P times the residual variance. The column with the least
+    |b_j| / sqrt(P_jj) is removed until all remaining columns reach `least`.
     Without column j, b becomes b - P_j b_j / P_jj, and P becomes P - P_j P_j^T / P_jj.
     """
     basis = orthonormal(columns)
@@ -234,7 +234,7 @@ def _rows(there: Mask, group: Indices, n: int) -> Indices:
 
 
 def _columns(model: Whitening, rows: Indices, samples: Indices) -> Array:
-    """Return the contribution of a unit error of each sample to the residuals in the rows."""
+    """Return the contribution of an error of 1 in each sample to the residuals at `rows`."""
     n = model.A.size - 1
     lag = rows[:, None] - samples[None, :]
     return np.where((lag >= 0) & (lag <= n), model.A[np.clip(lag, 0, n)], 0.0)
@@ -275,8 +275,8 @@ def hampel(
         z(t) = x(t) / s,    x(t) = sum a_k e(t+k) / sqrt(sum a_k²),    s = 1.4826 median |x|
 
     The samples with the largest ``|z|`` are marked. For the rest of the search, these samples are
-    set to the model's values. The sizes of marked samples near each other are then estimated
-    together. A sample whose size is small in this estimate is unmarked. The returned data contain
+    set to the model's values. The errors of marked samples near each other are then estimated
+    together. A sample with an insignificant error is unmarked. The returned data contain
     no interpolated value. The first n samples after the start or a gap are searched in the reversed
     data, with twice the threshold. No outlier can be found in n or fewer consecutive samples
     between two gaps.
@@ -338,7 +338,7 @@ def _of_dataset(data: Dataset, *, threshold: float | None, order: int | None) ->
 def _outliers(
     parts: Sequence[tuple[Array, Vector]], name: str, threshold: float | None, order: int | None
 ) -> tuple[Mask, str]:
-    """Return a mask of the outliers of an output, and the step of the history."""
+    """Return a mask of the outliers of an output, and a step for the history."""
     from scipy.special import ndtri
 
     count = sum(int(np.count_nonzero(np.isfinite(y))) for _, y in parts)
@@ -382,7 +382,7 @@ def quantum(data: Dataset) -> float:
 
 
 def too_quiet(step: float, noise_variance: float) -> str:
-    """Return a warning if the noise is below a third of the step, "" otherwise."""
+    """Return a warning if the noise is below a third of a quantisation step, "" otherwise."""
     if step == 0:
         return ""
     noise = float(np.sqrt(max(noise_variance - step**2 / 12, 0.0)))

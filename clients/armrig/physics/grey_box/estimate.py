@@ -178,7 +178,7 @@ class Problem(Protocol):
 
     @property
     def plain(self) -> GreyBox:
-        """Plain problem, which has the names and the coordinates of the parameters."""
+        """`GreyBox` problem, used for the names and the coordinates of the parameters."""
 
     def linearise(self, eta: Vector) -> tuple[Vector, Matrix]:
         """Return residuals and derivatives at the coordinates."""
@@ -187,8 +187,8 @@ class Problem(Protocol):
 def searched(problem: GreyBox | Problem, start: Vector, around: Vector | None = None) -> Optimum:
     """Return the minimum that a search from `start` finds.
 
-    Each logarithm of a parameter stays within `MAX_LOG_FACTOR` of its value in `around`, which is
-    `start` by default.
+    The logarithm of each parameter differs by at most `MAX_LOG_FACTOR` from its value in `around`.
+    By default `around` is `start`.
     """
     plain = problem if isinstance(problem, GreyBox) else problem.plain
     logarithms = np.flatnonzero([name not in SIGNED for name in plain.names])

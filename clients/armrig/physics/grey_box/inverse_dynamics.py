@@ -279,7 +279,7 @@ def _at(
 
 
 def _meat(blocks: Sequence[Matrix], h: Vector, m: int) -> Matrix:
-    """Return the sum of x(i) x(j)^T r(j - i) over the rows x of each block.
+    """Return the sum of x(i) x(j)^T r(j - i) over all pairs of rows i, j of each block.
 
     r is the autocovariance of h at lags of m samples.
     """
@@ -402,7 +402,7 @@ def _whiteness(
 
 
 def _every(s: float, Ts: float) -> int:
-    """Return the decimation: the number of samples for each row."""
+    """Return the decimation, in samples per row."""
     return max(1, int(_WIDTHS_PER_ROW * s / Ts))
 
 
@@ -465,7 +465,7 @@ def _by_experiment(
 
 
 def _parameters(beta: Vector, names: tuple[str, ...]) -> tuple[dict[str, float], Matrix]:
-    """Return J_1 = 1/beta_1 and the frictions beta_i/beta_1, and the derivatives for each beta."""
+    """Return J_1 = 1/beta_1 and the frictions beta_i/beta_1, with the derivatives by beta."""
     values = {"J_1": float(1 / beta[0])}
     slope = np.zeros((len(names), beta.size))
     slope[0, 0] = -1 / beta[0] ** 2

@@ -17,7 +17,7 @@ NAMES = tuple(f.name for f in fields(ArmParameters))
 SIGNED = frozenset({"b_1"})
 """Parameters that may be 0, and are therefore not estimated as logarithms."""
 COULOMB = "T_c"
-"""Name of the Coulomb friction of the chassis, in Nm."""
+"""Name of the parameter for the Coulomb friction of the chassis; its unit is Nm."""
 UNITS = {
     "J_1": "kg m²",
     "J_2": "kg m²",
@@ -54,7 +54,7 @@ def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...
 
 
 def require_output(data: Dataset, output: str) -> None:
-    """Refuse data of a recorded output that is not the model's output."""
+    """Refuse data with another output than the model, if the output is one of a recording."""
     if data.output in _RECORDED and data.output != output:
         raise InputError(
             f"the data contain {data.output}, the model's output is {output}; use "

@@ -1,7 +1,7 @@
 """Response of a sampled physical model with friction of the chassis, and its derivatives.
 
 Coulomb friction T_c acts on the chassis against its motion. It is equivalent to a voltage V = T_c
-R_m / (N K_m) at the motor's terminals. The model is linear during slip, and during stick::
+R_m / (N K_m) at the motor's terminals. The model is linear during slip and linear during stick::
 
     slip    x(k+1) = Phi x + Gamma (u - s V),    s = sign of the speed
     stick   x(k+1) = P (Phi x + Gamma u),        P = I - Gamma e' / (e' Gamma)
@@ -106,7 +106,7 @@ def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -
         w[:, -1] = -abs(s) * model.Gamma
         S[a : b + 1] = recursion(model.Phi if s else P @ model.Phi, w, S[a])
         if s == 0:
-            S[a + 1 : b + 1, :, speed] = 0.0  # it is 0 except for rounding
+            S[a + 1 : b + 1, :, speed] = 0.0  # the speed stays 0 during stick
     y = S @ model.C
     for j, by in enumerate(model.by):
         y[:, j] += x @ by.C + by.D * u
@@ -176,9 +176,9 @@ def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
     """Return the states and the intervals of slip and stick.
 
     If the speed reaches 0 within a step, the driving voltage at standstill is compared with V. If
-    its magnitude is at most V, the chassis sticks, and the friction of the step makes the speed 0
-    at the end of the step. Otherwise the chassis turns back within the step, and the friction is
-    the mean for both directions. If a search tries a V below 0, the chassis never sticks.
+    the voltage is between -V and V, the chassis sticks, and the friction of the step makes the
+    speed 0 at the end of the step. Otherwise the chassis turns back within the step, and the
+    friction is its mean over the step. If a search tries a V below 0, the chassis never sticks.
     """
     alone = not np.delete(model.Phi[speed], speed).any()
     frictions, steps = (_braked_alone if alone else _braked)(model, u, x0, V, speed)
@@ -227,7 +227,7 @@ def _braked_alone(
 def _braked(
     model: Sampled, u: Vector, x0: Vector, V: float, speed: int
 ) -> tuple[Vector, list[int]]:
-    """Return friction and motion of each step, computed with `_step`."""
+    """Return friction in volts and motion of each step, computed with `_step`."""
     rows = [tuple(map(float, row)) for row in model.Phi]
     gamma = [float(g) for g in model.Gamma]
     pole, gain = rows[speed][speed], gamma[speed]

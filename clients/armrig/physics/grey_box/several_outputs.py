@@ -63,7 +63,7 @@ class _Problem:
     """
 
     plain: GreyBox
-    """Plain problem, which has the names and the coordinates of the parameters."""
+    """Problem of one output, used only for the names and the coordinates of the parameters."""
     physics: tuple[Physics, ...]
     """Model of each output."""
     experiments: tuple[Signals, ...]
@@ -100,7 +100,7 @@ class _Problem:
         )
 
     def _fitted(self, models: Sequence[Sampled], data: Signals) -> tuple[Array, Basis, Array]:
-        """Return weighted errors, the basis of the free responses, and the errors' coefficients."""
+        """Return weighted errors, a basis of the free responses, and coefficients in this basis."""
         errors, columns = [], []
         for i, (model, std) in enumerate(zip(models, self.std, strict=True)):
             y, free = linear_parts(model, data.u[:, 0])
@@ -137,7 +137,7 @@ def greybox(
     output : str, default "theta_1"
         Output to which `plot`, `simulate` and the tests of the result refer.
     friction : {"viscous"}, optional
-        Estimate b_1, too. Coulomb friction can only be estimated from theta_1 alone.
+        Estimate b_1, too. For Coulomb friction, give data with the single output theta_1.
 
     Returns
     -------

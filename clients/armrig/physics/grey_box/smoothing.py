@@ -9,7 +9,7 @@ A linear equation between y', y'' and u also holds between the smoothed signals.
 causes no phase lag and needs no differences of noisy samples. At the ends of the bell g, g' and g''
 are 0, so that sums over samples are close to the integrals.
 
-The module also tests whether residuals are white noise of the output that the kernel has coloured.
+The module also tests whether residuals are white noise on the output, coloured by the kernel.
 White noise v that is smoothed by a kernel h and decimated by m becomes e, with the autocorrelation
 rho ::
 
@@ -43,12 +43,12 @@ Vector = NDArray[np.float64]
 _BELL = Polynomial([1.0, 0.0, -1.0]) ** 8
 _REACH = 19**0.5  # ratio T / s
 MIN_WIDTH = 1.25
-"""Least s in samples; from this s on, sums over samples equal integrals to about 1e-6."""
+"""Least s of the kernel, in samples; from this s on, sums equal integrals to about 1e-6."""
 _MIN_FFT_SAMPLES = 500  # kernels of this length or longer are convolved by FFT
 _MIN_PAIR_SHARE = 0.5  # least number of pairs at a lag, as a share of the pairs at lag 0
-# Linear combinations of the r_j whose standard deviation is a smaller share of the largest are not
-# used. For these combinations Bartlett's formula, the first term of an expansion, is only as large
-# as the second term. With them, a test at the 1 % level would reject 2.5 % of true hypotheses.
+# Least standard deviation of the used linear combinations of the r_j, as a share of the largest.
+# Bartlett's formula is the first term of an expansion. For combinations below this limit, the
+# second term is as large. With them, a test at the 1 % level rejects 2.5 % of true hypotheses.
 _MIN_DEVIATION_SHARE = 0.2
 _MIN_SPEED_SHARE = 0.05  # share of the rms speed; below it, the sign is not trusted
 _STOP_WIDTHS = 2.0  # longest time to a stop at the rms acceleration, in widths of the kernel
@@ -107,7 +107,7 @@ def kernels(s: float, Ts: float) -> Kernels:
 
 
 def smoothed(data: Dataset, s: float) -> Smoothed:
-    """Return the smoothed signals of one experiment; s is the kernel's standard deviation in s."""
+    """Return smoothed signals of one experiment for a kernel of standard deviation s seconds."""
     k = kernels(s, data.Ts)
     y = np.where(data.valid, data.y, 0.0)
     there = _through((~data.valid).astype(np.float64), np.ones_like(k.first)) < 0.5

@@ -112,7 +112,7 @@ class SplitStudy:
 
     @property
     def std_growth(self) -> float:
-        """Mean standard deviation in the last split divided by that in the first split."""
+        """Mean standard deviation in the last split, divided by the mean in the first split."""
         return float(np.mean(self.splits[-1].std) / np.mean(self.splits[0].std))
 
     @property
@@ -127,8 +127,8 @@ class SplitStudy:
             lines.append(
                 "Each sample adds its share psi(t)²/lambda to the information. The covariance is "
                 "the inverse of the information: half the data have half the information and twice "
-                "the variance. Deviations have two reasons: the input does not excite all parts "
-                "equally, and each part must estimate an initial state."
+                "the variance. Deviations from this law have two reasons: the input does not "
+                "excite all parts equally, and each part must estimate an initial state."
             )
         return "\n".join([*lines, *self._agreement(scatter=True), *self._pooled()])
 
@@ -180,7 +180,8 @@ class SplitStudy:
         return [
             f"Pooled with weights 1/std², the estimate of the {last.k} parts is {value:.6g} ± "
             f"{std:.2g}; the estimate from all data is {whole.values[0]:.6g} ± "
-            f"{whole.std[0]:.2g}. Cutting the data loses only the information for initial states."
+            f"{whole.std[0]:.2g}. Cutting the data loses only the "
+            "information that determines the additional initial states."
         ]
 
     def plot(self, *, ax: Axes | None = None) -> Figure:

@@ -75,8 +75,8 @@ def plot_stability_regions(
 def plot_convergence(studies: Sequence[Convergence], *, ax: Axes | None = None) -> Axes:
     """Plot the error against the step, with the observed orders and the stability limits.
 
-    A dotted line marks the stability limit of each method. At larger steps the error grows with the
-    span. A step at which the solution overflows has no point.
+    A dotted line marks the stability limit of each method. At steps above the limit, the error
+    grows with the span. A step at which the solution overflows has no point.
     """
     ax = axes(ax)
     tops = []

@@ -48,7 +48,7 @@ def system(
 
 
 def require_positive(**values: float) -> None:
-    """Refuse a number that is not finite and > 0."""
+    """Refuse a number that is 0, negative, infinite or NaN."""
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"{name}={value!r} must be finite and > 0")

@@ -42,7 +42,7 @@ class Multistep:
     start: str = ""
     """Method of the first k - 1 steps, "" for k = 1."""
     work: int
-    """Number of products with A and of solutions with the factored I - beta_k h A, per step."""
+    """Number of products with A and of solved systems with I - beta_k h A, per step."""
     region: str
     """Description of the region of absolute stability."""
 
@@ -79,7 +79,7 @@ class RungeKutta:
 
     @property
     def start(self) -> str:
-        """Empty: a one-step method needs no other method to start."""
+        """Method of the first steps: always "", because a one-step method needs no other method."""
         return ""
 
     @property
@@ -159,7 +159,7 @@ def method_named(name: str) -> Method:
 
 
 def amplification(method: Method, z: Array) -> Array:
-    """Return the largest |zeta| at each z (any shape): the growth factor of an error per step."""
+    """Return the largest root |zeta| for each element of z: the growth of an error per step."""
     p = method.stability_polynomial
     at_z = np.stack([np.polyval(row[::-1], z) for row in p], axis=-1)
     if at_z.shape[-1] == 2:

@@ -79,8 +79,8 @@ def counting_eigenvalues(A: Array) -> Array:
     """Return the eigenvalues that limit the step; a real part that is rounding error becomes 0.
 
     An eigenvalue at 0 is not returned if it has as many independent eigenvectors as its
-    multiplicity. If an eigenvalue with real part 0 has fewer eigenvectors, the function returns
-    only 1, an unstable eigenvalue.
+    multiplicity. If an eigenvalue with real part 0 has fewer eigenvectors, A is unstable, and the
+    function returns only the number 1 as an unstable eigenvalue.
     """
     balanced, _ = matrix_balance(A)
     size = float(np.linalg.norm(balanced))

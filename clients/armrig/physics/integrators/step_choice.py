@@ -31,7 +31,7 @@ class Advice:
     limit: float
     """Largest absolutely stable step, in s."""
     error: float
-    """Largest error over the span at h, as a share of each state's largest value."""
+    """Largest error of a state over the span with the step h, divided by its largest value."""
     verified: bool
     """True if the error was measured; False if it was estimated from the order of the method."""
     steps: int
@@ -120,7 +120,9 @@ def recommend_step(
     """
     require_positive(tolerance=tolerance)
     if not 1e-8 <= tolerance <= 0.5:
-        raise InputError(f"tolerance={tolerance!r} must be from 1e-8 (near rounding) to 0.5")
+        raise InputError(
+            f"tolerance={tolerance!r} must be from 1e-8 (near the rounding errors) to 0.5"
+        )
     problem = sinusoid(A, B, amplitude=amplitude, omega=omega, x0=x0, span=span)
     rows = sorted(
         (_advice(problem, m, tolerance) for m in all_methods(methods)), key=lambda r: r.work
@@ -154,7 +156,7 @@ def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
 def _step_for(
     problem: Sinusoid, method: str, tolerance: float, largest: float
 ) -> tuple[float, float, bool]:
-    """Return the largest step within the tolerance, its error, and True if it was measured."""
+    """Return the largest step within the tolerance, its error, and True for a measured error."""
     order = METHODS[method].order
     best, best_error = 0.0, inf
     h = _START_SHARE * largest

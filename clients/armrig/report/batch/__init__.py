@@ -1,1 +1,1 @@
-"""One task for many recordings: a table with a row per recording, resumable, on many machines."""
+"""One task for many recordings, on one or more machines; a stopped batch can continue."""

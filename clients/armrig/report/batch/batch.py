@@ -149,7 +149,7 @@ def results(
     function : callable
         Function for the workers; it must not raise an exception.
     items : sequence
-        Items, each different from the others.
+        Items; no two items are equal.
     open_executor : callable
         Function that returns a context manager, which yields an open executor.
     at_once : int
@@ -213,7 +213,7 @@ def _is_broken(future: Future[R]) -> bool:
 def header_of(
     task: Task, folder: Path, rigs: Collection[str], kinds: Collection[str]
 ) -> dict[str, str]:
-    """Return the metadata of a table, which are equal for all starts of a batch with equal options.
+    """Return the metadata by which a later start recognises the table of the same batch.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def read_rows(path: Path, header: dict[str, str]) -> list[Row]:
     Raises
     ------
     OperationError
-        The file is not a table of a batch, or its header differs.
+        The file is not a table of a batch, or its header differs from `header`.
     """
     if not path.exists():
         return []

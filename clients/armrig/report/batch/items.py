@@ -80,6 +80,6 @@ def _validations(known: Catalogue) -> dict[str, str]:
     of_run = {s.run_id: s.file for s in known.recordings if not s.is_validation}
     return {
         of_run[s.validation_of]: str(s.path.with_name(_run(s.file)))
-        for s in reversed(known.recordings)  # the newest counts
+        for s in reversed(known.recordings)  # the newest validation of a run is used
         if s.is_validation and s.validation_of in of_run
     }

@@ -1,4 +1,4 @@
-"""Storage of each row at once after its computation, so that a later start continues the batch."""
+"""Immediate storage of each computed row, so that a later start continues the batch."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def still_right(
 ) -> dict[str, Row]:
     """Return the rows, by name, of the items whose files have not changed.
 
-    An item that is left out is computed again. A row with a problem is left out, because a
+    An item without a returned row is computed again. A row with a problem is left out, because a
     killed process or a full disk may have caused the problem. A row without all columns is left
     out. The row of a report is left out if its validation recording has changed.
     """

@@ -1,4 +1,4 @@
-"""Row of a recording, computed by a function that the workers run and that never raises."""
+"""Row of a recording, computed by a function that runs in workers and raises no exception."""
 
 from __future__ import annotations
 
