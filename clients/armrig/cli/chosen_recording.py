@@ -43,7 +43,7 @@ def recording_folder() -> Path:
 
 
 def recording_path(text: str) -> Path:
-    """Return the file of a name, and print the recording that the name means.
+    """Return the path of a recording from its path or @name; print what the @name means.
 
     Raises
     ------

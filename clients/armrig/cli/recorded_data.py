@@ -194,9 +194,7 @@ class SignalChoice:
 
     def _tell_of_means(self, model: Model | MultivariableFit | None) -> None:
         if _without_means(model) and not self.detrend:
-            tell(
-                "the model was estimated from data without their means: validate it with --detrend"
-            )
+            tell("the model was estimated from data minus their means: validate it with --detrend")
 
     def _refuse_calibration(self, file: Path) -> None:
         if self.calibration is not None:
@@ -233,7 +231,7 @@ class SignalChoice:
         return data
 
     def _is_other(self, file: Path) -> bool:
-        """Return True if the file's name or the given columns show that it is not a recording."""
+        """Return True if the file's name or the options show that the file is not a recording."""
         suffix = file.suffix.lower()
         asked = (self.input, self.time, self.Ts) != (None, None, None)
         return suffix in DATA or (asked and suffix != RECORDING)

@@ -224,7 +224,7 @@ def _version(chunk: Any) -> int:
 
 
 def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:
-    """Return the PWM codes of the attached input; the computation is the same as in the daemon."""
+    """Return the PWM codes of the attached input, computed as in the daemon."""
     if content.input is None:
         raise InputError("no input is attached")
     u = recorded_input(path, content.input, manifest.samples)

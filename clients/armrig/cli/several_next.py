@@ -74,8 +74,8 @@ def _at_operating_point(data: Signals) -> bool:
 def better_options(request: SignalsRequest, data: Signals) -> str:
     """Return the options of `identify` for the next estimation after coloured residuals.
 
-    If an angle of the rig integrates but the request has no integrator, the options request the
-    rig's structure. Otherwise the options request a search.
+    If an output is the rig's angle theta_1 and the request has no integrator, the options request
+    an OE model with an integrator. Otherwise the options request a search.
     """
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 

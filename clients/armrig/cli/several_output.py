@@ -84,7 +84,7 @@ def validation_lines(
 ) -> Iterator[str]:
     """Yield a summary sentence, the fits at each horizon, and the tests of the residuals.
 
-    Without `verbose` a pair of input and output is shown only if its test rejects.
+    Without `verbose`, only pairs of input and output that fail a test are shown.
     """
     row, data = tables[0][0], tables[0].data
     yield f"Simulated, {row.name} fits {simulated(row, data)}; {tests_sentence(tests)}."

@@ -41,12 +41,12 @@ class SampleRows:
         self._spend = spend
         self._share = 1.0
         self._samples = np.empty(0, SAMPLE_DTYPE)
-        self._views: list[memoryview] = []  # rows; they keep the current chunk in memory
+        self._views: list[memoryview] = []  # views into the current chunk, which stays in memory
         self._pending: list[bytes] = []
         self._pending_size = 0
 
     def add_run(self, chunk: memoryview, at: int) -> int:
-        """Add a run of records that begins at `at`, and return the size of the run in B.
+        """Add the run of records from byte `at` of the chunk on; return the size of the run in B.
 
         A run consists of consecutive messages of one channel; each has the length of a sample. The
         layout of the records is checked later, for many records together. Call `settle` before

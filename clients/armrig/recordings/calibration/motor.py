@@ -48,7 +48,7 @@ IDEAL_DRIVER = TerminalVoltage(line=np.array([0.0, 1.0]), covariance=np.zeros((2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Speeds:
-    """Line of the speed against the voltage: speed = rate · (terminal voltage - zero_torque)."""
+    """Line fitted to the measured speeds: speed = rate · (terminal voltage - zero_torque)."""
 
     rate: Figure
     """Speed of the chassis per volt at the terminals, in rad/s/V."""
