@@ -103,7 +103,7 @@ def _parameter(name: str, kind: Any, option: Any, default: Any = None) -> inspec
 
 
 def _order(name: str, *, several: bool) -> Any:
-    """Return the option of an order; if `several`, its help also lists models of several signals."""
+    """Return the option of an order; if `several`, its help also lists several-signal models."""
     default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
     shown = {"by the data" if n is None else str(n) for n in default.values()}
     if len(shown) > 1:

@@ -102,7 +102,7 @@ def next_line(after: str, **values: str | float) -> str:
 
 
 def _goes_on(line: str) -> str:
-    """Return the command line; if its recording already exists, return the command after it.
+    """Return the command, or the next command if the recording of this command already exists.
 
     A second complete recording with this --name would make the name ambiguous.
     """

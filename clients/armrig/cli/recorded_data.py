@@ -62,7 +62,7 @@ def loaded(
     with spinner("reading"):
         recordings = [load(file, calibration, start=start, stop=stop) for file in files]
     name_runs(*recordings)
-    # `warned` reports a file that is cut off. The end of the requested range is no early end.
+    # `warned` reports a file that is cut off. The end of a requested range is not an early end.
     whole = [r for r in recordings if not r.truncated and (start, stop) == (None, None)]
     early = [text.removesuffix(".") for text in early_ends(whole)]
     for text in (*early, *all_doubts(recordings, one_plant=one_plant)):

@@ -97,7 +97,7 @@ def replay(path: str | Path) -> Replay:
     except Exception as err:  # the steps in the file may be anything, so any exception may occur
         by = content.metadata.get(RUN, {}).get("armrig", "another release")
         raise FileError(
-            f"{path}: its steps are not of this release's core (recorded by {by}): {err}"
+            f"{path}: its steps do not fit the core of this release (recorded by {by}): {err}"
         ) from err
 
 

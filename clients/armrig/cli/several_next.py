@@ -45,7 +45,7 @@ def after_identify(
     accepted = _fits(fit) and (tests is None or not tests.rejects)
     options = asked if searched or accepted else better_options(request, data)
     if options != asked and _at_operating_point(data):
-        options = f"{asked} --detrend"  # without the means, the orders may be right
+        options = f"{asked} --detrend"  # after the means are subtracted, the orders may fit
     given = signals.options()
     if save is None or options != asked:
         options += given + (f" --validate {validation}" if validation else "")

@@ -63,7 +63,7 @@ def validated(
 
 
 def closest(table: SignalsComparisonTable) -> str:
-    """Return a sentence on each output's best model, or on the fits of the only model."""
+    """Return a sentence on each output's best model; for a single model, on its fits."""
     how = "Simulated" if table.horizon is None else f"Predicted {table.horizon} ahead"
     if len(table) == 1:
         return f"{how}, {table[0].name} fits {simulated(table[0], table.data)}."

@@ -201,7 +201,7 @@ class _Reader:
         self.chunks = Unpacker(self.budget)
         self._chunks_at = 0  # place of the first chunk in the file
         self.left_out: list[str] = []  # attachments
-        self.end = ""  # reason for an early end
+        self.end = ""  # reason why reading ended early
 
     def spend_work(self, cost: int) -> None:
         """Charge the work of reading records to the budget."""

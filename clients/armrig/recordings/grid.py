@@ -54,7 +54,7 @@ class Grid:
             if begin < end:
                 edges.append((begin, -i, end, value))
         edges.sort()
-        open_gaps: list[tuple[int, int, float]] = []  # a heap; the last gap in `gaps` is first
+        open_gaps: list[tuple[int, int, float]] = []  # a heap; later gaps in `gaps` come first
         row = 0
         for begin, order, end, value in [*edges, (self.N, 1, self.N, np.nan)]:
             while open_gaps and row < begin:

@@ -119,9 +119,9 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     def names(self, *, validation: bool) -> set[str]:
         """Return all names that select the recording: its name, run id, experiment and file name.
 
-        A validation has the name of the recording that it validates. The name therefore does not
-        select the validation. If `validation` is True, return the names of the validated recording,
-        or an empty set if this recording is no validation.
+        A validation recording has the name of the recording that it validates. This name selects
+        only the validated recording. If `validation` is True, return the names of the validated
+        recording, or an empty set if this recording is not a validation recording.
         """
         if not validation:
             own = {self.name} if self.name and not self.is_validation else set()

@@ -25,10 +25,10 @@ SAMPLE_DTYPE = np.dtype([(name, _FORMATS[kind]) for name, kind in telemetry.SAMP
 ROW_LENGTH = MESSAGE_HEAD.size + telemetry.SAMPLE_LENGTH
 """Length of the record of a sample with constant layout, in B."""
 
-_MAX_PENDING_BYTES = 1 << 19  # B; rows of this size are converted to samples
+_MAX_PENDING_BYTES = 1 << 19  # B; rows are converted when they exceed this size
 _K_LIMIT = np.uint64(1 << 62)
 _ROOM_MARGIN = 1.1  # relative to the estimated size of the rest of the file
-_MIN_GROWTH, _MAX_GROWTH = 1.5, 64  # factors of a new allocation
+_MIN_GROWTH, _MAX_GROWTH = 1.5, 64  # limits of the growth factor of an allocation
 
 
 class SampleRows:

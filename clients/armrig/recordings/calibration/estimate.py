@@ -71,7 +71,7 @@ class Estimate:
     speeds: Speeds | None
     """Line fitted to the motor's speeds at its voltages; None for fewer than two voltages."""
     terminal: TerminalVoltage | None
-    """Line of the driver's terminal voltage against u; None without readings of a meter."""
+    """Line fitted to the driver's terminal voltage over u; None without readings of a meter."""
     warnings: tuple[str, ...]
     """Warnings about the calibration, one sentence each."""
 

@@ -188,7 +188,7 @@ def spread(counts: Vector, step: float) -> Figure:
 
 
 def noise_before_rounding(variance: float, step: float) -> float:
-    """Return the noise's standard deviation; the rounding's variance step² / 12 is subtracted."""
+    """Return the noise's standard deviation from a variance that includes rounding (step² / 12)."""
     return sqrt(max(variance - step**2 / 12, 0.0))
 
 

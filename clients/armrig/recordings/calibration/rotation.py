@@ -28,7 +28,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 SETTLE_S = 2.0
-"""Time left out after each change of the voltage, in s: 16 time constants of the handout's arm."""
+"""Time after each voltage change that the fit does not use, in s; 16 time constants of the arm."""
 LEAST_S = 1.0
 """Least time in s for which each voltage is held after the first `SETTLE_S`."""
 LEAST_TURNS = 3
