@@ -173,7 +173,7 @@ def _none(text: str, folder: Path) -> str:
     if text == f"@{LAST}":
         why = f"there is no finished recording in {folder}{going}; make one with `armrig collect`"
     else:
-        why = f"no finished recording in {folder} has that name{going}; `armrig ls` lists them"
+        why = f"no finished recording in {folder} has that name{going}; `armrig ls` lists all names"
         why += _near(text, folder)
     return f"{text}: {why}"
 

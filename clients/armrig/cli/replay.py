@@ -90,7 +90,7 @@ def replay(path: str | Path) -> Replay:
     if first is None or not first.state:
         why = "the file may be older than `armrig replay`"
         if content.damage:
-            why = f"{content.damage}; nothing to replay precedes the damage"
+            why = f"{content.damage}; nothing before the damage can be replayed"
         raise FileError(f"{path}: nothing to replay: {why}")
     try:
         return _replayed(paths, content, first)
