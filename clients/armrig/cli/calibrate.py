@@ -225,7 +225,8 @@ def _check_figure(plot: Path | None, wanted: _Wanted) -> None:
         raise InputError(f"-o {plot}: -o writes a figure; --save {plot} writes the calibration")
     if plot is not None and wanted.by_hand and wanted.turns_file is None:
         raise InputError(
-            f"-o {plot}: the figure shows turns, but --by-hand makes none; leave out one of the two"
+            f"-o {plot}: the figure shows turns, but --by-hand records none; leave out -o or "
+            "--by-hand"
         )
     check_plot(plot, [file for file in (wanted.rest_file, wanted.turns_file) if file])
 
@@ -256,7 +257,8 @@ def _checked(path: Path) -> Path:
         else:
             if made is None:
                 raise InputError(
-                    f"--save {path}: exists, not made by `armrig calibrate`; give another name"
+                    f"--save {path}: exists and was not made by `armrig calibrate`; give "
+                    "another name"
                 )
     return path
 

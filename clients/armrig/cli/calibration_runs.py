@@ -152,7 +152,7 @@ def take_into_use(
         True to load the calibration, False not to load it. If None and a daemon runs, the user is
         asked.
     asks : bool
-        True if the user may be asked; if False, the answer is yes.
+        True if the user may be asked; if False, the calibration is loaded without a question.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def _is_wanted(wanted: bool | None, *, asks: bool) -> bool:
 
 
 def _say_how_it_stays(path: Path, named: str) -> None:
-    """Print how to make a daemon use the calibration from its next start on.
+    """Print what the user must do so that the daemon uses the calibration after its next start.
 
     `named` is the calibration file in the configuration of the running daemon.
     """

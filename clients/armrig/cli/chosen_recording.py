@@ -43,7 +43,7 @@ def recording_folder() -> Path:
 
 
 def recording_path(text: str) -> Path:
-    """Return the file of a name, and print the recording that the name means.
+    """Return the path of a recording from its path or @name; print what the @name means.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def _none(text: str, folder: Path) -> str:
     if text == f"@{LAST}":
         why = f"there is no finished recording in {folder}{going}; make one with `armrig collect`"
     else:
-        why = f"no finished recording in {folder} has that name{going}; `armrig ls` lists them"
+        why = f"no finished recording in {folder} has that name{going}; `armrig ls` lists all names"
         why += _near(text, folder)
     return f"{text}: {why}"
 

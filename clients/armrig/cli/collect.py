@@ -102,7 +102,7 @@ DeadMan = Annotated[
 ]
 DEFAULT_PERIOD_S = 5.0
 DEAD_MAN_S = 1.0
-"""Default dead-man time, in s: a closed terminal or a lost connection stops the motor."""
+"""Default time in s after which a closed terminal or a lost connection stops the motor."""
 
 
 @app.command(epilog="Example: armrig collect blackbox --seconds 30 --validation")

@@ -32,7 +32,7 @@ class CollectedRun(NamedTuple):
 
 
 class Played(NamedTuple):
-    """One recording of a collection."""
+    """One recording of `armrig collect`."""
 
     experiment: str
     make: Callable[[int, float], Any]

@@ -52,8 +52,8 @@ def demo(
     Returns the results and the paths of the files, by name.
 
     In virtual time the same seed gives the same bytes. If the machine stalls too often in real
-    time, the remaining experiments are recorded in virtual time, and the report states this. The
-    firmware of an Uno, in a simulator of its processor, needs virtual time.
+    time, the remaining experiments are recorded in virtual time, and the report states this. If
+    `firmware` is True, a simulator runs the firmware of an Uno; this needs `virtual`.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def demo(
 def _record(plan: list[Experiment], config: Path, console: Console, done: list[Path]) -> str:
     """Append real-time recordings to `done`; return why some are missing, or "" if none is."""
     if sys.platform != "linux":
-        return "an emulated rig in real time is for Linux"
+        return "emulation in real time needs Linux"
     from armrig_core.errors import InputError
 
     from armrig.cli.demo_rig import record_in_real_time

@@ -109,7 +109,7 @@ def check(
 
 
 def _say_next(file: Path, signals: SignalChoice, *, of_rig: bool) -> None:
-    """Print the next command. If the arm was on, this command is for the chassis alone."""
+    """Print the next command; after a recording of the whole rig, it is for the chassis alone."""
     if not of_rig:
         say_next("check other", file=typed(file), given=signals.options())
     elif kind_of(file) == "greybox":

@@ -27,7 +27,7 @@ _DPI = 200
 _RUNS: dict[str, str] = {}
 """Run id of each recording that the command read, by the recording's hash."""
 _ESTIMATION: dict[Path, str] = {}
-"""Run id of the estimation recording of each validation recording that was read, by its file."""
+"""Run ids of estimation recordings, by path; validation recordings that were read name them."""
 _MCAP = b"\x89MCAP0\r\n"
 
 

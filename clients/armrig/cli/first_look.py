@@ -105,7 +105,7 @@ def sampling(
     with spinner("estimating the response"):
         choice = sampling_time(data)
         steps = _steps(data) if choice.from_step else None
-    if steps is not None:  # print a warning of both results only once
+    if steps is not None:  # print a warning that both results contain only once
         said = set(choice.notes)
         steps = replace(steps, warnings=tuple(w for w in steps.warnings if w not in said))
     shown = {"sampling": choice} if steps is None else {"step": steps, "sampling": choice}

@@ -114,7 +114,7 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, js
 
     shown = told = ""
     status, asked_s = rig.status(), time.monotonic()
-    # Computed once. Later recordings would change this line, but each command prints its own.
+    # Computed once: the commands of later recordings print their own next command.
     after = next_line("lab chassis" if status.arm_removed else "lab", rig=naming(status.rig))
     with rig.arrivals("sample") as newest, _view(json=json) as (say, draw):
         sample = None

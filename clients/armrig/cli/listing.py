@@ -54,7 +54,7 @@ _DEFAULT_COUNT = 20
 _MAX_NAMES = 3
 _MAX_WIDTH = 60  # characters of a column
 _HEADINGS = ("recording", "kind", "length", "Ts", "missing", "started", "outcome", "validates")
-_OPTIONAL = 2  # number of optional columns, the last ones
+_OPTIONAL = 2  # number of optional columns, which are the last columns
 
 
 def ls(
@@ -68,8 +68,8 @@ def ls(
     """List the recordings, newest first; with --live, list the rigs that are alive.
 
     Other commands accept the listed names, and @last, in place of a file. If you give a FOLDER,
-    the list contains file names instead. With --connect, --live lists the rigs of that router or
-    daemon.
+    the list contains file names instead. With --connect, --live lists the rigs at the given
+    endpoint.
     """
     if live and (where is not None or every):
         raise InputError(

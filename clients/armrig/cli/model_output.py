@@ -160,14 +160,14 @@ def search_lines(found: SearchResult) -> list[str]:
 
 _DATA_FIRST = "correct the data first, see below"
 _OF_DATA = frozenset({"outliers", "level"})
-"""Names of an estimate's findings about the data; findings of the advice have the same names."""
+"""Names of the findings about the data; the estimation and the advice use the same names."""
 _SAID_BY = {
     **{name: {name} for name in _OF_DATA},
     "unstable": {"integrator", "unstable"},
     "poorer_minimum": {"search"},
     "not_converged": {"search"},
 }
-"""Names of the findings of the advice that repeat a finding of the estimate, by its name."""
+"""For each name of an estimation's finding: names of the findings of the advice that repeat it."""
 _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"
@@ -217,7 +217,7 @@ def tests_sentence(tests: ResidualTest | SignalsResidualTest) -> str:
         failed.append(f"they are {tests.white}: {_NOISE}")
     else:
         passed.append(str(tests.white))
-    # If u is not white, missing dynamics also show at the lags of feedback.
+    # If u is not white, missing dynamics also affect the lags at which feedback is tested.
     feedback = f"there is feedback ({{}}): {_FEEDBACK}"
     if tests.missing_dynamics < WHITE_LEVEL:
         feedback = "until the dynamics are modelled, the test of feedback ({}) is not valid"

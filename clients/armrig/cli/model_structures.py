@@ -103,7 +103,7 @@ def _parameter(name: str, kind: Any, option: Any, default: Any = None) -> inspec
 
 
 def _order(name: str, *, several: bool) -> Any:
-    """Return the option of an order; if `several`, its help adds structures of several signals."""
+    """Return the option of an order; if `several`, its help also lists several-signal models."""
     default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
     shown = {"by the data" if n is None else str(n) for n in default.values()}
     if len(shown) > 1:
@@ -114,7 +114,7 @@ def _order(name: str, *, several: bool) -> Any:
 
 
 def _choice(name: str, option: Option, *, several: bool) -> Any:
-    """Return an option that is no order; `several` as in `_order`."""
+    """Return an option that is not an order; if `several`, its help names exceptions."""
     more = _NOT_WITH.get(name, "") if several else ""
     return _option(name, option.help, option.default, more=more)
 
@@ -164,7 +164,7 @@ def requested_of_several(
         raise typer.BadParameter("give --structure, such as --structure ss, or --search")
     if structure not in OF_SEVERAL:
         raise typer.BadParameter(
-            f"--structure {structure} has one output and one input; several signals go with "
+            f"--structure {structure} has one output and one input; for several signals use "
             f"{listed([*OF_SEVERAL])}"
         )
     row = OF_SEVERAL[structure]

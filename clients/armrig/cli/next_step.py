@@ -80,7 +80,7 @@ AFTER: Mapping[str, str] = {
 }
 """Next command after each command; names in braces are replaced by values."""
 CHECK = ""
-"""Value that replaces the options if `armrig check` must test the data first."""
+"""Result of `options_after` if the next command must be `armrig check`, which tests the data."""
 _LOWER = {"order", "poles"}
 _CHECKED = {"feedback", "delay", "unstable"}
 
@@ -102,7 +102,7 @@ def next_line(after: str, **values: str | float) -> str:
 
 
 def _goes_on(line: str) -> str:
-    """Return the command line; if its recording already exists, return the command after it.
+    """Return the command, or the next command if the recording of this command already exists.
 
     A second complete recording with this --name would make the name ambiguous.
     """
@@ -223,9 +223,9 @@ def for_the_report() -> str:
     """Return the names of the recordings for the handout's report, with a blank before each name.
 
     The report uses four complete recordings with the same calibration: step, estimation,
-    validation, chassis. The function chooses the calibration that has the most of these four
-    recordings. Of each kind, it takes the newest recording with a name; if none has a name, the
-    newest recording. The result is "" if there is no recording.
+    validation, chassis. The function chooses the calibration with which most of these four
+    recordings were made. Of each kind, it takes the newest recording that the user named. If the
+    user named none, it takes the newest recording. The result is "" if there is no recording.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.catalogue import newest_first

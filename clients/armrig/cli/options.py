@@ -158,7 +158,7 @@ def say(text: str) -> None:
 def echo(text: str) -> None:
     """Print text on standard output with unprintable characters escaped.
 
-    A name or a reason may come from another user, or from a file of unknown origin. All output
+    The text may contain parts from other users or from files of unknown origin. All output
     therefore uses this function, `print_json` or `print_table`.
     """
     typer.echo(_for_terminal(text, keep="\n"))

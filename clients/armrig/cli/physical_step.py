@@ -106,7 +106,7 @@ def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None
 
 
 def _of(given: list[str] | None) -> str:
-    """Return the changed parameters as part of a sentence; "" for the parameters of the handout."""
+    """Return " with " and the changed parameters; "" for the parameters of the handout."""
     return f" with {changes(given)}" if given else ""
 
 

@@ -55,8 +55,8 @@ Studied = Annotated[
     typer.Option(
         "--free",
         metavar="NAME",
-        help=f"Parameter to estimate ({PARAMETERS}); repeatable; the first one is compared "
-        "between the parts.",
+        help=f"Parameter to estimate ({PARAMETERS}); repeatable; estimates of the first "
+        "parameter are compared.",
         show_default="J_1",
     ),
 ]
@@ -310,7 +310,11 @@ def _rig(
 
     seen: Literal["chassis", "arm"] = "arm" if alpha_moves(recording) else "chassis"
     if model is not None and model != seen:
-        what = "alpha moves: the arm was on" if seen == "arm" else "alpha rests: the arm was off"
+        what = (
+            "alpha moves: the arm was attached"
+            if seen == "arm"
+            else "alpha rests: the arm was removed"
+        )
         raise InputError(
             f"{recording.path}: --model {model}, but {what}; leave --model out, or record the "
             f"{model} (`armrig collect greybox` is for the chassis alone)"

@@ -62,7 +62,7 @@ def loaded(
     with spinner("reading"):
         recordings = [load(file, calibration, start=start, stop=stop) for file in files]
     name_runs(*recordings)
-    # `warned` reports a file that is cut off. The end of the requested range is no early end.
+    # `warned` reports a file that is cut off. The end of a requested range is not an early end.
     whole = [r for r in recordings if not r.truncated and (start, stop) == (None, None)]
     early = [text.removesuffix(".") for text in early_ends(whole)]
     for text in (*early, *all_doubts(recordings, one_plant=one_plant)):
@@ -194,9 +194,7 @@ class SignalChoice:
 
     def _tell_of_means(self, model: Model | MultivariableFit | None) -> None:
         if _without_means(model) and not self.detrend:
-            tell(
-                "the model was estimated from data without their means: validate it with --detrend"
-            )
+            tell("the model was estimated from data minus their means: validate it with --detrend")
 
     def _refuse_calibration(self, file: Path) -> None:
         if self.calibration is not None:
@@ -233,7 +231,7 @@ class SignalChoice:
         return data
 
     def _is_other(self, file: Path) -> bool:
-        """Return True if the file's name or the given columns show that it is not a recording."""
+        """Return True if the file's name or the options show that the file is not a recording."""
         suffix = file.suffix.lower()
         asked = (self.input, self.time, self.Ts) != (None, None, None)
         return suffix in DATA or (asked and suffix != RECORDING)

@@ -1,4 +1,4 @@
-"""The command recover, which completes unfinished recordings."""
+"""The command recover, which finishes unfinished recordings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Where = Annotated[
 
 
 def recover(where: Where = None, json: Json = False) -> None:
-    """Complete recordings that a daemon left unfinished when it died.
+    """Finish recordings that a daemon left unfinished when it died.
 
     A daemon completes its own recordings when it starts again; this command is for copied files. It
     refuses a file that a daemon is still writing. Each file keeps its undamaged part and gets a

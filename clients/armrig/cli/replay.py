@@ -90,14 +90,14 @@ def replay(path: str | Path) -> Replay:
     if first is None or not first.state:
         why = "the file may be older than `armrig replay`"
         if content.damage:
-            why = f"{content.damage}; nothing to replay precedes the damage"
+            why = f"{content.damage}; nothing before the damage can be replayed"
         raise FileError(f"{path}: nothing to replay: {why}")
     try:
         return _replayed(paths, content, first)
     except Exception as err:  # the steps in the file may be anything, so any exception may occur
         by = content.metadata.get(RUN, {}).get("armrig", "another release")
         raise FileError(
-            f"{path}: its steps are not of this release's core (recorded by {by}): {err}"
+            f"{path}: its steps do not fit the core of this release (recorded by {by}): {err}"
         ) from err
 
 
@@ -224,7 +224,7 @@ def _version(chunk: Any) -> int:
 
 
 def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:
-    """Return the PWM codes of the attached input; the computation is the same as in the daemon."""
+    """Return the PWM codes of the attached input, computed as in the daemon."""
     if content.input is None:
         raise InputError("no input is attached")
     u = recorded_input(path, content.input, manifest.samples)

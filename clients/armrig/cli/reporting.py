@@ -198,7 +198,7 @@ def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object
             raise typer.BadParameter(f"--{name} applies to the handout's report: add --handout")
     if given["signal"] and handout:
         raise typer.BadParameter(
-            f"--signal {given['signal']}: the handout's report is of theta_1; leave out --handout "
+            f"--signal {given['signal']}: the handout's report models theta_1; leave out --handout "
             "or --signal"
         )
     if not (files or handout or given["edited"]):

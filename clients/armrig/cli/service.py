@@ -25,7 +25,7 @@ Root = Annotated[
     typer.Option(
         "--root",
         metavar="DIR",
-        help="Root folder of the system; any folder except / is a system that is not running.",
+        help="Root folder of the system; a folder other than / contains an offline system.",
     ),
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Show the plan only.")]

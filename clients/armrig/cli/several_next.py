@@ -45,7 +45,7 @@ def after_identify(
     accepted = _fits(fit) and (tests is None or not tests.rejects)
     options = asked if searched or accepted else better_options(request, data)
     if options != asked and _at_operating_point(data):
-        options = f"{asked} --detrend"  # without the means, the orders may be right
+        options = f"{asked} --detrend"  # after the means are subtracted, the orders may fit
     given = signals.options()
     if save is None or options != asked:
         options += given + (f" --validate {validation}" if validation else "")
@@ -74,8 +74,8 @@ def _at_operating_point(data: Signals) -> bool:
 def better_options(request: SignalsRequest, data: Signals) -> str:
     """Return the options of `identify` for the next estimation after coloured residuals.
 
-    If an angle of the rig integrates but the request has no integrator, the options request the
-    rig's structure. Otherwise the options request a search.
+    If an output is the rig's angle theta_1 and the request has no integrator, the options request
+    an OE model with an integrator. Otherwise the options request a search.
     """
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 

@@ -63,7 +63,7 @@ def validated(
 
 
 def closest(table: SignalsComparisonTable) -> str:
-    """Return a sentence on each output's best model, or on the fits of the only model."""
+    """Return a sentence on each output's best model; for a single model, on its fits."""
     how = "Simulated" if table.horizon is None else f"Predicted {table.horizon} ahead"
     if len(table) == 1:
         return f"{how}, {table[0].name} fits {simulated(table[0], table.data)}."
@@ -84,7 +84,7 @@ def validation_lines(
 ) -> Iterator[str]:
     """Yield a summary sentence, the fits at each horizon, and the tests of the residuals.
 
-    Without `verbose` a pair of input and output is shown only if its test rejects.
+    Without `verbose`, only pairs of input and output that fail a test are shown.
     """
     row, data = tables[0][0], tables[0].data
     yield f"Simulated, {row.name} fits {simulated(row, data)}; {tests_sentence(tests)}."

@@ -64,10 +64,10 @@ COLUMNS: dict[str, Any] = {
 SIZE_LIMIT = 128 << 20
 """Largest index that is read or written, in B; 10 000 recordings take about 4 MB."""
 SETTLED_NS = 2_000_000_000
-"""Least age of a file, in ns, at which each later change also changes the file's time stamps.
+"""Least age of a file, in ns, from which every further change gives the file other time stamps.
 
-The times of a file system have a resolution of up to 2 s. A younger file may therefore change
-without a new time stamp.
+The time stamps of a file system have a resolution of up to 2 s. If a file is younger than this age,
+it may change and keep its time stamps.
 """
 _SUFFIX = ".mcap"
 _STAMP = "%Y%m%dT%H%M%S"
@@ -182,8 +182,8 @@ class Catalogue:
 def catalogue(folder: str | Path) -> Catalogue:
     """Return the recordings of a folder as one table, newest first.
 
-    The table is built from the summary at the end of each file, without its samples. The user's
-    cache stores the results of a large folder. A later call then opens new and changed files only.
+    The function reads only the summary at the end of each file, not the samples. The results of a
+    large folder are stored in the user's cache. A later call then opens only new and changed files.
 
     Parameters
     ----------
@@ -318,7 +318,7 @@ def state_of(found: os.stat_result) -> str:
 
 
 def is_settled(found: os.stat_result, looked_ns: int) -> bool:
-    """Return True if each change of the file after `looked_ns` also changes its time stamps."""
+    """Return True if each change of the file after `looked_ns` gives it other time stamps."""
     return max(found.st_mtime_ns, found.st_ctime_ns) < looked_ns - SETTLED_NS
 
 

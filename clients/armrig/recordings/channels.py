@@ -41,7 +41,7 @@ def channels_of(
     Ts: float,
     before: NDArray[np.void],
 ) -> dict[str, Any]:
-    """Return the channels, their masks, and the rows where the number of turns gets uncertain."""
+    """Return the channels, their masks, and the rows from which the number of turns is unknown."""
     found: dict[str, Any] = {"others": {}, "turns_unknown": ()}
     for channel in telemetry.CHANNELS:
         pot: Potentiometer | None = getattr(calibration, channel.name, None)
@@ -135,7 +135,7 @@ def turns_unknown(valid: Mask, present: Mask, Ts: float) -> Indices:
 
     Before each of these samples, so many samples are missing that the shaft can have made half a
     turn. Samples in the dead band arrived, and do not count as missing. If the sampling time
-    exceeds `HALF_TURN_S`, the indices of all valid samples but the first are returned.
+    exceeds `HALF_TURN_S`, the indices of all valid samples except the first are returned.
 
     Parameters
     ----------

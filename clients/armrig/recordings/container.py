@@ -73,7 +73,7 @@ class Content:
     size: int = 0
     """Size of the file, in B."""
     damage: str = ""
-    """Text about unread attachments and the reason for an early end; "" for a complete file."""
+    """Damage of attachments, and the reason why reading ended early; "" for an undamaged file."""
     cut_off: bool = False
     """True if reading ended because the file is truncated, not because of another error."""
     read: int = 0
@@ -81,7 +81,7 @@ class Content:
     samples: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, SAMPLE_DTYPE))
     """All samples, `SAMPLE_DTYPE`; k increases strictly."""
     messages: dict[str, list[Any]] = field(default_factory=dict)
-    """Protobuf messages of the other streams, by stream."""
+    """Protobuf messages of each stream except the samples, by stream."""
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """Metadata records by name."""
     attachments: dict[str, bytes] = field(default_factory=dict)
@@ -201,7 +201,7 @@ class _Reader:
         self.chunks = Unpacker(self.budget)
         self._chunks_at = 0  # place of the first chunk in the file
         self.left_out: list[str] = []  # attachments
-        self.end = ""  # reason for an early end
+        self.end = ""  # reason why reading ended early
 
     def spend_work(self, cost: int) -> None:
         """Charge the work of reading records to the budget."""

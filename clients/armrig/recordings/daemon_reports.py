@@ -102,7 +102,7 @@ class Timing:
     collections: int
     """Number of garbage collections since the loop started; each stalls the loop. -1: unknown."""
     cpu_pressure_percent: float
-    """Time for which a task waited for a processor in this second, in %; NaN: unknown."""
+    """Part of this second in which a task waited for a processor, in %; NaN: unknown."""
     run_queue: int
     """Number of runnable tasks of the host; -1: unknown."""
 
@@ -130,7 +130,7 @@ class Clock:
     """Conversion of host times to seconds from the recording's first sample."""
 
     zero_ns: int
-    """Time at which the first sample was due, on the host's monotonic clock."""
+    """Time at which the first sample was due, on the host's monotonic clock, in ns."""
     offset_ns: int
     """Real-time clock minus monotonic clock, in ns."""
 

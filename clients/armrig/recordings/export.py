@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
 
 
-_BLOCK_ROWS = 65_536  # of a CSV file, converted to text at once
+_BLOCK_ROWS = 65_536  # rows of a CSV file that are converted to text in one step
 _ARM_HEIGHT_M = 0.1  # makes both frames visible; the real height is unknown
 _NS = 1_000_000_000
 _END_NS = 2**32 * _NS  # end of Foxglove's timestamps

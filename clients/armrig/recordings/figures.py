@@ -1,4 +1,4 @@
-"""Figures of a recording's timing."""
+"""Figures of a recording: its timing and its overview."""
 
 from __future__ import annotations
 

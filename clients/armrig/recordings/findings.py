@@ -230,9 +230,9 @@ class HiddenStep:
 def hidden_step(r: Recording) -> HiddenStep | None:
     """Return the hidden interval of the rise; None if the rise is visible or u is no step.
 
-    The duration of the rise is taken as the equivalent time (`armrig.numerics.step_times`). This
-    time is the lag of the angle relative to its final straight line. The lag can be computed
-    without samples of the rise.
+    The function takes the equivalent time (`armrig.numerics.step_times`) as the duration of the
+    rise. The equivalent time is the lag of the angle relative to its final straight line. It can be
+    computed without samples of the rise.
     """
     edges = np.flatnonzero(np.diff(r.u) != 0)
     if edges.size != 1:

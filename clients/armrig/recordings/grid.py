@@ -47,14 +47,14 @@ class Grid:
             First index, number of samples and value of each gap.
         """
         values = np.full(self.N, np.nan)
-        # First row, -i, end row and value of each gap, sorted by the first row.
+        # Tuples (first row, -i, end row, value) of the gaps i, sorted.
         edges: list[tuple[int, int, int, float]] = []
         for i, (k_gap, count, value) in enumerate(gaps):
             begin, end = (min(max(k - self.k_first, 0), self.N) for k in (k_gap, k_gap + count))
             if begin < end:
                 edges.append((begin, -i, end, value))
         edges.sort()
-        open_gaps: list[tuple[int, int, float]] = []  # a heap; the last gap in `gaps` is first
+        open_gaps: list[tuple[int, int, float]] = []  # a heap; later gaps in `gaps` come first
         row = 0
         for begin, order, end, value in [*edges, (self.N, 1, self.N, np.nan)]:
             while open_gaps and row < begin:
@@ -82,12 +82,12 @@ def grid(
     complete run, the last sample follows from the number of samples in the manifest. For a stopped
     run, the last sample follows from the numbers of samples in the outcome. If the file is cut off,
     the grid ends with the last sample or gap record. In an older recording, whose manifest has no
-    `k_first`, the grid reaches from the first sample in `k` to the last.
+    `k_first`, the grid reaches from `k[0]` to `k[-1]`.
 
     Parameters
     ----------
     gaps : iterable of (int, int)
-        First index and number of missing samples of each gap record.
+        Index of the first missing sample, and number of missing samples, of each gap record.
     between : (int, int)
         Range of indices to which the grid is limited: first index, and index after the last.
 
@@ -127,7 +127,7 @@ def grid(
 
 
 def first_of(manifest: Manifest) -> int:
-    """Return the index of the first sample that was due in a file; -1 if no index is recorded."""
+    """Return the index of the first sample that was due in a file; -1 if it is not recorded."""
     return manifest.part_k_first if manifest.part > 1 else manifest.k_first
 
 

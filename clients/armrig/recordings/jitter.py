@@ -149,7 +149,7 @@ class Disturbances:
     collections: int
     """Number of garbage collections between the first report and the last; -1: unknown."""
     cpu_pressure_percent: float
-    """Time for which a task waited for a processor in the worst second, in %; NaN: unknown."""
+    """Largest part of a second in which a task waited for a processor, in %; NaN: unknown."""
     run_queue: int
     """Largest number of runnable tasks; -1: unknown."""
     round_trip_us: float

@@ -112,7 +112,7 @@ def overview(recording: Recording) -> Overview:
             f"u changes {plural(changes, 'time')}; with fewer than {_MIN_INPUT_CHANGES} changes a "
             "model cannot distinguish an outlier from the swing after a change: look at the figure"
         )
-        # Of 40 emulated steps without a drift, 13 showed a drift of the rate, all of them positive.
+        # In 13 of 40 emulated steps without a drift, the search found a positive drift of the rate.
         reasons[VELOCITY] = "u changes too rarely: the errors of the model would look like a drift"
     searched = () if poor else _SEARCHED_OUTPUTS
     for output in (name for name in searched if name not in reasons):

@@ -18,7 +18,7 @@ from armrig.recordings.container import Content
 from armrig.recordings.daemon_reports import Clock
 from armrig.recordings.loading import EVERYTHING, clock_of, files_of, origin_of, run_content
 
-_BLOCK_SAMPLES = 4096  # converted to Python's numbers at once
+_BLOCK_SAMPLES = 4096  # samples converted to Python numbers in one step
 
 
 class Published(NamedTuple):

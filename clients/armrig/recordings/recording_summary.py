@@ -72,7 +72,7 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     missing: int
     """Number of missing samples in this file."""
     outcome: str
-    """`complete`, or the reason for an early end; `continued` if another part follows."""
+    """`complete`, or the reason for an early end; `continued` if the run has a further file."""
     part: int
     """Number of the file in a long run, from 1; 0 if one file contains the whole run."""
     pacing: str
@@ -119,9 +119,9 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     def names(self, *, validation: bool) -> set[str]:
         """Return all names that select the recording: its name, run id, experiment and file name.
 
-        A validation has the name of the recording that it validates. The name therefore does not
-        select the validation. If `validation` is True, return the names of the validated recording,
-        or an empty set if this recording is no validation.
+        A validation recording has the name of the recording that it validates. This name selects
+        only the validated recording. If `validation` is True, return the names of the validated
+        recording, or an empty set if this recording is not a validation recording.
         """
         if not validation:
             own = {self.name} if self.name and not self.is_validation else set()
@@ -193,12 +193,12 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
 
 
 def shown_path(path: Path) -> str:
-    """Return a path as text, with bytes that are not valid in this system's encoding escaped."""
+    """Return a path as text; bytes that are invalid in this system's encoding are escaped."""
     return str(path).encode("utf-8", "backslashreplace").decode()
 
 
 def read_metadata(path: Path) -> dict[str, dict[str, str]]:
-    """Return the metadata records of the run and of its outcome, if they exist, by name.
+    """Return the existing metadata records of a run and of its outcome, by name.
 
     A few short reads suffice for a recording of any length. Damaged samples are not detected,
     because the samples are not read.

@@ -25,10 +25,10 @@ SAMPLE_DTYPE = np.dtype([(name, _FORMATS[kind]) for name, kind in telemetry.SAMP
 ROW_LENGTH = MESSAGE_HEAD.size + telemetry.SAMPLE_LENGTH
 """Length of the record of a sample with constant layout, in B."""
 
-_MAX_PENDING_BYTES = 1 << 19  # B; rows of this size are converted to samples
+_MAX_PENDING_BYTES = 1 << 19  # B; rows are converted when they exceed this size
 _K_LIMIT = np.uint64(1 << 62)
 _ROOM_MARGIN = 1.1  # relative to the estimated size of the rest of the file
-_MIN_GROWTH, _MAX_GROWTH = 1.5, 64  # factors of a new allocation
+_MIN_GROWTH, _MAX_GROWTH = 1.5, 64  # limits of the growth factor of an allocation
 
 
 class SampleRows:
@@ -41,12 +41,12 @@ class SampleRows:
         self._spend = spend
         self._share = 1.0
         self._samples = np.empty(0, SAMPLE_DTYPE)
-        self._views: list[memoryview] = []  # rows; they keep the current chunk in memory
+        self._views: list[memoryview] = []  # views into the current chunk, which stays in memory
         self._pending: list[bytes] = []
         self._pending_size = 0
 
     def add_run(self, chunk: memoryview, at: int) -> int:
-        """Add a run of records that begins at `at`, and return the size of the run in B.
+        """Add the run of records from byte `at` of the chunk on; return the size of the run in B.
 
         A run consists of consecutive messages of one channel; each has the length of a sample. The
         layout of the records is checked later, for many records together. Call `settle` before

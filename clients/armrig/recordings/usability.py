@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
 
 
-_STRETCH_S = 1.0  # length of the stretches to which straight lines are fitted
+_STRETCH_S = 1.0  # length of the intervals to which straight lines are fitted
 _START_S = 3.0  # s; in longer runs, the first second (start of the chassis) is left out
 _MIN_LINE_SAMPLES = 4
 _NOISE_ORDER = 10
@@ -52,7 +52,7 @@ class DataVerdict:
     findings: tuple[Finding, ...]
     """Findings of the checks, in the order of the checks."""
     signal_rad: float
-    """Rms deviation of theta_1 from straight lines, one for each second, in rad.
+    """Rms deviation of theta_1 from straight lines, one line for each second, in rad.
 
     The power of the noise is subtracted.
     """
@@ -103,12 +103,11 @@ class DataVerdict:
 def data_verdict(recording: Recording) -> DataVerdict:
     """Judge the data of a recording: run, samples, input, angles, signal, timing and turns.
 
-    The signal is the rms deviation of theta_1 from straight lines, one for each second. The power
-    of the noise is subtracted. In runs longer than 3 s, the first second is left out, because the
-    chassis starts to turn in this second. The noise is the standard deviation of the residuals of
-    an ARX model of order 10 or less. If the noise on the angle is white, this value is close to the
-    standard deviation of the noise. The noise is at least the step of the converter divided by
-    sqrt(12).
+    The signal is the rms deviation of theta_1 from straight lines, one line for each second. The
+    power of the noise is subtracted. In runs longer than 3 s, the first second is left out, because
+    the chassis starts to turn in this second. The noise is the standard deviation of the residuals
+    of an ARX model of order 10 or less. If the noise on the angle is white, this value is close to
+    its standard deviation. The value is at least the step of the converter divided by sqrt(12).
 
     Parameters
     ----------
@@ -168,12 +167,12 @@ def _step(r: Recording) -> float:
 
 
 def _signal(data: Dataset, noise: float) -> float:
-    """Return the rms deviation of y from a straight line in each second, without the noise."""
+    """Return the rms deviation of y from one line for each second; subtract the noise's power."""
     n = max(8, round(_STRETCH_S / data.Ts))
     moving = data[n:] if data.N * data.Ts > _START_S else data
     squares, known = 0.0, 0
     for part in moving.experiments():
-        # Stretches overlap by half: a step at an edge is in the middle of the next stretch.
+        # Intervals overlap by half: a step at an edge is in the middle of the next interval.
         for a in range(0, max(part.N - n // 2, 1), n // 2):
             y, t = part.y[a : a + n], part.t[a : a + n]
             there = np.isfinite(y)
@@ -314,7 +313,7 @@ def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> li
 
 
 def _reversed(r: Recording) -> bool:
-    """Return True if theta_1 decreases; the driver applies no negative voltage."""
+    """Return True if theta_1 decreases, although the driver applies no negative voltage."""
     angle = r.theta_1[np.isfinite(r.theta_1)]
     return angle.size > 1 and float(angle[-1] - angle[0]) < -_MIN_TURN_RAD
 

@@ -1,4 +1,4 @@
-"""Verification of a recording: all gaps are reported, and all voltages were requested.
+"""Verification that a recording reports all its gaps and contains only requested voltages.
 
 A recording that fails the verification can still be loaded and exported.
 """
@@ -80,7 +80,7 @@ class Verification:
 
 
 def verify(path: str | Path) -> Verification:
-    """Check that the samples of a recording agree with its reports about the run.
+    """Check that the samples of a recording agree with the other data in the recording.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def check_timing(r: Recording) -> Check:
 
 
 def check_clock(r: Recording) -> Check:
-    """Check the drift of the device's clock, and that no comparison shows a jump of the offset."""
+    """Check the drift of the device's clock, and that the offset of the clocks does not jump."""
     if r.samples.size < 2:
         return _not_checked("clock", "too few samples")
     # Over the whole run, the errors of single time stamps have little effect on the drift.
@@ -285,7 +285,7 @@ def _check_attached_input(r: Recording) -> Check:
 
 
 def _check_configuration(r: Recording) -> Check:
-    """Check the hash of the attached configuration, and that its limits were observed."""
+    """Check the hash of the attached configuration, and requested voltages against its limits."""
     _, content = beginning(r.path)
     text = content.attachments.get(CONFIG)
     if text is None or not r.manifest.config_sha256:
@@ -302,7 +302,7 @@ def _check_configuration(r: Recording) -> Check:
     if u.size and not (low <= u.min() and u.max() <= high):
         found = f"{u.min():.4g} to {u.max():.4g} V were requested, outside the limits "
         return _failed("configuration", f"{found}{limits.u_min_v:g} to {limits.u_max_v:g} V")
-    return _passed("configuration", "its hash is correct, and its limits were observed")
+    return _passed("configuration", "its hash is correct; the requested voltages are in its limits")
 
 
 class _Limits(msgspec.Struct, frozen=True):

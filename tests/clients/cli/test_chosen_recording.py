@@ -149,7 +149,7 @@ def test_a_name_of_no_recording_is_refused(
     assert main(["info", name]) == 1
 
     told = capsys.readouterr().err
-    assert told == f"armrig: {expected.format(folder)}; `armrig ls` lists them\n"
+    assert told == f"armrig: {expected.format(folder)}; `armrig ls` lists all names\n"
 
 
 def test_a_name_with_a_typing_error_is_asked_about(
@@ -157,7 +157,7 @@ def test_a_name_with_a_typing_error_is_asked_about(
 ) -> None:
     assert main(["info", "@mondy"]) == 1
 
-    assert capsys.readouterr().err.endswith("lists them: did you mean @monday?\n")
+    assert capsys.readouterr().err.endswith("lists all names: did you mean @monday?\n")
 
 
 def test_without_a_recording_the_way_to_one_is_shown(

@@ -263,7 +263,7 @@ def test_questions_are_text_whatever_the_name_of_their_file(
         ),
         (
             ["--handout", "--signal", "theta_1,alpha"],
-            "--signal theta_1,alpha: the handout's report is of theta_1; leave out --handout or",
+            "--signal theta_1,alpha: the handout's report models theta_1; leave out --handout or",
         ),
         (["x.mcap", "--signal", "beta"], "--signal beta: a recording has theta_1, alpha"),
         (["x.mcap", "--set", "J_1=0.002"], "--set applies to the handout's report: add --handout"),

@@ -74,7 +74,7 @@ REFUSED = [
     ("info last", "did you mean @last?"),
     ("info est", "did you mean est.mcap?"),
     ("identify last --structure arx", "did you mean @last?"),
-    ("info @lst", "`armrig ls` lists them"),
+    ("info @lst", "`armrig ls` lists all names"),
     ("info @last", "make one with `armrig collect`"),
     ("info none.mcap", "`armrig ls` lists the recordings, each with its @NAME"),
     ("info folder", "give a file in the folder"),

@@ -443,8 +443,7 @@ def test_a_model_without_means_is_validated_so(
     _, _, taken = run("validate level.csv --model m.json --detrend", tmp_path, capsys)
 
     assert (
-        "the model was estimated from data without their means: validate it with --detrend"
-        in without
+        "the model was estimated from data minus their means: validate it with --detrend" in without
     )
     assert "the mean of" not in without
     assert "without their means" not in taken

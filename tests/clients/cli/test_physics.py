@@ -169,7 +169,7 @@ def test_an_amplitude_that_no_rig_takes_is_reported_as_simulated(
         (["split", "F", "--plot", "F"], "is an input file", 1),
         (["simulate", "F", "--plot", "F"], "is an input file", 1),
         (["greybox", "F", "--free", "J_9"], "free='J_9' is none of J_1", 1),
-        (["greybox", "F", "--model", "chassis"], "alpha moves: the arm was on", 1),
+        (["greybox", "F", "--model", "chassis"], "alpha moves: the arm was attached", 1),
         (["greybox", "F", "--set", "J_1"], "--set J_1: give NAME=VALUE", 2),
         (["split", "F", "--parts", "1,x"], "--parts '1,x': give whole numbers", 2),
         (["split", "F", "--parts", "0"], "parts=0 must be an integer >= 1", 1),

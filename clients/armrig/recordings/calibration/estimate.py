@@ -45,7 +45,7 @@ MAX_STEADY_RATIO = 1.5  # ratio of the residuals at constant speed to noise and 
 _METER_TOLERANCE = 1.005  # relative uncertainty of a common meter's reading
 _MAX_REST_STEPS = 10.0  # spread of readings at rest, in steps of the converter
 CLEAR = 8.0
-"""Threshold of the arm's deflection, in standard deviations of noise; a converter step is added."""
+"""Threshold of the arm's deflection: this multiple of the noise, plus one converter step."""
 HAND_RAD = 0.02
 """Smallest deflection by hand that determines alpha's sign, in rad; a light touch causes less."""
 
@@ -69,9 +69,9 @@ class Estimate:
     turned: Turning | None
     """Results for theta_1's potentiometer; None without a recording of turns."""
     speeds: Speeds | None
-    """Line of the motor's speed against its voltage; None for fewer than two voltages."""
+    """Line fitted to the motor's speeds at its voltages; None for fewer than two voltages."""
     terminal: TerminalVoltage | None
-    """Line of the driver's terminal voltage against u; None without readings of a meter."""
+    """Line fitted to the driver's terminal voltage over u; None without readings of a meter."""
     warnings: tuple[str, ...]
     """Warnings about the calibration, one sentence each."""
 
@@ -130,7 +130,7 @@ class Estimate:
         ----------
         base : Calibration
             Calibration that contains the values that were not measured, such as the current
-            calibration. The magnitude of alpha's rad per count is always taken from `base`.
+            calibration. The angle of one count of alpha always comes from `base`, except its sign.
         made : Made
             Origin of the calibration. The method adds the measured values.
         """
@@ -174,8 +174,8 @@ def estimate(
         Recording at 0 V, then at one or more voltages, each held for a few turns. The voltage at
         which the motor stops is estimated from two or more voltages.
     deflected : Recording or Readings, optional
-        Recording at 0 V, during which a hand holds the arm towards positive alpha. The sign of
-        alpha is estimated from `deflected`, and from `turns` if `deflected` shows no deflection.
+        Recording at 0 V, during which a hand deflects the arm towards positive alpha. The sign of
+        alpha is estimated from `deflected`, or from `turns` if `deflected` shows no deflection.
     meter : sequence of (float, float), optional
         Pairs of a code's voltage and the voltage measured at the motor's terminals, both in V.
     meter_std_v : float, default 0.01

@@ -32,7 +32,7 @@ def plot_calibration(
     Parameters
     ----------
     turns : Recording or Readings
-        Run of constant voltages from which the estimate was made.
+        Run at constant voltages from which `estimate` was made.
 
     Raises
     ------

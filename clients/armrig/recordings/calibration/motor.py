@@ -48,7 +48,7 @@ IDEAL_DRIVER = TerminalVoltage(line=np.array([0.0, 1.0]), covariance=np.zeros((2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Speeds:
-    """Line of the speed against the voltage: speed = rate · (terminal voltage - zero_torque)."""
+    """Line fitted to the measured speeds: speed = rate · (terminal voltage - zero_torque)."""
 
     rate: Figure
     """Speed of the chassis per volt at the terminals, in rad/s/V."""
@@ -104,7 +104,7 @@ def terminal_voltage(
 
 
 def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
-    """Return the line of the speed against the voltage; None for fewer than two voltages.
+    """Return the line fitted to the speeds at the voltages; None for fewer than two voltages.
 
     The speeds are 2 pi b_j / d, with the slopes b_j and the number d of counts of a turn. Their
     covariance follows from the covariance of b_j and d. The line is fitted with the inverse of
@@ -117,7 +117,7 @@ def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
     if np.unique(v).size < 2:
         return None
     J = np.column_stack([np.eye(omega.size) * turned.direction * 2 * pi / d, -omega / d])[moved]
-    # L L^T is the covariance of the speeds. After L^-1, their errors are independent and equal.
+    # L L^T is the covariance of the speeds. Multiplied by L^-1, their errors are white.
     L = np.linalg.cholesky(J @ turned.covariance @ J.T)
     X = np.column_stack([v, np.ones(v.size)])
     basis = orthonormal(solve_triangular(L, X, lower=True))

@@ -1,4 +1,4 @@
-"""Raw samples from which a calibration is estimated, and their compact form."""
+"""Raw samples from which a calibration is estimated, and their form as a gzipped CSV."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 MOST_ROWS = 50_000
-"""Largest number of rows of the compact form; this number of rows needs less than 1 MiB."""
+"""Largest number of rows of the gzipped CSV; with this number, it has less than 1 MiB."""
 _HEADING = "recording,t_device_us,u_v,theta_1_counts,alpha_counts"
 _MAX_UNPACKED_BYTES = 8 << 20
 RAIL_COUNTS = 64
@@ -100,7 +100,7 @@ def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
 
 
 def decompressed(data: bytes) -> dict[str, Readings]:
-    """Return the readings in the bytes that `compressed` returned, by the name of the recording.
+    """Return the readings of each recording, by its name, from the result of `compressed`.
 
     Raises
     ------
@@ -143,8 +143,8 @@ def rounding_variance(step: float, noise: float) -> float:
     """Return the variance that rounding adds to a mean of infinitely many readings.
 
     The error of rounding a constant voltage is periodic in the voltage. Noise before the rounding
-    reduces the mean error. Averaged over all voltages in a step, noise of standard deviation sigma
-    leaves the variance::
+    reduces the mean error. Let the voltage be uniformly distributed over a step, and let sigma be
+    the standard deviation of the noise. The variance of the mean error is then::
 
         step² / (2 pi²) · sum over k >= 1 of exp(-(2 pi k sigma / step)²) / k²
 
@@ -188,7 +188,7 @@ def spread(counts: Vector, step: float) -> Figure:
 
 
 def noise_before_rounding(variance: float, step: float) -> float:
-    """Return the noise's standard deviation; the rounding's variance step² / 12 is subtracted."""
+    """Return the noise's standard deviation from a variance that includes rounding (step² / 12)."""
     return sqrt(max(variance - step**2 / 12, 0.0))
 
 

@@ -28,9 +28,9 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 SETTLE_S = 2.0
-"""Time left out after each change of the voltage, in s: 16 time constants of the handout's arm."""
+"""Time after each voltage change that the fit does not use, in s; 16 time constants of the arm."""
 LEAST_S = 1.0
-"""Shortest time at a voltage after `SETTLE_S`, in s."""
+"""Least time in s for which each voltage is held after the first `SETTLE_S`."""
 LEAST_TURNS = 3
 """Least number of passes of the shaft through its dead band, at all voltages together."""
 MAX_MISREAD_SHARE = 0.02  # largest share of rail readings on the track (worn spots)
@@ -73,7 +73,7 @@ class _Settled:
 
 
 def turning(readings: Readings, step: float) -> Turning:
-    """Estimate the turn and the track of theta_1's potentiometer from a run of constant voltages.
+    """Estimate counts per turn and edges of theta_1's track from turns at constant voltages.
 
     An edge of the track is between the last sample with an angle and the first sample without an
     angle. The fitted straight lines give the counts of these two samples. In each turn, the edge is
