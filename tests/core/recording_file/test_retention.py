@@ -194,7 +194,7 @@ def test_what_a_loss_of_power_left_of_a_run_goes_the_next_time(
     monkeypatch.setattr(Path, "unlink", unlink)
 
     assert not report.is_removed
-    assert "or removed: Read-only file system" in report.text
+    assert "reading or removing it failed: Read-only file system" in report.text
     assert [removal.is_removed for removal in _retention(tmp_path).apply(NOW_S)] == [True]
     assert _names(tmp_path) == {"1-b.mcap"}
 
