@@ -275,7 +275,7 @@ def test_without_a_terminal_nothing_is_asked_and_nothing_done(
         (["--level-seconds", "3"], "--level-seconds 3: must be more than 3 s"),
         (["--save", "c.json"], "a calibration is a TOML"),
         (["-o", "c.toml"], "-o c.toml: -o writes a figure; --save"),
-        (["-o", "f.png", "--by-hand"], "the figure shows turns, but --by-hand makes none"),
+        (["-o", "f.png", "--by-hand"], "the figure shows turns, but --by-hand records none"),
         (["-o", "f.xyz"], "f.xyz"),
         (["--save", "{}/other.toml"], "exists and is not a calibration"),
         (["--rest-seconds", "nan"], "--seconds nan: must be a number of seconds"),

@@ -235,7 +235,7 @@ def test_data_whose_gaps_leave_too_few_rows_have_no_drift() -> None:
     data = drifting(1, 0.02, N=300)
     full_of_gaps = data.replaced(step=None, valid=np.arange(data.N) % 4 > 0)
 
-    with pytest.raises(ValueError, match=r"0 samples .* follow 10 samples without .* needs 40"):
+    with pytest.raises(ValueError, match=r"has 0 samples after 10 samples without .* needs 40"):
         drift(full_of_gaps)
 
     assert np.isfinite(drift(full_of_gaps, 2)[0].z)

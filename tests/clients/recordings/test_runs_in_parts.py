@@ -116,7 +116,7 @@ def test_the_command_line_leads_from_the_parts_to_the_run(
             "run.mcap means all parts",
         ),
         (["info", "run"], 1, "did you mean run.mcap?"),
-        (["replay", "run.mcap"], 1, "run.mcap: no steps"),
+        (["replay", "run.mcap"], 1, "run.mcap: nothing to replay"),
     ):
         assert main(words) == code
         captured = capsys.readouterr()
@@ -164,7 +164,7 @@ def test_a_run_in_parts_is_replayed_as_one(tmp_path: Path, pacing: str) -> None:
 
     assert len(part_paths(tmp_path / "run.mcap")) > 2
     assert again == replay(whole)
-    with pytest.raises(FileError, match="no steps"):
+    with pytest.raises(FileError, match="nothing to replay"):
         replay(tmp_path / "run.part-0002.mcap")
 
 

@@ -156,7 +156,7 @@ def test_each_answer_gives_its_own_figures(done: HandoutStudy) -> None:
         "The recommended sampling time is 1\xa0ms. From a step response, the time to 63 % is "
         "21.10 ± 0.40 ms (one standard deviation). ω_s = 20/τ then corresponds to 2 ms. The "
         "spectrum is at −3 dB at 66 rad/s, which corresponds to 3 ms. 7 to 10 samples in the "
-        "transient of 77 ms correspond to 4 to 5 ms. The models below use 10\xa0ms.",
+        "transient of 77 ms correspond to Ts = 4 to 5 ms. The models below use 10\xa0ms.",
     )
     assert "(F = 1.25 with 5 and 777 degrees of freedom)" in found["3.7"].answer[0]
 

@@ -82,7 +82,7 @@ def test_the_highest_order_that_was_tried_is_no_answer(highest: int, said: bool)
     assert found.chosen.candidate.order == 2
     expected = "order 2 is the highest that was tried, so a higher order may be better"
     assert (expected in found.explain()) == said
-    assert ("--max-order 4, orders=range(1, 5) in Python" in found.explain()) == said
+    assert ("--max-order 4 (in Python, orders=range(1, 5))" in found.explain()) == said
 
 
 @pytest.mark.parametrize(("direct", "delays"), [(0.4, {0, 1}), (0.0, {1})])
