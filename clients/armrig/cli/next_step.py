@@ -224,8 +224,9 @@ def for_the_report() -> str:
 
     The report uses four complete recordings with the same calibration: step, estimation,
     validation, chassis. The function chooses the calibration with which most of these four
-    recordings were made. Of each kind, it takes the newest recording that the user named. If the
-    user named none, it takes the newest recording. The result is "" if there is no recording.
+    recordings were made. Of each kind, it takes the newest recording that has a name of the user.
+    If no recording of this kind has a name, it takes the newest one. The result is "" if there is
+    no recording.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.catalogue import newest_first

@@ -332,7 +332,7 @@ def _without_denominator(problem: PredictionErrorProblem) -> Iterator[tuple[str,
 
 
 def _with_noise(problem: PredictionErrorProblem, F: Array) -> Array:
-    """Return (c, d, f) with C and D fitted to the residual noise of the model with A and B/F."""
+    """Return (c, d, f) for a given F; C and D are fitted to the noise A y - (B/F) u."""
     n = problem.structure
     f = F[1:]
     if n.nc + n.nd == 0:

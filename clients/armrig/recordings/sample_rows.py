@@ -178,7 +178,9 @@ def _copy_fields(data: bytes, samples: NDArray[np.void]) -> None:
 
 
 def _layout() -> tuple[list[tuple[int, int, int, int]], list[int], NDArray[np.uint8]]:
-    """Return the layout of a sample's message record: opcode, length, head and message.
+    """Return the layout of a message record with one sample.
+
+    The parts of the record are opcode, length, head and message.
 
     Returns
     -------

@@ -151,7 +151,9 @@ def collect(
     shown: Shown = on_the_terminal,
     way_out: str = "",
 ) -> Collected:
-    """Arm the rig, play a plan's input, and record; report the rehearsal when the run begins.
+    """Arm the rig, play a plan's input, and record.
+
+    When the run begins, `tell` gets the motion that the daemon predicts for this input.
 
     Parameters
     ----------

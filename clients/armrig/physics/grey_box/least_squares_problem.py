@@ -164,7 +164,7 @@ class GreyBoxWithFriction:
         return [bipolar(data.u) for data in self.plain.experiments]
 
     def _parts(self, z: Vector) -> list[slice]:
-        """Return the slice of z with x0 and u0 of each experiment, after the parameters and T_c."""
+        """Return for each experiment the slice of z that contains its x0 and u0."""
         offsets = self._offsets()
         n = (z.size - len(self.plain.names) - 1 - sum(offsets)) // len(offsets)
         edges = np.cumsum([0, *(n + is_free for is_free in offsets)]).tolist()

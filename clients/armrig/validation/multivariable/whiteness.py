@@ -41,10 +41,10 @@ def _white(
     """Test whether w = T e, which has m outputs with covariance 1, is white.
 
     The test uses the sums over t of w_a(t) w_b(t - k), k = 1 … L. If the parameters are known, the
-    variance of a sum is the number of its products. With the projection P on the estimated
-    quantities, cov e is Lambda - B D^T - D B^T. The last two terms shift the means of the sums, and
-    the influence H = (1 - P)^T Z reduces the covariance of the sums. For one output the test equals
-    `armrig.numerics.whiteness.portmanteau`.
+    variance of a sum is the number of its products. The estimation changes cov e from Lambda to
+    Lambda - B D^T - D B^T. B and D follow from the projection P on the estimated quantities. The
+    last two terms shift the means of the sums, and the influence H = (1 - P)^T Z reduces the
+    covariance of the sums. For one output the test equals `armrig.numerics.whiteness.portmanteau`.
     """
     m = T.shape[0]
     used = np.flatnonzero(T.any(axis=0))
