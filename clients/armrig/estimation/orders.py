@@ -16,7 +16,7 @@ SAMPLES_PER_PARAMETER = 10
 
 
 def require_sensible(*, samples: int, nk: int, integrator: bool = False, **orders: int) -> None:
-    """Refuse nk or a number of parameters above a tenth of the number of measured samples."""
+    """Refuse a model if nk or its number of parameters is above a tenth of the measured samples."""
     asked = ", ".join(f"{name}={n}" for name, n in orders.items())
     parameters, most = sum(orders.values()) - int(integrator), samples // SAMPLES_PER_PARAMETER
     if not most:

@@ -37,8 +37,8 @@ SCALARS = (
 DRAWS = 400
 """Number of draws of the parameters from which a range is computed."""
 MAX_INVALID_SHARE = 0.05
-"""Largest share of the draws that may lack a number, such as a resonance. If more draws lack the
-number, its range is not known."""
+"""Largest share of the draws in which a characteristic, such as the resonance, may be undefined. If
+it is undefined in more draws, the range of this characteristic is not known."""
 _SPREAD_ROUNDING = 1e-9  # a relative spread of draws up to this limit counts as rounding
 _NEAR_NYQUIST = 1e-6  # relative distance from the Nyquist frequency, where the slope is 0
 _DIFFERENCE_SIGMAS = 1e-2  # step of the central differences, in standard deviations

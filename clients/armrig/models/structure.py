@@ -1,4 +1,4 @@
-"""Orders of the polynomials of a model, and dimension of the unknown past of the data."""
+"""Orders of a model's polynomials, and number of unknowns for the signals before the data."""
 
 from __future__ import annotations
 

@@ -73,8 +73,8 @@ def spa(
         segments without a missing sample.
     window : int or "log", optional
         gamma in samples, >= 2, by default N/10 but at most 30. For "welch" the window is the length
-        of a segment, by default N/8. With "log", gamma decreases with omega from at most N/4 to at
-        least 4, so that the resolution is half of omega.
+        of a segment, by default N/8. With "log", gamma decreases as omega increases, so
+        that the resolution is half of omega; gamma is limited to 4 … N/4.
     omega : array_like (n,), optional
         Frequencies in rad/s, 0 to pi/Ts. By default there are 128 equally spaced frequencies up to
         pi/Ts. With window="log" there are 100 frequencies on a logarithmic scale.
