@@ -24,7 +24,7 @@ from armrig.report.batch.tasks import Identify, Report, Task, Validate, Verify, 
 
 Row = dict[str, Any]
 Kind = str
-"""Type of a column: "text", "truth" (a Boolean), "count" or "number"; of lists, "texts", "numbers"."""
+"""Type of a column: "text", "truth" (a Boolean), "count", "number"; of lists "texts", "numbers"."""
 
 OF_THE_FILE: dict[str, Kind] = {
     "recording": "text",
