@@ -61,7 +61,7 @@ def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_goes(
     assert "the file is cut off" in partly.until
     assert partly.difference == all_of_it.difference == all_of_it.until == ""
     assert 100 < partly.samples < all_of_it.samples
-    with pytest.raises(FileError, match="core: the file is cut off"):
+    with pytest.raises(FileError, match="nothing to replay: the file is cut off"):
         replay(half)
 
 
