@@ -197,7 +197,7 @@ def test_the_network_is_open_to_the_lab_alone_and_costs_what_the_page_says(lab: 
     machine = lab.machine
     score = _score(lab, "armrigd@1")
 
-    assert f"`systemd-analyze security armrigd@1` from 0.5 to {score}" in ACCESS
+    assert f"`systemd-analyze security armrigd@1` reports increases from 0.5 to {score}" in ACCESS
     families = machine.shown("armrigd@1.service", "RestrictAddressFamilies")
     assert set(families["RestrictAddressFamilies"].split()) == {"AF_INET", "AF_INET6", "AF_UNIX"}
     machine.run("ip", "address", "add", "198.51.100.10/24", "dev", "lab")
