@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: .venv/run $(if $(FIRMWARE),fil)
 	$(BIN)/armrig demo $(if $(FIRMWARE),--firmware)
 
-# Two tests at a time, in five minutes on two quiet cores. `make test-all` runs the others.
+# Two tests at a time, in six to seven minutes on two cores. `make test-all` runs the others.
 test: .venv/dev
 	$(BIN)/pytest -m "not exhaustive and not timed and not machine" -n 2 --dist worksteal
 

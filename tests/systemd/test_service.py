@@ -357,8 +357,8 @@ def test_a_full_disk_ends_the_run_and_not_the_service(rig: Rig) -> None:
         assert _restarts(rig) == 0
         (error,) = _errors(rig, before)
         assert error.endswith(
-            "No space left on device; the recording ended early, but the file is "
-            "complete: free disk space"
+            "No space left on device; the recording ended early; all samples "
+            "until then are in the file; free disk space"
         )
     finally:
         machine.systemctl("stop", rig.unit)

@@ -245,8 +245,8 @@ class Recording:
             self._give_up(worse)
         else:
             self._parts.append(self._part)
-            self.error = f"{self.kept}: {err}; the recording ended early, but the file is "
-            self.error += "complete: free disk space"
+            self.error = f"{self.kept}: {err}; the recording ended early; all samples "
+            self.error += "until then are in the file; free disk space"
 
     def _flush(self) -> None:
         self._part.flush()

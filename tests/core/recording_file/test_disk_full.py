@@ -62,8 +62,8 @@ def _check(path: Path, recorded: int, error: str) -> None:
     (file,) = [c for c in verify(path).checks if c.about == "file"]
     assert file.result == "passed"
     assert error == (
-        f"{path}: No space left on device; the recording ended early, but the file is "
-        "complete: free disk space"
+        f"{path}: No space left on device; the recording ended early; all samples "
+        "until then are in the file; free disk space"
     )
 
 

@@ -229,7 +229,8 @@ def test_a_part_that_cannot_be_begun_ends_the_recording(tmp_path: Path) -> None:
     told = f"{recording.kept}: No space left on device; part 2 cannot begin"
     assert (
         recording.error
-        == f"{told}; the recording ended early, but the file is complete: free disk space"
+        == f"{told}; the recording ended early; all samples until then are in the file; "
+        "free disk space"
     )
     assert [p.name for p in tmp_path.iterdir()] == ["run.part-0001.mcap"]
     loaded = armrig.load(recording.kept)

@@ -101,6 +101,16 @@ def test_a_sample_that_was_sent_before_an_exchange_does_not_answer_it(
     assert (answered.link.sent, answered.link.device_seq) == ((), received + 1)
 
 
+def test_a_repeated_frame_of_the_device_with_a_larger_number_costs_a_hello_and_no_more() -> None:
+    bench = rested()
+    bench.loop.state = changed(bench.loop.state, device_seq=20_000)
+
+    bench.run_for(200)
+
+    assert bench.loop.state.phase is Phase.SAFE
+    assert bench.loop.state.link.device_seq < 1000
+
+
 def test_the_answer_to_hello_begins_the_numbers_of_the_device_again() -> None:
     state = changed(rested().loop.state, device_seq=500)
     assert state.device is not None
