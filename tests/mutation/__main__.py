@@ -24,6 +24,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tests.mutation import python_sites, text_sites
+from tests.mutation.bug import bugs
 from tests.mutation.mutant import Mutant, difference, planted
 from tests.mutation.outcomes import Outcomes
 from tests.mutation.planting import keep, module_of, plant_kept
@@ -62,6 +63,7 @@ def main() -> int:
     parser.add_argument("--n", type=int, default=400, help="bugs to draw, over all rooms")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rooms", nargs="*", default=[], help="draw in these alone")
+    parser.add_argument("--bugs", type=Path, help="plant those of this table, and draw none")
     parser.add_argument("--only", nargs="*", default=[], help="files, or `file:line`")
     parser.add_argument("--everyday", action="store_true", help="without the exhaustive tests")
     parser.add_argument("--part", default="1/1", help="2/4: the second of four, side by side")
@@ -71,13 +73,19 @@ def main() -> int:
 
     until = time.monotonic() + asked.within_s
     every = rooms()
-    chosen = drawn(every, asked.rooms or list(every), asked.n, asked.seed, asked.only)
+    if asked.bugs:
+        room_of = {file: room for room, files in sources_of(every).items() for file in files}
+        chosen = [(room_of[bug.file], bug.mutant) for bug in bugs(asked.bugs)]
+    else:
+        chosen = drawn(every, asked.rooms or list(every), asked.n, asked.seed, asked.only)
     part, parts = map(int, asked.part.split("/"))
     chosen = chosen[part - 1 :: parts]
-    known, reach = Outcomes(asked.results), Reach(asked.results.with_suffix(".reach"))
+    known = Outcomes(asked.results)
+    reach = Reach(asked.results.with_suffix(".reach"), everyday=asked.everyday)
     reach.measure(_test_files(["tests/clients", "tests/core", "tests/daemon", "tests/protocol"]))
     preload()
-    print(f"{len(chosen)} bugs, seed {asked.seed}, in {asked.results}", flush=True)
+    origin = asked.bugs or f"seed {asked.seed}"
+    print(f"{len(chosen)} bugs, {origin}, in {asked.results}", flush=True)
     verdicts: dict[tuple[str, Mutant], Verdict] = {}
     kills: Counter[str] = Counter()
     with TemporaryDirectory(prefix="armrig-mutant-") as folder:

@@ -7,52 +7,26 @@ from __future__ import annotations
 
 import os
 import sys
-import tomllib
 from collections import Counter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import msgspec
-
 from tests.mutation.__main__ import Room, Trials, preload
-from tests.mutation.mutant import Mutant
+from tests.mutation.bug import Bug, bugs
 from tests.mutation.planting import keep, module_of, plant_kept
-from tests.mutation.reach import ROOT, Reach
+from tests.mutation.reach import Reach
 from tests.mutation.trial import Outcome, Verdict, tried
 
 TABLE = Path(__file__).with_name("planted.toml")
 LIMIT_S = 120.0
 
 
-class Bug(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A piece of a file, what replaces it, and the tests that see the difference."""
-
-    name: str
-    file: str
-    old: str
-    new: str
-    tests: list[str]
-
-    @property
-    def source(self) -> str:
-        """Text of the file, without the bug."""
-        return (ROOT / self.file).read_text(encoding="utf-8")
-
-
-def bugs() -> list[Bug]:
-    """Return the bugs of the table."""
-    table = tomllib.loads(TABLE.read_text(encoding="utf-8"))
-    return msgspec.convert(table["bug"], list[Bug])
-
-
 def judged(bug: Bug, folder: Path) -> Verdict:
     """Return the verdict of its tests on a bug."""
     if not bug.file.endswith(".py"):
         room = Room(name=bug.name, sources=[], tests=bug.tests, build=["true"])
-        start = bug.source.index(bug.old)
-        mutant = Mutant(bug.file, 0, "by hand", start, bug.old, bug.new)
         trials = Trials(folder, Reach(folder / "reach"), Counter(), everyday=False)
-        return trials.judged(room, mutant, bug.tests)
+        return trials.judged(room, bug.mutant, bug.tests)
     kept = folder / "bug.json"
     environment = keep(kept, module_of(bug.file), bug.source.replace(bug.old, bug.new))
 
@@ -75,7 +49,7 @@ def _outcome(bug: Bug, folder: Path) -> str:
 
 def main() -> int:
     """Plant the bugs whose name contains the first argument; return 1 unless each is seen."""
-    chosen = [bug for bug in bugs() if not sys.argv[1:] or sys.argv[1] in bug.name]
+    chosen = [bug for bug in bugs(TABLE) if not sys.argv[1:] or sys.argv[1] in bug.name]
     preload()
     unseen = 0
     for bug in chosen:

@@ -18,6 +18,7 @@ from tests.mutation.trial import QUIET, in_child
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ["armrig", "armrig_core", "armrig_daemon", "armrig_protocol"]
+ENDS = (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.NO_TESTS_COLLECTED)
 LIMIT_S = 1800.0  # of the clock, for the tests of one folder
 
 
@@ -32,9 +33,10 @@ class Passing(NamedTuple):
 class Reach:
     """Coverage of the tests without a bug, in a folder: a JSON file for each file of tests."""
 
-    def __init__(self, folder: Path) -> None:
-        """Keep the measurements in `folder`."""
-        self._folder = folder
+    def __init__(self, folder: Path, *, everyday: bool = False) -> None:
+        """Keep the measurements in `folder`: of the tests of `make test` only, if `everyday`."""
+        self._folder = folder / "everyday" if everyday else folder
+        self._everyday = everyday
         self.tests: dict[str, Passing] = {}
         self._lines: defaultdict[str, dict[str, int]] = defaultdict(dict)
 
@@ -52,7 +54,9 @@ class Reach:
                 self._take(kept)
         for folder, of_folder in stale.items():
             print(f"measures {folder}", flush=True)
-            for path, found in measured(of_folder, PACKAGES if sources else []).items():
+            for path, found in measured(
+                of_folder, PACKAGES if sources else [], everyday=self._everyday
+            ).items():
                 self._folder.mkdir(parents=True, exist_ok=True)
                 self._file(path).write_text(json.dumps(found))
                 self._take(found)
@@ -122,7 +126,9 @@ class _Contexts:
             self.failed.add(report.nodeid)
 
 
-def measured(paths: list[str], packages: list[str]) -> dict[str, dict[str, Any]]:
+def measured(
+    paths: list[str], packages: list[str], *, everyday: bool = False
+) -> dict[str, dict[str, Any]]:
     """Run tests once; a test that fails or is skipped without a bug is left out.
 
     Raises
@@ -136,10 +142,10 @@ def measured(paths: list[str], packages: list[str]) -> dict[str, dict[str, Any]]
         contexts = _Contexts(cov if packages else None)
         if packages:
             cov.start()
-        code = pytest.main(
-            [*(word for word in QUIET if word not in ("-x", "--no-summary")), *paths],
-            plugins=[contexts],
-        )
+        words = [word for word in QUIET if word not in ("-x", "--no-summary")]
+        if everyday:
+            words += ["-m", " and ".join(f"not {name}" for name in markers())]
+        code = pytest.main([*words, *paths], plugins=[contexts])
         lines: defaultdict[str, defaultdict[str, int]] = defaultdict(lambda: defaultdict(int))
         if packages:
             cov.stop()
@@ -153,7 +159,7 @@ def measured(paths: list[str], packages: list[str]) -> dict[str, dict[str, Any]]
         told.write_text(json.dumps([int(code), tests, sorted(contexts.failed), lines]))
 
     status, told = in_child(run, LIMIT_S, LIMIT_S)
-    if told is None or told[0] not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+    if told is None or told[0] not in ENDS:
         raise RuntimeError(
             f"{' '.join(paths)} did not come to an end without a bug: {told or status}"
         )

@@ -22,6 +22,7 @@ from armrig_daemon.service import child
 from tests.mutation import __main__ as mutation
 from tests.mutation import by_hand, outcomes, python_sites, text_sites
 from tests.mutation.__main__ import ROOT, Room, Trials, drawn, rooms, sources_of
+from tests.mutation.bug import bugs
 from tests.mutation.mutant import Mutant, planted
 from tests.mutation.outcomes import Outcomes
 from tests.mutation.planting import Planted, keep, module_of, plant
@@ -417,7 +418,7 @@ def test_a_draw_goes_on_where_it_was_left(monkeypatch: pytest.MonkeyPatch, tmp_p
 
 
 def test_each_bug_of_the_table_fits_the_code() -> None:
-    table = by_hand.bugs()
+    table = bugs(by_hand.TABLE)
 
     astray = [bug.name for bug in table if bug.source.count(bug.old) != 1]
     lost = [name for bug in table for name in bug.tests if not _is_there(name)]
