@@ -62,6 +62,48 @@ def recursion(Phi: Array, w: Array, x0: Array) -> Array:
     return x.reshape(blocks * length, m, n)[: N + 1].reshape(shape)
 
 
+def varying_recursion(Phi: Array, w: Array, x0: Array) -> Array:
+    """Return x(0) … x(N) of x(k+1) = Phi(k) x(k) + w(k) for several right-hand sides.
+
+    The blocks are those of `recursion`; each block has its own products of Phi.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (N, n, n)
+        Transition matrices.
+    w : ndarray, shape (N, m, n)
+        Right-hand sides w(k), N >= 1; the m right-hand sides are independent.
+    x0 : ndarray, shape (m, n)
+        Initial states x(0).
+
+    Returns
+    -------
+    ndarray, shape (N + 1, m, n)
+    """
+    N, m, n = w.shape
+    length = isqrt(N) + 1
+    blocks = N // length + 1
+    by_block = []
+    for values in (Phi, w):
+        padded = np.zeros((blocks * length, *values.shape[1:]))
+        padded[:N] = values
+        by_block.append(padded.reshape(blocks, length, *values.shape[1:]))
+    transposed, inputs = by_block[0].swapaxes(2, 3), by_block[1]
+    from_zero = np.zeros((length + 1, blocks, m, n))
+    products = np.empty((length + 1, blocks, n, n))
+    products[0] = np.eye(n)
+    starts = np.empty((blocks, m, n))
+    starts[0] = x0
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(length):
+            from_zero[k + 1] = from_zero[k] @ transposed[:, k] + inputs[:, k]
+            products[k + 1] = products[k] @ transposed[:, k]
+        for j in range(blocks - 1):
+            starts[j + 1] = starts[j] @ products[length, j] + from_zero[length, j]
+        x = starts @ products[:length] + from_zero[:length]
+    return np.asarray(x.swapaxes(0, 1).reshape(blocks * length, m, n)[: N + 1])
+
+
 def free_responses(Phi: Array, C: Array, N: int) -> Array:
     """Return C Phi^t e_k, t = 0 … N - 1, for each unit vector e_k as initial state, (n, ny, N).
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
 from armrig_core.errors import InputError
 
+from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.data_checks import (
     instability,
@@ -19,18 +20,21 @@ from armrig.estimation.multivariable.data_checks import (
 from armrig.estimation.multivariable.error_process import error_process
 from armrig.estimation.multivariable.inference import pairwise_covariance, quality_of
 from armrig.estimation.multivariable.state_space_problem import (
+    Part,
     StateSpaceProblem,
     delays_of,
     parts_of,
     reflected_matrix,
     scaled_signals,
 )
+from armrig.estimation.multivariable.state_space_starts import interpolated
 from armrig.estimation.multivariable.subspace import (
     Projected,
     complete_stretches,
     projected,
     realised,
 )
+from armrig.estimation.multivariable.whitening import patterns
 from armrig.estimation.orders import require_samples
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.multivariable.matrices import Matrices
@@ -39,14 +43,14 @@ from armrig.numerics.checks import require_integers
 from armrig.numerics.criteria import mdl
 from armrig.numerics.gram import least_squares_by_gram
 from armrig.numerics.polynomial import Array
-from armrig.numerics.recursion import recursion
+from armrig.numerics.recursion import recursion, varying_recursion
+from armrig.numerics.stretches import stretches
 
 _MAX_SUGGESTED_ORDER = 10
 _STEP = 1e-6  # change of a matrix entry for a numerical derivative
 _RANK_TOLERANCE = 1e-8  # a smaller relative singular value belongs to a change of coordinates
 _MIN_HORIZON = 10
 _MAX_PASSES = 20
-_SMALL_DECREASE = 1e-3  # relative decrease of the sum of squared errors at which the iteration ends
 _REPLICATES = 100
 
 
@@ -82,7 +86,9 @@ def n4sid(
     Parameters
     ----------
     data : Signals
-        N samples of nu inputs and ny outputs. Windows with a missing output are not used.
+        N samples of nu inputs and ny outputs. Missing outputs are replaced by the model's
+        predictions, and the model is estimated again, until these values settle. Windows with a gap
+        of more than `horizon` samples are not used.
     order : int, optional
         Number of states, >= 1. By default MDL of the one-step errors selects the order.
     weights : {"cva", "moesp", "n4sid"}
@@ -128,17 +134,17 @@ def n4sid(
     least = 3 if order is None else -(-int(order) // data.ny) + 1
     require_integers(horizon=(i, least))
     width = 2 * i * (data.nu + data.ny)
-    whole = complete_stretches(signals, 2 * i)
+    whole = complete_stretches(_bridged(signals, i), 2 * i)
     windows = sum(u.shape[0] - 2 * i + 1 for u, _ in whole)
     require_samples(
-        f"horizon={i}, with windows of {2 * i} samples without a gap,",
+        f"horizon={i}, with windows of {2 * i} samples without a gap of more than {i},",
         needed=width + 2 * i,
         got=windows + 2 * i - 1 if windows else 0,
     )
-    found = projected(whole, i, weights)
-    n = _suggested_order(found) if order is None else int(order)
     direct = max(delays) == 0
-    model, residuals = _estimated(signals, *realised(found, n), direct=direct)
+    given = None if order is None else int(order)
+    model, residuals, settled = _estimated(signals, i, weights, given, direct=direct)
+    n = model.A.shape[0]
     covariance = _replicated(
         signals, model, residuals, i, weights, direct=direct, replicates=replicates, seed=seed
     )
@@ -158,9 +164,17 @@ def n4sid(
         covariance_robust=scale[:, None] * covariance * scale,
         noise_covariance=pairwise_covariance(np.vstack(residuals)) * np.outer(sy, sy),
         quality=quality,
-        findings=(*instability(form), *poor_fits(data, quality)),
+        converged=settled,
+        findings=(*_unsettled(settled), *instability(form), *poor_fits(data, quality)),
         **origin(data),
     )
+
+
+def _unsettled(settled: bool) -> Iterator[EstimateFinding]:
+    """Yield a warning if the estimates of the missing outputs still changed in the last pass."""
+    if not settled:
+        text = f"the missing outputs were estimated {_MAX_PASSES} times and did not settle: use ss"
+        yield warning("not_converged", text, steps=_MAX_PASSES)
 
 
 def _horizon(data: Signals, order: int | None) -> int:
@@ -187,84 +201,136 @@ def _suggested_order(found: Projected) -> int:
 
 
 def _estimated(
-    signals: Sequence[tuple[Array, Array]], A: Array, C: Array, K: Array, *, direct: bool
-) -> tuple[_Model, list[Array]]:
-    """Return the model with given A, C and K, and its one-step errors, NaN where y is missing.
+    signals: Sequence[tuple[Array, Array]],
+    horizon: int,
+    weights: Weights,
+    order: int | None,
+    *,
+    direct: bool,
+) -> tuple[_Model, list[Array], bool]:
+    """Return the model, its one-step errors (NaN where y is missing), and True if it settled.
 
-    The predictor needs a value for each missing output. The first value is the simulated output
-    plus the simulation error, which is interpolated over the gap. Predictions of the outputs then
-    replace these values as long as the one-step errors decrease.
+    The windows need a value for each missing output. The first value is interpolated. The model's
+    predictions then replace these values, and the model is estimated again, until the values change
+    by less than std(e)/sqrt(N). If they do not settle, the model with the least errors is returned.
     """
-    outputs = [y for _, y in signals]
-    known = outputs
-    if not all(np.isfinite(y).all() for y in outputs):
-        _, simulated = _completed(signals, outputs, A, C, np.zeros(K.shape), direct=direct)
-        known = [_interpolated(y, found) for y, found in zip(outputs, simulated, strict=True)]
+    known = _bridged(signals, horizon)
     least = np.inf
     for _ in range(_MAX_PASSES):
-        now, predicted = _completed(signals, known, A, C, K, direct=direct)
-        errors = [y - found for y, found in zip(outputs, predicted, strict=True)]
-        loss = sum(float(np.nansum(e**2)) for e in errors)
-        if loss <= least:
-            model, residuals = now, errors
-        if known is outputs or not loss < (1.0 - _SMALL_DECREASE) * least:
-            break
-        least = loss
+        found = projected(complete_stretches(known, 2 * horizon), horizon, weights)
+        n = _suggested_order(found) if order is None else order
+        now, predicted = _completed(signals, *realised(found, n), direct=direct)
+        errors = [y - at for (_, y), at in zip(signals, predicted, strict=True)]
+        e = np.vstack(errors)
+        loss = float(np.nanmean(e**2))
+        if loss < least:
+            least, best = loss, (now, errors)
+        before = np.vstack([y for _, y in known])
+        estimated = np.isnan(e) & np.isfinite(before)
+        if not estimated.any():
+            return now, errors, True
+        Lambda = pairwise_covariance(e)
         known = [
-            np.where(np.isfinite(y), y, found) for y, found in zip(outputs, predicted, strict=True)
+            (u, np.where(np.isnan(y), np.nan, at + _conditional(x, Lambda)))
+            for (u, y), at, x in zip(known, predicted, errors, strict=True)
         ]
-    return model, residuals
+        change = (np.vstack([y for _, y in known]) - before)[estimated]
+        if np.mean(change**2) <= loss / len(e):
+            return now, errors, True
+    return *best, False
 
 
-def _interpolated(y: Array, simulated: Array) -> Array:
-    """Return y (N, ny) with estimates of its missing values."""
-    rows = np.arange(y.shape[0])
-    filled = y.copy()
-    for k, is_known in enumerate(np.isfinite(y).T):
-        error = np.interp(rows, rows[is_known], (y - simulated)[is_known, k])
-        filled[~is_known, k] = (simulated[:, k] + error)[~is_known]
-    return filled
+def _bridged(signals: Sequence[tuple[Array, Array]], longest: int) -> list[tuple[Array, Array]]:
+    """Return the signals with outputs interpolated over gaps of at most `longest` samples."""
+    found = []
+    for u, y in signals:
+        filled = interpolated(y)
+        for k, missing in enumerate(np.isnan(y).T):
+            for gap in stretches(missing):
+                if gap.stop - gap.start > longest:
+                    filled[gap, k] = np.nan
+        found.append((u, filled))
+    return found
+
+
+def _conditional(errors: Array, Lambda: Array) -> Array:
+    """Return the errors (N, ny); a missing error is estimated from those of the other outputs."""
+    known = np.isfinite(errors)
+    found = np.where(known, errors, 0.0)
+    for o, times in patterns(known):
+        gain = np.linalg.solve(Lambda[np.ix_(o, o)], Lambda[o])
+        found[times] = found[np.ix_(times, o)] @ gain
+    return found
 
 
 def _completed(
-    signals: Sequence[tuple[Array, Array]],
-    known: Sequence[Array],
-    A: Array,
-    C: Array,
-    K: Array,
-    *,
-    direct: bool,
+    signals: Sequence[tuple[Array, Array]], A: Array, C: Array, K: Array, *, direct: bool
 ) -> tuple[_Model, list[Array]]:
-    """Return the B, D and initial states that minimise the one-step errors, and the predictions.
-
-    The predictor uses the outputs `known`; the errors are computed from the outputs in `signals`.
-    """
+    """Return the B, D and initial states that minimise the one-step errors, and the predictions."""
     Abar = reflected_matrix(A - K @ C)
     (n, ny), nu = K.shape, signals[0][0].shape[1]
-    fed = []
-    for y in known:
-        x = recursion(Abar, y @ K.T, np.zeros(n))[:-1] if K.any() else np.zeros((y.shape[0], n))
-        fed.append(x @ C.T)
     problem = StateSpaceProblem(
         parts=parts_of(signals, np.eye(ny)), order=n, direct=direct, noise=False
     )
-    blocks = [problem.responses(part, Abar, C) for part in problem.parts]
-    k = len(blocks[0][0])
+    blocks = [
+        _responses_with_gaps(part, Abar, C, K, direct=direct)
+        if K.any() and not part.rows.all()
+        else (_fed(part.y, Abar, C, K), *problem.responses(part, Abar, C))
+        for part in problem.parts
+    ]
+    k = len(blocks[0][1])
     columns = []
-    for i, (driven, free) in enumerate(blocks):
+    for i, (_, driven, free) in enumerate(blocks):
         before, after = (np.zeros((n * m, *free.shape[1:])) for m in (i, len(blocks) - i - 1))
         block = np.concatenate([driven, before, free, after])
         columns.append(block.reshape(len(block), -1))
-    missing = [(y - found).T.ravel() for (_, y), found in zip(signals, fed, strict=True)]
+    missing = [(y - fed).T.ravel() for (_, y), (fed, _, _) in zip(signals, blocks, strict=True)]
     whole = columns[0] if len(columns) == 1 else np.hstack(columns)
     theta = least_squares_by_gram(whole, np.concatenate(missing))
     Bbar, D, x0 = np.split(theta, [n * nu, k])
     B, D = Bbar.reshape(nu, n).T, D.reshape(ny, nu) if direct else np.zeros((ny, nu))
     model = _Model(A=Abar + K @ C, B=B + K @ D, C=C, D=D, K=K, x0=tuple(x0.reshape(-1, n)))
     predicted = [
-        found + (theta @ M).reshape(ny, -1).T for found, M in zip(fed, columns, strict=True)
+        fed + (theta @ M).reshape(ny, -1).T for (fed, _, _), M in zip(blocks, columns, strict=True)
     ]
     return model, predicted
+
+
+def _fed(y: Array, Abar: Array, C: Array, K: Array) -> Array:
+    """Return the part (N, ny) of the predictions that is due to the measured outputs."""
+    if not K.any():
+        return np.zeros(y.shape)
+    return np.asarray(recursion(Abar, y @ K.T, np.zeros(len(Abar)))[:-1] @ C.T)
+
+
+def _responses_with_gaps(
+    part: Part, Abar: Array, C: Array, K: Array, *, direct: bool
+) -> tuple[Array, Array, Array]:
+    """Return what `_fed` and `StateSpaceProblem.responses` return, for data with missing outputs.
+
+    The predictor assumes that the error of a missing output is 0. M(t) is the identity without the
+    rows of the missing outputs ::
+
+        x(t+1) = (Abar + K C - K M(t) C) x(t) + (Bbar + K D - K M(t) D) u(t) + K M(t) y(t)
+    """
+    N, nu = part.u.shape
+    n, ny = K.shape
+    gain = K * part.rows[:, None, :]
+    k = n * nu + direct * ny * nu
+    w = np.zeros((N, k + n + 1, n))
+    w[:, : n * nu].reshape(N, nu, n, n)[:, :, range(n), range(n)] = part.u[:, :, None]
+    if direct:
+        unused = (K - gain).swapaxes(1, 2)
+        w[:, n * nu : k] = (unused[:, :, None, :] * part.u[:, None, :, None]).reshape(N, -1, n)
+    w[:, -1] = (gain @ part.y[:, :, None])[:, :, 0]
+    x0 = np.zeros((k + n + 1, n))
+    x0[k:-1] = np.eye(n)
+    found = varying_recursion(Abar + K @ C - gain @ C, w, x0)[:-1] @ C.T
+    if direct:
+        at_once = found[:, n * nu : k].reshape(N, ny, nu, ny)
+        at_once[:, range(ny), :, range(ny)] += part.u
+    found = found.transpose(1, 2, 0)
+    return found[-1].T, found[:k], found[k:-1]
 
 
 def _replicated(
@@ -298,9 +364,7 @@ def _replicated(
             x = recursion(model.A, u @ model.B.T + e @ model.K.T, x0)[:-1]
             simulated = x @ model.C.T + u @ model.D.T + e
             data.append((u, np.where(np.isfinite(y), simulated, np.nan)))
-        found = projected(complete_stretches(data, 2 * horizon), horizon, weights)
-        A, C, K = realised(found, model.A.shape[0])
-        replicate, _ = _estimated(data, A, C, K, direct=direct)
+        replicate, _, _ = _estimated(data, horizon, weights, model.A.shape[0], direct=direct)
         samples.append(_impulses(replicate, length))
     spread = np.array(samples) - np.mean(samples, axis=0)
     theta = np.linalg.lstsq(_by_matrices(model, length), spread.T, rcond=_RANK_TOLERANCE)[0]

@@ -32,6 +32,7 @@ from armrig.estimation.multivariable.state_space_problem import (
     stable_matrix,
     tangent,
 )
+from armrig.estimation.multivariable.whitening import patterns
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
@@ -177,11 +178,9 @@ class GapProblem:
             own = z[0, first : first + part.y.size].reshape(part.y.shape[1], -1).T
             first += part.y.size
             e = np.full_like(part.y, np.nan)
-            for rows in np.unique(part.rows, axis=0):
-                o, times = np.flatnonzero(rows), (part.rows == rows).all(axis=1)
-                if o.size:
-                    root = np.linalg.cholesky(self.Lambda[np.ix_(o, o)])
-                    e[np.ix_(times, o)] = own[np.ix_(times, o)] @ root.T
+            for o, times in patterns(part.rows):
+                root = np.linalg.cholesky(self.Lambda[np.ix_(o, o)])
+                e[np.ix_(times, o)] = own[np.ix_(times, o)] @ root.T
             found.append(e)
         return found
 

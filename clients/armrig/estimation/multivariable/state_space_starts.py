@@ -38,7 +38,7 @@ def starts(
     """
     n = problem.order
     ny = signals[0][1].shape[1]
-    signals = [(u, _filled(y)) for u, y in signals]
+    signals = [(u, interpolated(y)) for u, y in signals]
     found: dict[str, tuple[Array, Array]] = {}
     N = sum(u.shape[0] for u, _ in signals)
     width = signals[0][0].shape[1] + ny
@@ -107,8 +107,8 @@ def moved_modes(
     return found
 
 
-def _filled(y: Array) -> Array:
-    """Return y (N, ny) with missing values interpolated, for a start value."""
+def interpolated(y: Array) -> Array:
+    """Return y (N, ny) with missing values interpolated."""
     known = np.isfinite(y)
     if known.all():
         return y

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -17,15 +17,23 @@ def whitening(noise_covariance: Array, rows: Array) -> Array:
     """
     N, ny = rows.shape
     G = np.zeros((N, ny, ny))
-    codes = rows @ (1 << np.arange(ny))
-    for code in np.unique(codes):
-        at = np.flatnonzero(code >> np.arange(ny) & 1)
-        if at.size:
-            L = np.linalg.cholesky(noise_covariance[np.ix_(at, at)])
-            whole = np.zeros((ny, ny))
-            whole[np.ix_(at, at)] = np.linalg.inv(L)
-            G[codes == code] = whole
+    for measured, times in patterns(rows):
+        L = np.linalg.cholesky(noise_covariance[np.ix_(measured, measured)])
+        whole = np.zeros((ny, ny))
+        whole[np.ix_(measured, measured)] = np.linalg.inv(L)
+        G[times] = whole
     return G
+
+
+def patterns(rows: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield the outputs of each set that is measured at some instants, and these instants.
+
+    `rows` (N, ny) is False where an output is missing. Instants without an output are left out.
+    """
+    bits = np.arange(rows.shape[1])
+    codes = rows @ (1 << bits)
+    for code in np.unique(codes[codes > 0]):
+        yield np.flatnonzero(code >> bits & 1), np.flatnonzero(codes == code)
 
 
 def spread(G: Array, blocks: Sequence[Array]) -> Array:
