@@ -80,6 +80,18 @@ def test_experiments_of_one_data_set_are_realisations() -> None:
     assert 0 < np.max(np.abs(c.G - a.G) / a.std_magnitude) < 1
 
 
+@pytest.mark.parametrize(("hidden", "lost"), [(P // 2, P // 2), (P // 2 + 1, P)])
+def test_a_period_counts_if_half_of_its_samples_are_known(hidden: int, lost: int) -> None:
+    parts = realisations(2, R=2)
+    valid = np.arange(parts[0].N) - 2 * P
+    holed = parts[0].replaced(valid=(valid < 0) | (valid >= hidden), step=None)
+
+    found = bla([holed, parts[1]], integrator=False)
+
+    assert found.N == 8 * P - lost
+    assert f"{4 - lost // P} … 4 periods of 128 samples" in found.method
+
+
 def test_a_dead_band_in_every_period_costs_no_more_than_its_samples() -> None:
     """A tenth of the samples is hidden.
 

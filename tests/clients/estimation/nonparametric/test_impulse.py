@@ -20,7 +20,9 @@ from tests.sampling import sampled
 KERNELS: tuple[Kernel, ...] = ("tc", "dc", "ss")
 
 
-def test_without_noise_plain_least_squares_gives_back_the_response() -> None:
+@pytest.mark.parametrize("negative_lags", [0, 3])
+def test_without_noise_plain_least_squares_gives_back_the_response(negative_lags: int) -> None:
+    """A row is used if its output and all its inputs are inside the experiment."""
     rng = np.random.default_rng(1)
     g = np.array([0.0, 0.5, -0.3, 0.2, 0.1])
     parts = []
@@ -29,11 +31,14 @@ def test_without_noise_plain_least_squares_gives_back_the_response() -> None:
         y = filtered(g, [1.0], u) + level
         parts.append(Dataset(u=u, y=y, Ts=1.0, valid=rng.random(120) > 0.1))
 
-    found = impulse_response(merge(parts), 5, kernel=None, integrator=False)
+    found = impulse_response(merge(parts), 5, None, negative_lags, integrator=False)
 
-    np.testing.assert_allclose(found.g, g, atol=1e-12)
+    np.testing.assert_allclose(found.g[negative_lags:], g, atol=1e-12)
+    np.testing.assert_allclose(found.g[:negative_lags], 0.0, atol=1e-12)
+    known = [part.valid[4 : 120 - negative_lags] for part in parts]
+    assert found.N == np.count_nonzero(known)
     np.testing.assert_allclose(found.band(), 1.959963984540054 * found.std)
-    assert found.lags.tolist() == [0, 1, 2, 3, 4]
+    assert found.lags.tolist() == [*range(-negative_lags, 5)]
 
 
 @pytest.mark.parametrize(
@@ -195,6 +200,7 @@ def test_negative_lags_show_feedback_and_only_feedback(second: Any) -> None:
     ]
 
     assert np.count_nonzero(shown.significant(0.99) < 0) >= 2
+    assert shown.first_lag(0.99) == 0 == next(k for k in shown.significant(0.99) if k >= 0)
     assert np.mean(alarms) < 0.25  # of 10 lags, 0.1 expected
 
 
@@ -250,6 +256,11 @@ def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
         impulse_response(data, kernel="rbf", integrator=False)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="needs at least 43 rows"):
         impulse_response(data, 40, kernel=None, integrator=False)
+    known = impulse_response(data, 5, "tc", 26, integrator=False)
+    assert known.N == 30
+    told = "n=5 with negative_lags=27 needs at least 30 rows .* got 29 of 60 samples"
+    with pytest.raises(ValueError, match=told):
+        impulse_response(data, 5, "tc", 27, integrator=False)
     with pytest.raises(ValueError, match="u is constant"):
         impulse_response(still, 20, kernel=None, integrator=False)
     with pytest.raises(ValueError, match="level=95 must lie between 0 and 1"):

@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.estimation.nonparametric.sampling_time import DIFFERENCED, nearest_125, sampling_time
+from armrig.estimation.nonparametric.sampling_time import (
+    DIFFERENCED,
+    _from_impulse,
+    nearest_125,
+    sampling_time,
+)
 from armrig.excitation import step, telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import times
@@ -149,6 +154,18 @@ def test_data_that_are_too_slow_say_so(sampled: Callable[[float], Any]) -> None:
 def test_a_recommendation_is_a_round_number(x: float, expected: float) -> None:
     """The number is the nearest of 1, 2 and 5 by ratio."""
     assert nearest_125(x) == expected
+
+
+def test_a_dead_time_belongs_to_no_rule() -> None:
+    """The transient and the 63 % time begin after it."""
+    u = telegraph(1000, 0.05, 0.0, 5.0, seed=2)
+    prompt = first_order(0.3, 0.03, u, 0.002)
+    late = prompt.replaced(y=np.append(np.zeros(8), prompt.y[:-8]), step=None)
+
+    (_, _, *times), (_, _, *delayed) = (_from_impulse(x, integrates=False) for x in (prompt, late))
+
+    assert times == pytest.approx([0.3, 0.9], rel=0.1)
+    assert delayed == pytest.approx(times, rel=0.1)
 
 
 def _telegraph(N: int = 1200) -> NDArray[np.float64]:

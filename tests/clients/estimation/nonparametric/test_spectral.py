@@ -159,6 +159,27 @@ def test_a_known_delay_is_aligned(second: Any) -> None:
     assert np.all(loose.magnitude < 0.8 * prompt.magnitude)
 
 
+@pytest.mark.parametrize("method", ["blackman-tukey", "welch"])
+def test_missing_samples_are_advanced_with_the_output(
+    second: Any, method: Literal["blackman-tukey", "welch"]
+) -> None:
+    """The estimate is that of the data without the first samples of y and the last of u."""
+    whole = second.dataset(np.random.default_rng(7), 300, std=0.1)
+    valid = np.arange(300) % 60 != 11
+    late = Dataset(u=whole.u, y=whole.y, Ts=0.5, valid=valid, starts=(0, 100, 296))
+    parts = [
+        Dataset(u=whole.u[a : b - 7], y=whole.y[a + 7 : b], Ts=0.5, valid=valid[a + 7 : b])
+        for a, b in ((0, 100), (100, 296))
+    ]
+    omega = 2 * OMEGA
+
+    found = spa(late, 12, omega, method=method, delay=7, integrator=False)
+
+    expected = spa(merge(parts), 12, omega, method=method, integrator=False)
+    assert found.N == expected.N == 282 - 5
+    np.testing.assert_allclose(found.G, expected.G * np.exp(-7j * omega * 0.5), rtol=1e-9)
+
+
 def test_missing_samples_and_several_experiments_give_the_same_response(second: Any) -> None:
     rng = np.random.default_rng(3)
     whole = second.dataset(rng, 3000, missing=0.0, std=0.3)
