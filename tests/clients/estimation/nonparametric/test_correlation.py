@@ -78,8 +78,8 @@ def test_what_is_outside_the_band_is_told_before_and_after_lag_0(
     assert repr(found).splitlines() == [
         "correlation analysis of y, 80 samples at 0.5 s, input whitened by order 2",
         f"  largest g {float(g[largest]):.4g} at lag {largest - 3}; 99 % band of no relation ±2.58",
-        f"  first lag >= 0 outside: {first}; {before} of 3 negative lags outside (feedback, if more "
-        "than chance)",
+        f"  first lag >= 0 outside: {first}; {before} of 3 negative lags outside (feedback, if "
+        "more than chance)",
     ]
 
 
