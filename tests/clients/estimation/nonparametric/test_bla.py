@@ -89,7 +89,7 @@ def test_a_period_counts_if_half_of_its_samples_are_known(hidden: int, lost: int
     found = bla([holed, parts[1]], integrator=False)
 
     known = 8 * P - lost
-    assert found.N == known
+    assert known == found.N
     assert f"{4 - lost // P} … 4 periods of 128 samples" in found.method
 
 
