@@ -187,6 +187,15 @@ def test_an_offset_of_y_is_reported_with_the_way_out(name: str) -> None:
     assert float(said.split("about ")[1].split()[0]) == pytest.approx(5.0, abs=0.3)
 
 
+def test_an_integrator_has_a_level_of_its_own() -> None:
+    """The offset of the input is estimated with it, so that no other remedy is named."""
+    data = dataset(N=300)
+    data = data.replaced(y=data.y + 5.0, step=None)
+
+    assert about(armrig.n4sid(data, 2), "at u = 0")
+    assert not about(armrig.n4sid(data, 2, integrator=True), "at u = 0")
+
+
 def test_with_offset_true_the_model_is_right() -> None:
     data = dataset(std=0.05)
     fit = armrig.oe(data.replaced(y=data.y + 5.0, step=None), nb=2, nf=2, offset=True)

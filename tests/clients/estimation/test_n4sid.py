@@ -10,7 +10,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.armax import armax
-from armrig.estimation.n4sid import _pole_std, n4sid
+from armrig.estimation.n4sid import _pole_std, _stable, n4sid
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.models.model_file import load_fit
@@ -193,6 +193,18 @@ def test_the_state_space_is_the_model() -> None:
         x = A @ x + B_s * u[k] + K * e[k]
     expected = filtered(fit.B, fit.A, u) + filtered(fit.C, fit.A, e)
     np.testing.assert_allclose(y, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("integrator", [False, True])
+def test_poles_are_reflected_beside_an_integrator(integrator: bool) -> None:
+    at_1 = np.array([1.0, -1.0]) if integrator else np.ones(1)
+    outside, inside = np.array([1.0, -0.9, -0.52]), np.array([1.0, -0.9, 0.2])  # 1.3, -0.4
+
+    moved = _stable(np.convolve(at_1, outside), integrator=integrator)
+    left = np.convolve(at_1, inside)
+
+    np.testing.assert_allclose(moved, np.convolve(at_1, np.poly([1 / 1.3, -0.4])), atol=1e-12)
+    assert _stable(left, integrator=integrator) is left
 
 
 def test_it_predicts_and_is_tested_as_every_model() -> None:
