@@ -23,10 +23,10 @@ def _data(seed: int, N: int = 400, a: float = -1.2) -> Dataset:
 
 @cache
 def _runs(forgetting: float) -> list[RarxState]:
-    """Return the results of 150 records of 150 samples."""
+    """Return the results of 150 records of 100 samples."""
     found = []
     for seed in range(150):
-        data = _data(seed, 150)
+        data = _data(seed, 100)
         state = rarx_start(na=2, nb=2, forgetting=forgetting)
         for u, y in zip(data.u, data.y, strict=True):
             state = rarx_step(state, u, y)
