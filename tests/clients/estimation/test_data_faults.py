@@ -78,6 +78,7 @@ def test_at_most_five_wrong_samples_are_listed_and_all_are_counted(
 
     assert found.text.startswith(said)
     assert found.numbers["count"] == len(at)
+    assert 0.9 < found.numbers["share"] < 1.0
     assert f"make {percent(100 * found.numbers['share'])} of the squared" in found.text
 
 

@@ -141,6 +141,19 @@ def test_nothing_is_claimed_before_the_samples_determine_it() -> None:
     assert np.isinf(state.std).all()
 
 
+def test_parameters_stay_when_the_samples_no_longer_determine_them() -> None:
+    """After 100 samples at one level, the excited samples weigh 0.5^100."""
+    u = np.where(np.arange(140) < 40, _data(1, 140).u, 1.0)
+    data = Dataset(u=u, y=filtered([0, 1.0, 0.5], [1, -0.4], u), Ts=1.0)
+
+    found = rarx(data, na=1, nb=2, forgetting=0.5)
+
+    assert not found.state.determined
+    known = np.isfinite(found.theta).all(axis=1)
+    assert known[np.argmax(known) :].all()
+    assert np.isfinite(found.error[-50:]).all()
+
+
 def test_a_forgetting_that_is_none_is_refused() -> None:
     with pytest.raises(ValueError, match=r"forgetting=1.1 must be above 0 and at most 1"):
         rarx_start(na=1, nb=1, forgetting=1.1)

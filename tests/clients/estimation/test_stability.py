@@ -16,7 +16,12 @@ from armrig.estimation.iv4 import iv4
 from armrig.estimation.n4sid import n4sid
 from armrig.estimation.oe import oe
 from armrig.estimation.pem import pem
-from armrig.estimation.stability import _way_out, largest_unstable, stabilised
+from armrig.estimation.stability import (
+    _way_out,
+    largest_unstable,
+    reflection_warnings,
+    stabilised,
+)
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 
@@ -173,6 +178,22 @@ def test_an_integrator_by_construction_is_no_unstable_pole() -> None:
     assert largest_unstable(fit) == 0.0
     assert abs(np.sum(fit.A)) < 1e-12
     assert not any("unstable" in w for w in fit.warnings)
+
+
+@pytest.mark.parametrize(
+    ("poles", "moved"),
+    [([1.0, 0.3], "1 of 2"), ([-1.0, 1.2, 0.5], "2 of 3"), ([0.9999, 0.3], ""), ([1.1], "1 of 1")],
+)
+def test_poles_on_the_circle_are_counted_among_the_reflected(
+    poles: list[float], moved: str
+) -> None:
+    before = np.poly(poles)
+
+    told = list(reflection_warnings(before, stabilised(before)))
+
+    assert [x.text.partition(" poles")[0] for x in told] == ([moved] if moved else [])
+    assert all(f"the farthest from |z| = {max(np.abs(poles)):.4f}" in x.text for x in told)
+    assert not list(reflection_warnings(before, before))
 
 
 def test_roots_are_reflected_or_drawn_in() -> None:
