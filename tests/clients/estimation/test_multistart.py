@@ -15,7 +15,7 @@ from armrig.data.dataset import Dataset
 from armrig.estimation import multistart, prediction_error_fit
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
-from armrig.estimation.hannan_rissanen import noise_start
+from armrig.estimation.hannan_rissanen import equation_error, noise_start, steiglitz_mcbride
 from armrig.estimation.multistart import searched_minimum
 from armrig.estimation.oe import oe
 from armrig.estimation.prediction_error import PredictionErrorProblem
@@ -218,6 +218,39 @@ def test_modes_are_moved_one_at_a_time() -> None:
     )
     assert len(list(multistart.other_real(z))) == 3 * 6
     assert len(list(multistart._other_reals(z))) == 2 * 15
+
+
+def test_denominators_of_a_start_are_stable_though_the_data_grow() -> None:
+    u = np.random.default_rng(2).standard_normal(80)
+    signals = [(u, filtered([0, 1.0], [1, -1.1, 0.05], u))]
+    sizes = Structure(nb=1, nf=2, nk=1)
+
+    F, _ = equation_error(signals, np.ones(1), sizes)
+    found = list(steiglitz_mcbride(signals, np.ones(1), sizes, iterations=4))
+
+    assert np.abs(roots(F)).max() > 1.04
+    assert all(np.abs(roots(x)).max() < 1 for x in found)
+
+
+@pytest.mark.parametrize("gaps", [[], [30], [30, 31, 60]])
+def test_a_start_at_rest_needs_no_samples_for_what_was_before_it(gaps: list[int]) -> None:
+    """After a gap the noise model needs its own, at rest or not."""
+    u, y = np.random.default_rng(2).standard_normal((2, 80))
+    whole = Dataset(u=u, y=y, Ts=1.0)
+    data = whole.replaced(valid=~np.isin(np.arange(80), gaps), step=None)
+    free = Structure(na=2, nb=1, nc=1, nk=1)
+
+    needed = {
+        at_rest: [
+            prediction_error_fit._nuisance(problem_of(x, replace(free, at_rest=at_rest)))
+            for x in (data, whole)
+        ]
+        for at_rest in (True, False)
+    }
+
+    assert needed[True][1] == 0 < needed[False][1]
+    assert needed[True][0] == needed[False][0] - needed[False][1]
+    assert (needed[True][0] > 0) == bool(gaps)
 
 
 def test_the_noise_model_of_a_start_is_fitted_to_the_equation_error() -> None:

@@ -132,6 +132,7 @@ def test_the_arm_s_angle_comes_through_its_rate(arm: Any) -> None:
     found = bla(parts, transient=3)
 
     np.testing.assert_allclose(found.G, arm.response(found.omega), rtol=1e-7)
+    np.testing.assert_allclose(found.std_phase * np.abs(found.G), found.std_magnitude)
 
 
 def test_one_realisation_cannot_determine_distortion() -> None:

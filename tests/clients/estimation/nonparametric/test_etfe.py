@@ -49,6 +49,7 @@ def test_the_arm_s_angle_is_exact_too(arm: Any) -> None:
     found = etfe(arm.dataset(u))
 
     np.testing.assert_allclose(found.G, arm.response(found.omega), rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(found.std_phase * np.abs(found.G), found.std_magnitude)
 
 
 def test_the_scatter_between_periods_is_the_noise(second: Any) -> None:

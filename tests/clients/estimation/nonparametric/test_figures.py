@@ -13,11 +13,17 @@ import pytest
 from armrig.estimation.nonparametric.bla import bla
 from armrig.estimation.nonparametric.correlation import correlation
 from armrig.estimation.nonparametric.etfe import etfe
-from armrig.estimation.nonparametric.figures import _gain, _with_gaps, plot_step_analysis
+from armrig.estimation.nonparametric.figures import (
+    _gain,
+    _with_gaps,
+    plot_step_analysis,
+    plot_structure,
+)
 from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.estimation.nonparametric.sampling_time import sampling_time
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.estimation.nonparametric.step_analysis import step_analysis
+from armrig.numerics.quantities import minus
 from armrig.validation.structure_hints import structure_hints
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
@@ -105,6 +111,44 @@ def test_the_unit_of_a_gain_is_that_of_y_per_unit_of_u(
     unit: str, input_unit: str, rate: bool, text: str
 ) -> None:
     assert _gain(SimpleNamespace(unit=unit, input_unit=input_unit), rate=rate) == text
+
+
+@pytest.mark.parametrize(("low", "high"), [(-20.0, -40.0), (None, -60.0), (0.0, None)])
+def test_slopes_and_resonances_are_drawn_where_they_are(
+    low: float | None, high: float | None
+) -> None:
+    omega = np.geomspace(0.1, 100.0, 61)
+    magnitude = 3.0 / (1 + omega**2)
+    spectrum = SimpleNamespace(
+        omega=omega, G=np.where(omega > 90, np.nan, magnitude), magnitude=magnitude,
+        output="level", unit="mm", input_unit="A", source="beef",
+    )  # fmt: skip
+    hints: Any = SimpleNamespace(
+        spectrum=spectrum, low_slope=low, high_slope=high, trusted=40.0, resonances=(2.0, 9.0),
+        antiresonances=(5.0,), singular_values=0.5 ** np.arange(20.0), threshold=0.01,
+    )  # fmt: skip
+    figure = Figure()
+
+    ax = plot_structure(hints, ax=figure.add_subplot())
+
+    lines = {str(line.get_label()): line for line in ax.lines}
+    for slope, at in ((low, 0.1), (high, 20.0)):
+        if slope is not None:
+            x, y = lines[f"slope {minus(f'{slope:.0f}')} dB/decade"].get_data()
+            assert (y[1] - y[0]) / np.log10(x[1] / x[0]) == pytest.approx(slope)
+            assert x[0] <= at * 1.001
+            assert x[1] > at
+    for name, marks in (("resonance", (2.0, 9.0)), ("antiresonance", (5.0,))):
+        x, y = lines[name].get_data()
+        np.testing.assert_allclose(x, marks)
+        np.testing.assert_allclose(y, 20 * np.log10(3 / (1 + x**2)), atol=0.1)
+    [shade] = [p for p in ax.patches if p.get_label() == "not explained by the input"]
+    assert shade.get_x() == 40.0
+    below = figure.axes[1]
+    heights = [bar.get_height() for bar in below.patches]
+    np.testing.assert_allclose(heights, 0.5 ** np.arange(12.0))
+    assert below.lines[0].get_ydata()[0] == 0.01
+    assert ax.get_ylabel() == "$|G|$ [dB re 1 mm/A]"
 
 
 def test_no_line_crosses_a_gap() -> None:

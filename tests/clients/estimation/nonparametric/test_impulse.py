@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.estimation.nonparametric.impulse import impulse_response
+from armrig.estimation.nonparametric.impulse import _warnings, impulse_response
 from armrig.estimation.nonparametric.kernels import Evidence, Kernel, factor
 from armrig.numerics.polynomial import filtered
+from armrig.numerics.whiteness import LJUNG_BOX, Whiteness
 from numpy.typing import NDArray
 
 from tests.sampling import sampled
@@ -222,6 +223,23 @@ def test_a_band_is_called_what_it_is(second: Any) -> None:
 
     assert "Bayesian (credible)" in repr(impulse_response(data, integrator=False))
     assert "confidence" in repr(impulse_response(data, kernel=None, integrator=False))
+
+
+@pytest.mark.parametrize("kernel", [None, "tc"])
+@pytest.mark.parametrize("p", [0.002, 0.3])
+@pytest.mark.parametrize(("last", "std"), [(0.019, 0), (-0.021, 0), (0.027, 0.01), (0.03, 0.01)])
+def test_doubts_about_a_band_are_those_of_its_kind(
+    kernel: Kernel | None, p: float, last: float, std: float
+) -> None:
+    """The last tenth counts, within 2 % or 4 deviations; least squares may leave a colour."""
+    g = np.append(np.ones(18), [last + 0.5, last - 0.5])
+
+    told = list(_warnings(g, std**2 * np.eye(20), kernel, Whiteness(p_value=p, test=LJUNG_BOX)))
+
+    short = "the response has not decayed at the last lags: give more lags (n)"
+    assert [x == short for x in told] == [True] * (last in (-0.021, 0.03)) + [False] * (
+        kernel == "tc" and p < 0.05
+    )
 
 
 def test_a_response_cut_off_says_so(second: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,10 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric.sampling_time import (
     DIFFERENCED,
+    SamplingTime,
+    _bandwidth,
     _from_impulse,
+    _notes,
     nearest_125,
     sampling_time,
 )
@@ -166,6 +170,113 @@ def test_a_dead_time_belongs_to_no_rule() -> None:
 
     assert times == pytest.approx([0.3, 0.9], rel=0.1)
     assert delayed == pytest.approx(times, rel=0.1)
+
+
+def _found(**of: Any) -> SamplingTime:
+    fields: dict[str, Any] = {
+        "Ts": 0.005, "tau": 0.0213, "omega_step": 46.9, "omega_first": 10.2, "omega_spectrum": 61.7,
+        "settling": 0.412, "settling_std": 0.031, "Ts_step": 0.0067, "Ts_spectrum": 0.0051,
+        "Ts_transient": (0.0412, 0.0589), "near_nyquist": 0.023, "beyond": 0.0007,
+        "from_step": True, "recorded_at": 0.002, "output": "the rate of theta_1", "t": np.zeros(2),
+        "response": np.zeros(2), "gain": 1.0, "omega": np.zeros(2), "power": np.zeros(2),
+        "spectrum": None, "source": "", "notes": ("one", "two"),
+    }  # fmt: skip
+    return SamplingTime(**(fields | of))
+
+
+def test_the_recommendation_is_told_line_by_line() -> None:
+    lines = repr(_found()).replace("\xa0", " ").splitlines()
+
+    assert lines == [
+        "sampling time: 5 ms recommended (from the rate of theta_1 at 2 ms, steps)",
+        "  step:      63 % time tau 21.3 ms, omega_B = 1/tau = 46.9 rad/s, omega_s = 20 omega_B: "
+        "Ts 6.7 ms",
+        "  spectrum:  -3 dB first at 10.2, last (omega_B) at 61.7 rad/s, omega_s = 20 omega_B: Ts "
+        "5.1 ms",
+        "  transient: 412 ± 31 ms to within 5 %, 10 to 7 samples in it: Ts 41.2 … 58.9 ms",
+        "  aliasing:  2.3 % of the power above 0.8 Nyquist now, 0.07 % above the "
+        "recommendation's Nyquist",
+        "  one",
+        "  two",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("of", "line", "text"),
+    [
+        ({"from_step": False}, 0, "at 2 ms, regularised impulse response)"),
+        ({"tau": 0.0019}, 1, "  step:      63 % time tau below a sample, 2 ms"),
+        ({"tau": 0.002}, 1, "63 % time tau 2 ms, omega_B = 1/tau = 46.9 rad/s"),
+        ({"omega_first": 61.72}, 2, "  spectrum:  -3 dB at 61.7 rad/s"),
+        ({"settling": 0.0019}, 3, "  transient: over within a sample"),
+        ({"settling_std": np.nan}, 3, "  transient: 412 ms to within 5 %"),
+        ({"settling": 1.23, "settling_std": 0.1}, 3, "  transient: 1.23 ± 0.10 s to within 5 %"),
+        ({"beyond": np.nan}, 4, "now, unknown above the recommendation's Nyquist"),
+    ],
+)
+def test_what_is_not_known_is_told_so(of: dict[str, Any], line: int, text: str) -> None:
+    assert text in repr(_found(**of)).replace("\xa0", " ").splitlines()[line]
+
+
+NOTES: list[tuple[dict[str, Any], list[str]]] = [
+    ({}, []),
+    ({"rules": (0.013, 0.07, 0.02)}, ["the rules differ by a factor 5.4: the response rises"]),
+    ({"rules": (0.013, 0.05, 0.02)}, []),
+    (
+        {"bandwidth": 130.0},
+        ["the bandwidth is 41 % of these data's Nyquist frequency: record at 2"],
+    ),
+    ({"bandwidth": 124.0}, []),
+    ({"near": 0.06}, ["6 % of the power is near Nyquist: noise or aliasing; compare with a fa"]),
+    ({"near": 0.05}, []),
+    ({"near": 0.4, "of": "y"}, ["40 % of the power is near Nyquist. If y has white noise, the d"]),
+    ({"near": 0.46, "of": "y"}, ["46 % of the power is near Nyquist: noise or aliasing"]),
+    ({"Ts": 0.005}, ["the recommended Ts is below the data's Ts"]),
+]
+
+
+@pytest.mark.parametrize(("of", "told"), NOTES)
+def test_notes_have_their_limits_and_numbers(of: dict[str, Any], told: list[str]) -> None:
+    fields = {
+        "Ts": 0.02, "now": 0.01, "rules": (0.03, 0.021, 0.04), "bandwidth": 50.0, "near": 0.01,
+        "seen": True, "of": "",
+    } | of  # fmt: skip
+
+    first, *notes = [x.replace("\xa0", " ") for x in _notes(**fields)]
+
+    names = ("the step's time constant", "the spectrum's bandwidth", "the transient")
+    least = int(np.argmin(fields["rules"]))
+    decides = f"{times(fields['rules'][least])} by {names[least]}".replace("\xa0", " ")
+    assert first.startswith(f"the shortest time decides, {decides}, rounded to ")
+    assert len(notes) == len(told)
+    assert all(note.startswith(text) for note, text in zip(notes, told, strict=True))
+    [unseen] = _notes(**(fields | {"seen": False}))
+    assert unseen.replace("\xa0", " ").startswith("63 % is reached within one sample of 10 ms, so")
+
+
+def test_the_band_ends_where_the_response_falls_for_the_first_and_for_the_last_time() -> None:
+    """A notch lies in between, and noise beyond; each crossing is between two frequencies."""
+    omega = np.arange(1.0, 11.0)
+    magnitude = np.array([1.0, 1.0, 0.8, 0.4, 0.3, 0.8, 0.9, 0.5, 0.2, 0.75])
+    std = np.full(10, 0.02)
+    level = np.sqrt(0.5)
+    first, last = 3 + (0.8 - level) / 0.4, 7 + (0.9 - level) / 0.4
+
+    def band(gain: float = 1.0, *, coherence: Any = None, G: Any = magnitude) -> Any:
+        spectrum: Any = SimpleNamespace(
+            G=G, magnitude=np.abs(G), omega=omega, std_magnitude=std, coherence=coherence
+        )
+        return _bandwidth(spectrum, gain)
+
+    assert band() == pytest.approx((first, last))
+    assert band(0.2) == (10.0, 10.0)
+    assert band(2.0) == (1.0, 1.0)
+    coherence = np.where(omega < 6, 1.0, 0.0)
+    assert band(coherence=coherence) == pytest.approx((first, first))
+    unknown = np.where(omega == 4, np.nan, magnitude)
+    assert band(G=unknown)[0] == pytest.approx(3 + 2 * (0.8 - level) / 0.5)
+    peak = np.where(omega == 10, 0.79, magnitude)  # 4 deviations, but not 5, above the level
+    assert band(G=peak)[1] == 10.0
 
 
 def _telegraph(N: int = 1200) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from armrig.estimation.nonparametric.step_analysis import (
     _left_to_settle,
     _Steps,
     _steps,
+    _warnings,
     step_analysis,
 )
 from armrig.estimation.nonparametric.step_answer import Answer, _reached, _settled
@@ -221,6 +223,38 @@ def test_a_dead_time_is_told_from_a_certainty_of_99_per_cent_on(
     assert answer.crossing == pytest.approx(0.3)
     off = np.abs(answer.crossings - answer.delays - (0.3 - dead_time))
     assert np.mean(off <= answer.tau_std) == pytest.approx(0.683, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("of", "told"),
+    [
+        ({}, ""),
+        (
+            {"hidden": (0.012, 0.031)},
+            "y is missing 12 … 31 ms after the step, on the rise, so the ",
+        ),
+        (
+            {"unsettled": -0.006},
+            "the output had not settled before the step: the remaining motion ",
+        ),
+        ({"unsettled": 0.005}, ""),
+        ({"tail": np.linspace(0.96, 1.06, 60)}, "the response has not settled in the last third"),
+        ({"tail": np.linspace(0.985, 1.015, 60)}, ""),
+        ({"tail": 1 + 0.3 * (-1.0) ** np.arange(61)}, ""),
+        ({"crossing": 0.029}, "63 % is reached within 2.9 samples, which is coarse: record with"),
+        ({"crossing": 0.03}, ""),
+    ],
+)
+def test_each_doubt_has_its_limit_and_its_numbers(of: dict[str, Any], told: str) -> None:
+    fields = {"tail": np.ones(30), "unsettled": 0.0, "hidden": None, "crossing": 0.05} | of
+    answer: Any = SimpleNamespace(crossing=fields.pop("crossing"), tau_std=0.0042, settling_std=9.0)
+    data = Dataset(u=np.ones(9), y=np.ones(9), Ts=0.01)
+
+    said = [x.replace("\xa0", " ") for x in _warnings(**fields, answer=answer, data=data)]
+
+    assert [x.startswith(told) for x in said] == ([True] if told else [])
+    assert all("known only to ± 4.2 ms; record" in x for x in said if "missing" in x)
+    assert all("was 0.6 % of the response" in x for x in said if "motion" in x)
 
 
 def test_numbers_of_curves_are_medians_and_their_scatter() -> None:
