@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import armrig
 import numpy as np
@@ -28,6 +30,8 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from tests.sampling import sampled
+
+ss, n4sid = (import_module(f"armrig.estimation.multivariable.{name}") for name in ("ss", "n4sid"))
 
 N = 1200
 A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, 0.5]])
@@ -338,6 +342,44 @@ def test_a_search_leaves_a_local_minimum(
         assert 100 * (1 - np.linalg.norm(e) / np.linalg.norm(spread)) == pytest.approx(
             expected, abs=0.1
         )
+
+
+@pytest.mark.parametrize(
+    ("most", "sizes"), [(60, [60]), (70, [70]), (100, [70, 30]), (500, [70, 130])]
+)
+def test_long_data_are_tried_on_their_first_samples(
+    most: int, sizes: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ss, "_PART_SAMPLES", most)
+    whole = problem(noise=True, direct=False, missing=0.2)
+
+    part = ss._part(whole)
+
+    assert [x.u.shape[0] for x in part.parts] == sizes
+    for found, of, n in zip(part.parts, whole.parts, sizes, strict=False):
+        for name in ("u", "y", "rows", "weights"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(of, name)[:n])
+    assert (part.order, part.direct, part.noise) == (3, False, True)
+
+
+def test_replicates_miss_what_the_data_miss(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replicates are estimated in the same way as the model."""
+    seen: list[list[Array]] = []
+    estimated = n4sid._estimated
+
+    def watched(signals: Any, *of: Array, direct: bool) -> Any:
+        seen.append([np.isfinite(y) for _, y in signals])
+        return estimated(signals, *of, direct=direct)
+
+    monkeypatch.setattr(n4sid, "_estimated", watched)
+    whole = data(missing=0.02)[:400]
+
+    armrig.n4sid(whole.replaced(starts=(0, 150), step=None), 3, replicates=2, horizon=6)
+
+    assert len(seen) == 3
+    for of_one in seen:
+        assert [x.shape[0] for x in of_one] == [150, 250]
+        np.testing.assert_array_equal(np.vstack(of_one), whole.valid)
 
 
 def test_a_worse_minimum_is_not_searched_to_its_end() -> None:
