@@ -8,7 +8,13 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.estimation.data_faults import _doubtful, level_without_input, swapped, undetermined
+from armrig.estimation.data_faults import (
+    _doubtful,
+    data_faults,
+    level_without_input,
+    swapped,
+    undetermined,
+)
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import percent
@@ -80,6 +86,18 @@ def test_at_most_five_wrong_samples_are_listed_and_all_are_counted(
     assert found.numbers["count"] == len(at)
     assert 0.9 < found.numbers["share"] < 1.0
     assert f"make {percent(100 * found.numbers['share'])} of the squared" in found.text
+
+
+@pytest.mark.parametrize(("known", "is_told"), [(49, False), (50, True)])
+def test_few_residuals_show_no_wrong_samples(known: int, is_told: bool) -> None:
+    data = dataset(N=60)
+    y = data.y.copy()
+    y[30] += 1e3
+    e = np.where(np.arange(60) < 60 - known, np.nan, y - y.mean())
+
+    told = [x.about for x in data_faults(data.replaced(y=y, step=None), [e], way_out="")]
+
+    assert told == ["outliers"] * is_told
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from armrig.data.dataset import Dataset
 from armrig.estimation import subspace
 from armrig.estimation.subspace import (
     _steady_filter,
+    autoregressive_order,
     projection,
     shortened,
     suggested_order,
@@ -103,6 +104,25 @@ def test_the_first_windows_are_taken_over_gaps_and_experiments(most: int | None,
     parts = [(u[:71], y[:71]), (u[71:143], y[71:143]), (u[143:], y[143:])]
 
     assert windows(parts, past=5, future=3, most=most).N == N
+
+
+def test_the_memory_of_the_predictor_is_that_of_aic() -> None:
+    """A lag has two parameters, one of u and one of y."""
+    orders = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        u, e = rng.standard_normal((2, 130))
+        y = filtered([0, 0.4], [1, -0.6, 0.2, -0.25], u) + filtered([1], [1, -0.6, 0.2, -0.25], e)
+        w = windows([(u, y)], past=9, future=1)
+        criterion = []
+        for n in range(1, 10):
+            rows = [[1, u[t], *u[t - n : t], *y[t - n : t]] for t in range(9, 130)]
+            sse = np.linalg.lstsq(np.array(rows), y[9:], rcond=None)[1][0]
+            criterion.append(121 * np.log(sse) + 2 * 2 * n)
+        orders.append(1 + int(np.argmin(criterion)))
+
+        assert autoregressive_order(w) == orders[-1]
+    assert len(set(orders)) > 2
 
 
 def test_a_state_costs_three_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
