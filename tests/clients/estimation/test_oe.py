@@ -249,6 +249,10 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
 
     with pytest.raises(ValueError, match="nb=1, nf=1, nk=1 needs at least 4 samples, got 3"):
         oe(Dataset(u=u, y=u, Ts=1), nb=1, nf=1)
+    longer = np.random.default_rng(0).standard_normal(6)
+    holed = Dataset(u=longer, y=longer[::-1], Ts=1, valid=np.arange(6) % 2 > 0)
+    with pytest.raises(ValueError, match="nb=1, nf=1, nk=1 needs at least 4 samples, got 3"):
+        oe(holed, nb=1, nf=1)
 
 
 def test_an_input_that_does_not_excite_is_refused() -> None:

@@ -116,8 +116,10 @@ def test_the_memory_of_the_predictor_is_that_of_aic() -> None:
         w = windows([(u, y)], past=9, future=1)
         criterion = []
         for n in range(1, 10):
-            rows = [[1, u[t], *u[t - n : t], *y[t - n : t]] for t in range(9, 130)]
-            sse = np.linalg.lstsq(np.array(rows), y[9:], rcond=None)[1][0]
+            rows = np.hstack(
+                [np.ones((130, 1)), lagged(u, range(n + 1)), lagged(y, range(1, n + 1))]
+            )
+            sse = np.linalg.lstsq(rows[9:], y[9:], rcond=None)[1][0]
             criterion.append(121 * np.log(sse) + 2 * 2 * n)
         orders.append(1 + int(np.argmin(criterion)))
 
