@@ -372,6 +372,7 @@ def test_what_cannot_be_estimated_is_refused() -> None:
     u = np.random.default_rng(1).standard_normal(300)
     clean = Dataset(u=u, y=filtered(B, F, u), Ts=1.0)
 
+    assert n4sid(clean).order == 2
     with pytest.raises(ValueError, match="the data show 2 states; lower the order"):
         n4sid(clean, 4)
     with pytest.raises(ValueError, match="y is constant and shows no state; record data"):
