@@ -154,6 +154,19 @@ def test_parameters_stay_when_the_samples_no_longer_determine_them() -> None:
     assert np.isfinite(found.error[-50:]).all()
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_the_unit_of_u_decides_nothing(unit: float) -> None:
+    data = _data(1, 80)
+    data = data.replaced(u=unit * data.u, step=None)
+
+    state = rarx(data, na=2, nb=2).state
+
+    fit = arx(data, na=2, nb=2)
+    assert state.determined
+    np.testing.assert_allclose(state.theta, fit.theta, rtol=1e-7)
+    np.testing.assert_allclose(state.std, fit.std, rtol=1e-7)
+
+
 def test_a_forgetting_that_is_none_is_refused() -> None:
     with pytest.raises(ValueError, match=r"forgetting=1.1 must be above 0 and at most 1"):
         rarx_start(na=1, nb=1, forgetting=1.1)

@@ -93,13 +93,14 @@ def test_a_model_is_asked_for_again_with_its_orders() -> None:
 def test_an_integrator_and_an_offset_are_asked_for_again(option: str | None) -> None:
     """With an integrator the offset is estimated anyway, so it is not asked for."""
     more = {option: True} if option else {}
-    request = Request(structure="armax", orders={"na": 2, "nb": 1, "nc": 0}, starts="few", **more)
+    orders: dict[str, int | None] = {"na": 2, "nb": 1, "nc": 0}
+    request = Request(structure="armax", orders=orders, nk=2, starts="few", **more)
     fit = request.estimated(DATA)
 
     again = Request(structure="armax", orders={}).of_fit(fit)
 
     assert (again.integrator, again.offset) == (option == "integrator", option == "offset")
-    assert (again.orders, again.nk) == (request.orders, 1)
+    assert (again.orders, again.nk) == (orders, 2)
 
 
 def test_orders_are_held_against_the_samples_with_an_output() -> None:

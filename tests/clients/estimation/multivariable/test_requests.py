@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import armrig
 import numpy as np
 import pytest
 from armrig import Signals
+from armrig.estimation.multivariable import search
 from armrig.estimation.multivariable.armax import _require_complete
 from armrig.estimation.multivariable.order_table import select_orders
 from armrig.estimation.multivariable.orders import as_text, by_channel, by_output, by_pair
@@ -298,6 +300,41 @@ def test_given_delays_hold_for_the_validation_data_too() -> None:
     assert "\nb: given delays 4, 3\nb:\n" in repr(tables)
     with pytest.raises(InputError, match="resample one of them"):
         select_orders(data, [1], [1], [1], validation=signals(Ts=0.25))
+
+
+@pytest.mark.parametrize(
+    ("nc", "nd", "score"),
+    [(0, 0, "exogenous"), ([1, 0], 0, "correlated"), (0, [0, 1], "correlated")],
+)
+def test_all_outputs_have_one_score_and_converge_together(
+    nc: Any, nd: Any, score: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If the noise of one output is coloured, the past of it is in the regressors."""
+    rng = np.random.default_rng(3)
+    u, e = rng.standard_normal((2, 120, 2))
+    y = np.column_stack([filtered([0, 1.0], [1, -0.5], u[:, 0]), filtered([0, 0.3], [1], u[:, 1])])
+    data = Signals(u=u, y=y + 0.1 * e, Ts=1.0, outputs=["a", "b"])
+    scores, one_of = list[str](), search._estimated
+
+    def inferred(*of: Any, parameters: Any, score: Any) -> Any:
+        scores.append(score)
+        return search_inferred(*of, parameters=parameters, score=score)
+
+    def unfinished(data: Signals, plan: Any, orders: str) -> Any:
+        found = one_of(data, plan, orders)
+        name, end = found.ends[0]
+        end = replace(end, converged=plan.outputs != (1,), iterations=7)
+        return replace(found, ends=((name, end), *found.ends[1:]))
+
+    search_inferred = search.inferred
+    monkeypatch.setattr(search, "inferred", inferred)
+    monkeypatch.setattr(search, "_estimated", unfinished)
+
+    fit: Any = armrig.bj(data, nb=1, nc=nc, nd=nd, nf=[[1, 0], [0, 1]])
+
+    assert scores == [score]
+    assert not fit.converged
+    assert [x.text for x in fit.findings] == ["the search of b did not converge in 7 steps"]
 
 
 def test_a_start_s_loss_is_that_of_its_whitened_errors() -> None:

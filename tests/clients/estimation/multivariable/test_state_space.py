@@ -13,7 +13,7 @@ import pytest
 from armrig import Dataset, Signals
 from armrig.estimation.multivariable import subspace
 from armrig.estimation.multivariable.ss import _Criterion, _End, _improved
-from armrig.estimation.multivariable.state_space_gaps import GapProblem
+from armrig.estimation.multivariable.state_space_gaps import GapProblem, searched
 from armrig.estimation.multivariable.state_space_problem import (
     Part,
     Predictor,
@@ -150,6 +150,24 @@ def test_with_outputs_missing_the_errors_give_the_likelihood_of_the_measured_out
     np.testing.assert_allclose(log * sum(p.rows.sum() for p in parts), determinant, rtol=1e-9)
 
 
+def test_the_covariance_of_the_noise_is_estimated_along_with_the_gaps() -> None:
+    """The search begins with a covariance that is nine times too large."""
+    rng = np.random.default_rng(4)
+    u, e = rng.standard_normal((2, 60, 1))
+    x = recursion(np.array([[0.7]]), u + 0.4 * e, np.zeros(1))[:-1]
+    y = np.where(rng.random((60, 1)) < 0.1, np.nan, x + e)
+    one, zero = np.ones((1, 1)), np.zeros((1, 1))
+    at = Predictor(Abar=0.3 * one, Bbar=one, C=one, D=zero, K=0.4 * one, x0=(np.zeros(1),))
+
+    found = searched([(u, y)], at, 9.0 * one, direct=False)
+
+    left = np.vstack(found.problem.residuals(found.predictor))
+    assert found.converged
+    assert found.iterations > 0
+    assert found.problem.Lambda[0, 0] == pytest.approx(np.nanmean(left**2), rel=1e-2)
+    assert found.problem.Lambda[0, 0] == pytest.approx(1.0, abs=0.5)
+
+
 def test_without_a_gap_the_errors_are_those_of_the_constant_gain() -> None:
     whole = problem(noise=True, direct=True, missing=0.0)
     linear = whole.linear(A - K @ C, C)
@@ -282,6 +300,9 @@ def test_a_subspace_estimate_predicts_the_missing_outputs() -> None:
     fit = armrig.n4sid(armrig.example_recording().signals(), 4, replicates=0)
 
     assert [found.fit_percent for found in fit.quality] == pytest.approx([99.99, 97.4], abs=0.1)
+    losses = [found.loss for found in fit.quality]
+    np.testing.assert_allclose(np.diag(fit.noise_covariance), losses)
+    np.testing.assert_allclose(fit.noise_covariance, fit.noise_covariance.T)
 
 
 @pytest.mark.exhaustive

@@ -10,7 +10,7 @@ from armrig import excitation
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.nonparametric.bla import bla
-from armrig.estimation.nonparametric.etfe import excited
+from armrig.estimation.nonparametric.etfe import etfe, excited
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
@@ -133,6 +133,39 @@ def test_the_arm_s_angle_comes_through_its_rate(arm: Any) -> None:
 
     np.testing.assert_allclose(found.G, arm.response(found.omega), rtol=1e-7)
     np.testing.assert_allclose(found.std_phase * np.abs(found.G), found.std_magnitude)
+
+
+def test_one_period_does_not_separate_noise_and_distortion() -> None:
+    """One realisation of several periods is enough to know the noise."""
+    one, several = realisations(4, R=2, periods=2), realisations(5, R=1, periods=5)
+
+    alone, both = bla(one, integrator=False), bla([*one, *several], integrator=False)
+
+    assert alone.notes == (
+        "one period in each realisation: noise and nonlinear distortion cannot be distinguished",
+    )
+    assert np.isnan(alone.noise_only_std).all()  # type: ignore[call-overload]
+    assert "variance between realisations is" in both.notes[0]
+    assert np.isfinite(both.noise_only_std).all()  # type: ignore[call-overload]
+
+
+def test_a_period_that_is_given_need_not_be_exact(second: Any) -> None:
+    """A measured voltage never repeats itself to the last digit."""
+    rng = np.random.default_rng(1)
+    parts = [
+        d.replaced(u=d.u + 1e-6 * rng.standard_normal(d.N), step=None)
+        for d in realisations(4, R=2, std=0.0)
+    ]
+
+    with pytest.raises(ValueError, match=r"the same period in all realisations, .* got none"):
+        bla(parts, integrator=False)
+    for found in (
+        bla(parts, period_length=P, integrator=False),
+        etfe(parts[0], period_length=P, integrator=False),
+    ):
+        np.testing.assert_allclose(found.G, second.response(found.omega), rtol=1e-4)
+    with pytest.raises(ValueError, match="period_length=321 must be 2 to 320, two whole period"):
+        etfe(parts[0], period_length=321, integrator=False)
 
 
 def test_one_realisation_cannot_determine_distortion() -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
+from armrig.estimation.nonparametric import impulse
 from armrig.estimation.nonparametric.impulse import _warnings, impulse_response
 from armrig.estimation.nonparametric.kernels import Evidence, Kernel, factor
 from armrig.numerics.polynomial import filtered
@@ -299,6 +301,45 @@ def test_length_costs_no_memory(kernel: Kernel | None) -> None:
     tracemalloc.stop()
 
     assert peak < 30 * u.nbytes
+
+
+@pytest.mark.parametrize(
+    ("decays", "died", "asked", "chosen"),
+    [
+        ([0.5, 0.9, 0.9], [True] * 3, [20], 20),
+        ([0.99, 0.95, 0.9], [True] * 3, [20, 60], 60),  # 0.95^60 = 0.046
+        ([0.5, 0.5, 0.5], [False, True, True], [20, 60], 60),
+        ([0.9, 0.99, 0.995], [False, False, False], [20, 60, 100], 20),
+        ([0.9, 0.999, 0.995], [False, True, True], [20, 60, 100], 100),
+        ([0.9, 0.99, 0.995], [False, True, True], [20, 60, 100], 60),  # 0.547 and 0.606
+    ],
+)
+def test_the_first_number_of_lags_that_is_large_enough_is_taken(
+    decays: list[float],
+    died: list[bool],
+    asked: list[int],
+    chosen: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fifth of the known samples, here 100, is the largest number."""
+    numbers, tried = (20, 60, 100), []
+
+    def estimated(_: Dataset, n: int, **of: bool) -> Any:
+        tried.append(n)
+        i = numbers.index(n)
+        assert of == {"integrator": True}
+        return SimpleNamespace(
+            hyperparameters={"decay": decays[i]}, lags=np.arange(n), died_out=died[i]
+        )
+
+    monkeypatch.setattr(impulse, "impulse_response", estimated)
+    u = np.arange(600.0)
+    data = Dataset(u=u, y=u, Ts=1.0, valid=u % 6 > 0)
+
+    found = impulse.long_enough(data, (20, 60, 200, 400), integrator=True)
+
+    assert tried == asked
+    assert found.lags.size == chosen
 
 
 def test_two_experiments_count_as_two(arm: Any) -> None:

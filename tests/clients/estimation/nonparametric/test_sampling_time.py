@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.estimation.nonparametric import sampling_time as sampling_time_module
 from armrig.estimation.nonparametric.sampling_time import (
     DIFFERENCED,
     SamplingTime,
     _bandwidth,
     _from_impulse,
     _notes,
+    _settled_steps,
     nearest_125,
     sampling_time,
 )
@@ -170,6 +172,30 @@ def test_a_dead_time_belongs_to_no_rule() -> None:
 
     assert times == pytest.approx([0.3, 0.9], rel=0.1)
     assert delayed == pytest.approx(times, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("holds", "settling", "is_analysed"),
+    [
+        ([300, 100, 150, 100, 300], 9.9, True),
+        ([300, 100, 150, 100, 300], 10.1, False),  # longer than the shortest hold
+        ([300, 70, 150, 300], 1.0, False),  # a hold of less than half the longest
+        ([30, 200, 150, 20], 1.0, True),  # the first and the last hold are cut off
+        ([100, 400], 90.0, True),
+        ([500], 1.0, False),
+        ([48] * 20, 1.0, False),  # less than 50 samples for each hold
+    ],
+)
+def test_holds_are_steps_if_y_settles_in_each(
+    holds: list[int], settling: float, is_analysed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    u = np.repeat(np.arange(len(holds)) % 2.0, holds)
+    found = SimpleNamespace(settling=settling)
+    monkeypatch.setattr(sampling_time_module, "step_analysis", lambda *_, **__: found)
+
+    steps = _settled_steps(Dataset(u=u, y=u, Ts=0.1), integrates=False)
+
+    assert steps is (found if is_analysed else None)
 
 
 def _found(**of: Any) -> SamplingTime:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.estimation.nonparametric.spectral import spa
+from armrig.estimation.nonparametric.spectral import spa, spectral_reference
+from armrig.estimation.nonparametric.welch import explained
 from armrig.numerics.polynomial import filtered
 
 from tests.sampling import sampled
@@ -219,6 +221,53 @@ def test_the_rate_of_a_response_is_its_difference(arm: Any) -> None:
 
     np.testing.assert_allclose(rate.G, found.G * (1 - np.exp(-1j * found.omega * 0.01)) / 0.01)
     assert (rate.output, rate.unit) == ("velocity", "rad/s")
+
+
+@pytest.mark.parametrize(("N", "window"), [(100, 10), (1200, 120), (3500, 300)])
+def test_the_reference_of_a_model_has_a_long_window(second: Any, N: int, window: int) -> None:
+    """A tenth of the samples, at most 300; it begins at the lowest resolved frequency."""
+    data = second.dataset(np.random.default_rng(4), N)
+    data = Dataset(u=data.u, y=data.y, Ts=0.5)
+
+    found = spectral_reference(data)
+
+    assert f"gamma {window} samples" in found.method
+    np.testing.assert_allclose(found.omega, np.geomspace(4 * np.pi / window, 2 * np.pi, 40))
+
+
+def test_frequencies_are_sorted(second: Any) -> None:
+    data = second.dataset(np.random.default_rng(4), 200)
+
+    found = spa(data, 20, [2.0, 0.5, 1.0], integrator=False)
+
+    assert found.omega.tolist() == [0.5, 1.0, 2.0]
+    np.testing.assert_array_equal(found.G, spa(data, 20, [0.5, 1, 2], integrator=False).G)
+    with pytest.raises(ValueError, match=r"omega from 0\.5 to 4 rad/s is outside 0 to 3\.14"):
+        spa(data, 20, [0.5, 4.0, 1.0], integrator=False)
+
+
+@pytest.mark.parametrize(
+    ("coherence", "found"),
+    [
+        ([0.0, 0.9, 0.1, 0.9, 0.9, 0.3], [1, 2, 4]),
+        ([0.9, 0.9, np.nan, 0.9, 0.2, 0.9], [0, 1, 2, 4, 5]),
+        ([0.1, 0.9, 0.9, 0.2, 0.0, 0.0], "two frequencies"),
+        ([0.0] * 6, "no frequency"),
+        (None, "no frequency"),
+    ],
+)
+def test_what_the_input_explains_is_a_range(coherence: Any, found: list[int] | str) -> None:
+    """G is not known at the frequency with index 3."""
+    G = np.array([1, 1, 1, np.nan, 1, 1])
+    spectrum: Any = SimpleNamespace(
+        coherence=None if coherence is None else np.array(coherence), G=G
+    )
+
+    if isinstance(found, str):
+        with pytest.raises(ValueError, match=f"u explains y at {found} .*and 3 are needed"):
+            explained(spectrum)
+    else:
+        assert explained(spectrum).tolist() == found
 
 
 def test_what_cannot_be_estimated_is_refused(second: Any) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
+from armrig.estimation.nonparametric import step_analysis as step_analysis_module
 from armrig.estimation.nonparametric.step_analysis import (
     StepAnalysis,
     _alone,
@@ -69,8 +70,13 @@ def test_a_first_order_system_is_read_off(down: bool) -> None:
     assert found.overshoot == pytest.approx(0.0, abs=1e-3)
 
 
-def test_dead_time_counts_for_itself() -> None:
-    found = step_analysis(first_order(dead=8, std=0.01), integrator=False)
+def test_dead_time_counts_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(step_analysis_module, "_lag", lambda *_, **__: (0.3, 0.0))
+        found = step_analysis(first_order(dead=8, std=0.01), integrator=False)
+    low, high = found.dead_time_interval
+    assert found.equivalent_time == pytest.approx(0.3 - found.dead_time)
+    assert found.equivalent_time_std == pytest.approx((high - low) / 4)
     unclaimed = step_analysis(first_order(dead=8, std=0.05), integrator=False)
 
     assert found.dead_time == pytest.approx(0.08, abs=0.015)
