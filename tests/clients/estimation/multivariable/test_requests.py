@@ -16,6 +16,7 @@ from armrig.estimation.multivariable.orders import as_text, by_channel, by_outpu
 from armrig.estimation.multivariable.plans import integrating_outputs, plans_of
 from armrig.estimation.multivariable.problem import Row, row_data
 from armrig.estimation.multivariable.request import SignalsRequest
+from armrig.estimation.multivariable.start_values import _differenced
 from armrig.numerics.polynomial import Array, filtered, lagged
 from armrig_core.errors import InputError
 
@@ -255,6 +256,19 @@ def test_an_integrating_row_has_the_sums_of_the_inputs(at_rest: bool) -> None:
     assert x.y[4] == 0.0
     assert np.flatnonzero(~x.rows).tolist() == [4]
     assert row.trend == (0 if at_rest else 2)
+
+
+def test_the_rate_of_an_integrating_row_runs_through_gaps() -> None:
+    """Missing outputs are interpolated before the differences are taken."""
+    y = np.array([1.0, np.nan, np.nan, 7.0, 8.0, np.nan])
+    row = Row(nb=(1,), nk=(1,), f=(1,), integrator=True)
+    x = row_data(np.array([[1.0], [3.0], [2.0], [0.0], [4.0], [2.0]]), y, row)
+
+    rate = _differenced(x)
+
+    np.testing.assert_allclose(rate.y, [0, 2, 2, 2, 1, 0])
+    np.testing.assert_allclose(rate.u[:, 0], [-1, 1, 0, -2, 2, 0], atol=1e-12)
+    assert rate.rows.all()
 
 
 def _losses(data: Signals, theta: Array | None, delays: tuple[int, int]) -> tuple[Array, float]:
