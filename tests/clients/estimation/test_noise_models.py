@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pytest
@@ -219,9 +219,12 @@ def test_the_initial_state_is_kept_where_an_f_test_says_so() -> None:
     assert fits["moving", "zero"].loss > 2 * fits["moving", "estimate"].loss
 
 
-def test_an_offset_of_a_rig_at_rest_is_refused() -> None:
-    with pytest.raises(ValueError, match=r'offset=True needs initial="estimate", got \'zero\''):
-        armax(armax_data(1), na=1, nb=1, nc=1, offset=True, initial="zero")
+@pytest.mark.parametrize("initial", ["zero", "auto"])
+def test_an_offset_of_a_rig_at_rest_is_refused(initial: Literal["zero", "auto"]) -> None:
+    with pytest.raises(
+        ValueError, match=f"offset=True needs initial=\"estimate\", got '{initial}'"
+    ):
+        armax(armax_data(1), na=1, nb=1, nc=1, offset=True, initial=initial)
 
 
 def test_the_starts_of_a_noise_model_are_reported() -> None:
