@@ -15,7 +15,12 @@ from armrig.data.dataset import Dataset
 from armrig.estimation import multistart, prediction_error_fit
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
-from armrig.estimation.hannan_rissanen import equation_error, noise_start, steiglitz_mcbride
+from armrig.estimation.hannan_rissanen import (
+    _known,
+    equation_error,
+    noise_start,
+    steiglitz_mcbride,
+)
 from armrig.estimation.multistart import searched_minimum
 from armrig.estimation.oe import oe
 from armrig.estimation.prediction_error import PredictionErrorProblem
@@ -170,6 +175,36 @@ def test_the_lowest_of_the_moved_modes_are_searched_to_their_end(
     assert asked[40] == [float(k) for k in range(17) if k != 3]
     assert asked[0] == [0.0]
     assert (lowest.theta[0], lowest.cost) == (0.0, 46.5)
+
+
+def test_modes_are_moved_as_long_as_the_cost_falls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best end is the first, and each round begins at it."""
+    costs = iter([4.0, 3.0, 3.0, 1.0])
+    begun: list[float] = []
+
+    def end(cost: float) -> Optimum:
+        return Optimum(theta=np.zeros(1), cost=cost, iterations=1, converged=True)
+
+    def lowest(_: Any, best: Optimum, **__: Any) -> Optimum:
+        begun.append(best.cost)
+        return end(next(costs))
+
+    monkeypatch.setattr(multistart, "_from_starts", lambda _: [("ARX", end(5.0))])
+    monkeypatch.setattr(multistart, "_doubtful", lambda *_, **__: True)
+    monkeypatch.setattr(multistart, "_lowest_beside", lowest)
+    problem: Any = SimpleNamespace(experiments=())
+
+    found = searched_minimum(problem)
+
+    moved = "mode at another frequency"
+    assert [(name, x.cost) for name, x in found] == [(moved, 3.0), (moved, 4.0), ("ARX", 5.0)]
+    assert begun == [5.0, 4.0, 3.0]
+
+
+def test_only_stretches_are_known() -> None:
+    x: Any = SimpleNamespace(y=np.zeros(9), stretches=(slice(0, 2), slice(4, 5), slice(7, 9)))
+
+    assert np.flatnonzero(_known(x)).tolist() == [0, 1, 4, 7, 8]
 
 
 def test_real_roots_of_c_and_d_move_together_inside_the_circle() -> None:

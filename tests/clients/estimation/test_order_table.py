@@ -136,6 +136,8 @@ def test_the_choice_is_explained_in_words() -> None:
     assert "na=2 is the highest that was tried: try higher values" in short.explain()
     assert "nb=" not in short.explain().split("standard errors above the lowest loss")[1]
     assert validated.explain().splitlines()[0] in repr(validated)
+    one = select_orders(_data(1, 300), na=[1, 2], nb=[1, 2, 3], nk=[2])
+    assert "nk=2 is the highest" not in one.explain()
 
 
 def test_the_best_of_fewer_parameters_is_named() -> None:

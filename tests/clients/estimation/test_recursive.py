@@ -167,6 +167,17 @@ def test_the_unit_of_u_decides_nothing(unit: float) -> None:
     np.testing.assert_allclose(state.std, fit.std, rtol=1e-7)
 
 
+def test_as_many_samples_as_parameters_show_no_noise() -> None:
+    rng = np.random.default_rng(1)
+    state = rarx_start(na=0, nb=3)
+    for _ in range(7):  # the first row is that of the fourth sample
+        state = rarx_step(state, *rng.standard_normal(2))
+        assert np.isfinite(state.noise_variance) == (state.weight > 3)
+        assert state.determined == (state.weight >= 3)
+
+    assert state.weight == 4
+
+
 def test_a_forgetting_that_is_none_is_refused() -> None:
     with pytest.raises(ValueError, match=r"forgetting=1.1 must be above 0 and at most 1"):
         rarx_start(na=1, nb=1, forgetting=1.1)

@@ -183,5 +183,9 @@ def test_what_is_not_periodic_is_refused(second: Any) -> None:
         bla(second.dataset(np.random.default_rng(5)), integrator=False)
     with pytest.raises(ValueError, match="the same period in all realisations"):
         bla([*realisations(5, R=1), other], integrator=False)
+    [one] = realisations(6, R=1)
+    never = one.replaced(valid=~np.isin(np.arange(one.N) % P, [5, 6, 90]), step=None)
+    with pytest.raises(ValueError, match="no value at 3 of the 128 instants of its period"):
+        bla(never, integrator=False)
     with pytest.raises(ValueError, match="has no period of 128"):
         bla(realisations(6, periods=2), transient=2, integrator=False)

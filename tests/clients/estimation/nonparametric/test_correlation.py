@@ -23,6 +23,16 @@ def test_a_coloured_input_is_whitened(second: Any) -> None:
     assert np.all(np.abs(found.autocorrelation[apart]) < 0.03)
 
 
+@pytest.mark.parametrize("lags", [5, 40, 60])
+def test_the_autocorrelation_is_that_at_the_lags(second: Any, lags: int) -> None:
+    found = correlation(second.dataset(np.random.default_rng(1), 300), lags, integrator=False)
+
+    assert found.lags.tolist() == [*range(-lags, lags + 1)]
+    assert found.autocorrelation.shape == found.g.shape == (2 * lags + 1,)
+    assert found.autocorrelation[lags] == 1.0
+    np.testing.assert_allclose(found.autocorrelation, found.autocorrelation[::-1])
+
+
 @pytest.mark.parametrize("order", [None, 0])
 def test_the_band_holds_its_share_where_there_is_no_relation(order: int | None) -> None:
     """1 % of the lags lie outside for coloured u and y, whitened or not."""

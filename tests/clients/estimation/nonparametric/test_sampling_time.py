@@ -14,6 +14,7 @@ from armrig.estimation.nonparametric.sampling_time import (
     DIFFERENCED,
     SamplingTime,
     _bandwidth,
+    _dead_time,
     _from_impulse,
     _notes,
     _settled_steps,
@@ -45,8 +46,12 @@ def test_a_first_order_system_gets_what_the_rules_say(stepped: bool) -> None:
         else telegraph(3000, 0.05, 0.0, 5.0, seed=2)
     )
 
-    found = sampling_time(first_order(tau, Ts, u), integrator=False)
+    data = first_order(tau, Ts, u)
+    data = data.replaced(y=-data.y, step=None) if stepped else data
 
+    found = sampling_time(data, integrator=False)
+
+    assert found.gain == pytest.approx(1.0, rel=0.1)
     rule = 2 * np.pi / 20 * tau
     assert found.from_step is stepped
     assert found.Ts_step == pytest.approx(rule, rel=0.15)
@@ -303,6 +308,21 @@ def test_the_band_ends_where_the_response_falls_for_the_first_and_for_the_last_t
     assert band(G=unknown)[0] == pytest.approx(3 + 2 * (0.8 - level) / 0.5)
     peak = np.where(omega == 10, 0.79, magnitude)  # 4 deviations, but not 5, above the level
     assert band(G=peak)[1] == 10.0
+
+
+@pytest.mark.parametrize(("dead", "power"), [(0.0, 1), (0.0, 2), (0.31, 1), (0.52, 2)])
+def test_a_dead_time_is_that_of_the_rise_or_none(dead: float, power: int) -> None:
+    """Near 0 it is no dead time."""
+    t = 0.05 * np.arange(40)
+    y = np.maximum(t - dead, 0) ** power
+    y /= 2 * np.interp(1.2, t, y)
+    y += 2e-3 * np.random.default_rng(1).standard_normal(40)
+
+    found, (low, high) = _dead_time(t, y, 1.2, 0.05)
+
+    assert low - 0.01 <= dead <= high + 0.01
+    assert high - low < 0.2
+    assert found == (0.0 if dead == 0 else pytest.approx(dead, abs=0.03))
 
 
 def _telegraph(N: int = 1200) -> NDArray[np.float64]:

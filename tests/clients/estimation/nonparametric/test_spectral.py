@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.estimation.nonparametric.spectral import spa, spectral_reference
-from armrig.estimation.nonparametric.welch import explained
+from armrig.estimation.nonparametric.spectral import _estimate, spa, spectral_reference
+from armrig.estimation.nonparametric.welch import Spectra, explained
 from armrig.numerics.polynomial import filtered
 
 from tests.sampling import sampled
@@ -233,6 +233,38 @@ def test_the_reference_of_a_model_has_a_long_window(second: Any, N: int, window:
 
     assert f"gamma {window} samples" in found.method
     np.testing.assert_allclose(found.omega, np.geomspace(4 * np.pi / window, 2 * np.pi, 40))
+
+
+@pytest.mark.parametrize(
+    ("power", "averages", "notes"),
+    [
+        ([4.0, 0, 2, 1, 1], [9.0], []),
+        ([4.0, 3e-8, 2, 0, 1], [9.0], ["u has no power at 2 of 5 frequencies: G is NaN there"]),
+        ([4.0, 1, 2, 1, 1], [9.0, 8.0], []),
+        (
+            [4.0, 1, 2, 1, 1],
+            [9.0, 3.25],
+            ["only 3.2 independent averages: too few"],
+        ),
+    ],
+)
+def test_frequencies_without_power_and_few_averages_are_told(
+    power: list[float], averages: list[float], notes: list[str]
+) -> None:
+    u, one = np.array(power), np.ones(5)
+    u[1] = u[1] or 5e-8
+    spectra = Spectra(
+        u=u, y=one, yu=0.5 * u + 0j, averages=np.resize(averages, 5), reality=0 * one, noise=one
+    )
+    data = Dataset(u=one, y=one, Ts=0.5)
+
+    found = _estimate(data, np.arange(5.0), spectra, "m", 5, integrates=False, notes=["first"])
+
+    first, *told = found.notes
+    assert first == "first"
+    assert len(told) == len(notes)
+    assert all(x.startswith(note) for x, note in zip(told, notes, strict=True))
+    assert np.isnan(found.G).tolist() == (u <= 4e-8).tolist()
 
 
 def test_frequencies_are_sorted(second: Any) -> None:

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
+from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.nonparametric import step_analysis as step_analysis_module
 from armrig.estimation.nonparametric.step_analysis import (
     StepAnalysis,
     _alone,
     _averaged,
     _hidden,
+    _lag,
     _left_to_settle,
     _Steps,
     _steps,
@@ -112,6 +114,7 @@ def test_the_arm_is_analysed_by_its_velocity(arm: Any) -> None:
     assert found.tau == pytest.approx(0.0217, abs=0.002)
     assert found.dead_time == 0.0
     assert "rad/s/V" in repr(found)
+    assert repr(found).startswith("step analysis of the rate of theta_1, 9 steps, Ts 0.01 s")
 
 
 def test_long_holds_are_averaged_over_what_all_have() -> None:
@@ -193,6 +196,21 @@ def test_motion_before_the_step_counts_up_to_the_63_per_cent_time(
     left = _left_to_settle(y, k, _Steps([(0, 40)], 40, 60), 12.0)
 
     assert left == pytest.approx(12 * slope, abs=5e-3)
+
+
+def test_the_rounding_of_an_angle_is_divided_by_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps of 3 and -4 weigh as one of 5."""
+    u = np.repeat([1.0, 4.0, 0.0], [30, 30, 30])
+    y = 0.02 * np.round(np.cumsum(u) / 7)
+    data = Dataset(u=u, y=y, Ts=0.1)
+    given: dict[str, Any] = {}
+    monkeypatch.setattr(step_analysis_module, "lag_of_angle", lambda *_, **of: given.update(of))
+    k = np.arange(-20, 30)
+
+    _lag(np.zeros(50), k, data, _Steps([(0, 30), (0, 60)], 20, 30), (1.0, 0.1), integrates=True)
+
+    assert quantum(data) == pytest.approx(0.02)
+    assert given == {"before": (11, pytest.approx(1.1)), "rounding": pytest.approx(0.02 / 5)}
 
 
 def test_a_curve_crosses_and_settles_between_its_samples() -> None:
@@ -377,6 +395,8 @@ def test_a_step_without_a_known_level_before_it_is_left_out(integrator: bool) ->
     found = step_analysis(merge([part, whole]), integrator=integrator)
 
     assert found.steps == 1
+    of = "the rate of y" if integrator else "y"
+    assert repr(found).startswith(f"step analysis of {of}, 1 step, Ts 0.01 s")
     assert found.tau == pytest.approx(TAU, rel=0.1)
     with pytest.raises(InputError, match=r"y.* has fewer than 2 samples .* u's 1 step: record"):
         step_analysis(part, integrator=integrator)
