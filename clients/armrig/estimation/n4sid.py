@@ -19,7 +19,6 @@ from armrig.estimation.prediction_error import PredictionErrorProblem, Solution
 from armrig.estimation.prediction_error_fit import with_integrator
 from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
 from armrig.estimation.subspace import (
-    Windows,
     projection,
     suggested_order,
     visible_states,
@@ -146,8 +145,12 @@ def n4sid(
     w = usable_windows(data, signals, order, horizon)
     found = projection(w, weights)
     canonical = found if weights == "cva" else projection(w, "cva")
-    suggested = suggested_order(w, canonical, min(_MAX_SUGGESTED_ORDER, w.future - 2))
-    n = _visible(w, suggested if order is None else int(order))
+    states = visible_states(w)
+    most = min(_MAX_SUGGESTED_ORDER, w.future - 2, states)
+    suggested = suggested_order(w, canonical, most)
+    n = suggested if order is None else int(order)
+    if n > states:
+        raise InputError(f"order={n}: the data show {states} states; lower the order")
     if horizon is None:
         free = best_poles(signals, w, found, n, weights, integrator=integrator, direct=nk == 0)
     else:
@@ -164,13 +167,6 @@ def _require_known(weights: str, focus: str) -> None:
         raise InputError(f"weights={weights!r} must be one of {allowed}")
     if focus not in get_args(Focus):
         raise InputError(f'focus={focus!r} must be one of "prediction", "simulation"')
-
-
-def _visible(w: Windows, order: int) -> int:
-    """Return the order, or refuse an order above the number of states in the data."""
-    if order > (states := visible_states(w)):
-        raise InputError(f"order={order}: the data show {states} states; lower the order")
-    return order
 
 
 def _focused(

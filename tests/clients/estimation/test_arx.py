@@ -94,6 +94,10 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
         arx(data[:4], na=2, nb=2, nk=1)
 
     assert arx(data, na=2, nb=2, nk=1).N == 5
+    late = simulated(1, 14, noise=1.0)
+    with pytest.raises(ValueError, match="na=1, nb=2, nk=9 needs at least 14 samples, got 13"):
+        arx(late[:13], na=1, nb=2, nk=9)
+    assert arx(late, na=1, nb=2, nk=9).N == 4
 
 
 def test_an_input_that_does_not_excite_is_refused() -> None:

@@ -1,14 +1,24 @@
-"""If the loss is no parabola, a fit warns of the deviations of its coefficients."""
+"""A fit warns of a loss that is no parabola, and of other doubts about its coefficients."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
 
 import armrig
 import numpy as np
 import pytest
 from armrig.estimation.prediction_error import PredictionErrorProblem
-from armrig.estimation.prediction_error_fit import curvature
+from armrig.estimation.prediction_error_fit import (
+    _gap_warnings,
+    _parameter_warnings,
+    _search_warnings,
+    curvature,
+)
+from armrig.models.estimate import Start
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
+from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import filtered
 
 from tests.sampling import sampled
@@ -44,6 +54,72 @@ def test_a_zero_on_a_pole_makes_coefficients_that_are_not_trusted(estimator: str
         w.startswith("do not trust the standard deviations of the coefficients")
         for w in fit.warnings
     )
+
+
+@pytest.mark.parametrize("converged", [False, True])
+@pytest.mark.parametrize("agreed", [False, True])
+def test_the_end_of_a_search_is_told_with_its_numbers(converged: bool, agreed: bool) -> None:
+    best = Optimum(theta=np.zeros(1), cost=3.0, iterations=17, converged=converged)
+    starts = tuple(
+        Start(name=name, loss=loss, iterations=k, converged=True)
+        for k, (name, loss) in enumerate([("ARX", 0.5), ("OE", 0.75), ("FIR", 1.25)])
+    )
+
+    told = [x.text for x in _search_warnings(best, starts, agreed=agreed)]
+
+    assert told == [
+        *(["the search did not converge in 17 steps"] if not converged else []),
+        *(["the search from 'FIR' ended in a poorer minimum (loss 1.25)"] if not agreed else []),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("C", "rank", "curved", "coloured", "told"),
+    [
+        ([1.0], 4, 0.1, False, []),
+        ([1.0, -0.999], 4, 0.1, True, []),
+        ([1.0, 0.5, -0.5], 4, 0.1, False, ["root_on_circle"]),
+        ([1.0], 3, 0.1, False, ["undetermined"]),
+        ([1.0, 1.0], 2, 6.0, False, ["root_on_circle", "undetermined", "curved"]),
+        ([1.0], 4, 6.0, True, []),
+    ],
+)
+def test_parameters_without_a_meaning_are_told(
+    C: list[float], rank: int, curved: float, coloured: bool, told: list[str]
+) -> None:
+    """If the residuals are coloured, the standard deviations are not trusted anyway."""
+    basis = SimpleNamespace(W=np.zeros((4, rank)), rank=rank)
+    found: Any = SimpleNamespace(basis=basis, white=SimpleNamespace(coloured=coloured))
+
+    warnings = list(_parameter_warnings(found, np.array(C), curved))
+
+    assert [x.about for x in warnings] == told
+    for x in warnings:
+        if x.about == "undetermined":
+            assert x.text == f"the data determine only {rank} of 4 parameters: lower the orders"
+
+
+@pytest.mark.parametrize(
+    ("pulses", "N", "gaps"),
+    [
+        ([[2]], 10, None),
+        ([[2, 3], [3]], 599, "2 gaps"),
+        ([[2, 3], [3]], 600, None),
+        ([[2, 3, 1, 1], [4, 2]], 200, "5 gaps"),
+        ([[9, 1]], 99, "1 gap"),
+    ],
+)
+def test_gaps_with_more_pulses_than_a_hundredth_of_the_errors_are_told(
+    pulses: list[list[int]], N: int, gaps: str | None
+) -> None:
+    """The pulses at the beginning of the data are none of a gap."""
+    unknown: Any = [
+        SimpleNamespace(noise=[(slice(0), np.zeros((9, n))) for n in of]) for of in pulses
+    ]
+
+    told = [x.text.partition(", after")[0] for x in _gap_warnings(unknown, N)]
+
+    assert told == ([f"the data have {gaps}"] if gaps else [])
 
 
 def test_a_linear_regression_is_a_parabola() -> None:

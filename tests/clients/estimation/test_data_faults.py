@@ -8,8 +8,16 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.estimation.data_faults import (
+    _doubtful,
+    data_faults,
+    level_without_input,
+    swapped,
+    undetermined,
+)
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
+from armrig.numerics.quantities import percent
 
 B, F = [0.0, 0.5, 0.3], [1.0, -1.2, 0.5]
 ESTIMATORS: dict[str, Callable[[Dataset], Fit]] = {
@@ -54,6 +62,118 @@ def test_outliers_that_the_model_follows_are_reported(estimate: Callable[[Datase
     assert not about(mended, "hampel")
 
 
+@pytest.mark.parametrize(
+    ("at", "said"),
+    [
+        ([70], "1 sample of y look wrong (70)"),
+        ([70, 90, 110, 130, 150, 170], "6 samples of y look wrong (70, 90, 110, 130, 150, …)"),
+    ],
+)
+def test_at_most_five_wrong_samples_are_listed_and_all_are_counted(
+    at: list[int], said: str
+) -> None:
+    data = dataset(N=300)
+    y = data.y.copy()
+    y[at] -= 1e3
+
+    [found] = (
+        x
+        for x in armrig.arx(data.replaced(y=y, step=None), na=0, nb=9).findings
+        if x.about == "outliers"
+    )
+
+    assert found.text.startswith(said)
+    assert found.numbers["count"] == len(at)
+    assert 0.9 < found.numbers["share"] < 1.0
+    assert f"make {percent(100 * found.numbers['share'])} of the squared" in found.text
+
+
+@pytest.mark.parametrize(("known", "is_told"), [(49, False), (50, True)])
+def test_few_residuals_show_no_wrong_samples(known: int, is_told: bool) -> None:
+    data = dataset(N=60)
+    y = data.y.copy()
+    y[30] += 1e3
+    e = np.where(np.arange(60) < 60 - known, np.nan, y - y.mean())
+
+    told = [x.about for x in data_faults(data.replaced(y=y, step=None), [e], way_out="")]
+
+    assert told == ["outliers"] * is_told
+
+
+@pytest.mark.parametrize(
+    ("N", "levels", "is_told"), [(100, 45, False), (100, 55, True), (400, 90, False), (400, 110, 1)]
+)
+def test_columns_look_swapped_from_50_levels_and_a_quarter_of_the_samples_on(
+    N: int, levels: int, is_told: bool
+) -> None:
+    u = np.arange(float(N)) % levels
+    two, three = (np.arange(N) % k for k in (2.0, 3.0))
+
+    told = [x.about for x in swapped(Dataset(u=u, y=two, Ts=1.0))]
+
+    assert told == ["swapped"] * is_told
+    assert not [*swapped(Dataset(u=u, y=three, Ts=1.0))]
+
+
+def test_the_cause_of_undetermined_parameters_is_named() -> None:
+    x, valid = np.arange(20.0) % 7, np.arange(20) % 4 > 0
+    constant = np.where(valid, 2.5, np.nan)
+
+    def cause(u: np.ndarray, y: np.ndarray) -> str:
+        return undetermined(Dataset(u=u, y=y, Ts=1.0, valid=np.isfinite(y), output="speed"))
+
+    assert cause(np.full(20, -3.0), x).startswith("u is always -3: give the column that varies")
+    assert cause(x, constant).startswith("speed is always 2.5: give the column that varies")
+    assert cause(x, x) == "speed equals u: give the column of the output"
+    assert cause(x, x[::-1]) == "lower the orders or excite with a richer input"
+
+
+@pytest.mark.parametrize("mean", [0.0, 0.19, -0.19, 0.21, -0.21])
+def test_a_mean_of_either_sign_is_doubtful_from_four_deviations_on(mean: float) -> None:
+    """The deviation of the mean of 395 samples is 0.0503."""
+    e = np.random.default_rng(3).standard_normal(400)
+    e[20:25] = np.nan
+    e = (e - np.nanmean(e)) / np.nanstd(e) + mean
+
+    assert _doubtful([e[:150], e[150:]]) == (abs(mean) > 0.2)
+    assert _doubtful([filtered([1.0], [1.0, -0.6], e[25:])])
+
+
+@pytest.mark.parametrize(("offset", "N"), [(3.0, 300), (-3.0, 70), (0.0, 300)])
+def test_the_level_without_input_has_its_sign_its_unit_and_its_deviations(
+    offset: float, N: int
+) -> None:
+    """The order of the model is a tenth of the known samples, at most 12."""
+    rng = np.random.default_rng(9)
+    u, e = rng.standard_normal((2, N))
+    y = filtered([0, 1.0], [1, -0.5], u + 2.0) + filtered([1], [1, -0.5], 0.3 * e) + offset
+    valid = np.arange(N) != 40
+    data = Dataset(u=u + 2.0, y=y, Ts=1.0, valid=valid, unit="K", starts=(0, 25))
+    n = min(12, (N - 1) // 10)
+    rows = [t for t in range(n, N) if not (25 <= t < 25 + n or 40 <= t <= 40 + n)]
+    Phi = np.array([[*-y[t - n : t][::-1], *data.u[t - n : t + 1], 1.0] for t in rows])
+    theta, [sse], *_ = np.linalg.lstsq(Phi, y[rows])
+    std = np.sqrt(sse / (len(rows) - 2 * n - 2) * np.linalg.inv(Phi.T @ Phi)[-1, -1])
+
+    found = level_without_input(data, least=0.0)
+
+    assert found is not None
+    level, sigmas = theta[-1] / (1 + theta[:n].sum()), abs(theta[-1]) / std
+    assert [found.numbers[name] for name in ("level", "sigmas")] == pytest.approx([level, sigmas])
+    text = f"y is about {level:.3g} K at u = 0 ({sigmas:.0f} standard deviations from 0)"
+    assert found.text == text
+    assert level_without_input(data, least=0.9 * sigmas)
+    assert not level_without_input(data, least=1.1 * sigmas)
+
+
+def test_data_that_show_no_level_have_none() -> None:
+    u = np.random.default_rng(9).standard_normal(200)
+    data = Dataset(u=u, y=filtered([0, 1.0], [1, -0.5], u), Ts=1.0)
+
+    assert level_without_input(data, least=0.0) is None
+    assert level_without_input(data[:9], least=0.0) is None
+
+
 @pytest.mark.parametrize("noise", ["normal", "laplace"])
 def test_noise_is_no_outlier_and_a_mean_of_the_input_no_offset(noise: str) -> None:
     """40 runs of each noise."""
@@ -84,6 +204,15 @@ def test_an_offset_of_y_is_reported_with_the_way_out(name: str) -> None:
     [said] = about(fit, "at u = 0")
     assert "offset" in said
     assert float(said.split("about ")[1].split()[0]) == pytest.approx(5.0, abs=0.3)
+
+
+def test_an_integrator_has_a_level_of_its_own() -> None:
+    """The offset of the input is estimated with it, so that no other remedy is named."""
+    data = dataset(N=300)
+    data = data.replaced(y=data.y + 5.0, step=None)
+
+    assert about(armrig.n4sid(data, 2), "at u = 0")
+    assert not about(armrig.n4sid(data, 2, integrator=True), "at u = 0")
 
 
 def test_with_offset_true_the_model_is_right() -> None:

@@ -5,20 +5,29 @@ from __future__ import annotations
 import runpy
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation import multistart, prediction_error_fit
+from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
+from armrig.estimation.hannan_rissanen import (
+    _known,
+    equation_error,
+    noise_start,
+    steiglitz_mcbride,
+)
 from armrig.estimation.multistart import searched_minimum
 from armrig.estimation.oe import oe
 from armrig.estimation.prediction_error import PredictionErrorProblem
 from armrig.excitation import telegraph
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
-from armrig.numerics.levenberg_marquardt import levenberg_marquardt
+from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import EDGE_MODULUS, filtered, roots
 from numpy.typing import NDArray
 
@@ -142,6 +151,196 @@ def test_the_steps_on_a_part_count_among_those_of_a_start() -> None:
 
     assert through.keys() == on_part.keys()
     assert all(through[name].iterations > on_part[name] for name in on_part)
+
+
+def test_the_lowest_of_the_moved_modes_are_searched_to_their_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """After ten steps 16 of 20 searches go on; one of them had returned to the best minimum."""
+    best = Optimum(theta=np.array([-1.0]), cost=50.0, iterations=1, converged=True)
+    starts = [np.array([float(k)]) for k in np.random.default_rng(1).permutation(20)]
+    asked: dict[int, list[float]] = {}
+
+    def minimise(theta: NDArray[np.float64], most: int = 0, known: float = 0.0) -> Optimum:
+        asked.setdefault(most, []).append(float(theta[0]))
+        cost = 50.0 if theta[0] == 3 else 48.5 + theta[0] - (most > 10) - 2 * (most == 0)
+        return Optimum(theta=theta, cost=cost, iterations=most, converged=most == 0)
+
+    monkeypatch.setattr(multistart, "moved_modes", lambda *_, **__: iter(starts))
+    problem: Any = SimpleNamespace(minimise=minimise)
+
+    lowest = multistart._lowest_beside(problem, best, thorough=True)
+
+    assert sorted(asked[10]) == [float(k) for k in range(20)]
+    assert asked[40] == [float(k) for k in range(17) if k != 3]
+    assert asked[0] == [0.0]
+    assert (lowest.theta[0], lowest.cost) == (0.0, 46.5)
+
+
+def test_modes_are_moved_as_long_as_the_cost_falls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best end is the first, and each round begins at it."""
+    costs = iter([4.0, 3.0, 3.0, 1.0])
+    begun: list[float] = []
+
+    def end(cost: float) -> Optimum:
+        return Optimum(theta=np.zeros(1), cost=cost, iterations=1, converged=True)
+
+    def lowest(_: Any, best: Optimum, **__: Any) -> Optimum:
+        begun.append(best.cost)
+        return end(next(costs))
+
+    monkeypatch.setattr(multistart, "_from_starts", lambda _: [("ARX", end(5.0))])
+    monkeypatch.setattr(multistart, "_doubtful", lambda *_, **__: True)
+    monkeypatch.setattr(multistart, "_lowest_beside", lowest)
+    problem: Any = SimpleNamespace(experiments=())
+
+    found = searched_minimum(problem)
+
+    moved = "mode at another frequency"
+    assert [(name, x.cost) for name, x in found] == [(moved, 3.0), (moved, 4.0), ("ARX", 5.0)]
+    assert begun == [5.0, 4.0, 3.0]
+
+
+def test_only_stretches_are_known() -> None:
+    x: Any = SimpleNamespace(y=np.zeros(9), stretches=(slice(0, 2), slice(4, 5), slice(7, 9)))
+
+    assert np.flatnonzero(_known(x)).tolist() == [0, 1, 4, 7, 8]
+
+
+def test_real_roots_of_c_and_d_move_together_inside_the_circle() -> None:
+    """Each is moved to five values and the other near it, and the six of least cost are kept."""
+    C, D, F = np.poly([0.2, 0.5 + 0.3j, 0.5 - 0.3j]).real, np.array([1.0, -0.7]), np.array([1, 0.4])
+    moved: list[NDArray[np.float64]] = []
+
+    def cost(theta: NDArray[np.float64]) -> float:
+        moved.append(theta)
+        return float(-np.abs(roots(np.append(1.0, theta[:3]))).max())
+
+    problem: Any = SimpleNamespace(polynomials=lambda _: (C, D, F), cost=cost)
+
+    starts = list(multistart._moved_together(problem, np.zeros(5)))
+
+    assert len(moved) == 2 * len(multistart._REAL_ROOTS)
+    assert len(starts) == 6
+    pairs = set()
+    for theta in moved:
+        z = roots(np.append(1.0, theta[:3]))
+        near = float(z[np.argmin(np.abs(z.imag))].real)
+        pairs.add((round(near, 3), round(-float(theta[3]), 3)))
+        assert theta[4] == 0.4
+    assert pairs == {
+        (round(float(np.clip(root * share, -0.998, 0.998)), 3), root)
+        for root in multistart._REAL_ROOTS
+        for share in (0.9, 1 / 0.9)
+    }
+    assert max(abs(roots(np.append(1.0, starts[0][:3])))) == pytest.approx(0.998)
+
+
+def test_modes_are_moved_one_at_a_time() -> None:
+    """A pair, or the two smallest real roots, gives way to a pair or to two real roots."""
+    pair, reals = np.array([0.5 + 0.4j, 0.5 - 0.4j]), np.array([0.9, -0.2, 0.4])
+    z = np.concatenate([pair, reals])
+
+    kept = [set(np.round(x, 9).tolist()) for x in multistart._without_one_pair(z)]
+    alone = [set(np.round(x, 9).tolist()) for x in multistart._without_one_real(z)]
+
+    assert kept == [{0.9, -0.2, 0.4}, {*pair.tolist(), 0.9}]
+    assert alone == [{*pair.tolist(), *reals.tolist()} - {x} for x in reals]
+    others = list(multistart.other_pairs(z))
+    assert len(others) == 2 * 3 * 15
+    assert all(
+        np.real(np.poly(x)).size == 6 and np.abs(np.poly(x).imag).max() < 1e-12 for x in others
+    )
+    assert len(list(multistart.other_real(z))) == 3 * 6
+    assert len(list(multistart._other_reals(z))) == 2 * 15
+
+
+def test_denominators_of_a_start_are_stable_though_the_data_grow() -> None:
+    u = np.random.default_rng(2).standard_normal(80)
+    signals = [(u, filtered([0, 1.0], [1, -1.1, 0.05], u))]
+    sizes = Structure(nb=1, nf=2, nk=1)
+
+    F, _ = equation_error(signals, np.ones(1), sizes)
+    found = list(steiglitz_mcbride(signals, np.ones(1), sizes, iterations=4))
+
+    assert np.abs(roots(F)).max() > 1.04
+    assert all(np.abs(roots(x)).max() < 1 for x in found)
+
+
+@pytest.mark.parametrize("gaps", [[], [30], [30, 31, 60]])
+def test_a_start_at_rest_needs_no_samples_for_what_was_before_it(gaps: list[int]) -> None:
+    """After a gap the noise model needs its own, at rest or not."""
+    u, y = np.random.default_rng(2).standard_normal((2, 80))
+    whole = Dataset(u=u, y=y, Ts=1.0)
+    data = whole.replaced(valid=~np.isin(np.arange(80), gaps), step=None)
+    free = Structure(na=2, nb=1, nc=1, nk=1)
+
+    needed = {
+        at_rest: [
+            prediction_error_fit._nuisance(problem_of(x, replace(free, at_rest=at_rest)))
+            for x in (data, whole)
+        ]
+        for at_rest in (True, False)
+    }
+
+    assert needed[True][1] == 0 < needed[False][1]
+    assert needed[True][0] == needed[False][0] - needed[False][1]
+    assert (needed[True][0] > 0) == bool(gaps)
+
+
+def test_the_noise_model_of_a_start_is_fitted_to_the_equation_error() -> None:
+    """The noise is A y - B u, with A and B by least squares, where y is known."""
+    rng = np.random.default_rng(5)
+    u, e = rng.standard_normal((2, 300))
+    y = filtered([0, 1.0], [1, -0.8], u) + filtered([1, 0.6], [1, -0.8], e)
+    valid = np.arange(300) != 200
+    data = Dataset(u=u, y=y, Ts=1.0, valid=valid)
+    problem = problem_of(data, Structure(na=1, nb=1, nc=1, nk=1))
+
+    theta = multistart._with_noise(problem, np.ones(1))
+
+    of_arx = arx(data, na=1, nb=1)
+    v = filtered(of_arx.A, [1.0], y) - filtered(of_arx.B, [1.0], u)
+    v[[0, 200, 201]] = np.nan
+    C, _ = noise_start([v], nc=1, nd=0)
+    np.testing.assert_allclose(theta, C[1:], atol=0.02)
+    assert theta[0] > 0.2
+
+
+@pytest.mark.parametrize("begin", [0, 3, 7])
+def test_a_search_starts_on_the_part_in_which_the_input_moves_most(begin: int) -> None:
+    """The part is one of eight, evenly spaced."""
+    N, size = 7000, prediction_error_fit.PART_SAMPLES
+    at = int(np.linspace(0, N - size, 8).astype(int)[begin])
+    u = 1e-3 * np.random.default_rng(1).standard_normal(N)
+    u[at + 5 : at + size - 5] += np.arange(size - 10) % 2
+    u[: at - 1] += 100.0
+    y = np.arange(float(N))
+    data = Dataset(u=u, y=y, Ts=1.0)
+
+    part = prediction_error_fit._part(data, Structure(nb=1, nf=1, nk=1, at_rest=True))
+
+    assert part is not None
+    [x] = part.experiments
+    np.testing.assert_array_equal(x.y, y[at : at + size])
+    assert not part.structure.at_rest
+    assert prediction_error_fit._part(data[: 2 * size], part.structure) is None
+
+
+@pytest.mark.parametrize(
+    ("F", "free", "matters"), [(3.0, 90, False), (3.2, 90, True), (0.0, 92, True)]
+)
+def test_the_state_at_the_start_matters_from_the_5_per_cent_point_of_f_on(
+    F: float, free: int, matters: bool
+) -> None:
+    """With 2 and 90 degrees of freedom it is 3.10; a state that costs nothing is kept."""
+    sse, rest = 90.0, 90.0 + 2 * F
+    of_free, at_rest = (
+        SimpleNamespace(loss=x / N, N=N, noise_variance=x / degrees)
+        for x, degrees, N in ((sse, free, 120), (rest, 92, 120))
+    )
+
+    assert prediction_error_fit._state_matters(of_free, at_rest) is matters  # type: ignore[arg-type]
 
 
 def slow_noise(seed: int = 0) -> tuple[armrig.Dataset, float]:

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.armax import armax
-from armrig.estimation.n4sid import _pole_std, n4sid
+from armrig.estimation.n4sid import _of_what_is_left, _pole_std, _stable, n4sid
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
+from armrig.models.innovations import prepared
 from armrig.models.model_file import load_fit
+from armrig.models.structure import Structure
 from armrig.models.structure_table import Weights
 from armrig.models.subspace_fit import SubspaceFit
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import filtered, impulse
 from armrig.validation.comparison import compare
 from armrig.validation.residuals import residuals
 from numpy.typing import ArrayLike, NDArray
@@ -195,6 +198,42 @@ def test_the_state_space_is_the_model() -> None:
     np.testing.assert_allclose(y, expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("integrator", [False, True])
+def test_poles_are_reflected_beside_an_integrator(integrator: bool) -> None:
+    at_1 = np.array([1.0, -1.0]) if integrator else np.ones(1)
+    outside, inside = np.array([1.0, -0.9, -0.52]), np.array([1.0, -0.9, 0.2])  # 1.3, -0.4
+
+    moved = _stable(np.convolve(at_1, outside), integrator=integrator)
+    left = np.convolve(at_1, inside)
+
+    np.testing.assert_allclose(moved, np.convolve(at_1, np.poly([1 / 1.3, -0.4])), atol=1e-12)
+    assert _stable(left, integrator=integrator) is left
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_noise_is_not_estimated_from_what_was_before_the_first_sample(missing: bool) -> None:
+    """The noise begins far from 0, and A y looks back on it."""
+    structure = Structure(nb=2, nf=2, nk=1)
+    parts, v, e = [], list[Vector](), 0.3 * np.random.default_rng(3).standard_normal((2, 500))
+    for k in range(2):
+        one = _data(k, 500, std=0.0)
+        v.append(filtered(C, F, e[k]) + filtered([1e3, -5e2], F, impulse([1.0], 500)))
+        y = one.y + v[-1]
+        y[100] = np.nan if missing else y[100]
+        parts.append(Dataset(u=one.u, y=y, Ts=1.0, valid=np.isfinite(y)))
+    experiments = tuple(prepared(part, structure) for part in parts)
+    clean: Any = SimpleNamespace(
+        parts=[
+            SimpleNamespace(driven=np.where(x.rows, x.y, 0.0) - w)
+            for x, w in zip(experiments, v, strict=True)
+        ]
+    )
+
+    found = _of_what_is_left(experiments, clean, np.array(F), 2)
+
+    np.testing.assert_allclose(found, C, atol=0.15)
+
+
 def test_it_predicts_and_is_tested_as_every_model() -> None:
     fit, other = n4sid(_data(1), 2), _data(2)
 
@@ -333,6 +372,7 @@ def test_what_cannot_be_estimated_is_refused() -> None:
     u = np.random.default_rng(1).standard_normal(300)
     clean = Dataset(u=u, y=filtered(B, F, u), Ts=1.0)
 
+    assert n4sid(clean).order == 2
     with pytest.raises(ValueError, match="the data show 2 states; lower the order"):
         n4sid(clean, 4)
     with pytest.raises(ValueError, match="y is constant and shows no state; record data"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pytest
@@ -219,9 +219,12 @@ def test_the_initial_state_is_kept_where_an_f_test_says_so() -> None:
     assert fits["moving", "zero"].loss > 2 * fits["moving", "estimate"].loss
 
 
-def test_an_offset_of_a_rig_at_rest_is_refused() -> None:
-    with pytest.raises(ValueError, match=r'offset=True needs initial="estimate", got \'zero\''):
-        armax(armax_data(1), na=1, nb=1, nc=1, offset=True, initial="zero")
+@pytest.mark.parametrize("initial", ["zero", "auto"])
+def test_an_offset_of_a_rig_at_rest_is_refused(initial: Literal["zero", "auto"]) -> None:
+    with pytest.raises(
+        ValueError, match=f"offset=True needs initial=\"estimate\", got '{initial}'"
+    ):
+        armax(armax_data(1), na=1, nb=1, nc=1, offset=True, initial=initial)
 
 
 def test_the_starts_of_a_noise_model_are_reported() -> None:
@@ -407,6 +410,15 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
         ararx(seen, na=0, nb=1, nd=1, integrator=True)
     with pytest.raises(ValueError, match=r"na=2, nb=2, nd=2, nk=1 needs at least \d+ samples"):
         ararx(seen[:5], na=2, nb=2, nd=2)
+    still = Dataset(u=np.zeros(50), y=bj_data(1).y[:50], Ts=1)
+    said = "na=1, nb=2, nc=1, nk=1: u determines only 1 of 3 coefficients of A and B; lower the ord"
+    with pytest.raises(ValueError, match=said):
+        armax(still, na=1, nb=2, nc=1)
+    with pytest.raises(ValueError, match="only 0 of 1 numerator coefficients; lower nb or excite"):
+        bj(still, nb=1, nc=0, nd=0, nf=0)
+    with pytest.raises(ValueError, match=r"nk=2 with the gaps left out needs at least 9 .*, got 8"):
+        iv4(seen[:11], na=2, nb=2, nk=2)
+    assert iv4(seen, na=2, nb=2, nk=2).N == 9
     with pytest.raises(ValueError, match=r"determine only|instruments determine"):
         iv4(Dataset(u=np.ones(50), y=bj_data(1).y[:50], Ts=1), na=1, nb=2)
 

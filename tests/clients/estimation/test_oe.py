@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 OMEGA = np.geomspace(0.5, 100.0, 200)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.floats(0.1, 0.97),
     st.floats(0.15, 2.9),
@@ -60,8 +60,8 @@ def test_a_noise_free_angle_gives_back_the_plant_from_any_state(plant: HandoutPl
 
 @pytest.fixture(scope="module")
 def fits(plant: HandoutPlant) -> list[Fit]:
-    """Return the fits of eight recordings of the handout's plant."""
-    return [oe(plant.dataset(seed), nb=4, nf=4, integrator=True) for seed in range(8)]
+    """Return the fits of four recordings of the handout's plant."""
+    return [oe(plant.dataset(seed), nb=4, nf=4, integrator=True) for seed in range(4)]
 
 
 @pytest.mark.exhaustive
@@ -104,10 +104,8 @@ def test_so_it_is_through_a_potentiometer_with_a_dead_band(plant: HandoutPlant) 
 def test_every_coefficient_of_the_plant_lies_inside_three_sigma(
     plant: HandoutPlant, fits: list[Fit]
 ) -> None:
-    """In at least 9 of 10 recordings."""
-    hits = [(np.abs(fit.theta - plant.theta) < 3 * fit.std).all() for fit in fits]
-
-    assert np.mean(hits) >= 0.9
+    """In all four recordings."""
+    assert all((np.abs(fit.theta - plant.theta) < 3 * fit.std).all() for fit in fits)
 
 
 def test_missing_outputs_cost_only_their_own_rows() -> None:
@@ -251,6 +249,10 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
 
     with pytest.raises(ValueError, match="nb=1, nf=1, nk=1 needs at least 4 samples, got 3"):
         oe(Dataset(u=u, y=u, Ts=1), nb=1, nf=1)
+    longer = np.random.default_rng(0).standard_normal(6)
+    holed = Dataset(u=longer, y=longer[::-1], Ts=1, valid=np.arange(6) % 2 > 0)
+    with pytest.raises(ValueError, match="nb=1, nf=1, nk=1 needs at least 4 samples, got 3"):
+        oe(holed, nb=1, nf=1)
 
 
 def test_an_input_that_does_not_excite_is_refused() -> None:

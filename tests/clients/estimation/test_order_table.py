@@ -136,6 +136,8 @@ def test_the_choice_is_explained_in_words() -> None:
     assert "na=2 is the highest that was tried: try higher values" in short.explain()
     assert "nb=" not in short.explain().split("standard errors above the lowest loss")[1]
     assert validated.explain().splitlines()[0] in repr(validated)
+    one = select_orders(_data(1, 300), na=[1, 2], nb=[1, 2, 3], nk=[2])
+    assert "nk=2 is the highest" not in one.explain()
 
 
 def test_the_best_of_fewer_parameters_is_named() -> None:
@@ -165,11 +167,11 @@ def test_a_structure_that_the_input_does_not_determine_is_not_chosen() -> None:
     u = np.tile([0.0, 1.0, 3.0], 100)
     y = filtered([0.0, 1.0], [1.0, -0.5], u) + 0.01 * rng.standard_normal(300)
 
-    table = select_orders(Dataset(u=u, y=y, Ts=1.0), na=[1], nb=range(1, 7), nk=[1])
+    table = select_orders(Dataset(u=u, y=y, Ts=1.0), na=[1], nb=range(1, 6), nk=[1])
 
     np.testing.assert_array_equal(np.isfinite(table.loss), table.nb <= 3)
     assert table.best().nb <= 3
-    assert "3 not determined by the data" in repr(table)
+    assert "5 ARX structures on the same 295 samples, 2 not determined by the data" in repr(table)
 
 
 def test_the_published_dryer_is_chosen_from_many(
@@ -185,7 +187,8 @@ def test_the_published_dryer_is_chosen_from_many(
 
 @pytest.mark.parametrize("validated", [True, False])
 def test_the_figure_marks_what_each_criterion_chooses(validated: bool) -> None:
-    table = select_orders(_data(1), validation=_data(2) if validated else None)
+    validation = _data(2) if validated else None
+    table = select_orders(_data(1), range(3, 6), range(1, 4), range(1, 4), validation)
 
     figure = Figure()
     ax = figure.subplots()

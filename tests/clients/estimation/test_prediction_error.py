@@ -98,6 +98,47 @@ def test_the_reduced_gradient_is_the_cost_s(
         assert -2 * (J.T @ e)[k] == pytest.approx(slope, rel=1e-5, abs=1e-7 * float(e @ e))
 
 
+@pytest.mark.parametrize(("nc", "nd"), [(1, 2), (2, 1), (1, 0)])
+def test_a_root_on_the_circle_is_led_outwards_by_its_normal(nc: int, nd: int) -> None:
+    """The gradients of |z| of a root of C and of a pair of F, at their places in theta."""
+    structure = Structure(nb=1, nc=nc, nd=nd, nf=3, nk=1)
+    problem = PredictionErrorProblem(
+        experiments=(prepared(signals(1), structure),), structure=structure
+    )
+    C, F = np.poly([1.0, 0.3][:nc]), np.poly([*np.exp([0.7j, -0.7j]), -0.4]).real
+    theta = np.concatenate([C[1:], [0.6, -0.2][:nd], F[1:]])
+
+    rows = problem.normals(theta)
+
+    def modulus(which: str, at: NDArray[np.float64]) -> float:
+        c, _, f = problem.polynomials(at)
+        return float(np.abs(np.roots(c if which == "C" else f)).max())
+
+    steps = 1e-6 * np.eye(theta.size)
+    for which in "CF":
+        slopes = [(modulus(which, theta + d) - modulus(which, theta - d)) / 2e-6 for d in steps]
+        along = np.array(slopes) / np.linalg.norm(slopes)
+        assert any(np.allclose(row, along, atol=1e-5) for row in rows), which
+
+
+def test_the_first_stretch_has_no_volume() -> None:
+    """Pulses at the beginning of the data are no gaps: e² alone is the cost without a gap."""
+    structure = Structure(na=1, nb=1, nc=1, nk=1)
+    whole, other = signals(1, 60), signals(2, 50)
+    holed = whole.replaced(valid=np.arange(60) != 30, step=None)
+
+    def ratio(*parts: Dataset) -> float:
+        problem = PredictionErrorProblem(
+            experiments=tuple(prepared(part, structure) for part in parts), structure=structure
+        )
+        e = problem.solve(np.array([0.7])).e
+        return problem.cost(np.array([0.7])) / float(e @ e)
+
+    assert ratio(whole) == 1.0
+    assert ratio(holed) > 1.005
+    assert ratio(whole, other) > 1.005
+
+
 def rosenbrock(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return e and -de/dx of the curved valley with its bottom at (1, 1)."""
     e = np.array([10 * (x[1] - x[0] ** 2), 1 - x[0], 0.1])

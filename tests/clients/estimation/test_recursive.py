@@ -23,10 +23,10 @@ def _data(seed: int, N: int = 400, a: float = -1.2) -> Dataset:
 
 @cache
 def _runs(forgetting: float) -> list[RarxState]:
-    """Return the results of 150 records of 150 samples."""
+    """Return the results of 150 records of 100 samples."""
     found = []
     for seed in range(150):
-        data = _data(seed, 150)
+        data = _data(seed, 100)
         state = rarx_start(na=2, nb=2, forgetting=forgetting)
         for u, y in zip(data.u, data.y, strict=True):
             state = rarx_step(state, u, y)
@@ -139,6 +139,43 @@ def test_nothing_is_claimed_before_the_samples_determine_it() -> None:
 
     assert not state.determined
     assert np.isinf(state.std).all()
+
+
+def test_parameters_stay_when_the_samples_no_longer_determine_them() -> None:
+    """After 100 samples at one level, the excited samples weigh 0.5^100."""
+    u = np.where(np.arange(140) < 40, _data(1, 140).u, 1.0)
+    data = Dataset(u=u, y=filtered([0, 1.0, 0.5], [1, -0.4], u), Ts=1.0)
+
+    found = rarx(data, na=1, nb=2, forgetting=0.5)
+
+    assert not found.state.determined
+    known = np.isfinite(found.theta).all(axis=1)
+    assert known[np.argmax(known) :].all()
+    assert np.isfinite(found.error[-50:]).all()
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_the_unit_of_u_decides_nothing(unit: float) -> None:
+    data = _data(1, 80)
+    data = data.replaced(u=unit * data.u, step=None)
+
+    state = rarx(data, na=2, nb=2).state
+
+    fit = arx(data, na=2, nb=2)
+    assert state.determined
+    np.testing.assert_allclose(state.theta, fit.theta, rtol=1e-7)
+    np.testing.assert_allclose(state.std, fit.std, rtol=1e-7)
+
+
+def test_as_many_samples_as_parameters_show_no_noise() -> None:
+    rng = np.random.default_rng(1)
+    state = rarx_start(na=0, nb=3)
+    for _ in range(7):  # the first row is that of the fourth sample
+        state = rarx_step(state, *rng.standard_normal(2))
+        assert np.isfinite(state.noise_variance) == (state.weight > 3)
+        assert state.determined == (state.weight >= 3)
+
+    assert state.weight == 4
 
 
 def test_a_forgetting_that_is_none_is_refused() -> None:

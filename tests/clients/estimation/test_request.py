@@ -11,10 +11,11 @@ import pytest
 from armrig.cli import main
 from armrig.cli.model_structures import requested
 from armrig.cli.next_step import options_of
+from armrig.estimation.orders import require_sensible
 from armrig.estimation.request import OPTIONS, Request, flag
 from armrig.models.structure_table import OFFERED, users
 from armrig.report.batch.tasks import Identify, Verify, digest, sha256
-from armrig_core.errors import OperationError
+from armrig_core.errors import InputError, OperationError
 from msgspec.structs import asdict
 
 DATA = armrig.Dataset(
@@ -86,6 +87,43 @@ def test_a_model_is_asked_for_again_with_its_orders() -> None:
     assert again.orders == {"order": fit.orders["order"]}
     assert (again.weights, again.stable) == ("moesp", True)
     np.testing.assert_array_equal(again.estimated(DATA).theta, fit.theta)
+
+
+@pytest.mark.parametrize("option", ["integrator", "offset", None])
+def test_an_integrator_and_an_offset_are_asked_for_again(option: str | None) -> None:
+    """With an integrator the offset is estimated anyway, so it is not asked for."""
+    more = {option: True} if option else {}
+    orders: dict[str, int | None] = {"na": 2, "nb": 1, "nc": 0}
+    request = Request(structure="armax", orders=orders, nk=2, starts="few", **more)
+    fit = request.estimated(DATA)
+
+    again = Request(structure="armax", orders={}).of_fit(fit)
+
+    assert (again.integrator, again.offset) == (option == "integrator", option == "offset")
+    assert (again.orders, again.nk) == (orders, 2)
+
+
+def test_orders_are_held_against_the_samples_with_an_output() -> None:
+    data = DATA.replaced(valid=np.arange(200) % 5 < 2, step=None)
+    request = Request(structure="armax", orders={"na": 4, "nb": 4, "nc": 1}, integrator=True)
+
+    request.check(data)
+    more = Request(structure="n4sid", orders={"order": None}, nk=9)
+    with pytest.raises(InputError, match="nk=9: at most 8 for 80 samples"):
+        more.check(data)
+    with pytest.raises(InputError, match="9 parameters from 80 samples; at most 8 parameters"):
+        Request(structure="armax", orders=request.orders).check(data)
+
+
+@pytest.mark.parametrize("samples", [10, 19, 75, 200])
+def test_a_tenth_of_the_samples_is_the_most_of_parameters_and_of_nk(samples: int) -> None:
+    most = samples // 10
+
+    require_sensible(samples=samples, nk=most, na=most - 1, nb=1)
+    require_sensible(samples=samples, nk=1, integrator=True, na=most, nb=1)
+    for nk, na in ((most + 1, most - 1), (1, most)):
+        with pytest.raises(InputError, match=f"at most {most} "):
+            require_sensible(samples=samples, nk=nk, na=na, nb=1)
 
 
 def test_another_structure_takes_what_it_can_of_a_request() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,12 @@ from armrig.estimation.iv4 import iv4
 from armrig.estimation.n4sid import n4sid
 from armrig.estimation.oe import oe
 from armrig.estimation.pem import pem
-from armrig.estimation.stability import largest_unstable, stabilised
+from armrig.estimation.stability import (
+    _way_out,
+    largest_unstable,
+    reflection_warnings,
+    stabilised,
+)
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 
@@ -132,6 +139,37 @@ def test_a_pole_that_may_be_an_integrator_is_reported() -> None:
     assert said[1].endswith("1 within its accuracy; if y integrates, set the option integrator")
 
 
+@pytest.mark.parametrize(
+    ("poles", "of", "remedy"),
+    [
+        ({1.2: 0.01}, {}, "lower the orders, or reflect it"),
+        ({1.2: 0.3}, {}, "its standard deviation is 0.3, so the data do not determine"),
+        ({1.2: 0.3}, {"integrator": True}, "lower the orders, or reflect it"),
+        ({0.3: 0.5, 1.2: 0.01}, {}, "lower the orders, or reflect it"),
+        ({1.002: 0.001}, {}, "the pole is 1 within its accuracy; if y integrates, use OE"),
+        ({1.002: 0.001}, {"structure": "bj"}, "the pole is 1 within its accuracy; if y integ"),
+        ({1.004: 0.001}, {}, "lower the orders, or reflect it"),
+        ({-1.002: 0.001}, {}, "lower the orders, or reflect it"),
+        ({0.9: 0.001, 1.0: 0.001}, {}, "the pole is 1 within its accuracy"),
+        ({0.999: 0.05, 1.5: 0.01}, {}, "lower the orders, or reflect it"),
+        ({1.0 + 0.01j: 0.05, 1.0 - 0.01j: 0.05}, {}, "lower the orders, or reflect it"),
+    ],
+)
+def test_the_remedy_is_that_of_the_pole_that_is_outside(
+    poles: dict[complex, float], of: dict[str, Any], remedy: str
+) -> None:
+    found = SimpleNamespace(values=np.array([*poles], complex), std=np.array([*poles.values()]))
+    fit = {"structure": "arx", "integrator": False, "output": "y", "poles": lambda: found} | of
+
+    text, asks = _way_out(SimpleNamespace(**fit))  # type: ignore[arg-type]
+
+    assert text.startswith(remedy)
+    expected = "structure" if "use OE" in text else ""
+    expected = "integrator" if text.endswith("set the option integrator") else expected
+    assert asks == ("order" if text.startswith("lower") else expected)
+    assert ("set the option" in text) == (of.get("structure") == "bj")
+
+
 def test_an_integrator_by_construction_is_no_unstable_pole() -> None:
     data = _growing(1.0)
 
@@ -140,6 +178,22 @@ def test_an_integrator_by_construction_is_no_unstable_pole() -> None:
     assert largest_unstable(fit) == 0.0
     assert abs(np.sum(fit.A)) < 1e-12
     assert not any("unstable" in w for w in fit.warnings)
+
+
+@pytest.mark.parametrize(
+    ("poles", "moved"),
+    [([1.0, 0.3], "1 of 2"), ([-1.0, 1.2, 0.5], "2 of 3"), ([0.9999, 0.3], ""), ([1.1], "1 of 1")],
+)
+def test_poles_on_the_circle_are_counted_among_the_reflected(
+    poles: list[float], moved: str
+) -> None:
+    before = np.poly(poles)
+
+    told = list(reflection_warnings(before, stabilised(before)))
+
+    assert [x.text.partition(" poles")[0] for x in told] == ([moved] if moved else [])
+    assert all(f"the farthest from |z| = {max(np.abs(poles)):.4f}" in x.text for x in told)
+    assert not list(reflection_warnings(before, before))
 
 
 def test_roots_are_reflected_or_drawn_in() -> None:

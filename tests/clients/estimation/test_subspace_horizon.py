@@ -4,14 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from armrig.data.dataset import Dataset
+from armrig.estimation import subspace
+from armrig.estimation.subspace import (
+    _steady_filter,
+    autoregressive_order,
+    projection,
+    shortened,
+    suggested_order,
+    visible_states,
+    windows,
+)
 from armrig.estimation.subspace_horizon import (
+    _integrating,
     _longest_stretches,
     _loss,
+    delayed_signals,
     least_loss,
     longest_horizon,
+    usable_windows,
 )
 from armrig.numerics.polynomial import filtered, impulse, lagged
 from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
 
 Vector = NDArray[np.float64]
 
@@ -69,12 +84,135 @@ def test_the_model_of_least_loss_is_taken_and_the_first_without_noise() -> None:
     assert least_loss(signals(1000, noise=1e-9), small, direct=False) == 0
 
 
+def test_shortened_windows_are_the_middle_of_the_long_ones() -> None:
+    """The windows begin 3 samples later and end 3 samples earlier."""
+    [(u, y)] = signals(90)
+
+    short = shortened(windows([(u, y)], past=7, future=7), 4)
+
+    direct = windows([(u[3:-3], y[3:-3])], past=4, future=4)
+    assert (short.past, short.future, short.N) == (4, 4, direct.N)
+    np.testing.assert_allclose(short.R.T @ short.R, direct.R.T @ direct.R, atol=1e-8)
+
+
+@pytest.mark.parametrize(("most", "N"), [(None, 23 + 33 + 63), (70, 70), (30, 30), (20, 20)])
+def test_the_first_windows_are_taken_over_gaps_and_experiments(most: int | None, N: int) -> None:
+    """Stretches of 30, 40 and 70 samples have 23, 33 and 63 windows of 8 samples."""
+    [(u, y)] = signals(148)
+    y[[30, 71, 72]] = np.nan
+
+    parts = [(u[:71], y[:71]), (u[71:143], y[71:143]), (u[143:], y[143:])]
+
+    assert windows(parts, past=5, future=3, most=most).N == N
+
+
+def test_the_memory_of_the_predictor_is_that_of_aic() -> None:
+    """A lag has two parameters, one of u and one of y."""
+    orders = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        u, e = rng.standard_normal((2, 130))
+        y = filtered([0, 0.4], [1, -0.6, 0.2, -0.25], u) + filtered([1], [1, -0.6, 0.2, -0.25], e)
+        w = windows([(u, y)], past=9, future=1)
+        criterion = []
+        for n in range(1, 10):
+            rows = np.hstack(
+                [np.ones((130, 1)), lagged(u, range(n + 1)), lagged(y, range(1, n + 1))]
+            )
+            sse = np.linalg.lstsq(rows[9:], y[9:], rcond=None)[1][0]
+            criterion.append(121 * np.log(sse) + 2 * 2 * n)
+        orders.append(1 + int(np.argmin(criterion)))
+
+        assert autoregressive_order(w) == orders[-1]
+    assert len(set(orders)) > 2
+
+
+def test_a_state_costs_three_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second state is worth 3 log N = 20.7 for 1000 windows."""
+    w = windows(signals(1009), past=5, future=5)
+    found = projection(w, "cva")
+
+    for gain, order in ((17.0, 1), (24.0, 2)):
+        losses = np.exp([0.0, -gain / 1000, -gain / 1000])
+        monkeypatch.setattr(subspace, "one_step_losses", lambda *_, losses=losses: losses)
+        assert suggested_order(w, found, 3) == order
+
+
+def test_the_predictor_is_that_of_the_riccati_equation() -> None:
+    rng = np.random.default_rng(2)
+    A = np.array([[0.9, 0.2, 0.0], [-0.3, 0.7, 0.1], [0.0, 0.2, 0.5]])
+    C, M = np.array([1.0, -0.5, 0.3]), rng.standard_normal((4, 6))
+    covariance = M @ M.T
+
+    z = _steady_filter(A, C, covariance)
+
+    Q, S, r = covariance[:3, :3], covariance[:3, 3], covariance[3, 3]
+    P = solve_discrete_are(A.T, C[:, None], Q, [[r]], s=S[:, None])
+    K = (A @ P @ C + S) / (C @ P @ C + r)
+    expected = np.linalg.eigvals(A - np.outer(K, C))
+    assert z is not None
+    np.testing.assert_allclose(np.sort_complex(z), np.sort_complex(expected), atol=1e-9)
+    silent = covariance.copy()
+    silent[3] = silent[:, 3] = 0.0
+    assert _steady_filter(A, C, silent) is None
+
+
+def test_the_real_pole_nearest_1_becomes_the_integrator() -> None:
+    """A pair of poles nearer to 1 stays."""
+    pair = [0.99 + 0.02j, 0.99 - 0.02j]
+
+    A = _integrating(np.real(np.poly([*pair, 0.95, -0.99, 0.3])))
+
+    found = np.sort_complex(np.roots(A))
+    np.testing.assert_allclose(found, np.sort_complex([*pair, 1.0, -0.99, 0.3]), atol=1e-9)
+
+
+@pytest.mark.parametrize("nk", [0, 1, 3])
+def test_a_delayed_input_acts_one_sample_later(nk: int) -> None:
+    u = np.arange(20.0)
+    data = Dataset(u=u, y=-u, Ts=1.0, starts=(0, 12))
+
+    for (late, y), part in zip(delayed_signals(data, nk), data.experiments(), strict=True):
+        lost = max(nk - 1, 0)
+        np.testing.assert_array_equal(late, part.u[: part.N - lost])
+        np.testing.assert_array_equal(y, part.y[lost:])
+
+
+def test_a_horizon_has_room_for_the_order_and_enough_windows() -> None:
+    """Eleven windows in a row take 20 samples, if each has 10."""
+    [(u, y)] = signals(60)
+    valid = np.ones(60, dtype=np.bool_)
+    valid[[17, 30, 35]] = False
+    data = Dataset(u=u, y=y, Ts=1.0, valid=valid)
+    parts = delayed_signals(data, 1)
+
+    for order, horizon, least in ((None, 2, 3), (4, 5, 6)):
+        with pytest.raises(ValueError, match=f"horizon={horizon} must be an integer >= {least}"):
+            usable_windows(data, parts, order, horizon)
+    assert windows(parts, past=5, future=5).N == 8 + 3 + 15
+    got = r"horizon=5, with windows of 10 samples without a gap, needs at least 32 samples, got"
+    with pytest.raises(ValueError, match=f"{got} 20"):
+        usable_windows(data[:30], delayed_signals(data[:30], 1), None, 5)
+    with pytest.raises(ValueError, match=f"{got} 7"):
+        usable_windows(data[:7], delayed_signals(data[:7], 1), None, 5)
+    assert usable_windows(data, parts, None, 5).N == 26
+
+
+def test_data_without_noise_show_the_states_of_their_system() -> None:
+    [(u, y)] = signals(200, noise=0.0)
+    y = y + filtered([0.0, 0.0, 1.0], [1.0, -1.2, 0.8], u)
+
+    assert visible_states(windows([(u, y)], past=6, future=6)) == 3
+
+
+@pytest.mark.parametrize("N", [60, 12])
 @pytest.mark.parametrize("direct", [False, True])
-def test_the_loss_is_that_of_least_squares(direct: bool) -> None:
+def test_the_loss_is_that_of_least_squares(direct: bool, N: int) -> None:
+    """Fewer than 4 n + 4 samples are left out."""
     rng = np.random.default_rng(5)
-    u, y = rng.standard_normal((2, 60))
+    u, y = rng.standard_normal((2, N))
     A, C = np.array([1.0, -1.2, 0.5]), np.array([1.0, 0.3, 0.1])
-    pulse, filtered_u = impulse(C, 60), filtered([1.0], C, u)
+    pulse, filtered_u = impulse(C, N), filtered([1.0], C, u)
     Phi = np.column_stack(
         [lagged(filtered_u, range(not direct, 3)), lagged(pulse, range(2)), np.cumsum(pulse)]
     )
@@ -83,4 +221,5 @@ def test_the_loss_is_that_of_least_squares(direct: bool) -> None:
     loss = _loss(u, y, A, C, direct=direct)
 
     best = Phi @ np.linalg.lstsq(Phi, v, rcond=None)[0]
-    assert loss == pytest.approx(float(np.sum((v - best) ** 2)), rel=1e-9)
+    assert loss == pytest.approx(float(np.sum((v - best) ** 2)), rel=1e-6)
+    assert _loss(u[:11], y[:11], A, C, direct=direct) == 0.0

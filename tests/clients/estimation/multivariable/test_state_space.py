@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import armrig
 import numpy as np
@@ -12,7 +14,7 @@ from armrig import Dataset, Signals
 from armrig.estimation.multivariable import subspace
 from armrig.estimation.multivariable.n4sid import _completed
 from armrig.estimation.multivariable.ss import _Criterion, _End, _improved
-from armrig.estimation.multivariable.state_space_gaps import GapProblem
+from armrig.estimation.multivariable.state_space_gaps import GapProblem, searched
 from armrig.estimation.multivariable.state_space_problem import (
     Part,
     Predictor,
@@ -29,6 +31,8 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from tests.sampling import sampled
+
+ss, n4sid = (import_module(f"armrig.estimation.multivariable.{name}") for name in ("ss", "n4sid"))
 
 N = 1200
 A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, 0.5]])
@@ -147,6 +151,24 @@ def test_with_outputs_missing_the_errors_give_the_likelihood_of_the_measured_out
     np.testing.np.testing.assert_allclose(
         log * sum(p.rows.sum() for p in parts), determinant, rtol=1e-9
     )
+
+
+def test_the_covariance_of_the_noise_is_estimated_along_with_the_gaps() -> None:
+    """The search begins with a covariance that is nine times too large."""
+    rng = np.random.default_rng(4)
+    u, e = rng.standard_normal((2, 60, 1))
+    x = recursion(np.array([[0.7]]), u + 0.4 * e, np.zeros(1))[:-1]
+    y = np.where(rng.random((60, 1)) < 0.1, np.nan, x + e)
+    one, zero = np.ones((1, 1)), np.zeros((1, 1))
+    at = Predictor(Abar=0.3 * one, Bbar=one, C=one, D=zero, K=0.4 * one, x0=(np.zeros(1),))
+
+    found = searched([(u, y)], at, 9.0 * one, direct=False)
+
+    left = np.vstack(found.problem.residuals(found.predictor))
+    assert found.converged
+    assert found.iterations > 0
+    assert found.problem.Lambda[0, 0] == pytest.approx(np.nanmean(left**2), rel=1e-2)
+    assert found.problem.Lambda[0, 0] == pytest.approx(1.0, abs=0.5)
 
 
 def test_without_a_gap_the_errors_are_those_of_the_constant_gain() -> None:
@@ -285,6 +307,9 @@ def test_a_subspace_estimate_predicts_the_missing_outputs() -> None:
     fit = armrig.n4sid(armrig.example_recording().signals(), 4, replicates=0)
 
     assert [found.fit_percent for found in fit.quality] == pytest.approx([99.99, 97.4], abs=0.1)
+    losses = [found.loss for found in fit.quality]
+    np.testing.assert_allclose(np.diag(fit.noise_covariance), losses)
+    np.testing.assert_allclose(fit.noise_covariance, fit.noise_covariance.T)
 
 
 @pytest.mark.exhaustive
@@ -345,6 +370,44 @@ def test_a_search_leaves_a_local_minimum(
         assert 100 * (1 - np.linalg.norm(e) / np.linalg.norm(spread)) == pytest.approx(
             expected, abs=0.1
         )
+
+
+@pytest.mark.parametrize(
+    ("most", "sizes"), [(60, [60]), (70, [70]), (100, [70, 30]), (500, [70, 130])]
+)
+def test_long_data_are_tried_on_their_first_samples(
+    most: int, sizes: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ss, "_PART_SAMPLES", most)
+    whole = problem(noise=True, direct=False, missing=0.2)
+
+    part = ss._part(whole)
+
+    assert [x.u.shape[0] for x in part.parts] == sizes
+    for found, of, n in zip(part.parts, whole.parts, sizes, strict=False):
+        for name in ("u", "y", "rows", "weights"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(of, name)[:n])
+    assert (part.order, part.direct, part.noise) == (3, False, True)
+
+
+def test_replicates_miss_what_the_data_miss(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replicates are estimated in the same way as the model."""
+    seen: list[list[Array]] = []
+    estimated = n4sid._estimated
+
+    def watched(signals: Any, *of: Array, direct: bool) -> Any:
+        seen.append([np.isfinite(y) for _, y in signals])
+        return estimated(signals, *of, direct=direct)
+
+    monkeypatch.setattr(n4sid, "_estimated", watched)
+    whole = data(missing=0.02)[:400]
+
+    armrig.n4sid(whole.replaced(starts=(0, 150), step=None), 3, replicates=2, horizon=6)
+
+    assert len(seen) == 3
+    for of_one in seen:
+        assert [x.shape[0] for x in of_one] == [150, 250]
+        np.testing.assert_array_equal(np.vstack(of_one), whole.valid)
 
 
 def test_a_worse_minimum_is_not_searched_to_its_end() -> None:

@@ -10,7 +10,7 @@ from armrig import excitation
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.nonparametric.bla import bla
-from armrig.estimation.nonparametric.etfe import excited
+from armrig.estimation.nonparametric.etfe import etfe, excited
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
@@ -80,6 +80,19 @@ def test_experiments_of_one_data_set_are_realisations() -> None:
     assert 0 < np.max(np.abs(c.G - a.G) / a.std_magnitude) < 1
 
 
+@pytest.mark.parametrize(("hidden", "lost"), [(P // 2, P // 2), (P // 2 + 1, P)])
+def test_a_period_counts_if_half_of_its_samples_are_known(hidden: int, lost: int) -> None:
+    parts = realisations(2, R=2)
+    valid = np.arange(parts[0].N) - 2 * P
+    holed = parts[0].replaced(valid=(valid < 0) | (valid >= hidden), step=None)
+
+    found = bla([holed, parts[1]], integrator=False)
+
+    known = 8 * P - lost
+    assert known == found.N
+    assert f"{4 - lost // P} … 4 periods of 128 samples" in found.method
+
+
 def test_a_dead_band_in_every_period_costs_no_more_than_its_samples() -> None:
     """A tenth of the samples is hidden.
 
@@ -119,6 +132,40 @@ def test_the_arm_s_angle_comes_through_its_rate(arm: Any) -> None:
     found = bla(parts, transient=3)
 
     np.testing.assert_allclose(found.G, arm.response(found.omega), rtol=1e-7)
+    np.testing.assert_allclose(found.std_phase * np.abs(found.G), found.std_magnitude)
+
+
+def test_one_period_does_not_separate_noise_and_distortion() -> None:
+    """One realisation of several periods is enough to know the noise."""
+    one, several = realisations(4, R=2, periods=2), realisations(5, R=1, periods=5)
+
+    alone, both = bla(one, integrator=False), bla([*one, *several], integrator=False)
+
+    assert alone.notes == (
+        "one period in each realisation: noise and nonlinear distortion cannot be distinguished",
+    )
+    assert np.isnan(alone.noise_only_std).all()  # type: ignore[call-overload]
+    assert "variance between realisations is" in both.notes[0]
+    assert np.isfinite(both.noise_only_std).all()  # type: ignore[call-overload]
+
+
+def test_a_period_that_is_given_need_not_be_exact(second: Any) -> None:
+    """A measured voltage never repeats itself to the last digit."""
+    rng = np.random.default_rng(1)
+    parts = [
+        d.replaced(u=d.u + 1e-6 * rng.standard_normal(d.N), step=None)
+        for d in realisations(4, R=2, std=0.0)
+    ]
+
+    with pytest.raises(ValueError, match=r"the same period in all realisations, .* got none"):
+        bla(parts, integrator=False)
+    for found in (
+        bla(parts, period_length=P, integrator=False),
+        etfe(parts[0], period_length=P, integrator=False),
+    ):
+        np.testing.assert_allclose(found.G, second.response(found.omega), rtol=1e-4)
+    with pytest.raises(ValueError, match="period_length=321 must be 2 to 320, two whole period"):
+        etfe(parts[0], period_length=321, integrator=False)
 
 
 def test_one_realisation_cannot_determine_distortion() -> None:
@@ -136,5 +183,9 @@ def test_what_is_not_periodic_is_refused(second: Any) -> None:
         bla(second.dataset(np.random.default_rng(5)), integrator=False)
     with pytest.raises(ValueError, match="the same period in all realisations"):
         bla([*realisations(5, R=1), other], integrator=False)
+    [one] = realisations(6, R=1)
+    never = one.replaced(valid=~np.isin(np.arange(one.N) % P, [5, 6, 90]), step=None)
+    with pytest.raises(ValueError, match="no value at 3 of the 128 instants of its period"):
+        bla(never, integrator=False)
     with pytest.raises(ValueError, match="has no period of 128"):
         bla(realisations(6, periods=2), transient=2, integrator=False)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.estimation.nonparametric.correlation import correlation
+from armrig.estimation.nonparametric.correlation import Correlation, correlation
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
@@ -21,6 +21,16 @@ def test_a_coloured_input_is_whitened(second: Any) -> None:
     np.testing.assert_allclose(found.g[20:], second.g(21), atol=0.06)
     apart = np.abs(found.lags) > 0
     assert np.all(np.abs(found.autocorrelation[apart]) < 0.03)
+
+
+@pytest.mark.parametrize("lags", [5, 40, 60])
+def test_the_autocorrelation_is_that_at_the_lags(second: Any, lags: int) -> None:
+    found = correlation(second.dataset(np.random.default_rng(1), 300), lags, integrator=False)
+
+    assert found.lags.tolist() == [*range(-lags, lags + 1)]
+    assert found.autocorrelation.shape == found.g.shape == (2 * lags + 1,)
+    assert found.autocorrelation[lags] == 1.0
+    np.testing.assert_allclose(found.autocorrelation, found.autocorrelation[::-1])
 
 
 @pytest.mark.parametrize("order", [None, 0])
@@ -54,6 +64,33 @@ def test_an_angle_is_correlated_by_its_rate(arm: Any) -> None:
     assert found.rate
     assert found.output == "velocity"
     assert np.argmax(np.abs(found.g)) == 20 + np.argmax(arm.rate(20))
+
+
+@pytest.mark.parametrize(
+    ("g", "first", "before"),
+    [
+        ([0, 0, 0, 9, -8, 0, 0], 0, 0),
+        ([9, 0, -3, 0, 0, 5, -7], 2, 2),
+        ([0, 4, 0, 1, 0, 0, 2.7], 3, 1),
+        ([0, 0, 0, 1, 2, 0, 0], None, 0),
+    ],
+)
+def test_what_is_outside_the_band_is_told_before_and_after_lag_0(
+    g: list[float], first: int | None, before: int
+) -> None:
+    found = Correlation(
+        lags=np.arange(-3, 4), g=np.array(g), std=1.0, autocorrelation=np.eye(1, 7, 3)[0],
+        whitener=np.array([1.0, 0.2, 0.1]), rate=False, N=80, Ts=0.5, output="y", unit="",
+        input_unit="", source="",
+    )  # fmt: skip
+    largest = max(range(3, 7), key=lambda i: abs(g[i]))
+
+    assert repr(found).splitlines() == [
+        "correlation analysis of y, 80 samples at 0.5 s, input whitened by order 2",
+        f"  largest g {float(g[largest]):.4g} at lag {largest - 3}; 99 % band of no relation ±2.58",
+        f"  first lag >= 0 outside: {first}; {before} of 3 negative lags outside (feedback, if "
+        "more than chance)",
+    ]
 
 
 def test_the_dryer_answers_at_lag_3(reference: Callable[[str], NDArray[np.float64]]) -> None:

@@ -49,6 +49,20 @@ def test_the_arm_s_angle_is_exact_too(arm: Any) -> None:
     found = etfe(arm.dataset(u))
 
     np.testing.assert_allclose(found.G, arm.response(found.omega), rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(found.std_phase * np.abs(found.G), found.std_magnitude)
+
+
+def test_two_periods_are_enough_for_a_response_but_not_for_its_deviation(second: Any) -> None:
+    data = noisy(1, 0.0, periods=2)
+
+    for found in (
+        etfe(data, integrator=False),
+        etfe(data, period_length=P, integrator=False),
+    ):
+        np.testing.assert_allclose(found.G, second.response(found.omega), rtol=1e-9)
+        assert np.isnan(found.std_magnitude).all()
+    with pytest.raises(ValueError, match="period_length=201 must be 2 to 200, two whole per"):
+        etfe(data, period_length=P + 1, integrator=False)
 
 
 def test_the_scatter_between_periods_is_the_noise(second: Any) -> None:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.estimation.nonparametric.impulse import impulse_response
+from armrig.estimation.nonparametric import impulse
+from armrig.estimation.nonparametric.impulse import _warnings, impulse_response
 from armrig.estimation.nonparametric.kernels import Evidence, Kernel, factor
 from armrig.numerics.polynomial import filtered
+from armrig.numerics.whiteness import LJUNG_BOX, Whiteness
 from numpy.typing import NDArray
 
 from tests.sampling import sampled
@@ -20,7 +23,9 @@ from tests.sampling import sampled
 KERNELS: tuple[Kernel, ...] = ("tc", "dc", "ss")
 
 
-def test_without_noise_plain_least_squares_gives_back_the_response() -> None:
+@pytest.mark.parametrize("negative_lags", [0, 3])
+def test_without_noise_plain_least_squares_gives_back_the_response(negative_lags: int) -> None:
+    """A row is used if its output and all its inputs are inside the experiment."""
     rng = np.random.default_rng(1)
     g = np.array([0.0, 0.5, -0.3, 0.2, 0.1])
     parts = []
@@ -29,11 +34,14 @@ def test_without_noise_plain_least_squares_gives_back_the_response() -> None:
         y = filtered(g, [1.0], u) + level
         parts.append(Dataset(u=u, y=y, Ts=1.0, valid=rng.random(120) > 0.1))
 
-    found = impulse_response(merge(parts), 5, kernel=None, integrator=False)
+    found = impulse_response(merge(parts), 5, None, negative_lags, integrator=False)
 
-    np.testing.assert_allclose(found.g, g, atol=1e-12)
+    np.testing.assert_allclose(found.g[negative_lags:], g, atol=1e-12)
+    np.testing.assert_allclose(found.g[:negative_lags], 0.0, atol=1e-12)
+    known = [part.valid[4 : 120 - negative_lags] for part in parts]
+    assert np.count_nonzero(known) == found.N
     np.testing.assert_allclose(found.band(), 1.959963984540054 * found.std)
-    assert found.lags.tolist() == [0, 1, 2, 3, 4]
+    assert found.lags.tolist() == [*range(-negative_lags, 5)]
 
 
 @pytest.mark.parametrize(
@@ -195,6 +203,7 @@ def test_negative_lags_show_feedback_and_only_feedback(second: Any) -> None:
     ]
 
     assert np.count_nonzero(shown.significant(0.99) < 0) >= 2
+    assert shown.first_lag(0.99) == 0 == next(k for k in shown.significant(0.99) if k >= 0)
     assert np.mean(alarms) < 0.25  # of 10 lags, 0.1 expected
 
 
@@ -216,6 +225,23 @@ def test_a_band_is_called_what_it_is(second: Any) -> None:
 
     assert "Bayesian (credible)" in repr(impulse_response(data, integrator=False))
     assert "confidence" in repr(impulse_response(data, kernel=None, integrator=False))
+
+
+@pytest.mark.parametrize("kernel", [None, "tc"])
+@pytest.mark.parametrize("p", [0.002, 0.3])
+@pytest.mark.parametrize(("last", "std"), [(0.019, 0), (-0.021, 0), (0.027, 0.01), (0.03, 0.01)])
+def test_doubts_about_a_band_are_those_of_its_kind(
+    kernel: Kernel | None, p: float, last: float, std: float
+) -> None:
+    """The last tenth counts, within 2 % or 4 deviations; least squares may leave a colour."""
+    g = np.append(np.ones(18), [last + 0.5, last - 0.5])
+
+    told = list(_warnings(g, std**2 * np.eye(20), kernel, Whiteness(p_value=p, test=LJUNG_BOX)))
+
+    short = "the response has not decayed at the last lags: give more lags (n)"
+    assert [x == short for x in told] == [True] * (last in (-0.021, 0.03)) + [False] * (
+        kernel == "tc" and p < 0.05
+    )
 
 
 def test_a_response_cut_off_says_so(second: Any) -> None:
@@ -250,6 +276,11 @@ def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
         impulse_response(data, kernel="rbf", integrator=False)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="needs at least 43 rows"):
         impulse_response(data, 40, kernel=None, integrator=False)
+    known = impulse_response(data, 5, "tc", 26, integrator=False)
+    assert known.N == 30
+    told = "n=5 with negative_lags=27 needs at least 30 rows .* got 29 of 60 samples"
+    with pytest.raises(ValueError, match=told):
+        impulse_response(data, 5, "tc", 27, integrator=False)
     with pytest.raises(ValueError, match="u is constant"):
         impulse_response(still, 20, kernel=None, integrator=False)
     with pytest.raises(ValueError, match="level=95 must lie between 0 and 1"):
@@ -270,6 +301,45 @@ def test_length_costs_no_memory(kernel: Kernel | None) -> None:
     tracemalloc.stop()
 
     assert peak < 30 * u.nbytes
+
+
+@pytest.mark.parametrize(
+    ("decays", "died", "asked", "chosen"),
+    [
+        ([0.5, 0.9, 0.9], [True] * 3, [20], 20),
+        ([0.99, 0.95, 0.9], [True] * 3, [20, 60], 60),  # 0.95^60 = 0.046
+        ([0.5, 0.5, 0.5], [False, True, True], [20, 60], 60),
+        ([0.9, 0.99, 0.995], [False, False, False], [20, 60, 100], 20),
+        ([0.9, 0.999, 0.995], [False, True, True], [20, 60, 100], 100),
+        ([0.9, 0.99, 0.995], [False, True, True], [20, 60, 100], 60),  # 0.547 and 0.606
+    ],
+)
+def test_the_first_number_of_lags_that_is_large_enough_is_taken(
+    decays: list[float],
+    died: list[bool],
+    asked: list[int],
+    chosen: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fifth of the known samples, here 100, is the largest number."""
+    numbers, tried = (20, 60, 100), []
+
+    def estimated(_: Dataset, n: int, **of: bool) -> Any:
+        tried.append(n)
+        i = numbers.index(n)
+        assert of == {"integrator": True}
+        return SimpleNamespace(
+            hyperparameters={"decay": decays[i]}, lags=np.arange(n), died_out=died[i]
+        )
+
+    monkeypatch.setattr(impulse, "impulse_response", estimated)
+    u = np.arange(600.0)
+    data = Dataset(u=u, y=u, Ts=1.0, valid=u % 6 > 0)
+
+    found = impulse.long_enough(data, (20, 60, 200, 400), integrator=True)
+
+    assert tried == asked
+    assert found.lags.size == chosen
 
 
 def test_two_experiments_count_as_two(arm: Any) -> None:

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.estimation.nonparametric.sampling_time import DIFFERENCED, nearest_125, sampling_time
+from armrig.estimation.nonparametric import sampling_time as sampling_time_module
+from armrig.estimation.nonparametric.sampling_time import (
+    DIFFERENCED,
+    SamplingTime,
+    _bandwidth,
+    _dead_time,
+    _from_impulse,
+    _notes,
+    _settled_steps,
+    nearest_125,
+    sampling_time,
+)
 from armrig.excitation import step, telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import times
@@ -34,8 +46,12 @@ def test_a_first_order_system_gets_what_the_rules_say(stepped: bool) -> None:
         else telegraph(3000, 0.05, 0.0, 5.0, seed=2)
     )
 
-    found = sampling_time(first_order(tau, Ts, u), integrator=False)
+    data = first_order(tau, Ts, u)
+    data = data.replaced(y=-data.y, step=None) if stepped else data
 
+    found = sampling_time(data, integrator=False)
+
+    assert found.gain == pytest.approx(1.0, rel=0.1)
     rule = 2 * np.pi / 20 * tau
     assert found.from_step is stepped
     assert found.Ts_step == pytest.approx(rule, rel=0.15)
@@ -149,6 +165,164 @@ def test_data_that_are_too_slow_say_so(sampled: Callable[[float], Any]) -> None:
 def test_a_recommendation_is_a_round_number(x: float, expected: float) -> None:
     """The number is the nearest of 1, 2 and 5 by ratio."""
     assert nearest_125(x) == expected
+
+
+def test_a_dead_time_belongs_to_no_rule() -> None:
+    """The transient and the 63 % time begin after it."""
+    u = telegraph(1000, 0.05, 0.0, 5.0, seed=2)
+    prompt = first_order(0.3, 0.03, u, 0.002)
+    late = prompt.replaced(y=np.append(np.zeros(8), prompt.y[:-8]), step=None)
+
+    (_, _, *times), (_, _, *delayed) = (_from_impulse(x, integrates=False) for x in (prompt, late))
+
+    assert times == pytest.approx([0.3, 0.9], rel=0.1)
+    assert delayed == pytest.approx(times, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("holds", "settling", "is_analysed"),
+    [
+        ([300, 100, 150, 100, 300], 9.9, True),
+        ([300, 100, 150, 100, 300], 10.1, False),  # longer than the shortest hold
+        ([300, 70, 150, 300], 1.0, False),  # a hold of less than half the longest
+        ([30, 200, 150, 20], 1.0, True),  # the first and the last hold are cut off
+        ([100, 400], 90.0, True),
+        ([500], 1.0, False),
+        ([48] * 20, 1.0, False),  # less than 50 samples for each hold
+    ],
+)
+def test_holds_are_steps_if_y_settles_in_each(
+    holds: list[int], settling: float, is_analysed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    u = np.repeat(np.arange(len(holds)) % 2.0, holds)
+    found = SimpleNamespace(settling=settling)
+    monkeypatch.setattr(sampling_time_module, "step_analysis", lambda *_, **__: found)
+
+    steps = _settled_steps(Dataset(u=u, y=u, Ts=0.1), integrates=False)
+
+    assert steps is (found if is_analysed else None)
+
+
+def _found(**of: Any) -> SamplingTime:
+    fields: dict[str, Any] = {
+        "Ts": 0.005, "tau": 0.0213, "omega_step": 46.9, "omega_first": 10.2, "omega_spectrum": 61.7,
+        "settling": 0.412, "settling_std": 0.031, "Ts_step": 0.0067, "Ts_spectrum": 0.0051,
+        "Ts_transient": (0.0412, 0.0589), "near_nyquist": 0.023, "beyond": 0.0007,
+        "from_step": True, "recorded_at": 0.002, "output": "the rate of theta_1", "t": np.zeros(2),
+        "response": np.zeros(2), "gain": 1.0, "omega": np.zeros(2), "power": np.zeros(2),
+        "spectrum": None, "source": "", "notes": ("one", "two"),
+    }  # fmt: skip
+    return SamplingTime(**(fields | of))
+
+
+def test_the_recommendation_is_told_line_by_line() -> None:
+    lines = repr(_found()).replace("\xa0", " ").splitlines()
+
+    assert lines == [
+        "sampling time: 5 ms recommended (from the rate of theta_1 at 2 ms, steps)",
+        "  step:      63 % time tau 21.3 ms, omega_B = 1/tau = 46.9 rad/s, omega_s = 20 omega_B: "
+        "Ts 6.7 ms",
+        "  spectrum:  -3 dB first at 10.2, last (omega_B) at 61.7 rad/s, omega_s = 20 omega_B: Ts "
+        "5.1 ms",
+        "  transient: 412 ± 31 ms to within 5 %, 10 to 7 samples in it: Ts 41.2 … 58.9 ms",
+        "  aliasing:  2.3 % of the power above 0.8 Nyquist now, 0.07 % above the "
+        "recommendation's Nyquist",
+        "  one",
+        "  two",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("of", "line", "text"),
+    [
+        ({"from_step": False}, 0, "at 2 ms, regularised impulse response)"),
+        ({"tau": 0.0019}, 1, "  step:      63 % time tau below a sample, 2 ms"),
+        ({"tau": 0.002}, 1, "63 % time tau 2 ms, omega_B = 1/tau = 46.9 rad/s"),
+        ({"omega_first": 61.72}, 2, "  spectrum:  -3 dB at 61.7 rad/s"),
+        ({"settling": 0.0019}, 3, "  transient: over within a sample"),
+        ({"settling_std": np.nan}, 3, "  transient: 412 ms to within 5 %"),
+        ({"settling": 1.23, "settling_std": 0.1}, 3, "  transient: 1.23 ± 0.10 s to within 5 %"),
+        ({"beyond": np.nan}, 4, "now, unknown above the recommendation's Nyquist"),
+    ],
+)
+def test_what_is_not_known_is_told_so(of: dict[str, Any], line: int, text: str) -> None:
+    assert text in repr(_found(**of)).replace("\xa0", " ").splitlines()[line]
+
+
+NOTES: list[tuple[dict[str, Any], list[str]]] = [
+    ({}, []),
+    ({"rules": (0.013, 0.07, 0.02)}, ["the rules differ by a factor 5.4: the response rises"]),
+    ({"rules": (0.013, 0.05, 0.02)}, []),
+    (
+        {"bandwidth": 130.0},
+        ["the bandwidth is 41 % of these data's Nyquist frequency: record at 2"],
+    ),
+    ({"bandwidth": 124.0}, []),
+    ({"near": 0.06}, ["6 % of the power is near Nyquist: noise or aliasing; compare with a fa"]),
+    ({"near": 0.05}, []),
+    ({"near": 0.4, "of": "y"}, ["40 % of the power is near Nyquist. If y has white noise, the d"]),
+    ({"near": 0.46, "of": "y"}, ["46 % of the power is near Nyquist: noise or aliasing"]),
+    ({"Ts": 0.005}, ["the recommended Ts is below the data's Ts"]),
+]
+
+
+@pytest.mark.parametrize(("of", "told"), NOTES)
+def test_notes_have_their_limits_and_numbers(of: dict[str, Any], told: list[str]) -> None:
+    fields = {
+        "Ts": 0.02, "now": 0.01, "rules": (0.03, 0.021, 0.04), "bandwidth": 50.0, "near": 0.01,
+        "seen": True, "of": "",
+    } | of  # fmt: skip
+
+    first, *notes = [x.replace("\xa0", " ") for x in _notes(**fields)]
+
+    names = ("the step's time constant", "the spectrum's bandwidth", "the transient")
+    least = int(np.argmin(fields["rules"]))
+    decides = f"{times(fields['rules'][least])} by {names[least]}".replace("\xa0", " ")
+    assert first.startswith(f"the shortest time decides, {decides}, rounded to ")
+    assert len(notes) == len(told)
+    assert all(note.startswith(text) for note, text in zip(notes, told, strict=True))
+    [unseen] = _notes(**(fields | {"seen": False}))
+    assert unseen.replace("\xa0", " ").startswith("63 % is reached within one sample of 10 ms, so")
+
+
+def test_the_band_ends_where_the_response_falls_for_the_first_and_for_the_last_time() -> None:
+    """A notch lies in between, and noise beyond; each crossing is between two frequencies."""
+    omega = np.arange(1.0, 11.0)
+    magnitude = np.array([1.0, 1.0, 0.8, 0.4, 0.3, 0.8, 0.9, 0.5, 0.2, 0.75])
+    std = np.full(10, 0.02)
+    level = np.sqrt(0.5)
+    first, last = 3 + (0.8 - level) / 0.4, 7 + (0.9 - level) / 0.4
+
+    def band(gain: float = 1.0, *, coherence: Any = None, G: Any = magnitude) -> Any:
+        spectrum: Any = SimpleNamespace(
+            G=G, magnitude=np.abs(G), omega=omega, std_magnitude=std, coherence=coherence
+        )
+        return _bandwidth(spectrum, gain)
+
+    assert band() == pytest.approx((first, last))
+    assert band(0.2) == (10.0, 10.0)
+    assert band(2.0) == (1.0, 1.0)
+    coherence = np.where(omega < 6, 1.0, 0.0)
+    assert band(coherence=coherence) == pytest.approx((first, first))
+    unknown = np.where(omega == 4, np.nan, magnitude)
+    assert band(G=unknown)[0] == pytest.approx(3 + 2 * (0.8 - level) / 0.5)
+    peak = np.where(omega == 10, 0.79, magnitude)  # 4 deviations, but not 5, above the level
+    assert band(G=peak)[1] == 10.0
+
+
+@pytest.mark.parametrize(("dead", "power"), [(0.0, 1), (0.0, 2), (0.31, 1), (0.52, 2)])
+def test_a_dead_time_is_that_of_the_rise_or_none(dead: float, power: int) -> None:
+    """Near 0 it is no dead time."""
+    t = 0.05 * np.arange(40)
+    y = np.maximum(t - dead, 0) ** power
+    y /= 2 * np.interp(1.2, t, y)
+    y += 2e-3 * np.random.default_rng(1).standard_normal(40)
+
+    found, (low, high) = _dead_time(t, y, 1.2, 0.05)
+
+    assert low - 0.01 <= dead <= high + 0.01
+    assert high - low < 0.2
+    assert found == (0.0 if dead == 0 else pytest.approx(dead, abs=0.03))
 
 
 def _telegraph(N: int = 1200) -> NDArray[np.float64]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.estimation.nonparametric.spectral import spa
+from armrig.estimation.nonparametric.spectral import _estimate, spa, spectral_reference
+from armrig.estimation.nonparametric.welch import Spectra, explained
 from armrig.numerics.polynomial import filtered
 
 from tests.sampling import sampled
@@ -159,6 +161,27 @@ def test_a_known_delay_is_aligned(second: Any) -> None:
     assert np.all(loose.magnitude < 0.8 * prompt.magnitude)
 
 
+@pytest.mark.parametrize("method", ["blackman-tukey", "welch"])
+def test_missing_samples_are_advanced_with_the_output(
+    second: Any, method: Literal["blackman-tukey", "welch"]
+) -> None:
+    """The estimate is that of the data without the first samples of y and the last of u."""
+    whole = second.dataset(np.random.default_rng(7), 300, std=0.1)
+    valid = np.arange(300) % 60 != 11
+    late = Dataset(u=whole.u, y=whole.y, Ts=0.5, valid=valid, starts=(0, 100, 296))
+    parts = [
+        Dataset(u=whole.u[a : b - 7], y=whole.y[a + 7 : b], Ts=0.5, valid=valid[a + 7 : b])
+        for a, b in ((0, 100), (100, 296))
+    ]
+    omega = 2 * OMEGA
+
+    found = spa(late, 12, omega, method=method, delay=7, integrator=False)
+
+    expected = spa(merge(parts), 12, omega, method=method, integrator=False)
+    assert found.N == expected.N == 282 - 5
+    np.testing.assert_allclose(found.G, expected.G * np.exp(-7j * omega * 0.5), rtol=1e-9)
+
+
 def test_missing_samples_and_several_experiments_give_the_same_response(second: Any) -> None:
     rng = np.random.default_rng(3)
     whole = second.dataset(rng, 3000, missing=0.0, std=0.3)
@@ -198,6 +221,85 @@ def test_the_rate_of_a_response_is_its_difference(arm: Any) -> None:
 
     np.testing.assert_allclose(rate.G, found.G * (1 - np.exp(-1j * found.omega * 0.01)) / 0.01)
     assert (rate.output, rate.unit) == ("velocity", "rad/s")
+
+
+@pytest.mark.parametrize(("N", "window"), [(100, 10), (1200, 120), (3500, 300)])
+def test_the_reference_of_a_model_has_a_long_window(second: Any, N: int, window: int) -> None:
+    """A tenth of the samples, at most 300; it begins at the lowest resolved frequency."""
+    data = second.dataset(np.random.default_rng(4), N)
+    data = Dataset(u=data.u, y=data.y, Ts=0.5)
+
+    found = spectral_reference(data)
+
+    assert f"gamma {window} samples" in found.method
+    np.testing.assert_allclose(found.omega, np.geomspace(4 * np.pi / window, 2 * np.pi, 40))
+
+
+@pytest.mark.parametrize(
+    ("power", "averages", "notes"),
+    [
+        ([4.0, 0, 2, 1, 1], [9.0], []),
+        ([4.0, 3e-8, 2, 0, 1], [9.0], ["u has no power at 2 of 5 frequencies: G is NaN there"]),
+        ([4.0, 1, 2, 1, 1], [9.0, 8.0], []),
+        (
+            [4.0, 1, 2, 1, 1],
+            [9.0, 3.25],
+            ["only 3.2 independent averages: too few"],
+        ),
+    ],
+)
+def test_frequencies_without_power_and_few_averages_are_told(
+    power: list[float], averages: list[float], notes: list[str]
+) -> None:
+    u, one = np.array(power), np.ones(5)
+    u[1] = u[1] or 5e-8
+    spectra = Spectra(
+        u=u, y=one, yu=0.5 * u + 0j, averages=np.resize(averages, 5), reality=0 * one, noise=one
+    )
+    data = Dataset(u=one, y=one, Ts=0.5)
+
+    found = _estimate(data, np.arange(5.0), spectra, "m", 5, integrates=False, notes=["first"])
+
+    first, *told = found.notes
+    assert first == "first"
+    assert len(told) == len(notes)
+    assert all(x.startswith(note) for x, note in zip(told, notes, strict=True))
+    assert np.isnan(found.G).tolist() == (u <= 4e-8).tolist()
+
+
+def test_frequencies_are_sorted(second: Any) -> None:
+    data = second.dataset(np.random.default_rng(4), 200)
+
+    found = spa(data, 20, [2.0, 0.5, 1.0], integrator=False)
+
+    assert found.omega.tolist() == [0.5, 1.0, 2.0]
+    np.testing.assert_array_equal(found.G, spa(data, 20, [0.5, 1, 2], integrator=False).G)
+    with pytest.raises(ValueError, match=r"omega from 0\.5 to 4 rad/s is outside 0 to 3\.14"):
+        spa(data, 20, [0.5, 4.0, 1.0], integrator=False)
+
+
+@pytest.mark.parametrize(
+    ("coherence", "found"),
+    [
+        ([0.0, 0.9, 0.1, 0.9, 0.9, 0.3], [1, 2, 4]),
+        ([0.9, 0.9, np.nan, 0.9, 0.2, 0.9], [0, 1, 2, 4, 5]),
+        ([0.1, 0.9, 0.9, 0.2, 0.0, 0.0], "two frequencies"),
+        ([0.0] * 6, "no frequency"),
+        (None, "no frequency"),
+    ],
+)
+def test_what_the_input_explains_is_a_range(coherence: Any, found: list[int] | str) -> None:
+    """G is not known at the frequency with index 3."""
+    G = np.array([1, 1, 1, np.nan, 1, 1])
+    spectrum: Any = SimpleNamespace(
+        coherence=None if coherence is None else np.array(coherence), G=G
+    )
+
+    if isinstance(found, str):
+        with pytest.raises(ValueError, match=f"u explains y at {found} .*and 3 are needed"):
+            explained(spectrum)
+    else:
+        assert explained(spectrum).tolist() == found
 
 
 def test_what_cannot_be_estimated_is_refused(second: Any) -> None:

@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_analysis
+from armrig.data.treatment.wrong_samples import quantum
+from armrig.estimation.nonparametric import step_analysis as step_analysis_module
+from armrig.estimation.nonparametric.step_analysis import (
+    StepAnalysis,
+    _alone,
+    _averaged,
+    _hidden,
+    _lag,
+    _left_to_settle,
+    _Steps,
+    _steps,
+    _warnings,
+    step_analysis,
+)
+from armrig.estimation.nonparametric.step_answer import Answer, _reached, _settled
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import with_std
 from armrig.recordings.example import example_recording
@@ -57,8 +72,13 @@ def test_a_first_order_system_is_read_off(down: bool) -> None:
     assert found.overshoot == pytest.approx(0.0, abs=1e-3)
 
 
-def test_dead_time_counts_for_itself() -> None:
-    found = step_analysis(first_order(dead=8, std=0.01), integrator=False)
+def test_dead_time_counts_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(step_analysis_module, "_lag", lambda *_, **__: (0.3, 0.0))
+        found = step_analysis(first_order(dead=8, std=0.01), integrator=False)
+    low, high = found.dead_time_interval
+    assert found.equivalent_time == pytest.approx(0.3 - found.dead_time)
+    assert found.equivalent_time_std == pytest.approx((high - low) / 4)
     unclaimed = step_analysis(first_order(dead=8, std=0.05), integrator=False)
 
     assert found.dead_time == pytest.approx(0.08, abs=0.015)
@@ -94,6 +114,184 @@ def test_the_arm_is_analysed_by_its_velocity(arm: Any) -> None:
     assert found.tau == pytest.approx(0.0217, abs=0.002)
     assert found.dead_time == 0.0
     assert "rad/s/V" in repr(found)
+    assert repr(found).startswith("step analysis of the rate of theta_1, 9 steps, Ts 0.01 s")
+
+
+def test_long_holds_are_averaged_over_what_all_have() -> None:
+    """A hold of less than half the longest, or with 7 known samples, makes no step."""
+    u = np.repeat([0.0, 2.0, 1.0, 5.0, 1.0], [30, 40, 15, 25, 22])
+    valid = np.ones(u.size, dtype=np.bool_)
+    valid[7:30] = False  # 7 known samples before the first step
+    other = np.repeat([1.0, -1.0], [36, 33])
+    data = merge([Dataset(u=u, y=u, Ts=TS, valid=valid), Dataset(u=other, y=other, Ts=TS)])
+
+    assert _steps(data) == _Steps([(0, 110), (1, 36)], 25, 22)
+    valid[7] = True  # the level before this step is not known
+    data = merge([Dataset(u=u, y=u, Ts=TS, valid=valid), Dataset(u=other, y=other, Ts=TS)])
+    assert _steps(data) == _Steps([(0, 110), (1, 36)], 25, 22)
+
+
+@pytest.mark.parametrize("slope", [False, True])
+def test_a_large_step_weighs_as_the_square_of_its_size(slope: bool) -> None:
+    """The weighted mean is the least-squares response of a unit step."""
+    u = np.repeat([1.0, 4.0, 2.0], [20, 24, 24])
+    t = np.arange(u.size)
+    y = 3.0 + 0.5 * t * slope
+    y[20:44] += 3 * np.arange(24.0)
+    y[44:] += 4.0 - 2 * np.arange(24.0) + (72.0 - 4.0 if slope else 0)
+    y[50] = np.nan
+    data = Dataset(u=u, y=y, Ts=TS, valid=np.isfinite(y))
+    steps = _Steps([(0, 20)], 20, 24)
+    both = _Steps([(0, 20), (0, 44)], 10, 24)
+
+    k, mean, weight = _averaged(data, steps, slope=slope)
+    _, _, of_both = _averaged(data, both, slope=slope)
+
+    np.testing.assert_allclose(mean[k >= 0], np.arange(24.0), atol=1e-9)
+    np.testing.assert_allclose(mean[k < 0], 0.0, atol=1e-9)
+    np.testing.assert_array_equal(weight, 9.0)
+    np.testing.assert_array_equal(of_both, np.where(np.arange(-10, 24) == 6, 9.0, 13.0))
+
+
+@pytest.mark.parametrize(
+    ("missing", "crossing", "expected"),
+    [
+        ([(1, 2)], 0.1, None),  # a single sample
+        ([(1, 3)], 0.03, (0.0, 0.03)),
+        ([(2, 5), (7, 8)], 0.05, (0.01, 0.05)),
+        ([(2, 5), (6, 10)], 0.05, (0.05, 0.1)),
+        ([(2, 5), (7, 11)], 0.05, (0.01, 0.05)),  # the longer begins after the rise
+        ([(2, 4)], 0.5, None),  # short for so slow a rise
+        ([(-5, -2)], 0.05, None),  # before the step
+    ],
+)
+def test_the_longest_gap_on_the_rise_is_from_known_sample_to_known_sample(
+    missing: list[tuple[int, int]], crossing: float, expected: tuple[float, float] | None
+) -> None:
+    k = np.arange(-10, 40)
+    y = np.ones(k.size)
+    for a, b in missing:
+        y[(k >= a) & (k < b)] = np.nan
+
+    found = _hidden(y, k, crossing, 0.01)
+
+    assert found == (None if expected is None else pytest.approx(expected))
+
+
+def test_a_sample_is_alone_between_gaps_of_two_samples_or_more() -> None:
+    known = np.array([c == "#" for c in "##..#..#.#..##..#"])
+
+    assert np.flatnonzero(_alone(known)).tolist() == [4]
+
+
+@pytest.mark.parametrize(("slope", "noise"), [(0.02, 0.0), (-0.02, 0.001), (0.0, 0.1)])
+def test_motion_before_the_step_counts_up_to_the_63_per_cent_time(
+    slope: float, noise: float
+) -> None:
+    k = np.arange(-40, 60)
+    y = slope * k + noise * np.random.default_rng(1).standard_normal(100)
+    y[20:24] = np.nan
+    y[:19] = 5.0  # before the second half of the hold
+
+    left = _left_to_settle(y, k, _Steps([(0, 40)], 40, 60), 12.0)
+
+    assert left == pytest.approx(12 * slope, abs=5e-3)
+
+
+def test_the_rounding_of_an_angle_is_divided_by_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps of 3 and -4 weigh as one of 5."""
+    u = np.repeat([1.0, 4.0, 0.0], [30, 30, 30])
+    y = 0.02 * np.round(np.cumsum(u) / 7)
+    data = Dataset(u=u, y=y, Ts=0.1)
+    given: dict[str, Any] = {}
+    monkeypatch.setattr(step_analysis_module, "lag_of_angle", lambda *_, **of: given.update(of))
+    k = np.arange(-20, 30)
+
+    _lag(np.zeros(50), k, data, _Steps([(0, 30), (0, 60)], 20, 30), (1.0, 0.1), integrates=True)
+
+    assert quantum(data) == pytest.approx(0.02)
+    assert given == {"before": (11, pytest.approx(1.1)), "rounding": pytest.approx(0.02 / 5)}
+
+
+def test_a_curve_crosses_and_settles_between_its_samples() -> None:
+    """The last curve reaches 63 % at its first sample."""
+    t = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
+    share = 1 - np.exp(-1)
+    curves = np.array(
+        [[0, 0.2, 0.4, 1.2, 1.0], [0.5, 1.5, 0.9, 1.0, 1.0], [2 * share, 1.04, 1.0, 0.96, 1.0]]
+    ).T
+
+    np.testing.assert_allclose(
+        _reached(t, curves), [0.3 + 0.1 * (share - 0.4) / 0.8, 0.1 + 0.1 * (share - 0.5), 0.05]
+    )
+    np.testing.assert_allclose(_settled(t, curves, 0.05), [0.45, 0.35, 0.15])
+
+
+def _answer_of(delays: Any, none: float) -> Answer:
+    curves = np.linspace(0.2, 0.4, 400)
+    return Answer(
+        t=np.array([0.1, 0.2, 0.3]), y=np.array([0.5, 1.1, 1.0]), std=np.zeros(3),
+        crossings=curves, delays=np.asarray(delays, float), settlings=np.linspace(0.5, 0.9, 400),
+        peaks=np.full(400, 1.3), none=none,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("none", "dead_time"), [(0.0, 0.1), (0.0099, 0.1), (0.01, 0.0), (0.9, 0)])
+def test_a_dead_time_is_told_from_a_certainty_of_99_per_cent_on(
+    none: float, dead_time: float
+) -> None:
+    """It is the median of the curves that have one."""
+    answer = _answer_of([0.0] * 201 + [0.1] * 100 + [0.05] * 99, none)
+
+    assert answer.dead_time == dead_time
+    assert answer.crossing == pytest.approx(0.3)
+    off = np.abs(answer.crossings - answer.delays - (0.3 - dead_time))
+    assert np.mean(off <= answer.tau_std) == pytest.approx(0.683, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("of", "told"),
+    [
+        ({}, ""),
+        (
+            {"hidden": (0.012, 0.031)},
+            "y is missing 12 … 31 ms after the step, on the rise, so the ",
+        ),
+        (
+            {"unsettled": -0.006},
+            "the output had not settled before the step: the remaining motion ",
+        ),
+        ({"unsettled": 0.005}, ""),
+        ({"tail": np.linspace(0.96, 1.06, 60)}, "the response has not settled in the last third"),
+        ({"tail": np.linspace(0.985, 1.015, 60)}, ""),
+        ({"tail": 1 + 0.3 * (-1.0) ** np.arange(61)}, ""),
+        ({"crossing": 0.029}, "63 % is reached within 2.9 samples, which is coarse: record with"),
+        ({"crossing": 0.03}, ""),
+    ],
+)
+def test_each_doubt_has_its_limit_and_its_numbers(of: dict[str, Any], told: str) -> None:
+    fields = {"tail": np.ones(30), "unsettled": 0.0, "hidden": None, "crossing": 0.05} | of
+    answer: Any = SimpleNamespace(crossing=fields.pop("crossing"), tau_std=0.0042, settling_std=9.0)
+    data = Dataset(u=np.ones(9), y=np.ones(9), Ts=0.01)
+
+    said = [x.replace("\xa0", " ") for x in _warnings(**fields, answer=answer, data=data)]
+
+    assert [x.startswith(told) for x in said] == ([True] if told else [])
+    assert all("known only to ± 4.2 ms; record" in x for x in said if "missing" in x)
+    assert all("was 0.6 % of the response" in x for x in said if "motion" in x)
+
+
+def test_numbers_of_curves_are_medians_and_their_scatter() -> None:
+    answer = _answer_of([*np.linspace(0, 0.01, 200), *np.linspace(0.01, 0.9, 200)], 0.5)
+    low, high = answer.dead_time_interval
+
+    assert low == 0.0
+    assert np.mean(answer.delays <= high) == pytest.approx(0.95, abs=0.003)
+    late = _answer_of(0.9 - answer.delays, 0.0)
+    assert late.dead_time_interval == pytest.approx((0.9 - high, 0.9))
+    assert answer.settling == pytest.approx(0.7)
+    assert answer.settling_std == pytest.approx(np.hypot(0.683 * 0.2, 0.1 / np.sqrt(12)), rel=5e-3)
+    assert answer.overshoot == pytest.approx((0.1, 0.2))
 
 
 def test_steps_of_several_experiments_are_averaged_and_holes_left_out() -> None:
@@ -197,6 +395,8 @@ def test_a_step_without_a_known_level_before_it_is_left_out(integrator: bool) ->
     found = step_analysis(merge([part, whole]), integrator=integrator)
 
     assert found.steps == 1
+    of = "the rate of y" if integrator else "y"
+    assert repr(found).startswith(f"step analysis of {of}, 1 step, Ts 0.01 s")
     assert found.tau == pytest.approx(TAU, rel=0.1)
     with pytest.raises(InputError, match=r"y.* has fewer than 2 samples .* u's 1 step: record"):
         step_analysis(part, integrator=integrator)
