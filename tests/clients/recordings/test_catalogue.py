@@ -16,7 +16,7 @@ import pyarrow.parquet
 import pytest
 from armrig.recordings import catalogue as catalogue_module
 from armrig.recordings import recording_summary
-from armrig.recordings.catalogue import COLUMNS, catalogue, facts_of
+from armrig.recordings.catalogue import COLUMNS, catalogue, facts_of, may_answer_to
 from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import OUTCOME, RUN, Outcome
 from armrig_core.recording_file.budget import DamageError
@@ -163,6 +163,41 @@ def test_only_what_is_new_or_changed_is_opened_again(folder: Path, opened: list[
     new = made(folder, 9)
     assert catalogue(folder).recordings[0].path == new
     assert opened == [new.name]
+
+
+def test_the_index_is_written_again_only_for_enough_new_files(
+    folder: Path, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(catalogue_module, "WORTH_KEEPING", 2)
+    catalogue(folder)
+    [index] = index_files(tmp_path)
+    written_ns = index.stat().st_mtime_ns
+    rewritten = []
+
+    for number in (7, 8, 9):
+        made(folder, number)
+        catalogue(folder)
+        rewritten.append(index.stat().st_mtime_ns != written_ns)
+
+    assert rewritten == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "validation", "may"),
+    [
+        ("1-blackbox-20261120T050000-0000000a.mcap", "0000000a", False, True),
+        ("1-blackbox-20261120T050000-0000000a.mcap", "blackbox", False, True),
+        ("1-blackbox-20261120T050000-0000000a.mcap", "monday", False, False),
+        ("1-blackbox-20261120T050000-0000000a.mcap", "0000000a", True, False),
+        ("1-blackbox-validation-20261120T050000-0000000b.mcap", "0000000a", True, True),
+        ("mine.mcap", "0000000a", False, True),
+        ("mine.mcap", "0000000a", True, True),
+    ],
+)
+def test_only_a_file_that_the_daemon_named_otherwise_need_not_be_opened(
+    file: str, name: str, validation: bool, may: bool
+) -> None:
+    assert may_answer_to(Path(file), name, validation=validation) is may
 
 
 def renamed(path: Path) -> str:
