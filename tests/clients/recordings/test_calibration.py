@@ -18,7 +18,7 @@ from armrig.recordings.calibration import (
 from armrig.recordings.calibration.estimate import sign_by_hand
 from armrig.recordings.calibration.motor import TerminalVoltage, speeds, terminal_voltage
 from armrig.recordings.calibration.readings import mean_reading, rounding_variance, spread
-from armrig.recordings.calibration.rotation import Turning, turning
+from armrig.recordings.calibration.rotation import Turning, _bracketed, turning
 from armrig_core.calibration import Calibration, Figure, Made, Potentiometer
 from armrig_core.errors import InputError
 from hypothesis import given, settings
@@ -119,6 +119,11 @@ def test_a_voltage_at_which_one_sample_shows_an_angle_is_refused() -> None:
 
     with pytest.raises(InputError, match="too few angles at one of the voltages"):
         turning(replace(readings, theta_1=theta_1), 64.0)
+
+
+def test_an_edge_is_anywhere_between_two_readings_with_equal_probability() -> None:
+    """A uniform distribution over 12 counts has the variance 12; that of the turn is added."""
+    assert _bracketed((10.0, 22.0), 4.0) == Figure(value=16.0, std=4.0)
 
 
 def test_a_worn_track_is_reported() -> None:
@@ -226,6 +231,22 @@ def test_without_a_motor_zeros_are_found_and_the_sign_by_hand() -> None:
     assert "theta_1_rad_per_count" not in calibration.made.figures
 
 
+@pytest.mark.parametrize("counts", [3000.0, -3000.0])
+@pytest.mark.parametrize("rad_per_count", [1e-4, -1e-4])
+def test_a_hand_that_deflects_the_arm_for_a_while_determines_its_sign(
+    counts: float, rad_per_count: float
+) -> None:
+    """Then the arm hangs again, or swings a little to the other side."""
+    rest = Figure(value=20_000.0, std=1.0)
+    alpha = np.full(300, rest.value)
+    alpha[100:200] += counts
+    alpha[200:250] -= counts / 10
+
+    held = replace(still(), alpha=alpha)
+
+    assert sign_by_hand(held, rest, rad_per_count) == np.sign(counts)
+
+
 def test_a_hand_that_only_touches_the_arm_says_nothing() -> None:
     rest = Figure(value=20_000.0, std=1.0)
     touched = replace(still(), alpha=still().alpha + 100)
@@ -298,7 +319,10 @@ def test_a_driver_above_the_rig_s_limit_is_reported_with_the_limit_to_set() -> N
     """The driver gives 5.3 V at the code of 5 V."""
     strong = estimate(still(), meter=[(1.0, 1.06)]).warnings
     weak = estimate(still(), meter=[(1.0, 0.98)]).warnings
+    shifted = estimate(still(), meter=[(1.0, 1.15), (4.0, 4.3)]).warnings  # 0.1 V + 1.05 u
 
+    assert "a code of 5 V applies 5.35 V to the motor" in " ".join(shifted)
+    assert "set limits.u_max_v = 4.67 or less" in " ".join(shifted)
     assert "applies 5.30 V" in " ".join(strong)
     assert "set limits.u_max_v = 4.72 or less" in " ".join(strong)
     assert "u_max_v" not in " ".join(weak)
@@ -330,6 +354,7 @@ def test_the_samples_are_compact_and_come_back_to_the_bit() -> None:
         (Calibration(), {}, "was not calibrated"),
         (Calibration(made=MADE), {}, ""),
         (Calibration(made=MADE), {"device": {"uid": "0002"}}, "of another device: .* 0001"),
+        (Calibration(made=MADE), {"device": {"uid": "0002"}, "rig": "2"}, "of another device"),
         (Calibration(made=MADE), {"rig": "2"}, "of rig 1, and the recording is of rig 2"),
         (Calibration(made=MADE), {"started": "2026-12-02T00:00:01+00:00"}, "31 days old"),
         (Calibration(made=MADE), {"started": "2026-10-01T00:00:00+00:00"}, ""),
