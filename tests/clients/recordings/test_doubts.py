@@ -8,6 +8,7 @@ from typing import Any
 
 import armrig
 import msgspec
+import numpy as np
 import pytest
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import all_doubts
@@ -59,6 +60,18 @@ def test_each_doubt_says_what_and_which_file(sound: Recording) -> None:
         assert told_of_both == ([] if "two plants" in text else [text])
         assert said in text
         assert sound.path.name in text
+
+
+@pytest.mark.parametrize(("fall", "is_reversed"), [(0.0, False), (0.49, False), (0.51, True)])
+def test_an_angle_may_fall_by_half_a_radian(
+    sound: Recording, fall: float, is_reversed: bool
+) -> None:
+    """A chassis at rest, or one that a hand has touched, shows no direction."""
+    theta_1 = np.linspace(1.0, 1.0 - fall, sound.N)
+    ends = np.r_[np.nan, theta_1, np.nan][: sound.N + 1]
+
+    assert bool(all_doubts([replace(sound, theta_1=theta_1)])) is is_reversed
+    assert bool(all_doubts([replace(sound, theta_1=ends)])) is is_reversed
 
 
 def test_a_reversed_sensor_and_too_few_samples_are_reported(

@@ -16,7 +16,7 @@ from armrig.recordings.channels import turns_unknown
 from armrig.recordings.export import columns
 from armrig.recordings.jitter import disturbances, fastest_rate, intervals_us, sampling_statistics
 from armrig.recordings.loading import load
-from armrig.recordings.overview import overview
+from armrig.recordings.overview import Overview, overview
 from armrig.recordings.published import published
 from armrig.recordings.recording import Recording
 from armrig.recordings.recording_summary import summary_of
@@ -28,6 +28,7 @@ from armrig.recordings.verification import (
     check_timing,
 )
 from armrig_core import protobuf
+from armrig_core.codes import OutcomeCode
 from armrig_core.manifest import Outcome
 from armrig_core.telemetry import decode_sample
 
@@ -151,7 +152,8 @@ def test_its_sampling_is_measured_by_the_devices_clock(odd: Recording) -> None:
 
 
 @pytest.mark.parametrize(
-    ("start", "stop"), [(2.9, 3.4), (1.0, 2.1), (9.9, 14.2), (25.0, None), (0.0, 0.15)]
+    ("start", "stop"),
+    [(2.9, 3.4), (1.0, 2.1), (1.25, 2.1), (5.0, 14.0), (9.9, 14.2), (25.0, None), (0.0, 0.15)],
 )
 def test_a_part_has_the_rows_of_its_time(
     path: Path, odd: Recording, start: float, stop: float | None
@@ -169,6 +171,9 @@ def test_a_part_has_the_rows_of_its_time(
     until = end * TS
     assert [e.t for e in part.events] == [t for t in (2.05, 10.5, 19.5) if start <= t < until]
     assert [c.t for c in part.clock] == [t for t in (1.25, 5.0, 20.0) if start <= t < until]
+    assert [r.t for r in part.timing] == [
+        t for t in (1.0, 2.0, 3.0, 4.0, 5.0) if start <= t < until
+    ]
 
 
 def test_what_was_published_comes_in_its_order(path: Path) -> None:
@@ -216,6 +221,18 @@ def test_its_columns_and_its_summary_are_its_own(path: Path, odd: Recording) -> 
     assert names == {"20261119T050000Z-0dad", "odd", "blackbox-odd"}
     assert "odd" not in summary.names(validation=False)
     assert summary.size == path.stat().st_size
+
+
+def test_only_a_run_that_came_to_its_end_is_complete(path: Path) -> None:
+    summary = summary_of(path)
+
+    complete = [
+        code
+        for code in OutcomeCode
+        if msgspec.structs.replace(summary, outcome_code=code).is_complete
+    ]
+
+    assert complete == ["complete"]
 
 
 def test_its_row_of_a_catalogue_is_its_own(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,6 +283,13 @@ def test_a_first_look_reports_the_drift_of_each_experiment(odd: Recording) -> No
     assert rows["drift, alpha 1"].startswith("no significant drift: ")
     assert rows["drift, alpha 2"].startswith("no significant drift: ")
     assert rows["drift, alpha 3"].startswith("a drift: 0.05 ± ")
+
+
+def test_a_chassis_that_swings_has_turned_between_its_extremes(odd: Recording) -> None:
+    swinging = np.where(odd.valid, 4.0 * np.sin(tau * odd.t / 13.0), np.nan)
+    found = Overview(recording=replace(odd, theta_1=swinging), outliers={}, drift={}, reasons={})
+
+    assert dict(found.rows())["theta_1"].startswith("the chassis turned 1.3 times, at ")
 
 
 def test_an_outlier_is_reported_at_its_own_time(odd: Recording) -> None:
@@ -390,7 +414,7 @@ def test_outliers_are_searched_where_the_input_changes_twenty_times(
 def test_the_first_figure_shades_what_is_missing_half_a_sample_either_way(odd: Recording) -> None:
     found = replace(overview(odd), outliers={"alpha": odd.t[[33, 451]]})
 
-    input_, _, _, of_alpha = found.plot().axes
+    input_, of_theta_1, of_rate, of_alpha = found.plot().axes
 
     shaded = [(p.get_x(), p.get_x() + p.get_width()) for p in of_alpha.patches]
     lost = {
@@ -408,6 +432,16 @@ def test_the_first_figure_shades_what_is_missing_half_a_sample_either_way(odd: R
     ring = of_alpha.lines[1].get_xydata()
     np.testing.assert_allclose(ring, np.column_stack([odd.t, odd.alpha])[[33, 451]])
     assert [len(input_.lines[0].get_xdata()), *input_.get_xlim()] == pytest.approx([518, 0, 25.85])
+    rate = np.diff(odd.theta_1, prepend=np.nan) / TS
+    for panel, y, valid in (
+        (input_, odd.u, odd.valid & odd.valid_alpha),
+        (of_theta_1, odd.theta_1, odd.valid),
+        (of_rate, rate, odd.valid),
+    ):
+        np.testing.assert_allclose(panel.lines[0].get_ydata(), y)
+        begins, ends = np.flatnonzero(np.diff(~valid, prepend=False, append=False)).reshape(-1, 2).T
+        drawn = [(p.get_x(), p.get_x() + p.get_width()) for p in panel.patches]
+        assert drawn == pytest.approx((np.column_stack([begins, ends]) - 0.5) * TS)
 
 
 def test_a_cut_file_reports_the_time_that_it_holds_with_what_is_missing_in_it(path: Path) -> None:

@@ -24,7 +24,7 @@ from armrig.recordings.jitter import disturbances, sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig_core import protobuf, telemetry
-from armrig_core.calibration import Calibration, Potentiometer
+from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.codes import GapCode
 from armrig_core.errors import FileError
 from armrig_core.manifest import INPUT, RUN, Manifest, Outcome
@@ -116,6 +116,27 @@ def test_gaps_events_and_timing_are_reported_in_seconds_from_the_first_sample(
     assert rec.timing[0].t == pytest.approx(10 * TS, abs=1e-4)
     assert rec.timing[0].wake_lateness_us.p50 == 3.0
     assert rec.notes == ()
+
+
+def test_each_level_of_an_event_has_its_name(tmp_path: Path) -> None:
+    names = ["unknown", "debug", "info", "warning", "error", "fatal"]
+    events = [event(k, "said") for k in range(8)]
+    for level, one in enumerate(events):
+        one.level = level
+
+    rec = load(written(tmp_path, recorded([sample(0), *events])))
+
+    assert [e.level for e in rec.events] == [*names, "6", "7"]
+
+
+def test_the_driver_s_line_holds_at_every_voltage_but_0(tmp_path: Path) -> None:
+    volts = np.array([0.0, 0.01, 0.1, 2.0, 0.0, 5.0])
+    driven = Calibration(driver=Driver(gain=0.9, offset_v=0.2))
+    samples = [sample(k, u_applied_v=u) for k, u in enumerate(volts.tolist())]
+
+    rec = load(written(tmp_path, recorded(samples, calibration=driven)))
+
+    np.testing.assert_allclose(rec.u, [0.0, 0.209, 0.29, 2.0, 0.0, 4.7])
 
 
 def test_a_note_is_known_by_its_field_and_never_read_as_a_line_of_the_daemon(
@@ -247,6 +268,20 @@ def test_a_file_that_was_changed_is_not_called_cut_off(tmp_path: Path) -> None:
     rec, _ = tried(written(tmp_path, bytes(whole)))
 
     assert rec is None or (rec.truncated and not rec.cut_off)
+
+
+@pytest.mark.parametrize("change", ["a chunk", "a checksum", "the end"])
+def test_samples_before_a_change_are_kept_and_not_called_cut_off(
+    tmp_path: Path, change: str
+) -> None:
+    whole = bytearray(recorded([sample(k) for k in range(30)], flush_every=10))
+    last, end = whole.rindex(b"zstd"), whole.index(struct.pack("<BQ", 0x0F, 4))
+    whole[{"a chunk": last + 20, "a checksum": end + 9, "the end": end}[change]] ^= 0x40
+
+    rec = load(written(tmp_path, bytes(whole)))
+
+    assert rec.N == (20 if change == "a chunk" else 30)
+    assert (rec.truncated, rec.cut_off) == (True, False)
 
 
 def test_a_run_that_was_cut_off_is_as_long_as_is_known(tmp_path: Path) -> None:
@@ -647,6 +682,21 @@ def test_a_flood_of_messages_ends_the_reading(
 
     assert rec.N == 1
     assert "messages other than samples" in rec.damage
+
+
+def test_a_stream_of_any_length_is_read_message_by_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The limit is on the messages that are in memory at the same time."""
+    monkeypatch.setattr(budget, "MESSAGES_LIMIT", 10_000)
+    monkeypatch.setattr(budget, "MESSAGES_PER_BYTE", 0)
+    messages = [sample(0), *(timing(k) for k in range(40))]
+    path = written(tmp_path, recorded(messages, flush_every=2))
+
+    times = [message.t_host_ns for message in container.streamed(path, "timing")]
+
+    assert times == [timing(k).t_host_ns for k in range(40)]
+    assert len(load(path).timing) < 40
 
 
 def test_a_small_file_cannot_cost_hours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -267,6 +267,11 @@ def test_a_step_is_made_again_at_one_time_whichever_way_the_angle_counts(tmp_pat
 
     assert len(found) >= 2
     assert mirrored == [hidden for _, hidden in found]
+    for r, hidden in found:
+        ends = [100 + round(t / r.Ts) for t in (hidden.begins_s, hidden.ends_s)]
+        assert r.valid[ends].all()
+        assert not r.valid[ends[0] + 1 : ends[1]].any()
+        assert (hidden.begins_s, hidden.ends_s) == pytest.approx(r.t[ends] - 1.0)
 
 
 def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
@@ -276,6 +281,8 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
     data, rows = odd.dataset(), np.arange(odd.N)
     moved = sampling_statistics(odd).std_us * 1e-3 * fastest_rate(data)
     asleep = replace(odd, valid=odd.valid & ~((rows >= 310) & (rows < 336)))
+    lost = (rows >= 310) & (rows < 336)
+    silent = replace(odd, present=odd.present & ~lost, valid=odd.valid & ~lost)
     poor = replace(odd, valid=odd.valid & (rows % 4 > 0))
     three, four = (replace(odd, turns_unknown=tuple(range(21, 21 + 20 * n, 20))) for n in (3, 4))
     damaged = replace(odd, truncated=True, damage="a bit has flipped")
@@ -283,6 +290,7 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
     [jitter] = check_timing(odd, data, noise=1e-6)
     said = {
         "asleep": check_angle(asleep),
+        "silent": check_angle(silent),
         "poor": check_angle(poor),
         "three": check_turns(three),
         "four": check_turns(four),
@@ -297,6 +305,7 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
 
     assert f"varies by 51.5{NBSP}µs and moves theta_1 by {moved:.3g}{NBSP}mrad" in jitter.text
     assert texts["asleep"].text.startswith("theta_1 is hidden for 1.3 s without a break")
+    assert texts["silent"].text.startswith("theta_1 is hidden in ")  # missing, and not hidden
     share = 100 * poor.hidden / 497
     assert f"hidden in {share:.1f}{NBSP}% of the samples" in texts["poor"].text
     assert "too many for a dead band" in texts["poor"].text

@@ -7,13 +7,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.recordings import verification
+from armrig.recordings.container import Content
 from armrig.recordings.loading import load
-from armrig.recordings.verification import Verification, check_input, rows, verify
+from armrig.recordings.verification import (
+    Check,
+    Verification,
+    check_input,
+    rows,
+    verify,
+    verify_recording,
+)
 from armrig_core import protobuf
-from armrig_core.manifest import Outcome
+from armrig_core.manifest import CONFIG, Outcome
 from armrig_core.telemetry import Sample
 from armrig_core.volts import applied_code, code_of, volts_of
 
@@ -273,3 +283,50 @@ def test_a_later_sample_is_compared_with_its_own_voltage(tmp_path: Path) -> None
 
     assert check_input(rec, U).result == "passed"
     assert check_input(rec, np.roll(U, 1)).result == "failed"
+
+
+def test_the_samples_of_an_older_recording_are_numbered_from_the_first_voltage(
+    tmp_path: Path,
+) -> None:
+    """Its manifest has no number of the first sample."""
+    rec = load(written(tmp_path, recorded(run()[3:], manifest=manifest(samples=N))))
+
+    assert (rec.manifest.k_first, rec.k_first) == (-1, 3)
+    assert check_input(rec, U).result == "passed"
+
+
+LOWEST, HIGHEST = (volts_of(code_of(float(u))) for u in (U.min(), U.max()))
+CODE_V = 5 / 65535
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "result"),
+    [
+        (0.0, 5.0, "passed"),
+        (LOWEST, HIGHEST, "passed"),
+        (LOWEST + 0.4 * CODE_V, HIGHEST - 0.4 * CODE_V, "passed"),
+        (LOWEST + 0.6 * CODE_V, HIGHEST, "failed"),
+        (LOWEST, HIGHEST - 0.6 * CODE_V, "failed"),
+    ],
+)
+def test_requested_voltages_are_in_the_limits_of_the_configuration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, low: float, high: float, result: str
+) -> None:
+    """A limit may lie half a step of the wire's code inside."""
+    text = msgspec.json.encode({"limits": {"u_min_v": low, "u_max_v": high}})
+    sha256 = hashlib.sha256(text).hexdigest()
+    rec = load(written(tmp_path, recorded(run(), manifest=manifest(config_sha256=sha256))))
+
+    def checked(attached: bytes) -> Check:
+        content = Content(attachments={CONFIG: attached})
+        monkeypatch.setattr(verification, "beginning", lambda path: (path, content))
+        [check] = [c for c in verify_recording(rec).checks if c.about == "configuration"]
+        return check
+
+    assert checked(text).result == result
+    if result == "failed":
+        assert checked(text).text == (
+            f"{LOWEST:.4g} to {HIGHEST:.4g} V were requested, "
+            f"outside the limits {low:g} to {high:g} V"
+        )
+    assert checked(text + b" ").text == "its hash differs from the hash in the manifest"
