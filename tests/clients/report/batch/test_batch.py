@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import resource
@@ -10,7 +11,7 @@ import signal
 import time
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,15 @@ from armrig.report.batch.rows import (
     columns_of,
     row_of,
 )
-from armrig.report.batch.tasks import Identify, Report, Task, Validate, Verify, name_of
+from armrig.report.batch.tasks import (
+    Identify,
+    Report,
+    Task,
+    Validate,
+    Verify,
+    digest,
+    name_of,
+)
 from armrig_core.errors import OperationError
 
 from tests.clients import made_recordings
@@ -156,6 +165,20 @@ def test_a_table_says_how_it_was_made(identified: Path) -> None:
     assert header["task"] == "identify"
     assert json.loads(header["options"])["orders"] == {"na": 4, "nb": 4}
     assert {"armrig", "numpy", "scipy", "python", "folder"} <= header.keys()
+
+
+def test_a_header_names_the_choice_and_what_is_none_is_no_option(folder: Path) -> None:
+    header = header_of(ARX, folder, ["2", "1"], ["step", "bla"])
+
+    assert (header["rigs"], header["kinds"]) == ("1 2", "bla step")
+    assert header["folder"] == str(folder.resolve())
+    assert header["digest"] == digest(ARX)
+    assert digest(Verify()) == hashlib.sha256(b'{"type":"verify"}').hexdigest()
+    unused = {n: x for n, x in msgspec.to_builtins(ARX).items() if x is None}
+    asked = {n: x for n, x in msgspec.to_builtins(ARX).items() if n not in unused}
+    text = json.dumps(asked, sort_keys=True, separators=(",", ":"))
+    assert unused
+    assert digest(ARX) == hashlib.sha256(text.encode()).hexdigest()
 
 
 def test_only_the_rigs_and_experiments_asked_for(folder: Path) -> None:
@@ -453,13 +476,19 @@ def test_so_many_workers_die_of_an_item_and_no_more(at_once: int, tries: int) ->
 
 
 def test_an_interrupted_batch_does_not_wait_for_the_workers() -> None:
-    with suppress(KeyboardInterrupt), workers.processes(1) as executor:
-        assert executor.submit(abs, -1).result() == 1
-        at_work = executor.submit(time.sleep, 5.0)
-        while not at_work.running():
-            time.sleep(0.01)
-        raise KeyboardInterrupt
-    assert isinstance(at_work.exception(), BrokenExecutor)
+    at_work: list[Future[None]] = []
+
+    def interrupted() -> None:
+        with workers.processes(1) as executor:
+            assert executor.submit(abs, -1).result() == 1
+            at_work.append(executor.submit(time.sleep, 5.0))
+            while not at_work[0].running():
+                time.sleep(0.01)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert isinstance(at_work[0].exception(), BrokenExecutor)
 
 
 def children(pid: int) -> list[int]:
@@ -633,6 +662,7 @@ def test_damage_is_reported_with_the_result(
     assert f"\n  {CUT}: the result covers the undamaged part: the file is cut off: it ends " in said
     assert "\n  none.mcap: the file is cut off: it ends " in said
     assert "; saved: 0 samples, " in said
+    assert "none.mcap: none of its 0 samples shows theta_1; record again" in said
 
 
 def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) -> None:
