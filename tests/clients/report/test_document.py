@@ -102,6 +102,44 @@ def test_every_figure_names_its_recording(done: Study, drawn: dict[str, figure.F
     assert all("@run-2" in found[name] for name in of_estimation)
     assert all("@run-3" in found[name] for name in of_validation)
     assert not any(r.short_hash in text for r in done.recordings for text in found.values())
+    assert found["data"].index("@run-2") < found["data"].index("@run-3")
+
+
+def test_a_report_leaves_a_copy_of_each_figure(
+    done: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(_: Study, root: Path) -> tuple[Path, ...]:
+        for name in "abc":
+            (root / f"{name}.svg").write_text(name)
+        return tuple(sorted(root.glob("*.svg")))
+
+    monkeypatch.setattr("armrig.report.document.write_figures", write)
+    monkeypatch.setattr("armrig.report.typesetting.compiled", lambda _: (b"a report", []))
+
+    pdf = report(done, tmp_path / "r.pdf", figures=tmp_path, source=tmp_path / "source")
+
+    assert {path.name: path.read_text() for path in tmp_path.glob("*.*")} == {
+        **{f"{name}.svg": name for name in "abc"},
+        "r.pdf": "a report",
+    }
+    assert pdf == tmp_path / "r.pdf"
+    assert {path.name for path in (tmp_path / "source").iterdir()} == {
+        *("a.svg", "b.svg", "c.svg", "report.typ", "data.json")
+    }
+
+
+def test_a_report_has_the_date_of_its_newest_recording(done: Study) -> None:
+    def date(*started: str) -> str:
+        recording = done.recordings[0]
+        manifests = (msgspec.structs.replace(recording.manifest, started=at) for at in started)
+        return f"{recorded_at([replace(recording, manifest=m) for m in manifests]):%Y-%m-%d %H:%M}"
+
+    assert date("2026-01-02T00:30:00+02:00", "2026-01-01T23:00:00+00:00", "no date") == (
+        "2026-01-01 23:00"
+    )
+    assert date("2026-01-02T00:30:00-02:00", "2026-01-01T23:00:00+00:00") == "2026-01-02 02:30"
+    assert date("2026-01-02T00:30:00") == "2026-01-02 00:30"
+    assert date("no date") == date() == "1970-01-01 00:00"
 
 
 def test_recordings_get_the_roles_that_their_order_says(done: Study) -> None:
@@ -145,6 +183,26 @@ def test_a_removed_line_is_reported_with_its_slope(done: Study) -> None:
         "Estimation data: 2.5\xa0V of u and 1\xa0rad of theta_1 rising by \u22120.25\xa0rad/s "
         "removed from the data."
     )
+
+
+def test_a_treatment_that_both_data_had_is_reported_once_unless_it_removed_other_trends(
+    done: Study,
+) -> None:
+    def treated(*trends: Trend) -> list[str]:
+        each = (
+            data.replaced(step="removed the mean", trends=trends[k : k + 1])
+            for k, data in enumerate((done.estimation, done.validation))
+        )
+        estimation, validation = each
+        return treatment(replace(done, estimation=estimation, validation=validation))
+
+    assert treated() == ["Both: removed the mean."]
+    assert treated(Trend(u_level=2.5, y_level=1.0), Trend(u_level=1.5, y_level=3.0)) == [
+        "Estimation data: removed the mean.",
+        "Estimation data: 2.5\xa0V of u and 1\xa0rad of theta_1 removed from the data.",
+        "Validation data: removed the mean.",
+        "Validation data: 1.5\xa0V of u and 3\xa0rad of theta_1 removed from the data.",
+    ]
 
 
 def test_an_absent_treatment_is_reported(

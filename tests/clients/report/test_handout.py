@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from threading import Event, current_thread, main_thread
+from typing import TypeVar
 
 import armrig
 import msgspec
@@ -32,6 +33,7 @@ from armrig.report.model_facts import physics
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.recording_facts import run_name
 from armrig.report.section import Section
+from armrig.report.study import Assessed
 from armrig.report.typesetting import compiled, typeset
 from armrig_core.arm import ArmParameters
 from armrig_core.calibration import Calibration, Driver
@@ -41,6 +43,7 @@ from armrig_core.manifest import Outcome
 from tests.clients.made_recordings import of_the_arm, written
 from tests.clients.pages import script
 
+A = TypeVar("A", bound=Assessed)
 ASSIGNMENTS = [
     *("2.1", "2.2", "2.3"),
     *(f"3.{i}" for i in range(1, 9)),
@@ -160,6 +163,10 @@ def test_each_answer_gives_its_own_figures(done: HandoutStudy) -> None:
 
     found = sections(replace(done, sampling=sampling, step=step, loop=loop), "3")
 
+    assert done.delay is not None
+    lags = re.findall(r"σ at lag (\d+)", found["3.8"].answer[1])
+    assert lags == [str(k) for k in range(done.delay.nk + 2)]
+
     assert found["3.1"].answer == (
         "The recommended sampling time is 1\xa0ms. From a step response, the time to 63 % is "
         "21.10 ± 0.40 ms (one standard deviation). ω_s = 20/τ then corresponds to 2 ms. The "
@@ -252,6 +259,30 @@ def test_a_recording_without_its_arm_is_not_held_against_the_physics_in_silence(
     assert "It has nb = 4 and nf = 4, not the orders of 3.2" in without_arm["3.3"].answer[0]
     assert "alpha" not in with_arm["3.4"].answer[0] + physics(done.black)
     assert "not the orders" not in with_arm["3.3"].answer[0]
+
+
+@pytest.mark.parametrize(
+    ("arx", "oe", "physics", "said"),
+    [
+        (0.02, 0.004, 0.03, f"OE is closest, with an rms error of 4{NBSP}mrad."),
+        (0.02, 0.03, 0.005, f"physics is closest, with an rms error of 5{NBSP}mrad."),
+        (0.006, 0.03, 0.006, f"ARX and physics are equally close, with an rms error of 6{NBSP}"),
+    ],
+)
+def test_the_model_that_is_closest_may_be_any(
+    done: HandoutStudy, arx: float, oe: float, physics: float, said: str
+) -> None:
+    assert done.black is not None
+
+    def off(m: A, rms_error: float) -> A:
+        return replace(m, comparison=replace(m.comparison, rms_error=rms_error))
+
+    estimated = tuple(map(off, done.black.estimated, (arx, oe)))
+    black = replace(done.black, estimated=estimated, reference=off(done.black.reference, physics))
+
+    found = sections(replace(done, black=black), "3")["3.4"].answer[0]
+
+    assert found.startswith(f"On the validation data {said}")
 
 
 def test_a_recording_of_the_chassis_fills_its_sections(tmp_path: Path) -> None:
@@ -512,6 +543,23 @@ def test_a_run_that_ended_early_gives_way_to_a_complete_one_and_is_named(
     n, of = stopped.samples.size, stopped.manifest.samples
     said = f"{stopped.path.name} ended early, after {n} of {of} samples: stopped by root."
     assert said in remarks
+
+
+def test_complete_recordings_come_before_those_that_ended_early(
+    three: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armrig.report.handout_study.recommend_step", lambda *_, **__: None)
+    whole = replace(
+        three[0], manifest=msgspec.structs.replace(three[0].manifest, experiment="calibrate")
+    )
+    early, unknown = (
+        replace(whole, outcome=Outcome(outcome="stopped", samples=9, missing=0)),
+        replace(whole, outcome=None),
+    )
+
+    found = handout_study([early, whole, unknown, whole])
+
+    assert found.recordings == (whole, whole, early, unknown)
 
 
 @pytest.mark.usefixtures("only_values")
