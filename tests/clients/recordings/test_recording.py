@@ -275,7 +275,8 @@ def test_samples_before_a_change_are_kept_and_not_called_cut_off(
     tmp_path: Path, change: str
 ) -> None:
     whole = bytearray(recorded([sample(k) for k in range(30)], flush_every=10))
-    last, end = whole.rindex(b"zstd"), whole.index(struct.pack("<BQ", 0x0F, 4))
+    end = whole.index(struct.pack("<BQ", 0x0F, 4))
+    last = whole.rindex(b"zstd", 0, end)
     whole[{"a chunk": last + 20, "a checksum": end + 9, "the end": end}[change]] ^= 0x40
 
     rec = load(written(tmp_path, bytes(whole)))
