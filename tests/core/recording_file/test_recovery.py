@@ -143,7 +143,12 @@ def test_the_file_says_that_it_was_recovered(tmp_path: Path) -> None:
     assert (said.when, said.armrig) == ("2026-11-20T06:00:00.000+01:00", "0.2.0")
     assert (said.kept_bytes, said.cut_off_bytes) == (cut - 7, 7)
     assert "cut off" in said.damage
-    assert "the last 7 B were incomplete and were cut off" in sentence(done)
+    n, lost = done.outcome.samples, done.outcome.missing
+    assert sentence(done) == (
+        f"{done.path}: recovered, {n} samples, {(n + lost) * 0.01:g} s of 1.2 s; the last 7 B were "
+        "incomplete and were cut off"
+    )
+    assert lost == 3
     assert armrig.load(written(tmp_path, DATA)).recovered is None
 
 
