@@ -247,6 +247,48 @@ def test_a_hand_that_deflects_the_arm_for_a_while_determines_its_sign(
     assert sign_by_hand(held, rest, rad_per_count) == np.sign(counts)
 
 
+@pytest.mark.parametrize("rad_per_count", [1e-4, -1e-4])
+def test_without_a_deflection_alpha_keeps_its_direction(rad_per_count: float) -> None:
+    base = Calibration(
+        theta_1=Potentiometer(rad_per_count=3e-4, wraps=False),
+        alpha=Potentiometer(rad_per_count=rad_per_count, wraps=True),
+    )
+
+    found = estimate(still()).calibration(base, MADE)
+
+    assert (found.theta_1.rad_per_count, found.theta_1.wraps) == (3e-4, False)
+    assert (found.alpha.rad_per_count, found.alpha.wraps) == (rad_per_count, True)
+    assert found.driver == base.driver
+
+
+def test_what_moved_at_rest_is_reported_with_its_deviation() -> None:
+    """700 counts of 65536 are 3.8°."""
+    swing = 700 * np.sqrt(2) * np.sin(tau * np.arange(300) / 30)
+
+    for name in ("theta_1", "alpha"):
+        moved = replace(still(), **{name: np.rint((20_000 + swing) / 64) * 64})
+        [said] = [text for text in estimate(moved).warnings if "moved" in text]
+        assert re.fullmatch(
+            rf"{name} moved in the recording at rest: .* is 70\d counts, 3\.[89]°", said
+        )
+
+
+def test_the_angles_of_a_count_and_of_the_dead_band_are_as_sure_as_track_and_turn() -> None:
+    found = estimate(still(), made_turns(noise=32.0))
+    turned, count, band = found.turned, found.rad_per_count, found.dead_band
+    assert turned is not None
+    assert count is not None
+    assert band is not None
+    low, high, d = turned.low, turned.high, turned.per_turn
+
+    track = (high.value - low.value) / d.value
+    assert abs(count.value) == pytest.approx(tau / d.value)
+    assert count.std == pytest.approx(tau / d.value**2 * d.std)
+    assert band.value == pytest.approx(tau * (1 - track))
+    parts = (low.std / d.value, high.std / d.value, track * d.std / d.value)
+    assert band.std == pytest.approx(tau * np.linalg.norm(parts))
+
+
 def test_a_hand_that_only_touches_the_arm_says_nothing() -> None:
     rest = Figure(value=20_000.0, std=1.0)
     touched = replace(still(), alpha=still().alpha + 100)

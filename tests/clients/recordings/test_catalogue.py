@@ -6,6 +6,7 @@ import os
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -16,7 +17,14 @@ import pyarrow.parquet
 import pytest
 from armrig.recordings import catalogue as catalogue_module
 from armrig.recordings import recording_summary
-from armrig.recordings.catalogue import COLUMNS, catalogue, facts_of, may_answer_to
+from armrig.recordings.catalogue import (
+    COLUMNS,
+    catalogue,
+    facts_of,
+    found_files,
+    may_answer_to,
+    newest_first,
+)
 from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import OUTCOME, RUN, Outcome
 from armrig_core.recording_file.budget import DamageError
@@ -145,6 +153,21 @@ def test_what_cannot_be_listed_is_named_with_the_reason(folder: Path) -> None:
         "1-step-20261120T140000-0000000f.mcap.active"
     ]
     assert "2 left out, 1 unfinished" in repr(found)
+
+
+def test_a_file_without_a_time_in_its_name_is_as_old_as_its_last_change(tmp_path: Path) -> None:
+    for name, clock in (
+        ("2-step-20261120T050000-00000001.mcap", "20200101T000000"),
+        ("1-step-20261120T070000-00000002.mcap", "20200101T000000"),
+        ("mine.mcap", "20261120T060000"),
+        ("older.mcap", "20261119T080000"),
+    ):
+        changed = time.mktime(time.strptime(clock, "%Y%m%dT%H%M%S"))
+        os.utime(written(tmp_path, b"", name), (changed, changed))
+
+    assert [file.name[:5] for file in found_files(tmp_path)] == ["1-ste", "mine.", "2-ste", "older"]
+    assert newest_first(tmp_path)[0] == tmp_path / "1-step-20261120T070000-00000002.mcap"
+    assert newest_first(tmp_path / "none") == newest_first(tmp_path / "mine.mcap") == []
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:

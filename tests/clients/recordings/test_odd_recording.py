@@ -147,8 +147,29 @@ def test_its_sampling_is_measured_by_the_devices_clock(odd: Recording) -> None:
     assert len(adjacent) == N - len(MISSING) - 6  # one interval less for each stretch
     assert found.mean_us == pytest.approx(50_000 * (1 - SLOW_PPM * 1e-6), abs=4 * 57 / 491)
     assert found.std_us == pytest.approx(40 * 2**0.5, rel=0.15)
-    assert found.lateness.p50 == pytest.approx(np.median(late - odd.samples["t_sched_ns"]) / 1e3)
+    late_us = (late - odd.samples["t_sched_ns"]) / 1e3
+    jitter_us = np.abs(np.array(adjacent) - 50_000.0)
+    for shown, values in ((found.jitter, jitter_us), (found.lateness, late_us)):
+        percentiles = np.percentile(values, (50, 90, 99, 99.9, 100))
+        assert shown.n == values.size
+        assert [shown.p50, shown.p90, shown.p99, shown.p999, shown.max] == pytest.approx(
+            percentiles
+        )
+    assert (found.least_us, found.greatest_us) == (min(adjacent), max(adjacent))
+    assert found.Ts_us == 50_000.0
     assert (found.samples, found.missing, found.longest_gap) == (497, 21, 7)
+
+
+def test_signals_begin_anew_where_one_of_their_outputs_does(odd: Recording) -> None:
+    alpha, rate, theta_1 = (odd.dataset(name) for name in ("alpha", "velocity", "theta_1"))
+
+    found, of_alpha = odd.signals(["alpha", "velocity"]), odd.signals(["alpha"])
+
+    assert (found.outputs, found.units) == (("alpha", "velocity"), ("rad", "rad/s"))
+    assert (found.starts, of_alpha.starts) == (theta_1.starts, alpha.starts)
+    np.testing.assert_array_equal(found.y, np.column_stack([alpha.y, rate.y]))
+    np.testing.assert_array_equal(found.valid, np.column_stack([alpha.valid, rate.valid]))
+    np.testing.assert_array_equal(found.u.ravel(), alpha.u)
 
 
 @pytest.mark.parametrize(
@@ -163,6 +184,10 @@ def test_a_part_has_the_rows_of_its_time(
     part = load(path, start=start, stop=stop)
 
     assert (part.k_first, part.N) == (K_FIRST + first, end - first)
+    assert part.part == pytest.approx((first * TS, end * TS))
+    told = f"took {first * TS:g} to {end * TS:g} s of the run"
+    assert [str(step) for step in part.dataset("alpha").history] == [told]
+    assert (odd.part, odd.dataset().history) == (None, ())
     for name in ("t", "u", "alpha", "valid", "valid_alpha", "present"):
         np.testing.assert_array_equal(getattr(part, name), getattr(odd, name)[first:end])
     assert [g.k_first for g in part.gaps] == [
@@ -289,7 +314,11 @@ def test_a_chassis_that_swings_has_turned_between_its_extremes(odd: Recording) -
     swinging = np.where(odd.valid, 4.0 * np.sin(tau * odd.t / 13.0), np.nan)
     found = Overview(recording=replace(odd, theta_1=swinging), outliers={}, drift={}, reasons={})
 
-    assert dict(found.rows())["theta_1"].startswith("the chassis turned 1.3 times, at ")
+    rate = (swinging[2:] - swinging[:-2]) / 0.1
+    assert dict(found.rows())["theta_1"] == (
+        f"the chassis turned 1.3 times, at {np.nanmin(rate):.3g} to {np.nanmax(rate):.3g} rad/s "
+        "over 0.1 s"
+    )
 
 
 def test_an_outlier_is_reported_at_its_own_time(odd: Recording) -> None:

@@ -118,6 +118,38 @@ def test_gaps_events_and_timing_are_reported_in_seconds_from_the_first_sample(
     assert rec.notes == ()
 
 
+def test_of_two_attachments_of_one_name_the_first_counts(tmp_path: Path) -> None:
+    first, second = (
+        recorded([sample(0, u_applied_v=2.0)], calibration=Calibration(driver=Driver(gain=gain)))
+        for gain in (1.5, 0.5)
+    )
+    at = second.index(b"calibration.json") - 20 - 9
+    length = 9 + struct.unpack_from("<Q", second, at + 1)[0]
+    end = first.index(b"calibration.json") - 20 - 9 + length
+    both = first[:end] + second[at : at + length] + first[end:]
+
+    rec = load(written(tmp_path, both))
+
+    assert rec.u.tolist() == [3.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "why"),
+    [
+        ("empty.mcap", b"", "is empty, 0 B: nothing was recorded; record again"),
+        ("run.csv", b"t,u,y\n", "is not a recording of the rig; .* such as `armrig hints "),
+        ("run.bin", b"t,u,y\n", "not an MCAP file; give a recording of armrigd"),
+    ],
+)
+def test_another_file_than_a_recording_is_refused_with_what_reads_it(
+    tmp_path: Path, name: str, content: bytes, why: str
+) -> None:
+    with pytest.raises(FileError, match=rf"{name}: {why}"):
+        load(written(tmp_path, content, name))
+    with pytest.raises(FileError, match="@run: only commands accept names with @"):
+        load("@run")
+
+
 def test_each_level_of_an_event_has_its_name(tmp_path: Path) -> None:
     names = ["unknown", "debug", "info", "warning", "error", "fatal"]
     events = [event(k, "said") for k in range(8)]
@@ -281,8 +313,8 @@ def test_samples_before_a_change_are_kept_and_not_called_cut_off(
 
     rec = load(written(tmp_path, bytes(whole)))
 
-    assert rec.N == (20 if change == "a chunk" else 30)
-    assert (rec.truncated, rec.cut_off) == (True, False)
+    kept = 20 if change == "a chunk" else 30
+    assert (rec.N, rec.truncated, rec.cut_off) == (kept, True, False)
 
 
 def test_a_run_that_was_cut_off_is_as_long_as_is_known(tmp_path: Path) -> None:

@@ -13,17 +13,19 @@ import pytest
 from armrig.cli import main
 from armrig.recordings import verification
 from armrig.recordings.container import Content
-from armrig.recordings.loading import load
+from armrig.recordings.loading import beginning, load
 from armrig.recordings.verification import (
     Check,
     Verification,
     check_input,
+    recorded_input,
     rows,
     verify,
     verify_recording,
 )
 from armrig_core import protobuf
 from armrig_core.manifest import CONFIG, Outcome
+from armrig_core.recording_file.budget import DamageError
 from armrig_core.telemetry import Sample
 from armrig_core.volts import applied_code, code_of, volts_of
 
@@ -293,6 +295,28 @@ def test_the_samples_of_an_older_recording_are_numbered_from_the_first_voltage(
 
     assert (rec.manifest.k_first, rec.k_first) == (-1, 3)
     assert check_input(rec, U).result == "passed"
+
+
+@pytest.mark.parametrize("block", [7, 64, 1 << 20])
+def test_an_attached_input_is_read_block_by_block(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
+) -> None:
+    monkeypatch.setattr(verification, "_BLOCK_BYTES", block)
+    about = manifest(k_first=0, samples=6)
+
+    def read(u: Sequence[Any]) -> list[float]:
+        path = written(tmp_path, recorded([], manifest=about, outcome=None, u=u))
+        place = beginning(path)[1].input
+        assert place is not None
+        return recorded_input(path, place, 6).tolist()
+
+    assert read(U[:6].tolist()) == U[:6].tolist()
+    assert read([1, 2.5e-3]) == [1.0, 0.0025]
+    assert read([]) == []
+    with pytest.raises(DamageError, match="is longer than the 6 samples of the run"):
+        read(U[:7].tolist())
+    with pytest.raises(DamageError, match="is not a list of voltages"):
+        read([1.0, "one"])
 
 
 LOWEST, HIGHEST = (volts_of(code_of(float(u))) for u in (U.min(), U.max()))
