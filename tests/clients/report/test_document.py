@@ -331,6 +331,46 @@ def test_a_report_describes_a_third_model(of_three: Study) -> None:
     assert "An ARMAX, an ARX and an OE model" in told["summary"]
 
 
+def test_each_caption_names_the_run_that_its_figure_shows(of_three: Study) -> None:
+    told = content(of_three, ())
+    [output] = told["outputs"]
+
+    runs = {
+        name: re.findall(r"@run-\d", text)
+        for name, text in {**told["captions"], **output["captions"], "step": told["step"]}.items()
+    }
+
+    assert runs == {
+        **{name: ["@run-3"] for name in ("fits", "tests", "compare", "velocity", "residuals")},
+        **{name: ["@run-2"] for name in ("bode", "step_poles")},
+        "data": ["@run-2", "@run-3"],
+        "step": ["@run-1"],
+    }
+    estimation = of_three.recordings[1].manifest
+    assert told["subtitle"] == (
+        f"rig {estimation.rig}, recorded {estimation.started[:10]} {estimation.started[11:16]}"
+    )
+
+
+def test_only_an_arx_model_is_biased_and_only_far_from_the_best(
+    done: Study, of_three: Study
+) -> None:
+    def verdicts(study: Study, *errors: float) -> list[str]:
+        estimated = tuple(
+            replace(m, comparison=replace(m.comparison, rms_error=error))
+            for m, error in zip(study.estimated, errors, strict=True)
+        )
+        said = conclusions(replace(study, estimated=estimated))
+        return [text.partition(".")[0] for text in said if "disagree" in text]
+
+    assert verdicts(of_three, 0.04, 0.01, 0.01) == []
+    assert verdicts(of_three, 0.04, 0.04, 0.01) == ["ARX and OE disagree"]
+    assert verdicts(of_three, 0.01, 0.04, 0.04) == ["ARX and ARMAX disagree"]
+    assert verdicts(of_three, 0.04, 0.01, 0.04) == []
+    assert verdicts(done, 0.0301, 0.01) == ["ARX and OE disagree"]
+    assert verdicts(done, 0.0299, 0.01) == []
+
+
 def test_the_best_model_is_reported_wherever_it_stands(done: Study, of_three: Study) -> None:
     turned = replace(done, estimated=done.estimated[::-1])
 

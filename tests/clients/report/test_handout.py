@@ -120,6 +120,9 @@ def test_physics_and_integrators_need_no_recording(without: HandoutStudy) -> Non
 
     assert "1.8623 rad/s" in found["2.2"].answer[0]
     assert "98.40 rad/s²" in found["2.2"].answer[0]
+    [pole] = re.findall(r"with poles at (.*?) 1/s", found["2.2"].answer[1])
+    assert found["2.3"].table is not None
+    assert pole == found["2.3"].table.rows[0][3] == "−8.05 ± 17.08i"
     assert found["4.1"].answer[0].startswith("The largest stable step is 45.147 ms")
     assert found["4.3"].answer[0].startswith("Every step is stable")
 
@@ -139,6 +142,8 @@ def test_recordings_fill_what_they_can(done: HandoutStudy) -> None:
     lacking = [number for number, s in sections(done, "3").items() if s.lack]
 
     assert lacking == ["3.5", "3.6"]
+    assert done.sampling is not None
+    assert done.sampling.from_step
     assert done.refused == {}
 
 
@@ -303,6 +308,16 @@ def test_a_recording_of_the_chassis_fills_its_sections(tmp_path: Path) -> None:
     assert float(said[2]) == pytest.approx(std, rel=0.06)
     assert found["3.6"].table is not None
     assert [row[0] for row in found["3.6"].table.rows] == ["1 part", "2 parts", "4 parts"]
+    assert study.split is not None
+    growth = study.split.std_growth**2
+    assert (
+        f"into 4 parts, the variance of J grows by a factor of {growth:.2f}."
+        in (found["3.6"].answer[0])
+    )
+    assert "proportional to 1/N would grow by a factor of 4.00." in found["3.6"].answer[0]
+    assert "the 4 parts scatter by" in found["3.6"].caption
+    assert "95 % interval" in found["3.6"].caption
+    assert "(χ² with 3 degrees of freedom)" in found["3.6"].caption
 
 
 def test_data_without_information_are_reported_in_their_section(tmp_path: Path) -> None:
