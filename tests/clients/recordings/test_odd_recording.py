@@ -311,12 +311,12 @@ def test_a_first_look_reports_the_drift_of_each_experiment(odd: Recording) -> No
 
 
 def test_a_chassis_that_swings_has_turned_between_its_extremes(odd: Recording) -> None:
-    swinging = np.where(odd.valid, 4.0 * np.sin(tau * odd.t / 13.0), np.nan)
+    swinging = np.where(odd.valid, 4.0 * np.sin(tau * odd.t / 0.7), np.nan)
     found = Overview(recording=replace(odd, theta_1=swinging), outliers={}, drift={}, reasons={})
 
     rate = (swinging[2:] - swinging[:-2]) / 0.1
     assert dict(found.rows())["theta_1"] == (
-        f"the chassis turned 1.3 times, at {np.nanmin(rate):.3g} to {np.nanmax(rate):.3g} rad/s "
+        f"the chassis turned 1.2 times, at {np.nanmin(rate):.3g} to {np.nanmax(rate):.3g} rad/s "
         "over 0.1 s"
     )
 
