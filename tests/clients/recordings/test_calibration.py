@@ -17,7 +17,12 @@ from armrig.recordings.calibration import (
 )
 from armrig.recordings.calibration.estimate import sign_by_hand
 from armrig.recordings.calibration.motor import TerminalVoltage, speeds, terminal_voltage
-from armrig.recordings.calibration.readings import mean_reading, rounding_variance, spread
+from armrig.recordings.calibration.readings import (
+    mean_reading,
+    noise_before_rounding,
+    rounding_variance,
+    spread,
+)
 from armrig.recordings.calibration.rotation import Turning, _bracketed, turning
 from armrig_core.calibration import Calibration, Figure, Made, Potentiometer
 from armrig_core.errors import InputError
@@ -175,6 +180,17 @@ def test_rounding_leaves_what_noise_does_not_smooth(noise: float) -> None:
     expected = np.mean((mean - places) ** 2)
 
     assert rounding_variance(1.0, noise) == pytest.approx(expected, rel=0.02, abs=1e-6)
+
+
+@pytest.mark.parametrize(("noise", "step"), [(32.0, 64.0), (100.0, 64.0), (3.0, 4.0)])
+def test_the_noise_before_rounding_is_found_from_rounded_readings(
+    noise: float, step: float
+) -> None:
+    readings = noise * np.random.default_rng(3).standard_normal(20_000)
+    rounded = np.rint(readings / step) * step
+
+    assert noise_before_rounding(float(np.var(rounded)), step) == pytest.approx(noise, rel=0.03)
+    assert noise_before_rounding(step**2 / 13, step) == 0.0
 
 
 def test_equal_readings_are_as_sure_as_the_converters_step() -> None:

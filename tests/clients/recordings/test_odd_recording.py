@@ -14,7 +14,13 @@ from armrig.recordings.calibration.staleness import remarks
 from armrig.recordings.catalogue import catalogue
 from armrig.recordings.channels import turns_unknown
 from armrig.recordings.export import columns
-from armrig.recordings.jitter import disturbances, fastest_rate, intervals_us, sampling_statistics
+from armrig.recordings.jitter import (
+    disturbances,
+    fastest_rate,
+    intervals_us,
+    lateness_us,
+    sampling_statistics,
+)
 from armrig.recordings.loading import load
 from armrig.recordings.overview import Overview, overview
 from armrig.recordings.published import published
@@ -149,6 +155,8 @@ def test_its_sampling_is_measured_by_the_devices_clock(odd: Recording) -> None:
     assert found.std_us == pytest.approx(40 * 2**0.5, rel=0.15)
     late_us = (late - odd.samples["t_sched_ns"]) / 1e3
     jitter_us = np.abs(np.array(adjacent) - 50_000.0)
+    np.testing.assert_allclose(lateness_us(odd), late_us)
+    assert np.count_nonzero(late_us < 0) == 2
     for shown, values in ((found.jitter, jitter_us), (found.lateness, late_us)):
         percentiles = np.percentile(values, (50, 90, 99, 99.9, 100))
         assert shown.n == values.size
@@ -329,6 +337,9 @@ def test_an_outlier_is_reported_at_its_own_time(odd: Recording) -> None:
 
     assert found.outliers["alpha"].tolist() == pytest.approx([4.5, 16.5, 22.5])
     assert dict(found.rows())["outliers, alpha"] == "3, at 4.5 s, 16.5 s, 22.5 s"
+    for n, said in ((0, "none"), (5, "5, at 0 s, 1 s, 2 s, 3 s, 4 s"), (6, "4 s …")):
+        rows = dict(replace(found, outliers={"alpha": np.arange(float(n))}).rows())
+        assert rows["outliers, alpha"].endswith(said)
 
 
 def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:

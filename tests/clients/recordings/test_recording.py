@@ -20,6 +20,7 @@ import pytest
 import zstandard
 from armrig.numerics.quantities import NBSP
 from armrig.recordings import container, grid, sample_rows
+from armrig.recordings.channels import unwrap
 from armrig.recordings.jitter import disturbances, sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
@@ -196,8 +197,7 @@ def test_a_missing_sample_has_its_row_and_the_voltage_that_was_held(tmp_path: Pa
 
     rec = load(written(tmp_path, recorded(messages)))
 
-    assert rec.N == 15
-    assert rec.missing == 3
+    assert (rec.N, rec.missing, rec.hidden) == (15, 3, 0)
     np.testing.assert_array_equal(np.flatnonzero(~rec.valid), [10, 11, 12])
     np.testing.assert_array_equal(rec.u[9:14], [1, 2.5, 2.5, 2.5, 1])
     assert np.isnan(rec.theta_1[10:13]).all()
@@ -386,6 +386,17 @@ def test_turns_are_counted_through_the_dead_band(tmp_path: Path, direction: int)
     assert not rec.valid[np.minimum(dead + 1, 599)].any()
     np.testing.assert_array_equal(np.isnan(rec.theta_1), ~rec.valid)
     assert rec.valid.sum() > 560
+
+
+def test_turns_are_counted_as_numpy_counts_them() -> None:
+    """Half a turn goes on in its direction."""
+    quarters = np.random.default_rng(4).integers(-9, 10, 400) * tau / 4
+    valid = np.random.default_rng(5).random(400) < 0.8
+
+    found = unwrap(quarters.copy(), valid)
+
+    np.testing.assert_array_equal(found[valid], np.unwrap(quarters[valid]))
+    assert np.isnan(found[~valid]).all()
 
 
 def test_a_sample_between_two_rails_shows_no_angle(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import armrig
 import msgspec
 import numpy as np
 import pytest
+from armrig.data.finding import Finding
 from armrig.numerics.quantities import NBSP
 from armrig.recordings.findings import (
     check_angle,
@@ -205,6 +206,26 @@ def test_a_few_samples_are_no_data(tmp_path: Path) -> None:
 
     assert not found.usable
     assert "19 samples are too few" in found.summary
+
+
+def test_what_makes_data_unusable_comes_before_any_warning(tmp_path: Path) -> None:
+    found = data_verdict(by_hand(tmp_path, swinging(100)))
+    levels = ("warning", "good", "unusable", "warning", "unusable")
+    every = tuple(
+        Finding(level=level, about=f"no {n}", text=f"text {n}") for n, level in enumerate(levels)
+    )
+
+    mixed = replace(found, findings=every)
+    doubtful = replace(found, findings=tuple(f for f in every if f.level != "unusable"))
+
+    assert mixed.warnings == ("text 2", "text 4", "text 0", "text 3")
+    assert (mixed.usable, doubtful.usable) == (False, True)
+    assert mixed.summary == "the data cannot be used: text 2"
+    assert doubtful.summary == "the data can be used, with care: text 0; text 3"
+    assert repr(mixed).splitlines()[1:] == [
+        *("? no 0  text 0", "  no 1  text 1", "! no 2  text 2", "? no 3  text 3"),
+        "! no 4  text 4",
+    ]
 
 
 def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
