@@ -25,7 +25,7 @@ from armrig.numerics.quantities import NBSP
 from armrig.recordings.daemon_reports import Note
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from armrig.report.answers import QUESTIONS
+from armrig.report.answers import QUESTIONS, Answers, Student
 from armrig.report.handout import MOST_PAGES, TEMPLATE, check_length, handout_report
 from armrig.report.handout_study import HandoutStudy, handout_study
 from armrig.report.identification_sections import identification_sections
@@ -374,11 +374,14 @@ def test_changed_parameters_and_the_sinusoid_are_those_given() -> None:
 
 @pytest.mark.usefixtures("only_values")
 def test_an_emulated_rig_is_named_on_the_cover(
-    done: HandoutStudy, without: HandoutStudy, tmp_path: Path
+    done: HandoutStudy, without: HandoutStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     emulated = msgspec.structs.replace(done.recordings[0].manifest, host={"port": "emulated"})
     first = replace(done.recordings[0], manifest=emulated)
     others = done.recordings[1:]
+
+    for name in ("physical_sections", "identification_sections", "numerical_sections"):
+        monkeypatch.setattr(f"armrig.report.handout.{name}", lambda _: [])
 
     def remarks(*recordings: Recording) -> list[str]:
         source = tmp_path / f"source-{len(list(tmp_path.iterdir()))}"
@@ -558,6 +561,33 @@ def test_a_run_that_ended_early_gives_way_to_a_complete_one_and_is_named(
     n, of = stopped.samples.size, stopped.manifest.samples
     said = f"{stopped.path.name} ended early, after {n} of {of} samples: stopped by root."
     assert said in remarks
+
+
+@pytest.mark.usefixtures("only_values")
+def test_names_and_reasons_are_in_the_values_of_the_report(
+    three: list[Recording], without: HandoutStudy, tmp_path: Path
+) -> None:
+    step = three[0]
+    given = Answers(
+        students=(Student(name="Ada", registration_number="1"), Student(name="Bo")),
+        reasons={"2.1": "why\nnot\n \t\n\nfor  all\n", "4.4": "so"},
+    )
+    source = tmp_path / "source"
+
+    study = replace(without, recordings=(step,))
+    handout_report(study, tmp_path / "report.pdf", answers=given, source=source)
+
+    told = json.loads((source / "data.json").read_text())
+    reasons = {s["number"]: s["reasons"] for s in told["sections"] if s["reasons"]}
+    assert reasons == {"2.1": ["why not", "for all"], "4.4": ["so"]}
+    assert [s["number"] for s in told["sections"]] == ASSIGNMENTS
+    assert {s["figure"] for s in told["sections"]} == {""}  # none was drawn
+    assert told["students"] == [
+        {"name": "Ada", "registration_number": "1"},
+        {"name": "Bo", "registration_number": ""},
+    ]
+    about = [f"200 at 10{NBSP}ms", "0", str(step.hidden), step.short_hash]
+    assert told["recordings"] == [[step.path.name, run_name(step), *about]]
 
 
 def test_complete_recordings_come_before_those_that_ended_early(

@@ -46,7 +46,7 @@ from armrig.report.batch.tasks import (
     name_of,
 )
 from armrig.report.study import Orders
-from armrig_core.errors import OperationError
+from armrig_core.errors import FileError, OperationError
 
 from tests.clients import made_recordings
 from tests.clients.batches import SHORT, kept, started, telegraph, wait_for_rows
@@ -777,6 +777,27 @@ def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) 
     task = report(folder=str(tmp_path / "taken"))
     problem = row_of(task, items_in(folder, rigs=["1"])[0])["problem"]
     assert problem == f"{tmp_path}/taken: File exists"
+
+
+@pytest.mark.parametrize(
+    ("err", "problem"),
+    [
+        (FileError("a first\n  line"), "a first line"),
+        (FileError(""), "FileError"),
+        (OSError(2, "No such\nfile", "/a/b"), "/a/b: No such file"),
+        (OSError("odd"), "odd"),
+        (KeyError("x\ny"), "KeyError: 'x\\ny'"),
+    ],
+)
+def test_a_problem_is_a_line(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, err: Exception, problem: str
+) -> None:
+    def refused(_: object) -> None:
+        raise err
+
+    monkeypatch.setattr("armrig.report.batch.rows.load", refused)
+
+    assert row_of(Verify(), items_in(folder)[0])["problem"] == problem
 
 
 def test_no_recording_however_made_raises(folder: Path) -> None:
