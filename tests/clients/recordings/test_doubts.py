@@ -124,7 +124,7 @@ def test_a_run_ends_early_before_the_end_of_an_input_that_it_had(sound: Recordin
 def test_an_angle_may_fall_by_half_a_radian(
     sound: Recording, fall: float, is_reversed: bool
 ) -> None:
-    """A chassis at rest, or one that a hand has touched, shows no direction."""
+    """A chassis at rest shows no direction, and neither does a touch by hand."""
     theta_1 = np.linspace(1.0, 1.0 - fall, sound.N)
     ends = np.r_[np.nan, theta_1, np.nan][: sound.N + 1]
 

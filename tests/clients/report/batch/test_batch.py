@@ -739,6 +739,13 @@ def test_a_file_of_any_time_stops_nothing(folder: Path, tmp_path: Path) -> None:
     assert done(few, Verify(), tmp_path / "v.parquet")[0]["problem"] == ""
 
 
+@pytest.fixture
+def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the command do its work in a thread of this process, which starts faster than another."""
+    monkeypatch.setattr(workers, "processes", ThreadPoolExecutor)
+
+
+@pytest.mark.usefixtures("one_thread")
 def test_a_failed_check_is_reported_next_to_broken_files(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -754,6 +761,7 @@ def test_a_failed_check_is_reported_next_to_broken_files(
     assert f"\n  {CUT}: file failed: the file is cut off: it ends " in said.out
 
 
+@pytest.mark.usefixtures("one_thread")
 def test_damage_is_reported_with_the_result(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
