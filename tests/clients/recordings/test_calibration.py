@@ -17,8 +17,13 @@ from armrig.recordings.calibration import (
 )
 from armrig.recordings.calibration.estimate import sign_by_hand
 from armrig.recordings.calibration.motor import TerminalVoltage, speeds, terminal_voltage
-from armrig.recordings.calibration.readings import mean_reading, rounding_variance, spread
-from armrig.recordings.calibration.rotation import Turning, turning
+from armrig.recordings.calibration.readings import (
+    mean_reading,
+    noise_before_rounding,
+    rounding_variance,
+    spread,
+)
+from armrig.recordings.calibration.rotation import Turning, _bracketed, turning
 from armrig_core.calibration import Calibration, Figure, Made, Potentiometer
 from armrig_core.errors import InputError
 from hypothesis import given, settings
@@ -121,6 +126,11 @@ def test_a_voltage_at_which_one_sample_shows_an_angle_is_refused() -> None:
         turning(replace(readings, theta_1=theta_1), 64.0)
 
 
+def test_an_edge_is_anywhere_between_two_readings_with_equal_probability() -> None:
+    """A uniform distribution over 12 counts has the variance 12; that of the turn is added."""
+    assert _bracketed((10.0, 22.0), 4.0) == Figure(value=16.0, std=4.0)
+
+
 def test_a_worn_track_is_reported() -> None:
     """On a worn track the straight line is no calibration."""
     readings = made_turns(noise=32.0)
@@ -170,6 +180,17 @@ def test_rounding_leaves_what_noise_does_not_smooth(noise: float) -> None:
     expected = np.mean((mean - places) ** 2)
 
     assert rounding_variance(1.0, noise) == pytest.approx(expected, rel=0.02, abs=1e-6)
+
+
+@pytest.mark.parametrize(("noise", "step"), [(32.0, 64.0), (100.0, 64.0), (3.0, 4.0)])
+def test_the_noise_before_rounding_is_found_from_rounded_readings(
+    noise: float, step: float
+) -> None:
+    readings = noise * np.random.default_rng(3).standard_normal(20_000)
+    rounded = np.rint(readings / step) * step
+
+    assert noise_before_rounding(float(np.var(rounded)), step) == pytest.approx(noise, rel=0.03)
+    assert noise_before_rounding(step**2 / 13, step) == 0.0
 
 
 def test_equal_readings_are_as_sure_as_the_converters_step() -> None:
@@ -224,6 +245,64 @@ def test_without_a_motor_zeros_are_found_and_the_sign_by_hand() -> None:
     assert calibration.alpha.rad_per_count == -base.alpha.rad_per_count
     assert calibration.made is not None
     assert "theta_1_rad_per_count" not in calibration.made.figures
+
+
+@pytest.mark.parametrize("counts", [3000.0, -3000.0])
+@pytest.mark.parametrize("rad_per_count", [1e-4, -1e-4])
+def test_a_hand_that_deflects_the_arm_for_a_while_determines_its_sign(
+    counts: float, rad_per_count: float
+) -> None:
+    """Then the arm hangs again, or swings a little to the other side."""
+    rest = Figure(value=20_000.0, std=1.0)
+    alpha = np.full(300, rest.value)
+    alpha[100:200] += counts
+    alpha[200:250] -= counts / 10
+
+    held = replace(still(), alpha=alpha)
+
+    assert sign_by_hand(held, rest, rad_per_count) == np.sign(counts)
+
+
+@pytest.mark.parametrize("rad_per_count", [1e-4, -1e-4])
+def test_without_a_deflection_alpha_keeps_its_direction(rad_per_count: float) -> None:
+    base = Calibration(
+        theta_1=Potentiometer(rad_per_count=3e-4, wraps=False),
+        alpha=Potentiometer(rad_per_count=rad_per_count, wraps=True),
+    )
+
+    found = estimate(still()).calibration(base, MADE)
+
+    assert (found.theta_1.rad_per_count, found.theta_1.wraps) == (3e-4, False)
+    assert (found.alpha.rad_per_count, found.alpha.wraps) == (rad_per_count, True)
+    assert found.driver == base.driver
+
+
+def test_what_moved_at_rest_is_reported_with_its_deviation() -> None:
+    """700 counts of 65536 are 3.8°."""
+    swing = 700 * np.sqrt(2) * np.sin(tau * np.arange(300) / 30)
+
+    for name in ("theta_1", "alpha"):
+        moved = replace(still(), **{name: np.rint((20_000 + swing) / 64) * 64})
+        [said] = [text for text in estimate(moved).warnings if "moved" in text]
+        assert re.fullmatch(
+            rf"{name} moved in the recording at rest: .* is 70\d counts, 3\.[89]°", said
+        )
+
+
+def test_the_angles_of_a_count_and_of_the_dead_band_are_as_sure_as_track_and_turn() -> None:
+    found = estimate(still(), made_turns(noise=32.0))
+    turned, count, band = found.turned, found.rad_per_count, found.dead_band
+    assert turned is not None
+    assert count is not None
+    assert band is not None
+    low, high, d = turned.low, turned.high, turned.per_turn
+
+    track = (high.value - low.value) / d.value
+    assert abs(count.value) == pytest.approx(tau / d.value)
+    assert count.std == pytest.approx(tau / d.value**2 * d.std)
+    assert band.value == pytest.approx(tau * (1 - track))
+    parts = (low.std / d.value, high.std / d.value, track * d.std / d.value)
+    assert band.std == pytest.approx(tau * np.linalg.norm(parts))
 
 
 def test_a_hand_that_only_touches_the_arm_says_nothing() -> None:
@@ -298,7 +377,10 @@ def test_a_driver_above_the_rig_s_limit_is_reported_with_the_limit_to_set() -> N
     """The driver gives 5.3 V at the code of 5 V."""
     strong = estimate(still(), meter=[(1.0, 1.06)]).warnings
     weak = estimate(still(), meter=[(1.0, 0.98)]).warnings
+    shifted = estimate(still(), meter=[(1.0, 1.15), (4.0, 4.3)]).warnings  # 0.1 V + 1.05 u
 
+    assert "a code of 5 V applies 5.35 V to the motor" in " ".join(shifted)
+    assert "set limits.u_max_v = 4.67 or less" in " ".join(shifted)
     assert "applies 5.30 V" in " ".join(strong)
     assert "set limits.u_max_v = 4.72 or less" in " ".join(strong)
     assert "u_max_v" not in " ".join(weak)
@@ -330,6 +412,7 @@ def test_the_samples_are_compact_and_come_back_to_the_bit() -> None:
         (Calibration(), {}, "was not calibrated"),
         (Calibration(made=MADE), {}, ""),
         (Calibration(made=MADE), {"device": {"uid": "0002"}}, "of another device: .* 0001"),
+        (Calibration(made=MADE), {"device": {"uid": "0002"}, "rig": "2"}, "of another device"),
         (Calibration(made=MADE), {"rig": "2"}, "of rig 1, and the recording is of rig 2"),
         (Calibration(made=MADE), {"started": "2026-12-02T00:00:01+00:00"}, "31 days old"),
         (Calibration(made=MADE), {"started": "2026-10-01T00:00:00+00:00"}, ""),

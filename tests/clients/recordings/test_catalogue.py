@@ -6,6 +6,7 @@ import os
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -16,7 +17,14 @@ import pyarrow.parquet
 import pytest
 from armrig.recordings import catalogue as catalogue_module
 from armrig.recordings import recording_summary
-from armrig.recordings.catalogue import COLUMNS, catalogue, facts_of
+from armrig.recordings.catalogue import (
+    COLUMNS,
+    catalogue,
+    facts_of,
+    found_files,
+    may_answer_to,
+    newest_first,
+)
 from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import OUTCOME, RUN, Outcome
 from armrig_core.recording_file.budget import DamageError
@@ -147,6 +155,21 @@ def test_what_cannot_be_listed_is_named_with_the_reason(folder: Path) -> None:
     assert "2 left out, 1 unfinished" in repr(found)
 
 
+def test_a_file_without_a_time_in_its_name_is_as_old_as_its_last_change(tmp_path: Path) -> None:
+    for name, clock in (
+        ("2-step-20261120T050000-00000001.mcap", "20200101T000000"),
+        ("1-step-20261120T070000-00000002.mcap", "20200101T000000"),
+        ("mine.mcap", "20261120T060000"),
+        ("older.mcap", "20261119T080000"),
+    ):
+        changed = time.mktime(time.strptime(clock, "%Y%m%dT%H%M%S"))
+        os.utime(written(tmp_path, b"", name), (changed, changed))
+
+    assert [file.name[:5] for file in found_files(tmp_path)] == ["1-ste", "mine.", "2-ste", "older"]
+    assert newest_first(tmp_path)[0] == tmp_path / "1-step-20261120T070000-00000002.mcap"
+    assert newest_first(tmp_path / "none") == newest_first(tmp_path / "mine.mcap") == []
+
+
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
     """An empty table would mean that nothing was recorded."""
     with pytest.raises(FileNotFoundError, match="none"):
@@ -163,6 +186,41 @@ def test_only_what_is_new_or_changed_is_opened_again(folder: Path, opened: list[
     new = made(folder, 9)
     assert catalogue(folder).recordings[0].path == new
     assert opened == [new.name]
+
+
+def test_the_index_is_written_again_only_for_enough_new_files(
+    folder: Path, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(catalogue_module, "WORTH_KEEPING", 2)
+    catalogue(folder)
+    [index] = index_files(tmp_path)
+    written_ns = index.stat().st_mtime_ns
+    rewritten = []
+
+    for number in (7, 8, 9):
+        made(folder, number)
+        catalogue(folder)
+        rewritten.append(index.stat().st_mtime_ns != written_ns)
+
+    assert rewritten == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "validation", "may"),
+    [
+        ("1-blackbox-20261120T050000-0000000a.mcap", "0000000a", False, True),
+        ("1-blackbox-20261120T050000-0000000a.mcap", "blackbox", False, True),
+        ("1-blackbox-20261120T050000-0000000a.mcap", "monday", False, False),
+        ("1-blackbox-20261120T050000-0000000a.mcap", "0000000a", True, False),
+        ("1-blackbox-validation-20261120T050000-0000000b.mcap", "0000000a", True, True),
+        ("mine.mcap", "0000000a", False, True),
+        ("mine.mcap", "0000000a", True, True),
+    ],
+)
+def test_only_a_file_that_the_daemon_named_otherwise_need_not_be_opened(
+    file: str, name: str, validation: bool, may: bool
+) -> None:
+    assert may_answer_to(Path(file), name, validation=validation) is may
 
 
 def renamed(path: Path) -> str:

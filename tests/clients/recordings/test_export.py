@@ -233,22 +233,27 @@ def test_pandas_and_xarray_have_the_same_columns(rec: Recording) -> None:
     assert list(frame.columns) == [n for n in NAMES if n != "t"]
     np.testing.assert_array_equal(frame.index, rec.t)
     np.testing.assert_array_equal(frame["alpha"], rec.alpha)
-    assert data["theta_1"].attrs["units"] == "rad"
+    units = {name: data[name].attrs.get("units") for name in NAMES}
+    assert units == {
+        **dict.fromkeys(NAMES),
+        **{"t": "s", "u": "V", "theta_1": "rad", "alpha": "rad"},
+    }
     np.testing.assert_array_equal(data["u"], rec.u)
     assert frame.attrs["sha256"] == data.attrs["sha256"] == rec.sha256
 
 
 @pytest.mark.parametrize(
-    ("package", "export"),
+    ("package", "extra", "export"),
     [
-        ("pandas", Recording.to_pandas),
-        ("xarray", Recording.to_xarray),
-        ("pyarrow", lambda rec: write_parquet(rec, rec.path.with_name("x.parquet"))),
+        ("pandas", "pandas", Recording.to_pandas),
+        ("xarray", "xarray", Recording.to_xarray),
+        ("pyarrow", "parquet", lambda rec: write_parquet(rec, rec.path.with_name("x.parquet"))),
     ],
 )
 def test_a_package_that_is_missing_is_reported_with_its_remedy(
     rec: Recording,
     package: str,
+    extra: str,
     export: Callable[[Recording], object],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -259,7 +264,7 @@ def test_a_package_that_is_missing_is_reported_with_its_remedy(
 
     monkeypatch.setattr("armrig.recordings.export.import_module", without)
     for kind in (ImportError, ValueError):
-        with pytest.raises(kind, match=f"pip install {package}"):
+        with pytest.raises(kind, match=rf"pip install {package}, .* 'armrig\[{extra}\]'$"):
             export(rec)
 
 

@@ -14,9 +14,15 @@ from armrig.recordings.calibration.staleness import remarks
 from armrig.recordings.catalogue import catalogue
 from armrig.recordings.channels import turns_unknown
 from armrig.recordings.export import columns
-from armrig.recordings.jitter import disturbances, fastest_rate, intervals_us, sampling_statistics
+from armrig.recordings.jitter import (
+    disturbances,
+    fastest_rate,
+    intervals_us,
+    lateness_us,
+    sampling_statistics,
+)
 from armrig.recordings.loading import load
-from armrig.recordings.overview import overview
+from armrig.recordings.overview import Overview, overview
 from armrig.recordings.published import published
 from armrig.recordings.recording import Recording
 from armrig.recordings.recording_summary import summary_of
@@ -28,6 +34,7 @@ from armrig.recordings.verification import (
     check_timing,
 )
 from armrig_core import protobuf
+from armrig_core.codes import OutcomeCode
 from armrig_core.manifest import Outcome
 from armrig_core.telemetry import decode_sample
 
@@ -146,12 +153,36 @@ def test_its_sampling_is_measured_by_the_devices_clock(odd: Recording) -> None:
     assert len(adjacent) == N - len(MISSING) - 6  # one interval less for each stretch
     assert found.mean_us == pytest.approx(50_000 * (1 - SLOW_PPM * 1e-6), abs=4 * 57 / 491)
     assert found.std_us == pytest.approx(40 * 2**0.5, rel=0.15)
-    assert found.lateness.p50 == pytest.approx(np.median(late - odd.samples["t_sched_ns"]) / 1e3)
+    late_us = (late - odd.samples["t_sched_ns"]) / 1e3
+    jitter_us = np.abs(np.array(adjacent) - 50_000.0)
+    np.testing.assert_allclose(lateness_us(odd), late_us)
+    assert np.count_nonzero(late_us < 0) == 2
+    for shown, values in ((found.jitter, jitter_us), (found.lateness, late_us)):
+        percentiles = np.percentile(values, (50, 90, 99, 99.9, 100))
+        assert shown.n == values.size
+        assert [shown.p50, shown.p90, shown.p99, shown.p999, shown.max] == pytest.approx(
+            percentiles
+        )
+    assert (found.least_us, found.greatest_us) == (min(adjacent), max(adjacent))
+    assert found.Ts_us == 50_000.0
     assert (found.samples, found.missing, found.longest_gap) == (497, 21, 7)
 
 
+def test_signals_begin_anew_where_one_of_their_outputs_does(odd: Recording) -> None:
+    alpha, rate, theta_1 = (odd.dataset(name) for name in ("alpha", "velocity", "theta_1"))
+
+    found, of_alpha = odd.signals(["alpha", "velocity"]), odd.signals(["alpha"])
+
+    assert (found.outputs, found.units) == (("alpha", "velocity"), ("rad", "rad/s"))
+    assert (found.starts, of_alpha.starts) == (theta_1.starts, alpha.starts)
+    np.testing.assert_array_equal(found.y, np.column_stack([alpha.y, rate.y]))
+    np.testing.assert_array_equal(found.valid, np.column_stack([alpha.valid, rate.valid]))
+    np.testing.assert_array_equal(found.u.ravel(), alpha.u)
+
+
 @pytest.mark.parametrize(
-    ("start", "stop"), [(2.9, 3.4), (1.0, 2.1), (9.9, 14.2), (25.0, None), (0.0, 0.15)]
+    ("start", "stop"),
+    [(2.9, 3.4), (1.0, 2.1), (1.25, 2.1), (5.0, 14.0), (9.9, 14.2), (25.0, None), (0.0, 0.15)],
 )
 def test_a_part_has_the_rows_of_its_time(
     path: Path, odd: Recording, start: float, stop: float | None
@@ -161,6 +192,10 @@ def test_a_part_has_the_rows_of_its_time(
     part = load(path, start=start, stop=stop)
 
     assert (part.k_first, part.N) == (K_FIRST + first, end - first)
+    assert part.part == pytest.approx((first * TS, end * TS))
+    told = f"took {first * TS:g} to {end * TS:g} s of the run"
+    assert [str(step) for step in part.dataset("alpha").history] == [told]
+    assert (odd.part, odd.dataset().history) == (None, ())
     for name in ("t", "u", "alpha", "valid", "valid_alpha", "present"):
         np.testing.assert_array_equal(getattr(part, name), getattr(odd, name)[first:end])
     assert [g.k_first for g in part.gaps] == [
@@ -169,6 +204,9 @@ def test_a_part_has_the_rows_of_its_time(
     until = end * TS
     assert [e.t for e in part.events] == [t for t in (2.05, 10.5, 19.5) if start <= t < until]
     assert [c.t for c in part.clock] == [t for t in (1.25, 5.0, 20.0) if start <= t < until]
+    assert [r.t for r in part.timing] == [
+        t for t in (1.0, 2.0, 3.0, 4.0, 5.0) if start <= t < until
+    ]
 
 
 def test_what_was_published_comes_in_its_order(path: Path) -> None:
@@ -216,6 +254,18 @@ def test_its_columns_and_its_summary_are_its_own(path: Path, odd: Recording) -> 
     assert names == {"20261119T050000Z-0dad", "odd", "blackbox-odd"}
     assert "odd" not in summary.names(validation=False)
     assert summary.size == path.stat().st_size
+
+
+def test_only_a_run_that_came_to_its_end_is_complete(path: Path) -> None:
+    summary = summary_of(path)
+
+    complete = [
+        code
+        for code in OutcomeCode
+        if msgspec.structs.replace(summary, outcome_code=code).is_complete
+    ]
+
+    assert complete == ["complete"]
 
 
 def test_its_row_of_a_catalogue_is_its_own(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -268,6 +318,17 @@ def test_a_first_look_reports_the_drift_of_each_experiment(odd: Recording) -> No
     assert rows["drift, alpha 3"].startswith("a drift: 0.05 ± ")
 
 
+def test_a_chassis_that_swings_has_turned_between_its_extremes(odd: Recording) -> None:
+    swinging = np.where(odd.valid, 4.0 * np.sin(tau * odd.t / 0.7), np.nan)
+    found = Overview(recording=replace(odd, theta_1=swinging), outliers={}, drift={}, reasons={})
+
+    rate = (swinging[2:] - swinging[:-2]) / 0.1
+    assert dict(found.rows())["theta_1"] == (
+        f"the chassis turned 1.2 times, at {np.nanmin(rate):.3g} to {np.nanmax(rate):.3g} rad/s "
+        "over 0.1 s"
+    )
+
+
 def test_an_outlier_is_reported_at_its_own_time(odd: Recording) -> None:
     alpha = odd.alpha.copy()
     alpha[[90, 330, 450]] += 0.5
@@ -276,6 +337,9 @@ def test_an_outlier_is_reported_at_its_own_time(odd: Recording) -> None:
 
     assert found.outliers["alpha"].tolist() == pytest.approx([4.5, 16.5, 22.5])
     assert dict(found.rows())["outliers, alpha"] == "3, at 4.5 s, 16.5 s, 22.5 s"
+    for n, said in ((0, "none"), (5, "5, at 0 s, 1 s, 2 s, 3 s, 4 s"), (6, "4 s …")):
+        rows = dict(replace(found, outliers={"alpha": np.arange(float(n))}).rows())
+        assert rows["outliers, alpha"].endswith(said)
 
 
 def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:
@@ -390,7 +454,7 @@ def test_outliers_are_searched_where_the_input_changes_twenty_times(
 def test_the_first_figure_shades_what_is_missing_half_a_sample_either_way(odd: Recording) -> None:
     found = replace(overview(odd), outliers={"alpha": odd.t[[33, 451]]})
 
-    input_, _, _, of_alpha = found.plot().axes
+    input_, of_theta_1, of_rate, of_alpha = found.plot().axes
 
     shaded = [(p.get_x(), p.get_x() + p.get_width()) for p in of_alpha.patches]
     lost = {
@@ -408,6 +472,16 @@ def test_the_first_figure_shades_what_is_missing_half_a_sample_either_way(odd: R
     ring = of_alpha.lines[1].get_xydata()
     np.testing.assert_allclose(ring, np.column_stack([odd.t, odd.alpha])[[33, 451]])
     assert [len(input_.lines[0].get_xdata()), *input_.get_xlim()] == pytest.approx([518, 0, 25.85])
+    rate = np.diff(odd.theta_1, prepend=np.nan) / TS
+    for panel, y, valid in (
+        (input_, odd.u, odd.valid & odd.valid_alpha),
+        (of_theta_1, odd.theta_1, odd.valid),
+        (of_rate, rate, odd.valid),
+    ):
+        np.testing.assert_allclose(panel.lines[0].get_ydata(), y)
+        begins, ends = np.flatnonzero(np.diff(~valid, prepend=False, append=False)).reshape(-1, 2).T
+        drawn = [(p.get_x(), p.get_x() + p.get_width()) for p in panel.patches]
+        assert drawn == pytest.approx((np.column_stack([begins, ends]) - 0.5) * TS)
 
 
 def test_a_cut_file_reports_the_time_that_it_holds_with_what_is_missing_in_it(path: Path) -> None:

@@ -20,11 +20,12 @@ import pytest
 import zstandard
 from armrig.numerics.quantities import NBSP
 from armrig.recordings import container, grid, sample_rows
+from armrig.recordings.channels import unwrap
 from armrig.recordings.jitter import disturbances, sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig_core import protobuf, telemetry
-from armrig_core.calibration import Calibration, Potentiometer
+from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.codes import GapCode
 from armrig_core.errors import FileError
 from armrig_core.manifest import INPUT, RUN, Manifest, Outcome
@@ -118,6 +119,59 @@ def test_gaps_events_and_timing_are_reported_in_seconds_from_the_first_sample(
     assert rec.notes == ()
 
 
+def test_of_two_attachments_of_one_name_the_first_counts(tmp_path: Path) -> None:
+    first, second = (
+        recorded([sample(0, u_applied_v=2.0)], calibration=Calibration(driver=Driver(gain=gain)))
+        for gain in (1.5, 0.5)
+    )
+    at = second.index(b"calibration.json") - 20 - 9
+    length = 9 + struct.unpack_from("<Q", second, at + 1)[0]
+    end = first.index(b"calibration.json") - 20 - 9 + length
+    both = first[:end] + second[at : at + length] + first[end:]
+
+    rec = load(written(tmp_path, both))
+
+    assert rec.u.tolist() == [3.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "why"),
+    [
+        ("empty.mcap", b"", "is empty, 0 B: nothing was recorded; record again"),
+        ("run.csv", b"t,u,y\n", "is not a recording of the rig; .* such as `armrig hints "),
+        ("run.bin", b"t,u,y\n", "not an MCAP file; give a recording of armrigd"),
+    ],
+)
+def test_another_file_than_a_recording_is_refused_with_what_reads_it(
+    tmp_path: Path, name: str, content: bytes, why: str
+) -> None:
+    with pytest.raises(FileError, match=rf"{name}: {why}"):
+        load(written(tmp_path, content, name))
+    with pytest.raises(FileError, match="@run: only commands accept names with @"):
+        load("@run")
+
+
+def test_each_level_of_an_event_has_its_name(tmp_path: Path) -> None:
+    names = ["unknown", "debug", "info", "warning", "error", "fatal"]
+    events = [event(k, "said") for k in range(8)]
+    for level, one in enumerate(events):
+        one.level = level
+
+    rec = load(written(tmp_path, recorded([sample(0), *events])))
+
+    assert [e.level for e in rec.events] == [*names, "6", "7"]
+
+
+def test_the_driver_s_line_holds_at_every_voltage_but_0(tmp_path: Path) -> None:
+    volts = np.array([0.0, 0.01, 0.1, 2.0, 0.0, 5.0])
+    driven = Calibration(driver=Driver(gain=0.9, offset_v=0.2))
+    samples = [sample(k, u_applied_v=u) for k, u in enumerate(volts.tolist())]
+
+    rec = load(written(tmp_path, recorded(samples, calibration=driven)))
+
+    np.testing.assert_allclose(rec.u, [0.0, 0.209, 0.29, 2.0, 0.0, 4.7])
+
+
 def test_a_note_is_known_by_its_field_and_never_read_as_a_line_of_the_daemon(
     tmp_path: Path,
 ) -> None:
@@ -143,8 +197,7 @@ def test_a_missing_sample_has_its_row_and_the_voltage_that_was_held(tmp_path: Pa
 
     rec = load(written(tmp_path, recorded(messages)))
 
-    assert rec.N == 15
-    assert rec.missing == 3
+    assert (rec.N, rec.missing, rec.hidden) == (15, 3, 0)
     np.testing.assert_array_equal(np.flatnonzero(~rec.valid), [10, 11, 12])
     np.testing.assert_array_equal(rec.u[9:14], [1, 2.5, 2.5, 2.5, 1])
     assert np.isnan(rec.theta_1[10:13]).all()
@@ -249,6 +302,21 @@ def test_a_file_that_was_changed_is_not_called_cut_off(tmp_path: Path) -> None:
     assert rec is None or (rec.truncated and not rec.cut_off)
 
 
+@pytest.mark.parametrize("change", ["a chunk", "a checksum", "the end"])
+def test_samples_before_a_change_are_kept_and_not_called_cut_off(
+    tmp_path: Path, change: str
+) -> None:
+    whole = bytearray(recorded([sample(k) for k in range(30)], flush_every=10))
+    end = whole.index(struct.pack("<BQ", 0x0F, 4))
+    last = whole.rindex(b"zstd", 0, end)
+    whole[{"a chunk": last + 20, "a checksum": end + 9, "the end": end}[change]] ^= 0x40
+
+    rec = load(written(tmp_path, bytes(whole)))
+
+    kept = 20 if change == "a chunk" else 30
+    assert (rec.N, rec.truncated, rec.cut_off) == (kept, True, False)
+
+
 def test_a_run_that_was_cut_off_is_as_long_as_is_known(tmp_path: Path) -> None:
     messages = [*(sample(k) for k in range(42, 60)), gap(60, 4, 1.0)]
 
@@ -318,6 +386,17 @@ def test_turns_are_counted_through_the_dead_band(tmp_path: Path, direction: int)
     assert not rec.valid[np.minimum(dead + 1, 599)].any()
     np.testing.assert_array_equal(np.isnan(rec.theta_1), ~rec.valid)
     assert rec.valid.sum() > 560
+
+
+def test_turns_are_counted_as_numpy_counts_them() -> None:
+    """Half a turn goes on in its direction."""
+    quarters = np.random.default_rng(4).integers(-9, 10, 400) * tau / 4
+    valid = np.random.default_rng(5).random(400) < 0.8
+
+    found = unwrap(quarters.copy(), valid)
+
+    np.testing.assert_array_equal(found[valid], np.unwrap(quarters[valid]))
+    assert np.isnan(found[~valid]).all()
 
 
 def test_a_sample_between_two_rails_shows_no_angle(tmp_path: Path) -> None:
@@ -647,6 +726,21 @@ def test_a_flood_of_messages_ends_the_reading(
 
     assert rec.N == 1
     assert "messages other than samples" in rec.damage
+
+
+def test_a_stream_of_any_length_is_read_message_by_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The limit is on the messages that are in memory at the same time."""
+    monkeypatch.setattr(budget, "MESSAGES_LIMIT", 10_000)
+    monkeypatch.setattr(budget, "MESSAGES_PER_BYTE", 0)
+    messages = [sample(0), *(timing(k) for k in range(40))]
+    path = written(tmp_path, recorded(messages, flush_every=2))
+
+    times = [message.t_host_ns for message in container.streamed(path, "timing")]
+
+    assert times == [timing(k).t_host_ns for k in range(40)]
+    assert len(load(path).timing) < 40
 
 
 def test_a_small_file_cannot_cost_hours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

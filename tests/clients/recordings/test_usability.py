@@ -11,6 +11,7 @@ import armrig
 import msgspec
 import numpy as np
 import pytest
+from armrig.data.finding import Finding
 from armrig.numerics.quantities import NBSP
 from armrig.recordings.findings import (
     check_angle,
@@ -207,6 +208,26 @@ def test_a_few_samples_are_no_data(tmp_path: Path) -> None:
     assert "19 samples are too few" in found.summary
 
 
+def test_what_makes_data_unusable_comes_before_any_warning(tmp_path: Path) -> None:
+    found = data_verdict(by_hand(tmp_path, swinging(100)))
+    levels = ("warning", "good", "unusable", "warning", "unusable")
+    every = tuple(
+        Finding(level=level, about=f"no {n}", text=f"text {n}") for n, level in enumerate(levels)
+    )
+
+    mixed = replace(found, findings=every)
+    doubtful = replace(found, findings=tuple(f for f in every if f.level != "unusable"))
+
+    assert mixed.warnings == ("text 2", "text 4", "text 0", "text 3")
+    assert (mixed.usable, doubtful.usable) == (False, True)
+    assert mixed.summary == "the data cannot be used: text 2"
+    assert doubtful.summary == "the data can be used, with care: text 0; text 3"
+    assert repr(mixed).splitlines()[1:] == [
+        *("? no 0  text 0", "  no 1  text 1", "! no 2  text 2", "? no 3  text 3"),
+        "! no 4  text 4",
+    ]
+
+
 def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
     ended = Outcome(outcome="stopped", samples=300, missing=0)
     data = recorded(swinging(300), manifest=manifest(samples=600), outcome=ended)
@@ -267,6 +288,11 @@ def test_a_step_is_made_again_at_one_time_whichever_way_the_angle_counts(tmp_pat
 
     assert len(found) >= 2
     assert mirrored == [hidden for _, hidden in found]
+    for r, hidden in found:
+        ends = [100 + round(t / r.Ts) for t in (hidden.begins_s, hidden.ends_s)]
+        assert r.valid[ends].all()
+        assert not r.valid[ends[0] + 1 : ends[1]].any()
+        assert (hidden.begins_s, hidden.ends_s) == pytest.approx(r.t[ends] - 1.0)
 
 
 def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
@@ -276,6 +302,8 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
     data, rows = odd.dataset(), np.arange(odd.N)
     moved = sampling_statistics(odd).std_us * 1e-3 * fastest_rate(data)
     asleep = replace(odd, valid=odd.valid & ~((rows >= 310) & (rows < 336)))
+    lost = (rows >= 310) & (rows < 336)
+    silent = replace(odd, present=odd.present & ~lost, valid=odd.valid & ~lost)
     poor = replace(odd, valid=odd.valid & (rows % 4 > 0))
     three, four = (replace(odd, turns_unknown=tuple(range(21, 21 + 20 * n, 20))) for n in (3, 4))
     damaged = replace(odd, truncated=True, damage="a bit has flipped")
@@ -283,6 +311,7 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
     [jitter] = check_timing(odd, data, noise=1e-6)
     said = {
         "asleep": check_angle(asleep),
+        "silent": check_angle(silent),
         "poor": check_angle(poor),
         "three": check_turns(three),
         "four": check_turns(four),
@@ -297,6 +326,7 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
 
     assert f"varies by 51.5{NBSP}µs and moves theta_1 by {moved:.3g}{NBSP}mrad" in jitter.text
     assert texts["asleep"].text.startswith("theta_1 is hidden for 1.3 s without a break")
+    assert texts["silent"].text.startswith("theta_1 is hidden in ")  # missing, and not hidden
     share = 100 * poor.hidden / 497
     assert f"hidden in {share:.1f}{NBSP}% of the samples" in texts["poor"].text
     assert "too many for a dead band" in texts["poor"].text

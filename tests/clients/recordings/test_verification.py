@@ -7,13 +7,25 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.recordings.loading import load
-from armrig.recordings.verification import Verification, check_input, rows, verify
+from armrig.recordings import verification
+from armrig.recordings.container import Content
+from armrig.recordings.loading import beginning, load
+from armrig.recordings.verification import (
+    Check,
+    Verification,
+    check_input,
+    recorded_input,
+    rows,
+    verify,
+    verify_recording,
+)
 from armrig_core import protobuf
-from armrig_core.manifest import Outcome
+from armrig_core.manifest import CONFIG, Outcome
+from armrig_core.recording_file.budget import DamageError
 from armrig_core.telemetry import Sample
 from armrig_core.volts import applied_code, code_of, volts_of
 
@@ -273,3 +285,72 @@ def test_a_later_sample_is_compared_with_its_own_voltage(tmp_path: Path) -> None
 
     assert check_input(rec, U).result == "passed"
     assert check_input(rec, np.roll(U, 1)).result == "failed"
+
+
+def test_the_samples_of_an_older_recording_are_numbered_from_the_first_voltage(
+    tmp_path: Path,
+) -> None:
+    """Its manifest has no number of the first sample."""
+    rec = load(written(tmp_path, recorded(run()[3:], manifest=manifest(samples=N))))
+
+    assert (rec.manifest.k_first, rec.k_first) == (-1, 3)
+    assert check_input(rec, U).result == "passed"
+
+
+@pytest.mark.parametrize("block", [7, 64, 1 << 20])
+def test_an_attached_input_is_read_block_by_block(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
+) -> None:
+    monkeypatch.setattr(verification, "_BLOCK_BYTES", block)
+    about = manifest(k_first=0, samples=6)
+
+    def read(u: Sequence[Any]) -> list[float]:
+        path = written(tmp_path, recorded([], manifest=about, outcome=None, u=u))
+        place = beginning(path)[1].input
+        assert place is not None
+        return recorded_input(path, place, 6).tolist()
+
+    assert read(U[:6].tolist()) == U[:6].tolist()
+    assert read([1, 2.5e-3]) == [1.0, 0.0025]
+    assert read([]) == []
+    with pytest.raises(DamageError, match="is longer than the 6 samples of the run"):
+        read(U[:7].tolist())
+    with pytest.raises(DamageError, match="is not a list of voltages"):
+        read([1.0, "one"])
+
+
+LOWEST, HIGHEST = (volts_of(code_of(float(u))) for u in (U.min(), U.max()))
+CODE_V = 5 / 65535
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "result"),
+    [
+        (0.0, 5.0, "passed"),
+        (LOWEST, HIGHEST, "passed"),
+        (LOWEST + 0.4 * CODE_V, HIGHEST - 0.4 * CODE_V, "passed"),
+        (LOWEST + 0.6 * CODE_V, HIGHEST, "failed"),
+        (LOWEST, HIGHEST - 0.6 * CODE_V, "failed"),
+    ],
+)
+def test_requested_voltages_are_in_the_limits_of_the_configuration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, low: float, high: float, result: str
+) -> None:
+    """A limit may lie half a step of the wire's code inside."""
+    text = msgspec.json.encode({"limits": {"u_min_v": low, "u_max_v": high}})
+    sha256 = hashlib.sha256(text).hexdigest()
+    rec = load(written(tmp_path, recorded(run(), manifest=manifest(config_sha256=sha256))))
+
+    def checked(attached: bytes) -> Check:
+        content = Content(attachments={CONFIG: attached})
+        monkeypatch.setattr(verification, "beginning", lambda path: (path, content))
+        [check] = [c for c in verify_recording(rec).checks if c.about == "configuration"]
+        return check
+
+    assert checked(text).result == result
+    if result == "failed":
+        assert checked(text).text == (
+            f"{LOWEST:.4g} to {HIGHEST:.4g} V were requested, "
+            f"outside the limits {low:g} to {high:g} V"
+        )
+    assert checked(text + b" ").text == "its hash differs from the hash in the manifest"

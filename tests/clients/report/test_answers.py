@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from armrig.report.answers import (
+    MAX_NAME,
     MAX_REASONS,
     QUESTIONS,
     Answers,
@@ -51,6 +52,16 @@ def test_names_and_reasons_are_read(tmp_path: Path) -> None:
         students=(Student(name="Ada", registration_number="1"), Student(name="Bo")),
         reasons={"2.1": "Why\n\nnot."},
     )
+
+
+def test_a_name_and_reasons_may_fill_their_room(tmp_path: Path) -> None:
+    name, reasons = "é" * MAX_NAME, "x" * MAX_REASONS
+
+    found = answers(
+        tmp_path, f'students = [{{name = " {name}"}}]\n[reasons]\n"2.1" = "{reasons}\\n"'
+    )
+
+    assert found == Answers(students=(Student(name=name),), reasons={"2.1": reasons})
 
 
 @pytest.mark.parametrize(

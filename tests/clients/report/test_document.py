@@ -19,6 +19,7 @@ from armrig.recordings.daemon_reports import Note
 from armrig.recordings.loading import load
 from armrig.report.conclusions import abstract, conclusions
 from armrig.report.document import content, report
+from armrig.report.figures import write_figures
 from armrig.report.recording_facts import role, treatment
 from armrig.report.study import AssessedFit, Orders, Study, assessed, study
 from armrig.report.typesetting import recorded as recorded_at
@@ -26,6 +27,8 @@ from armrig.report.typesetting import typeset
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Figure, Made
 from armrig_core.errors import FileError
+from matplotlib import figure
+from matplotlib.text import Text
 
 from tests.clients.made_recordings import of_the_arm, recorded, sample, written
 
@@ -36,7 +39,7 @@ NOTE = Note(t=1.5, text='#panic() *x* $y$ `#eval("1")` \\ [z] @nobody', owner="#
 @pytest.fixture(scope="module")
 def of_three(done: Study) -> Study:
     """Give the study with a third model, which comes first."""
-    armax = armrig.armax(done.estimation, na=4, nb=4, nc=2, integrator=True)
+    armax = armrig.armax(done.estimation, na=4, nb=4, nc=1, integrator=True)
     fits = {"ARMAX": armax} | {m.name: m.fit for m in done.estimated}
     recordings = tuple(
         replace(r, manifest=msgspec.structs.replace(r.manifest, run_id=f"run-{k}"), notes=(NOTE,))
@@ -53,6 +56,23 @@ def made(of_three: Study, tmp_path_factory: pytest.TempPathFactory) -> tuple[byt
     One of two models is made in test_files_written.py.
     """
     return typeset_with_figures(of_three, tmp_path_factory.mktemp("report"))
+
+
+@pytest.fixture(scope="module")
+def drawn(of_three: Study) -> dict[str, figure.Figure]:
+    """Give the figures of a report of three models by name: drawn, and not written to files."""
+    figures: dict[str, figure.Figure] = {}
+    with pytest.MonkeyPatch.context() as patch:
+        keep = figures.__setitem__
+        patch.setattr("armrig.report.figures.save", lambda of, path: keep(path.stem, of))
+        paths = write_figures(of_three, Path())
+    assert [path.stem for path in paths] == list(figures)
+    return figures
+
+
+def texts(of: figure.Figure) -> str:
+    """Return all texts of a figure."""
+    return "\n".join(text.get_text() for text in of.findobj(Text))
 
 
 def typeset_with_figures(study: Study, folder: Path) -> tuple[bytes, Path]:
@@ -72,17 +92,54 @@ def test_the_report_is_a_pdf_of_three_to_six_pages(done: Study, made: tuple[byte
     assert pdf.count(b"/FontFile") >= 3
 
 
-@pytest.mark.exhaustive
-def test_every_figure_names_its_recording(done: Study, made: tuple[bytes, Path]) -> None:
-    figures = {path.stem: path.read_text() for path in made[1].glob("*.svg")}
+def test_every_figure_names_its_recording(done: Study, drawn: dict[str, figure.Figure]) -> None:
+    found = {name: texts(one) for name, one in drawn.items()}
 
     of_estimation = {"timing", "data", "bode", "step_poles"}
     of_validation = {"data", "compare", "velocity", "residuals"}
-    assert set(figures) == of_estimation | of_validation | {"step"}
-    assert "@run-1" in figures["step"]
-    assert all("@run-2" in figures[name] for name in of_estimation)
-    assert all("@run-3" in figures[name] for name in of_validation)
-    assert not any(r.short_hash in text for r in done.recordings for text in figures.values())
+    assert set(found) == of_estimation | of_validation | {"step"}
+    assert "@run-1" in found["step"]
+    assert all("@run-2" in found[name] for name in of_estimation)
+    assert all("@run-3" in found[name] for name in of_validation)
+    assert not any(r.short_hash in text for r in done.recordings for text in found.values())
+    assert found["data"].index("@run-2") < found["data"].index("@run-3")
+
+
+def test_a_report_leaves_a_copy_of_each_figure(
+    done: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(_: Study, root: Path) -> tuple[Path, ...]:
+        for name in "abc":
+            (root / f"{name}.svg").write_text(name)
+        return tuple(sorted(root.glob("*.svg")))
+
+    monkeypatch.setattr("armrig.report.document.write_figures", write)
+    monkeypatch.setattr("armrig.report.typesetting.compiled", lambda _: (b"a report", []))
+
+    pdf = report(done, tmp_path / "r.pdf", figures=tmp_path, source=tmp_path / "source")
+
+    assert {path.name: path.read_text() for path in tmp_path.glob("*.*")} == {
+        **{f"{name}.svg": name for name in "abc"},
+        "r.pdf": "a report",
+    }
+    assert pdf == tmp_path / "r.pdf"
+    assert {path.name for path in (tmp_path / "source").iterdir()} == {
+        *("a.svg", "b.svg", "c.svg", "report.typ", "data.json")
+    }
+
+
+def test_a_report_has_the_date_of_its_newest_recording(done: Study) -> None:
+    def date(*started: str) -> str:
+        recording = done.recordings[0]
+        manifests = (msgspec.structs.replace(recording.manifest, started=at) for at in started)
+        return f"{recorded_at([replace(recording, manifest=m) for m in manifests]):%Y-%m-%d %H:%M}"
+
+    assert date("2026-01-02T00:30:00+02:00", "2026-01-01T23:00:00+00:00", "no date") == (
+        "2026-01-01 23:00"
+    )
+    assert date("2026-01-02T00:30:00-02:00", "2026-01-01T23:00:00+00:00") == "2026-01-02 02:30"
+    assert date("2026-01-02T00:30:00") == "2026-01-02 00:30"
+    assert date("no date") == date() == "1970-01-01 00:00"
 
 
 def test_recordings_get_the_roles_that_their_order_says(done: Study) -> None:
@@ -128,8 +185,28 @@ def test_a_removed_line_is_reported_with_its_slope(done: Study) -> None:
     )
 
 
+def test_a_treatment_that_both_data_had_is_reported_once_unless_it_removed_other_trends(
+    done: Study,
+) -> None:
+    def treated(*trends: Trend) -> list[str]:
+        each = (
+            data.replaced(step="removed the mean", trends=trends[k : k + 1])
+            for k, data in enumerate((done.estimation, done.validation))
+        )
+        estimation, validation = each
+        return treatment(replace(done, estimation=estimation, validation=validation))
+
+    assert treated() == ["Both: removed the mean."]
+    assert treated(Trend(u_level=2.5, y_level=1.0), Trend(u_level=1.5, y_level=3.0)) == [
+        "Estimation data: removed the mean.",
+        "Estimation data: 2.5\xa0V of u and 1\xa0rad of theta_1 removed from the data.",
+        "Validation data: removed the mean.",
+        "Validation data: 1.5\xa0V of u and 3\xa0rad of theta_1 removed from the data.",
+    ]
+
+
 def test_an_absent_treatment_is_reported(
-    done: Study, made: tuple[bytes, Path], three_recordings: tuple[Path, ...]
+    done: Study, drawn: dict[str, figure.Figure], three_recordings: tuple[Path, ...], tmp_path: Path
 ) -> None:
     halved = study([load(three_recordings[1])])
     treated = study([load(path) for path in three_recordings[1:]], treat=armrig.detrend)
@@ -141,8 +218,10 @@ def test_an_absent_treatment_is_reported(
     ]
     claims = ["No mean and no trend" in content(s, [])["data"] for s in (done, halved, treated)]
     assert claims == [True, True, False]
+    for name in drawn:
+        (tmp_path / f"{name}.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'/>")
     date = recorded_at(treated.recordings)
-    pdf, _ = typeset(made[1], "report.typ", content(treated, []), date)
+    pdf, _ = typeset(tmp_path, "report.typ", content(treated, []), date)
     assert pdf.startswith(b"%PDF-")
 
 
@@ -243,13 +322,53 @@ def test_a_report_describes_a_third_model(of_three: Study) -> None:
     assert [row[0] for row in told["fits"]] == [*names, "physics"]
     assert told["tests_header"][1:-1] == [f"p ({name})" for name in names]
     assert all(len(row) == 1 + 3 + 1 for row in told["tests"])
-    assert told["orders"] == "na = 4, nb = 4, nc = 2, nf = 4, nk = 1"
+    assert told["orders"] == "na = 4, nb = 4, nc = 1, nf = 4, nk = 1"
     for name in names:
         assert f"{name}: loss" in told["estimation"]
         assert f"the residuals of {name} are" in said
         assert f"({name})" in said
         assert f"the {name} model" in told["physics"]
     assert "An ARMAX, an ARX and an OE model" in told["summary"]
+
+
+def test_each_caption_names_the_run_that_its_figure_shows(of_three: Study) -> None:
+    told = content(of_three, ())
+    [output] = told["outputs"]
+
+    runs = {
+        name: re.findall(r"@run-\d", text)
+        for name, text in {**told["captions"], **output["captions"], "step": told["step"]}.items()
+    }
+
+    assert runs == {
+        **{name: ["@run-3"] for name in ("fits", "tests", "compare", "velocity", "residuals")},
+        **{name: ["@run-2"] for name in ("bode", "step_poles")},
+        "data": ["@run-2", "@run-3"],
+        "step": ["@run-1"],
+    }
+    estimation = of_three.recordings[1].manifest
+    assert told["subtitle"] == (
+        f"rig {estimation.rig}, recorded {estimation.started[:10]} {estimation.started[11:16]}"
+    )
+
+
+def test_only_an_arx_model_is_biased_and_only_far_from_the_best(
+    done: Study, of_three: Study
+) -> None:
+    def verdicts(study: Study, *errors: float) -> list[str]:
+        estimated = tuple(
+            replace(m, comparison=replace(m.comparison, rms_error=error))
+            for m, error in zip(study.estimated, errors, strict=True)
+        )
+        said = conclusions(replace(study, estimated=estimated))
+        return [text.partition(".")[0] for text in said if "disagree" in text]
+
+    assert verdicts(of_three, 0.04, 0.01, 0.01) == []
+    assert verdicts(of_three, 0.04, 0.04, 0.01) == ["ARX and OE disagree"]
+    assert verdicts(of_three, 0.01, 0.04, 0.04) == ["ARX and ARMAX disagree"]
+    assert verdicts(of_three, 0.04, 0.01, 0.04) == []
+    assert verdicts(done, 0.0301, 0.01) == ["ARX and OE disagree"]
+    assert verdicts(done, 0.0299, 0.01) == []
 
 
 def test_the_best_model_is_reported_wherever_it_stands(done: Study, of_three: Study) -> None:
@@ -261,11 +380,9 @@ def test_the_best_model_is_reported_wherever_it_stands(done: Study, of_three: St
     assert f"the {of_three.best.name} model simulates" in abstract(of_three)
 
 
-def test_the_figures_show_all_three_models(made: tuple[bytes, Path]) -> None:
-    figures = {path.stem: path.read_text() for path in made[1].glob("*.svg")}
-
+def test_the_figures_show_all_three_models(drawn: dict[str, figure.Figure]) -> None:
     for name in ("compare", "velocity", "bode", "step_poles", "residuals"):
-        assert all(model in figures[name] for model in ("ARMAX", "ARX", "OE")), name
+        assert all(model in texts(drawn[name]) for model in ("ARMAX", "ARX", "OE")), name
 
 
 def test_residuals_that_were_not_tested_are_not_called_coloured(done: Study) -> None:
@@ -296,9 +413,7 @@ def test_a_truncated_recording_is_named_in_the_report(
     assert "cut.mcap is incomplete" in " ".join(content(done, ())["remarks"])
 
 
-def test_the_notes_of_a_recording_are_in_the_report(
-    done: Study, of_three: Study, made: tuple[bytes, Path]
-) -> None:
+def test_the_notes_of_a_recording_are_in_the_report(done: Study, of_three: Study) -> None:
     told = [f"@run-{k} at 1.50{NBSP}s, {NOTE.owner}: {NOTE.text}" for k in (1, 2, 3)]
     assert content(of_three, ())["notes"] == told
     assert content(done, ())["notes"] == []
@@ -362,7 +477,7 @@ def test_the_units_of_the_data_are_reported_with_their_basis(done: Study) -> Non
     scale = {"theta_1_rad_per_count": Figure(value=1e-4, std=2e-7)}
     meter = {"driver_gain": Figure(value=1.01, std=1e-3)}
 
-    def said(figures: dict[str, Figure] | None) -> str:
+    def said(figures: dict[str, figure.Figure] | None) -> str:
         if figures is None:
             return str(content(done, [])["data"])
         made = Made(

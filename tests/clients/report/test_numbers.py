@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from armrig.recordings.jitter import SamplingStatistics, Spread
@@ -96,6 +97,29 @@ def test_the_facts_of_each_recording_are_in_its_column(done: Study) -> None:
     assert rows["length"] == ["2.0 s", "15.0 s", "12.0 s"]
     assert rows["input"] == [f"{r.u.min():.2f} to {r.u.max():.2f} V" for r in done.recordings]
     assert rows["missing samples"] == ["0", "0", "5"]
+
+
+def test_the_facts_of_a_run_are_those_of_its_manifest(done: Study) -> None:
+    step, *others = done.recordings
+    manifest = msgspec.structs.replace(
+        step.manifest,
+        run_id="",
+        pacing="scheduled",
+        started="2026-02-03T04:05:06.789+01:00",
+        details={"at": 50, "seed": 7},
+    )
+    damaged = replace(step, manifest=manifest, truncated=True, cut_off=False)
+    unknown = replace(damaged, truncated=False, outcome=None)
+
+    rows = {n: v for n, *v in facts(replace(done, recordings=(damaged, unknown, *others)))}
+
+    assert rows["run"] == [step.short_hash] * 2 + [f"@{r.manifest.run_id}" for r in others]
+    assert rows["SHA-256"] == [step.sha256[:12]] * 2 + [r.sha256[:12] for r in others]
+    assert rows["paced by"] == ["the device"] * 2 + ["the host"] * 2
+    assert rows["made with"][:2] == ["at = 50, seed = 7"] * 2
+    assert rows["started"][0] == "2026-02-03 04:05:06"
+    assert rows["outcome"][:2] == ["complete, but the file damaged", "not known"]
+    assert rows["in the dead band, or just after"] == [str(r.hidden) for r in (step, step, *others)]
 
 
 def test_the_timing_of_a_recording_is_reported_by_its_names() -> None:

@@ -65,6 +65,7 @@ def test_each_table_has_rows_for_each_output(both: Study) -> None:
     assert all(len(row) == len(values["fits_header"]) for row in fits)
     names = [table["header"][0] for output in values["outputs"] for table in output["models"]]
     assert names == ["ARX, θ₁", "OE, θ₁", "ARX, α", "OE, α"]
+    assert [output["suffix"] for output in values["outputs"]] == ["", "-alpha"]
     assert values["orders"] == "for θ₁ na = nb = nf = 4, nk = 1; for α na = nb = nf = 3, nk = 1"
 
 

@@ -1,13 +1,61 @@
-"""A chunk holds as many bytes as it declares."""
+"""A chunk holds as many bytes as it declares, and no file costs more than its budget."""
 
 from __future__ import annotations
 
+import hashlib
 import struct
+from io import BytesIO
 
 import pytest
 import zstandard
+from armrig_core.recording_file import budget
 from armrig_core.recording_file.budget import Budget, DamageError
+from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.chunks import Unpacker
+from armrig_core.recording_file.file_records import MAGIC, Wanted, file_records
+from mcap.opcode import Opcode
+
+
+def test_a_budget_may_be_spent_to_its_last_unit() -> None:
+    """The limits depend on the size of the file."""
+    spent = Budget(6_400)
+    limit = budget.WORK_LIMIT + 100
+
+    spent.spend(budget.WORK, limit - 1)
+    spent.spend(budget.WORK, 1)
+    with pytest.raises(DamageError, match=f"more than {limit} units of work with records"):
+        spent.spend(budget.WORK, 1)
+
+    spent.regain(budget.WORK)
+    spent.spend(budget.WORK, limit)
+
+
+@pytest.mark.parametrize("is_hashed", [False, True])
+def test_what_is_passed_over_is_counted(is_hashed: bool) -> None:
+    data = b"0123456789"
+    source = ByteSource(BytesIO(data + b"behind its end"), len(data), is_hashed=is_hashed)
+
+    assert source.read(2) == b"01"
+    source.pass_over(3)
+
+    assert (source.at, source.left, source.passed) == (5, 5, True)
+    assert source.read(99) == b"56789"
+    assert (source.at, source.left) == (10, 0)
+    assert not is_hashed or source.sha256() == hashlib.sha256(data).hexdigest()
+
+
+def test_a_footer_among_the_data_is_a_damage() -> None:
+    """Data that follow it would be lost without a word."""
+    footer = struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + MAGIC
+    end = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
+
+    def opcodes(records: bytes) -> list[int]:
+        found = file_records(ByteSource(BytesIO(records), len(records)), Wanted(), lambda _: None)
+        return [record.opcode for record in found]
+
+    assert opcodes(end + footer) == []
+    with pytest.raises(DamageError, match="the data section contains a record of opcode 2"):
+        opcodes(footer)
 
 
 def chunk(data: bytes, declared: int) -> bytes:

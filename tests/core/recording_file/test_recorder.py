@@ -15,6 +15,7 @@ from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording, RecordingError
+from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.rewriting import compact
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.pipe import Gap
@@ -323,6 +324,35 @@ def test_a_sample_is_acknowledged_when_the_disk_has_it(
         answers.release()
     recording.join(30)
     assert recording.synced == 60
+
+
+def test_a_sample_that_was_not_flushed_is_not_acknowledged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sync between two flushes does not reach it."""
+    monkeypatch.setattr("armrig_core.recording_file.recorder.SYNC_S", 0.0)
+    monkeypatch.setattr("armrig_core.recording_file.recorder.FLUSH_S", 30.0)
+    flush, sync, seen = Part.flush, Part.sync, []
+
+    def flushed(part: Part) -> None:
+        seen.append(("flush", part.samples, recording.synced))
+        flush(part)
+
+    def synced(part: Part) -> None:
+        seen.append(("sync", part.samples, recording.synced))
+        sync(part)
+
+    monkeypatch.setattr(Part, "flush", flushed)
+    monkeypatch.setattr(Part, "sync", synced)
+    recording = _recording(tmp_path / "run.mcap")
+    recording.add([_sample(k) for k in range(50)])
+    recording.finish(COMPLETE)
+    recording.join(30)
+
+    first = [what for what, _, _ in seen].index("flush")
+    assert first > 0
+    assert {synced for _, _, synced in seen[: first + 1]} == {0}
+    assert recording.synced == 50
 
 
 def test_a_disk_that_is_full_leaves_a_whole_prefix(

@@ -143,7 +143,12 @@ def test_the_file_says_that_it_was_recovered(tmp_path: Path) -> None:
     assert (said.when, said.armrig) == ("2026-11-20T06:00:00.000+01:00", "0.2.0")
     assert (said.kept_bytes, said.cut_off_bytes) == (cut - 7, 7)
     assert "cut off" in said.damage
-    assert "the last 7 B were incomplete and were cut off" in sentence(done)
+    n, lost = done.outcome.samples, done.outcome.missing
+    assert sentence(done) == (
+        f"{done.path}: recovered, {n} samples, {(n + lost) * 0.01:g} s of 1.2 s; the last 7 B were "
+        "incomplete and were cut off"
+    )
+    assert lost == 3
     assert armrig.load(written(tmp_path, DATA)).recovered is None
 
 
@@ -157,12 +162,14 @@ def test_a_run_that_had_ended_keeps_its_outcome(tmp_path: Path) -> None:
     assert done.recovered.cut_off_bytes == 0
 
 
-def test_a_torn_copy_of_a_complete_recording_stays_as_it_is(tmp_path: Path) -> None:
+@pytest.mark.parametrize("lost", [1, 3])
+def test_a_torn_copy_of_a_complete_recording_stays_as_it_is(tmp_path: Path, lost: int) -> None:
     """Its outcome precedes its samples, so keeping it would claim lost samples."""
-    data = _data(outcome=Outcome(outcome="complete", samples=N, missing=0))
+    said = N - 3 + lost
+    data = _data(outcome=Outcome(outcome="complete", samples=said, missing=0))
     left = written(tmp_path, data, LEFT)
 
-    _untouched(left, data, f"only {N - 3} of its {N} samples are readable; .* copy it again")
+    _untouched(left, data, f"only {N - 3} of its {said} samples are readable; .* copy it again")
 
 
 def test_a_run_of_no_sample_is_a_recording_too(tmp_path: Path) -> None:

@@ -68,6 +68,20 @@ def test_the_oldest_go_until_the_rest_takes_no_more_than_it_may(tmp_path: Path) 
     assert "the recordings of rig 1 take more than" in removals[0].text
 
 
+@pytest.mark.parametrize(("more", "removed"), [(1, 0), (-1, 1)])
+def test_a_limit_may_be_reached(tmp_path: Path, more: int, removed: int) -> None:
+    """By one byte, or by one second."""
+    runs = [_run(tmp_path, f"1-{name}.mcap", days) for name, days in (("a", 30), ("b", 2))]
+    total = sum(run.stat().st_size for run in runs)
+
+    by_size = _retention(tmp_path, keep_days=0.0, keep_gb=(total + more) / GB)
+    by_age = _retention(tmp_path)
+
+    assert len([*by_age.apply(NOW_S - more)]) == removed
+    _run(tmp_path, "1-a.mcap", 30)
+    assert len([*by_size.apply(NOW_S)]) == removed
+
+
 def test_the_newest_run_stays_whatever_its_age_and_size(tmp_path: Path) -> None:
     _run(tmp_path, "1-a.mcap", 40)
     _run(tmp_path, "1-b.mcap", 35)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import resource
@@ -10,9 +11,10 @@ import signal
 import time
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import armrig
@@ -34,12 +36,22 @@ from armrig.report.batch.rows import (
     columns_of,
     row_of,
 )
-from armrig.report.batch.tasks import Identify, Report, Task, Validate, Verify, name_of
-from armrig_core.errors import OperationError
+from armrig.report.batch.tasks import (
+    Identify,
+    Report,
+    Task,
+    Validate,
+    Verify,
+    digest,
+    name_of,
+)
+from armrig.report.study import Orders
+from armrig_core.errors import FileError, OperationError
 
 from tests.clients import made_recordings
 from tests.clients.batches import SHORT, kept, started, telegraph, wait_for_rows
 from tests.clients.deadly import deadly
+from tests.clients.odd_recording import odd_recording
 
 pyarrow_parquet = pytest.importorskip("pyarrow.parquet")
 ARX = Identify(structure="arx", orders={"na": 4, "nb": 4})
@@ -158,9 +170,25 @@ def test_a_table_says_how_it_was_made(identified: Path) -> None:
     assert {"armrig", "numpy", "scipy", "python", "folder"} <= header.keys()
 
 
+def test_a_header_names_the_choice_and_what_is_none_is_no_option(folder: Path) -> None:
+    header = header_of(ARX, folder, ["2", "1"], ["step", "bla"])
+
+    assert (header["rigs"], header["kinds"]) == ("1 2", "bla step")
+    assert header["folder"] == str(folder.resolve())
+    assert header["digest"] == digest(ARX)
+    assert digest(Verify()) == hashlib.sha256(b'{"type":"verify"}').hexdigest()
+    unused = {n: x for n, x in msgspec.to_builtins(ARX).items() if x is None}
+    asked = {n: x for n, x in msgspec.to_builtins(ARX).items() if n not in unused}
+    text = json.dumps(asked, sort_keys=True, separators=(",", ":"))
+    assert unused
+    assert digest(ARX) == hashlib.sha256(text.encode()).hexdigest()
+
+
 def test_only_the_rigs_and_experiments_asked_for(folder: Path) -> None:
     assert [item.name for item in items_in(folder, rigs=["2"])] == [OTHER_RIG]
     assert [item.name for item in items_in(folder, kinds=["step"])] == [STEP]
+    assert [item.name for item in items_in(folder, rigs=["1", "2"], kinds=["step"])] == [STEP]
+    assert items_in(folder, rigs=["2"], kinds=["step"]) == []
     names = {item.name for item in items_in(folder, rigs=["1"])}
     assert not names & {OTHER_RIG, BROKEN, CUT}
 
@@ -210,6 +238,108 @@ def test_report_writes_a_pdf_for_each(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "a-00.pdf").unlink()
     done(few, report(folder=str(tmp_path)), tmp_path / "reports.parquet")
     assert (tmp_path / "a-00.pdf").exists()
+
+
+def test_a_report_that_is_gone_is_made_again(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task, made = report(folder=str(tmp_path)), []
+
+    def row(task: Report, item: Item) -> dict[str, Any]:
+        path = Path(task.folder, item.name).with_suffix(".pdf")
+        path.write_bytes(b"%PDF-")
+        made.append(item.name)
+        known = {"recording": item.name, "bytes": item.bytes, "modified_ns": item.modified_ns}
+        told = {"problem": "", "doubts": [], "report": path.name, "validated_by": ""}
+        return dict.fromkeys(columns_of(task)) | known | told
+
+    monkeypatch.setattr("armrig.report.batch.batch.row_of", row)
+    few = tmp_path / "few"
+    few.mkdir()
+    for name in ("a-00.mcap", "a-01.mcap"):
+        shutil.copy2(folder / name, few)
+    done(few, task, tmp_path / "reports.parquet")
+    (tmp_path / "a-01.pdf").unlink()
+
+    rows = done(few, task, tmp_path / "reports.parquet")
+
+    assert made == ["a-00.mcap", "a-01.mcap", "a-01.mcap"]
+    assert [row["report"] for row in rows] == ["a-00.pdf", "a-01.pdf"]
+
+
+def test_a_report_has_its_orders_and_the_doubts_about_both_recordings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths = [tmp_path / name for name in ("short.mcap", "other.mcap")]
+    for path, rig in zip(paths, "12", strict=True):
+        path.write_bytes(made_recordings.of_the_arm(telegraph(1, 40), rig=rig))
+    given: dict[str, Any] = {}
+
+    def studied(recordings: Any, *, orders: Any) -> Any:
+        given.update(recordings=[r.path for r in recordings], orders=orders)
+        return SimpleNamespace(
+            best=SimpleNamespace(name="OE", comparison=SimpleNamespace(rms_error=0.5))
+        )
+
+    def written(study: Any, path: Path) -> Path:
+        path.write_bytes(b"a report")
+        return path
+
+    monkeypatch.setattr("armrig.report.study.study", studied)
+    monkeypatch.setattr("armrig.report.document.report", written)
+    item = Item("short.mcap", str(paths[0]), bytes=1, modified_ns=2, validation=str(paths[1]))
+
+    row = row_of(Report(folder=str(tmp_path / "r"), na=1, nb=2, nf=3, nk=4), item)
+
+    assert given == {"recordings": paths, "orders": Orders(na=1, nb=2, nf=3, nk=4)}
+    assert (row["problem"], row["report"], row["validated_by"]) == ("", "short.pdf", "other.mcap")
+    assert row["report_sha256"] == hashlib.sha256(b"a report").hexdigest()
+    assert (row["best"], row["rms_error"]) == ("OE", 0.5)
+    few, two_rigs = row["doubts"]
+    assert few.startswith("short.mcap has 40 samples")
+    assert two_rigs.startswith("short.mcap is of rig 1 (device 0001), other.mcap of rig 2")
+
+
+def test_a_row_says_of_its_run_what_the_run_said(tmp_path: Path) -> None:
+    path = tmp_path / "odd.mcap"
+    path.write_bytes(odd_recording())
+    item = Item("odd.mcap", str(path), bytes=11, modified_ns=12, validation="")
+
+    row = row_of(Verify(), item)
+
+    assert {name: row[name] for name in (*OF_THE_FILE, *OF_THE_RUN)} == {
+        **{"recording": "odd.mcap", "bytes": 11, "modified_ns": 12},
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        **{"rig": "7", "device": "beef", "run_id": "20261120T050000Z-0bad"},
+        "experiment": "blackbox-validation-odd",
+        "started": "2026-11-20T01:30:00-03:30",
+        **{"Ts": 0.05, "samples": 497, "missing": 21, "calibration_sha256": "5ca1e"},
+        **{"recorded_by": "armrig 0.2.1", "damage": ""},
+    }
+
+
+@pytest.mark.parametrize("detrended", [False, True])
+def test_each_option_of_a_task_reaches_its_estimate(folder: Path, detrended: bool) -> None:
+    def treated(name: str) -> Any:
+        data = armrig.load(folder / name).dataset("alpha")
+        return armrig.detrend(data) if detrended else data
+
+    items = {item.name: item for item in items_in(folder, rigs=["1"])}
+    task = Identify(
+        structure="arx", orders={"na": 3, "nb": 2}, nk=2, signal="alpha", detrend=detrended
+    )
+    fit = armrig.arx(treated("a-03.mcap"), na=3, nb=2, nk=2)
+    compared = armrig.compare(treated("a-04.mcap"), fit)[0]
+
+    row = row_of(task, items["a-03.mcap"])
+    judged = row_of(Validate(model=model_text(fit), detrend=detrended), items["a-04.mcap"])
+
+    assert (row["structure"], row["nk"], row["output"], row["integrator"]) == (
+        *("arx", 2, "alpha", False),
+    )
+    assert row["parameters"] == fit.theta.tolist()
+    assert (judged["output"], judged["rms_error"]) == ("alpha", compared.rms_error)
+    assert judged["velocity_fit_percent"] is None
 
 
 def test_what_is_done_is_not_done_again(folder: Path, tmp_path: Path) -> None:
@@ -453,13 +583,19 @@ def test_so_many_workers_die_of_an_item_and_no_more(at_once: int, tries: int) ->
 
 
 def test_an_interrupted_batch_does_not_wait_for_the_workers() -> None:
-    with suppress(KeyboardInterrupt), workers.processes(1) as executor:
-        assert executor.submit(abs, -1).result() == 1
-        at_work = executor.submit(time.sleep, 5.0)
-        while not at_work.running():
-            time.sleep(0.01)
-        raise KeyboardInterrupt
-    assert isinstance(at_work.exception(), BrokenExecutor)
+    at_work: list[Future[None]] = []
+
+    def interrupted() -> None:
+        with workers.processes(1) as executor:
+            assert executor.submit(abs, -1).result() == 1
+            at_work.append(executor.submit(time.sleep, 5.0))
+            while not at_work[0].running():
+                time.sleep(0.01)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert isinstance(at_work[0].exception(), BrokenExecutor)
 
 
 def children(pid: int) -> list[int]:
@@ -603,6 +739,13 @@ def test_a_file_of_any_time_stops_nothing(folder: Path, tmp_path: Path) -> None:
     assert done(few, Verify(), tmp_path / "v.parquet")[0]["problem"] == ""
 
 
+@pytest.fixture
+def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the command do its work in a thread of this process, which starts faster than another."""
+    monkeypatch.setattr(workers, "processes", ThreadPoolExecutor)
+
+
+@pytest.mark.usefixtures("one_thread")
 def test_a_failed_check_is_reported_next_to_broken_files(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -618,6 +761,7 @@ def test_a_failed_check_is_reported_next_to_broken_files(
     assert f"\n  {CUT}: file failed: the file is cut off: it ends " in said.out
 
 
+@pytest.mark.usefixtures("one_thread")
 def test_damage_is_reported_with_the_result(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -633,6 +777,7 @@ def test_damage_is_reported_with_the_result(
     assert f"\n  {CUT}: the result covers the undamaged part: the file is cut off: it ends " in said
     assert "\n  none.mcap: the file is cut off: it ends " in said
     assert "; saved: 0 samples, " in said
+    assert "none.mcap: none of its 0 samples shows theta_1; record again" in said
 
 
 def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) -> None:
@@ -640,6 +785,27 @@ def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) 
     task = report(folder=str(tmp_path / "taken"))
     problem = row_of(task, items_in(folder, rigs=["1"])[0])["problem"]
     assert problem == f"{tmp_path}/taken: File exists"
+
+
+@pytest.mark.parametrize(
+    ("err", "problem"),
+    [
+        (FileError("a first\n  line"), "a first line"),
+        (FileError(""), "FileError"),
+        (OSError(2, "No such\nfile", "/a/b"), "/a/b: No such file"),
+        (OSError("odd"), "odd"),
+        (KeyError("x\ny"), "KeyError: 'x\\ny'"),
+    ],
+)
+def test_a_problem_is_a_line(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, err: Exception, problem: str
+) -> None:
+    def refused(_: object) -> None:
+        raise err
+
+    monkeypatch.setattr("armrig.report.batch.rows.load", refused)
+
+    assert row_of(Verify(), items_in(folder)[0])["problem"] == problem
 
 
 def test_no_recording_however_made_raises(folder: Path) -> None:
