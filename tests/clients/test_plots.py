@@ -106,15 +106,41 @@ PLOTS: dict[str, Plot] = {
 EVERY = pytest.mark.parametrize("plot", PLOTS.values(), ids=PLOTS.keys())
 
 
-@EVERY
-def test_a_plot_draws_into_the_axes_it_is_given(
-    plot: Plot, done: Study, recording: Recording
-) -> None:
-    ax = Figure().add_subplot()
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """What a plot function drew into given axes."""
 
-    assert plot(done, recording, ax) is ax
-    assert ax.has_data()
-    assert plt.get_fignums() == []
+    name: str
+    given: Axes
+    ax: Axes
+    pyplot_figures: list[int]
+
+
+@pytest.fixture(scope="module", params=PLOTS)
+def shown(request: pytest.FixtureRequest, done: Study, recording: Recording) -> Shown:
+    """Draw each plot once, for all tests that only look at it."""
+    given = Figure().add_subplot()
+    ax = PLOTS[request.param](done, recording, given)
+    return Shown(name=request.param, given=given, ax=ax, pyplot_figures=plt.get_fignums())
+
+
+def test_a_plot_draws_into_the_axes_it_is_given(shown: Shown) -> None:
+    assert shown.ax is shown.given
+    assert shown.ax.has_data()
+    assert shown.pyplot_figures == []
+
+
+def test_a_plot_names_its_recording(shown: Shown, done: Study) -> None:
+    """The first twelve digits of the hash of the recording."""
+    of_validation = shown.name in ("data", "jitter", "lateness", "compare", "residuals")
+    source = (done.validation if of_validation else done.estimation).source
+    assert shown.ax.get_title(loc="right") == f"recording {source[:12]}"
+
+
+def test_every_axis_says_what_it_shows(shown: Shown) -> None:
+    panels = shown.ax.figure.axes
+    assert all(panel.get_ylabel() for panel in panels)
+    assert panels[-1].get_xlabel()
 
 
 @EVERY
@@ -123,26 +149,6 @@ def test_a_plot_without_axes_makes_them(plot: Plot, done: Study, recording: Reco
 
     assert ax.has_data()
     assert len(plt.get_fignums()) == 1
-
-
-@EVERY
-def test_a_plot_names_its_recording(plot: Plot, done: Study, recording: Recording) -> None:
-    """The first twelve digits of the hash of the recording."""
-    ax = plot(done, recording, Figure().add_subplot())
-
-    of_data = plot in (PLOTS["data"], PLOTS["jitter"], PLOTS["lateness"])
-    validation = plot in (PLOTS["compare"], PLOTS["residuals"])
-    source = done.validation.source if of_data or validation else done.estimation.source
-    assert ax.get_title(loc="right") == f"recording {source[:12]}"
-
-
-@EVERY
-def test_every_axis_says_what_it_shows(plot: Plot, done: Study, recording: Recording) -> None:
-    ax = plot(done, recording, Figure().add_subplot())
-
-    panels = ax.figure.axes
-    assert all(panel.get_ylabel() for panel in panels)
-    assert panels[-1].get_xlabel()
 
 
 def test_models_differ_without_colour(done: Study) -> None:
@@ -155,15 +161,20 @@ def test_models_differ_without_colour(done: Study) -> None:
     assert widths[0] >= 1.5 * max(widths[1:])
 
 
-@EVERY
-@pytest.mark.parametrize("size", [(6.4, 4.8), (84 / 25.4, 2.7)], ids=["default", "column"])
+_DEFAULT, _COLUMN = (6.4, 4.8), (84 / 25.4, 2.7)
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [*((name, _COLUMN) for name in PLOTS), ("compare", _DEFAULT), ("residuals", _DEFAULT)],
+)
 def test_the_names_are_above_the_data(
-    plot: Plot, size: tuple[float, float], done: Study, recording: Recording
+    name: str, size: tuple[float, float], done: Study, recording: Recording
 ) -> None:
     figure = Figure(figsize=size, layout="constrained")
-    ax = plot(done, recording, figure.add_subplot())
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    ax = PLOTS[name](done, recording, figure.add_subplot())
+    FigureCanvasAgg(figure)
+    figure.draw_without_rendering()
 
     for panel in figure.axes:
         legend = panel.get_legend()
@@ -486,7 +497,8 @@ def test_a_stretched_axis_says_so_and_its_numbers_do_not_overlap(done: Study) ->
     models = _models(done)
     far = replace(done.best.fit, B=np.append(0.0, 2.0 * done.best.fit.B[1:]))
     plots.plot_compare(done.validation, far, *models, ax=figure.add_subplot())
-    FigureCanvasAgg(figure).draw()
+    FigureCanvasAgg(figure)
+    figure.draw_without_rendering()
 
     below = figure.axes[1]
     heights = [text.get_window_extent() for text in below.get_yticklabels()]
@@ -506,7 +518,8 @@ def test_the_labels_of_a_comparison_do_not_overlap(done: Study) -> None:
     plots.plot_compare(
         done.validation, done.best.fit, labels=["OE[4 4 1]"], ax=figure.add_subplot()
     )
-    FigureCanvasAgg(figure).draw()
+    FigureCanvasAgg(figure)
+    figure.draw_without_rendering()
 
     upper, lower = (ax.yaxis.label.get_window_extent() for ax in figure.axes)
     assert lower.y1 < upper.y0
@@ -597,7 +610,7 @@ def test_a_figure_of_axes_in_a_part_of_a_figure_is_the_whole_one(recording: Reco
 
 def test_a_plot_is_saved_with_one_more_word(recording: Recording, tmp_path: Path) -> None:
     begins = {"svg": b"<?xml", "pdf": b"%PDF-", "png": b"\x89PNG"}
-    figure = recording.plot()
+    figure = recording.dataset("alpha")[:300].plot()
     for ending in begins:
         figure.savefig(tmp_path / f"data.{ending}")
 
@@ -676,9 +689,9 @@ def test_two_scales_of_one_panel_have_one_letter(recording: Recording) -> None:
     assert list(letters(figure)) == ["(a)", "(b)"]
 
 
-def test_a_figure_that_is_written_has_letters(recording: Recording, tmp_path: Path) -> None:
+def test_a_figure_that_is_written_has_letters(done: Study, tmp_path: Path) -> None:
     figure = Figure(layout="constrained")
-    plots.plot_bode(oe(recording.dataset(), nb=2, nf=2, integrator=True), ax=figure.add_subplot())
+    plots.plot_bode(done.best.fit, ax=figure.add_subplot())
 
     save(figure, tmp_path / "a.png")
 
