@@ -219,3 +219,47 @@ def test_what_cannot_be_planned_is_refused() -> None:
             predicted_parameter_std(arm, u, Ts=0.01, noise_variance=1e-6, free=free)
     with pytest.raises(ValueError, match="output='beta' is not among the outputs theta_1, alpha"):
         predicted_parameter_std(arm, u, Ts=0.01, noise_variance=1e-6, output="beta")
+
+
+@pytest.mark.parametrize("initial", ["estimate", "zero"])
+def test_a_gap_at_the_end_teaches_as_little_as_a_shorter_experiment(initial: Any) -> None:
+    """Of a physical model and of a black box; the planned length still contains the gap."""
+    u = telegraph(300, 0.1)
+    y, there = np.where(np.arange(300) < 180, 0.0, np.nan), np.arange(300) < 180
+    gap = Dataset(u=u, y=y, valid=there, Ts=0.01)
+    model = PlannedModel(B=B, F=A, noise_variance=1.0, Ts=0.01)
+
+    for predict in (
+        lambda x: predicted_std(model, x, initial=initial),
+        lambda x: predicted_parameter_std(
+            arm, x, Ts=0.01, noise_variance=1e-4, free=("J_1", "K_lin"), initial=initial
+        ),
+    ):
+        found, short, long = (predict(x) for x in (gap, u[:180], u))
+        np.testing.assert_allclose(found.std, short.std, rtol=1e-6)
+        assert (long.std < short.std).all()
+        assert (found.N, short.N) == (180, 180)
+        assert (found.seconds, short.seconds) == pytest.approx((3.0, 1.8))
+
+
+def test_each_experiment_adds_its_information() -> None:
+    """Two equal experiments from rest halve every variance; each has its own initial state."""
+    u = telegraph(200, 0.1)
+    once = Dataset(u=u, y=np.zeros(200), Ts=0.01)
+    model = PlannedModel(B=B, A=A, C=[1, 0.4], noise_variance=1.0, Ts=0.01)  # type: ignore[arg-type]
+
+    for predict in (
+        lambda x: predicted_std(model, x),
+        lambda x: predicted_parameter_std(chassis, x, Ts=0.01, noise_variance=1e-4),
+    ):
+        one, two = (predict(x).covariance for x in (once, merge([once, once])))
+        np.testing.assert_allclose(two, one / 2, rtol=1e-9)
+
+
+def test_the_noise_variance_may_be_another_than_the_model_s() -> None:
+    model = PlannedModel(B=B, F=A, noise_variance=1.0, Ts=0.01)
+    u = telegraph(200, 0.1)
+
+    quiet = predicted_std(model, u, noise_variance=0.04)
+
+    np.testing.assert_allclose(quiet.std, 0.2 * predicted_std(model, u).std)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.numerics.inference import Inference, Score, infer
+from armrig.numerics.inference import Inference, Score, Test, infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered
+from scipy.special import chdtrc, chdtri
 
 N, D = 400, 3
 THETA = np.array([1.0, -2.0, 0.5])
@@ -69,15 +70,22 @@ def test_columns_that_are_nearly_alike_leave_no_variance_below_zero(
     assert np.all((std > 0.1 * classic) & (std < 10 * classic))
 
 
-def test_missing_residuals_are_as_if_they_had_never_been() -> None:
+@pytest.mark.parametrize("test", ["portmanteau", "ljung-box"])
+@pytest.mark.parametrize("samples", [N, 99])
+def test_missing_residuals_are_as_if_they_had_never_been(samples: int, test: Test) -> None:
+    """Of 99 samples, 59 residuals are left: too few for 25 lags."""
     Phi, y, theta, _ = regression(2, [1.0])
+    Phi, y = Phi[:samples], y[:samples]
     e = y - Phi @ theta
-    there = np.arange(N) >= 40  # a hole at the start moves no pair of neighbours apart
+    there = np.arange(samples) >= 40  # a hole at the start moves no pair of neighbours apart
 
-    holed = infer(
-        [np.where(there, e, np.nan)], [np.where(there[:, None], Phi, 0.0)], score="correlated", y=y
+    holed, cut = (
+        infer([residuals], [Psi], score="correlated", y=output, test=test)
+        for residuals, Psi, output in (
+            (np.where(there, e, np.nan), np.where(there[:, None], Phi, 0.0), y),
+            (e[there], Phi[there], y[there]),
+        )
     )
-    cut = infer([e[there]], [Phi[there]], score="correlated", y=y[there])
 
     assert holed.N == cut.N
     assert holed.fit_percent == cut.fit_percent
@@ -127,3 +135,16 @@ def test_as_many_parameters_as_samples_leave_no_noise_to_estimate() -> None:
 
     with pytest.raises(ValueError, match=r"4 samples .* 3 parameters and 1 initial"):
         infer([e], [Phi[:4]], nuisance=1, score="exogenous")
+
+
+def test_a_fitted_autoregression_costs_the_ljung_box_test_degrees_of_freedom() -> None:
+    """At most all degrees but one."""
+    Phi, y, theta, _ = regression(7, [1.0])
+    e = y - Phi @ theta
+    p = [
+        infer([e], [Phi], score="exogenous", test="ljung-box", prewhitening=n).white.p_value
+        for n in (0, 3, 99)
+    ]
+
+    Q = chdtri(25, p[0])
+    assert p[1:] == pytest.approx([chdtrc(22, Q), chdtrc(1, Q)])
