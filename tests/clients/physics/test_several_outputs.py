@@ -47,12 +47,21 @@ def test_both_outputs_give_smaller_deviations_than_each_alone() -> None:
 
 
 def test_several_experiments_each_have_their_state() -> None:
-    p, signals = simulated(np.random.default_rng([3, 9]), 900, 5e-3)
+    p, signals = simulated(np.random.default_rng([3, 9]), 900, 2e-3)
     two = armrig.merge([signals[100:500], signals[600:]])  # type: ignore[arg-type]
 
-    fit = estimated(two)
+    fit = estimated(two, output="alpha")
 
-    assert len(fit.initial) == 2
+    assert len(fit.initial) == len(fit.offset) == 2
+    own = fit.by_output["alpha"]
+    assert (fit.output, fit.unit, fit.N) == ("alpha", "rad", 700)
+    assert (fit.loss, fit.fit_percent, fit.whiteness) == (
+        own.loss,
+        own.fit_percent,
+        own.white.p_value,
+    )
+    assert fit.noise_variance == pytest.approx(fit.loss, rel=0.05)
+    assert fit.by_output["theta_1"].loss != pytest.approx(fit.loss, rel=0.5)
     for name in NAMES:
         assert abs(fit.values[name] - getattr(p, name)) < 3.5 * fit.std[name]
 
