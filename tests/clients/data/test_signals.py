@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from armrig import Signals
-from armrig.data.step import codes_of
+from armrig.data.step import codes_of, span_of
 from armrig_core.errors import FileError, InputError, InputTypeError
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.io import savemat
 from scipy.signal import lfilter
@@ -296,6 +297,41 @@ def test_the_figure_shows_each_channel() -> None:
     labels = [ax.get_ylabel() for ax in figure.axes]
     assert labels == ["temperature [K]", "flow [l/s]", "level [m]", "heater [V]", "valve [%]"]
     assert figure.axes[0].get_legend_handles_labels()[1] == ["dead band or missing sample"]
+
+
+def test_an_input_is_drawn_as_it_runs_between_samples_and_experiments_are_marked() -> None:
+    signals = driven().replaced(step=None, intersample=["foh", "zoh"])
+
+    panels = signals.plot(ax=Figure().add_subplot()).axes
+
+    straight, held = (panel.lines[0] for panel in panels[3:])
+    assert [line.get_drawstyle() for line in (straight, held)] == ["default", "steps-post"]
+    for j, line in enumerate((straight, held)):
+        np.testing.assert_array_equal(line.get_ydata(), signals.u[:, j])
+    for panel in panels:
+        assert [line.get_xdata() for line in panel.lines[1:]] == [[20.0, 20.0]]
+        assert panel.get_xlim() == pytest.approx((0.0, 59.9))
+
+
+def test_a_part_knows_its_time_and_its_merge_its_channels() -> None:
+    even, t = driven(), 0.1 * np.arange(600) + 0.04 * (np.arange(600) % 2)
+    uneven = Signals(u=even.u, y=even.y, t=t + 5)
+
+    assert span_of(even[150:260].history) == pytest.approx((15.0, 26.0))
+    assert span_of(uneven[150:320].history) == pytest.approx((15.0, 31.94))
+    merged = armrig.merge([uneven[:150], uneven[150:]])
+    np.testing.assert_array_equal(merged.t, uneven.t)
+    assert merged.starts == (0, 150)
+    parts = [even.channels(intersample_of, None) for intersample_of in (["flow"], ["level"])]
+    with pytest.raises(InputError, match=r"the same outputs .*'flow'.*'level'"):
+        armrig.merge(parts)
+    for change, name in (
+        ({"intersample": "foh"}, "intersample"),
+        ({"units": ["K", "l/s", "cm"]}, "units"),
+        ({"Ts": 0.2}, "Ts"),
+    ):
+        with pytest.raises(InputError, match=f"merge needs the same {name} in all data"):
+            armrig.merge([even, even.replaced(step=None, **change)])
 
 
 # Files.

@@ -306,6 +306,22 @@ def test_times_that_give_no_sampling_time_are_reported(
     assert load_data(path, Ts=0.5).Ts == 0.5
 
 
+@pytest.mark.parametrize(("given", "noted"), [(0.1, 0), (0.104, 0), (0.05, 1), (0.2, 1)])
+def test_a_given_sampling_time_that_is_not_the_file_s_is_noted(
+    given: float, noted: int, tmp_path: Path
+) -> None:
+    """Up to a twentieth is rounding; the given number is used in any case."""
+    path = written(tmp_path, table(","))
+
+    for data in (
+        load_data(path, Ts=given),
+        armrig.load_signals(path, inputs="u", outputs="y", Ts=given),
+    ):
+        assert data.Ts == given
+        note = f"used the given Ts = {given:g} s, although the times are 0.1 s apart"
+        assert data.history == (note,) * noted
+
+
 def test_input_and_signal_are_two_columns(tmp_path: Path) -> None:
     path = written(tmp_path, "u,y\n1,2\n")
 
