@@ -162,6 +162,17 @@ def test_a_clock_holds_each_value() -> None:
     np.testing.assert_array_equal(prbs(21, 3, register=3)[2::3], prbs(7, 1, register=3))
 
 
+@pytest.mark.parametrize(
+    ("N", "clock", "register"), [(60, 10, 3), (70, 10, 3), (71, 10, 4), (3, 1, 2), (4, 1, 3)]
+)
+def test_a_prbs_has_the_shortest_register_that_lasts(N: int, clock: int, register: int) -> None:
+    """Seven clocks fill the period of three bits."""
+    expected = prbs(N, clock, seed=5, register=register)
+
+    np.testing.assert_array_equal(prbs(N, clock, seed=5), expected)
+    assert not np.array_equal(expected, prbs(N, clock, seed=5, register=register + 1))
+
+
 def test_by_default_a_prbs_does_not_repeat_itself() -> None:
     u = prbs(127, seed=1)
 
@@ -304,6 +315,9 @@ def test_a_file_is_read_as_people_write_them(tmp_path: Path, text: str) -> None:
         ("0;1,5\n", "row 1: 3 columns.*with a point, not a comma"),
         ("time,voltage\n0,1\n", "columns time, voltage; name them t and u"),
         ("", "no row of numbers"),
+        ("# mine\n\nt,u\n0,1\n# a remark\n0.01,2\n0.03,3\n", "row 7: t=0.03 s"),
+        ("# mine\n\n1\n# a remark\n9\n", r"1 of 2 .* first in row 5: u=9 V \(sample 1\)"),
+        ("t,u\n\n0,1\n0.01,one\n", "row 4: '0.01 one' must be one number"),
     ],
 )
 def test_a_file_that_must_not_be_played_is_refused_by_its_row(
@@ -329,6 +343,23 @@ def test_every_input_by_name_is_as_long_and_inside(name: str) -> None:
     assert 1 <= u.min() < u.max() <= 2
     assert np.abs(u - 1.5).max() > 0.49
     np.testing.assert_array_equal(u, again)
+
+
+def test_the_settings_of_an_input_are_stored_and_no_others() -> None:
+    stored = {
+        name: set(details_of(name, a=0.05, low=1.0, high=2.0, seed=5)) - {"input", "low", "high"}
+        for name in NAMES
+    }
+
+    assert stored == {
+        "telegraph": {"a", "seed"},
+        "prbs": {"a", "seed"},
+        "white": {"seed"},
+        "multisine": {"seed"},
+        "chirp": set(),
+    }
+    found = details_of("prbs", a=0.05, low=1.0, high=2.0, seed=5)
+    assert found == {"input": "prbs", "a": 0.05, "low": 1.0, "high": 2.0, "seed": 5}
 
 
 def test_an_input_that_has_no_name_is_refused() -> None:

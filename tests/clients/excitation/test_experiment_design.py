@@ -263,3 +263,17 @@ def test_the_noise_variance_may_be_another_than_the_model_s() -> None:
     quiet = predicted_std(model, u, noise_variance=0.04)
 
     np.testing.assert_allclose(quiet.std, 0.2 * predicted_std(model, u).std)
+
+
+@pytest.mark.parametrize("structure", ["A", "F"])
+def test_an_integrator_from_a_known_state_is_known_better(structure: str) -> None:
+    """Initial state and offset are then not estimated."""
+    u = telegraph(60, 0.1) - 2.5
+    integrating = np.convolve(A, [1.0, -1.0])
+    model = PlannedModel(
+        B=B, noise_variance=1.0, Ts=0.01, integrator=True, **{structure: integrating}
+    )
+
+    known, estimated = (predicted_std(model, u, initial=how) for how in ("zero", "estimate"))
+
+    assert (known.std < 0.997 * estimated.std).all()

@@ -12,6 +12,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.physics.grey_box.estimate import no_model, worse_with_friction
 from armrig.physics.grey_box.fit import below_zero
+from armrig.physics.grey_box.parameters import Friction, free_names
 from armrig.physics.systems import ArmParameters, arm, chassis
 
 from tests.clients.chassis_data import Make, Ts, angle
@@ -89,6 +90,9 @@ def test_what_is_held_fixed_carries_its_uncertainty_in(make: Make) -> None:
     expected = np.hypot(alone.std["J_1"], 0.01 * HANDOUT.J_1 * np.hypot(by_K_m, 1))
     assert fit.std["J_1"] == pytest.approx(expected, rel=0.01)
     assert fit.std_noise["J_1"] == pytest.approx(alone.std["J_1"], rel=1e-9)
+    added = [one.std["J_1"] ** 2 - one.std_noise["J_1"] ** 2 for one in (fit, alone)]
+    robust = fit.std_robust["J_1"] ** 2 - alone.std_robust["J_1"] ** 2
+    assert added == pytest.approx([robust, 0.0], rel=1e-6)
     assert "K_m +" in fit.explain()
 
 
@@ -264,6 +268,23 @@ def test_parameters_that_replace_each_other_are_refused(make: Make) -> None:
 def test_the_impossible_is_refused(make: Make, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         armrig.greybox(make(N=200), **changes)
+
+
+@pytest.mark.parametrize(
+    ("free", "friction", "names"),
+    [
+        ("K_m", None, ("K_m",)),
+        (("J_1", "N"), "viscous", ("J_1", "N", "b_1")),
+        (("b_1", "J_1"), "viscous", ("b_1", "J_1")),
+        (("b_1", "J_1"), "both", ("b_1", "J_1", "T_c")),
+        (("J_1",), "both", ("J_1", "b_1", "T_c")),
+        (("J_1",), "coulomb", ("J_1", "T_c")),
+    ],
+)
+def test_frictions_follow_the_other_parameters_and_none_is_there_twice(
+    free: Any, friction: Friction | None, names: tuple[str, ...]
+) -> None:
+    assert free_names(free, friction) == names
 
 
 def test_data_of_another_output_are_refused(make: Make) -> None:
