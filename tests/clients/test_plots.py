@@ -25,8 +25,20 @@ from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
 from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
-from armrig.plots.captions import _fits, named_by_run
-from armrig.plots.layout import save
+from armrig.plots.captions import _fits, in_mathtext, legend, named, named_by_run, signature, symbol
+from armrig.plots.layout import (
+    COLOURS,
+    decibels,
+    finish,
+    high_axes,
+    logarithmic,
+    panels,
+    pens,
+    rows,
+    save,
+    shade,
+    stems,
+)
 from armrig.recordings.figures import plot_overview
 from armrig.recordings.loading import load
 from armrig.recordings.overview import overview
@@ -742,3 +754,141 @@ def test_a_notebook_shows_a_plot_once(
 
     assert len(shown) == 1
     assert plt.get_fignums() == []  # of which the notebook shows what is left
+
+
+A, B = "a1" * 32, "b2" * 32
+
+
+@pytest.mark.parametrize(
+    ("sources", "text"),
+    [
+        ((A,), "recording a1a1a1a1a1a1"),
+        ((f"{A}+{B}",), "recordings a1a1a1a1a1a1, b2b2b2b2b2b2"),
+        ((A, B, A), "recordings a1a1a1a1a1a1, b2b2b2b2b2b2"),
+        ((f"data:{A}", f"data:{B}"), "data a1a1a1a1a1a1, b2b2b2b2b2b2"),
+        ((f"{A}+data:{B}",), "recording a1a1a1a1a1a1; data b2b2b2b2b2b2"),
+        (("", A, ""), "recording a1a1a1a1a1a1"),
+        (("",), ""),
+        (("c3",), "recording @0000000b"),
+        (("d4",), "recording d4"),
+    ],
+)
+def test_the_sources_of_a_figure_are_listed_once_by_kind(
+    sources: tuple[str, ...], text: str
+) -> None:
+    assert signature(*sources, runs={"c3": "0000000b", "d4": ""}) == text
+
+
+def test_symbols_and_powers_of_ten_are_in_mathtext() -> None:
+    written = [symbol(name) for name in ("J_1", "K_lin", "N", "T_c", "J_12")]
+
+    assert written == ["$J_1$", "$K_{lin}$", "$N$", "$T_c$", "$J_{12}$"]
+    assert (
+        in_mathtext("(1.2 ± 0.1)·10⁻¹² m, 10³ and 10")
+        == "(1.2 ± 0.1)·$10^{-12}$ m, $10^{3}$ and 10"
+    )
+    assert [named("theta_1", "rad"), named("flow", "")] == [r"$\theta_1$ [rad]", "flow [–]"]
+
+
+def test_many_curves_have_different_pens_and_two_times_as_many_begin_again() -> None:
+    many = pens(2 * len(COLOURS))
+
+    assert [pen["color"] for pen in many] == [*COLOURS, *COLOURS]
+    assert len({str(pen) for pen in many}) == len(COLOURS)
+    assert max(pen["lw"] for pen in many) == many[0]["lw"]
+    assert pens(1) == [{"color": plots.BLUE, "ls": "-", "lw": 1.4}]
+    assert pens(0) == []
+
+
+def test_a_magnitude_of_nothing_has_decibels() -> None:
+    np.testing.assert_allclose(
+        decibels(np.array([10.0, -0.1, 3j, 0.0])), [20, -20, 20 * np.log10(3), -300]
+    )
+
+
+@pytest.mark.parametrize(
+    ("high", "ticks"), [(150.0, [1, 2, 5, 10, 20, 50, 100]), (900, [1, 10, 100])]
+)
+@pytest.mark.parametrize("way", ["x", "y"])
+def test_a_logarithmic_axis_has_plain_numbers(way: str, high: float, ticks: list[float]) -> None:
+    """At 1, 2 and 5 times a power of ten, or at decades only beyond a ratio of 200."""
+    ax = Figure().add_subplot()
+    axis = getattr(ax, f"{way}axis")
+
+    logarithmic(axis, 1.0, high)
+
+    assert (ax.get_xscale(), ax.get_yscale()) == (
+        ("log", "linear") if way == "x" else ("linear", "log")
+    )
+    assert axis.get_view_interval().tolist() == [1.0, high]
+    shown = [t for t in axis.get_major_locator()() if 1 <= t <= high]
+    assert shown == pytest.approx(ticks)
+    assert axis.get_major_formatter()(20.0) == "20"
+    assert axis.get_minor_formatter()(20.0) == ""
+
+
+@pytest.mark.parametrize(("size", "beside"), [((9.0, 2.0), True), ((4.0, 4.0), False)])
+def test_panels_without_a_common_axis_are_side_by_side_in_a_wide_place(
+    size: tuple[float, float], beside: bool
+) -> None:
+    for sharex in (False, True):
+        ax, second = panels(Figure(figsize=size).add_subplot(), 0.25, sharex=sharex)
+
+        first, other = ax.get_position(), second.get_position()
+        if beside and not sharex:
+            assert first.x1 < other.x0
+            assert other.width == pytest.approx(first.width / 3)
+        else:
+            assert other.y1 < first.y0
+            assert other.height == pytest.approx(first.height / 3)
+        assert ax.get_shared_x_axes().joined(ax, second) == sharex
+        assert ax.xaxis.get_tick_params().get("labelbottom", True) != sharex
+
+
+def test_rows_are_of_equal_height_with_one_axis_of_time() -> None:
+    every = rows(high_axes(5), 5)
+
+    figure = every[0].figure.figure
+    assert figure.get_size_inches() == pytest.approx((6.4, 5.75))
+    assert high_axes(2).figure.figure.get_size_inches()[1] == pytest.approx(3.6)
+    heights = [ax.get_position().height for ax in every]
+    assert heights == pytest.approx([heights[0]] * 5)
+    shown = [ax.xaxis.get_tick_params().get("labelbottom", True) for ax in every]
+    assert shown == [False] * 4 + [True]
+    finish(*every, xlim=(1.0, 3.0))
+    assert {ax.get_xlim() for ax in every} == {(1.0, 3.0)}
+    spines = [side for side, spine in every[2].spines.items() if spine.get_visible()]
+    assert spines == ["left", "bottom"]
+
+
+def test_a_gap_is_shaded_half_a_sample_beyond_its_samples() -> None:
+    ax = Figure().add_subplot()
+
+    shade(ax, np.array([False, True, True, False, False, True]), 0.2, first=3.0)
+    stems(ax, np.array([1.0, 4.0]), np.array([-2.0, 0.5]), "#123456")
+
+    edges = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in ax.patches]  # type: ignore[attr-defined]
+    assert np.ravel(edges) == pytest.approx([2.9, 3.1, 3.5, 3.9])
+    assert ax.get_legend_handles_labels()[1] == ["dead band or missing sample"]
+    (lines,) = ax.collections
+    assert [path.vertices.tolist() for path in lines.get_paths()] == [  # type: ignore[union-attr]
+        [[1.0, 0.0], [1.0, -2.0]],
+        [[4.0, 0.0], [4.0, 0.5]],
+    ]
+
+
+def test_a_legend_takes_the_room_of_its_notes_and_of_what_is_below_it() -> None:
+    """Each further line is as high as the others; without names and notes there is none."""
+    heights = []
+    for notes in ((), ("one",), ("one", "two")):
+        ax = Figure().add_subplot()
+        ax.plot([0, 1], label="curve")
+        heights.append((legend(ax, *notes), legend(ax, *notes, lift=30.0)))
+
+    (none, lifted), (one, _), (two, _) = heights
+    assert lifted == pytest.approx(none + 30.0)
+    assert two - one == pytest.approx(one - none)
+    assert one > none + 10
+    empty = Figure().add_subplot()
+    assert legend(empty, lift=7.0) == 7.0
+    assert empty.get_legend() is None

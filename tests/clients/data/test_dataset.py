@@ -237,3 +237,21 @@ def test_a_number_that_is_too_large_or_too_small_is_refused_by_its_name() -> Non
         as_dataset(Dataset(u=[1.0, 2.0], y=[0.0, -1e-40], Ts=1))
     hidden = Dataset(u=[1.0, 2.0], y=[1e99, 0.0], Ts=1, valid=[False, True])
     assert as_dataset(hidden) is hidden
+
+
+def test_a_hash_knows_every_number_and_no_name() -> None:
+    """Estimation and validation data are told apart by it."""
+    data = ramp(6, starts=(0, 3), valid=[True, False, True, True, True, True])
+    u, y = data.u.copy(), data.y.copy()
+    u[2], y[4] = 0.5, 0.5
+    others = [
+        data.replaced(step=None, u=u),
+        data.replaced(step=None, y=y),
+        data.replaced(step=None, valid=data.valid & (np.arange(6) != 2)),
+        data.replaced(step=None, starts=(0, 2)),
+        data.replaced(step=None, Ts=0.2),
+    ]
+
+    assert len({data.digest, *(other.digest for other in others)}) == 6
+    assert data.replaced(step="renamed", output="alpha", unit="rad").digest == data.digest
+    assert data.origin()["digest"] == data.digest

@@ -137,6 +137,25 @@ def test_slices_parts_and_experiments() -> None:
         signals.split(N + 1)
 
 
+def test_a_hash_knows_every_number() -> None:
+    signals = driven(missing=0.1)
+    u, y = signals.u.copy(), signals.y.copy()
+    u[5, 1] += 1
+    y[np.flatnonzero(signals.valid[:, 2])[0], 2] += 1
+    uneven = Signals(u=signals.u, y=signals.y, t=np.arange(600.0) ** 1.1)
+    others = [
+        *(signals.replaced(step=None, **{name: x}) for name, x in (("u", u), ("y", y))),
+        signals.replaced(step=None, valid=signals.valid & (np.arange(600) != 77)[:, None]),
+        signals.replaced(step=None, starts=(0, 201)),
+        signals.replaced(step=None, Ts=0.2),
+        uneven,
+        Signals(u=signals.u, y=signals.y, t=np.arange(600.0) ** 1.2),
+    ]
+
+    assert len({signals.digest, *(other.digest for other in others)}) == 8
+    assert signals.replaced(step="renamed", source="").digest == signals.digest
+
+
 def test_channels_are_chosen_by_name_in_the_order_given() -> None:
     chosen = driven().channels(["level", "temperature"], "valve")
 
@@ -280,6 +299,17 @@ def test_a_pair_must_be_chosen() -> None:
             ask()
     with pytest.raises(InputError, match="output='fan': there is no such output; there are"):
         signals.dataset("fan", "valve")
+
+
+def test_an_option_of_one_pair_is_refused_for_several_with_those_that_there_are() -> None:
+    call: Any = armrig.oe
+    said = "^offset= is for one output and one input; for several signals oe takes nb, nf, nk, "
+    with pytest.raises(InputTypeError, match=said):
+        call(driven(), nb=1, nf=1, offset=True)
+    with pytest.raises(InputTypeError, match=r"^stable= is for .* arx takes na, nb, nk$"):
+        armrig.arx(data=driven(), na=1, nb=1, stable=True)
+    alone = driven().channels("level", "heater")
+    assert armrig.arx(data=alone, na=1, nb=1, stable=True).names == ("a1", "b1")
 
 
 def test_the_repr_says_what_there_is() -> None:

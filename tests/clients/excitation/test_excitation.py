@@ -362,6 +362,24 @@ def test_the_settings_of_an_input_are_stored_and_no_others() -> None:
     assert found == {"input": "prbs", "a": 0.05, "low": 1.0, "high": 2.0, "seed": 5}
 
 
+def test_an_input_by_name_is_that_of_its_function() -> None:
+    """A telegraph of probability 0.1 switches as often as a prbs of five samples."""
+    expected = {
+        "telegraph": telegraph(90, 0.1, 1.0, 2.0, 3),
+        "prbs": prbs(90, 5, 1.0, 2.0, 3),
+        "white": white_noise(90, 1.0, 2.0, 3),
+        "multisine": multisine(90, None, 1.0, 2.0, 3),
+    }
+
+    for name, u in expected.items():
+        made = named_signal(name, 90, 0.01, a=0.1, low=1.0, high=2.0, seed=3)
+        np.testing.assert_array_equal(made, u, err_msg=name)
+    assert [clock_of(a) for a in (0.5, 0.3, 0.1, 0.011)] == [1, 2, 5, 45]
+    for a in (0.0, 0.51, float("nan")):
+        with pytest.raises(ValueError, match="a probability of more than 0, at most"):
+            clock_of(a)
+
+
 def test_an_input_that_has_no_name_is_refused() -> None:
     with pytest.raises(ValueError, match=r"input 'noise' is not one of telegraph, prbs, white"):
         named_signal("noise", 10, 0.01, a=0.05, low=1, high=2, seed=1)

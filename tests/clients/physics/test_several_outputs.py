@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import armrig
 import numpy as np
 import pytest
-from armrig import Signals
+from armrig import ArmParameters, Signals
 from armrig_core.errors import InputError
 
 from tests.benchmarks.several_greybox import NAMES, simulated
@@ -84,3 +85,29 @@ def test_what_both_outputs_cannot_give_is_refused() -> None:
         estimated(signals, output="velocity")
     with pytest.raises(InputError, match="10 samples are too few"):
         estimated(signals[:10])
+
+
+def test_fixed_parameters_carry_their_uncertainty_into_both_forms() -> None:
+    """The shares of R_m and K_m add as squares; influences are in percent for one percent."""
+    _, signals = simulated(np.random.default_rng([3, 9]), 400, 2e-3)
+    p = ArmParameters()
+    shares = {"R_m": 0.01, "K_m": 0.02}
+    known = {name: share * getattr(p, name) for name, share in shares.items()}
+
+    plain, fit = (
+        estimated(signals, friction="viscous"),
+        estimated(signals, friction="viscous", fixed_std=known),
+    )
+
+    assert fit.names == (*NAMES, "b_1")
+    assert fit.std_noise == pytest.approx(plain.std)
+    for name in NAMES:
+        carried = [fit.influence[name][k] * share for k, share in shares.items()]
+        added = (fit.values[name] * np.linalg.norm(carried)) ** 2
+        assert fit.std[name] ** 2 - plain.std[name] ** 2 == pytest.approx(added, rel=1e-6)
+        robust = fit.std_robust[name] ** 2 - plain.std_robust[name] ** 2
+        assert robust == pytest.approx(added, rel=1e-6)
+    heavier = estimated(signals, friction="viscous", fixed=replace(p, R_m=1.001 * p.R_m))
+    for name in NAMES:
+        moved = (heavier.values[name] / plain.values[name] - 1) / 1e-3
+        assert moved == pytest.approx(plain.influence[name]["R_m"], rel=0.05, abs=5e-3)
