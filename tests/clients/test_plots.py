@@ -735,7 +735,9 @@ def test_a_notebook_shows_words_and_figure(result: str, done: Study, recording: 
 
     assert escape(repr(shown)) in html
     (image,) = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
-    assert b64decode(image)[:8] == b"\x89PNG\r\n\x1a\n"
+    png = b64decode(image)
+    assert png[:8] == b"\x89PNG\r\n\x1a\n"
+    assert 500 < int.from_bytes(png[16:20], "big") < 1000  # pixels, at 100 for each inch
     assert plt.get_fignums() == []
 
 

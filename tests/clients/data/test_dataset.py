@@ -255,3 +255,23 @@ def test_a_hash_knows_every_number_and_no_name() -> None:
     assert len({data.digest, *(other.digest for other in others)}) == 6
     assert data.replaced(step="renamed", output="alpha", unit="rad").digest == data.digest
     assert data.origin()["digest"] == data.digest
+
+
+def test_data_are_told_in_one_line() -> None:
+    """Missing samples are a share of all samples."""
+    data = ramp(8, valid=np.arange(8) > 1, output="alpha", unit="rad", history=("made",))
+
+    alone = "<Dataset: 8 samples at 0.1 s; output alpha [rad]; 2 missing (25.0 %); history: made>"
+    assert repr(data) == alone
+    assert repr(merge([ramp(2), ramp(3)])).startswith(
+        "<Dataset: 5 samples at 0.1 s; output y; 2 experiments; history: merged 2 parts"
+    )
+
+
+def test_many_merged_parts_are_listed_up_to_the_eighth() -> None:
+    parts = [ramp(n, source=f"{n % 2}{n % 2}") for n in range(1, 10)]
+
+    for count, listed in ((8, "1, 2, 3, 4, 5, 6, 7, 8"), (9, "1, 2, 3, 4, 5, 6, 7, 8, …")):
+        merged = merge(parts[:count])
+        assert merged.history == (f"merged {count} parts of {listed} samples",)
+        assert merged.source == "11+00"

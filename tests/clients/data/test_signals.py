@@ -172,6 +172,9 @@ def test_merged_experiments_keep_their_boundaries() -> None:
     assert merged.starts == (0, 200, 600, 700)
     np.testing.assert_array_equal(merged.y[600:], second.y[100:])
     assert merged.history[0] == "made"
+    assert merged.source == first.source
+    other = second.replaced(step=None, source="cd")
+    assert armrig.merge([first, other, first]).source == f"{first.source}+cd"
     assert merged.digest != first.digest
     with pytest.raises(InputError, match=r"the same outputs in all data, got .* and .*"):
         armrig.merge([first, first.channels(["level"])])

@@ -257,6 +257,7 @@ def test_a_chirp_reaches_its_last_frequency_after_its_last_sample(
 def test_a_staircase_stays_equally_long_on_every_level() -> None:
     np.testing.assert_array_equal(staircase(7, [1, 3, 2]), [1, 1, 1, 3, 3, 2, 2])
     np.testing.assert_array_equal(staircase(4, 2, low=0, high=5), [0, 0, 5, 5])
+    np.testing.assert_array_equal(staircase(3, 3, low=1, high=2), [1, 1.5, 2])
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,17 @@ N, D = 400, 3
 THETA = np.array([1.0, -2.0, 0.5])
 
 
-def regression(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Inference]:
-    """Return Phi, y, theta and the inference of y = Phi theta + C(q) e, in two experiments."""
+def fitted(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return Phi, y and theta of y = Phi theta + C(q) e."""
     rng = np.random.default_rng(seed)
     Phi = np.column_stack([filtered([1.0], [1.0, -0.8], x) for x in rng.standard_normal((D, N))])
     y = Phi @ THETA + filtered(C, [1.0], rng.standard_normal(N))
-    theta = np.linalg.lstsq(Phi, y, rcond=None)[0]
+    return Phi, y, np.linalg.lstsq(Phi, y, rcond=None)[0]
+
+
+def regression(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Inference]:
+    """Return a regression and its inference, in two experiments."""
+    Phi, y, theta = fitted(seed, C)
     e, blocks = np.split(y - Phi @ theta, [150]), np.split(Phi, [150])
     return Phi, y, theta, infer(e, blocks, score="exogenous", y=y)
 
@@ -41,7 +46,7 @@ def test_the_robust_form_holds_for_coloured_noise(score: Score) -> None:
     """In 300 runs the estimates scatter by the robust deviations, and by more than the classic."""
     estimates, robust, classic = [], [], []
     for seed in range(300):
-        Phi, y, theta, _ = regression(seed, [1.0, 0.9, 0.8])
+        Phi, y, theta = fitted(seed, [1.0, 0.9, 0.8])
         found = infer([y - Phi @ theta], [Phi], score=score, test=None)
         estimates.append(theta)
         robust.append(np.diag(found.covariance_robust))

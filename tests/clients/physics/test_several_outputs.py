@@ -9,6 +9,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig import ArmParameters, Signals
+from armrig.physics.grey_box.least_squares_problem import GreyBox
+from armrig.physics.grey_box.sampled_model import Physics
+from armrig.physics.grey_box.several_outputs import _minimised, _Problem
 from armrig_core.errors import InputError
 
 from tests.benchmarks.several_greybox import NAMES, simulated
@@ -89,7 +92,7 @@ def test_what_both_outputs_cannot_give_is_refused() -> None:
 
 def test_fixed_parameters_carry_their_uncertainty_into_both_forms() -> None:
     """The shares of R_m and K_m add as squares; influences are in percent for one percent."""
-    _, signals = simulated(np.random.default_rng([3, 9]), 400, 2e-3)
+    _, signals = simulated(np.random.default_rng([3, 9]), 250, 2e-3)
     p = ArmParameters()
     shares = {"R_m": 0.01, "K_m": 0.02}
     known = {name: share * getattr(p, name) for name, share in shares.items()}
@@ -111,3 +114,22 @@ def test_fixed_parameters_carry_their_uncertainty_into_both_forms() -> None:
     for name in NAMES:
         moved = (heavier.values[name] / plain.values[name] - 1) / 1e-3
         assert moved == pytest.approx(plain.influence[name]["R_m"], rel=0.05, abs=5e-3)
+
+
+def test_the_weights_of_the_outputs_are_their_noise_whatever_they_were_first() -> None:
+    _, signals = simulated(np.random.default_rng([3, 9]), 200, 2e-3)
+    physics = tuple(
+        Physics(model=armrig.arm, fixed=ArmParameters(), output=name) for name in signals.outputs
+    )
+    plain = GreyBox(physics=physics[0], names=NAMES, experiments=())
+    start = plain.coordinates({name: getattr(ArmParameters(), name) for name in NAMES})
+    found = []
+    for first in ((1e3, 1.0), (1.0, 1e3)):
+        begun = _Problem(plain=plain, physics=physics, experiments=(signals,), std=np.array(first))
+
+        problem, best = _minimised(begun, start)
+
+        (e,) = problem.at(best.theta).e
+        np.testing.assert_allclose(problem.std, np.sqrt(np.mean(e**2, axis=0)), rtol=1e-3)
+        found.append(best.theta)
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-6)

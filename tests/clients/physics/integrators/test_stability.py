@@ -12,7 +12,7 @@ from armrig.physics.integrators.methods import METHODS, amplification
 from armrig.physics.integrators.stability import _positive_roots, stability_limit
 from armrig.physics.integrators.stepping import integrate
 from armrig_core.arm import ArmParameters, arm_matrices
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 EXPLICIT = ("forward_euler", "ab2", "heun", "midpoint")
@@ -26,6 +26,7 @@ def pair(real: float, imaginary: float) -> np.ndarray:
     return np.array([[real, imaginary], [-imaginary, real]])
 
 
+@settings(max_examples=40)
 @given(st.floats(-50.0, -1e-3), st.floats(0.0, 50.0))
 def test_forward_euler_s_limit_is_that_of_its_circle(real: float, imaginary: float) -> None:
     """|1 + h lambda| = 1 at h = -2 Re lambda / |lambda|²."""
