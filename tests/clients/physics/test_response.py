@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
@@ -172,3 +173,23 @@ def test_the_columns_of_the_problem_with_friction_are_its_differences() -> None:
         differences = (before - after) / 2e-6
         near = 1e-4 * np.abs(differences).max()
         np.testing.assert_allclose(J[:, k], differences, atol=near, err_msg=str(k))
+
+
+def test_a_friction_may_act_as_its_square_in_a_model_of_one_s_own() -> None:
+    """The derivative from above is exact to second order; below 0 the model goes on as a line."""
+
+    def mine(p: ArmParameters) -> control.StateSpace:
+        return chassis(replace(p, b_1=p.b_1 + 40 * p.b_1**2))
+
+    physics = Physics(model=mine, fixed=P, output="theta_1")
+
+    def y(b_1: float) -> Vector:
+        return linear_parts(physics.sampled({"b_1": b_1}, (), Ts), U)[0]
+
+    for b_1, step in ((2e-3, 1e-6), (-3e-3, 1e-6)):
+        sampled = physics.sampled({"b_1": b_1}, ("b_1",), Ts)
+        ours = sensitivity(sampled, U, np.zeros(2), 0.0)[:, 0]
+
+        differences = (y(b_1 + step) - y(b_1 - step)) / (2 * step)
+        near = 1e-5 * np.abs(differences).max()
+        np.testing.assert_allclose(ours, differences, atol=near)

@@ -51,8 +51,9 @@ def test_the_limit_is_where_the_largest_root_meets_the_circle(
     [("forward_euler", 2.0), ("ab2", 1.0), ("heun", 2.0), ("midpoint", 2.0), ("trapezoidal", inf)],
 )
 def test_a_decay_is_followed_as_far_as_the_region_reaches(method: str, reach: float) -> None:
-    """On the real axis these are the textbook's intervals."""
-    assert stability_limit([[-4.0]], method) == pytest.approx(reach / 4)
+    """On the real axis these are the textbook's intervals; twice the same decay is no growth."""
+    for A in ([[-4.0]], [[-4.0, 1.0], [0.0, -4.0]], np.diag([-4.0, -4.0, 0.0])):
+        assert stability_limit(A, method) == pytest.approx(reach / 4, rel=1e-6)
 
 
 def test_the_handout_s_arm() -> None:
