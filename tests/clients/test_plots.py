@@ -716,6 +716,20 @@ def test_a_figure_that_is_written_has_letters(done: Study, tmp_path: Path) -> No
         assert not any(mark.overlaps(text.get_window_extent()) for text in others)
 
 
+@pytest.mark.parametrize(("ending", "date"), [("svg", b"<dc:date>"), ("PDF", b"CreationDate")])
+def test_equal_figures_are_equal_files(ending: str, date: bytes, tmp_path: Path) -> None:
+    """Without a date; the ids in an SVG are not random."""
+    written = []
+    for name in ("first", "second"):
+        figure = Figure(figsize=(2, 2))
+        figure.add_subplot().plot([0, 1], clip_on=True)
+        save(figure, tmp_path / f"{name}.{ending}")
+        written.append((tmp_path / f"{name}.{ending}").read_bytes())
+
+    assert written[0] == written[1]
+    assert date not in written[0]
+
+
 def test_a_column_of_a_legend_is_as_wide_as_its_widest_name() -> None:
     """The first of two columns has two of three names."""
     assert _fits([10.0, 50.0, 10.0], 2, 60.0, 0.0)
