@@ -120,7 +120,7 @@ EVERY = pytest.mark.parametrize("plot", PLOTS.values(), ids=PLOTS.keys())
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """What a plot function drew into given axes."""
+    """Result of a plot function that drew into given axes."""
 
     name: str
     given: Axes

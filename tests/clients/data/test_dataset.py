@@ -240,7 +240,7 @@ def test_a_number_that_is_too_large_or_too_small_is_refused_by_its_name() -> Non
 
 
 def test_a_hash_knows_every_number_and_no_name() -> None:
-    """Estimation and validation data are told apart by it."""
+    """It distinguishes estimation and validation data."""
     data = ramp(6, starts=(0, 3), valid=[True, False, True, True, True, True])
     u, y = data.u.copy(), data.y.copy()
     u[2], y[4] = 0.5, 0.5

@@ -138,6 +138,10 @@ def test_it_is_said_in_words_whether_the_experiment_is_long_enough() -> None:
     both = predicted.explain(f1=2 * got, b1=float(predicted.std[0]) / 3)
     assert both.splitlines()[-1] == "together: 30 s is too short, about 270 s are needed"
     assert repr(predicted) == predicted.explain()
+    assert repr(predicted).startswith("predicted for 3000 samples in 30 s:\n  b1 = 1 ± ")
+    for name, value, std in zip(predicted.names, predicted.theta, predicted.std, strict=True):
+        share = f"({100 * std / abs(value):.2g} %)"
+        assert f"\n  {name} = {value:g} ± {std:.2g} {share}" in repr(predicted)
     with pytest.raises(ValueError, match="'g1' is not among the parameters b1, b2, f1, f2"):
         predicted.explain(g1=1.0)
     with pytest.raises(ValueError, match="f1=0: a wanted standard deviation must be > 0"):
@@ -223,7 +227,7 @@ def test_what_cannot_be_planned_is_refused() -> None:
 
 @pytest.mark.parametrize("initial", ["estimate", "zero"])
 def test_a_gap_at_the_end_teaches_as_little_as_a_shorter_experiment(initial: Any) -> None:
-    """Of a physical model and of a black box; the planned length still contains the gap."""
+    """For a physical model and a black box; the planned length still contains the gap."""
     u = telegraph(300, 0.1)
     y, there = np.where(np.arange(300) < 180, 0.0, np.nan), np.arange(300) < 180
     gap = Dataset(u=u, y=y, valid=there, Ts=0.01)

@@ -39,7 +39,7 @@ def test_a_band_is_1_96_deviations_wide_on_both_sides_but_not_below_its_least() 
 
 @pytest.mark.parametrize("draws", SKEWED.values(), ids=SKEWED.keys())
 def test_draws_replace_a_band_if_they_leave_it_on_any_side(draws: NDArray[np.float64]) -> None:
-    """Of three numbers, only the last is skewed; all three then come from the draws."""
+    """Only the last of three numbers is skewed; all three then come from the draws."""
     samples = np.column_stack([Z, 3 + 0.5 * Z, -7 + 0.1 * draws])
     value, std = [0.0, 3.0, -7.0], [1.0, 0.5, 0.1]
 

@@ -78,7 +78,7 @@ def test_columns_that_are_nearly_alike_leave_no_variance_below_zero(
 @pytest.mark.parametrize("test", ["portmanteau", "ljung-box"])
 @pytest.mark.parametrize("samples", [N, 99])
 def test_missing_residuals_are_as_if_they_had_never_been(samples: int, test: Test) -> None:
-    """Of 99 samples, 59 residuals are left: too few for 25 lags."""
+    """59 residuals of 99 samples are left: too few for 25 lags."""
     Phi, y, theta, _ = regression(2, [1.0])
     Phi, y = Phi[:samples], y[:samples]
     e = y - Phi @ theta

@@ -195,7 +195,7 @@ def test_a_richer_model_that_fits_worse_says_so(make: Make) -> None:
 
 
 def test_the_way_out_of_a_poorer_fit_is_that_of_its_input() -> None:
-    """Only a significant difference is told: N ln(ratio) above 10."""
+    """Only a significant difference is reported: N ln(ratio) above 10."""
     u = armrig.telegraph(200, 0.1)
     data = Dataset(u=u, y=np.arange(200.0), Ts=Ts, valid=np.arange(200) >= 100)
     both_ways = data.replaced(u=u - 2.5, step=None)
