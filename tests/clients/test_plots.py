@@ -25,8 +25,20 @@ from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
 from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
-from armrig.plots.captions import _fits, named_by_run
-from armrig.plots.layout import save
+from armrig.plots.captions import _fits, in_mathtext, legend, named, named_by_run, signature, symbol
+from armrig.plots.layout import (
+    COLOURS,
+    decibels,
+    finish,
+    high_axes,
+    logarithmic,
+    panels,
+    pens,
+    rows,
+    save,
+    shade,
+    stems,
+)
 from armrig.recordings.figures import plot_overview
 from armrig.recordings.loading import load
 from armrig.recordings.overview import overview
@@ -106,15 +118,41 @@ PLOTS: dict[str, Plot] = {
 EVERY = pytest.mark.parametrize("plot", PLOTS.values(), ids=PLOTS.keys())
 
 
-@EVERY
-def test_a_plot_draws_into_the_axes_it_is_given(
-    plot: Plot, done: Study, recording: Recording
-) -> None:
-    ax = Figure().add_subplot()
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """Result of a plot function that drew into given axes."""
 
-    assert plot(done, recording, ax) is ax
-    assert ax.has_data()
-    assert plt.get_fignums() == []
+    name: str
+    given: Axes
+    ax: Axes
+    pyplot_figures: list[int]
+
+
+@pytest.fixture(scope="module", params=PLOTS)
+def shown(request: pytest.FixtureRequest, done: Study, recording: Recording) -> Shown:
+    """Draw each plot once, for all tests that only look at it."""
+    given = Figure().add_subplot()
+    ax = PLOTS[request.param](done, recording, given)
+    return Shown(name=request.param, given=given, ax=ax, pyplot_figures=plt.get_fignums())
+
+
+def test_a_plot_draws_into_the_axes_it_is_given(shown: Shown) -> None:
+    assert shown.ax is shown.given
+    assert shown.ax.has_data()
+    assert shown.pyplot_figures == []
+
+
+def test_a_plot_names_its_recording(shown: Shown, done: Study) -> None:
+    """The first twelve digits of the hash of the recording."""
+    of_validation = shown.name in ("data", "jitter", "lateness", "compare", "residuals")
+    source = (done.validation if of_validation else done.estimation).source
+    assert shown.ax.get_title(loc="right") == f"recording {source[:12]}"
+
+
+def test_every_axis_says_what_it_shows(shown: Shown) -> None:
+    panels = shown.ax.figure.axes
+    assert all(panel.get_ylabel() for panel in panels)
+    assert panels[-1].get_xlabel()
 
 
 @EVERY
@@ -123,26 +161,6 @@ def test_a_plot_without_axes_makes_them(plot: Plot, done: Study, recording: Reco
 
     assert ax.has_data()
     assert len(plt.get_fignums()) == 1
-
-
-@EVERY
-def test_a_plot_names_its_recording(plot: Plot, done: Study, recording: Recording) -> None:
-    """The first twelve digits of the hash of the recording."""
-    ax = plot(done, recording, Figure().add_subplot())
-
-    of_data = plot in (PLOTS["data"], PLOTS["jitter"], PLOTS["lateness"])
-    validation = plot in (PLOTS["compare"], PLOTS["residuals"])
-    source = done.validation.source if of_data or validation else done.estimation.source
-    assert ax.get_title(loc="right") == f"recording {source[:12]}"
-
-
-@EVERY
-def test_every_axis_says_what_it_shows(plot: Plot, done: Study, recording: Recording) -> None:
-    ax = plot(done, recording, Figure().add_subplot())
-
-    panels = ax.figure.axes
-    assert all(panel.get_ylabel() for panel in panels)
-    assert panels[-1].get_xlabel()
 
 
 def test_models_differ_without_colour(done: Study) -> None:
@@ -155,15 +173,24 @@ def test_models_differ_without_colour(done: Study) -> None:
     assert widths[0] >= 1.5 * max(widths[1:])
 
 
-@EVERY
-@pytest.mark.parametrize("size", [(6.4, 4.8), (84 / 25.4, 2.7)], ids=["default", "column"])
+_SIZES = {"default": (6.4, 4.8), "column": (84 / 25.4, 2.7)}
+
+
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [
+        *(("column", name) for name in PLOTS),
+        *(("default", name) for name in ("jitter", "compare", "residuals")),
+    ],
+)
 def test_the_names_are_above_the_data(
-    plot: Plot, size: tuple[float, float], done: Study, recording: Recording
+    place: str, name: str, done: Study, recording: Recording
 ) -> None:
+    size = _SIZES[place]
     figure = Figure(figsize=size, layout="constrained")
-    ax = plot(done, recording, figure.add_subplot())
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    ax = PLOTS[name](done, recording, figure.add_subplot())
+    FigureCanvasAgg(figure)
+    figure.draw_without_rendering()
 
     for panel in figure.axes:
         legend = panel.get_legend()
@@ -486,7 +513,8 @@ def test_a_stretched_axis_says_so_and_its_numbers_do_not_overlap(done: Study) ->
     models = _models(done)
     far = replace(done.best.fit, B=np.append(0.0, 2.0 * done.best.fit.B[1:]))
     plots.plot_compare(done.validation, far, *models, ax=figure.add_subplot())
-    FigureCanvasAgg(figure).draw()
+    FigureCanvasAgg(figure)
+    figure.draw_without_rendering()
 
     below = figure.axes[1]
     heights = [text.get_window_extent() for text in below.get_yticklabels()]
@@ -506,7 +534,8 @@ def test_the_labels_of_a_comparison_do_not_overlap(done: Study) -> None:
     plots.plot_compare(
         done.validation, done.best.fit, labels=["OE[4 4 1]"], ax=figure.add_subplot()
     )
-    FigureCanvasAgg(figure).draw()
+    FigureCanvasAgg(figure)
+    figure.draw_without_rendering()
 
     upper, lower = (ax.yaxis.label.get_window_extent() for ax in figure.axes)
     assert lower.y1 < upper.y0
@@ -596,8 +625,8 @@ def test_a_figure_of_axes_in_a_part_of_a_figure_is_the_whole_one(recording: Reco
 
 
 def test_a_plot_is_saved_with_one_more_word(recording: Recording, tmp_path: Path) -> None:
-    begins = {"svg": b"<?xml", "pdf": b"%PDF-", "png": b"\x89PNG"}
-    figure = recording.plot()
+    begins = {"svg": b"<?xml", "png": b"\x89PNG"}
+    figure = recording.dataset("alpha")[:300].plot()
     for ending in begins:
         figure.savefig(tmp_path / f"data.{ending}")
 
@@ -676,9 +705,9 @@ def test_two_scales_of_one_panel_have_one_letter(recording: Recording) -> None:
     assert list(letters(figure)) == ["(a)", "(b)"]
 
 
-def test_a_figure_that_is_written_has_letters(recording: Recording, tmp_path: Path) -> None:
+def test_a_figure_that_is_written_has_letters(done: Study, tmp_path: Path) -> None:
     figure = Figure(layout="constrained")
-    plots.plot_bode(oe(recording.dataset(), nb=2, nf=2, integrator=True), ax=figure.add_subplot())
+    plots.plot_bode(done.best.fit, ax=figure.add_subplot())
 
     save(figure, tmp_path / "a.png")
 
@@ -689,6 +718,21 @@ def test_a_figure_that_is_written_has_letters(recording: Recording, tmp_path: Pa
         others = [text for text in ticks if text.get_text() and text not in ax.texts]
         assert mark.x1 <= ax.bbox.x0
         assert not any(mark.overlaps(text.get_window_extent()) for text in others)
+
+
+@pytest.mark.parametrize(("ending", "date"), [("svg", b"<dc:date>"), ("PDF", b"CreationDate")])
+def test_equal_figures_are_equal_files(ending: str, date: bytes, tmp_path: Path) -> None:
+    """Without a date; the ids in an SVG are not random."""
+    written = []
+    for name in ("first", "second"):
+        figure = Figure(figsize=(2, 2))
+        figure.add_subplot().plot([0, 1], clip_on=True)
+        save(figure, tmp_path / f"{name}.{ending}")
+        written.append((tmp_path / f"{name}.{ending}").read_bytes())
+
+    assert written[0] == written[1]
+    assert written[0].startswith(b"<?xml" if ending == "svg" else b"%PDF-")
+    assert date not in written[0]
 
 
 def test_a_column_of_a_legend_is_as_wide_as_its_widest_name() -> None:
@@ -710,7 +754,9 @@ def test_a_notebook_shows_words_and_figure(result: str, done: Study, recording: 
 
     assert escape(repr(shown)) in html
     (image,) = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
-    assert b64decode(image)[:8] == b"\x89PNG\r\n\x1a\n"
+    png = b64decode(image)
+    assert png[:8] == b"\x89PNG\r\n\x1a\n"
+    assert 500 < int.from_bytes(png[16:20], "big") < 1000  # pixels, at 100 for each inch
     assert plt.get_fignums() == []
 
 
@@ -729,3 +775,141 @@ def test_a_notebook_shows_a_plot_once(
 
     assert len(shown) == 1
     assert plt.get_fignums() == []  # of which the notebook shows what is left
+
+
+A, B = "a1" * 32, "b2" * 32
+
+
+@pytest.mark.parametrize(
+    ("sources", "text"),
+    [
+        ((A,), "recording a1a1a1a1a1a1"),
+        ((f"{A}+{B}",), "recordings a1a1a1a1a1a1, b2b2b2b2b2b2"),
+        ((A, B, A), "recordings a1a1a1a1a1a1, b2b2b2b2b2b2"),
+        ((f"data:{A}", f"data:{B}"), "data a1a1a1a1a1a1, b2b2b2b2b2b2"),
+        ((f"{A}+data:{B}",), "recording a1a1a1a1a1a1; data b2b2b2b2b2b2"),
+        (("", A, ""), "recording a1a1a1a1a1a1"),
+        (("",), ""),
+        (("c3",), "recording @0000000b"),
+        (("d4",), "recording d4"),
+    ],
+)
+def test_the_sources_of_a_figure_are_listed_once_by_kind(
+    sources: tuple[str, ...], text: str
+) -> None:
+    assert signature(*sources, runs={"c3": "0000000b", "d4": ""}) == text
+
+
+def test_symbols_and_powers_of_ten_are_in_mathtext() -> None:
+    written = [symbol(name) for name in ("J_1", "K_lin", "N", "T_c", "J_12")]
+
+    assert written == ["$J_1$", "$K_{lin}$", "$N$", "$T_c$", "$J_{12}$"]
+    assert (
+        in_mathtext("(1.2 ± 0.1)·10⁻¹² m, 10³ and 10")
+        == "(1.2 ± 0.1)·$10^{-12}$ m, $10^{3}$ and 10"
+    )
+    assert [named("theta_1", "rad"), named("flow", "")] == [r"$\theta_1$ [rad]", "flow [–]"]
+
+
+def test_many_curves_have_different_pens_and_two_times_as_many_begin_again() -> None:
+    many = pens(2 * len(COLOURS))
+
+    assert [pen["color"] for pen in many] == [*COLOURS, *COLOURS]
+    assert len({str(pen) for pen in many}) == len(COLOURS)
+    assert max(pen["lw"] for pen in many) == many[0]["lw"]
+    assert pens(1) == [{"color": plots.BLUE, "ls": "-", "lw": 1.4}]
+    assert pens(0) == []
+
+
+def test_a_magnitude_of_nothing_has_decibels() -> None:
+    np.testing.assert_allclose(
+        decibels(np.array([10.0, -0.1, 3j, 0.0])), [20, -20, 20 * np.log10(3), -300]
+    )
+
+
+@pytest.mark.parametrize(
+    ("high", "ticks"), [(150.0, [1, 2, 5, 10, 20, 50, 100]), (900, [1, 10, 100])]
+)
+@pytest.mark.parametrize("way", ["x", "y"])
+def test_a_logarithmic_axis_has_plain_numbers(way: str, high: float, ticks: list[float]) -> None:
+    """At 1, 2 and 5 times a power of ten, or at decades only beyond a ratio of 200."""
+    ax = Figure().add_subplot()
+    axis = getattr(ax, f"{way}axis")
+
+    logarithmic(axis, 1.0, high)
+
+    assert (ax.get_xscale(), ax.get_yscale()) == (
+        ("log", "linear") if way == "x" else ("linear", "log")
+    )
+    assert axis.get_view_interval().tolist() == [1.0, high]
+    shown = [t for t in axis.get_major_locator()() if 1 <= t <= high]
+    assert shown == pytest.approx(ticks)
+    assert axis.get_major_formatter()(20.0) == "20"
+    assert axis.get_minor_formatter()(20.0) == ""
+
+
+@pytest.mark.parametrize(("size", "beside"), [((9.0, 2.0), True), ((4.0, 4.0), False)])
+def test_panels_without_a_common_axis_are_side_by_side_in_a_wide_place(
+    size: tuple[float, float], beside: bool
+) -> None:
+    for sharex in (False, True):
+        ax, second = panels(Figure(figsize=size).add_subplot(), 0.25, sharex=sharex)
+
+        first, other = ax.get_position(), second.get_position()
+        if beside and not sharex:
+            assert first.x1 < other.x0
+            assert other.width == pytest.approx(first.width / 3)
+        else:
+            assert other.y1 < first.y0
+            assert other.height == pytest.approx(first.height / 3)
+        assert ax.get_shared_x_axes().joined(ax, second) == sharex
+        assert ax.xaxis.get_tick_params().get("labelbottom", True) != sharex
+
+
+def test_rows_are_of_equal_height_with_one_axis_of_time() -> None:
+    every = rows(high_axes(5), 5)
+
+    figure = every[0].figure.figure
+    assert figure.get_size_inches() == pytest.approx((6.4, 5.75))
+    assert high_axes(2).figure.figure.get_size_inches()[1] == pytest.approx(3.6)
+    heights = [ax.get_position().height for ax in every]
+    assert heights == pytest.approx([heights[0]] * 5)
+    shown = [ax.xaxis.get_tick_params().get("labelbottom", True) for ax in every]
+    assert shown == [False] * 4 + [True]
+    finish(*every, xlim=(1.0, 3.0))
+    assert {ax.get_xlim() for ax in every} == {(1.0, 3.0)}
+    spines = [side for side, spine in every[2].spines.items() if spine.get_visible()]
+    assert spines == ["left", "bottom"]
+
+
+def test_a_gap_is_shaded_half_a_sample_beyond_its_samples() -> None:
+    ax = Figure().add_subplot()
+
+    shade(ax, np.array([False, True, True, False, False, True]), 0.2, first=3.0)
+    stems(ax, np.array([1.0, 4.0]), np.array([-2.0, 0.5]), "#123456")
+
+    edges = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in ax.patches]  # type: ignore[attr-defined]
+    assert np.ravel(edges) == pytest.approx([2.9, 3.1, 3.5, 3.9])
+    assert ax.get_legend_handles_labels()[1] == ["dead band or missing sample"]
+    (lines,) = ax.collections
+    assert [path.vertices.tolist() for path in lines.get_paths()] == [  # type: ignore[union-attr]
+        [[1.0, 0.0], [1.0, -2.0]],
+        [[4.0, 0.0], [4.0, 0.5]],
+    ]
+
+
+def test_a_legend_takes_the_room_of_its_notes_and_of_what_is_below_it() -> None:
+    """Each further line is as high as the others; without names and notes there is none."""
+    heights = []
+    for notes in ((), ("one",), ("one", "two")):
+        ax = Figure().add_subplot()
+        ax.plot([0, 1], label="curve")
+        heights.append((legend(ax, *notes), legend(ax, *notes, lift=30.0)))
+
+    (none, lifted), (one, _), (two, _) = heights
+    assert lifted == pytest.approx(none + 30.0)
+    assert two - one == pytest.approx(one - none)
+    assert one > none + 10
+    empty = Figure().add_subplot()
+    assert legend(empty, lift=7.0) == 7.0
+    assert empty.get_legend() is None

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from armrig.data.argument import as_dataset
 from armrig.data.dataset import Dataset
+from armrig.data.figures import plot_values, without_ramp
 from armrig.data.merging import merge
+from armrig.data.step import span_of
+from armrig.data.trend import Trend
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 
 
 def ramp(N: int, **others: object) -> Dataset:
@@ -165,3 +170,108 @@ def test_data_show_themselves_with_their_gaps(kind: str) -> None:
     plt.close(figure)
     with pytest.raises(ValueError, match="kind='bode' must be one of time, spectrum, values"):
         part.plot("bode")  # type: ignore[arg-type]
+
+
+def test_a_part_of_a_part_is_known_by_its_time_in_the_whole() -> None:
+    """From the first sample to the end of the last, in s."""
+    whole = Dataset(u=np.arange(100.0), y=np.arange(100.0), Ts=0.02)
+
+    assert span_of(whole.history) == (0.0, np.inf)
+    assert span_of(whole[10:90].history) == pytest.approx((0.2, 1.8))
+    assert span_of(whole[10:90][20:50].history) == pytest.approx((0.6, 1.2))
+    assert span_of(whole[10:90][70:].history) == pytest.approx((1.6, 1.8))
+    assert span_of(merge([whole[:10], whole[20:]]).history) is None
+
+
+@pytest.mark.parametrize(("slope", "shown"), [(0.7, "− 0.7"), (-2.5, "+ 2.5")])
+@pytest.mark.parametrize("unit", ["rad", ""])
+def test_what_is_nearly_a_ramp_is_shown_without_its_slope(
+    slope: float, shown: str, unit: str
+) -> None:
+    """The label names what is subtracted, and the note names the rate with its sign."""
+    t = 0.05 * np.arange(300)
+    y = slope * t + 0.1 * np.sin(5 * t)
+    data = Dataset(u=np.arange(300) % 7, y=y, Ts=0.05, valid=np.arange(300) > 40, unit=unit)
+
+    ramp, label, (note,) = without_ramp(data)
+
+    fitted = np.polyfit(t[41:], y[41:], 1)[0]
+    np.testing.assert_allclose(ramp, fitted * t)
+    assert fitted == pytest.approx(slope, rel=0.02)
+    digits = f"{abs(fitted):.3g}"
+    assert label == f"y {shown[0]} {digits} $t$\n[{unit or '–'}]"
+    sign = "−" if slope < 0 else ""
+    assert note == f"y minus its mean rate, {sign}{digits}\xa0{unit}{'/s' if unit else 'per s'}"
+    few = data.replaced(step=None, u=np.minimum(np.arange(300) // 80, 9.0))
+    assert without_ramp(few)[2] == without_ramp(data.replaced(step=None, y=np.cos(t)))[2] == ()
+
+
+def test_histograms_count_the_valid_samples_only() -> None:
+    data = Dataset(u=np.arange(200) % 3, y=np.cos(np.arange(200)), Ts=1, valid=np.arange(200) > 49)
+
+    ax = plot_values(data, ax=Figure().add_subplot())
+
+    counts = [sum(bar.get_height() for bar in panel.patches) for panel in ax.figure.axes]  # type: ignore[attr-defined]
+    assert counts == [150, 200]
+    assert [panel.get_xlabel() for panel in ax.figure.axes] == ["y [–]", "$u$ [V]"]
+
+
+def test_merged_trends_are_those_of_each_experiment() -> None:
+    """An experiment without a trend among others has a trend of 0."""
+    taken = Trend(u_level=1.0, y_slope=2.0)
+    plain, detrended = ramp(3), ramp(4, trends=(taken,))
+
+    assert merge([plain, plain]).trends == ()
+    assert merge([merge([plain, plain]), detrended]).trends == (Trend(), Trend(), taken)
+    assert merge([detrended, plain])[1:6].trends == (taken.later(0.1), Trend())
+    assert merge([detrended, plain])[4:].trends == (Trend(),)
+    assert merge([detrended, plain])[:4].trends == (taken,)
+
+
+def test_a_number_that_is_too_large_or_too_small_is_refused_by_its_name() -> None:
+    with pytest.raises(
+        ValueError, match=r"the largest \|u\| is 2e\+30; use a unit .* below 1e\+30"
+    ):
+        Dataset(u=[1.0, -2e30], y=[0.0, 1.0], Ts=1)
+    with pytest.raises(ValueError, match=r"the largest \|y\| is 1e-40; .* from 1e-30 to 1e\+30"):
+        as_dataset(Dataset(u=[1.0, 2.0], y=[0.0, -1e-40], Ts=1))
+    hidden = Dataset(u=[1.0, 2.0], y=[1e99, 0.0], Ts=1, valid=[False, True])
+    assert as_dataset(hidden) is hidden
+
+
+def test_a_hash_knows_every_number_and_no_name() -> None:
+    """It distinguishes estimation and validation data."""
+    data = ramp(6, starts=(0, 3), valid=[True, False, True, True, True, True])
+    u, y = data.u.copy(), data.y.copy()
+    u[2], y[4] = 0.5, 0.5
+    others = [
+        data.replaced(step=None, u=u),
+        data.replaced(step=None, y=y),
+        data.replaced(step=None, valid=data.valid & (np.arange(6) != 2)),
+        data.replaced(step=None, starts=(0, 2)),
+        data.replaced(step=None, Ts=0.2),
+    ]
+
+    assert len({data.digest, *(other.digest for other in others)}) == 6
+    assert data.replaced(step="renamed", output="alpha", unit="rad").digest == data.digest
+    assert data.origin()["digest"] == data.digest
+
+
+def test_data_are_told_in_one_line() -> None:
+    """Missing samples are a share of all samples."""
+    data = ramp(8, valid=np.arange(8) > 1, output="alpha", unit="rad", history=("made",))
+
+    alone = "<Dataset: 8 samples at 0.1 s; output alpha [rad]; 2 missing (25.0 %); history: made>"
+    assert repr(data) == alone
+    assert repr(merge([ramp(2), ramp(3)])).startswith(
+        "<Dataset: 5 samples at 0.1 s; output y; 2 experiments; history: merged 2 parts"
+    )
+
+
+def test_many_merged_parts_are_listed_up_to_the_eighth() -> None:
+    parts = [ramp(n, source=f"{n % 2}{n % 2}") for n in range(1, 10)]
+
+    for count, listed in ((8, "1, 2, 3, 4, 5, 6, 7, 8"), (9, "1, 2, 3, 4, 5, 6, 7, 8, …")):
+        merged = merge(parts[:count])
+        assert merged.history == (f"merged {count} parts of {listed} samples",)
+        assert merged.source == "11+00"

@@ -120,6 +120,7 @@ def test_resampling_keeps_straight_lines_and_their_trend() -> None:
     assert slow.Ts == 0.05
     assert slow.N == 84
     np.testing.assert_allclose(retrend(slow).y, 3 + 0.5 * (40 + 5 * np.arange(84)))
+    assert slow.history[-1].endswith("81 coefficients; 0 of 84 samples are missing")
     assert "resampled from 0.01 s to 0.05 s after a low-pass filter of 81" in slow.history[-1]
 
 

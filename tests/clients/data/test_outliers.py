@@ -9,7 +9,7 @@ import pytest
 from armrig.data.dataset import Dataset, Mask, Vector
 from armrig.data.merging import merge
 from armrig.data.treatment import hampel
-from armrig.data.treatment.wrong_samples import _gross, _surely_wrong
+from armrig.data.treatment.wrong_samples import _gross, _surely_wrong, quantum, too_quiet
 from armrig.excitation import telegraph
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered
@@ -119,12 +119,12 @@ def test_the_list_of_outliers_ends_in_an_ellipsis_only_if_it_is_cut(count: int, 
 
 
 def test_clean_data_lose_a_sample_as_seldom_as_said() -> None:
-    """One record in twenty has a marked sample, within four standard deviations of 200 runs."""
-    records = [clean(seed, N=500) for seed in range(200)]
+    """One record in twenty has a marked sample, within four standard deviations of 120 runs."""
+    records = [clean(seed, N=500) for seed in range(120)]
 
     alarms = sum(bool(marked(data, hampel(data))) for data in records)
 
-    assert alarms <= 10 + 4 * np.sqrt(200 * 0.05 * 0.95), alarms
+    assert alarms <= 6 + 4 * np.sqrt(120 * 0.05 * 0.95), alarms
 
 
 def test_noise_that_is_no_arx_model_s_is_no_outlier_either(plant: Any) -> None:
@@ -239,3 +239,38 @@ def test_near_wrong_samples_are_let_go_one_by_one() -> None:
     assert kept.tolist() == left
     np.testing.assert_allclose(size, b)
     assert 0 < len(left) < 12
+
+
+@pytest.mark.parametrize(("size", "found"), [(4.0, []), (9.0, [900]), (22.0, [5, 900])])
+def test_a_wrong_sample_among_the_first_must_be_twice_as_wrong(
+    size: float, found: list[int]
+) -> None:
+    """The threshold is six deviations, and twelve for samples that only later samples predict."""
+    data = spoilt(clean(3, 1000), [5, 900], size * STD)
+
+    assert marked(data, hampel(data, threshold=6.0, order=12)) == found
+
+
+@pytest.mark.parametrize("step", [0.006, 0.25])
+def test_the_step_of_a_converter_is_the_least_change(step: float) -> None:
+    """Gaps and a few changes that are no multiple do not matter; many do."""
+    counts = np.random.default_rng(1).integers(-5, 6, 3000)
+    y = step * counts
+    data = Dataset(u=np.zeros(3000), y=y, Ts=1, valid=np.arange(3000) % 90 > 2)
+
+    assert quantum(data) == pytest.approx(step)
+    odd = y + np.where(np.arange(3000) % 100 == 0, 0.3 * step, 0.0)
+    assert quantum(data.replaced(step=None, y=odd)) == 0.0
+    assert quantum(data[:11]) == 0.0  # at least ten changes
+    assert quantum(data.replaced(step=None, y=np.ones(3000))) == 0.0
+
+
+def test_noise_is_too_quiet_below_a_third_of_a_step() -> None:
+    """The quantisation error has the variance step²/12."""
+    step = 0.2
+    for share, told in ((0.1, "0.10 of the converter's step"), (0.31, "0.31"), (0.33, ""), (2, "")):
+        said = too_quiet(step, (share * step) ** 2 + step**2 / 12)
+        assert told in said
+        assert bool(said) == bool(told)
+    assert too_quiet(step, 0.0).startswith("the noise is 0.00 of the converter's step")
+    assert too_quiet(0.0, 1e-9) == ""

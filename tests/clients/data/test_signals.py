@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from armrig import Signals
-from armrig.data.step import codes_of
+from armrig.data.step import codes_of, span_of
 from armrig_core.errors import FileError, InputError, InputTypeError
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.io import savemat
 from scipy.signal import lfilter
@@ -136,6 +137,25 @@ def test_slices_parts_and_experiments() -> None:
         signals.split(N + 1)
 
 
+def test_a_hash_knows_every_number() -> None:
+    signals = driven(missing=0.1)
+    u, y = signals.u.copy(), signals.y.copy()
+    u[5, 1] += 1
+    y[np.flatnonzero(signals.valid[:, 2])[0], 2] += 1
+    uneven = Signals(u=signals.u, y=signals.y, t=np.arange(600.0) ** 1.1)
+    others = [
+        *(signals.replaced(step=None, **{name: x}) for name, x in (("u", u), ("y", y))),
+        signals.replaced(step=None, valid=signals.valid & (np.arange(600) != 77)[:, None]),
+        signals.replaced(step=None, starts=(0, 201)),
+        signals.replaced(step=None, Ts=0.2),
+        uneven,
+        Signals(u=signals.u, y=signals.y, t=np.arange(600.0) ** 1.2),
+    ]
+
+    assert len({signals.digest, *(other.digest for other in others)}) == 8
+    assert signals.replaced(step="renamed", source="").digest == signals.digest
+
+
 def test_channels_are_chosen_by_name_in_the_order_given() -> None:
     chosen = driven().channels(["level", "temperature"], "valve")
 
@@ -152,6 +172,9 @@ def test_merged_experiments_keep_their_boundaries() -> None:
     assert merged.starts == (0, 200, 600, 700)
     np.testing.assert_array_equal(merged.y[600:], second.y[100:])
     assert merged.history[0] == "made"
+    assert merged.source == first.source
+    other = second.replaced(step=None, source="cd")
+    assert armrig.merge([first, other, first]).source == f"{first.source}+cd"
     assert merged.digest != first.digest
     with pytest.raises(InputError, match=r"the same outputs in all data, got .* and .*"):
         armrig.merge([first, first.channels(["level"])])
@@ -281,6 +304,17 @@ def test_a_pair_must_be_chosen() -> None:
         signals.dataset("fan", "valve")
 
 
+def test_an_option_of_one_pair_is_refused_for_several_with_those_that_there_are() -> None:
+    call: Any = armrig.oe
+    said = "^offset= is for one output and one input; for several signals oe takes nb, nf, nk, "
+    with pytest.raises(InputTypeError, match=said):
+        call(driven(), nb=1, nf=1, offset=True)
+    with pytest.raises(InputTypeError, match=r"^stable= is for .* arx takes na, nb, nk$"):
+        armrig.arx(data=driven(), na=1, nb=1, stable=True)
+    alone = driven().channels("level", "heater")
+    assert armrig.arx(data=alone, na=1, nb=1, stable=True).names == ("a1", "b1")
+
+
 def test_the_repr_says_what_there_is() -> None:
     assert repr(driven(missing=0.1)[:300]) == (
         "<Signals: 300 samples at 0.1 s; outputs temperature [K], flow [l/s], level [m]; inputs "
@@ -296,6 +330,41 @@ def test_the_figure_shows_each_channel() -> None:
     labels = [ax.get_ylabel() for ax in figure.axes]
     assert labels == ["temperature [K]", "flow [l/s]", "level [m]", "heater [V]", "valve [%]"]
     assert figure.axes[0].get_legend_handles_labels()[1] == ["dead band or missing sample"]
+
+
+def test_an_input_is_drawn_as_it_runs_between_samples_and_experiments_are_marked() -> None:
+    signals = driven().replaced(step=None, intersample=["foh", "zoh"])
+
+    panels = signals.plot(ax=Figure().add_subplot()).axes
+
+    straight, held = (panel.lines[0] for panel in panels[3:])
+    assert [line.get_drawstyle() for line in (straight, held)] == ["default", "steps-post"]
+    for j, line in enumerate((straight, held)):
+        np.testing.assert_array_equal(line.get_ydata(), signals.u[:, j])
+    for panel in panels:
+        assert [line.get_xdata() for line in panel.lines[1:]] == [[20.0, 20.0]]
+        assert panel.get_xlim() == pytest.approx((0.0, 59.9))
+
+
+def test_a_part_knows_its_time_and_its_merge_its_channels() -> None:
+    even, t = driven(), 0.1 * np.arange(600) + 0.04 * (np.arange(600) % 2)
+    uneven = Signals(u=even.u, y=even.y, t=t + 5)
+
+    assert span_of(even[150:260].history) == pytest.approx((15.0, 26.0))
+    assert span_of(uneven[150:320].history) == pytest.approx((15.0, 31.94))
+    merged = armrig.merge([uneven[:150], uneven[150:]])
+    np.testing.assert_array_equal(merged.t, uneven.t)
+    assert merged.starts == (0, 150)
+    parts = [even.channels(intersample_of, None) for intersample_of in (["flow"], ["level"])]
+    with pytest.raises(InputError, match=r"the same outputs .*'flow'.*'level'"):
+        armrig.merge(parts)
+    for change, name in (
+        ({"intersample": "foh"}, "intersample"),
+        ({"units": ["K", "l/s", "cm"]}, "units"),
+        ({"Ts": 0.2}, "Ts"),
+    ):
+        with pytest.raises(InputError, match=f"merge needs the same {name} in all data"):
+            armrig.merge([even, even.replaced(step=None, **change)])
 
 
 # Files.

@@ -14,7 +14,7 @@ from armrig.data.treatment import IntegratingOutputWarning, detrend, difference,
 from armrig.data.trend import Trend
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 finite = st.floats(-1e3, 1e3).map(lambda x: x if abs(x) > 1e-20 else 0.0)  # as data may be
 
 
+@settings(max_examples=40)
 @given(arrays(np.float64, (2, 30), elements=finite), arrays(np.bool_, 30), st.integers(0, 1))
 def test_detrending_twice_changes_nothing(
     signals: NDArray[np.float64], valid: NDArray[np.bool_], order: int
@@ -126,6 +127,7 @@ def test_another_order_is_refused() -> None:
         detrend(Dataset(u=[0], y=[0], Ts=1), order=2)
 
 
+@settings(max_examples=40)
 @given(
     arrays(np.float64, (2, 30), elements=finite),
     arrays(np.bool_, 30),
@@ -150,6 +152,7 @@ def test_what_was_taken_can_be_put_back(
     assert back.history[-1] == "restored the trend of u and y"
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 28), st.integers(1, 29), st.integers(1, 5))
 def test_a_part_of_the_data_knows_its_own_part_of_the_trend(a: int, length: int, k: int) -> None:
     rng = np.random.default_rng(3)

@@ -19,7 +19,16 @@ from armrig.excitation import (
     white_noise,
     within,
 )
-from armrig.excitation.named_signals import NAMES, clock_of, details_of, named_signal, realisations
+from armrig.excitation.named_signals import (
+    NAMES,
+    check_step_time,
+    clock_of,
+    details_of,
+    named_signal,
+    realisations,
+    step_at,
+    up_and_down,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -153,6 +162,17 @@ def test_a_clock_holds_each_value() -> None:
     np.testing.assert_array_equal(prbs(21, 3, register=3)[2::3], prbs(7, 1, register=3))
 
 
+@pytest.mark.parametrize(
+    ("N", "clock", "register"), [(60, 10, 3), (70, 10, 3), (71, 10, 4), (3, 1, 2), (4, 1, 3)]
+)
+def test_a_prbs_has_the_shortest_register_that_lasts(N: int, clock: int, register: int) -> None:
+    """Seven clocks fill the period of three bits."""
+    expected = prbs(N, clock, seed=5, register=register)
+
+    np.testing.assert_array_equal(prbs(N, clock, seed=5), expected)
+    assert not np.array_equal(expected, prbs(N, clock, seed=5, register=register + 1))
+
+
 def test_by_default_a_prbs_does_not_repeat_itself() -> None:
     u = prbs(127, seed=1)
 
@@ -204,14 +224,21 @@ def test_a_value_outside_is_named_by_its_index() -> None:
         multisine(400, rms=3.0)
 
 
+@pytest.mark.parametrize(("first", "last"), [(1.0, 10.0), (10.0, 1.0), (5.0, 5.0)])
 @pytest.mark.parametrize("sweep", ["linear", "logarithmic"])
-def test_a_chirp_moves_from_its_first_frequency_to_its_last(sweep: Any) -> None:
+def test_a_chirp_moves_from_its_first_frequency_to_its_last(
+    sweep: Any, first: float, last: float
+) -> None:
     Ts, N = 1e-3, 20_000
-    u = chirp(N, Ts, 1.0, 10.0, sweep=sweep) - 2.5
+    u = chirp(N, Ts, first, last, sweep=sweep) - 2.5
 
     crossings = Ts * np.flatnonzero((u[:-1] < 0) & (u[1:] >= 0))
     share = (crossings[:-1] + crossings[1:]) / 2 / (N * Ts)
-    expected = {"linear": 1 + 9 * share, "logarithmic": 10**share}[sweep]
+    by_share = {
+        "linear": first + (last - first) * share,
+        "logarithmic": first * (last / first) ** share,
+    }
+    expected = by_share[sweep]
     np.testing.assert_allclose(1 / np.diff(crossings), expected, rtol=0.03)
 
 
@@ -230,6 +257,7 @@ def test_a_chirp_reaches_its_last_frequency_after_its_last_sample(
 def test_a_staircase_stays_equally_long_on_every_level() -> None:
     np.testing.assert_array_equal(staircase(7, [1, 3, 2]), [1, 1, 1, 3, 3, 2, 2])
     np.testing.assert_array_equal(staircase(4, 2, low=0, high=5), [0, 0, 5, 5])
+    np.testing.assert_array_equal(staircase(3, 3, low=1, high=2), [1, 1.5, 2])
 
 
 @pytest.mark.parametrize(
@@ -288,6 +316,9 @@ def test_a_file_is_read_as_people_write_them(tmp_path: Path, text: str) -> None:
         ("0;1,5\n", "row 1: 3 columns.*with a point, not a comma"),
         ("time,voltage\n0,1\n", "columns time, voltage; name them t and u"),
         ("", "no row of numbers"),
+        ("# mine\n\nt,u\n0,1\n# a remark\n0.01,2\n0.03,3\n", "row 7: t=0.03 s"),
+        ("# mine\n\n1\n# a remark\n9\n", r"1 of 2 .* first in row 5: u=9 V \(sample 1\)"),
+        ("t,u\n\n0,1\n0.01,one\n", "row 4: '0.01 one' must be one number"),
     ],
 )
 def test_a_file_that_must_not_be_played_is_refused_by_its_row(
@@ -313,6 +344,41 @@ def test_every_input_by_name_is_as_long_and_inside(name: str) -> None:
     assert 1 <= u.min() < u.max() <= 2
     assert np.abs(u - 1.5).max() > 0.49
     np.testing.assert_array_equal(u, again)
+
+
+def test_the_settings_of_an_input_are_stored_and_no_others() -> None:
+    stored = {
+        name: set(details_of(name, a=0.05, low=1.0, high=2.0, seed=5)) - {"input", "low", "high"}
+        for name in NAMES
+    }
+
+    assert stored == {
+        "telegraph": {"a", "seed"},
+        "prbs": {"a", "seed"},
+        "white": {"seed"},
+        "multisine": {"seed"},
+        "chirp": set(),
+    }
+    found = details_of("prbs", a=0.05, low=1.0, high=2.0, seed=5)
+    assert found == {"input": "prbs", "a": 0.05, "low": 1.0, "high": 2.0, "seed": 5}
+
+
+def test_an_input_by_name_is_that_of_its_function() -> None:
+    """A telegraph of probability 0.1 switches as often as a prbs of five samples."""
+    expected = {
+        "telegraph": telegraph(90, 0.1, 1.0, 2.0, 3),
+        "prbs": prbs(90, 5, 1.0, 2.0, 3),
+        "white": white_noise(90, 1.0, 2.0, 3),
+        "multisine": multisine(90, None, 1.0, 2.0, 3),
+    }
+
+    for name, u in expected.items():
+        made = named_signal(name, 90, 0.01, a=0.1, low=1.0, high=2.0, seed=3)
+        np.testing.assert_array_equal(made, u, err_msg=name)
+    assert [clock_of(a) for a in (0.5, 0.3, 0.1, 0.011)] == [1, 2, 5, 45]
+    for a in (0.0, 0.51, float("nan")):
+        with pytest.raises(ValueError, match="a probability of more than 0, at most"):
+            clock_of(a)
 
 
 def test_an_input_that_has_no_name_is_refused() -> None:
@@ -383,3 +449,59 @@ def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
     path.write_bytes(b"t,u\n0,1 \xb5V\n")
     with pytest.raises(ValueError, match=r"u\.csv: line 2 is not UTF-8: save it as UTF-8"):
         from_csv(path, Ts=1.0)
+
+
+@pytest.mark.parametrize(
+    ("at", "Ts", "first"),
+    [(0.0, 0.01, 0), (0.29, 0.01, 29), (0.3, 0.1, 3), (0.996, 0.01, 99), (0.0007, 0.001, 1)],
+)
+def test_a_step_at_a_time_is_at_the_nearest_sample_and_never_beyond_the_last(
+    at: float, Ts: float, first: int
+) -> None:
+    """0.29 s / 0.01 s is 28.999999999999996."""
+    u = step_at(100, Ts, low=1.0, high=2.0, at=at)
+
+    np.testing.assert_array_equal(u, np.where(np.arange(100) < first, 1.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("at", "said"),
+    [
+        (-0.1, "-0.1 must be a number of seconds, 0 or more"),
+        (float("nan"), "nan must be a number of seconds"),
+        (2.0, "2 s at the end, 2 s; step earlier"),
+        (2.5, "2.5 s after the end, 2 s; step earlier or record longer"),
+    ],
+)
+def test_a_step_outside_the_run_is_refused(at: float, said: str) -> None:
+    check_step_time(0.0, 2.0)
+    check_step_time(1.99, 2.0)
+    with pytest.raises(ValueError, match="at") as found:
+        check_step_time(at, 2.0)
+    assert said in " ".join(str(found.value).replace(":", " ").replace("=", " ").split())
+
+
+def test_up_and_down_reaches_the_top_once() -> None:
+    assert up_and_down(5, low=1.0, high=3.0, levels=3).tolist() == [1, 2, 3, 2, 1]
+    assert up_and_down(6, low=0.0, high=4.0, levels=2).tolist() == [0, 0, 4, 4, 0, 0]
+
+
+def test_a_logarithmic_chirp_by_name_ends_at_half_of_the_nyquist_frequency() -> None:
+    """It covers two decades, whatever the sampling time."""
+    for Ts in (0.01, 0.002):
+        u = named_signal("chirp", 500, Ts, a=0.05, low=1.0, high=2.0, seed=1)
+
+        expected = chirp(500, Ts, 0.0025 / Ts, 0.25 / Ts, 1.0, 2.0, sweep="logarithmic")
+        np.testing.assert_allclose(u, expected)
+
+
+def test_realisations_have_the_seeds_that_follow_each_other() -> None:
+    """The power of one multisine alone is the largest that fits."""
+    first, second = realisations(400, 2, 1.0, 3.0, 7, periods=2)
+    (alone,) = realisations(400, 1, 1.0, 3.0, 8, periods=2)
+
+    lines = range(1, 51)
+    np.testing.assert_allclose(alone, multisine(400, lines, 1.0, 3.0, 8, periods=2))
+    for u, seed in ((first, 7), (second, 8)):
+        ratio = (u - 2) / (multisine(400, lines, 1.0, 3.0, seed, periods=2) - 2)
+        np.testing.assert_allclose(ratio, ratio[0])

@@ -138,6 +138,10 @@ def test_it_is_said_in_words_whether_the_experiment_is_long_enough() -> None:
     both = predicted.explain(f1=2 * got, b1=float(predicted.std[0]) / 3)
     assert both.splitlines()[-1] == "together: 30 s is too short, about 270 s are needed"
     assert repr(predicted) == predicted.explain()
+    assert repr(predicted).startswith("predicted for 3000 samples in 30 s:\n  b1 = 1 ± ")
+    for name, value, std in zip(predicted.names, predicted.theta, predicted.std, strict=True):
+        share = f"({100 * std / abs(value):.2g} %)"
+        assert f"\n  {name} = {value:g} ± {std:.2g} {share}" in repr(predicted)
     with pytest.raises(ValueError, match="'g1' is not among the parameters b1, b2, f1, f2"):
         predicted.explain(g1=1.0)
     with pytest.raises(ValueError, match="f1=0: a wanted standard deviation must be > 0"):
@@ -219,3 +223,61 @@ def test_what_cannot_be_planned_is_refused() -> None:
             predicted_parameter_std(arm, u, Ts=0.01, noise_variance=1e-6, free=free)
     with pytest.raises(ValueError, match="output='beta' is not among the outputs theta_1, alpha"):
         predicted_parameter_std(arm, u, Ts=0.01, noise_variance=1e-6, output="beta")
+
+
+@pytest.mark.parametrize("initial", ["estimate", "zero"])
+def test_a_gap_at_the_end_teaches_as_little_as_a_shorter_experiment(initial: Any) -> None:
+    """For a physical model and a black box; the planned length still contains the gap."""
+    u = telegraph(300, 0.1)
+    y, there = np.where(np.arange(300) < 180, 0.0, np.nan), np.arange(300) < 180
+    gap = Dataset(u=u, y=y, valid=there, Ts=0.01)
+    model = PlannedModel(B=B, F=A, noise_variance=1.0, Ts=0.01)
+
+    for predict in (
+        lambda x: predicted_std(model, x, initial=initial),
+        lambda x: predicted_parameter_std(
+            arm, x, Ts=0.01, noise_variance=1e-4, free=("J_1", "K_lin"), initial=initial
+        ),
+    ):
+        found, short, long = (predict(x) for x in (gap, u[:180], u))
+        np.testing.assert_allclose(found.std, short.std, rtol=1e-6)
+        assert (long.std < short.std).all()
+        assert (found.N, short.N) == (180, 180)
+        assert (found.seconds, short.seconds) == pytest.approx((3.0, 1.8))
+
+
+def test_each_experiment_adds_its_information() -> None:
+    """Two equal experiments from rest halve every variance; each has its own initial state."""
+    u = telegraph(200, 0.1)
+    once = Dataset(u=u, y=np.zeros(200), Ts=0.01)
+    model = PlannedModel(B=B, A=A, C=[1, 0.4], noise_variance=1.0, Ts=0.01)  # type: ignore[arg-type]
+
+    for predict in (
+        lambda x: predicted_std(model, x),
+        lambda x: predicted_parameter_std(chassis, x, Ts=0.01, noise_variance=1e-4),
+    ):
+        one, two = (predict(x).covariance for x in (once, merge([once, once])))
+        np.testing.assert_allclose(two, one / 2, rtol=1e-9)
+
+
+def test_the_noise_variance_may_be_another_than_the_model_s() -> None:
+    model = PlannedModel(B=B, F=A, noise_variance=1.0, Ts=0.01)
+    u = telegraph(200, 0.1)
+
+    quiet = predicted_std(model, u, noise_variance=0.04)
+
+    np.testing.assert_allclose(quiet.std, 0.2 * predicted_std(model, u).std)
+
+
+@pytest.mark.parametrize("structure", ["A", "F"])
+def test_an_integrator_from_a_known_state_is_known_better(structure: str) -> None:
+    """Initial state and offset are then not estimated."""
+    u = telegraph(60, 0.1) - 2.5
+    integrating = np.convolve(A, [1.0, -1.0])
+    model = PlannedModel(
+        B=B, noise_variance=1.0, Ts=0.01, integrator=True, **{structure: integrating}
+    )
+
+    known, estimated = (predicted_std(model, u, initial=how) for how in ("zero", "estimate"))
+
+    assert (known.std < 0.997 * estimated.std).all()

@@ -107,3 +107,18 @@ def test_ljung_and_box_count_no_pair_across_a_boundary() -> None:
     R = np.array(sums) / pairs
     Q = (N + 2) / N * np.sum(pairs[1:] * (R[1:] / R[0]) ** 2)
     assert found.white.p_value == pytest.approx(chi2.sf(Q, lags), rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_autoregression_has_at_most_a_tenth_of_the_residuals_as_its_order(seed: int) -> None:
+    """Residuals with a period of seven samples need the order 7; missing ones do not count."""
+    rng = np.random.default_rng(seed)
+    period, noise = rng.standard_normal(7), 0.05 * rng.standard_normal(300)
+    orders = {}
+    for N in (40, 60, 69, 300):
+        e = np.resize(period, N) + noise[:N]
+        holed = np.insert(e, [10, 30] * 15, np.nan)
+        orders[N] = [autoregression(x)[0].size - 1 for x in (e, holed)]
+
+    assert all(max(of_both) <= N // 10 for N, of_both in orders.items())
+    assert 7 <= max(orders[300]) <= 10 * np.log10(300)

@@ -8,6 +8,7 @@ from armrig.numerics.criteria import (
     aic,
     batch_means,
     deviance,
+    fit_percent,
     fpe,
     mdl,
     simplest_as_good,
@@ -81,3 +82,13 @@ def test_the_simplest_within_one_standard_error_is_chosen() -> None:
     assert simplest_as_good(excess, std, [5, 3, 1, 4, 0]) == 1
     assert simplest_as_good(excess, std, [5, 3, 1, 3, 0]) == 3
     assert simplest_as_good(excess, std, [2, 3, 1, 3, 0]) == 0
+
+
+def test_a_fit_is_the_share_of_the_spread_that_is_explained() -> None:
+    y = np.array([1.0, 4.0, 7.0, 8.0])  # 5 on average, and 30 = |y - 5|²
+
+    assert fit_percent(y, 30.0) == pytest.approx(0.0)
+    assert fit_percent(y, 30.0 / 16) == pytest.approx(75.0)
+    assert fit_percent(y, 120.0) == pytest.approx(-100.0)
+    assert fit_percent(y, np.inf) == fit_percent(y, np.nan) == -np.inf
+    assert np.isnan([fit_percent(np.ones(3), 1.0), fit_percent(y[:0], 0.0)]).all()

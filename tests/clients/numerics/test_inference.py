@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.numerics.inference import Inference, Score, infer
+from armrig.numerics.inference import Inference, Score, Test, infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered
+from scipy.special import chdtrc, chdtri
 
 N, D = 400, 3
 THETA = np.array([1.0, -2.0, 0.5])
 
 
-def regression(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Inference]:
-    """Return Phi, y, theta and the inference of y = Phi theta + C(q) e, in two experiments."""
+def fitted(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return Phi, y and theta of y = Phi theta + C(q) e."""
     rng = np.random.default_rng(seed)
     Phi = np.column_stack([filtered([1.0], [1.0, -0.8], x) for x in rng.standard_normal((D, N))])
     y = Phi @ THETA + filtered(C, [1.0], rng.standard_normal(N))
-    theta = np.linalg.lstsq(Phi, y, rcond=None)[0]
+    return Phi, y, np.linalg.lstsq(Phi, y, rcond=None)[0]
+
+
+def regression(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Inference]:
+    """Return a regression and its inference, in two experiments."""
+    Phi, y, theta = fitted(seed, C)
     e, blocks = np.split(y - Phi @ theta, [150]), np.split(Phi, [150])
     return Phi, y, theta, infer(e, blocks, score="exogenous", y=y)
 
@@ -40,7 +46,7 @@ def test_the_robust_form_holds_for_coloured_noise(score: Score) -> None:
     """In 300 runs the estimates scatter by the robust deviations, and by more than the classic."""
     estimates, robust, classic = [], [], []
     for seed in range(300):
-        Phi, y, theta, _ = regression(seed, [1.0, 0.9, 0.8])
+        Phi, y, theta = fitted(seed, [1.0, 0.9, 0.8])
         found = infer([y - Phi @ theta], [Phi], score=score, test=None)
         estimates.append(theta)
         robust.append(np.diag(found.covariance_robust))
@@ -69,15 +75,22 @@ def test_columns_that_are_nearly_alike_leave_no_variance_below_zero(
     assert np.all((std > 0.1 * classic) & (std < 10 * classic))
 
 
-def test_missing_residuals_are_as_if_they_had_never_been() -> None:
+@pytest.mark.parametrize("test", ["portmanteau", "ljung-box"])
+@pytest.mark.parametrize("samples", [N, 99])
+def test_missing_residuals_are_as_if_they_had_never_been(samples: int, test: Test) -> None:
+    """59 residuals of 99 samples are left: too few for 25 lags."""
     Phi, y, theta, _ = regression(2, [1.0])
+    Phi, y = Phi[:samples], y[:samples]
     e = y - Phi @ theta
-    there = np.arange(N) >= 40  # a hole at the start moves no pair of neighbours apart
+    there = np.arange(samples) >= 40  # a hole at the start moves no pair of neighbours apart
 
-    holed = infer(
-        [np.where(there, e, np.nan)], [np.where(there[:, None], Phi, 0.0)], score="correlated", y=y
+    holed, cut = (
+        infer([residuals], [Psi], score="correlated", y=output, test=test)
+        for residuals, Psi, output in (
+            (np.where(there, e, np.nan), np.where(there[:, None], Phi, 0.0), y),
+            (e[there], Phi[there], y[there]),
+        )
     )
-    cut = infer([e[there]], [Phi[there]], score="correlated", y=y[there])
 
     assert holed.N == cut.N
     assert holed.fit_percent == cut.fit_percent
@@ -127,3 +140,16 @@ def test_as_many_parameters_as_samples_leave_no_noise_to_estimate() -> None:
 
     with pytest.raises(ValueError, match=r"4 samples .* 3 parameters and 1 initial"):
         infer([e], [Phi[:4]], nuisance=1, score="exogenous")
+
+
+def test_a_fitted_autoregression_costs_the_ljung_box_test_degrees_of_freedom() -> None:
+    """At most all degrees but one."""
+    Phi, y, theta, _ = regression(7, [1.0])
+    e = y - Phi @ theta
+    p = [
+        infer([e], [Phi], score="exogenous", test="ljung-box", prewhitening=n).white.p_value
+        for n in (0, 3, 99)
+    ]
+
+    Q = chdtri(25, p[0])
+    assert p[1:] == pytest.approx([chdtrc(22, Q), chdtrc(1, Q)])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.numerics.recursion import free_responses, recursion
+from armrig.numerics.recursion import free_responses, recursion, responses
+from numpy.typing import NDArray
 
 
 @pytest.mark.parametrize("N", [0, 1, 2, 3, 4, 8, 9, 10, 101])
@@ -36,3 +37,31 @@ def test_free_responses_are_the_recursion_without_input(N: int) -> None:
 
     expected = recursion(Phi, np.zeros((N, 3, 3)), np.eye(3))[:N] @ C.T
     np.testing.assert_allclose(found, expected.transpose(1, 2, 0), rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "Phi",
+    [
+        np.diag([0.9, -0.5, 0.2]),
+        np.array([[0.8, 0.3, 0.1], [-0.4, 0.7, 0.0], [0.2, 0.0, 0.5]]),
+        np.array([[0.9, 1.0, 0.0], [0.0, 0.9, 1.0], [0.0, 0.0, 0.9]]),
+    ],
+    ids=["real modes", "a pair", "one eigenvector"],
+)
+@pytest.mark.parametrize("ny", [1, 2])
+def test_responses_are_those_of_each_signal_at_each_state(
+    Phi: NDArray[np.float64], ny: int
+) -> None:
+    rng = np.random.default_rng(4)
+    signals, C = rng.standard_normal((30, 2)), rng.standard_normal((ny, 3))
+
+    found = responses(Phi, C, signals)
+
+    assert found.shape == (2, 3, ny, 30)
+    for j, s in enumerate(signals.T):
+        for k, unit in enumerate(np.eye(3)):
+            x, expected = np.zeros(3), []
+            for value in s:
+                expected.append(C @ x)
+                x = Phi @ x + unit * value
+            np.testing.assert_allclose(found[j, k], np.transpose(expected), atol=1e-12)

@@ -9,7 +9,14 @@ import armrig
 import numpy as np
 import pytest
 from armrig.models.characteristics import model_characteristics
-from armrig.numerics.step_times import linear_crossing, mean_lag, rise_time, slowest_time
+from armrig.numerics.step_times import (
+    area_above,
+    lag_of_angle,
+    linear_crossing,
+    mean_lag,
+    rise_time,
+    slowest_time,
+)
 from armrig.physics.physical_model import physical_model
 from armrig.physics.step_response import step_response
 from armrig_core.arm import ArmParameters
@@ -113,3 +120,49 @@ def test_what_is_never_reached_is_no_time() -> None:
     assert np.isnan(linear_crossing(0.1 * np.arange(20), y, 0.9))
     assert np.isnan(rise_time(np.array([0.0, np.inf, 1.0]), 0.1))
     assert np.isnan([slowest_time([]), slowest_time([-1.0, 0.5])]).all()
+
+
+@pytest.mark.parametrize("level", [0.1, 0.25, 0.4, 1.0])
+def test_a_crossing_lies_on_the_line_between_two_samples_or_from_the_origin(level: float) -> None:
+    t, y = np.array([0.5, 1.5, 2.0]), np.array([0.25, 0.4, 1.0])
+
+    found = linear_crossing(t, y, level)
+
+    assert np.interp(found, [0.0, *t], [0.0, *y]) == pytest.approx(level)
+
+
+def test_the_deviation_of_a_lag_is_that_of_two_lines_where_they_meet() -> None:
+    """The line before the step moves the meeting point, too; a missing sample changes nothing."""
+    rng = np.random.default_rng(1)
+    slope, noise = -3.0, 0.02
+    early, late = -2.0 + 0.005 * (np.arange(400) + 0.5), 4.0 + 0.005 * np.arange(600)
+    y = slope * (late - 0.7) + noise * rng.standard_normal(600)
+    y[[5, 300]] = np.nan
+
+    lag, std = lag_of_angle(late, y, before=(400, 2.0), rounding=0.0)
+    rounded = lag_of_angle(late, y, before=(400, 2.0), rounding=0.1)[1]
+
+    kept = np.isfinite(y)
+    X, (here, there) = np.array([1.0, lag]), (np.vander(t, 2, True) for t in (early, late[kept]))
+    fitted = np.linalg.lstsq(there, y[kept], rcond=None)[0]
+    residual = y[kept] - there @ fitted
+    shares = sum(X @ np.linalg.inv(M.T @ M) @ X for M in (here, there))
+    expected = np.sqrt(residual @ residual / (kept.sum() - 2) * shares) / abs(fitted[1])
+    assert lag == pytest.approx(-fitted[0] / fitted[1])
+    assert lag == pytest.approx(0.7, abs=4 * std)
+    assert std == pytest.approx(expected, rel=1e-3)
+    assert rounded == pytest.approx(np.hypot(std, 0.1 / np.sqrt(12) / abs(fitted[1])))
+    assert np.isnan(lag_of_angle(late[:5], y[:5], before=(9, 1.0), rounding=0.0)).sum() == 0
+    assert np.isnan(lag_of_angle(late[:3], y[:3], before=(9, 1.0), rounding=0.0)).all()
+
+
+def test_an_area_has_the_error_of_its_samples_and_of_its_final_value() -> None:
+    t = np.array([0.1, 0.2, 0.4, 0.5, 0.6])
+    y = np.array([0.0, 0.5, np.nan, 1.0, 1.0])
+
+    area, std = area_above(t, y, 0.0, 0.02)
+
+    assert area == pytest.approx(0.1 * 0.75 + 0.3 * 0.25)
+    assert std == pytest.approx(0.02 * 0.5)
+    even = np.array([0.1, 0.2, 0.3, 0.4])  # inner samples stand for 0.1 s, as do both ends
+    assert area_above(even, np.ones(4), 0.3, 0.0) == pytest.approx((0.0, 0.3 * 0.2))

@@ -9,16 +9,24 @@ from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered, lagged
-from armrig.numerics.whiteness import Whiteness, joint_p_value, portmanteau, portmanteau_p_value
-from scipy.special import chdtrc
+from armrig.numerics.whiteness import (
+    Whiteness,
+    default_lags,
+    joint_p_value,
+    ljung_box,
+    portmanteau,
+    portmanteau_p_value,
+    two_sided,
+)
+from scipy.special import chdtrc, ndtr
 
 from tests.sampling import sampled
 
 
 @pytest.mark.parametrize(("N", "lags"), [(250, 10), (250, 25), (500, 25)])
 def test_white_noise_is_rejected_as_often_as_the_level_says(N: int, lags: int) -> None:
-    """Ljung and Box's statistic of 20 000 series; chi-squared rejects 6 % instead of 5 %."""
-    e = np.random.default_rng(1).standard_normal((20_000, N))
+    """Ljung and Box's statistic of 10 000 series; chi-squared rejects 6 % instead of 5 %."""
+    e = np.random.default_rng(1).standard_normal((10_000, N))
     spectrum = np.abs(np.fft.rfft(e, 2 * N, axis=1)) ** 2
     R = np.fft.irfft(spectrum, axis=1)[:, : lags + 1]
     Q = N * (N + 2) * np.sum((R[:, 1:] / R[:, :1]) ** 2 / (N - np.arange(1, lags + 1)), axis=1)
@@ -131,3 +139,24 @@ def test_an_estimated_variance_is_allowed_for_in_the_sum_of_many_squares() -> No
     assert np.mean(known < 0.05) < 0.03
     assert 0.45 < np.mean(p) < 0.55
     assert np.isnan(joint_p_value(np.ones(3), np.eye(3), N=3.0))
+
+
+def test_a_quarter_of_few_samples_are_tested_lags_and_never_more_than_25() -> None:
+    found = {N: default_lags(N) for N in (0, 3, 7, 8, 99, 100, 104, 10_000)}
+
+    assert found == {0: 1, 3: 1, 7: 1, 8: 2, 99: 24, 100: 25, 104: 25, 10_000: 25}
+
+
+def test_a_ljung_box_test_without_a_degree_of_freedom_or_a_sample_has_no_p_value() -> None:
+    e = np.random.default_rng(1).standard_normal(40)
+
+    assert np.isnan([ljung_box(e, 3, 3), ljung_box(e[:1], 3), ljung_box(0 * e, 3)]).all()
+    assert 0 < ljung_box(e, 3, 2) < ljung_box(e, 3) < 1
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95, 0.99])
+def test_a_two_sided_quantile_leaves_out_both_tails(level: float) -> None:
+    assert 2 * ndtr(-two_sided(level)) == pytest.approx(1 - level)
+    for wrong in (0.0, 1.0, 95.0, float("nan")):
+        with pytest.raises(ValueError, match="must lie between 0 and 1"):
+            two_sided(wrong)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
@@ -15,6 +17,7 @@ from tests.clients.chassis_data import Make, Ts, angle, rubbing
 def make() -> Make:
     """Return a maker of data: telegraph 0.5/4.5 V by default, white noise on the angle."""
 
+    @cache
     def made(
         seed: int = 1,
         N: int = 5000,

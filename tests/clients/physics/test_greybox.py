@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.physics.grey_box.estimate import no_model
+from armrig.physics.grey_box.estimate import no_model, worse_with_friction
+from armrig.physics.grey_box.fit import below_zero
+from armrig.physics.grey_box.parameters import Friction, free_names
 from armrig.physics.systems import ArmParameters, arm, chassis
 
 from tests.clients.chassis_data import Make, Ts, angle
@@ -88,6 +90,9 @@ def test_what_is_held_fixed_carries_its_uncertainty_in(make: Make) -> None:
     expected = np.hypot(alone.std["J_1"], 0.01 * HANDOUT.J_1 * np.hypot(by_K_m, 1))
     assert fit.std["J_1"] == pytest.approx(expected, rel=0.01)
     assert fit.std_noise["J_1"] == pytest.approx(alone.std["J_1"], rel=1e-9)
+    added = [one.std["J_1"] ** 2 - one.std_noise["J_1"] ** 2 for one in (fit, alone)]
+    robust = fit.std_robust["J_1"] ** 2 - alone.std_robust["J_1"] ** 2
+    assert added == pytest.approx([robust, 0.0], rel=1e-6)
     assert "K_m +" in fit.explain()
 
 
@@ -178,13 +183,32 @@ def test_each_experiment_has_the_offset_that_its_input_shows(make: Make) -> None
 
 def test_a_richer_model_that_fits_worse_says_so(make: Make) -> None:
     """On an input of one sign T_c replaces the offset."""
-    data = make(coulomb_nm=0.02, low=0.0, high=5.0, offset=0.5)
+    data = make(coulomb_nm=0.02, low=0.0, high=5.0, offset=0.5, N=2000)
 
     poorer, fit = armrig.greybox(data), armrig.greybox(data, friction="coulomb")
 
     assert fit.fit_percent < poorer.fit_percent
-    assert any("with Coulomb friction the fit is" in w and "one sign" in w for w in fit.warnings)
+    [said] = [w for w in fit.warnings if w.startswith("with Coulomb friction")]
+    percent = f"{fit.fit_percent:.1f} %, without it {poorer.fit_percent:.1f} %"
+    assert said.startswith(f"with Coulomb friction the fit is {percent}: the input has one sign")
     assert "with Coulomb friction" not in repr(poorer)
+
+
+def test_the_way_out_of_a_poorer_fit_is_that_of_its_input() -> None:
+    """Only a significant difference is reported: N ln(ratio) above 10."""
+    u = armrig.telegraph(200, 0.1)
+    data = Dataset(u=u, y=np.arange(200.0), Ts=Ts, valid=np.arange(200) >= 100)
+    both_ways = data.replaced(u=u - 2.5, step=None)
+
+    assert worse_with_friction(data, 1.0, np.exp(0.09)) == ()
+    assert worse_with_friction(data, 2.0, 1.0) == ()
+    [held] = worse_with_friction(data, 1.0, np.exp(0.11))
+    [free] = worse_with_friction(both_ways, 1.0, np.exp(0.11))
+    [mixed] = worse_with_friction(merge([both_ways, data]), 1.0, 2.0)
+
+    assert held.endswith('use friction="viscous", or play an input of both signs')
+    assert free.endswith("begin nearer, with another `fixed`")
+    assert "the input has one sign" in mixed
 
 
 def test_coulomb_friction_does_no_harm_where_the_chassis_never_stops(make: Make) -> None:
@@ -201,7 +225,7 @@ def test_coulomb_friction_does_no_harm_where_the_chassis_never_stops(make: Make)
 def test_a_friction_that_is_not_there_is_zero_within_its_sd(make: Make) -> None:
     """Otherwise its standard deviation would be wrong."""
     values = [
-        off(armrig.greybox(make(s, N=2000), friction="viscous"), "b_1", 0.0) for s in range(30)
+        off(armrig.greybox(make(s, N=2000), friction="viscous"), "b_1", 0.0) for s in range(15)
     ]
 
     assert min(values) < 0 < max(values)
@@ -246,6 +270,23 @@ def test_the_impossible_is_refused(make: Make, changes: dict[str, Any], message:
         armrig.greybox(make(N=200), **changes)
 
 
+@pytest.mark.parametrize(
+    ("free", "friction", "names"),
+    [
+        ("K_m", None, ("K_m",)),
+        (("J_1", "N"), "viscous", ("J_1", "N", "b_1")),
+        (("b_1", "J_1"), "viscous", ("b_1", "J_1")),
+        (("b_1", "J_1"), "both", ("b_1", "J_1", "T_c")),
+        (("J_1",), "both", ("J_1", "b_1", "T_c")),
+        (("J_1",), "coulomb", ("J_1", "T_c")),
+    ],
+)
+def test_frictions_follow_the_other_parameters_and_none_is_there_twice(
+    free: Any, friction: Friction | None, names: tuple[str, ...]
+) -> None:
+    assert free_names(free, friction) == names
+
+
 def test_data_of_another_output_are_refused(make: Make) -> None:
     velocity = armrig.difference(make(N=200))
 
@@ -287,3 +328,30 @@ def test_the_result_speaks(make: Make) -> None:
     np.testing.assert_allclose(fit.simulate(u), angle(u, fit.fixed), atol=1e-12)
     with pytest.raises(ValueError, match="read-only"):
         fit.covariance[0, 0] = 1.0
+
+
+def test_figures_of_a_fit_are_those_of_its_values_and_deviations(make: Make) -> None:
+    """A friction may be negative or 0, and what fixed parameters add is no lack of data."""
+    fit = armrig.greybox(make(N=1000), friction="viscous")
+    plain = {"values": {"J_1": 2.0, "b_1": -0.5}, "std": {"J_1": 3.0, "b_1": 0.2}}
+    other = replace(fit, **plain, std_noise={"J_1": 0.1, "b_1": 0.1})
+
+    assert other.relative_std == {"J_1": 1.5, "b_1": 0.4}
+    assert other.undetermined == ()
+    assert replace(other, std_noise={"J_1": 1.1, "b_1": 9.0}).undetermined == ("J_1",)
+    assert replace(other, values={"J_1": 2.0, "b_1": 0.0}).relative_std["b_1"] == np.inf
+    said = replace(other, influence={"J_1": {"N": -0.5, "K_m": 0.04, "R_m": 2.0}}).explain()
+    assert "J_1 = 2 ± 3 kg m² (one standard deviation)." in said
+    assert "b_1 = -0.5 ± 0.2 Nms/rad (one standard deviation, 40 %)." in said
+    assert "If a fixed parameter is 1 % larger, J_1 changes: N -0.50 %, R_m +2.00 %." in said
+    [told] = below_zero(other.values, other.std)
+    assert told == "b_1 = -0.5 is below 0, by 2.5 standard deviations: take it as 0"
+
+
+def test_parameters_that_are_correlated_say_so(make: Make) -> None:
+    fit = armrig.greybox(make(N=1000), free=("J_1", "K_m"))
+
+    C, s = fit.covariance, fit.std
+    expected = C[0, 1] / (s["J_1"] * s["K_m"])
+    np.testing.assert_allclose(fit.correlation, [[1, expected], [expected, 1]], rtol=1e-9)
+    assert 0.05 < abs(expected) < 1

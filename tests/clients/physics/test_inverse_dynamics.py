@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.physics.grey_box.smoothing import kernels, smoothed, smoothed_noise_p_value
 from armrig.physics.systems import ArmParameters
+from scipy.special import ndtr
 
 from tests.clients.chassis_data import Make, Ts, angle
 
@@ -71,6 +76,30 @@ def test_two_estimates_on_a_wrong_model_do_not_agree(make: Make) -> None:
     assert verdict.p_value < 0.05
     assert verdict.difference == second.values["J_1"] - first.values["J_1"]
     assert f"J_1: {verdict.difference:+.3g} apart, " in repr(verdict)
+
+
+def test_the_variance_of_a_difference_is_the_difference_of_the_variances() -> None:
+    """It is at least a hundredth of the other variance; only common parameters are compared."""
+    efficient: Any = SimpleNamespace(
+        names=("J_1", "b_1", "K_m"),
+        values={"J_1": 10.0, "b_1": 2.0},
+        std_noise={"J_1": 3.0, "b_1": 1.0},
+        quantum=0.0,
+        noise_variance=1.0,
+    )
+    other: Any = SimpleNamespace(
+        names=("b_1", "J_1"), values={"J_1": 2.0, "b_1": 2.1}, std_noise={"J_1": 5.0, "b_1": 1.0}
+    )
+
+    inertia, friction = armrig.agreement(efficient, other)
+
+    assert (inertia.name, inertia.difference, inertia.std) == ("J_1", -8.0, 4.0)
+    assert inertia.p_value == pytest.approx(2 * ndtr(-2.0))
+    assert repr(inertia) == "J_1: -8 apart, -2.00 sd, p = 0.046"
+    assert friction.std == pytest.approx(0.1)
+    assert friction.p_value == pytest.approx(2 * ndtr(-1.0))
+    efficient.quantum = 10.0
+    assert all("(the noise is" in repr(one) for one in armrig.agreement(efficient, other))
 
 
 def test_both_frictions(make: Make) -> None:
@@ -211,3 +240,11 @@ def test_smoothed_white_noise_is_rejected_as_often_as_is_meant() -> None:
     p = [smoothed_noise_p_value([np.convolve(v, h, "valid")[::m]], h, m) for v in noise]
 
     assert 0.003 < np.mean(np.array(p) < 0.01) < 0.022
+
+
+def test_an_offset_without_friction_is_found_in_every_experiment(make: Make) -> None:
+    """An input of one sign determines an offset, too."""
+    fit = armrig.inverse_dynamics(merge([make(1, 2000, offset=-0.4), make(2, 1500, offset=-0.4)]))
+
+    assert fit.offset == pytest.approx((-0.4, -0.4), abs=0.02)
+    assert abs(fit.values["J_1"] - HANDOUT.J_1) < 4 * fit.std["J_1"]

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
+from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
+from armrig.physics.grey_box.least_squares_problem import GreyBox, GreyBoxWithFriction
 from armrig.physics.grey_box.response import (
     REVERSAL,
     _braked,
@@ -133,3 +136,60 @@ def test_a_single_speed_is_braked_as_any_other() -> None:
     assert signs == expected_signs
     assert set(signs) == {-1, 0, 1, REVERSAL}
     np.testing.assert_allclose(frictions, expected, atol=1e-12)
+
+
+def test_a_direct_term_acts_at_once_and_an_offset_is_subtracted_before_it() -> None:
+    plain = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, ("J_1",), Ts)
+    direct, x0 = replace(plain, D=0.7), np.zeros(2)
+
+    (y, free), (y_plain, free_plain) = (linear_parts(model, U) for model in (direct, plain))
+    rubs, rubs_plain = (with_friction(model, U, x0, 0.1, 1) for model in (direct, plain))
+
+    for ours, without in ((y, y_plain), (rubs.y, rubs_plain.y)):
+        np.testing.assert_allclose(ours - without, 0.7 * U, atol=1e-12)
+    np.testing.assert_allclose(free - free_plain, np.tile([0, 0, -0.7], (U.size, 1)), atol=1e-12)
+    np.testing.assert_allclose(rubs.by_offset - rubs_plain.by_offset, -0.7, atol=1e-12)
+
+
+def test_the_columns_of_the_problem_with_friction_are_its_differences() -> None:
+    """T_c acts as the voltage T_c R_m / (N K_m), so R_m changes both; two experiments, one gap."""
+    names = ("R_m", "N", "b_1")
+    parts = tuple(
+        Dataset(u=u, y=np.zeros(150), Ts=Ts, valid=np.arange(150) % 50 != 9)
+        for u in (U[:150], U[150:300] - 2.5)
+    )
+    physics = Physics(model=chassis, fixed=P, output="theta_1")
+    problem = GreyBoxWithFriction(
+        plain=GreyBox(physics=physics, names=names, experiments=parts), speed=1
+    )
+    eta = problem.plain.coordinates({name: getattr(P, name) for name in names})
+    z = np.concatenate([eta, [0.02], [0.1, 3.0], [-0.2, -2.0, 0.3]])
+
+    J = problem.linearise(z)[1]
+
+    assert J.shape == (294, z.size)
+    for k, step in enumerate(1e-6 * np.eye(z.size)):
+        before, after = (problem.linearise(z + s * step)[0] for s in (-1, 1))
+        differences = (before - after) / 2e-6
+        near = 1e-4 * np.abs(differences).max()
+        np.testing.assert_allclose(J[:, k], differences, atol=near, err_msg=str(k))
+
+
+def test_a_friction_may_act_as_its_square_in_a_model_of_one_s_own() -> None:
+    """The derivative from above is exact to second order; below 0 the model goes on as a line."""
+
+    def mine(p: ArmParameters) -> control.StateSpace:
+        return chassis(replace(p, b_1=p.b_1 + 40 * p.b_1**2))
+
+    physics = Physics(model=mine, fixed=P, output="theta_1")
+
+    def y(b_1: float) -> Vector:
+        return linear_parts(physics.sampled({"b_1": b_1}, (), Ts), U)[0]
+
+    for b_1, step in ((2e-3, 1e-6), (-3e-3, 1e-6)):
+        sampled = physics.sampled({"b_1": b_1}, ("b_1",), Ts)
+        ours = sensitivity(sampled, U, np.zeros(2), 0.0)[:, 0]
+
+        differences = (y(b_1 + step) - y(b_1 - step)) / (2 * step)
+        near = 1e-5 * np.abs(differences).max()
+        np.testing.assert_allclose(ours, differences, atol=near)

@@ -7,7 +7,10 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig import Signals
+from armrig import ArmParameters, Signals
+from armrig.physics.grey_box.least_squares_problem import GreyBox
+from armrig.physics.grey_box.sampled_model import Physics
+from armrig.physics.grey_box.several_outputs import _minimised, _Problem
 from armrig_core.errors import InputError
 
 from tests.benchmarks.several_greybox import NAMES, simulated
@@ -47,12 +50,21 @@ def test_both_outputs_give_smaller_deviations_than_each_alone() -> None:
 
 
 def test_several_experiments_each_have_their_state() -> None:
-    p, signals = simulated(np.random.default_rng([3, 9]), 900, 5e-3)
+    p, signals = simulated(np.random.default_rng([3, 9]), 900, 2e-3)
     two = armrig.merge([signals[100:500], signals[600:]])  # type: ignore[arg-type]
 
-    fit = estimated(two)
+    fit = estimated(two, output="alpha")
 
-    assert len(fit.initial) == 2
+    assert len(fit.initial) == len(fit.offset) == 2
+    own = fit.by_output["alpha"]
+    assert (fit.output, fit.unit, fit.N) == ("alpha", "rad", 700)
+    assert (fit.loss, fit.fit_percent, fit.whiteness) == (
+        own.loss,
+        own.fit_percent,
+        own.white.p_value,
+    )
+    assert fit.noise_variance == pytest.approx(fit.loss, rel=0.05)
+    assert fit.by_output["theta_1"].loss != pytest.approx(fit.loss, rel=0.5)
     for name in NAMES:
         assert abs(fit.values[name] - getattr(p, name)) < 3.5 * fit.std[name]
 
@@ -75,3 +87,44 @@ def test_what_both_outputs_cannot_give_is_refused() -> None:
         estimated(signals, output="velocity")
     with pytest.raises(InputError, match="10 samples are too few"):
         estimated(signals[:10])
+
+
+def test_fixed_parameters_carry_their_uncertainty_into_both_forms() -> None:
+    """The shares of R_m and K_m add as squares; influences are in percent for one percent."""
+    _, signals = simulated(np.random.default_rng([3, 9]), 250, 2e-3)
+    p = ArmParameters()
+    shares = {"R_m": 0.01, "K_m": 0.02}
+    known = {name: share * getattr(p, name) for name, share in shares.items()}
+
+    plain, fit = (
+        estimated(signals, friction="viscous"),
+        estimated(signals, friction="viscous", fixed_std=known),
+    )
+
+    assert fit.names == (*NAMES, "b_1")
+    assert fit.std_noise == pytest.approx(plain.std)
+    for name in NAMES:
+        carried = [fit.influence[name][k] * share for k, share in shares.items()]
+        added = (fit.values[name] * np.linalg.norm(carried)) ** 2
+        assert fit.std[name] ** 2 - plain.std[name] ** 2 == pytest.approx(added, rel=1e-6)
+        robust = fit.std_robust[name] ** 2 - plain.std_robust[name] ** 2
+        assert robust == pytest.approx(added, rel=1e-6)
+
+
+def test_the_weights_of_the_outputs_are_their_noise_whatever_they_were_first() -> None:
+    _, signals = simulated(np.random.default_rng([3, 9]), 200, 2e-3)
+    physics = tuple(
+        Physics(model=armrig.arm, fixed=ArmParameters(), output=name) for name in signals.outputs
+    )
+    plain = GreyBox(physics=physics[0], names=NAMES, experiments=())
+    start = plain.coordinates({name: getattr(ArmParameters(), name) for name in NAMES})
+    found = []
+    for first in ((1e3, 1.0), (1.0, 1e3)):
+        begun = _Problem(plain=plain, physics=physics, experiments=(signals,), std=np.array(first))
+
+        problem, best = _minimised(begun, start)
+
+        (e,) = problem.at(best.theta).e
+        np.testing.assert_allclose(problem.std, np.sqrt(np.mean(e**2, axis=0)), rtol=1e-3)
+        found.append(best.theta)
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-6)

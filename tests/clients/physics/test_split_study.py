@@ -6,6 +6,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.numerics.polynomial import filtered
 from armrig.physics.grey_box.split_study import Split
 from armrig.physics.systems import ArmParameters
 from matplotlib.collections import LineCollection
@@ -82,6 +83,29 @@ def test_a_rig_that_changes_half_way_is_noticed() -> None:
     assert "DIFFER" in study.explain()
 
 
+def test_the_parameter_that_was_asked_for_is_studied() -> None:
+    rng = np.random.default_rng(1)
+    u, e = rng.standard_normal((2, 240))
+    data = Dataset(u=u, y=filtered([0, 1.0, 0.3], [1, -0.6], u) + 0.3 * e, Ts=1.0)
+
+    for name in ("a1", "b2"):
+        study = armrig.split_study(
+            data, (1, 3), lambda part: armrig.arx(part, na=1, nb=2), parameter=name
+        )
+
+        assert study.parameter == name
+        pieces = ((data,), data.split(3))
+        for split, parts in zip(study.splits, pieces, strict=True):
+            fits = [armrig.arx(part, na=1, nb=2) for part in parts]
+            i = fits[0].names.index(name)
+            assert split.values.tolist() == [fit.theta[i] for fit in fits]
+            assert split.std.tolist() == [fit.std[i] for fit in fits]
+        thirds = study.splits[1]
+        assert study.std_growth == pytest.approx(thirds.std.mean() / study.splits[0].std[0])
+        assert f"{study.std_growth:.2f}, its variance by {study.std_growth**2:.2f}" in study.verdict
+        assert "the factors would be 1.73 and 3.00" in study.verdict
+
+
 def test_black_box_models_can_be_split_too(make: Make) -> None:
     study = armrig.split_study(
         make(), (1, 2), lambda d: armrig.oe(d, nb=2, nf=2, integrator=True), parameter="f1"
@@ -97,10 +121,17 @@ def test_black_box_models_can_be_split_too(make: Make) -> None:
 
 
 def test_the_words_report_the_trend_and_its_reason(make: Make) -> None:
-    text = armrig.split_study(make(), (1, 2, 4)).explain()
+    study = armrig.split_study(make(), (1, 2, 4))
+    text = study.explain()
 
     assert "half the data have half the information and twice the variance" in text
-    assert "Pooled" in text
+    last, whole = study.splits[-1], study.splits[0]
+    value, std = last.pooled
+    assert f"the estimate of the 4 parts is {value:.6g} ± {std:.2g}; the estimate" in text
+    assert f"from all data is {whole.values[0]:.6g} ± {whole.std[0]:.2g}." in text
+    assert f"scatter by {last.scatter:.2g}" in text
+    assert f"the reported standard deviation is {np.sqrt(np.mean(last.std**2)):.2g}." in text
+    assert f"chi² {last.chi2:.2f} with 3 degrees of freedom" in text
     assert "4 parts agree" in text
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from armrig.physics.systems import ArmParameters, arm, chassis
+from armrig.physics.systems import ArmParameters, arm, beside_the_handout, chassis
 
 
 def test_signals_have_the_handout_s_names() -> None:
@@ -21,3 +21,25 @@ def test_the_chassis_turns_as_its_time_constant_and_gain_say() -> None:
     G = chassis(ArmParameters())(s)
 
     assert pytest.approx(1.8623 / (s * (1 + s / 52.836)), rel=1e-4) == G
+
+
+@pytest.mark.parametrize(
+    ("changes", "names"),
+    [
+        ({}, ["handout"]),
+        ({"J_2": 0.004}, ["handout", "J_2=0.004"]),
+        ({"J_2": 0.004, "b_1": 0.01}, ["handout", "J_2=0.004", "b_1=0.01", "both"]),
+        (
+            {"J_1": 0.002, "J_2": 0.004, "N": 60.0},
+            ["handout", "J_1=0.002", "J_2=0.004", "N=60", "all"],
+        ),
+    ],
+)
+def test_each_case_has_the_name_of_its_change(changes: dict[str, float], names: list[str]) -> None:
+    p = ArmParameters(**changes)
+
+    cases = beside_the_handout(p)
+
+    assert list(cases) == names
+    assert cases["handout"] == ArmParameters()
+    assert cases[names[-1]] == p

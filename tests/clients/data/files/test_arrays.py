@@ -116,6 +116,12 @@ def test_arrays_of_numpy_are_columns_by_name(tmp_path: Path) -> None:
     assert data.Ts == pytest.approx(0.01, rel=1e-12)
 
 
+def test_a_name_that_is_a_number_has_precedence_over_a_place(tmp_path: Path) -> None:
+    data = load_data(npz(tmp_path, **{"2": U, "1": Y, "Ts": 0.5}), input="2", signal="1")
+
+    assert (data.u.tolist(), data.y.tolist(), data.Ts) == (U.tolist(), Y.tolist(), 0.5)
+
+
 def test_complex_numbers_are_not_cut_in_half(tmp_path: Path) -> None:
     path = npz(tmp_path, u=U, y=Y + 0j)
 

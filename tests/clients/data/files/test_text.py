@@ -306,6 +306,40 @@ def test_times_that_give_no_sampling_time_are_reported(
     assert load_data(path, Ts=0.5).Ts == 0.5
 
 
+@pytest.mark.parametrize(("given", "noted"), [(0.1, 0), (0.104, 0), (0.05, 1), (0.2, 1)])
+def test_a_given_sampling_time_that_is_not_the_file_s_is_noted(
+    given: float, noted: int, tmp_path: Path
+) -> None:
+    """Up to a twentieth is rounding; the given number is used in any case."""
+    path = written(tmp_path, table(","))
+
+    for data in (
+        load_data(path, Ts=given),
+        armrig.load_signals(path, inputs="u", outputs="y", Ts=given),
+    ):
+        assert data.Ts == given
+        note = f"used the given Ts = {given:g} s, although the times are 0.1 s apart"
+        assert data.history == (note,) * noted
+
+
+@pytest.mark.parametrize("wanted", ["0", "4", "-1", "1.0", "w", "1234567890"])
+def test_a_column_that_is_not_there_is_refused_with_those_that_are(
+    wanted: str, tmp_path: Path
+) -> None:
+    path = written(tmp_path, "t,u,y\n0,1,2\n1,3,4\n")
+
+    with pytest.raises(FileError, match=f"input {wanted}: there is no such column; give --input a"):
+        load_data(path, input=wanted, Ts=1)
+    assert load_data(path, input="1", signal="3", Ts=1).u.tolist() == [0, 1]
+
+
+def test_names_that_differ_in_case_only_are_each_found_by_their_own(tmp_path: Path) -> None:
+    path = written(tmp_path, "u,Y,y\n5,6,7\n8,9,1\n")
+
+    assert load_data(path, input="U", signal="Y", Ts=1).y.tolist() == [6, 9]
+    assert load_data(path, input="u", signal="y", Ts=1).y.tolist() == [7, 1]
+
+
 def test_input_and_signal_are_two_columns(tmp_path: Path) -> None:
     path = written(tmp_path, "u,y\n1,2\n")
 

@@ -12,7 +12,7 @@ from armrig.physics.integrators.methods import METHODS, amplification
 from armrig.physics.integrators.stability import _positive_roots, stability_limit
 from armrig.physics.integrators.stepping import integrate
 from armrig_core.arm import ArmParameters, arm_matrices
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 EXPLICIT = ("forward_euler", "ab2", "heun", "midpoint")
@@ -26,6 +26,7 @@ def pair(real: float, imaginary: float) -> np.ndarray:
     return np.array([[real, imaginary], [-imaginary, real]])
 
 
+@settings(max_examples=40)
 @given(st.floats(-50.0, -1e-3), st.floats(0.0, 50.0))
 def test_forward_euler_s_limit_is_that_of_its_circle(real: float, imaginary: float) -> None:
     """|1 + h lambda| = 1 at h = -2 Re lambda / |lambda|²."""
@@ -50,8 +51,9 @@ def test_the_limit_is_where_the_largest_root_meets_the_circle(
     [("forward_euler", 2.0), ("ab2", 1.0), ("heun", 2.0), ("midpoint", 2.0), ("trapezoidal", inf)],
 )
 def test_a_decay_is_followed_as_far_as_the_region_reaches(method: str, reach: float) -> None:
-    """On the real axis these are the textbook's intervals."""
-    assert stability_limit([[-4.0]], method) == pytest.approx(reach / 4)
+    """On the real axis these are the textbook's intervals; twice the same decay is no growth."""
+    for A in ([[-4.0]], [[-4.0, 1.0], [0.0, -4.0]], np.diag([-4.0, -4.0, 0.0])):
+        assert stability_limit(A, method) == pytest.approx(reach / 4, rel=1e-6)
 
 
 def test_the_handout_s_arm() -> None:
@@ -76,6 +78,14 @@ def test_a_step_is_stable_just_inside_the_limit_and_not_just_outside(
 
     assert growth(A, method, 0.999 * limit, n=5000) < 1
     assert growth(A, method, 1.001 * limit, n=5000) > 1
+
+
+@pytest.mark.parametrize("h", [0.001, 2.001])
+def test_growth_is_that_of_the_second_half_of_the_steps(h: float) -> None:
+    """Forward Euler multiplies a decay by 1 - h, in each of the last 1000 steps of 2000."""
+    assert growth([[-1.0, 0.0], [0.0, 0.0]], "forward_euler", h, n=2000) == pytest.approx(
+        abs(1 - h) ** 1000
+    )
 
 
 @given(st.floats(-50.0, 50.0), st.floats(0.0, 50.0), st.sampled_from(tuple(METHODS)))
