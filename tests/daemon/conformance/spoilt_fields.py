@@ -69,6 +69,14 @@ FIELDS: dict[str, tuple[Callable[[Any], dict[str, int]], str]] = {
         lambda m: {"u_km1": m.u_k} if isinstance(m, Sample) else {},
         "code of the applied duty",
     ),
+    "SAMPLE: the code before is kept in IDLE": (
+        lambda m: {"u_km1": 9} if isinstance(m, Sample) and m.state == State.IDLE else {},
+        "every state but RUN",
+    ),
+    "SAMPLE: a frame number in IDLE": (
+        lambda m: {"u_seq": 9} if isinstance(m, Sample) and m.state == State.IDLE else {},
+        "every state but RUN",
+    ),
     "SAMPLE: of a fault the state before": (
         lambda m: {"state": State.RUN} if isinstance(m, Sample) and m.state == State.FAULT else {},
         "accepted in any state",

@@ -9,15 +9,19 @@ from hashlib import blake2b
 from pathlib import Path
 
 import pytest
+from armrig_daemon.conformance.conversation import Conversation
 from armrig_daemon.conformance.host import BOOT_MS, Host
+from armrig_daemon.conformance.pin_rules import pin_rules
 from armrig_daemon.conformance.rule import Result, Rule
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, RULES, leave, run
 from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.harness import Violated, Violation
+from armrig_daemon.emulator.pin import sentence
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import Sample, Start, State, Stop
+from armrig_protocol.messages import Ack, Sample, Start, State, Stop
 
 from tests.daemon.conformance.spoiling import SpoiltDevice, other_handler
 from tests.daemon.conformance.spoilt_devices import AT_A_RAIL, SPOILT, UNPLUGGED
@@ -222,6 +226,45 @@ def test_a_device_that_floods_the_line_breaks_the_rule_that_is_tried(
     assert says in results[1].came
     line.device.advance(line.now_ns() + 100_000_000)
     assert line.device.state is State.ESTOP
+
+
+def test_what_was_wrong_at_the_pins_is_counted_and_the_first_time_is_told() -> None:
+    high, stopped = Violation.PIN_HIGH_WITHOUT_ENABLE, Violation.CPU_STOPPED
+    seen = [Violated(n * 16_000, what) for n, what in ((20, high), (30, stopped), (45, high))]
+    host = Host(VirtualLine(Device(SPOILT_SETTINGS, 0)))
+
+    low, code, runs = run(host, lambda _: None, pin_rules(seen))
+
+    assert low.came == f"{sentence(high)}: 2 times, first 20.00 ms after power-on"
+    assert runs.came == f"{sentence(stopped)}: 1 times, first 30.00 ms after power-on"
+    assert [r.outcome for r in (low, code, runs)] == [FAIL, PASS, FAIL]
+
+
+class Numbered:
+    """A line on which frames with these numbers arrive."""
+
+    def __init__(self, numbers: Sequence[int]) -> None:
+        self._numbers, self._now_ns = iter(numbers), 0
+
+    def receive(self, within_ms: float) -> bytes:
+        """Return the next frame."""
+        self._now_ns += round(within_ms * 1e6)
+        return b"".join(encode(Ack(State.IDLE, n, 0, 0, 0)) for n in self._numbers)
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+
+@pytest.mark.parametrize(
+    ("numbers", "breaks"),
+    [([7, 8, 9], 0), ([65_534, 65_535, 0, 1], 0), ([7, 9, 10], 1), ([5, 0, 0, 7, 6], 4)],
+)
+def test_each_frame_that_is_not_the_next_is_a_break(numbers: list[int], breaks: int) -> None:
+    conversation = Conversation(Numbered(numbers))  # type: ignore[arg-type]
+
+    conversation.listen(5)
+
+    assert conversation.breaks == breaks
 
 
 def test_every_rule_has_a_section_and_a_sentence_of_its_own() -> None:

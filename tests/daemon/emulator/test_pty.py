@@ -276,6 +276,19 @@ def test_a_remaining_link_is_taken_over_a_file_is_not(tmp_path: Path) -> None:
     assert (tmp_path / "file").read_text() == "mine"
 
 
+def test_the_link_of_a_later_emulator_is_left_alone(tmp_path: Path) -> None:
+    port = tmp_path / "rig"
+    with ExitStack() as later_stack:
+        with ExitStack() as stack:
+            Terminal(stack).offer(port, stack)
+            later = Terminal(later_stack)
+            later.offer(port, later_stack)
+
+        assert port.readlink() == later.slave
+
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_port_that_cannot_be_watched_says_why(tmp_path: Path) -> None:
     before = {*Path("/proc/self/fd").iterdir()}
 
