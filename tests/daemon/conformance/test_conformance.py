@@ -21,7 +21,7 @@ from armrig_daemon.emulator.pin import sentence
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import Ack, Sample, Start, State, Stop
+from armrig_protocol.messages import Ack, Ping, Pong, Sample, Start, State, Stop
 
 from tests.daemon.conformance.spoiling import SpoiltDevice, other_handler
 from tests.daemon.conformance.spoilt_devices import AT_A_RAIL, SPOILT, UNPLUGGED
@@ -238,6 +238,24 @@ def test_what_was_wrong_at_the_pins_is_counted_and_the_first_time_is_told() -> N
     assert low.came == f"{sentence(high)}: 2 times, first 20.00 ms after power-on"
     assert runs.came == f"{sentence(stopped)}: 1 times, first 30.00 ms after power-on"
     assert [r.outcome for r in (low, code, runs)] == [FAIL, PASS, FAIL]
+
+
+@pytest.mark.parametrize("resets", [True, False])
+def test_what_is_on_the_line_while_the_port_is_closed_is_lost(resets: bool) -> None:
+    device = Device(EmulatorSettings(boot_ms=5.0), 0)
+    line = VirtualLine(device, resets=resets)
+    line.receive(10)
+    line.receive(10)
+    for n in range(20):
+        line.send(encode(Ping(0, n + 1, n)))
+    assert line.receive(20)
+
+    line.reopen(30)
+    heard = [line.receive(20) for _ in range(3)]
+
+    assert line.now_ns() >= 30_000_000
+    assert heard[:2] == ([b"\0", heard[1]] if resets else [b"", b""])
+    assert not any(isinstance(m, Pong) for m in feed(b"", b"".join(heard))[1])
 
 
 class Numbered:

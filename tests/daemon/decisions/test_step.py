@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from armrig_core.codes import GapCode
+from armrig_core.codes import GapCode, OutcomeCode
 from armrig_core.volts import code_of
 from armrig_daemon import pipe
 from armrig_daemon.config import Config
@@ -446,6 +446,7 @@ def test_after_its_last_sample_a_run_is_complete() -> None:
         assert _code(decided) == 0
         assert any(isinstance(m, Stop) for m in decided.sent)
         assert (decided.state.outcome, decided.state.run.due) == ("complete", 3)  # type: ignore[union-attr]
+        assert decided.state.outcome_code is OutcomeCode.COMPLETE
 
 
 def test_a_run_that_leaves_the_limits_is_stopped_at_0_v() -> None:
