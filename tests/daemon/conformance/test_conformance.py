@@ -9,7 +9,7 @@ from hashlib import blake2b
 from pathlib import Path
 
 import pytest
-from armrig_daemon.conformance.conversation import Conversation
+from armrig_daemon.conformance.conversation import Broken, Conversation, EndlessError
 from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.pin_rules import pin_rules
 from armrig_daemon.conformance.rule import Result, Rule
@@ -21,7 +21,7 @@ from armrig_daemon.emulator.pin import sentence
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import Ack, Ping, Pong, Sample, Start, State, Stop
+from armrig_protocol.messages import Ack, Capability, Ping, Pong, Sample, Start, State, Stop
 
 from tests.daemon.conformance.spoiling import SpoiltDevice, other_handler
 from tests.daemon.conformance.spoilt_devices import AT_A_RAIL, SPOILT, UNPLUGGED
@@ -283,6 +283,61 @@ def test_each_frame_that_is_not_the_next_is_a_break(numbers: list[int], breaks: 
     conversation.listen(5)
 
     assert conversation.breaks == breaks
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({}, ""),
+        ({"version": 99}, "version 99"),
+        ({"schema": 5}, ", 5"),
+        ({"full_scale_mv": 3300}, "full scale 3300 mV"),
+        ({"boot_id": 0}, "boot_id 0"),
+        ({"capabilities": Capability.SCHEDULED}, "capabilities 2"),
+        ({"hold_us": 0}, "hold_us 0, skew_us 104"),
+        ({"hold_us": 104}, "hold_us 104, skew_us 104"),
+        ({"ts_min_us": 205}, "ts_min_us 205, skew_us 104"),
+        ({"ts_min_us": 206}, ""),
+        ({"adc_bits": 7}, "7, 10 bits"),
+        ({"adc_bits": 17}, "17, 10 bits"),
+        ({"pwm_bits": 0}, "10, 0 bits"),
+        ({"pwm_bits": 17}, "10, 17 bits"),
+        ({"queue": 47}, "a queue of 47"),
+        ({"queue": 48}, ""),
+        ({"queue": 513}, "a queue of 513"),
+        ({"queue": 0, "capabilities": Capability.EXCHANGE}, ""),
+    ],
+    ids=str,
+)
+def test_an_impossible_device_is_recognised_by_its_hello(wrong: dict[str, int], says: str) -> None:
+    host = Host(VirtualLine(Device(EmulatorSettings(boot_ms=5.0), 0)))
+    host.facts = host.hello()._replace(**wrong)
+
+    came = ""
+    try:
+        RULES[0].check(host)
+    except Broken as err:
+        came = str(err)
+
+    assert says in came
+    assert bool(says) == bool(came)
+
+
+def test_a_limit_counts_from_the_time_at_which_it_was_set() -> None:
+    line = Numbered(range(1))
+    conversation = Conversation(line)  # type: ignore[arg-type]
+    conversation.listen(5)
+    length = len(encode(Ack(State.IDLE, 0, 0, 0, 0)))
+    conversation.limit(100, received=2 * length)
+
+    for n, ends in ((2, False), (1, True)):
+        conversation.line = Numbered(range(n))  # type: ignore[assignment]
+        conversation.listen(5)
+        if ends:
+            with pytest.raises(EndlessError, match="sent more"):
+                conversation.listen(5)
+    conversation.limit()
+    conversation.listen(5)
 
 
 def test_every_rule_has_a_section_and_a_sentence_of_its_own() -> None:

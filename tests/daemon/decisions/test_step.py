@@ -512,6 +512,8 @@ def test_the_sample_after_a_gap_has_the_code_held_last() -> None:
     assert _told(state, 13, code_of(3.0)) == [(10, 3, 3.0)]
     assert _told(three, 13, code_of(3.0)) == [(10, 3, 2.0)]
     assert _told(one, 11, code_of(3.0)) == [(10, 1, 3.0)]
+    assert _told(one, 14, code_of(3.0)) == [(10, 1, 2.0), (11, 3, 3.0)]
+    assert _told(three, 14, code_of(3.0)) == [(10, 3, 2.0), (13, 1, 3.0)]
 
 
 def test_what_comes_after_a_sample_is_kept_for_the_next() -> None:
