@@ -412,6 +412,17 @@ def test_every_frame_taken_in_feeds_the_watchdog(
     assert host.device.state is State.RUN
 
 
+@pytest.mark.parametrize("kind", [Keepalive, Stop, Estop])
+def test_every_frame_taken_in_makes_those_with_earlier_numbers_stale(kind: type[Message]) -> None:
+    host = Host().reach(State.RUN)
+    newest = (host.seq + 10) & 0xFFFF
+
+    host.ask(kind, seq=newest)
+
+    for behind, answer in ((5, [Code.STALE]), (0, [Code.STALE]), (-1, [])):
+        assert codes(host.ask(Keepalive, seq=(newest - behind) & 0xFFFF)) == answer, behind
+
+
 def test_a_frame_at_the_very_deadline_is_in_time() -> None:
     """The bytes and the watchdog are due in the same nanosecond."""
     host = Host().reach(State.RUN)
