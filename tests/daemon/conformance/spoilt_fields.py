@@ -89,6 +89,10 @@ FIELDS: dict[str, tuple[Callable[[Any], dict[str, int]], str]] = {
         lambda m: {"queued": max(0, m.queued - 1)} if isinstance(m, Sample) else {},
         "The queue has no gaps",
     ),
+    "SAMPLE: a loss that was none": (
+        lambda m: {"flags": m.flags | Flag.RX_OVERFLOW} if isinstance(m, Sample) else {},
+        "Bytes lost in a flood",
+    ),
     "STATUS: more frames than came": (
         lambda m: {"frames": 2 * m.frames} if isinstance(m, Status) else {},
         "STATUS counts",

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from hashlib import blake2b
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from armrig_daemon.conformance.conversation import Broken, Conversation, EndlessError
@@ -321,6 +322,23 @@ def test_an_impossible_device_is_recognised_by_its_hello(wrong: dict[str, int], 
 
     assert says in came
     assert bool(says) == bool(came)
+
+
+def test_the_rest_of_a_frame_at_the_opening_of_the_port_is_not_spoilt() -> None:
+    rest, whole = b"\x05abc\0", encode(Ack(State.IDLE, 9, 0, 0, 0))
+    pieces = [rest + whole, rest, b"\x07a", rest + whole, rest + rest]
+    line = SimpleNamespace(now_ns=lambda: 0, receive=lambda ms: pieces.pop(0), reopen=id)
+    conversation = Conversation(line)  # type: ignore[arg-type]
+    spoilt = []
+
+    for opens in (False, False, False, True, False):
+        if opens:
+            conversation.reopen()
+        conversation._read(1)
+        spoilt.append(conversation.spoilt)
+
+    assert spoilt == [0, 1, 1, 1, 3]
+    assert conversation.breaks == 0
 
 
 def test_a_limit_counts_from_the_time_at_which_it_was_set() -> None:

@@ -140,6 +140,19 @@ def test_a_device_that_restarts_at_rest_is_met_again(by: str) -> None:
     assert [s.phase for s in decided.told(StateRecord)] == ["init"]
 
 
+def test_a_device_that_restarts_before_it_is_configured_is_met_again() -> None:
+    bench = rested()
+    state = changed(bench.loop.state, phase=Phase.INIT)
+    assert state.device is not None
+
+    decided = heard(bench, _event(state, boot=(state.device.boot_id + 1) & 0xFFFF), state)
+
+    assert (decided.state.phase, decided.state.device) == (Phase.INIT, None)
+    assert [type(m) for m in decided.sent] == [Hello]
+    assert [log.message for log in decided.told(Log)] == ["the device was reset"]
+    assert [s.phase for s in decided.told(StateRecord)] == ["init"]
+
+
 @pytest.mark.parametrize("by", ["event", "sample"])
 def test_a_device_that_restarts_while_it_drives_is_a_fault(by: str) -> None:
     """S6: the device has forgotten the run."""
