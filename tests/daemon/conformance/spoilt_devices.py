@@ -8,6 +8,7 @@ from tests.daemon.conformance import (
     spoilt_fields,
     spoilt_frames,
     spoilt_readings,
+    spoilt_requests,
     spoilt_setpoints,
     spoilt_states,
 )
@@ -23,5 +24,6 @@ SPOILT: dict[str, SpoiltDevice] = (
     | spoilt_states.SPOILT
     | spoilt_readings.SPOILT
     | spoilt_setpoints.SPOILT
+    | spoilt_requests.SPOILT
     | spoilt_fields.SPOILT
 )
