@@ -210,6 +210,10 @@ FIELDS: dict[str, tuple[Callable[[Any], dict[str, int]], str]] = {
         lambda m: {"was": State.FAULT} if isinstance(m, Event) and m.state == State.READY else {},
         "the answer first",
     ),
+    "EVENT: a time ahead": (
+        lambda m: {"t_us": (m.t_us + 50_000) & 0xFFFF_FFFF} if isinstance(m, Event) else {},
+        "The time in an EVENT",
+    ),
     "EVENT: ESTOP without a cause": (
         lambda m: {"cause": 0} if isinstance(m, Event) and m.state == State.ESTOP else {},
         "ESTOP leads from any state",
