@@ -99,6 +99,7 @@ def test_a_reset_in_run_is_0_v_at_once(boot_loader: bool) -> None:
 
         host.uno.reset(host.now)
         reset_ns = host.now
+        assert (host.uno.state, host.uno.cause) == (State.BOOT, Cause.POWER_ON)
         host.put(encode(Hello(0, 77, 2, 0)))  # nobody hears it
         if boot_loader:
             host.wait(1000)
