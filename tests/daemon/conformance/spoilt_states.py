@@ -125,6 +125,17 @@ def _any_token(patch: Patch) -> None:
     )
 
 
+def _one_token(patch: Patch) -> None:
+    enter = Firmware.enter
+
+    def same(self: Firmware, now_ns: int, state: State, cause: Cause, *, detail: int = 0) -> Any:
+        event = enter(self, now_ns, state, cause, detail=detail)
+        self.token = 77 if self.token else 0
+        return event._replace(token=self.token)
+
+    patch.setattr(Firmware, "enter", same)
+
+
 def _token_not_told(patch: Patch) -> None:
     changed_answers(patch, lambda m: m._replace(token=0) if isinstance(m, HelloReply) else m)
 
@@ -195,6 +206,7 @@ SPOILT: dict[str, SpoiltDevice] = {
     "any nonce arms": SpoiltDevice(_any_nonce, "do not arm again"),
     "one nonce for all": SpoiltDevice(_one_nonce, "has a new nonce"),
     "any token clears": SpoiltDevice(_any_token, "Only CLEAR_FAULT"),
+    "one token for all": SpoiltDevice(_one_token, "with a token"),
     "the token is not in HELLO_R": SpoiltDevice(_token_not_told, "with a token"),
     "a code is clamped": SpoiltDevice(_clamps, "leads to FAULT(RANGE); only an EVENT"),
     "slew looks at the rounded duty": SpoiltDevice(_slew_by_duty, "A change above `slew` from the"),

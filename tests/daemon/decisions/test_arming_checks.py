@@ -98,7 +98,9 @@ def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
     rig.loop._step(rig.ports.now, rig.ports.wait(rig.ports.now))
 
     rig.run_for(1)
-    assert rig.of(Answer)[-1].error == "no answer from the device for 60 ms: try again"
+    answer = rig.of(Answer)[-1]
+    assert answer.error == "no answer from the device for 60 ms: try again"
+    assert round(answer.parameters["age_ms"]) == 60
 
 
 def test_a_device_that_was_met_but_not_sampled_yet_is_not_armed() -> None:
@@ -113,7 +115,9 @@ def test_a_device_that_was_met_but_not_sampled_yet_is_not_armed() -> None:
     rig.run_for(1)
 
     assert asked_ns < 50_000_000
-    assert rig.of(Answer)[-1].error == "no sample of the device in the last 50 ms: try again"
+    answer = rig.of(Answer)[-1]
+    assert answer.error == "no sample of the device in the last 50 ms: try again"
+    assert answer.parameters == {"limit_ms": 50.0}
     rig.ports.from_device = answers
     rig.run_for(300)
     assert rig.arm().error == ""

@@ -39,13 +39,24 @@ def test_no_baud_rate_outruns_the_converter() -> None:
     assert scheduled_us(100_000_000) == 208
 
 
+@pytest.mark.parametrize("m", [2, 3, 16])
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_each_conversion_of_an_oversampled_reading_takes_its_time(scheduled: bool) -> None:
-    least_us = 32 * 104 + (0 if scheduled else 1040)
+def test_each_conversion_of_an_oversampled_reading_takes_its_time(m: int, scheduled: bool) -> None:
+    least_us = max(2 * m * 104, scheduled_us(500_000)) if scheduled else 2 * m * 104 + 1040
 
-    check(least_us, 500_000, scheduled=scheduled, oversampling=16)
-    with pytest.raises(ValueError, match=f"oversampling = 16: at least {least_us / 1e6:g} s"):
-        check(least_us - 1, 500_000, scheduled=scheduled, oversampling=16)
+    check(least_us, 500_000, scheduled=scheduled, oversampling=m)
+    with pytest.raises(ValueError, match=r"baud in") as refused:
+        check(least_us - 1, 500_000, scheduled=scheduled, oversampling=m)
+    assert str(refused.value) == (
+        f"Ts={(least_us - 1) / 1e6:g} s cannot be carried at 500000 baud in "
+        f"{'scheduled' if scheduled else 'exchange'} mode with [device] oversampling = {m}: "
+        f"at least {least_us / 1e6:g} s, or a higher baud rate, or less oversampling"
+    )
+
+
+def test_without_oversampling_the_refusal_names_none() -> None:
+    with pytest.raises(ValueError, match=r"exchange mode: .* a higher baud rate$"):
+        check(1000, 500_000)
 
 
 def test_what_does_not_fit_is_refused_with_the_way_out() -> None:

@@ -365,6 +365,20 @@ def test_a_longer_way_is_learnt() -> None:
     assert abs(error) < 3 * std < 40_000
 
 
+def test_the_least_and_the_middle_round_trip_are_those_of_the_last_hundred() -> None:
+    clock, floors, medians = start(LINK), [], []
+    for n in range(160):
+        round_trip_ns = 450_000 if n == 0 else 500_000 if n <= 60 else 600_000
+        h1_ns, rx_us = n * 100_000_000, n * 100_000 + 200
+        clock = update(clock, h1_ns, rx_us, rx_us + 20, h1_ns + 20_000 + round_trip_ns)
+        floors.append(clock.floor_ns)
+        medians.append(clock.median_ns)
+
+    assert floors == [450_000] * 100 + [500_000] * 60
+    assert medians.index(600_000) == 60 + 50
+    assert len(clock.round_trips) == 100
+
+
 def test_a_map_without_an_exchange_says_so() -> None:
     with pytest.raises(ValueError, match="PING"):
         host_ns_at(start(LINK), 0)

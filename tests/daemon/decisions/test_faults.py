@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 from armrig_core import protobuf
-from armrig_daemon.decisions.faults import REMEDIES, Id
+from armrig_daemon.decisions.faults import REMEDIES, Id, of_device
 from armrig_daemon.decisions.state import LinkDown
 from armrig_daemon.pipe import Log, State
 from armrig_daemon.service.protobuf_out import outgoing
+from armrig_protocol.messages import Cause
 
 from tests.daemon.virtual_bench import Bench
 
@@ -23,6 +24,35 @@ def driven() -> Bench:
 
 def test_every_fault_has_its_remedy() -> None:
     assert set(REMEDIES) == set(Id)
+
+
+@pytest.mark.parametrize(
+    ("cause", "words"),
+    [
+        (Cause.WATCHDOG, "received nothing"),
+        (Cause.RANGE, "voltage was outside"),
+        (Cause.SLEW, "limits.slew_v"),
+        (Cause.ADC_RAIL, "device.rail_ticks"),
+        (Cause.REV_LIMIT, "limits.revolutions"),
+        (Cause.UNDERRUN, "setpoints"),
+        (Cause.VCC_LOW, "supply"),
+        (Cause.INTERNAL, "internal check"),
+    ],
+)
+def test_a_cause_of_the_device_has_its_name_and_its_meaning(cause: Cause, words: str) -> None:
+    said = of_device(cause)
+
+    assert said.startswith(f"{cause.name}, ")
+    assert words in said
+    assert [said] == [text for text in map(of_device, Cause) if words in text]
+
+
+def test_a_cause_without_a_fault_or_of_a_later_protocol_has_no_meaning() -> None:
+    faults = {Cause.WATCHDOG, *range(Cause.RANGE, 13)}
+    rest = [c for c in Cause if c not in faults]
+
+    assert [of_device(c) for c in rest] == [c.name for c in rest]
+    assert of_device(200) == "200"
 
 
 def test_a_fault_is_reported_with_all_that_a_person_needs(driven: Bench) -> None:

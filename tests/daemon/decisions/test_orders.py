@@ -389,17 +389,31 @@ def test_a_sampling_time_that_exchange_does_not_carry_is_not_exchanged(order: Or
     assert "Ts=0.0009 s cannot be carried in exchange mode" in _refusal(bench, order)
 
 
-@pytest.mark.parametrize(("volts", "allowed"), [(1.9, True), (2.0, True), (2.1, False)])
-def test_a_step_by_hand_of_more_than_the_slew_is_refused(volts: float, allowed: bool) -> None:
-    """S1: 1 V per sample, from 1 V."""
-    bench = Bench(Config(limits=Limits(slew_v=1.0)))
+@pytest.mark.parametrize(
+    ("volts", "error"),
+    [
+        (2.4, ""),
+        (2.5, ""),
+        (2.6, "u steps by 1.1 V: at most 1 V in a sample"),
+        (0.5, ""),
+        (0.3, "u steps by 1.2 V: at most 1 V in a sample"),
+        (0.15, "u=0.15 V is outside 0.2 … 4.4 V"),
+        (4.5, "u=4.5 V is outside 0.2 … 4.4 V"),
+    ],
+)
+def test_a_voltage_by_hand_beyond_the_limits_or_the_slew_is_refused(
+    volts: float, error: str
+) -> None:
+    """S1: 1 V per sample, from 1.5 V."""
+    bench = Bench(Config(limits=Limits(u_min_v=0.2, u_max_v=4.4, slew_v=1.0)))
     bench.arm()
-    bench.order(pipe.Set(order=99, lease=LEASE, n=0, code=code_of(1.0)))
-    bench.run_for(20)
+    for n, u in enumerate((0.8, 1.5)):
+        bench.order(pipe.Set(order=98 + n, lease=LEASE, n=n, code=code_of(u)))
+        bench.run_for(20)
 
     (answer,) = ordered(bench, changed(SET, code=code_of(volts))).told(Answer)
 
-    assert answer.error == ("" if allowed else "u steps by 1.1 V: at most 1 V in a sample")
+    assert answer.error == error
 
 
 def test_an_experiment_is_played_by_its_own_way() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from armrig_daemon.decisions import setpoints
 from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.requests import device_facts
 from armrig_daemon.decisions.state import (
     Exit,
     LinkDown,
@@ -25,6 +26,7 @@ from armrig_protocol.messages import (
     Code,
     Event,
     Hello,
+    HelloReply,
     Keepalive,
     Pong,
     Start,
@@ -135,6 +137,37 @@ def test_a_device_that_restarts_at_rest_is_met_again(by: str) -> None:
     assert (decided.state.phase, decided.state.device) == (Phase.INIT, None)
     assert decided.state.link.sent == ()
     assert decided.state.link.device_state == 0
+    assert [type(m) for m in decided.sent] == [Hello]
+    assert [log.message for log in decided.told(Log)] == ["the device was reset"]
+    assert [s.phase for s in decided.told(StateRecord)] == ["init"]
+
+
+def test_the_identity_of_a_device_is_reported_in_hexadecimal_and_nothing_that_changes() -> None:
+    device = HelloReply(DeviceState.IDLE, 9, *range(40, 40 + len(HelloReply._fields) - 2))
+
+    facts = device_facts(device)
+
+    assert {*device._fields} - {*facts} == {"state", "seq", "token", "cause"}
+    assert {key for key, value in facts.items() if isinstance(value, str)} == {
+        "uid",
+        "boot_id",
+        "schema",
+        "firmware",
+    }
+    for key, value in facts.items():
+        assert value == (f"{getattr(device, key):x}" if isinstance(value, str) else value)
+        assert isinstance(value, str) or value == getattr(device, key)
+    assert device_facts(None) == {}
+
+
+def test_a_device_that_restarts_before_it_is_configured_is_met_again() -> None:
+    bench = rested()
+    state = changed(bench.loop.state, phase=Phase.INIT)
+    assert state.device is not None
+
+    decided = heard(bench, _event(state, boot=(state.device.boot_id + 1) & 0xFFFF), state)
+
+    assert (decided.state.phase, decided.state.device) == (Phase.INIT, None)
     assert [type(m) for m in decided.sent] == [Hello]
     assert [log.message for log in decided.told(Log)] == ["the device was reset"]
     assert [s.phase for s in decided.told(StateRecord)] == ["init"]

@@ -500,6 +500,7 @@ def test_eight_exchanges_make_a_map(known: int) -> None:
     [
         (Flag.RUN, 0, True),
         (Flag.RUN | Flag.UNDERRUN, 0, False),
+        (Flag.RUN | Flag.UNDERRUN, 6554, False),
     ],
 )
 def test_another_code_than_the_run_s_is_a_fault_but_for_an_underrun(
@@ -514,7 +515,9 @@ def test_another_code_than_the_run_s_is_a_fault_but_for_an_underrun(
         assert decided.state.fault is not None
         assert decided.state.fault.id is Id.APPLIED
     else:
-        assert "had no setpoint" in decided.told(Log)[0].message
+        (sample,) = _published(decided)
+        said = f"sample {sample.k} had no setpoint: its input was {u / 13107:.3g} V"
+        assert decided.told(Log)[0].message == said
 
 
 def test_a_sample_that_is_ahead_reports_the_missing_ones_before_it() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from armrig_core.codes import GapCode
+from armrig_core.codes import GapCode, OutcomeCode
 from armrig_core.volts import code_of
 from armrig_daemon import pipe
 from armrig_daemon.config import Config
@@ -446,6 +446,7 @@ def test_after_its_last_sample_a_run_is_complete() -> None:
         assert _code(decided) == 0
         assert any(isinstance(m, Stop) for m in decided.sent)
         assert (decided.state.outcome, decided.state.run.due) == ("complete", 3)  # type: ignore[union-attr]
+        assert decided.state.outcome_code is OutcomeCode.COMPLETE
 
 
 def test_a_run_that_leaves_the_limits_is_stopped_at_0_v() -> None:
@@ -511,6 +512,8 @@ def test_the_sample_after_a_gap_has_the_code_held_last() -> None:
     assert _told(state, 13, code_of(3.0)) == [(10, 3, 3.0)]
     assert _told(three, 13, code_of(3.0)) == [(10, 3, 2.0)]
     assert _told(one, 11, code_of(3.0)) == [(10, 1, 3.0)]
+    assert _told(one, 14, code_of(3.0)) == [(10, 1, 2.0), (11, 3, 3.0)]
+    assert _told(three, 14, code_of(3.0)) == [(10, 3, 2.0), (13, 1, 3.0)]
 
 
 def test_what_comes_after_a_sample_is_kept_for_the_next() -> None:

@@ -336,6 +336,21 @@ def test_a_latched_device_that_is_known_again_is_said_to_be() -> None:
     assert decided.told(Log) == []
 
 
+@pytest.mark.parametrize("id_", [Id.LINK, Id.DEVICE, Id.FIRMWARE])
+def test_a_latched_device_that_is_met_in_another_fault_replaces_its_cause(id_: Id) -> None:
+    bench = rested()
+    device = bench.loop.state.device
+    assert device is not None
+    lost = changed(bench.loop.state, device=None, phase=Phase.FAULT, fault=Fault(id_, "before"))
+    reply = device._replace(state=int(DeviceState.ESTOP))
+
+    decided = heard(bench, reply, awaiting(lost, RequestKind.HELLO))
+
+    assert decided.state.fault == Fault(Id.DEVICE, "the device is in ESTOP")
+    assert [log.fields for log in decided.told(Log)] == [{"cause": Id.DEVICE}]
+    assert [s.reason for s in decided.told(StateRecord)] == ["the device is in ESTOP"]
+
+
 def _one_sent(bench: Bench) -> tuple:  # type: ignore[type-arg]
     bench.ports.from_device = lambda data: b""
     bench.run_for(11)

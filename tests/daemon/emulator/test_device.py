@@ -93,6 +93,21 @@ def test_half_a_frame_from_boot_does_not_spoil_the_first_after_it() -> None:
     assert len(device.advance(50 * MS)) == 3
 
 
+def test_at_the_end_of_boot_the_byte_in_progress_is_the_first_that_is_heard() -> None:
+    ping = frame.encode(Ping(0, 1, 7))
+    for gone, answers, spoilt in (
+        (0, 1, 0),
+        (1, 0, 1),
+        (len(ping) - 2, 0, 1),
+        (len(ping) - 1, 0, 0),  # an empty frame: the 00 alone is heard
+    ):
+        device = Device(QUIET, 0)
+        device.receive(5 * MS - gone * 10 * US - 5 * US, ping)
+
+        assert len(device.advance(50 * MS)) == 2 + answers, gone
+        assert device._fw.counters.spoilt == spoilt, gone
+
+
 def test_a_reset_draws_a_new_boot_id_and_drops_to_0_v() -> None:
     host = Host().reach(State.RUN)
     before = host.hello()
@@ -397,6 +412,17 @@ def test_every_frame_taken_in_feeds_the_watchdog(
     assert host.device.state is State.RUN
 
 
+@pytest.mark.parametrize("kind", [Keepalive, Stop, Estop])
+def test_every_frame_taken_in_makes_those_with_earlier_numbers_stale(kind: type[Message]) -> None:
+    host = Host().reach(State.RUN)
+    newest = (host.seq + 10) & 0xFFFF
+
+    host.ask(kind, seq=newest)
+
+    for behind, answer in ((5, [Code.STALE]), (0, [Code.STALE]), (-1, [])):
+        assert codes(host.ask(Keepalive, seq=(newest - behind) & 0xFFFF)) == answer, behind
+
+
 def test_a_frame_at_the_very_deadline_is_in_time() -> None:
     """The bytes and the watchdog are due in the same nanosecond."""
     host = Host().reach(State.RUN)
@@ -420,6 +446,18 @@ def test_ping_gives_the_device_s_clock() -> None:
     pong = only(Pong, host.wait(3 * MS))
 
     assert (pong.host_ns, pong.rx_us, pong.tx_us) == (2**63 + 5, t_r // US, t_r // US)
+
+
+def test_a_pong_that_waits_for_the_wire_says_when_it_began_to_leave() -> None:
+    host = Host()
+    for n in range(3):
+        host.put(Ping, host_ns=n)
+    host.wait(3 * MS)
+
+    pongs = [heard for heard in host.heard if isinstance(heard.message, Pong)]
+    length_ns = frame.wire_length(Pong) * 10 * US
+    assert [h.message.tx_us for h in pongs] == [(h.t_ns - length_ns) // US for h in pongs]  # type: ignore[attr-defined]
+    assert pongs[2].message.tx_us > pongs[2].message.rx_us  # type: ignore[attr-defined]
 
 
 def test_a_spoilt_frame_is_reported_once_in_the_next_sample() -> None:

@@ -239,6 +239,16 @@ def test_a_step_within_what_is_queued_counts_once(k0: int, u: list[int], trips: 
     assert events(answers) == ([(State.ARMED, State.FAULT, Cause.SLEW)] if trips else [])
 
 
+def test_the_wire_knows_when_the_second_of_several_pieces_arrives() -> None:
+    wire = Reception(0, 1_000_000)
+    times = []
+    for data in (b"", b"ab\0", b"c\0", b"defg\0", b"h\0"):
+        wire.put(0, data)
+        times.append((wire.first_ns, wire.second_ns()))
+
+    assert times == [(NEVER, NEVER), (30_000, NEVER), *[(30_000, 50_000)] * 3]
+
+
 def test_the_wire_gives_its_next_piece_before_it_has_arrived() -> None:
     wire = Reception(0, 1_000_000)
     frame = encode(Keepalive(0, 7))

@@ -37,6 +37,14 @@ def test_rails_in_a_row_trip(channel: int) -> None:
     assert verdicts == [Cause.NONE] * 5 + [Cause.ADC_RAIL]
 
 
+def test_rails_of_two_channels_do_not_add_up() -> None:
+    theta_1, alpha, both = (10, 30_000), (30_000, 65_500), (10, 65_500)
+
+    verdicts = causes([theta_1, both, alpha, theta_1, both, both], rail_ticks=3)
+
+    assert verdicts == [Cause.NONE] * 2 + [Cause.NONE] * 3 + [Cause.ADC_RAIL]
+
+
 def test_rails_do_not_trip_where_none_is_asked_for() -> None:
     assert set(causes([(0, 0)] * 1000)) == {Cause.NONE}
 

@@ -40,6 +40,9 @@ def test_nobody_waits_long_without_a_look_at_the_clock() -> None:
 
     assert time.look_ns(10**18) == LOOK_NS
     assert time.look_ns(3) == 3
+    given_ns = time.given_ns(300 * MS, due_ns=50 * MS)
+    assert given_ns < 300 * MS
+    assert time.look_ns(10**18) == given_ns + LOOK_NS
 
 
 @given(stalls)

@@ -10,12 +10,13 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from select import EPOLLHUP, EPOLLIN, EPOLLOUT
 from typing import Any, TypeVar
 
 import pytest
 import serial
 from armrig_core.errors import OperationError
-from armrig_daemon.emulator.line import Terminal, _watch
+from armrig_daemon.emulator.line import Line, Terminal, _watch
 from armrig_daemon.emulator.real_time import emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import decoder, frame
@@ -274,6 +275,35 @@ def test_a_remaining_link_is_taken_over_a_file_is_not(tmp_path: Path) -> None:
 
     assert "exists and is not a link" in done.stderr
     assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("then", [EPOLLIN, EPOLLOUT, EPOLLIN | EPOLLOUT])
+def test_a_port_whose_closing_was_reported_once_is_read_to_its_end(then: int) -> None:
+    reader, writer = os.pipe()
+    line = Line()
+    line.fd, line.connected = reader, True
+    os.write(writer, b"ab")
+    os.close(writer)
+
+    line.note_ready(EPOLLIN | EPOLLHUP)
+    line.note_ready(then)
+
+    assert (line.read(), line.has_input, line.connected) == (b"ab", True, True)
+    assert (line.read(), line.has_input, line.connected) == (b"", False, False)
+    os.close(reader)
+
+
+def test_the_link_of_a_later_emulator_is_left_alone(tmp_path: Path) -> None:
+    port = tmp_path / "rig"
+    with ExitStack() as later_stack:
+        with ExitStack() as stack:
+            Terminal(stack).offer(port, stack)
+            later = Terminal(later_stack)
+            later.offer(port, later_stack)
+
+        assert port.readlink() == later.slave
+
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_port_that_cannot_be_watched_says_why(tmp_path: Path) -> None:

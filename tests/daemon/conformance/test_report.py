@@ -1,0 +1,93 @@
+"""The results of the suite, as text and as JSON."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from armrig_daemon.conformance.report import json_of, line_of, sum_of
+from armrig_daemon.conformance.rule import Result, shown
+from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS
+from armrig_protocol.messages import (
+    Ack,
+    Cause,
+    Code,
+    ConfigReply,
+    Event,
+    HelloReply,
+    Keepalive,
+    Message,
+    Pong,
+    Sample,
+    State,
+)
+
+HELD = Result(1, "A frame may arrive in any pieces", PASS, "")
+BROKEN = Result(3, "Only CLEAR_FAULT leads out", FAIL, "ACK(OK), and " + "more " * 12)
+LEFT_OUT = Result(5, "With oversampling", NOT_TRIED, "the device offers no oversampling")
+
+
+def test_a_result_is_a_line_and_a_second_with_what_came() -> None:
+    assert line_of(HELD) == "pass       1  A frame may arrive in any pieces"
+    assert line_of(BROKEN).splitlines() == [
+        "FAIL       3  Only CLEAR_FAULT leads out",
+        f"              came: {BROKEN.came}",
+    ]
+    assert line_of(LEFT_OUT).splitlines() == [
+        "not tried  5  With oversampling",
+        "              the device offers no oversampling",
+    ]
+
+
+@pytest.mark.parametrize("columns", [30, 40, 80])
+def test_no_line_is_wider_than_the_screen(columns: int) -> None:
+    lines = line_of(BROKEN, columns).splitlines()
+
+    assert max(map(len, lines)) <= columns
+    assert all(line.startswith(" " * 14) for line in lines[1:])
+    assert " ".join(line.strip() for line in lines).split() == line_of(BROKEN).split()
+
+
+def test_the_summary_counts_each_outcome_on_its_own() -> None:
+    assert sum_of([HELD, HELD, LEFT_OUT]) == "all 2 tested rules hold; 1 not tried"
+    assert sum_of([BROKEN, HELD, HELD, LEFT_OUT, LEFT_OUT]) == (
+        "1 of 5 rules are broken; 2 not tried"
+    )
+
+
+def test_a_program_gets_the_identity_in_hexadecimal_and_every_rule() -> None:
+    facts = HelloReply(State.IDLE, 77, *range(20, 20 + len(HelloReply._fields) - 2))
+
+    told = json.loads(json.dumps(json_of(facts, [HELD, BROKEN, LEFT_OUT, BROKEN])))
+
+    hexadecimal = {"uid", "boot_id", "schema", "firmware"}
+    assert told["device"] == {
+        key: f"{value:x}" if key in hexadecimal else value
+        for key, value in facts._asdict().items()
+        if key != "seq"
+    }
+    assert told["broken"] == 2
+    assert [rule["outcome"] for rule in told["rules"]] == [PASS, FAIL, NOT_TRIED, FAIL]
+    assert told["rules"][1] == BROKEN._asdict()
+    assert json_of(None, [])["device"] == {}
+
+
+def test_what_came_is_named_as_in_the_protocol_or_by_its_number() -> None:
+    def of(kind: type[Message], **fields: int) -> Message:
+        return kind._make([0] * len(kind._fields))._replace(**fields)
+
+    event = {"was": State.RUN, "state": State.FAULT, "cause": Cause.SLEW}
+    said = {
+        of(Ack, code=Code.STALE): "ACK(STALE)",
+        of(Ack, code=250): "ACK(250)",
+        of(Event, **event): "EVENT(RUN to FAULT, SLEW)",
+        of(Event, was=99, state=98, cause=97): "EVENT(99 to 98, 97)",
+        of(ConfigReply, code=Code.BAD_VALUE): "CONFIG_R(BAD_VALUE)",
+        of(Sample, k=3, u_k=500, u_km1=9, flags=0x43): "SAMPLE(k=3, u_k=500, flags=0x0043)",
+        of(Pong, state=State.ARMED): "PONG in ARMED",
+        of(Keepalive): "Keepalive",
+    }
+    assert {message: shown(message) for message in said} == said
+    assert shown([*said][:2]) == "ACK(STALE), ACK(250)"
+    assert shown([]) == "nothing"
+    assert shown("as it is") == "as it is"
