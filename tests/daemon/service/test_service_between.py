@@ -717,3 +717,204 @@ def _ready(between: Between) -> None:
     """Have the loop report a state and a sample of a rig that may be armed."""
     between.service._handle([FREE, _sample(1)])
     between.commands.note_lease(LEASE)
+
+
+def test_a_line_of_the_log_has_its_subject_and_what_is_for_developers_is_only_published(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A field of the line itself has precedence over the current run, holder and rig."""
+    printed: list[tuple[str, str, dict[str, str]]] = []
+    monkeypatch.setattr(
+        "armrig_daemon.service.service.print_line", lambda *line: printed.append(line)
+    )
+    held = msgspec.structs.replace(FREE, owner="Ada (user ada)", owner_checked="user ada")
+    between.service._handle([held, Log(t_host_ns=1, level="debug", message="for developers")])
+    run_id = between.begin_run()
+    between.service._say("warning", "late", run="7", cause="load")
+
+    about = {"rig": "1", "run": run_id, "owner": "Ada (user ada)", "owner_checked": "user ada"}
+    (begun,) = [line for line in printed if line[1].startswith("recording ")]
+    assert (begun[0], begun[2]) == ("info", about)
+    assert printed[-1] == ("warning", "late", about | {"run": "7", "cause": "load"})
+    assert not [line for line in printed if line[1] == "for developers"]
+    assert b"for developers" in between.service._session._past(0, 0)
+    _finished(between)
+
+
+def test_the_folder_is_looked_after_between_runs_alone(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    left_over = SimpleNamespace(
+        rest=lambda: told.append("rest"), go_on=lambda: told.append("go on"), lines=list
+    )
+    monkeypatch.setattr(between.service, "_left_over", left_over)
+
+    between.service._each_second()
+    between.begin_run()
+    between.service._each_second()
+    assert told == ["go on", "rest"]
+    _finished(between)
+    between.service._each_second()
+
+    assert told == ["go on", "rest", "go on"]
+
+
+def test_a_line_that_was_held_back_is_recorded_before_the_end_of_its_run(between: Between) -> None:
+    run_id = between.begin_run()
+    now_ns = time.monotonic_ns()
+    lines = [Log(t_host_ns=now_ns, level="warning", message=f"late by {n} ms") for n in (1, 2)]
+    ended = RunEnded(run_id=run_id, outcome="stopped", outcome_code=OutcomeCode.STOPPED)
+
+    between.service._handle([*lines, ended])
+
+    assert between.service._runs.finished(5)[0] == "info"
+    last = between.service._runs.last
+    assert last is not None
+    with Path(last.recording).open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        events = [m.message for *_, m in reader.iter_decoded_messages("/rig/1/event")]
+    assert events[-2:] == ["late by 1 ms", "late by 2 ms"]
+
+
+class _Asked:
+    """A command of a client whose identity was checked; `told` is the answer or the refusal."""
+
+    def __init__(self, request: Any, by: str) -> None:
+        self.name, self.by, self.came_s = request.name, by, 5.0
+        self.payload = msgspec.json.encode(request)
+        self.told: Any = None
+
+    def answer(self, body: Any) -> None:
+        """Note the answer."""
+        self.told = body
+
+    def refuse(self, refusal: Any) -> None:
+        """Note the refusal."""
+        self.told = refusal.code
+
+
+def _tried(between: Between, request: Any, by: str = "") -> _Asked:
+    """Have a command tried that a client with the checked identity `by` has sent."""
+    asked = _Asked(request, by)
+    between.commands._try(asked)  # type: ignore[arg-type]
+    return asked
+
+
+def test_a_lease_is_of_no_use_to_another_client(between: Between) -> None:
+    """Over a network, the lease alone does not make a client the holder."""
+    _ready(between)
+    arming = _tried(between, Arm(owner="Ada"), "certificate ada")
+    (arm,) = between.loop.orders()
+    assert isinstance(arm, pipe.Arm)
+    assert (arm.owner, arm.owner_checked) == ("Ada (certificate ada)", "certificate ada")
+    between.service._handle([Answer(order=arm.order, body={"Ts": 0.01})])
+
+    asked = [
+        _tried(between, Set(lease=arm.lease, n=n, u=1.0), by)
+        for n, by in enumerate(("", "certificate bob", "certificate ada"))
+    ]
+
+    assert arming.told == {"Ts": 0.01}
+    assert [one.told for one in asked] == [RefusalCode.NOT_HELD, RefusalCode.NOT_HELD, None]
+    assert [type(order) for order in between.loop.orders()] == [pipe.Set]
+
+
+def test_a_rig_that_is_held_is_not_armed_and_its_holder_is_named(between: Between) -> None:
+    _ready(between)
+    between.service._handle([msgspec.structs.replace(FREE, owner="Ada", line="no rig")])
+    held = between.ask(Arm(owner="Bob"))
+    between.commands.serve()
+    between.service._handle([msgspec.structs.replace(FREE, line="no answer; check the cable")])
+    silent = between.ask(Arm(owner="Bob"))
+    between.commands.serve()
+
+    assert "Ada" in _refusal(held)
+    assert _refusal(silent) == "/dev/armrig: no answer; check the cable"
+    assert between.loop.orders() == []
+
+
+@pytest.mark.parametrize("pending", [15, 16])
+def test_of_many_unanswered_orders_the_last_are_for_the_holder(
+    between: Between, pending: int
+) -> None:
+    for n in range(pending):
+        _tried(between, Set(lease=LEASE, n=n, u=0.0))
+
+    reset = _tried(between, AskedReset())
+    disarm = _tried(between, Disarm(lease=LEASE, n=pending))
+
+    assert (reset.told, disarm.told) == (RefusalCode.TOO_MANY if pending > 15 else None, None)
+    assert len(between.loop.orders()) == 17
+
+
+def test_a_command_is_refused_once_its_three_seconds_are_over(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr("armrig_daemon.service.commands.time.monotonic", lambda: now_s)
+    asked = _tried(between, Disarm(lease=LEASE, n=4))
+    told = []
+    for now_s in (103.0, 103.001):
+        between.commands.refuse_overdue()
+        told.append(asked.told)
+
+    assert told == [None, RefusalCode.NO_ANSWER]
+
+
+@pytest.mark.parametrize(
+    ("request_", "by", "line", "fields"),
+    [
+        (Stop(by="anna"), "user eve", "stop: by anna (user eve)", ["stopped by anna (user eve)"]),
+        (Stop(), "", "stop: by somebody on this machine", ["stopped"]),
+        (Disarm(lease=LEASE, n=4), "", "disarm: by somebody on this machine", [""]),
+        (AskedReset(), "user eve", "reset: by user eve", [""]),
+        (Set(lease=LEASE, n=4, u=1.0), "", "", []),
+    ],
+)
+def test_who_gave_a_command_is_in_the_log(
+    between: Between,
+    request_: Any,
+    by: str,
+    line: str,
+    fields: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A voltage that is held by hand may change many times a second."""
+    said: list[Any] = []
+    monkeypatch.setattr(between.commands, "_say", lambda *line, **of: said.append((line, of)))
+    asked = _tried(between, request_, by)
+    (order,) = between.loop.orders()
+
+    between.service._handle([Answer(order=order.order, body={"done": True})])
+
+    assert asked.told == {"done": True}
+    assert [line for line, _ in said] == ([("info", line)] if line else [])
+    assert [of["cause"] for _, of in said] == fields
+    assert [(of["command"], of["owner_checked"]) for _, of in said] == [
+        (request_.name, by) for _ in fields
+    ]
+
+
+def test_a_stall_of_the_emulator_is_reported_and_its_end_is_not_waited_for(
+    between: Between, capsys: pytest.CaptureFixture[str]
+) -> None:
+    between.begin_run()
+    out, into = os.pipe()
+    between.service._stalls_fd = out
+    os.write(into, b"264000000\n7500000\n")
+    os.close(into)
+
+    for _ in range(2):
+        between.service._hear_of_stalls(out)
+    os.close(out)
+
+    assert between.service._stalls_fd is None
+    assert "warning: emulator held up 264 ms by this machine" in capsys.readouterr().err
+    with _finished(between).open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        events = [m for *_, m in reader.iter_decoded_messages("/rig/1/event")]
+    assert [m.emulator_stall_ns for m in events if "held up" in m.message] == [
+        264_000_000,
+        7_500_000,
+    ]
