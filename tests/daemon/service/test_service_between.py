@@ -855,7 +855,8 @@ def test_a_command_is_refused_once_its_three_seconds_are_over(
     monkeypatch.setattr("armrig_daemon.service.commands.time.monotonic", lambda: now_s)
     asked = _tried(between, Disarm(lease=LEASE, n=4))
     told = []
-    for now_s in (103.0, 103.001):
+    for later_s in (3.0, 3.001):
+        now_s = 100.0 + later_s
         between.commands.refuse_overdue()
         told.append(asked.told)
 
