@@ -129,14 +129,6 @@ def test_virtual_runs_of_a_seed_are_recorded_in_the_folder(tmp_path: Path) -> No
     assert refused == "armrigd: u[0]=4 V is outside 0 … 3 V"
 
 
-def test_a_configuration_is_shown_or_checked_and_nothing_else() -> None:
-    code, said = _armrigd("config")
-
-    assert code == 1
-    assert "config: give --example or --check FILE" in said
-    assert _armrigd("config", "--example")[1].startswith("# Configuration of armrigd")
-
-
 @pytest.mark.parametrize("options", [[], ["--device", "/dev/a", "--firmware"]])
 def test_the_conformance_of_one_device_is_tested(options: list[str]) -> None:
     code, said = _armrigd("conformance", "--motor-unplugged", *options)
