@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
+import socket
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import typer
+from armrig_daemon import command_line
 from armrig_daemon.command_line import app
+from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.rule import Result
 from armrig_daemon.emulator import real_time
 from armrig_daemon.emulator.settings import EmulatorSettings
 from msgspec.structs import replace
@@ -142,3 +150,84 @@ def test_no_motor_is_driven_unless_a_person_says_that_it_is_unplugged() -> None:
 
     assert code == 1
     assert "no terminal for the question; confirm with --motor-unplugged" in said
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "exit_code", "summary"),
+    [
+        (["pass", "not tried"], 0, "all 1 tested rules hold; 1 not tried"),
+        (["pass", "FAIL", "FAIL"], 1, "2 of 3 rules are broken; 0 not tried"),
+    ],
+)
+@pytest.mark.parametrize("is_json", [False, True])
+def test_the_results_of_a_device_are_printed_and_decide_the_exit_code(
+    outcomes: list[str],
+    exit_code: int,
+    summary: str,
+    is_json: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    results = [Result(n, f"rule {n}", outcome, "") for n, outcome in enumerate(outcomes)]
+
+    def tried(host: Host, report: Callable[[Result], None], rules: Any) -> list[Result]:
+        for result in results:
+            report(result)
+        return results
+
+    line = SimpleNamespace(now_ns=lambda: 0)
+    monkeypatch.setattr(command_line, "_line_and_rules", lambda *_: (line, ()))
+    monkeypatch.setattr("armrig_daemon.conformance.suite.run", tried)
+    options = ["--json"] if is_json else []
+
+    code, said = _armrigd("conformance", "--device", "/dev/a", "--motor-unplugged", *options)
+
+    assert code == exit_code
+    if is_json:
+        found = json.loads(said)
+        assert [rule["outcome"] for rule in found["rules"]] == outcomes
+        assert found["broken"] == outcomes.count("FAIL")
+        return
+    assert said.splitlines() == [
+        *(f"{result.outcome:9}  {result.section}  {result.sentence}" for result in results),
+        summary,
+    ]
+
+
+@pytest.mark.parametrize("has_daemon", [True, False])
+def test_a_stall_of_the_emulator_is_told_to_its_daemon_or_to_its_user(
+    has_daemon: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, into = os.pipe()
+
+    def emulate(port: Path, settings: EmulatorSettings, **given: Any) -> int:
+        given["held_up"](264_400_000)
+        os.close(into)
+        return 0
+
+    monkeypatch.setattr(real_time, "emulate", emulate)
+    options = ["--stalls-fd", str(into)] if has_daemon else []
+
+    code, said = _armrigd("emulate", "--port", "rig", *options)
+
+    told = "armrigd: emulator held up 264 ms by this machine"
+    assert (code, os.read(out, 100)) == (0, b"264400000\n" if has_daemon else b"")
+    assert (told in said) != has_daemon
+    os.close(out)
+
+
+def test_no_file_is_overwritten_by_the_socket(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to("nowhere")
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "socket"))
+
+        for name in ("socket", "nothing"):
+            command_line._check_no_file(tmp_path / name)
+    for name in ("file", "link"):
+        with pytest.raises(typer.Exit) as refused:
+            command_line._check_no_file(tmp_path / name)
+        assert refused.value.exit_code == 78
+        told = f"armrigd: {tmp_path}/{name}: another file has the name of the socket; move it away"
+        assert capsys.readouterr().err == f"{told}\n"

@@ -109,6 +109,9 @@ def test_the_command_prints_the_example() -> None:
     bare = CliRunner().invoke(app, ["config"])
 
     assert (printed.exit_code, printed.stdout) == (0, example() + "\n")
+    _, *tables_of_keys = printed.stdout.split("\n[")
+    wrapped = [line for table in tables_of_keys for line in table.splitlines() if line[0:2] == "# "]
+    assert max(map(len, wrapped)) <= 88
     assert (bare.exit_code, bare.stdout) == (1, "")
     assert bare.stderr == (
         "armrigd: config: give --example or --check FILE, for example "

@@ -1,4 +1,4 @@
-"""What the kernel has not granted to the loop is reported with its remedy."""
+"""Real-time properties that the kernel refuses to the loop, each with its remedy."""
 
 from __future__ import annotations
 

@@ -184,6 +184,14 @@ def test_what_is_not_allowed_is_denied() -> None:
         "bob asks": ["rig/1/cmd/status/bob"],
     }
     assert "'eve'" not in str(control)
+    shared = [rule["id"] for rule in control["rules"] if not rule["id"].startswith(("a", "b"))]
+    shared += [rule["id"] for rule in control["rules"] if rule["id"].startswith("ask for")]
+    for name, subject, policy in zip(
+        ("alice", "bob"), control["subjects"], control["policies"], strict=True
+    ):
+        assert subject == {"id": name, "cert_common_names": [name]}
+        assert policy["subjects"] == [name]
+        assert set(policy["rules"]) == {*shared, f"{name} asks", f"{name} is answered"}
 
 
 def test_a_rig_at_a_router_is_itself_alone() -> None:

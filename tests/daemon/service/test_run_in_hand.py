@@ -232,15 +232,22 @@ def test_a_note_between_the_request_and_the_first_sample_is_recorded_once(runs: 
 
 
 def test_a_run_is_reported_as_finished_once_its_recording_is_complete(runs: Runs) -> None:
+    runs.plan(REQUEST, 0.01)
+    planned = runs.last
+    assert planned is not None
+    assert planned.recording.endswith(f"-{planned.run_id}.mcap.active")
+    runs.forget(planned.run_id)
     path = _begin(runs)
-    runs.end(COMPLETE)
     assert runs.last is not None
+    assert runs.last.recording == str(path)
+    runs.end(COMPLETE)
     assert not runs.last.finished
 
     runs.finished(5)
 
     assert runs.last.finished
     assert runs.last.recording == str(path.with_suffix(""))
+    assert (runs.last.code, runs.last.outcome) == (OutcomeCode.COMPLETE, "complete")
 
 
 @pytest.mark.parametrize("stops", [True, False])
@@ -273,6 +280,7 @@ def test_what_a_full_disk_does_to_the_run_is_configured(
     last = runs.last
     assert last is not None
     assert (last.outcome, last.samples, last.synced) == (text, 5, 5)
+    assert (last.code, last.finished, last.is_complete) == (OutcomeCode.RECORDING, True, False)
 
 
 @pytest.mark.parametrize("pacing", ["scheduled", "exchange"])

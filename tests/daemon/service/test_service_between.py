@@ -17,11 +17,13 @@ from typing import Any
 import msgspec
 import pytest
 from armrig.rig.session import open_session
+from armrig_core import protobuf
 from armrig_core.calibration import Calibration, Made, Potentiometer
 from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode, RefusalCode
-from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop
+from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop, refused
 from armrig_core.commands import Calibrate as AskedCalibrate
 from armrig_core.commands import Reset as AskedReset
+from armrig_core.history import decode_past
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, manifest_of
 from armrig_core.manifest import RUN as OF_RUN
 from armrig_core.telemetry import Sample, encode_sample
@@ -45,8 +47,10 @@ from armrig_daemon.pipe import (
     Timing,
 )
 from armrig_daemon.service import publish
+from armrig_daemon.service.access import Network
 from armrig_daemon.service.client_watchdog import begun
 from armrig_daemon.service.publish import Kind, Session
+from armrig_daemon.service.sentences import line_and_limits
 from armrig_daemon.service.service import Service
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
@@ -919,3 +923,124 @@ def test_a_stall_of_the_emulator_is_reported_and_its_end_is_not_waited_for(
         264_000_000,
         7_500_000,
     ]
+
+
+def test_systemd_hears_what_the_loop_reports(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A loop that hangs reports no timing: then systemd ends the service."""
+    told: list[str] = []
+    notifier = SimpleNamespace(
+        ready=lambda: told.append("ready"),
+        progress=lambda: told.append("progress"),
+        status=told.append,
+        stopping=lambda: told.append("stopping"),
+    )
+    monkeypatch.setattr(between.service, "_notifier", notifier)
+
+    between.service._handle([_sample(1), Host(granted={"refused": []})])
+    between.service._handle([FREE, TOLD_IN_A_RUN["timing"]])
+    between.service._each_second()
+    between.service._quit("a test")
+
+    assert told == ["ready", "safe, nobody has it", "progress", "safe, nobody has it", "stopping"]
+
+
+def test_the_state_is_published_each_second_with_the_time(between: Between) -> None:
+    def states() -> list[Any]:
+        past = decode_past(between.service._session._past(0, 0))
+        return [
+            protobuf.decoded(protobuf.STATE, data) for of, data in past.messages if of == "state"
+        ]
+
+    between.service._each_second()
+    assert states() == []
+    between.service._handle([FREE])
+    before_ns = time.monotonic_ns()
+    between.service._each_second()
+
+    told, again = states()
+    assert told.t_host_ns == FREE.t_host_ns
+    assert before_ns <= again.t_host_ns <= time.monotonic_ns()
+    assert (told.phase, again.phase) == ("safe", "safe")
+
+
+def test_a_loop_that_does_not_end_is_killed_once(
+    between: Between, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kills: list[None] = []
+    between.service._kill_at = time.monotonic() - 1
+    rest = [None, [], [], []]
+    monkeypatch.setattr(between.loop.child, "records", rest.pop)
+    monkeypatch.setattr(between.loop.child, "kill", lambda: kills.append(None))
+    os.write(between.loop.records_fd, b"always something")
+
+    between.service._serve()
+
+    assert len(kills) == 1
+    assert capsys.readouterr().err.count("error: the loop does not end: killed") == 1
+
+
+def _network(endpoint: str, **changes: Any) -> Network:
+    fields: dict[str, Any] = {
+        "known_by": "certificate",
+        "access_control": {},
+        "low_pass_filter": [],
+        "transport": {},
+        "operators": 2,
+        "observers": 5,
+        "expires": None,
+    }
+    return Network(endpoint=endpoint, **{**fields, **changes})
+
+
+@pytest.mark.parametrize("is_well", [True, False])
+def test_a_service_says_at_its_start_who_may_come_and_what_is_wrong(
+    narrow: Between, tmp_path: Path, is_well: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[tuple[str, str]] = []
+    monkeypatch.setattr(narrow.service, "_say", lambda *line: said.append(line))
+    monkeypatch.setattr(
+        "armrig_daemon.service.service.unreachable",
+        lambda where, _: "" if is_well else f"nobody reaches {where}",
+    )
+    monkeypatch.setattr(narrow.service, "_notifier", SimpleNamespace(is_asked=not is_well))
+    if not is_well:
+        full = refused(RefusalCode.NO_ROOM, "the disk is full")
+        monkeypatch.setattr(narrow.service._runs, "no_room", lambda: full)
+    ways = [_network("tls/0.0.0.0:7447"), _network("tls/lab:7447", is_router=True)]
+
+    narrow.service._announce(ways, has_left_fifo=is_well)
+
+    by = "Ctrl-C" if is_well else "`systemctl stop`"
+    expected = [
+        ("warning", "not granted: the ordinary policy for the service, whose threads may delay "),
+        ("info", f"rig lab-2 at unixsock-stream/{tmp_path}/s"),
+        ("info", "also at tls/0.0.0.0:7447: 2 may drive and 5 may watch, by certificate"),
+        ("warning", "nobody reaches tls/0.0.0.0:7447"),
+        ("info", "also through the router tls/lab:7447"),
+        ("warning", "nobody reaches tls/lab:7447"),
+        ("info", f"{line_and_limits(CONFIG)}; ask it with `armrig status --rig lab-2`, end it w"),
+        ("warning", "nothing can be recorded: the disk is full"),
+    ]
+    expected = [line for line in expected if line[0] == "info" or not is_well]
+    assert [level for level, _ in said] == [level for level, _ in expected]
+    for (_, text), (_, begin) in zip(said, expected, strict=True):
+        assert text.startswith(begin)
+    assert [text for _, text in said if text.endswith(f"end it with {by}")]
+
+
+def test_a_stop_comes_before_all_that_waits(between: Between) -> None:
+    """The others keep their order: the holder's orders, then those of everybody."""
+    for request in (
+        AskedReset(),
+        Set(lease=LEASE, n=4, u=1.0),
+        Disarm(lease=LEASE, n=5),
+        Stop(by="anna"),
+    ):
+        between.ask(request)
+
+    between.commands.serve()
+
+    kinds = [type(order) for order in between.loop.orders()]
+    assert kinds == [pipe.Stop, pipe.Set, pipe.Disarm, Reset]
