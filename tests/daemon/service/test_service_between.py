@@ -45,6 +45,7 @@ from armrig_daemon.pipe import (
     RunStarted,
     State,
     Timing,
+    Trace,
 )
 from armrig_daemon.service import publish
 from armrig_daemon.service.access import Network
@@ -437,18 +438,20 @@ def test_what_the_loop_was_not_granted_is_reported(
 
     between.service._handle([Host(granted=granted)])
 
-    assert "not granted: SCHED_FIFO; timing is less exact" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "armrigd: warning: not granted: SCHED_FIFO; timing is less exact\n" in said
     assert between.service._rig.status(None).host == granted
 
 
 def test_what_the_loop_reports_in_a_run_is_in_its_recording(between: Between) -> None:
     between.begin_run()
 
-    between.service._handle([_sample(0), *TOLD_IN_A_RUN.values()])
+    trace = Trace(t_host_ns=1, number=0, state=b"s", steps=b"t", version=2)
+    between.service._handle([_sample(0), trace, *TOLD_IN_A_RUN.values()])
 
     with _finished(between).open("rb") as file:
         topics = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
-    streams = ["sample", "event", *TOLD_IN_A_RUN]
+    streams = ["sample", "event", "trace", *TOLD_IN_A_RUN]
     assert sorted(topics) == sorted(f"/rig/1/{stream}" for stream in streams)
 
 
@@ -1044,3 +1047,37 @@ def test_a_stop_comes_before_all_that_waits(between: Between) -> None:
 
     kinds = [type(order) for order in between.loop.orders()]
     assert kinds == [pipe.Stop, pipe.Set, pipe.Disarm, Reset]
+
+
+def test_the_network_is_guarded_by_whether_somebody_has_the_rig(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    busy: list[bool] = []
+    guard = SimpleNamespace(look=lambda _, is_busy: busy.append(is_busy))
+    monkeypatch.setattr(between.service, "_guard", guard)
+
+    for owner in ("", "Ada"):
+        between.service._handle([msgspec.structs.replace(FREE, owner=owner)])
+        between.service._each_second()
+
+    assert busy == [False, True]
+
+
+def test_what_other_threads_report_is_in_the_log_with_its_level(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_id = between.begin_run()
+    lines = [("info", "a.mcap: recovered"), ("warning", "b.mcap: another user's file")]
+    monkeypatch.setattr(between.service._left_over, "lines", lambda: lines)
+    between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped by anna"))
+    said: list[Any] = []
+    monkeypatch.setattr(between.service, "_say", lambda *line, **of: said.append((line, of)))
+
+    between.service._say_finished(5)
+    between.service._woken()
+
+    (finished, fields), *others = said
+    assert finished[0] == "info"
+    assert "stopped by anna, 0 samples, 0 missing" in finished[1]
+    assert fields == {"run": run_id, "cause": "stopped by anna"}
+    assert others == [(line, {}) for line in lines]
