@@ -80,6 +80,18 @@ def test_what_is_not_allowed_is_refused(name: str, payload: str, complaint: str)
         parse(name, payload.encode())
 
 
+@pytest.mark.parametrize(("length", "fits"), [((1 << 20) - 8, True), ((1 << 20) - 7, False)])
+def test_the_details_of_a_run_have_a_mebibyte_at_most(length: int, fits: bool) -> None:
+    details = {"a": "x" * length}
+    payload = {"lease": LEASE, "n": 1, "u": [1.0], "details": details}
+
+    if fits:
+        assert parse("run", json.dumps(payload).encode()) == Run(**payload)
+        return
+    with pytest.raises(ValueError, match=r"^run: details have more than 1048576 B of JSON$"):
+        parse("run", json.dumps(payload).encode())
+
+
 def test_every_command_serves_its_schema() -> None:
     names = {"arm", "disarm", "run", "renew", "set", "stop", "reset", "calibrate", "status"}
     names |= {"note"}

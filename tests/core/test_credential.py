@@ -51,6 +51,18 @@ def test_a_credential_contains_its_owner_and_its_end(authority: Path) -> None:
     assert found.expires == issued.expires
 
 
+def test_the_certificates_between_its_own_and_the_authority_s_are_sent_along(
+    authority: Path, tmp_path: Path
+) -> None:
+    key, own, root = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
+    _, between, _ = _blocks(pki.issue_to_person(authority, "bob", "operators").path)
+
+    found = read_credential(_written(tmp_path / "a.pem", key + own + between + root), "client")
+
+    assert (found.name, found.key, found.authority) == ("alice", key.encode(), root.encode())
+    assert found.certificate == (own + between).encode()
+
+
 def test_it_lasts_no_longer_than_its_authority(tmp_path: Path) -> None:
     made = x509.load_pem_x509_certificate(pki.make_authority(tmp_path, days=5).read_bytes())
     issued = pki.issue_to_person(tmp_path, "alice", "operators", days=30)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import re
 import socket
+import stat
 import struct
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
@@ -53,6 +55,19 @@ def test_a_folder_that_others_can_write_to_is_a_fault(
     said = f"^its folder {re.escape(fault)}; choose your own folder$"
     with pytest.raises(InputError, match=said) if fault else nullcontext():
         require_safe_folder(tmp_path / "rig.sock")
+
+
+@pytest.mark.parametrize(("uid", "is_trusted"), [(1000, True), (0, True), (1001, False)])
+def test_a_folder_is_this_user_s_or_root_s(
+    monkeypatch: pytest.MonkeyPatch, uid: int, is_trusted: bool
+) -> None:
+    found = os.stat_result((stat.S_IFDIR | 0o755, 0, 0, 1, uid, 0, 0, 0, 0, 0))
+    path = SimpleNamespace(parent=SimpleNamespace(lstat=lambda: found))
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+
+    said = r"^its folder belongs to another user \(uid 1001\); choose your own folder$"
+    with nullcontext() if is_trusted else pytest.raises(InputError, match=said):
+        require_safe_folder(cast(Path, path))
 
 
 class _Connection:

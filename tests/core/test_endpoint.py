@@ -1,13 +1,21 @@
-"""Trusted directories of sockets."""
+"""Endpoints, and trusted directories of sockets."""
 
 from __future__ import annotations
 
 import os
 import re
 import stat
+from pathlib import Path, PurePosixPath
 
 import pytest
-from armrig_core.endpoint import require_trusted
+from armrig_core.endpoint import (
+    anchored,
+    check_listen,
+    endpoint,
+    network_address,
+    require_trusted,
+    socket_directory,
+)
 from armrig_core.errors import InputError
 
 ME, ROOT, OTHER = 1000, 0, 1001
@@ -43,3 +51,79 @@ def test_a_directory_that_others_can_put_a_socket_into_is_not(
 
 def test_a_directory_may_have_one_of_several_owners() -> None:
     require_trusted(_found(stat.S_IFDIR | 0o755, ROOT), owners={ME, ROOT})
+
+
+@pytest.mark.parametrize(
+    ("environ", "directory"),
+    [
+        ({"RUNTIME_DIRECTORY": "/run/armrig/2:/run/b", "XDG_RUNTIME_DIR": "/x"}, "/run/armrig/2"),
+        ({"XDG_RUNTIME_DIR": "/run/user/7"}, "/run/user/7/armrig"),
+        ({"RUNTIME_DIRECTORY": "", "XDG_RUNTIME_DIR": ""}, "/tmp/armrig-7"),
+        ({}, "/tmp/armrig-7"),
+    ],
+)
+def test_the_sockets_of_a_service_a_login_and_a_script_are_apart(
+    environ: dict[str, str], directory: str
+) -> None:
+    found = socket_directory(environ, uid=7, temporary="/tmp")
+
+    assert found == PurePosixPath(directory)
+
+
+@pytest.mark.parametrize(
+    ("rig", "folder", "length"),
+    [("1", "/" + "a" * 99, 107), ("12", "/" + "a" * 99, 108), ("1", "/" + "ä" * 50, 108)],
+)
+def test_an_endpoint_is_as_long_as_a_socket_s_path_may_be(
+    rig: str, folder: str, length: int
+) -> None:
+    """The kernel counts bytes, and takes 107."""
+    if length <= 107:
+        assert endpoint(rig, PurePosixPath(folder)) == f"unixsock-stream/{folder}/{rig}.sock"
+        return
+    with pytest.raises(InputError, match=f"the path has {length} B; .* at most 107 B; set XDG_"):
+        endpoint(rig, PurePosixPath(folder))
+
+
+@pytest.mark.parametrize(
+    ("where", "address"),
+    [
+        ("tls/lab.example.edu:7447", ("lab.example.edu", 7447)),
+        ("tcp/127.0.0.1:1", ("127.0.0.1", 1)),
+        ("tls/[2001:db8::1]:65535", ("2001:db8::1", 65_535)),
+        ("unixsock-stream//run/armrig/1.sock", None),
+        ("tls/lab", None),
+    ],
+)
+def test_the_address_of_a_network_endpoint_is_read(
+    where: str, address: tuple[str, int] | None
+) -> None:
+    assert network_address(where) == address
+    if address is not None:
+        assert check_listen(where) == where[:3]
+
+
+def test_paths_of_credentials_begin_at_the_folder_of_their_file(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("HOME", "/home/ada")
+    tables = {
+        "access": {"listen": "a", "certificate": "rig.pem", "names": "/etc/n", "passwords": ""},
+        "client": {"connect": "b", "certificate": "~/ada.pem", "password": "~nobody-so/p"},
+        "recording": {"directory": "runs"},
+    }
+
+    assert anchored(tables, Path("/etc/armrig")) == {
+        "access": {
+            "listen": "a",
+            "certificate": "/etc/armrig/rig.pem",
+            "names": "/etc/n",
+            "passwords": "",
+        },
+        "client": {
+            "connect": "b",
+            "certificate": "/home/ada/ada.pem",
+            "password": "/etc/armrig/~nobody-so/p",
+        },
+        "recording": {"directory": "runs"},
+    }

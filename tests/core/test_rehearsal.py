@@ -77,9 +77,11 @@ def test_where_the_chassis_ends_is_counted_from_where_it_was() -> None:
     from_2 = rehearse(u, 0.01, theta_1_rad=2.0)
 
     assert from_2.theta_1_rad == pytest.approx(2.0 + from_2.turned_rad)
+    assert rehearse(u, 0.01, theta_1_rad=0.0).theta_1_rad == from_2.turned_rad
     assert rehearse(u, 0.01).theta_1_rad is None
     words = sentence(from_2)
     assert f"{from_2.revolutions:.1f} times" in words
+    assert f"ends {degrees(from_2.turned_rad):.0f}° from its start" in words
     assert f"up to {degrees(from_2.alpha_rad):.1f}°" in words
 
 

@@ -38,6 +38,23 @@ def test_a_key_of_sixteen_parts_is_read() -> None:
     assert tables == {"k15": 1.5}
 
 
+@pytest.mark.parametrize("begin", ["", "a = 1\n", "a = {"])
+def test_a_key_of_seventeen_parts_is_refused_wherever_it_is(begin: str) -> None:
+    key = ".".join(f'"k {i}"' if i % 2 else f"k{i}" for i in range(17))
+
+    with pytest.raises(FileError, match="nested too deeply: a key has at most 16 parts"):
+        toml_tables(f"{begin}{key} = 1{'}' if '{' in begin else ''}")
+
+
+def test_tables_of_sixty_four_levels_are_read() -> None:
+    def nested(levels: int) -> str:
+        return "x = " + "[" * (levels - 1) + "]" * (levels - 1)
+
+    assert "x" in toml_tables(nested(64))
+    with pytest.raises(FileError, match="nested too deeply: at most 64 levels are read"):
+        toml_tables(nested(65))
+
+
 def test_a_file_is_refused_with_the_reader_s_words(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text("a = ")

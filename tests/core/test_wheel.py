@@ -75,6 +75,7 @@ def test_nothing_of_the_harness_is_in_the_wheel(wheel: dict[str, bytes]) -> None
     assert not [name for name, data in wheel.items() if b"GPL-3" in data]
 
 
+@pytest.mark.exhaustive
 def test_a_wheel_of_the_source_archive_is_the_same(wheel: dict[str, bytes], tmp_path: Path) -> None:
     (path,) = sdists.SdistBuilder(str(ROOT)).build(directory=str(tmp_path))
     with tarfile.open(path) as archive:

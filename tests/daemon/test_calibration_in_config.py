@@ -114,3 +114,29 @@ def _attached(folder: Path, config: Config) -> bytes | None:
     content = read(path.with_suffix("")) or read(path)
     assert content is not None
     return content.attachments.get(CALIBRATION_RAW)
+
+
+@pytest.mark.parametrize(
+    ("calibration", "sentence"),
+    [
+        (Calibration(), "none: the default values; `armrig calibrate` measures a calibration"),
+        (
+            Calibration(theta_1=Potentiometer(zero_counts=1.0)),
+            "given in the configuration, not measured",
+        ),
+        (
+            Calibration(made=Made(date="2026-11-20", rig="1", device_uid="7", armrig="0.2.0")),
+            "given in the configuration, made 2026-11-20",
+        ),
+        (
+            Calibration(
+                made=Made(
+                    date="2026-11-21", rig="1", device_uid="7", armrig="0.2.0", file="/c.toml"
+                )
+            ),
+            "/c.toml, made 2026-11-21",
+        ),
+    ],
+)
+def test_where_a_calibration_comes_from_is_told(calibration: Calibration, sentence: str) -> None:
+    assert Config(calibration=calibration).calibration_sentence == sentence

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from math import tau
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.errors import InputError
 from armrig_core.volts import code_of
 from armrig_daemon import config as config_module
-from armrig_daemon.config import Config, Limits, load, load_installed
+from armrig_daemon.config import ArmSettings, Config, Limits, load, load_installed
 from armrig_daemon.decisions.state import Rules
 
 
@@ -166,6 +167,8 @@ def test_the_rig_that_runs_are_rehearsed_on_is_the_handout_s_but_for_what_is_giv
     assert Config().arm.parameters() == ArmParameters()
     assert config.arm.parameters() == replace(ArmParameters(), J_2=0.005)
     assert config.arm.removed
+    assert Config().arm.turns_per_volt_s == pytest.approx(1.8623 / tau, rel=1e-4)  # the handout's
+    assert ArmSettings(N=32.0).turns_per_volt_s == pytest.approx(2 * 1.8623 / tau, rel=1e-4)
 
 
 @pytest.mark.parametrize("key", ["oversampling = 255", "rail_ticks = 65535"])

@@ -109,3 +109,11 @@ def test_a_rig_s_own_file_is_read_as_its_service_reads_it(machine: Path) -> None
     )
     code, said = _armrigd("config", "--check", machine / "3.toml")
     assert (code, "the file belongs to rig '3'" in said) == (EX_CONFIG, True)
+
+
+def test_the_file_of_all_rigs_is_read_as_any_file(machine: Path) -> None:
+    (machine / "armrig.toml").write_text("[limits]\nu_min_v = 0.5\nu_max_v = 4.5\n")
+
+    code, said = _armrigd("config", "--check", machine / "armrig.toml")
+
+    assert (code, "rig 1, port /dev/armrig at 500000 baud, 0.5 to 2 V" in said) == (0, True)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,9 +11,11 @@ import msgspec
 import pytest
 from armrig_core.calibration import Made
 from armrig_core.errors import InputError
+from armrig_daemon.command_line import app
 from armrig_daemon.config import Config, load
 from armrig_daemon.configuration_reference import BEGIN, END, PAGE, example, page_tables, tables
 from armrig_daemon.emulator.settings import CHOICES, RANGES, EmulatorSettings
+from typer.testing import CliRunner
 
 
 def _leaves(kind: Any, before: str = "") -> Iterator[str]:
@@ -105,12 +105,14 @@ def test_the_page_holds_the_tables_of_the_schema() -> None:
 
 
 def test_the_command_prints_the_example() -> None:
-    command = [sys.executable, "-m", "armrig_daemon", "config"]
-    printed = subprocess.run([*command, "--example"], capture_output=True, check=True)
-    bare = subprocess.run(command, capture_output=True, text=True, check=False)
+    printed = CliRunner().invoke(app, ["config", "--example"])
+    bare = CliRunner().invoke(app, ["config"])
 
-    assert printed.stdout.decode() == example() + "\n"
-    assert (bare.returncode, bare.stdout) == (1, "")
+    assert (printed.exit_code, printed.stdout) == (0, example() + "\n")
+    _, *tables_of_keys = printed.stdout.split("\n[")
+    wrapped = [line for table in tables_of_keys for line in table.splitlines() if line[0:2] == "# "]
+    assert max(map(len, wrapped)) <= 88
+    assert (bare.exit_code, bare.stdout) == (1, "")
     assert bare.stderr == (
         "armrigd: config: give --example or --check FILE, for example "
         "`armrigd config --example > armrig.toml`\n"

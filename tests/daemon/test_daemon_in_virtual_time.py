@@ -6,6 +6,7 @@ The invariants S1 ... S6 and T1 are those of ARCHITECTURE.md.
 from __future__ import annotations
 
 from math import isnan
+from typing import Any
 
 import pytest
 from armrig_core.codes import GapCode
@@ -14,7 +15,7 @@ from armrig_core.volts import code_of
 from armrig_daemon import pipe
 from armrig_daemon.config import Config, Device, Limits, Timing
 from armrig_daemon.decisions.faults import Id
-from armrig_daemon.decisions.state import LinkDown, LinkUp, Phase, Received
+from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Phase, Received
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Alive, Answer, Gap, Log, Quit, Reset, RunEnded, RunStarted
 from armrig_daemon.pipe import State as StateRecord
@@ -845,3 +846,20 @@ def test_a_rail_guard_shorter_than_the_dead_band_stops_the_run_in_it(
     assert (bench.of(RunEnded)[0].outcome == "complete") == (not trips)
     assert [m.k for m in railed] == [*range(railed[0].k, railed[-1].k + 1)]
     assert len(railed) in ((rail_ticks,) if trips else (15, 16))
+
+
+@pytest.mark.parametrize("ahead_ns", [1, 123_456, 3_000_001])
+def test_an_order_of_a_later_time_is_handed_on_at_that_time(bench: Bench, ahead_ns: int) -> None:
+    at_ns = bench.ports.now + ahead_ns
+    bench.order(Alive(), at_ns)
+    bench.order(Reset(order=1), at_ns)
+    events: list[Any] = []
+    while not any(isinstance(event, Ordered) for event in events):
+        assert bench.ports.now < at_ns
+        events = bench.ports.wait(at_ns + 10 * MS)
+
+    assert bench.ports.now == at_ns
+    assert [e for e in events if isinstance(e, Ordered)] == [
+        Ordered(Alive()),
+        Ordered(Reset(order=1)),
+    ]

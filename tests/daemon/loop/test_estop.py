@@ -8,9 +8,11 @@ import select
 import threading
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 from armrig_daemon.command_line import _has_failed
+from armrig_daemon.loop import estop as estop_module
 from armrig_daemon.loop.estop import WITHIN_S, estop
 from armrig_daemon.loop.link import Link, NoPortError, TakenPortError
 from armrig_protocol.decoder import feed
@@ -145,3 +147,26 @@ def test_a_port_that_is_not_there_is_said() -> None:
 )
 def test_what_systemd_says_of_a_service_decides(environ: dict[str, str], failed: bool) -> None:
     assert _has_failed(environ) is failed
+
+
+def test_a_port_that_stays_in_use_is_given_up_after_a_fifth_of_a_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The whole command takes less than a second, as its help says."""
+    now_s = 50.0
+
+    def sleep(seconds: float) -> None:
+        nonlocal now_s
+        now_s += seconds
+
+    def taken(port: str, baud: int) -> None:
+        raise TakenPortError(f"{port} at {baud} is in use")
+
+    clock = SimpleNamespace(monotonic=lambda: now_s, sleep=sleep)
+    monkeypatch.setattr(estop_module, "time", clock)
+    monkeypatch.setattr(estop_module, "open_link", taken)
+
+    with pytest.raises(TakenPortError, match="/dev/odd at 9600 is in use"):
+        estop("/dev/odd", 9600)
+
+    assert now_s - 50.0 == pytest.approx(0.2, abs=0.011)

@@ -113,8 +113,8 @@ def test_what_only_informs_is_dropped_if_too_much_waits_and_reported() -> None:
     outbox.put(ENDED)
 
     pipe.room = 10 * MAX_WAITING_RECORDS
-    outbox.flush()
-    outbox.flush()
+    for _ in range(4):  # the loss is reported once
+        outbox.flush()
 
     taken = pipe.taken()
     assert len(taken) == MAX_WAITING_RECORDS + 2

@@ -10,15 +10,17 @@ import tty
 import weakref
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
+import msgspec
 import pytest
 from armrig_core.emulator_socket import lock_path
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
-from armrig_daemon.loop import realtime
-from armrig_daemon.loop.link import READ, Link
+from armrig_daemon.loop import process, realtime
+from armrig_daemon.loop.link import READ, Link, TakenPortError
 from armrig_daemon.loop.process import REOPEN_NS, ProcessPorts, Settings
-from armrig_daemon.pipe import Alive, Reset, Run, Stop, record_bytes
+from armrig_daemon.pipe import Alive, Host, Log, Reset, Run, Stop, record_bytes, take_records
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 from msgspec.structs import replace
@@ -336,3 +338,105 @@ def test_a_socket_is_a_line_as_a_serial_port_is(
     assert device.recv(100) == b"HELLO"
     device.close()
     assert [type(event) for event in ports.wait(now_ns + 10_000 * MS)] == [LinkDown]
+
+
+class _Ports:
+    """Ports of a program whose loop ends at once."""
+
+    def __init__(self) -> None:
+        self.spin_ns = 0
+        self.done: list[object] = []
+
+    def put(self, text: bytes) -> bool:
+        """Note a record."""
+        self.done += take_records(bytearray(text))
+        return True
+
+    def end_at(self, _: object) -> None:
+        """Watch no signal."""
+
+    def stop_hard(self) -> None:
+        """Note the stop."""
+        self.done.append("stop hard")
+
+
+@pytest.fixture
+def program(monkeypatch: pytest.MonkeyPatch) -> _Ports:
+    """Give the ports of a program that changes nothing of this process."""
+    ports = _Ports()
+    monkeypatch.setattr(process, "ProcessPorts", lambda *_: ports)
+    monkeypatch.setattr(process, "SignalPipe", lambda: None)
+    monkeypatch.setattr(process, "Loop", lambda *_: SimpleNamespace(run=lambda: None))
+    for name in ("end_with_parent", "ignore_signals"):
+        monkeypatch.setattr(realtime, name, lambda: None)
+    monkeypatch.setattr(realtime, "prepare", lambda *_: {"fifo": 0, "refused": []})
+    return ports
+
+
+def _main(pipes: dict[str, int]) -> int:
+    settings = Settings(
+        rules=Config().rules(), port="/dev/odd", baud=9600, priority=7, cpu=1, spin_ns=50_000
+    )
+    fds = [str(pipes["orders_out"]), str(pipes["records_in"])]
+    return process.main([*fds, msgspec.json.encode(settings).decode()])
+
+
+@pytest.mark.parametrize(("timer_ms", "warns"), [(None, 0), (1, 0), (2, 1), (16, 1)])
+def test_an_adapter_that_holds_bytes_back_is_reported(
+    pipes: dict[str, int],
+    program: _Ports,
+    timer_ms: int | None,
+    warns: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(process, "latency_timer_ms", lambda port: timer_ms)
+
+    assert _main(pipes) == 0
+
+    logs = [record for record in program.done if isinstance(record, Log)]
+    assert [(log.level, log.message) for log in logs] == [
+        ("warning", f"/dev/odd: latency timer {timer_ms} ms, 1 ms is wanted: see `armrig doctor`")
+    ] * warns
+
+
+@pytest.mark.parametrize("fifo", [0, 7])
+def test_the_loop_spins_if_it_has_its_priority(
+    pipes: dict[str, int], program: _Ports, fifo: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    granted = {"fifo": fifo, "refused": ["mlockall"]}
+    asked: list[object] = []
+    monkeypatch.setattr(realtime, "prepare", lambda *of: asked.append(of) or granted)
+
+    assert _main(pipes) == 0
+
+    assert program.spin_ns == (50_000 if fifo else 0)
+    assert (asked, program.done) == ([(7, 1)], [Host(granted=granted)])
+
+
+def test_a_program_without_a_usable_port_says_why_and_has_a_code_of_its_own(
+    pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def taken(*_: object) -> None:
+        raise TakenPortError("/dev/odd is in use")
+
+    monkeypatch.setattr(process, "ProcessPorts", taken)
+
+    assert _main(pipes) == 2
+
+    (log,) = take_records(bytearray(os.read(pipes["records_out"], 1000)))
+    assert isinstance(log, Log)
+    assert (log.level, log.message) == ("error", "/dev/odd is in use")
+
+
+def test_a_program_whose_loop_fails_stops_the_motor_and_fails(
+    pipes: dict[str, int], program: _Ports, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail() -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(process, "Loop", lambda *_: SimpleNamespace(run=fail))
+
+    with pytest.raises(MemoryError):
+        _main(pipes)
+
+    assert program.done[-1] == "stop hard"

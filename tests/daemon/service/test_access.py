@@ -9,6 +9,7 @@ import pytest
 from armrig.lab import pki
 from armrig_core.access_control import at_router, of_router, remote, size_limits
 from armrig_core.access_list import AccessList
+from armrig_core.credential import read_credential
 from armrig_core.errors import InputError
 from armrig_daemon.config import Access, Config, load
 from armrig_daemon.service.access import network_of, router_of
@@ -50,6 +51,8 @@ def test_a_client_on_the_list_is_admitted(files: dict[str, str]) -> None:
     tcp = _network(listen=TCP, **_chosen(files, "names", "passwords"))
 
     assert (tls.known_by, tls.operators, tls.observers) == ("certificate", 1, 1)
+    assert tls.expires == read_credential(Path(files["certificate"]), "rig").expires
+    assert tcp.expires is None
     assert (tcp.known_by, tcp.operators, tcp.observers) == ("user", 1, 0)
     subjects = [subject["id"] for subject in tcp.access_control["subjects"]]
     assert subjects == ["alice"]
@@ -181,6 +184,14 @@ def test_what_is_not_allowed_is_denied() -> None:
         "bob asks": ["rig/1/cmd/status/bob"],
     }
     assert "'eve'" not in str(control)
+    shared = [rule["id"] for rule in control["rules"] if not rule["id"].startswith(("a", "b"))]
+    shared += [rule["id"] for rule in control["rules"] if rule["id"].startswith("ask for")]
+    for name, subject, policy in zip(
+        ("alice", "bob"), control["subjects"], control["policies"], strict=True
+    ):
+        assert subject == {"id": name, "cert_common_names": [name]}
+        assert policy["subjects"] == [name]
+        assert set(policy["rules"]) == {*shared, f"{name} asks", f"{name} is answered"}
 
 
 def test_a_rig_at_a_router_is_itself_alone() -> None:
@@ -227,6 +238,7 @@ def test_a_router_needs_the_certificate_of_this_rig(files: dict[str, str], tmp_p
 
     assert found is not None
     assert (found.endpoint, found.is_router) == (router, True)
+    assert found.expires == read_credential(Path(files["certificate"]), "rig").expires
     assert found.low_pass_filter == size_limits("1")
     assert "connect_certificate_base64" in found.transport["link"]["tls"]
     assert _network(router=router, certificate=files["certificate"]) is None

@@ -7,6 +7,17 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
+import pytest
+from armrig_core.errors import OperationError
+from armrig_daemon.config import Rig
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.service import emulated_rig
+from armrig_daemon.service.emulated_rig import emulated
+from msgspec.structs import replace
+
+from tests.daemon.odd_bench import CONFIG
+
 WITHIN_S = 30.0
 _DAEMON = """
 import os, subprocess, sys
@@ -38,3 +49,64 @@ def test_an_emulator_does_not_outlive_a_daemon_that_dies_while_it_loads(tmp_path
 
     assert done.returncode == 9
     assert list(tmp_path.iterdir()) == []
+
+
+class _Child:
+    """Emulator that creates its socket, or ends."""
+
+    def __init__(self, program: list[str], pass_fds: tuple[int, ...]) -> None:
+        options = dict(zip(program[4::2], program[5::2], strict=True))
+        self.settings = msgspec.json.decode(options["--settings"], type=EmulatorSettings)
+        self.parent = options["--parent"]
+        self.code = None if "lives" in options["--port"] else 1
+        if self.code is None:
+            Path(options["--port"].removeprefix("unix:")).touch()
+        self.stalls_fd = int(options["--stalls-fd"])
+        assert pass_fds == (self.stalls_fd,)
+        os.write(self.stalls_fd, b"5\n")
+        self.ended: list[str] = []
+        _CHILDREN.append(self)
+
+    def poll(self) -> int | None:
+        return self.code
+
+    def terminate(self) -> None:
+        self.ended.append("terminate")
+
+    def wait(self) -> None:
+        self.ended.append("wait")
+
+
+_CHILDREN: list[_Child] = []
+
+
+def test_an_emulator_has_the_speed_of_the_line_and_ends_with_its_daemon(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(emulated_rig.subprocess, "Popen", _Child)
+    config = replace(CONFIG, rig=Rig(id="lives"), device=replace(CONFIG.device, baud=115_200))
+
+    with emulated(config, tmp_path) as (found, stalls_fd):
+        child = _CHILDREN.pop()
+        told = os.read(stalls_fd, 100)
+        assert child.ended == []
+
+    port = f"unix:{tmp_path}/lives-{os.getpid()}.line"
+    assert found == replace(config, device=replace(config.device, port=port))
+    assert child.settings == replace(CONFIG.emulator, baud=115_200)
+    assert (child.parent, told) == (str(os.getpid()), b"5\n")
+    assert child.ended == ["terminate", "wait"]
+
+
+def test_an_emulator_that_ends_at_once_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(emulated_rig.subprocess, "Popen", _Child)
+
+    with (
+        pytest.raises(OperationError, match=rf"did not start at {tmp_path}/lab-2-\d+\.line"),
+        emulated(CONFIG, tmp_path),
+    ):
+        pytest.fail("it has not started")
+
+    assert _CHILDREN.pop().ended == ["terminate", "wait"]

@@ -35,13 +35,14 @@ def test_messages_are_given_from_a_number_on() -> None:
     assert decode_past(history.reply(0, -7))[:3] == (LIFE, 0, -7)
 
 
-def test_no_more_is_kept_than_allowed() -> None:
-    history = History(LIFE, most_bytes=100)
+@pytest.mark.parametrize("most_bytes", [90, 100, 119])
+def test_no_more_is_kept_than_allowed(most_bytes: int) -> None:
+    history = History(LIFE, most_bytes=most_bytes)
     for k in range(50):
         history.add("gap", bytes([k]) * 30)
 
     assert asked(history, 0) == (47, [bytes([k]) * 30 for k in (47, 48, 49)])
-    history.add("event", bytes(101))
+    history.add("event", bytes(most_bytes + 1))
     assert asked(history, 0) == (51, [])
 
 

@@ -18,6 +18,8 @@ from armrig_daemon.service.identity import signed
         (" anna\x1b[2J ", "", "anna\\x1b[2J"),
         ("anna (bench 2)", "user bob", "anna [bench 2] (user bob)"),
         ("a" * 81, "", "a" * 80),
+        (" " * 100 + "anna", "user bob", "anna (user bob)"),
+        ("anna" + " " * 100, "", "anna"),
     ],
 )
 def test_a_client_is_named_with_what_was_checked(said: str, by: str, told: str) -> None:

@@ -23,7 +23,7 @@ def _written(path: Path, total_us: int) -> Path:
 def test_the_share_is_that_of_the_time_since_the_last_look(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """0.25 s stalled in 1 s is 25 %."""
+    """0.25 s stalled in 1 s are 25 %, and 0.3 s in the next 0.5 s are 60 %."""
     now = [10**9]
     monkeypatch.setattr(pressure, "monotonic_ns", lambda: now[0])
     watch = pressure.Pressure(_written(tmp_path / "cpu", 1_000_000))
@@ -34,6 +34,10 @@ def test_the_share_is_that_of_the_time_since_the_last_look(
     share, runnable = watch.read()
     assert share == pytest.approx(25.0)
     assert runnable >= 1  # we are
+    now[0] += 5 * 10**8
+    _written(tmp_path / "cpu", 1_550_000)
+    assert watch.read()[0] == pytest.approx(60.0)
+    assert isnan(watch.read()[0])  # no time has passed
 
 
 @pytest.mark.parametrize("text", ["", "some avg10=0.00\n", None])

@@ -6,12 +6,15 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from armrig_core.calibration import Calibration, Potentiometer
+from armrig_core.calibration import Calibration, Made, Potentiometer
 from armrig_core.telemetry import Sample
 from armrig_daemon.config import ArmSettings, Config
 from armrig_daemon.pipe import Distribution, Host, State, Timing
 from armrig_daemon.service.rig_view import RigView
 from armrig_protocol.messages import Flag
+from msgspec.structs import replace
+
+from tests.daemon.odd_bench import CONFIG
 
 HELD = State(t_host_ns=5, phase="armed", reason="", owner="a test", ts_us=20_000, device={"x": 1})
 S = 1_000_000_000
@@ -75,3 +78,39 @@ def test_a_second_s_timing_is_published_with_what_the_machine_was_doing(
     published = rig.note_timing(Timing(t_host_ns=1, **loop))
 
     assert (published.cpu_pressure_percent, published.run_queue) == (12.5, 3)
+
+
+@pytest.mark.parametrize("is_measured", [True, False])
+def test_a_status_says_what_is_configured(tmp_path: Path, is_measured: bool) -> None:
+    """The path of the configured calibration stays while another calibration is in force."""
+    made = Made(
+        date="2026-11-20", rig="lab-2", device_uid="17", armrig="0.2.0", file="/etc/armrig/c.toml"
+    )
+    measured = replace(CONFIG.calibration, made=made if is_measured else None)
+    rig = RigView(replace(CONFIG, calibration=measured), "unixsock-stream/s", tmp_path)
+
+    before = rig.status(None)
+    rig.note_state(replace(HELD, owner_checked="user ada", fault="late", motor="m", remedy="r"))
+    rig.note_calibration(replace(TURNS_ON, made=replace(made, date="2026-12-01", file="")))
+    after = rig.status(None)
+
+    file = "/etc/armrig/c.toml" if is_measured else ""
+    assert (before.calibration_file, after.calibration_file) == (file, file)
+    assert (before.calibration == "/etc/armrig/c.toml, made 2026-11-20") == is_measured
+    assert "made 2026-12-01; in force until armrigd ends" in after.calibration
+    assert (before.rig, before.u_min, before.u_max, before.Ts) == ("lab-2", 0.2, 4.4, 0.008)
+    assert (before.endpoint, before.recordings) == ("unixsock-stream/s", str(tmp_path))
+    assert (after.owner_checked, after.fault, after.motor, after.remedy) == (
+        *("user ada", "late"),
+        *("m", "r"),
+    )
+
+
+def test_a_rig_without_its_arm_says_so_and_a_silent_line_names_its_port(tmp_path: Path) -> None:
+    rig = RigView(Config(arm=ArmSettings(removed=True)), "unixsock-stream/s", tmp_path)
+    assert (rig.line, rig.status(None).arm_removed) == ("", True)
+
+    rig.note_state(replace(HELD, line="no answer; check the cable"))
+
+    assert rig.line == rig.status(None).line == "/dev/armrig: no answer; check the cable"
+    assert not RigView(CONFIG, "unixsock-stream/s", tmp_path).status(None).arm_removed

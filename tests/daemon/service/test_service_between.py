@@ -17,11 +17,13 @@ from typing import Any
 import msgspec
 import pytest
 from armrig.rig.session import open_session
+from armrig_core import protobuf
 from armrig_core.calibration import Calibration, Made, Potentiometer
 from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode, RefusalCode
-from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop
+from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop, refused
 from armrig_core.commands import Calibrate as AskedCalibrate
 from armrig_core.commands import Reset as AskedReset
+from armrig_core.history import decode_past
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, manifest_of
 from armrig_core.manifest import RUN as OF_RUN
 from armrig_core.telemetry import Sample, encode_sample
@@ -43,10 +45,13 @@ from armrig_daemon.pipe import (
     RunStarted,
     State,
     Timing,
+    Trace,
 )
 from armrig_daemon.service import publish
+from armrig_daemon.service.access import Network
 from armrig_daemon.service.client_watchdog import begun
 from armrig_daemon.service.publish import Kind, Session
+from armrig_daemon.service.sentences import line_and_limits
 from armrig_daemon.service.service import Service
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
@@ -433,18 +438,20 @@ def test_what_the_loop_was_not_granted_is_reported(
 
     between.service._handle([Host(granted=granted)])
 
-    assert "not granted: SCHED_FIFO; timing is less exact" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "armrigd: warning: not granted: SCHED_FIFO; timing is less exact\n" in said
     assert between.service._rig.status(None).host == granted
 
 
 def test_what_the_loop_reports_in_a_run_is_in_its_recording(between: Between) -> None:
     between.begin_run()
 
-    between.service._handle([_sample(0), *TOLD_IN_A_RUN.values()])
+    trace = Trace(t_host_ns=1, number=0, state=b"s", steps=b"t", version=2)
+    between.service._handle([_sample(0), trace, *TOLD_IN_A_RUN.values()])
 
     with _finished(between).open("rb") as file:
         topics = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
-    streams = ["sample", "event", *TOLD_IN_A_RUN]
+    streams = ["sample", "event", "trace", *TOLD_IN_A_RUN]
     assert sorted(topics) == sorted(f"/rig/1/{stream}" for stream in streams)
 
 
@@ -717,3 +724,360 @@ def _ready(between: Between) -> None:
     """Have the loop report a state and a sample of a rig that may be armed."""
     between.service._handle([FREE, _sample(1)])
     between.commands.note_lease(LEASE)
+
+
+def test_a_line_of_the_log_has_its_subject_and_what_is_for_developers_is_only_published(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A field of the line itself has precedence over the current run, holder and rig."""
+    printed: list[tuple[str, str, dict[str, str]]] = []
+    monkeypatch.setattr(
+        "armrig_daemon.service.service.print_line", lambda *line: printed.append(line)
+    )
+    held = msgspec.structs.replace(FREE, owner="Ada (user ada)", owner_checked="user ada")
+    between.service._handle([held, Log(t_host_ns=1, level="debug", message="for developers")])
+    run_id = between.begin_run()
+    between.service._say("warning", "late", run="7", cause="load")
+
+    about = {"rig": "1", "run": run_id, "owner": "Ada (user ada)", "owner_checked": "user ada"}
+    (begun,) = [line for line in printed if line[1].startswith("recording ")]
+    assert (begun[0], begun[2]) == ("info", about)
+    assert printed[-1] == ("warning", "late", about | {"run": "7", "cause": "load"})
+    assert not [line for line in printed if line[1] == "for developers"]
+    assert b"for developers" in between.service._session._past(0, 0)
+    _finished(between)
+
+
+def test_the_folder_is_looked_after_between_runs_alone(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    left_over = SimpleNamespace(
+        rest=lambda: told.append("rest"), go_on=lambda: told.append("go on"), lines=list
+    )
+    monkeypatch.setattr(between.service, "_left_over", left_over)
+
+    between.service._each_second()
+    between.begin_run()
+    between.service._each_second()
+    assert told == ["go on", "rest"]
+    _finished(between)
+    between.service._each_second()
+
+    assert told == ["go on", "rest", "go on"]
+
+
+def test_a_line_that_was_held_back_is_recorded_before_the_end_of_its_run(between: Between) -> None:
+    run_id = between.begin_run()
+    now_ns = time.monotonic_ns()
+    lines = [Log(t_host_ns=now_ns, level="warning", message=f"late by {n} ms") for n in (1, 2)]
+    ended = RunEnded(run_id=run_id, outcome="stopped", outcome_code=OutcomeCode.STOPPED)
+
+    between.service._handle([*lines, ended])
+
+    assert between.service._runs.finished(5)[0] == "info"
+    last = between.service._runs.last
+    assert last is not None
+    with Path(last.recording).open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        events = [m.message for *_, m in reader.iter_decoded_messages("/rig/1/event")]
+    assert events[-2:] == ["late by 1 ms", "late by 2 ms"]
+
+
+class _Asked:
+    """A command of a client whose identity was checked; `told` is the answer or the refusal."""
+
+    def __init__(self, request: Any, by: str) -> None:
+        self.name, self.by, self.came_s = request.name, by, 5.0
+        self.payload = msgspec.json.encode(request)
+        self.told: Any = None
+
+    def answer(self, body: Any) -> None:
+        """Note the answer."""
+        self.told = body
+
+    def refuse(self, refusal: Any) -> None:
+        """Note the refusal."""
+        self.told = refusal.code
+
+
+def _tried(between: Between, request: Any, by: str = "") -> _Asked:
+    """Have a command tried that a client with the checked identity `by` has sent."""
+    asked = _Asked(request, by)
+    between.commands._try(asked)  # type: ignore[arg-type]
+    return asked
+
+
+def test_a_lease_is_of_no_use_to_another_client(between: Between) -> None:
+    """Over a network, the lease alone does not make a client the holder."""
+    _ready(between)
+    arming = _tried(between, Arm(owner="Ada"), "certificate ada")
+    (arm,) = between.loop.orders()
+    assert isinstance(arm, pipe.Arm)
+    assert (arm.owner, arm.owner_checked) == ("Ada (certificate ada)", "certificate ada")
+    between.service._handle([Answer(order=arm.order, body={"Ts": 0.01})])
+
+    asked = [
+        _tried(between, Set(lease=arm.lease, n=n, u=1.0), by)
+        for n, by in enumerate(("", "certificate bob", "certificate ada"))
+    ]
+
+    assert arming.told == {"Ts": 0.01}
+    assert [one.told for one in asked] == [RefusalCode.NOT_HELD, RefusalCode.NOT_HELD, None]
+    assert [type(order) for order in between.loop.orders()] == [pipe.Set]
+
+
+def test_a_rig_that_is_held_is_not_armed_and_its_holder_is_named(between: Between) -> None:
+    _ready(between)
+    between.service._handle([msgspec.structs.replace(FREE, owner="Ada", line="no rig")])
+    held = between.ask(Arm(owner="Bob"))
+    between.commands.serve()
+    between.service._handle([msgspec.structs.replace(FREE, line="no answer; check the cable")])
+    silent = between.ask(Arm(owner="Bob"))
+    between.commands.serve()
+
+    assert "Ada" in _refusal(held)
+    assert _refusal(silent) == "/dev/armrig: no answer; check the cable"
+    assert between.loop.orders() == []
+
+
+@pytest.mark.parametrize("pending", [15, 16])
+def test_of_many_unanswered_orders_the_last_are_for_the_holder(
+    between: Between, pending: int
+) -> None:
+    for n in range(pending):
+        _tried(between, Set(lease=LEASE, n=n, u=0.0))
+
+    reset = _tried(between, AskedReset())
+    disarm = _tried(between, Disarm(lease=LEASE, n=pending))
+
+    assert (reset.told, disarm.told) == (RefusalCode.TOO_MANY if pending > 15 else None, None)
+    assert len(between.loop.orders()) == 17
+
+
+def test_a_command_is_refused_once_its_three_seconds_are_over(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr("armrig_daemon.service.commands.time.monotonic", lambda: now_s)
+    asked = _tried(between, Disarm(lease=LEASE, n=4))
+    told = []
+    for later_s in (3.0, 3.001):
+        now_s = 100.0 + later_s
+        between.commands.refuse_overdue()
+        told.append(asked.told)
+
+    assert told == [None, RefusalCode.NO_ANSWER]
+
+
+@pytest.mark.parametrize(
+    ("request_", "by", "line", "fields"),
+    [
+        (Stop(by="anna"), "user eve", "stop: by anna (user eve)", ["stopped by anna (user eve)"]),
+        (Stop(), "", "stop: by somebody on this machine", ["stopped"]),
+        (Disarm(lease=LEASE, n=4), "", "disarm: by somebody on this machine", [""]),
+        (AskedReset(), "user eve", "reset: by user eve", [""]),
+        (Set(lease=LEASE, n=4, u=1.0), "", "", []),
+    ],
+)
+def test_who_gave_a_command_is_in_the_log(
+    between: Between,
+    request_: Any,
+    by: str,
+    line: str,
+    fields: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A voltage that is held by hand may change many times a second."""
+    said: list[Any] = []
+    monkeypatch.setattr(between.commands, "_say", lambda *line, **of: said.append((line, of)))
+    asked = _tried(between, request_, by)
+    (order,) = between.loop.orders()
+
+    between.service._handle([Answer(order=order.order, body={"done": True})])
+
+    assert asked.told == {"done": True}
+    assert [line for line, _ in said] == ([("info", line)] if line else [])
+    assert [of["cause"] for _, of in said] == fields
+    assert [(of["command"], of["owner_checked"]) for _, of in said] == [
+        (request_.name, by) for _ in fields
+    ]
+
+
+def test_a_stall_of_the_emulator_is_reported_and_its_end_is_not_waited_for(
+    between: Between, capsys: pytest.CaptureFixture[str]
+) -> None:
+    between.begin_run()
+    out, into = os.pipe()
+    between.service._stalls_fd = out
+    os.write(into, b"264000000\n7500000\n")
+    os.close(into)
+
+    for _ in range(2):
+        between.service._hear_of_stalls(out)
+    os.close(out)
+
+    assert between.service._stalls_fd is None
+    assert "warning: emulator held up 264 ms by this machine" in capsys.readouterr().err
+    with _finished(between).open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        events = [m for *_, m in reader.iter_decoded_messages("/rig/1/event")]
+    assert [m.emulator_stall_ns for m in events if "held up" in m.message] == [
+        264_000_000,
+        7_500_000,
+    ]
+
+
+def test_systemd_hears_what_the_loop_reports(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A loop that hangs reports no timing: then systemd ends the service."""
+    told: list[str] = []
+    notifier = SimpleNamespace(
+        ready=lambda: told.append("ready"),
+        progress=lambda: told.append("progress"),
+        status=told.append,
+        stopping=lambda: told.append("stopping"),
+    )
+    monkeypatch.setattr(between.service, "_notifier", notifier)
+
+    between.service._handle([_sample(1), Host(granted={"refused": []})])
+    between.service._handle([FREE, TOLD_IN_A_RUN["timing"]])
+    between.service._each_second()
+    between.service._quit("a test")
+
+    assert told == ["ready", "safe, nobody has it", "progress", "safe, nobody has it", "stopping"]
+
+
+def test_the_state_is_published_each_second_with_the_time(between: Between) -> None:
+    def states() -> list[Any]:
+        past = decode_past(between.service._session._past(0, 0))
+        return [
+            protobuf.decoded(protobuf.STATE, data) for of, data in past.messages if of == "state"
+        ]
+
+    between.service._each_second()
+    assert states() == []
+    between.service._handle([FREE])
+    before_ns = time.monotonic_ns()
+    between.service._each_second()
+
+    told, again = states()
+    assert told.t_host_ns == FREE.t_host_ns
+    assert before_ns <= again.t_host_ns <= time.monotonic_ns()
+    assert (told.phase, again.phase) == ("safe", "safe")
+
+
+def test_a_loop_that_does_not_end_is_killed_once(
+    between: Between, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kills: list[None] = []
+    between.service._kill_at = time.monotonic() - 1
+    rest = [None, [], [], []]
+    monkeypatch.setattr(between.loop.child, "records", rest.pop)
+    monkeypatch.setattr(between.loop.child, "kill", lambda: kills.append(None))
+    os.write(between.loop.records_fd, b"always something")
+
+    between.service._serve()
+
+    assert len(kills) == 1
+    assert capsys.readouterr().err.count("error: the loop does not end: killed") == 1
+
+
+def _network(endpoint: str, **changes: Any) -> Network:
+    fields: dict[str, Any] = {
+        "known_by": "certificate",
+        "access_control": {},
+        "low_pass_filter": [],
+        "transport": {},
+        "operators": 2,
+        "observers": 5,
+        "expires": None,
+    }
+    return Network(endpoint=endpoint, **{**fields, **changes})
+
+
+@pytest.mark.parametrize("is_well", [True, False])
+def test_a_service_says_at_its_start_who_may_come_and_what_is_wrong(
+    narrow: Between, tmp_path: Path, is_well: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[tuple[str, str]] = []
+    monkeypatch.setattr(narrow.service, "_say", lambda *line: said.append(line))
+    monkeypatch.setattr(
+        "armrig_daemon.service.service.unreachable",
+        lambda where, _: "" if is_well else f"nobody reaches {where}",
+    )
+    monkeypatch.setattr(narrow.service, "_notifier", SimpleNamespace(is_asked=not is_well))
+    if not is_well:
+        full = refused(RefusalCode.NO_ROOM, "the disk is full")
+        monkeypatch.setattr(narrow.service._runs, "no_room", lambda: full)
+    ways = [_network("tls/0.0.0.0:7447"), _network("tls/lab:7447", is_router=True)]
+
+    narrow.service._announce(ways, has_left_fifo=is_well)
+
+    by = "Ctrl-C" if is_well else "`systemctl stop`"
+    expected = [
+        ("warning", "not granted: the ordinary policy for the service, whose threads may delay "),
+        ("info", f"rig lab-2 at unixsock-stream/{tmp_path}/s"),
+        ("info", "also at tls/0.0.0.0:7447: 2 may drive and 5 may watch, by certificate"),
+        ("warning", "nobody reaches tls/0.0.0.0:7447"),
+        ("info", "also through the router tls/lab:7447"),
+        ("warning", "nobody reaches tls/lab:7447"),
+        ("info", f"{line_and_limits(CONFIG)}; ask it with `armrig status --rig lab-2`, end it w"),
+        ("warning", "nothing can be recorded: the disk is full"),
+    ]
+    expected = [line for line in expected if line[0] == "info" or not is_well]
+    assert [level for level, _ in said] == [level for level, _ in expected]
+    for (_, text), (_, begin) in zip(said, expected, strict=True):
+        assert text.startswith(begin)
+    assert [text for _, text in said if text.endswith(f"end it with {by}")]
+
+
+def test_a_stop_comes_before_all_that_waits(between: Between) -> None:
+    """The others keep their order: the holder's orders, then those of everybody."""
+    for request in (
+        AskedReset(),
+        Set(lease=LEASE, n=4, u=1.0),
+        Disarm(lease=LEASE, n=5),
+        Stop(by="anna"),
+    ):
+        between.ask(request)
+
+    between.commands.serve()
+
+    kinds = [type(order) for order in between.loop.orders()]
+    assert kinds == [pipe.Stop, pipe.Set, pipe.Disarm, Reset]
+
+
+def test_the_network_is_guarded_by_whether_somebody_has_the_rig(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    busy: list[bool] = []
+    guard = SimpleNamespace(look=lambda _, is_busy: busy.append(is_busy))
+    monkeypatch.setattr(between.service, "_guard", guard)
+
+    for owner in ("", "Ada"):
+        between.service._handle([msgspec.structs.replace(FREE, owner=owner)])
+        between.service._each_second()
+
+    assert busy == [False, True]
+
+
+def test_what_other_threads_report_is_in_the_log_with_its_level(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_id = between.begin_run()
+    lines = [("info", "a.mcap: recovered"), ("warning", "b.mcap: another user's file")]
+    monkeypatch.setattr(between.service._left_over, "lines", lambda: lines)
+    between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped by anna"))
+    said: list[Any] = []
+    monkeypatch.setattr(between.service, "_say", lambda *line, **of: said.append((line, of)))
+
+    between.service._say_finished(5)
+    between.service._woken()
+
+    (finished, fields), *others = said
+    assert finished[0] == "info"
+    assert "stopped by anna, 0 samples, 0 missing" in finished[1]
+    assert fields == {"run": run_id, "cause": "stopped by anna"}
+    assert others == [(line, {}) for line in lines]

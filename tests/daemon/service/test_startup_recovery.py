@@ -176,3 +176,23 @@ def test_what_is_not_kept_goes_at_the_start_and_after_each_run(tmp_path: Path) -
 
     assert said.wait(30)
     assert _names(tmp_path) == ["1-c.mcap"]
+
+
+def test_the_oldest_runs_go_if_all_take_more_than_configured(tmp_path: Path) -> None:
+    """The newest run stays, however large it is."""
+    ended = recorded([sample(0)], outcome=Outcome(outcome="complete", samples=1, missing=0))
+    for name, hours in (("1-a.mcap", 3), ("1-b.mcap", 2), ("1-c.mcap", 1)):
+        path = written(tmp_path, ended, name)
+        ended_s = time.time() - hours * 3600
+        os.utime(path, (ended_s, ended_s))
+    said = threading.Event()
+    most_gb = 2.5 * len(ended) / 1e9
+    left_over = StartupRecovery(tmp_path, "1", said.set, Recording(keep_gb=most_gb))
+
+    left_over.start()
+
+    assert said.wait(30)
+    (line,) = left_over.lines()
+    assert line.level == "info"
+    assert f"the recordings of rig 1 take more than {most_gb:g} GB" in line.text
+    assert _names(tmp_path) == ["1-b.mcap", "1-c.mcap"]

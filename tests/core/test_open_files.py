@@ -1,0 +1,52 @@
+"""The limit of open files."""
+
+from __future__ import annotations
+
+import os
+import resource
+
+import pytest
+from armrig_core import open_files
+
+INFINITE = resource.RLIM_INFINITY
+
+
+@pytest.mark.parametrize(
+    ("soft", "hard", "set_to"),
+    [
+        (1024, 1 << 20, [(16_384, 1 << 20)]),
+        (1024, 4096, [(4096, 4096)]),
+        (1024, INFINITE, [(16_384, INFINITE)]),
+        (20_000, 1 << 20, []),
+        (4096, 4096, []),
+        (INFINITE, INFINITE, []),
+    ],
+)
+def test_the_limit_is_raised_as_far_as_it_may_be_and_never_lowered(
+    soft: int, hard: int, set_to: list[tuple[int, int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[tuple[int, int]] = []
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (soft, hard))
+    monkeypatch.setattr(resource, "setrlimit", lambda _, limits: given.append(limits))
+
+    open_files.raise_limit()
+
+    assert given == set_to
+
+
+def test_the_open_files_are_counted_and_too_many_to_count_are_the_limit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before = open_files.count()
+    pipes = [fd for _ in range(3) for fd in os.pipe()]
+    assert open_files.count() == before + 6
+    for fd in pipes:
+        os.close(fd)
+    assert open_files.count() == before
+
+    def refuse(_: str) -> None:
+        raise OSError
+
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (77, 99))
+    monkeypatch.setattr(os, "scandir", refuse)
+    assert open_files.count() == 77

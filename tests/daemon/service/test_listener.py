@@ -1,0 +1,98 @@
+"""Settings of the service's sessions, and the names in the keys of commands."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from armrig_core.owned_session import owned_session, strangers
+from armrig_daemon.service import listener
+from armrig_daemon.service.access import Network
+from armrig_daemon.service.listener import Listener, session_config
+
+TLS = {"link": {"tls": {"enable_mtls": True}}}
+
+
+@pytest.fixture(autouse=True)
+def plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the settings returned as they are."""
+    config = SimpleNamespace(from_json5=json.loads)
+    monkeypatch.setattr(listener, "zenoh", SimpleNamespace(Config=config))
+
+
+def _network(**changes: Any) -> Network:
+    fields: dict[str, Any] = {
+        "endpoint": "tls/h:7447",
+        "known_by": "certificate",
+        "access_control": {"rules": ["ours"]},
+        "low_pass_filter": ["short"],
+        "transport": TLS,
+        "operators": 0,
+        "observers": 0,
+        "expires": None,
+    }
+    return Network(**{**fields, **changes})
+
+
+def test_a_lost_router_is_looked_for_each_second() -> None:
+    assert session_config("tls/h:7447", _network(is_router=True)) == {
+        "mode": "client",
+        "connect": {"endpoints": ["tls/h:7447"], "retry": {"period_max_ms": 1000}},
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "adminspace": {"enabled": False},
+        "access_control": {"rules": ["ours"]},
+        "low_pass_filter": ["short"],
+        "transport": {
+            "shared_memory": {"enabled": False},
+            "link": {
+                "rx": {"max_message_size": 8 << 20},
+                "tx": {
+                    "queue": {
+                        "congestion_control": {
+                            "drop": {"wait_before_drop": 0},
+                            "block": {"wait_before_close": 1_000_000},
+                        }
+                    }
+                },
+                **TLS["link"],
+            },
+        },
+    }
+
+
+def test_strangers_of_a_network_have_limits_that_the_unix_socket_has_not() -> None:
+    passwords = {"auth": {"usrpwd": {"dictionary_file": "/p"}}}
+    local: Any = session_config("unixsock-stream//s")
+    tls: Any = session_config("tls/h:7447", _network())
+    tcp: Any = session_config("tcp/127.0.0.1:1", _network(transport=passwords))
+
+    assert local == json.loads(
+        json.dumps(owned_session("unixsock-stream//s", most_received=88 << 20))
+    )
+    assert tls["listen"]["endpoints"] == ["tls/h:7447#tls_handshake_timeout_ms=3000"]
+    assert (tls["access_control"], tls["low_pass_filter"]) == ({"rules": ["ours"]}, ["short"])
+    for config in (tls, tcp):
+        assert config["transport"]["unicast"] == strangers(250)
+        assert config["transport"]["link"]["rx"] == {"max_message_size": 8 << 20}
+    assert tls["transport"]["link"]["tls"] == {"enable_mtls": True}
+    assert (tls["transport"]["auth"], tcp["transport"]["auth"]) == ({}, passwords["auth"])
+    assert "tls" not in tcp["transport"]["link"]
+
+
+@pytest.mark.parametrize(
+    ("known_by", "key", "parts"),
+    [
+        ("", "rig/lab-2/cmd/arm", ("arm", "")),
+        ("user", "rig/lab-2/cmd/arm/ada", ("arm", "user ada")),
+        ("certificate", "rig/lab-2/cmd/stop/bob", ("stop", "certificate bob")),
+    ],
+)
+def test_a_client_of_a_network_is_named_by_the_key(
+    known_by: str, key: str, parts: tuple[str, str]
+) -> None:
+    made = Listener.__new__(Listener)
+    made._known_by = known_by
+
+    assert made._parts(SimpleNamespace(key_expr=key)) == parts  # type: ignore[arg-type]
