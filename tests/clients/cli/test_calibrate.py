@@ -15,6 +15,7 @@ import armrig
 import pytest
 from armrig.cli import main
 from armrig.cli.calibrate import _measured, _Wanted
+from armrig.cli.calibration_runs import check_turns, meter_reading
 from armrig.recordings.loading import load
 from armrig.rig import collection
 from armrig.rig.collection import Collected, Plan
@@ -22,7 +23,7 @@ from armrig_core import commands
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
 from armrig_core.codes import RefusalCode
-from armrig_core.errors import FileError
+from armrig_core.errors import FileError, InputError
 from msgspec.structs import replace
 
 from tests.clients.calibration_rig import recording_of
@@ -341,22 +342,71 @@ def test_info_reports_a_rig_that_was_not_calibrated(
         assert json.loads(good)["remarks"] == []
 
 
+def _wanted(**changes: Any) -> _Wanted:
+    given: dict[str, Any] = {"readings": [], "levels": [2.0], "level_seconds": 1.0}
+    given |= {"rest_seconds": 3.0, "by_hand": False, "rest_file": None, "turns_file": None}
+    return _Wanted(**given | changes)
+
+
 def test_a_person_is_asked_to_deflect_the_arm_before_that_is_recorded() -> None:
     done: list[str] = []
     ask: Any = SimpleNamespace(ready=done.append)
-    play: Any = SimpleNamespace(rest=lambda experiment, _: done.append(experiment))
-    wanted = _Wanted(
-        readings=[],
-        levels=[],
-        level_seconds=1.0,
-        rest_seconds=3.0,
-        by_hand=True,
-        rest_file=None,
-        turns_file=None,
+    play: Any = SimpleNamespace(rest=lambda experiment, s: done.append(f"{experiment} {s:g} s"))
+
+    _measured(_wanted(by_hand=True), ask, play)
+
+    assert [done[0][:15], done[1], done[2][:15], done[3]] == [
+        *("Turn the chassi", "calibrate-rest 3 s", "Deflect the arm", "calibrate-hand 3 s"),
+    ]
+    assert done[2].endswith("hold it for 3 s.")
+
+
+def test_readings_that_are_given_are_not_asked_for() -> None:
+    done: list[str] = []
+    ask: Any = SimpleNamespace(ready=lambda _: None)
+    play: Any = SimpleNamespace(
+        rest=lambda experiment, _: done.append(experiment),
+        turns=lambda levels, s: done.append(f"{levels} {s:g} s"),
     )
 
-    _measured(wanted, ask, play)
+    measured = _measured(_wanted(readings=[(9, 1.5)]), ask, play)
 
-    assert [text[:15] for text in done] == [
-        *("Turn the chassi", "calibrate-rest", "Deflect the arm", "calibrate-hand"),
-    ]
+    assert measured.readings == [(9, 1.5)]
+    assert done == ["calibrate-rest", "[2.0] 1 s"]
+
+
+@pytest.mark.parametrize(
+    ("text", "reading"),
+    [("65535=10", (65535, 10.0)), ("1=0.01", (1, 0.01)), ("32768=5.1", (32768, 5.1))],
+)
+def test_a_reading_may_be_of_any_code_and_of_another_supply(
+    text: str, reading: tuple[int, float]
+) -> None:
+    assert meter_reading(text) == reading
+
+
+def test_turns_may_have_the_rig_s_largest_voltage_and_any_time_up_to_ten_minutes() -> None:
+    check_turns([0.1, 5.0], 3.1)
+    check_turns([5.0], 600.0)
+
+    for levels, seconds, said in (
+        ([5.0, 0.0], 9.0, "--volts 0: must be more than 0 and at most 5 V"),
+        ([1.0, -2.0], 9.0, "--volts -2: must be more than 0 and at most 5 V"),
+        ([1.0], 3.0, "--level-seconds 3: must be more than 3 s and at most 600 s; the first 2 s"),
+        ([1.0], 601.0, "--level-seconds 601: must be more than 3 s and at most 600 s"),
+    ):
+        with pytest.raises(InputError, match=said):
+            check_turns(levels, seconds)
+
+
+@pytest.mark.parametrize("other", [{"device": {"uid": "beef"}}, {"rig": "9"}])
+def test_recordings_of_two_rigs_or_of_two_devices_give_no_calibration(
+    other: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = _files(tmp_path)
+    written(tmp_path, recording_of(TURNED, "calibrate-turns", **other), "turns.mcap")
+
+    assert main(["calibrate", *files, "--save", str(tmp_path / "c.toml"), "--no-use"]) == 1
+
+    assert "the recordings come from several devices or rigs: " in capsys.readouterr().err
+    assert not (tmp_path / "c.toml").exists()
