@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
+from armrig.cli.chosen_recording import answering_among, short_name
 from armrig.recordings import recording_summary
 from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import Outcome
@@ -198,6 +199,29 @@ def test_every_command_that_takes_a_recording_takes_a_name(
     assert main(arguments) == 1
 
     assert "@x: no finished recording in" in capsys.readouterr().err
+
+
+def test_the_short_name_of_a_recording_means_no_other(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    again = put(folder, "blackbox-monday", at="15:00:00", run_id="00000010")
+    alone = put(tmp_path / "other", "step")
+    known = [summary_of(path) for path in sorted(folder.glob("*.mcap"))]
+
+    shown = {s.run_id: short_name(s, answering_among(known)) for s in known}
+
+    assert shown == {
+        "0000000a": "@0000000a",
+        "0000000b": "@0000000b",
+        "0000000c": "@monday/validation",
+        "0000000d": "@0000000d",
+        "0000000e": "@0000000d/validation",
+        "00000010": "@00000010",
+    }
+    again.unlink()
+    known = [s for s in known if s.path != again]
+    [monday] = [s for s in known if s.run_id == "0000000b"]
+    assert short_name(monday, answering_among(known)) == "@monday"
+    assert short_name(summary_of(alone), answering_among(known)) == str(alone)
 
 
 def test_a_name_reads_only_what_may_be_meant(
