@@ -275,6 +275,37 @@ def test_ls_lists_the_newest_first(folder: Path, capsys: pytest.CaptureFixture[s
     assert "1 being written, or left by a dead daemon" in err
 
 
+def test_ls_lists_as_many_as_asked_for_or_all(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = []
+    for options in (["--count", "2"], ["--all"], ["--all", "--count", "2"]):
+        assert main(["ls", *options]) == 0
+        said = capsys.readouterr()
+        found.append((len(said.out.splitlines()) - 1, "older recordings" in said.err))
+
+    assert found == [(2, True), (5, False), (5, False)]
+
+
+def test_ls_says_what_a_recording_validates_where_its_name_does_not(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["ls"]) == 0
+    plain = capsys.readouterr().out
+    put(folder, "blackbox-validation", at="15:00:00", run_id="00000010")
+    assert main(["ls"]) == 0
+    named = capsys.readouterr().out.splitlines()
+    next(folder.glob("*-0000000d.mcap")).unlink()
+    assert main(["ls"]) == 0
+
+    assert "validates" not in plain
+    assert named[0].endswith("  started           validates")
+    shown = {line.split()[0]: line.split()[-1] for line in named[1:]}
+    assert (shown["@00000010"], shown["@0000000e"]) == ("@0000000d", "@0000000d")
+    unknown = [line for line in capsys.readouterr().out.splitlines() if "not known" in line]
+    assert [line.split()[0] for line in unknown] == ["@00000010", "@0000000e"]
+
+
 def test_ls_says_what_is_not_listed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written(folder, b"\x89MCAP0\r\nrest", "cut.mcap")
 

@@ -231,8 +231,7 @@ def test_the_view_of_a_lab_has_degrees_and_the_newest_run() -> None:
 def test_a_lab_prints_each_change_once(
     as_json: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The fifth look at the rig is an interruption."""
-    now = iter([{"phase": "init"}, *([{"line": "no rig", "phase": "init"}] * 2)])
+    now = iter([{"phase": "init"}] * 3 + [{"line": "no rig", "phase": "init"}] * 2)
     later = iter([{}, {}])
 
     def status() -> StatusReport:
@@ -254,7 +253,9 @@ def test_a_lab_prints_each_change_once(
     said = capsys.readouterr().out.splitlines()
     if as_json:
         reports = [json.loads(line) for line in said]
-        assert [(r["phase"], r["line"]) for r in reports] == [("init", "no rig"), ("safe", "")]
+        assert [(r["phase"], r["line"]) for r in reports] == [
+            *(("init", ""), ("init", "no rig"), ("safe", "")),
+        ]
     else:
         assert [said[0], said[-1]] == ["not ready: no rig; Ctrl-C ends the lab", "lab --rig 7"]
         assert len(said) == 5

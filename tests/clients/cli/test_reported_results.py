@@ -22,6 +22,7 @@ from armrig.lab.fleet_recorder import RigRecorded
 from armrig.lab.pki import Issued
 from armrig.report.batch.batch import Batch
 from armrig.report.batch.rows import CHECKS
+from armrig_core.errors import InputError
 from armrig_daemon.config import load
 from rich.console import Console
 
@@ -401,3 +402,15 @@ def test_a_certificate_is_listed_to_the_day_it_expires(
     assert main(["pki", "list"]) == 0
 
     assert capsys.readouterr().out.split() == ["anna", "observer", "until", "2027-03-09"]
+
+
+def test_a_firmware_may_fill_the_flash() -> None:
+    from armrig.cli.flash import _check_size
+    from armrig.lab.flash.avrdude import FLASH_BYTES
+
+    full: Any = SimpleNamespace(data=bytes(FLASH_BYTES), path="a.hex")
+    more: Any = SimpleNamespace(data=bytes(FLASH_BYTES + 1), path="a.hex")
+
+    _check_size(full)
+    with pytest.raises(InputError, match=rf"a\.hex: {FLASH_BYTES + 1} B, but an .* {FLASH_BYTES}"):
+        _check_size(more)
