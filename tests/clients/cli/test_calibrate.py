@@ -14,13 +14,13 @@ from typing import Any
 import armrig
 import pytest
 from armrig.cli import main
-from armrig.cli.calibrate import _measured, _Wanted
+from armrig.cli.calibrate import _checked, _default, _measured, _Wanted
 from armrig.cli.calibration_runs import check_turns, meter_reading
 from armrig.recordings.loading import load
 from armrig.rig import collection
 from armrig.rig.collection import Collected, Plan
 from armrig_core import commands
-from armrig_core.calibration import Calibration, Driver, Potentiometer
+from armrig_core.calibration import Calibration, Driver, Made, Potentiometer
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
 from armrig_core.codes import RefusalCode
 from armrig_core.errors import FileError, InputError
@@ -218,6 +218,7 @@ def test_the_person_is_led_through_it(
     assert [p.experiment for p in plans] == ["calibrate-rest", "calibrate-turns"]
     assert {p.pacing for p in plans} == {"scheduled"}
     assert all(p.dead_man for p in plans)
+    assert [p.seconds for p in plans] == [3.0, 24.5]
     assert plans[1].details == {"levels": [1.0, 2.0], "level_seconds": 12.0}
     u = plans[1].make(2450, 0.01)
     assert u.tolist() == [0.0] * 50 + [1.0] * 1200 + [2.0] * 1200
@@ -410,3 +411,30 @@ def test_recordings_of_two_rigs_or_of_two_devices_give_no_calibration(
 
     assert "the recordings come from several devices or rigs: " in capsys.readouterr().err
     assert not (tmp_path / "c.toml").exists()
+
+
+def test_the_file_of_a_calibration_is_of_its_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", "/of/mine")
+
+    assert _default("7") == Path("/of/mine/armrig/calibration-7.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (toml_of(Calibration()), "exists and was not made by `armrig calibrate`"),
+        ("[device]\n", "exists and is not a calibration"),
+    ],
+)
+def test_a_calibration_of_another_origin_is_not_replaced(
+    text: str, said: str, tmp_path: Path
+) -> None:
+    other, own = tmp_path / "other.toml", tmp_path / "own.toml"
+    other.write_text(text)
+    made = Made(**dict.fromkeys(("date", "rig", "device_uid", "armrig"), "1"), raw_sha256="ab")
+    own.write_text(toml_of(Calibration(made=made)))
+
+    with pytest.raises(InputError, match=f"--save {other}: {said}; give another name"):
+        _checked(other)
+    assert _checked(own) == own
+    assert _checked(tmp_path / "new.toml") == tmp_path / "new.toml"

@@ -198,6 +198,16 @@ def test_a_demo_is_as_long_and_as_random_as_it_was_asked_to_be(
     assert named["console"].stderr
 
 
+@pytest.mark.parametrize("seconds", ["inf", "600.5"])
+def test_a_demo_is_of_ten_minutes_at_most(
+    seconds: str, given: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["demo", "--seconds", seconds]) == 2
+
+    assert f"--seconds {float(seconds):g}: 5 to 600 s" in told(capsys)
+    assert given == []
+
+
 def test_a_lab_starts_the_daemon_of_its_rig(given: list[Any], tmp_path: Path) -> None:
     config = ["--config", str(tmp_path / "a.toml")]
 
