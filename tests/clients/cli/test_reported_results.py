@@ -1,4 +1,4 @@
-"""What commands print of the results of other rooms, for a person and in JSON."""
+"""Results of other rooms, as commands print them for a person and in JSON."""
 
 from __future__ import annotations
 
