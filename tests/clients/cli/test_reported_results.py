@@ -80,11 +80,11 @@ def _checked(name: str, failed: str, **of: Any) -> dict[str, Any]:
             [_row(name, problem="why") for name in "abcde"],
             1,
             [
-                "5 recordings; 5 without a result",
+                "5 recordings, 2 of them processed before; 5 without a result",
                 *(f"  {name}: why" for name in "abc"),
                 "  and 2 more; the column problem contains all reasons",
             ],
-            {"problems": dict.fromkeys("abcde", "why")},
+            {"problems": dict.fromkeys("abcde", "why"), "done_before": 2},
         ),
     ],
     ids=["good", "problem", "failed", "three", "five"],
@@ -98,7 +98,7 @@ def test_a_batch_says_what_has_no_result_is_damaged_or_fails_a_check(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     table = Path("t.parquet")
-    done = Batch(table=table, rows=tuple(rows), done_before=0)
+    done = Batch(table=table, rows=tuple(rows), done_before=facts.get("done_before", 0))
     monkeypatch.setattr("armrig.report.batch.batch.batch", lambda *_, **__: done)
 
     assert main(["batch", "verify", ".", "-o", "t.parquet"]) == code
@@ -325,6 +325,12 @@ def test_the_results_of_a_demonstration_are_those_of_its_models(tmp_path: Path) 
     assert "oe 0.5 rad 90.00 % 80.00 %" in said
     assert "arx 0.25 rad 95.12 %" in said
     assert f"4 samples, sha256 {rec.short_hash}" in said
+    for model in models:
+        rms, fit, velocity = of[model.comparison.name]
+        assert demo._row(model) == {  # type: ignore[arg-type]
+            **{"model": model.comparison.name, "rms_error": rms, "fit_percent": fit},
+            "velocity_fit_percent": velocity,
+        }
     assert f"figures {tmp_path}/*.svg" in said
     assert "report r.pdf" in said
 
