@@ -12,6 +12,7 @@ import pytest
 import typer
 from armrig import Dataset
 from armrig.cli import main
+from armrig.cli.identification import _warn_of_integrator
 from armrig.cli.integrators import _check_step
 from armrig.cli.model_structures import requested, requested_of_several, searched_for
 from armrig.cli.recorded_data import SignalChoice, between, from_recording, source_facts
@@ -286,3 +287,38 @@ def test_data_are_of_a_recording_or_of_a_file_by_their_source() -> None:
     assert [from_recording(data) for data in (recorded, other)] == [True, False]
     assert source_facts(recorded) == {"recording": "ab12"}
     assert source_facts(other) == {"csv": "cd34"}
+
+
+def test_outliers_are_marked_before_the_means_are_subtracted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 2.0], 200)
+    y = 7 + np.append(0.0, u[:-1]) + 0.1 * rng.standard_normal(200)
+    y[[30, 90]] += 500.0
+    np.savetxt(tmp_path / "f.csv", np.column_stack([u, y]), "%.6f", ",", header="u,y", comments="")
+    given = SignalChoice(signal=None, Ts=0.1, detrend=True, hampel=True)
+
+    data = given.of(tmp_path / "f.csv")
+
+    assert data.missing == 2
+    assert abs(data.y[data.valid].mean()) < 1e-9
+    assert "marked 2 of 200 samples" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("source", "output", "is_told"),
+    [
+        *(("ab12", "velocity", True), ("ab12", "alpha", True), ("ab12", "theta_1", False)),
+        *(("csv:ab12", "y", False), ("csv:ab12", "alpha", False)),
+    ],
+)
+def test_an_integrator_is_doubted_for_what_does_not_integrate_on_the_rig(
+    source: str, output: str, is_told: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _warn_of_integrator(Dataset(u=np.ones(2), y=np.ones(2), Ts=1.0, source=source, output=output))
+
+    said = (
+        f"armrig: --integrator: the rig has no pole at 1 for {output}, which does not integrate\n"
+    )
+    assert capsys.readouterr().err == said * is_told

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from armrig.cli import main, several_output
 from armrig.cli.recorded_data import SignalChoice
-from armrig.cli.several_next import after_validate, better_options, options_of
+from armrig.cli.several_next import after_compare, after_validate, better_options, options_of
 from armrig.estimation.multivariable.request import SignalsRequest
 
 
@@ -288,3 +288,27 @@ def test_a_validation_leads_to_the_physics_or_to_the_poorest_channel(
     after_validate(fit, tests, data, Path("F"), Path("m.json"), given)
 
     assert capsys.readouterr().err == f"next: armrig {wanted}\n"
+
+
+@pytest.mark.parametrize(
+    ("source", "signal", "input_", "given"),
+    [
+        ("", None, None, ""),
+        ("", "theta_1,alpha", None, ""),
+        ("", "alpha,theta_1", None, " --signal alpha"),
+        ("csv:12", "z,y", "v,w", " --input v --signal z"),
+        ("csv:12", None, None, " --input u --signal theta_1"),
+    ],
+)
+def test_a_comparison_leads_to_the_first_output_and_the_first_input(
+    source: str,
+    signal: str | None,
+    input_: str | None,
+    given: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    data: Any = SimpleNamespace(source=source, outputs=("theta_1", "y"), inputs=("u", "v"))
+
+    after_compare(data, Path("F"), SignalChoice(signal=signal, input=input_))
+
+    assert capsys.readouterr().err == f"next: armrig check F{given}\n"

@@ -15,7 +15,7 @@ import typer
 from armrig.cli import main, options, record, recording_info
 from armrig.cli.options import agree, print_table, question, warned
 from armrig.cli.parameters import cases, changes, physics_beside
-from armrig.cli.reporting import _report_ignored
+from armrig.cli.reporting import _report_ignored, _report_study
 from armrig.cli.usage_errors import _in_whole_units, _plainly
 from armrig_core.arm import ArmParameters
 from armrig_core.codes import COMPLETE
@@ -273,3 +273,26 @@ def test_a_name_of_the_package_in_another_case_is_answered_with_the_right_one(
 ) -> None:
     with pytest.raises(AttributeError, match=rf"'{name}'; did you mean armrig\.{known}\?"):
         getattr(armrig, name)
+
+
+@pytest.mark.parametrize("digests", ["aa", "ab"])
+def test_a_report_says_that_its_models_are_judged_on_their_own_data(
+    digests: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    estimation, validation = (SimpleNamespace(digest=digest) for digest in digests)
+    done = SimpleNamespace(estimation=estimation, validation=validation)
+    typeset: list[Any] = []
+    monkeypatch.setattr("armrig.cli.recorded_data.loaded", lambda *_: [])
+    monkeypatch.setattr("armrig.report.study.study", lambda *_, **__: done)
+    monkeypatch.setattr("armrig.report.document.report", lambda *_, **how: typeset.append(how))
+    source = Path("source")
+
+    _report_study([], Path("r.pdf"), None, source, orders=None, outputs=[])  # type: ignore[arg-type]
+
+    said = "judged on their own estimation data"
+    [how] = typeset
+    assert (said in capsys.readouterr().err) == (digests == "aa")
+    assert [remark[0] == "T" and said in remark for remark in how["remarks"]] == (
+        [True] if digests == "aa" else []
+    )
+    assert how["source"] == source
