@@ -289,9 +289,8 @@ def _loaded(path: Path | None) -> Recording | None:
 def _base(rest: Recording) -> Calibration:
     """Return the calibration of the recording at rest; it supplies the values not measured."""
     from armrig_core.calibration import Calibration
-    from msgspec.structs import replace
 
-    return replace(rest.calibration or Calibration(), made=None)
+    return rest.calibration or Calibration()
 
 
 def _write(

@@ -51,7 +51,7 @@ def record_many(
         tell(f"recording {named} from {where}; Ctrl-C ends it")
         recorded = recorder.record(ended, seconds, rigs)
     _say(recorded, where, json=json)
-    silent = [one.rig for one in recorded if not one.files and not one.why]
+    silent = [one.rig for one in recorded if not one.files]
     for rig in silent:
         tell(f"rig {rig}: no sample arrived, so it has no recording")
     if rigs is not None and silent:

@@ -65,7 +65,7 @@ def demo(
 
     if directory.exists() and not directory.is_dir():
         raise InputError(f"--directory {directory}: is a file; give a directory, which may be new")
-    if not seconds <= _MAX_DEMO_S:  # also refuses NaN
+    if seconds > _MAX_DEMO_S:
         raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {_MAX_DEMO_S:g} s")
     console = Console(stderr=json)
     how = {"virtual": virtual or firmware, "firmware": firmware}

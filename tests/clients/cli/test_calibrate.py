@@ -14,15 +14,16 @@ from typing import Any
 import armrig
 import pytest
 from armrig.cli import main
-from armrig.cli.calibrate import _measured, _Wanted
+from armrig.cli.calibrate import _checked, _default, _measured, _Wanted
+from armrig.cli.calibration_runs import check_turns, meter_reading
 from armrig.recordings.loading import load
 from armrig.rig import collection
 from armrig.rig.collection import Collected, Plan
 from armrig_core import commands
-from armrig_core.calibration import Calibration, Driver, Potentiometer
+from armrig_core.calibration import Calibration, Driver, Made, Potentiometer
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
 from armrig_core.codes import RefusalCode
-from armrig_core.errors import FileError
+from armrig_core.errors import FileError, InputError
 from msgspec.structs import replace
 
 from tests.clients.calibration_rig import recording_of
@@ -217,6 +218,7 @@ def test_the_person_is_led_through_it(
     assert [p.experiment for p in plans] == ["calibrate-rest", "calibrate-turns"]
     assert {p.pacing for p in plans} == {"scheduled"}
     assert all(p.dead_man for p in plans)
+    assert [p.seconds for p in plans] == [3.0, 24.5]
     assert plans[1].details == {"levels": [1.0, 2.0], "level_seconds": 12.0}
     u = plans[1].make(2450, 0.01)
     assert u.tolist() == [0.0] * 50 + [1.0] * 1200 + [2.0] * 1200
@@ -341,22 +343,98 @@ def test_info_reports_a_rig_that_was_not_calibrated(
         assert json.loads(good)["remarks"] == []
 
 
+def _wanted(**changes: Any) -> _Wanted:
+    given: dict[str, Any] = {"readings": [], "levels": [2.0], "level_seconds": 1.0}
+    given |= {"rest_seconds": 3.0, "by_hand": False, "rest_file": None, "turns_file": None}
+    return _Wanted(**given | changes)
+
+
 def test_a_person_is_asked_to_deflect_the_arm_before_that_is_recorded() -> None:
     done: list[str] = []
     ask: Any = SimpleNamespace(ready=done.append)
-    play: Any = SimpleNamespace(rest=lambda experiment, _: done.append(experiment))
-    wanted = _Wanted(
-        readings=[],
-        levels=[],
-        level_seconds=1.0,
-        rest_seconds=3.0,
-        by_hand=True,
-        rest_file=None,
-        turns_file=None,
+    play: Any = SimpleNamespace(rest=lambda experiment, s: done.append(f"{experiment} {s:g} s"))
+
+    _measured(_wanted(by_hand=True), ask, play)
+
+    assert [done[0][:15], done[1], done[2][:15], done[3]] == [
+        *("Turn the chassi", "calibrate-rest 3 s", "Deflect the arm", "calibrate-hand 3 s"),
+    ]
+    assert done[2].endswith("hold it for 3 s.")
+
+
+def test_readings_that_are_given_are_not_asked_for() -> None:
+    done: list[str] = []
+    ask: Any = SimpleNamespace(ready=lambda _: None)
+    play: Any = SimpleNamespace(
+        rest=lambda experiment, _: done.append(experiment),
+        turns=lambda levels, s: done.append(f"{levels} {s:g} s"),
     )
 
-    _measured(wanted, ask, play)
+    measured = _measured(_wanted(readings=[(9, 1.5)]), ask, play)
 
-    assert [text[:15] for text in done] == [
-        *("Turn the chassi", "calibrate-rest", "Deflect the arm", "calibrate-hand"),
-    ]
+    assert measured.readings == [(9, 1.5)]
+    assert done == ["calibrate-rest", "[2.0] 1 s"]
+
+
+@pytest.mark.parametrize(
+    ("text", "reading"),
+    [("65535=10", (65535, 10.0)), ("1=0.01", (1, 0.01)), ("32768=5.1", (32768, 5.1))],
+)
+def test_a_reading_may_be_of_any_code_and_of_another_supply(
+    text: str, reading: tuple[int, float]
+) -> None:
+    assert meter_reading(text) == reading
+
+
+def test_turns_may_have_the_rig_s_largest_voltage_and_any_time_up_to_ten_minutes() -> None:
+    check_turns([0.1, 5.0], 3.1)
+    check_turns([5.0], 600.0)
+
+    for levels, seconds, said in (
+        ([5.0, 0.0], 9.0, "--volts 0: must be more than 0 and at most 5 V"),
+        ([1.0, -2.0], 9.0, "--volts -2: must be more than 0 and at most 5 V"),
+        ([1.0], 3.0, "--level-seconds 3: must be more than 3 s and at most 600 s; the first 2 s"),
+        ([1.0], 601.0, "--level-seconds 601: must be more than 3 s and at most 600 s"),
+    ):
+        with pytest.raises(InputError, match=said):
+            check_turns(levels, seconds)
+
+
+@pytest.mark.parametrize("other", [{"device": {"uid": "beef"}}, {"rig": "9"}])
+def test_recordings_of_two_rigs_or_of_two_devices_give_no_calibration(
+    other: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = _files(tmp_path)
+    written(tmp_path, recording_of(TURNED, "calibrate-turns", **other), "turns.mcap")
+
+    assert main(["calibrate", *files, "--save", str(tmp_path / "c.toml"), "--no-use"]) == 1
+
+    assert "the recordings come from several devices or rigs: " in capsys.readouterr().err
+    assert not (tmp_path / "c.toml").exists()
+
+
+def test_the_file_of_a_calibration_is_of_its_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", "/of/mine")
+
+    assert _default("7") == Path("/of/mine/armrig/calibration-7.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (toml_of(Calibration()), "exists and was not made by `armrig calibrate`"),
+        ("[device]\n", "exists and is not a calibration"),
+    ],
+)
+def test_a_calibration_of_another_origin_is_not_replaced(
+    text: str, said: str, tmp_path: Path
+) -> None:
+    other, own = tmp_path / "other.toml", tmp_path / "own.toml"
+    other.write_text(text)
+    made = Made(**dict.fromkeys(("date", "rig", "device_uid", "armrig"), "1"), raw_sha256="ab")
+    own.write_text(toml_of(Calibration(made=made)))
+
+    with pytest.raises(InputError, match=f"--save {other}: {said}; give another name"):
+        _checked(other)
+    assert _checked(own) == own
+    assert _checked(tmp_path / "new.toml") == tmp_path / "new.toml"

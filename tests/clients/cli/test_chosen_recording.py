@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
+from armrig.cli.chosen_recording import answering_among, short_name
 from armrig.recordings import recording_summary
 from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import Outcome
@@ -200,6 +201,29 @@ def test_every_command_that_takes_a_recording_takes_a_name(
     assert "@x: no finished recording in" in capsys.readouterr().err
 
 
+def test_the_short_name_of_a_recording_means_no_other(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    again = put(folder, "blackbox-monday", at="15:00:00", run_id="00000010")
+    alone = put(tmp_path / "other", "step")
+    known = [summary_of(path) for path in sorted(folder.glob("*.mcap"))]
+
+    shown = {s.run_id: short_name(s, answering_among(known)) for s in known}
+
+    assert shown == {
+        "0000000a": "@0000000a",
+        "0000000b": "@0000000b",
+        "0000000c": "@monday/validation",
+        "0000000d": "@0000000d",
+        "0000000e": "@0000000d/validation",
+        "00000010": "@00000010",
+    }
+    again.unlink()
+    known = [s for s in known if s.path != again]
+    [monday] = [s for s in known if s.run_id == "0000000b"]
+    assert short_name(monday, answering_among(known)) == "@monday"
+    assert short_name(summary_of(alone), answering_among(known)) == str(alone)
+
+
 def test_a_name_reads_only_what_may_be_meant(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -249,6 +273,37 @@ def test_ls_lists_the_newest_first(folder: Path, capsys: pytest.CaptureFixture[s
     assert lines[3].endswith("blackbox  0.1 s   0.01 s  2        2026-11-20 13:20")
     assert max(map(len, lines)) <= 80
     assert "1 being written, or left by a dead daemon" in err
+
+
+def test_ls_lists_as_many_as_asked_for_or_all(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = []
+    for options in (["--count", "2"], ["--all"], ["--all", "--count", "2"]):
+        assert main(["ls", *options]) == 0
+        said = capsys.readouterr()
+        found.append((len(said.out.splitlines()) - 1, "older recordings" in said.err))
+
+    assert found == [(2, True), (5, False), (5, False)]
+
+
+def test_ls_says_what_a_recording_validates_where_its_name_does_not(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["ls"]) == 0
+    plain = capsys.readouterr().out
+    put(folder, "blackbox-validation", at="15:00:00", run_id="00000010")
+    assert main(["ls"]) == 0
+    named = capsys.readouterr().out.splitlines()
+    next(folder.glob("*-0000000d.mcap")).unlink()
+    assert main(["ls"]) == 0
+
+    assert "validates" not in plain
+    assert named[0].endswith("  started           validates")
+    shown = {line.split()[0]: line.split()[-1] for line in named[1:]}
+    assert (shown["@00000010"], shown["@0000000e"]) == ("@0000000d", "@0000000d")
+    unknown = [line for line in capsys.readouterr().out.splitlines() if "not known" in line]
+    assert [line.split()[0] for line in unknown] == ["@00000010", "@0000000e"]
 
 
 def test_ls_says_what_is_not_listed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,11 +8,13 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.excitation.named_signals import realisations
 from armrig.rig.collection import Collected, Plan
 from armrig_core import commands, telemetry
 from armrig_core.rehearsal import Rehearsal
@@ -190,6 +192,33 @@ def test_collect_bla_takes_the_length_of_a_recording(
     u = np.array(run.u).reshape(3, 50)
     np.testing.assert_array_equal(u, np.tile(u[0], (3, 1)))
     assert "--seconds 1.5 with --period 0.5: give only one of these two options" in told(capsys)
+
+
+@pytest.mark.parametrize(
+    ("given", "seconds", "samples"),
+    [
+        (["--seconds", "1.57", "--periods", "3"], 1.57, 156),
+        (["--period", "2", "--periods", "4"], 8.0, 800),
+        (["--periods", "2"], 10.0, 1000),
+    ],
+)
+def test_each_recording_of_a_bla_is_of_whole_periods_and_names_them(
+    given: list[str], seconds: float, samples: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+    monkeypatch.setattr("armrig.cli.collect.collect_each", lambda each, _: asked.extend(each))
+    more = ["--realisations", "3", "--seed", "4", "--low", "1", "--high", "3"]
+
+    assert main(["collect", "bla", *given, *more]) == 0
+
+    assert [one.seconds for one in asked] == [pytest.approx(seconds)] * 3
+    n = int(given[-1])
+    wanted = realisations(samples, 3, 1.0, 3.0, 4, periods=n)
+    for r, one in enumerate(asked):
+        u = one.make(round(seconds * 100), 0.01)
+        np.testing.assert_array_equal(u, wanted[r])
+        of = {"input": "multisine", "low": 1.0, "high": 3.0, "periods": n}
+        assert one.details == of | {"realisations": 3, "seed": 4, "realisation": r}
 
 
 @pytest.mark.parametrize("name", ["telegraph", "prbs", "white", "multisine"])
@@ -429,6 +458,9 @@ def test_a_program_gets_the_result_of_a_stop_in_json(
         (["blackbox", "--owner", ""], "--owner of 0 characters: must have 1 to 80"),
         (["step", "--seconds", "0.5"], "--at 1 s: after the end, 0.5 s"),
         (["step", "--at", "nan"], "--at nan: must be a number of seconds"),
+        (["bla", "--period", "nan"], "--period nan: must be a number of seconds, more than 0"),
+        (["bla", "--period", "0"], "--period 0: must be a number of seconds, more than 0"),
+        (["bla", "--seconds", "4", "--period", "2", "--periods", "3"], "has 3 periods (--periods)"),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, list) else "",
 )

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig.cli.glossary import read_terms
+from armrig.cli.glossary import _found, read_terms
+from armrig_core.errors import InputError
 
 PAGE = (Path(__file__).parents[3] / "docs" / "glossary.md").read_text(encoding="utf-8")
 
@@ -46,6 +47,15 @@ def test_an_unknown_term_is_refused_with_the_nearest(
     shown = capsys.readouterr()
     assert shown.out == ""
     assert offered in shown.err
+
+
+def test_terms_that_contain_the_word_are_offered_before_those_that_look_like_it() -> None:
+    terms = dict.fromkeys(["grain", "Static gain", "train", "gain of the loop", "again"], "")
+
+    with pytest.raises(InputError, match=r"nearest: Static gain, gain of the loop, again$"):
+        _found("gain", terms)
+    with pytest.raises(InputError, match=r"nearest: train, grain$"):
+        _found("trains", terms)
 
 
 def test_without_a_term_all_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

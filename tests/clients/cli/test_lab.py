@@ -12,12 +12,16 @@ import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
-from armrig.cli.lab import _page
+from armrig.cli import lab as of_lab
+from armrig.cli.lab import _between_words, _Lab, _lines, _page, _sentence, _show
 from armrig.dashboard import serving
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError
+from armrig_core.commands import LastRun, StatusReport
 
 from tests.sampling import sampled
 
@@ -162,3 +166,107 @@ def test_a_browser_is_opened_from_a_terminal_on_a_screen(
         assert url == "http://page"
 
     assert opened == (["http://token"] if terminal and screen else [])
+
+
+def _status(**changes: Any) -> StatusReport:
+    of: dict[str, Any] = dict.fromkeys(("reason", "owner", "version", "endpoint"), "")
+    of |= {"rig": "7", "phase": "safe", "Ts": 0.01, "u_min": 0.0, "u_max": 5.0, "device": {}}
+    of |= {"host": {}, "last_run": None, "recordings": "/of/mine"}
+    return StatusReport(**of | changes)
+
+
+READY = ["rig ready, 0 V: /dev/a, rig 7; Ctrl-C ends the lab", "in a browser: U"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "lines"),
+    [
+        (
+            {},
+            [*READY, "recordings go to /of/mine", "in a second terminal:", "N"],
+        ),
+        (
+            {"arm_removed": True},
+            [
+                *(*READY, "recordings go to /of/mine; the arm is removed ([arm] removed)"),
+                *("in a second terminal:", "N"),
+            ],
+        ),
+        (
+            {"phase": "fault", "reason": "link lost", "remedy": "plug it in", "line": "no rig"},
+            ["link lost; plug it in, then `armrig reset --rig 7`"],
+        ),
+        ({"phase": "init", "line": "no rig"}, ["not ready: no rig; Ctrl-C ends the lab"]),
+        ({"phase": "init"}, []),
+    ],
+)
+def test_a_lab_says_that_its_rig_is_ready_or_why_it_is_not(
+    changes: dict[str, Any], lines: list[str]
+) -> None:
+    assert _sentence(_status(**changes), _Lab("/dev/a", "U"), "N").splitlines() == lines
+    without_page = _sentence(_status(**changes), _Lab("/dev/a", ""), "N").splitlines()
+    assert without_page == [line for line in lines if "in a browser" not in line]
+
+
+def test_the_view_of_a_lab_has_degrees_and_the_newest_run() -> None:
+    sample = SimpleNamespace(u_applied_v=2.5, theta_1_rad=-1.0, alpha_rad=float("nan"))
+    run = {"recording": "/of/mine/1-step.mcap", "run_id": "a", "missing": 2, "samples": 30}
+    run = {name: x for name, x in run.items() if name in LastRun.__struct_fields__}
+    going = LastRun(**run, outcome="", finished=False)
+    ended = LastRun(**run, outcome="complete", finished=True)
+
+    assert _lines(_status(phase="run", owner="ada"), None) == "rig 7: run, owner ada"
+    head, values, last = _lines(_status(last_run=ended), sample).splitlines()
+    assert (head, last) == (
+        "rig 7: safe, no owner",
+        "recorded, complete: 30 samples, 1-step.mcap",
+    )
+    assert values == "u 2.500 V   theta_1 -57.3°   alpha –"
+    assert _lines(_status(last_run=going), None).splitlines()[1:] == [
+        "recording: 30 samples, 1-step.mcap"
+    ]
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_a_lab_prints_each_change_once(
+    as_json: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = iter([{"phase": "init"}] * 3 + [{"line": "no rig", "phase": "init"}] * 2)
+    later = iter([{}, {}])
+
+    def status() -> StatusReport:
+        try:
+            return _status(**(next(now, None) or next(later)))
+        except StopIteration:
+            raise KeyboardInterrupt from None
+
+    arrivals = nullcontext(lambda: [])
+    rig: Any = SimpleNamespace(status=status, arrivals=lambda _: arrivals)
+    monkeypatch.setattr(of_lab, "_STATUS_INTERVAL_S", 0.0)
+    monkeypatch.setattr(of_lab, "_VIEW_INTERVAL_S", 0.0)
+    monkeypatch.setattr("armrig.rig.local_daemon.require_running", lambda *_: None)
+    monkeypatch.setattr(of_lab, "next_line", lambda after, rig: f"{after}{rig}")
+
+    with pytest.raises(KeyboardInterrupt):
+        _show(rig, SimpleNamespace(), Path("log"), _Lab("/dev/a", ""), json=as_json)  # type: ignore[arg-type]
+
+    said = capsys.readouterr().out.splitlines()
+    if as_json:
+        reports = [json.loads(line) for line in said]
+        assert [(r["phase"], r["line"]) for r in reports] == [
+            *(("init", ""), ("init", "no rig"), ("safe", "")),
+        ]
+    else:
+        assert [said[0], said[-1]] == ["not ready: no rig; Ctrl-C ends the lab", "lab --rig 7"]
+        assert len(said) == 5
+
+
+def test_lines_to_copy_are_not_folded() -> None:
+    words = "word " * 12
+    text = f"next: {words}\nin a browser: {words}\n{words}"
+
+    lines = _between_words(text.replace("\nin", " \nin"), 30).splitlines()
+
+    assert [line.split(" word")[0] for line in lines[:2]] == ["next:", "in a browser:"]
+    assert max(map(len, lines[2:])) <= 30
+    assert lines[2:] == [" ".join(["word"] * 6), "  " + " ".join(["word"] * 5), "  word"]

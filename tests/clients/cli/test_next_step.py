@@ -6,13 +6,15 @@ import re
 import shlex
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import armrig
 import pytest
 import typer
 from armrig.cli import app, main
-from armrig.cli.next_step import AFTER, next_line
+from armrig.cli.next_step import AFTER, CHECK, free_name, naming, next_line, options_after
+from armrig.estimation.request import Request
 from armrig.rig.collection import Collected
 from armrig_core.manifest import Outcome
 
@@ -303,3 +305,94 @@ def test_the_report_has_the_sinusoid_that_was_solved(
     assert main(["integrate", "--omega", "5", "--amplitude", "2"]) == 0
 
     assert " --omega 5 --amplitude 2 -o report.pdf" in capsys.readouterr().err
+
+
+OE: dict[str, Any] = {"structure": "oe", "orders": {"nb": 4, "nf": 3}, "nk": 2}
+ARX: dict[str, Any] = {"structure": "arx", "orders": {"na": 2, "nb": 3}}
+OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
+
+
+@pytest.mark.parametrize(
+    ("asked", "about", "how", "wanted"),
+    [
+        (OE, "", "", OPTIONS),
+        (OE, "integrator", "", f"{OPTIONS} --integrator"),
+        (OE, "integrator level", "", f"{OPTIONS} --offset"),
+        (OE, "level", "detrended", "--structure oe --nb 4 --nf 3 --nk 2 --offset"),
+        (OE | {"offset": True}, "level", "", "--structure oe --nb 3 --nf 2 --nk 2 --offset"),
+        (OE | {"integrator": True}, "level", "searched", f"{OPTIONS} --integrator"),
+        (OE | {"offset": True}, "integrator", "", f"{OPTIONS} --integrator"),
+        (OE, "outliers", "", f"{OPTIONS} --hampel"),
+        (OE, "outliers feedback", "", f"{OPTIONS} --hampel"),
+        (OE, "order", "", "--structure oe --nb 3 --nf 2 --nk 2"),
+        (OE, "poles", "complex", "--structure oe --nb 2 --nf 1 --nk 2"),
+        (OE, "order", "complex real", "--structure oe --nb 1 --nf 1 --nk 2"),
+        (
+            OE | {"integrator": True},
+            "order",
+            "complex real",
+            "--structure oe --nb 1 --nf 2 --nk 2 --integrator",
+        ),
+        (OE, "", "unconverged", "--structure oe --nb 3 --nf 2 --nk 2"),
+        (OE, "residuals", "", "--structure oe --search"),
+        (OE, "residuals", "searched", OPTIONS),
+        *((OE, f"residuals {name}", "", CHECK) for name in ("feedback", "delay", "unstable")),
+        (ARX, "level", "", "--structure arx --na 2 --nb 3 --nk 1 --detrend"),
+        (ARX, "level", "detrended", "--structure arx --na 1 --nb 2 --nk 1"),
+        (ARX, "integrator", "", "--structure arx --na 2 --nb 3 --nk 1"),
+        (ARX, "structure", "", "--structure oe --nb 3 --nf 2 --nk 1 --integrator"),
+        (
+            {"structure": "bj", "orders": {"nb": 1, "nc": 2, "nd": 3, "nf": 4}},
+            "order",
+            "complex",
+            "--structure bj --nb 1 --nc 2 --nd 3 --nf 2 --nk 1",
+        ),
+        (
+            {"structure": "pem", "orders": {"na": 0, "nb": 2, "nc": 0, "nd": 0, "nf": 2}},
+            "residuals",
+            "",
+            "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1",
+        ),
+    ],
+)
+def test_the_next_estimation_does_what_the_findings_ask_for(
+    asked: dict[str, Any], about: str, how: str, wanted: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request = Request(**asked)
+    pairs = [(pole, 0, 0) for pole, name in ((0.5 + 0.1j, "complex"), (0.5, "real")) if name in how]
+    pairs = [(complex(pole), zero, p) for pole, zero, p in pairs]
+    monkeypatch.setattr("armrig.validation.advice.model_advice.cancelling", lambda _: pairs)
+    fit: Any = SimpleNamespace(
+        structure=request.structure,
+        orders=request.orders | {"nk": request.nk},
+        integrator=request.integrator,
+        offset=request.offset,
+        converged="unconverged" not in how,
+    )
+
+    options = options_after(
+        fit, request, set(about.split()), searched="searched" in how, detrended="detrended" in how
+    )
+
+    assert options == wanted
+
+
+def test_a_rig_and_its_endpoint_are_named_where_they_are_not_the_defaults() -> None:
+    assert naming("1") == naming("1", None) == naming("1", "") == ""
+    assert naming("7") == " --rig 7"
+    assert naming("1", "tcp/a:1") == " --connect tcp/a:1"
+    assert naming("7", "unixsock-stream/my rig") == " --rig 7 --connect 'unixsock-stream/my rig'"
+
+
+def test_the_report_gets_the_first_name_that_is_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = []
+    for _ in range(3):
+        found.append(free_name())
+        Path(found[-1]).touch()
+    Path("report.pdf").unlink()
+
+    assert found == ["report.pdf", "report-2.pdf", "report-3.pdf"]
+    assert free_name() == "report.pdf"

@@ -88,6 +88,100 @@ def test_a_dashboard_is_of_its_rig_at_its_port(
 
 
 @pytest.mark.parametrize(
+    ("options", "lines", "facts"),
+    [
+        ([], ["rig 7: U"], {"shared_url": None, "foxglove": None, "layouts": None}),
+        (
+            ["--share"],
+            ["rig 7: U", "to watch and stop: S", "qr of S", "F"],
+            {"shared_url": "S", "foxglove": None, "layouts": None},
+        ),
+        (
+            ["--foxglove"],
+            [
+                "rig 7: U",
+                "for Foxglove, to watch: W",
+                f"layouts for Foxglove and PlotJuggler: {LAYOUTS}",
+            ],
+            {"shared_url": None, "foxglove": "W", "layouts": str(LAYOUTS)},
+        ),
+    ],
+)
+def test_a_dashboard_says_the_addresses_that_it_has(
+    options: list[str],
+    lines: list[str],
+    facts: dict[str, str | None],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def serving(settings: Any) -> Any:
+        shared = "S" if settings.share else ""
+        return nullcontext(
+            SimpleNamespace(url="U", browser_url="B", shared_url=shared, fingerprint="F")
+        )
+
+    opened: list[str] = []
+    monkeypatch.setattr("armrig.dashboard.serving.dashboard", serving)
+    monkeypatch.setattr("armrig.dashboard.foxglove.foxglove", lambda **_: nullcontext("W"))
+    monkeypatch.setattr("armrig.dashboard.share.own_address", lambda: "10.1.2.3")
+    monkeypatch.setattr("armrig.dashboard.share.qr_code", lambda url: f"qr of {url}")
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    ended = SimpleNamespace(wait=lambda: None)
+    monkeypatch.setattr("armrig.cli.dashboard.until_signal", lambda: nullcontext(ended))
+
+    assert main(["dashboard", "--rig", "7", *options]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert main(["dashboard", "--rig", "7", *options, "--json"]) == 0
+
+    assert [line for line in said if line in lines] == lines
+    assert len(said) == 2 + {"--share": 4, "--foxglove": 2}.get("".join(options), 0)
+    assert json.loads(capsys.readouterr().out) == {"url": "U", **facts}
+    assert opened == []
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "kind"),
+    [
+        ("a.csv", [], "csv"),
+        ("a.CSV", ["--raw"], "csv"),
+        ("a.txt", ["--csv"], "csv"),
+        ("a.mat", ["--signal", "alpha"], "mat"),
+        ("a.csv", ["--mat", "--raw", "--signal", "alpha"], "mat"),
+        ("a.parquet", ["--raw"], "parquet"),
+        ("a.mcap", ["--transforms"], "transforms"),
+    ],
+)
+def test_an_export_has_the_format_the_signal_and_the_readings_that_were_asked_for(
+    name: str,
+    options: list[str],
+    kind: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    calls: list[Any] = []
+    for each in ("csv", "mat", "parquet", "transforms"):
+        monkeypatch.setattr(
+            f"armrig.recordings.export.write_{each}",
+            lambda recording, out, each=each, **how: calls.append((each, recording.N, out, how)),
+        )
+    path = written(tmp_path, of_the_arm(np.full(100, 1.0), missing=slice(50, 53)))
+    given = ["export", str(path), str(tmp_path / name), *options, "--from", "0.25"]
+
+    assert main(given) == 0
+    said = capsys.readouterr().out
+    assert main([*given, "--json"]) == 0
+
+    how: dict[str, Any] = {} if kind == "transforms" else {"raw": "--raw" in options}
+    if kind == "mat":
+        how["output"] = options[-1]
+    assert calls == [(kind, 75, tmp_path / name, how)] * 2
+    assert said == f"{tmp_path / name}: 75 samples, 3 of them missing\n"
+    facts = {"file": str(tmp_path / name), "samples": 75, "recording": armrig.load(path).sha256}
+    assert json.loads(capsys.readouterr().out) == facts
+
+
+@pytest.mark.parametrize(
     ("way", "virtual"), [("--firmware", True), ("--virtual", True), ("", False)]
 )
 def test_a_demo_is_as_long_and_as_random_as_it_was_asked_to_be(
@@ -102,6 +196,16 @@ def test_a_demo_is_as_long_and_as_random_as_it_was_asked_to_be(
     assert (named["seconds"], named["seed"]) == (7.0, 5)
     assert (named["virtual"], named["firmware"]) == (virtual, way == "--firmware")
     assert named["console"].stderr
+
+
+@pytest.mark.parametrize("seconds", ["inf", "600.5"])
+def test_a_demo_is_of_ten_minutes_at_most(
+    seconds: str, given: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["demo", "--seconds", seconds]) == 2
+
+    assert f"--seconds {float(seconds):g}: 5 to 600 s" in told(capsys)
+    assert given == []
 
 
 def test_a_lab_starts_the_daemon_of_its_rig(given: list[Any], tmp_path: Path) -> None:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import armrig
 import numpy as np
 import pytest
-from armrig.cli.replay import Replay, replay
+from armrig.cli.replay import Replay, _messages, _version, replay
 from armrig_core.commands import Run
+from armrig_core.protobuf import ABSENT
 from armrig_core.telemetry import decode_sample, encode_sample
 from armrig_core.topics import stream_of
 from armrig_daemon.config import Config
+from armrig_daemon.decisions.state import Emit
+from armrig_daemon.pipe import Log
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -114,3 +118,23 @@ def test_steps_that_are_missing_are_counted(
 
     assert found.difference == f"{said} missing from the file"
     assert 0 < found.samples < 300
+
+
+def test_warnings_and_errors_of_the_core_are_those_that_are_told() -> None:
+    levels = ("debug", "info", "warning", "error")
+    actions = [
+        Emit(Log(t_host_ns=3_500_000_000 + k, level=level, message=f"a {level}"))
+        for k, level in enumerate(levels)
+    ]
+
+    told = list(_messages(actions, 2_000_000_000))
+
+    assert [(one.level, one.message) for one in told] == [
+        *(("warning", "a warning"), ("error", "a error")),
+    ]
+    assert told[0].t == pytest.approx(1.5, abs=1e-8)
+
+
+def test_a_trace_without_a_version_is_of_version_1() -> None:
+    for version, known in ((ABSENT["fixed64"], 1), (1, 1), (3, 3)):
+        assert _version(SimpleNamespace(version=version)) == known

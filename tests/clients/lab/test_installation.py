@@ -218,6 +218,21 @@ def test_a_dry_run_shows_every_line_and_writes_nothing(
     assert not [*tmp_path.iterdir()]
 
 
+def test_a_router_and_a_recorder_are_shown_together_and_a_dry_run_needs_no_agreement(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["service", "install", "--root", str(tmp_path), "--dry-run", "--yes"]
+
+    assert main([*given, "--recorder", "--router"]) == 0
+
+    said = capsys.readouterr().out
+    for name in (ROUTER, RECORDER):
+        assert f"write    {tmp_path / name}\n" in said
+    assert f"write    {tmp_path / UNIT}\n" not in said
+    assert "installed; " not in said
+    assert not [*tmp_path.iterdir()]
+
+
 def test_the_state_of_each_part_is_reported(
     tmp_path: Path, commands: Commands, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,145 @@
+"""Names of signals in options and in a model, and notes about the columns of a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from armrig import Signals
+from armrig.cli.channels import (
+    as_modelled,
+    modelled_outputs,
+    names,
+    recorded_outputs,
+    require_as_many,
+)
+from armrig.cli.column_notes import check_varies, far_from_zero, hint_at_means, tell_of_signals
+from armrig_core.errors import InputError
+
+MODEL: Any = SimpleNamespace(outputs=("y1", "y2"), inputs=("a", "b", "c"))
+REFUSED = typer.BadParameter
+
+
+def test_names_are_between_commas_and_each_is_given_once() -> None:
+    assert names("--signal", " theta_1, alpha ") == ("theta_1", "alpha")
+    assert names("--signal", None) == names("--signal", "") == ()
+    assert recorded_outputs(["velocity", "alpha"]) == ["velocity", "alpha"]
+    with pytest.raises(REFUSED, match="--input b,a,c,a: a is repeated; name it once"):
+        names("--input", "b,a,c,a")
+    with pytest.raises(REFUSED, match="--signal a,,b: a name is empty"):
+        names("--signal", "a,,b")
+    with pytest.raises(REFUSED, match="--signal u: a recording has theta_1, alpha, velocity"):
+        recorded_outputs(["alpha", "u"])
+
+
+@pytest.mark.parametrize(
+    ("outputs", "inputs", "said"),
+    [
+        (("p",), (), "--signal p: the model has 2 outputs, y1 and y2; name a column for each"),
+        (("p", "q", "r"), (), "--signal p,q,r: the model has 2 outputs"),
+        ((), ("p", "q"), "--input p,q: the model has 3 inputs, a, b and c"),
+        (("p", "q"), ("p", "q", "r", "s"), "--input p,q,r,s: the model has 3 inputs"),
+        (("p", "q"), ("r", "s", "t"), ""),
+        ((), (), ""),
+    ],
+)
+def test_a_column_is_named_for_each_signal_of_the_model_or_for_none(
+    outputs: tuple[str, ...], inputs: tuple[str, ...], said: str
+) -> None:
+    if not said:
+        require_as_many(MODEL, outputs, inputs)
+        return
+    with pytest.raises(REFUSED, match=said):
+        require_as_many(MODEL, outputs, inputs)
+
+
+def test_columns_of_other_names_become_the_model_s_signals_in_its_order(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    y, u = np.arange(8.0).reshape(4, 2), np.arange(12.0).reshape(4, 3) + 20
+
+    def given(outputs: tuple[str, ...], inputs: tuple[str, ...]) -> Signals:
+        return Signals(u=u, y=y, Ts=0.1, outputs=outputs, inputs=inputs)
+
+    same = as_modelled(Path("f"), given(("y2", "y1"), ("c", "a", "b")), MODEL)
+    silent = capsys.readouterr().err
+    other = as_modelled(Path("f"), given(("y2", "p"), ("b", "c", "a")), MODEL)
+
+    assert (same.outputs, same.inputs) == (other.outputs, other.inputs)
+    assert (same.outputs, same.inputs) == (MODEL.outputs, MODEL.inputs)
+    assert same.y.tolist() == y[:, [1, 0]].tolist()
+    assert same.u.tolist() == u[:, [1, 2, 0]].tolist()
+    assert other.y.tolist() == y.tolist()
+    assert other.u.tolist() == u[:, [2, 0, 1]].tolist()
+    assert silent == ""
+    said = capsys.readouterr().err
+    assert said == "armrig: f: for the model's y1, y2 the command reads y2, p\n"
+
+
+def test_a_recording_has_the_signals_of_the_model_in_any_order() -> None:
+    of: Any = SimpleNamespace(outputs=("alpha", "theta_1"), inputs=("u",))
+
+    assert modelled_outputs(of, ()) == ["alpha", "theta_1"]
+    assert modelled_outputs(of, ("theta_1", "alpha")) == ["alpha", "theta_1"]
+    with pytest.raises(REFUSED, match="--signal alpha: the model's outputs are alpha, theta_1"):
+        modelled_outputs(of, ("alpha",))
+    for outputs, inputs in ((("alpha", "y"), ("u",)), (("alpha",), ("v",))):
+        other: Any = SimpleNamespace(outputs=outputs, inputs=inputs)
+        with pytest.raises(InputError, match=f"inputs are {inputs[0]} and its outputs alpha"):
+            modelled_outputs(other, ())
+
+
+def _about(mean: float, n: int = 20) -> Any:
+    """Return n values of standard deviation 1 about a mean."""
+    return mean + np.resize([1.0, -1.0], n)
+
+
+def test_a_mean_is_far_from_zero_from_two_standard_deviations_on() -> None:
+    assert far_from_zero([_about(0), _about(-2.1)])
+    assert far_from_zero([_about(2.1), _about(0)])
+    assert not far_from_zero([_about(1.9), _about(-1.9)])
+    assert not far_from_zero([_about(9, n=18), _about(9)])
+    assert not far_from_zero([_about(9), np.full(20, 9.0)])
+
+
+def test_the_option_for_the_means_is_offered_for_each_signal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    hint_at_means([("y", _about(5))], [("u", _about(0)), ("v", _about(1))])
+    one = capsys.readouterr().err
+    hint_at_means([("y", _about(0)), ("z", _about(-4))], [("u", _about(0))], may_offset=True)
+    two = capsys.readouterr().err
+    hint_at_means([("y", _about(1))], [("u", _about(1))])
+
+    assert one == (
+        "armrig: the mean of y is 5, the mean of u is 0, the mean of v is 1; if y is not 0 at "
+        "u = v = 0, subtract the means with --detrend\n"
+    )
+    assert "the mean of z is -4" in two
+    assert "if y and z are not 0 at u = 0, estimate a level with --offset, or subtract" in two
+    assert capsys.readouterr().err == ""
+
+
+def test_an_output_that_is_constant_has_no_model() -> None:
+    check_varies(Path("f.csv"), "y", np.array([2.0, 2.0, 2.5]))
+    check_varies(Path("f.csv"), "y", np.array([2.0]))
+    with pytest.raises(InputError, match=r"f\.csv: z is constant, 2.5, so it responds to no"):
+        check_varies(Path("f.csv"), "z", np.full(3, 2.5))
+
+
+def test_the_signals_of_a_table_are_listed_with_what_is_missing(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    y = np.arange(12.0).reshape(6, 2)
+    y[2, 1] = y[3] = np.nan
+    signals = Signals(u=np.zeros((6, 1)), y=y, Ts=0.25, outputs=("p", "q"), inputs=("v",))
+
+    tell_of_signals(Path("f.csv"), signals)
+
+    assert capsys.readouterr().err == (
+        "armrig: f.csv: 6 samples, 0.25 s apart; outputs p, q; inputs v; 3 values are missing\n"
+    )

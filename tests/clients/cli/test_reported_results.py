@@ -1,0 +1,422 @@
+"""Results of other rooms, as commands print them for a person and in JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from contextlib import nullcontext
+from datetime import UTC, datetime
+from io import StringIO
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+from armrig import __main__ as program
+from armrig.cli import demo, fleet, main
+from armrig.cli.demo_plan import experiments, write_config
+from armrig.lab.fleet_recorder import RigRecorded
+from armrig.lab.pki import Issued
+from armrig.report.batch.batch import Batch
+from armrig.report.batch.rows import CHECKS
+from armrig_core.errors import InputError
+from armrig_daemon.config import load
+from rich.console import Console
+
+from tests.clients.made_recordings import manifest, of_the_arm, recorded, sample, written
+
+
+def _row(name: str, **of: Any) -> dict[str, Any]:
+    return {"recording": name, "problem": "", "damage": "", **of}
+
+
+def _checked(name: str, failed: str, **of: Any) -> dict[str, Any]:
+    """Return the row of `batch verify` for a recording that fails one check."""
+    checks = {f"{check}_result": "failed" if check == failed else "passed" for check in CHECKS}
+    found = {f"{check}_found": f"found of {check}" for check in CHECKS}
+    return _row(name, passed=not failed, **checks, **found, **of)
+
+
+@pytest.mark.parametrize(
+    ("rows", "code", "said", "facts"),
+    [
+        ([_row("a"), _row("b")], 0, ["2 recordings; 0 without a result"], {}),
+        (
+            [_row("a", problem="no input"), _row("b", damage="cut")],
+            1,
+            [
+                "2 recordings; 1 without a result",
+                "  a: no input",
+                "  b: the result covers the undamaged part: cut",
+            ],
+            {
+                "problems": {"a": "no input"},
+                "damaged": {"b": "the result covers the undamaged part: cut"},
+            },
+        ),
+        (
+            [_checked("a", "clock", damage="cut"), _checked("b", ""), _row("c", damage="cut")],
+            1,
+            [
+                "3 recordings; 0 without a result",
+                "  c: the result covers the undamaged part: cut",
+                "  a: clock failed: found of clock",
+            ],
+            {
+                "failed": {"a": "clock failed: found of clock"},
+                "damaged": {"c": "the result covers the undamaged part: cut"},
+            },
+        ),
+        (
+            [_row(name, problem="why", damage="cut") for name in "abc"],
+            1,
+            ["3 recordings; 3 without a result", "  a: why", "  b: why", "  c: why"],
+            {"problems": dict.fromkeys("abc", "why")},
+        ),
+        (
+            [_row(name, problem="why") for name in "abcde"],
+            1,
+            [
+                "5 recordings, 2 of them processed before; 5 without a result",
+                *(f"  {name}: why" for name in "abc"),
+                "  and 2 more; the column problem contains all reasons",
+            ],
+            {"problems": dict.fromkeys("abcde", "why"), "done_before": 2},
+        ),
+    ],
+    ids=["good", "problem", "failed", "three", "five"],
+)
+def test_a_batch_says_what_has_no_result_is_damaged_or_fails_a_check(
+    rows: list[dict[str, Any]],
+    code: int,
+    said: list[str],
+    facts: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    table = Path("t.parquet")
+    done = Batch(table=table, rows=tuple(rows), done_before=facts.get("done_before", 0))
+    monkeypatch.setattr("armrig.report.batch.batch.batch", lambda *_, **__: done)
+
+    assert main(["batch", "verify", ".", "-o", "t.parquet"]) == code
+    text = capsys.readouterr()
+    assert main(["batch", "verify", ".", "-o", "t.parquet", "--json"]) == code
+
+    assert text.out.splitlines() == [f"t.parquet: {said[0]}", *said[1:]]
+    failed = facts.get("failed", {})
+    how = f"{len(failed)} failed a check: {', '.join(failed)}; the table contains the checks"
+    assert text.err == (f"armrig: {how}\n" if failed else "")
+    empty: dict[str, Any] = {"problems": {}, "damaged": {}, "failed": {}}
+    assert json.loads(capsys.readouterr().out) == {
+        **{"table": "t.parquet", "rows": len(rows), "done_before": 0},
+        **(empty | facts),
+    }
+
+
+def test_a_fleet_says_each_file_and_each_rig_that_failed_or_was_silent(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = SimpleNamespace(path=Path("a.mcap"), samples=20, missing=3, outcome="complete")
+    of: dict[str, RigRecorded] = {
+        "7": RigRecorded(rig="7", files=[file]),
+        "8": RigRecorded(rig="8", files=[]),
+        "9": RigRecorded(rig="9", files=[], why="disk full"),
+    }
+    paths: list[Path] = []
+
+    class Recorder:
+        def __init__(self, _: Any, where: str, path_of: Any, *__: Any) -> None:
+            paths.append(path_of("7"))
+
+        def record(self, ended: Any, seconds: float, rigs: list[str] | None) -> list[RigRecorded]:
+            return [of[rig] for rig in rigs or ["7", "8"]]
+
+    monkeypatch.setattr("armrig.lab.fleet_recorder.FleetRecorder", Recorder)
+    opened = SimpleNamespace(session=nullcontext(object()))
+    monkeypatch.setattr("armrig.rig.session.open_endpoint", lambda _: opened)
+    monkeypatch.setattr(fleet.time, "strftime", lambda _: "T")
+    out = tmp_path / "of" / "monday"
+
+    def recorded_of(*words: str) -> tuple[int, str, str]:
+        code = main(["record", "--from", "tcp/a:1", "-o", str(out), *words])
+        return code, *capsys.readouterr()
+
+    both = recorded_of("--rig", "7", "--rig", "8")
+    every = recorded_of("--all", "--json")
+    early = recorded_of("--rig", "7", "--rig", "9", "--json")
+    none = recorded_of("--rig", "8", "--rig", "8")
+
+    assert both[:2] == (1, "a.mcap: 20 samples, 3 missing, complete\n")
+    assert "recording rigs 7, 8 from tcp/a:1; Ctrl-C ends it" in both[2]
+    assert "rig 8: no sample arrived, so it has no recording" in both[2]
+    recordings = [
+        {"rig": "7", "recording": "a.mcap", "samples": 20, "missing": 3, "outcome": "complete"}
+    ]
+    assert (every[0], json.loads(every[1])) == (0, {"recordings": recordings, "failed": []})
+    assert "recording all rigs from tcp/a:1" in every[2]
+    assert json.loads(early[1])["failed"] == [{"rig": "9", "why": "disk full"}]
+    assert (early[0], "ended early for rig 9, of 2 rigs; see above" in early[2]) == (1, True)
+    assert (none[0], "no rig at tcp/a:1 published a sample" in none[2]) == (1, True)
+    assert paths == [out / "7-remote-T.mcap"] * 4
+    assert out.is_dir()
+
+
+HINTS: dict[str, Any] = {
+    "structures": (),
+    "nb": 3,
+    "nf": 5,
+    "nk": 2,
+    "integrator_shown": True,
+    "low_slope": -23.0,
+    "low_slope_std": 2.0,
+    "high_slope": -38.0,
+    "relative_degree": 4,
+    "resonances": (30.0,),
+    "antiresonances": (15.0, 16.0),
+    "nk_interval": (1, 2),
+    "threshold": 0.3,
+}
+
+
+class _Hints(SimpleNamespace):
+    def explain(self) -> str:
+        return "- the first\n- the second"
+
+    def __repr__(self) -> str:
+        return "hints of a test"
+
+
+@pytest.mark.parametrize(
+    ("integrator", "doubtful", "given"),
+    [
+        (True, "", ""),
+        (False, "excitation", " --signal alpha --from 0.5"),
+        (True, "feedback", " --from 0.5"),
+        (False, "outliers", ""),
+    ],
+)
+def test_the_line_after_the_hints_has_their_orders_or_tests_for_feedback(
+    integrator: bool,
+    doubtful: str,
+    given: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    found = _Hints(**HINTS, integrator=integrator, singular_values=np.array([1.0, 0.5]))
+    doubts = [SimpleNamespace(about=doubtful, text="a doubt")] if doubtful else []
+    hints, advice = "armrig.validation.structure_hints", "armrig.validation.advice.data_advice"
+    monkeypatch.setattr(f"{hints}.structure_hints", lambda _: found)
+    monkeypatch.setattr(f"{advice}.tested", lambda _, integrates: integrates)
+    monkeypatch.setattr(f"{advice}.doubts", lambda *_: doubts)
+    path = written(tmp_path, of_the_arm(armrig.telegraph(200, 0.1, seed=1)))
+    typed = ["hints", str(path), *given.split()]
+
+    assert main(typed) == 0
+    said = capsys.readouterr()
+    assert main([*typed, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+
+    is_doubted = doubtful in ("feedback", "excitation")
+    lines = [f"! {doubtful}: a doubt"] if is_doubted else []
+    assert said.out.splitlines() == ["hints of a test", *lines]
+    options = f"--structure oe --nb 3 --nf 5 --nk 2{' --integrator' * integrator}{given}"
+    line = f"identify {path} {options} --save model.json"
+    wanted = f"check {path}{given}" if doubtful == "feedback" else line
+    assert said.err.splitlines()[-1] == f"next: armrig {wanted}"
+    assert facts["orders"] == {"nb": 3, "nf": 5, "nk": 2}
+    assert facts["reasons"] == ["the first", "the second"]
+    assert facts["doubts"] == ["a doubt"] * is_doubted
+    assert (facts["recording"], facts["integrator"]) == (armrig.load(path).sha256, integrator)
+    same = HINTS.keys() - {"nb", "nf", "nk"}
+    assert {name: facts[name] for name in same} == json.loads(
+        json.dumps({name: HINTS[name] for name in same})
+    )
+    assert facts["singular_values"] == [1.0, 0.5]
+
+
+def test_a_demonstration_plays_a_step_and_two_telegraphs_with_seeds_in_a_row() -> None:
+    for seconds, seed in ((5.0, 1), (7.5, 40)):
+        step, telegraph, validation = experiments(seconds, seed)
+
+        assert [step.name, telegraph.name, validation.name] == ["step", "telegraph", "validation"]
+        assert (step.seconds, telegraph.seconds, validation.seconds) == (3.0, seconds, seconds)
+        assert step.u.tolist() == [0.5] * 50 + [4.5] * 250
+        assert step.request["experiment"] == "step"
+        for one, number in ((telegraph, seed), (validation, seed + 1)):
+            wanted = armrig.telegraph(one.u.size, 0.05, 0.5, 4.5, seed=number)
+            assert one.u.tolist() == wanted.tolist()
+            details = {"input": "telegraph", "low": 0.5, "high": 4.5, "a": 0.05, "seed": number}
+            assert one.request == {"experiment": "blackbox", "details": details}
+
+
+def test_the_rig_of_a_demonstration_records_into_its_folder(tmp_path: Path) -> None:
+    folder = tmp_path / 'a "folder"\\of mine'
+    folder.mkdir()
+
+    config = load([write_config(folder, 17)], {}, {})
+
+    assert config.recording.directory == str(folder)
+    assert (config.emulator.seed, config.timing.Ts, config.rig.id) == (17, 0.01, "demo")
+
+
+@pytest.mark.parametrize(
+    ("virtual", "n_real", "why"), [(True, 0, ""), (False, 3, ""), (False, 1, "too busy")]
+)
+def test_a_demonstration_records_in_virtual_time_what_real_time_did_not(
+    virtual: bool, n_real: int, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths = [tmp_path / f"{i}.mcap" for i in range(3)]
+    asked: list[Any] = []
+
+    def in_real_time(_: Any, __: Any, ___: Any, done: list[Path]) -> str:
+        done += paths[:n_real]
+        return why
+
+    def in_virtual_time(plan: Any, *_: Any, **how: Any) -> list[Path]:
+        asked.append(([one.name for one in plan], how["seed"], how["firmware"]))
+        return paths[n_real:]
+
+    def reported(all_of: list[Path], remarks: list[str], folder: Path) -> Any:
+        asked.append((all_of, len(remarks)))
+        return SimpleNamespace(models=[]), folder / "report.pdf"
+
+    monkeypatch.setattr(demo, "_record", in_real_time)
+    monkeypatch.setattr(demo, "record_in_virtual_time", in_virtual_time)
+    monkeypatch.setattr(demo, "_reported", reported)
+    monkeypatch.setattr(demo, "_print_results", lambda *_: None)
+    out = StringIO()
+    console = Console(file=out, width=300)
+
+    found = demo.demo(tmp_path / "d", seconds=5, seed=9, virtual=virtual, console=console)
+
+    names = ["step", "telegraph", "validation"]
+    assert found["recordings"] == dict(zip(names, map(str, paths), strict=True))
+    assert found["in_virtual_time"] == names[n_real:]
+    assert found["report"] == str(tmp_path / "d" / "report.pdf")
+    assert asked[:-1] == ([(names[n_real:], 9, False)] if n_real < 3 else [])
+    assert asked[-1] == (paths, 1 if n_real == 3 else 2)
+    assert ("not in real time: too busy" in out.getvalue()) == bool(why)
+    assert ("the daemon's log: " in out.getvalue()) is not virtual
+
+
+def test_the_results_of_a_demonstration_are_those_of_its_models(tmp_path: Path) -> None:
+    path = written(tmp_path, recorded([sample(k) for k in range(4)], manifest=manifest()))
+    rec = armrig.load(path)
+    of = {"oe": (0.5, 90.0, 80.0), "arx": (0.25, 95.125, None)}
+    models = [
+        SimpleNamespace(
+            comparison=SimpleNamespace(
+                name=name, rms_error=rms, fit_percent=fit, velocity_fit_percent=velocity
+            )
+        )
+        for name, (rms, fit, velocity) in of.items()
+    ]
+    validation = SimpleNamespace(unit="rad")
+    done: Any = SimpleNamespace(models=models, recordings=[rec], validation=validation)
+    out = StringIO()
+
+    demo._print_results(Console(file=out, width=300), done, ["step"], tmp_path, Path("r.pdf"))
+
+    said = [" ".join(line.replace("│", " ").split()) for line in out.getvalue().splitlines()]
+    assert "oe 0.5 rad 90.00 % 80.00 %" in said
+    assert "arx 0.25 rad 95.12 %" in said
+    assert f"4 samples, sha256 {rec.short_hash}" in said
+    for model in models:
+        rms, fit, velocity = of[model.comparison.name]
+        assert demo._row(model) == {  # type: ignore[arg-type]
+            **{"model": model.comparison.name, "rms_error": rms, "fit_percent": fit},
+            "velocity_fit_percent": velocity,
+        }
+    assert f"figures {tmp_path}/*.svg" in said
+    assert "report r.pdf" in said
+
+
+def test_the_first_of_two_signals_ends_the_command_and_the_second_does_not_disturb_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopped: list[str] = []
+
+    def command() -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            signal.raise_signal(signal.SIGHUP)
+            stopped.append("the rig")
+
+    before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGHUP)
+    monkeypatch.setattr("armrig.cli._command_line", command)
+
+    assert main(["ls"]) == 128 + signal.SIGTERM
+
+    assert stopped == ["the rig"]
+    assert capsys.readouterr().err.endswith("armrig: ended by SIGTERM\n")
+    assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGHUP)) == before
+
+
+def test_ctrl_c_outside_a_command_is_reported_in_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted() -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("armrig.cli.main", interrupted)
+
+    assert program.main() == 130
+    assert capsys.readouterr().err == "armrig: interrupted\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (FileNotFoundError(2, "gone", "A.MCAP"), "A.MCAP: gone; `armrig ls` lists the recordings"),
+        (FileNotFoundError(2, "gone", "m.json"), "m.json: gone; `armrig identify F --structure oe"),
+        (FileNotFoundError(2, "gone", "d.csv"), "d.csv: gone\n"),
+        (IsADirectoryError(21, "a folder", "d"), "d: a folder; give a file in the folder\n"),
+        (
+            PermissionError(13, "no", b"d.mcap"),
+            "d.mcap: no; ask its owner, or use a folder of yours",
+        ),
+        (OSError("the line is gone"), "the line is gone\n"),
+    ],
+    ids=lambda x: type(x).__name__,
+)
+def test_an_error_of_the_system_names_the_file_and_what_to_do(
+    error: OSError, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def failing(_: Path) -> None:
+        raise error
+
+    monkeypatch.setattr("armrig.recordings.catalogue.catalogue", failing)
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", os.devnull)
+
+    assert main(["ls", "--count", "1", "elsewhere"]) == 1
+
+    assert capsys.readouterr().err.startswith(f"armrig: {said}")
+
+
+def test_a_certificate_is_listed_to_the_day_it_expires(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    expires = datetime(2027, 3, 9, 12, tzinfo=UTC)
+    one = Issued(name="anna", role="observer", expires=expires, path=Path("anna.pem"))
+    monkeypatch.setattr("armrig.lab.pki.issued", lambda _: [one])
+
+    assert main(["pki", "list"]) == 0
+
+    assert capsys.readouterr().out.split() == ["anna", "observer", "until", "2027-03-09"]
+
+
+def test_a_firmware_may_fill_the_flash() -> None:
+    from armrig.cli.flash import _check_size
+    from armrig.lab.flash.avrdude import FLASH_BYTES
+
+    full: Any = SimpleNamespace(data=bytes(FLASH_BYTES), path="a.hex")
+    more: Any = SimpleNamespace(data=bytes(FLASH_BYTES + 1), path="a.hex")
+
+    _check_size(full)
+    with pytest.raises(InputError, match=rf"a\.hex: {FLASH_BYTES + 1} B, but an .* {FLASH_BYTES}"):
+        _check_size(more)

@@ -1,0 +1,235 @@
+"""`armrig status`, `watch`, `stop`, `reset` and `note` of a rig that is not there."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from armrig.cli import main, record
+from armrig.rig.live_gaps import LiveGap
+from armrig.rig.replies import RefusedError
+from armrig_core.codes import COMPLETE, RefusalCode
+from armrig_core.commands import StatusReport
+
+from tests.clients.made_recordings import sample
+from tests.clients.told import told
+
+FAR = "tcp/far:7447"
+GAP = LiveGap(
+    **{"k_first": 43, "count": 2, "t_from_ns": 1, "t_to_ns": 3, "u_held_v": 0.0, "code": "unknown"},
+    **{"reason": "link silent", "published": True},
+)
+
+
+class _Rig:
+    """Takes requests; `asked` has their arguments."""
+
+    asked: list[Any]
+    refused: RefusedError | None = None
+    report: dict[str, Any]
+    done = True
+
+    def __init__(self, rig: str, *, connect: str | None) -> None:
+        self.asked.append((rig, connect))
+
+    def __enter__(self) -> _Rig:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.asked.append("closed")
+
+    def status(self) -> StatusReport:
+        of: dict[str, Any] = dict.fromkeys(("reason", "owner", "version", "endpoint"), "")
+        of |= {"rig": "7", "phase": "safe", "Ts": 0.01, "u_min": 0.0, "u_max": 5.0, "device": {}}
+        of |= {"host": {}, "last_run": None, "recordings": "/of/mine"}
+        return StatusReport(**of | self.report)
+
+    def stream(self, name: str) -> Iterator[Any]:
+        self.asked.append(name)
+        return iter([sample(42), GAP, sample(45), sample(46)])
+
+    def _do(self, *words: str) -> bool:
+        if self.refused is not None:
+            raise self.refused
+        self.asked.append(words)
+        return self.done
+
+    def stop(self, by: str) -> None:
+        self._do("stop", by)
+
+    def reset(self) -> bool:
+        return self._do("reset")
+
+    def note(self, text: str, owner: str) -> bool:
+        return self._do("note", text, owner)
+
+
+@pytest.fixture
+def rig(monkeypatch: pytest.MonkeyPatch) -> type[_Rig]:
+    """Give the rig that commands open."""
+    made = type("Opened", (_Rig,), {"asked": [], "report": {}})
+    monkeypatch.setattr("armrig.rig.client.Rig", made)
+    monkeypatch.setattr("armrig.cli.next_step._goes_on", lambda line: line)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("words", "asked", "said", "facts"),
+    [
+        (["stop"], ("stop", ""), "rig 7: stop sent", {"stopped": True}),
+        (["stop", "--owner", "Ada"], ("stop", "Ada"), "rig 7: stop sent", {"stopped": True}),
+        (["reset"], ("reset",), "rig 7 was reset", {"was_latched": True}),
+        (
+            ["note", "touched", "--owner", "Ada"],
+            ("note", "touched", "Ada"),
+            "rig 7: the note is in the recording",
+            {"recorded": True},
+        ),
+    ],
+)
+def test_a_request_is_made_of_its_rig_and_closed(
+    words: list[str],
+    asked: tuple[str, ...],
+    said: str,
+    facts: dict[str, Any],
+    rig: type[_Rig],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given = [*words, "--rig", "7", "--connect", FAR]
+
+    assert main(given) == 0
+    text = capsys.readouterr()
+    assert main([*given, "--json"]) == 0
+
+    assert rig.asked == [("7", FAR), asked, "closed"] * 2
+    assert text.out == f"{said}\n"
+    goes_on = "" if words[0] == "note" else f"next: armrig status --rig 7 --connect {FAR}\n"
+    assert text.err == goes_on
+    assert json.loads(capsys.readouterr().out) == {"rig": "7", **facts}
+
+
+def test_what_had_no_effect_is_said_so(rig: type[_Rig], capsys: pytest.CaptureFixture[str]) -> None:
+    rig.done = False
+
+    assert main(["reset"]) == main(["note", "touched"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert main(["reset", "--json"]) == main(["note", "touched", "--json"]) == 0
+
+    assert said == [
+        "rig 1: no fault is latched",
+        "rig 1: no run is being recorded, so the note is not in a recording",
+    ]
+    facts = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert facts == [{"rig": "1", "was_latched": False}, {"rig": "1", "recorded": False}]
+    assert rig.asked[0] == ("1", None)
+
+
+def test_a_refusal_names_the_command_that_resets_this_rig(
+    rig: type[_Rig], capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig.refused = RefusedError("in fault", RefusalCode.IN_FAULT, {"reason": "link lost"})
+
+    assert main(["note", "touched", "--rig", "7", "--connect", FAR]) == 1
+
+    way_out = f"in fault (link lost): repair it, then `armrig reset --rig 7 --connect {FAR}`"
+    assert way_out in told(capsys).replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("report", "goes_on"),
+    [
+        ({}, "collect step --rig 7 --Ts 0.002"),
+        ({"arm_removed": True}, "collect greybox --rig 7 --Ts 0.01"),
+        ({"line": "no device answers"}, ""),
+        ({"phase": "run"}, ""),
+        ({"phase": "fault", "reason": "link lost"}, ""),
+    ],
+)
+def test_a_rig_that_is_ready_leads_to_its_first_recording(
+    report: dict[str, Any],
+    goes_on: str,
+    rig: type[_Rig],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rig.report = report
+
+    assert main(["status", "--rig", "7"]) == 0
+    said = capsys.readouterr()
+    assert main(["status", "--rig", "7", "--json"]) == 0
+
+    assert said.err.startswith(f"next: armrig {goes_on}") if goes_on else not said.err
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["rig"], facts["phase"]) == ("7", report.get("phase", "safe"))
+
+
+def test_samples_and_gaps_are_watched_in_lines_and_in_json(
+    rig: type[_Rig], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["watch", "--count", "3"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert main(["watch", "--json"]) == 0
+    facts = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+    assert [line.split()[0] for line in lines] == ["k", "42", "43", "45"]
+    assert lines[2].split()[1:] == ["2", "missing:", "link", "silent"]
+    assert [x.get("k", x.get("k_first")) for x in facts] == [42, 43, 45, 46]
+    assert (facts[1]["count"], facts[1]["reason"]) == (2, "link silent")
+    assert facts[0]["u_applied_v"] == sample(42).u_applied_v
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan"])
+def test_a_recording_of_no_time_is_refused(
+    seconds: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["record", "--seconds", seconds, "--from", "tcp/nowhere:1"]) == 1
+
+    assert f"--seconds {float(seconds):g}: must be more than 0" in told(capsys)
+
+
+@pytest.mark.parametrize("error", [None, OSError("disk full"), RuntimeError("lost")])
+def test_a_remote_recording_ends_with_its_reason(
+    error: Exception | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended: list[Any] = []
+    files = [SimpleNamespace(path="a.mcap", samples=1, missing=0, outcome="o")]
+
+    def recorder(_: Any, __: Any) -> Any:
+        def recorded(*asked: Any) -> None:
+            ended.append(asked[1])
+            if error:
+                raise error
+
+        return SimpleNamespace(begin=lambda: True, record=recorded)
+
+    recording = SimpleNamespace(done=files, finish=ended.append)
+    remote, session = "armrig.rig.remote_recording", "armrig.rig.session"
+    monkeypatch.setattr(f"{remote}.RemoteRecorder", recorder)
+    monkeypatch.setattr(f"{remote}.RemoteRecording", lambda **_: recording)
+    monkeypatch.setattr("armrig.cli.record.typed", str)
+
+    class Session:
+        def __enter__(self) -> None: ...
+        def __exit__(self, *_: object) -> None: ...
+
+    connection = SimpleNamespace(session=Session(), endpoint="E")
+    monkeypatch.setattr(f"{session}.open_connection", lambda *_, **__: connection)
+    stopped: Any = SimpleNamespace(is_set=lambda: False)
+
+    def run() -> None:
+        record._record_one("E", "7", None, 2.5, stopped, json=False)
+
+    if error is None:
+        run()
+    else:
+        with pytest.raises(type(error), match=str(error)):
+            run()
+
+    assert ended[0] == 2.5
+    assert (ended[1] is COMPLETE) == (error is None)
+    assert error is None or ended[1].text == f"the recorder ended: {error}"
+    said = capsys.readouterr().err
+    assert "armrig: recording rig 7 from E; Ctrl-C ends it" in said
+    assert ("recorded up to the error: a.mcap" in said) == (error is not None)
