@@ -69,6 +69,8 @@ def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
     assert {f.level for f in findings} == {"good"}
     assert len(findings) == 15
     assert found(findings, "load").found == "0.4 on 4 processors"
+    full = examine(host(tmp_path, {"proc/loadavg": "4.00 1 1 1/2 3"}))
+    assert str(found(full, "load")) == "good  load: 4 on 4 processors"
     assert all("\n" not in str(f) and not f.mend for f in findings)
 
 

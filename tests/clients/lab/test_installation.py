@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -50,7 +51,11 @@ def _contents(root: Path) -> dict[str, str]:
 
 
 def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) -> None:
-    installing(tmp_path).carry_out(commands)
+    before = os.umask(0o077)  # of a careful administrator
+    try:
+        installing(tmp_path).carry_out(commands)
+    finally:
+        os.umask(before)
 
     assert set(_contents(tmp_path)) == {
         UNIT,
@@ -63,6 +68,8 @@ def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) ->
         f"systemd-tmpfiles --root={tmp_path} --create armrig.conf",
     ]
     assert set(commands.files) == {4}
+    modes = {path.stat().st_mode & 0o777 for path in tmp_path.rglob("*") if path.is_file()}
+    assert modes == {0o644}
 
 
 @pytest.mark.parametrize(
@@ -285,7 +292,15 @@ def test_a_drop_in_that_leads_nowhere_keeps_nothing_installed(tmp_path: Path) ->
         ("RestrictAddressFamilies=AF_INET AF_INET6\n", True),
         ("IPAddressAllow=192.0.2.0/24\n", True),
         ("  PrivateNetwork = No\n", True),  # systemd reads it so, too
+        ("PrivateNetwork=false\n", True),
+        ("PrivateNetwork=off\n", True),
+        ("PrivateNetwork=0\n", True),
         ("# PrivateNetwork=no\nCPUSchedulingPriority=80\n", False),
+        ("PrivateNetwork=yes\n", False),
+        ("PrivateNetwork=1\n", False),
+        ("PrivateNetwork=on\n", False),
+        ("IPAddressAllow=\n", False),
+        ("RestrictAddressFamilies=AF_UNIX\n", False),
     ],
 )
 def test_a_drop_in_stays_and_is_named(

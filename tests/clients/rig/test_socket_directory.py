@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import pwd
 import socket
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
+from types import SimpleNamespace
 
 import armrig
 import pytest
@@ -170,6 +172,21 @@ def test_a_service_s_folder_that_may_be_a_stranger_s_is_refused(
 def test_the_service_s_user_is_looked_up() -> None:
     assert session._service_owners() >= {0}
     assert len(session._service_owners()) <= 2
+
+
+def test_root_and_the_service_s_user_own_a_service_s_folder(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def user(name: str) -> SimpleNamespace:
+        if name != "armrig":
+            raise KeyError(name)
+        return SimpleNamespace(pw_uid=977)
+
+    monkeypatch.setattr(pwd, "getpwnam", user)
+    there = session._service_owners()
+    monkeypatch.setattr(session, "SERVICE_USER", "nobody-here")
+
+    assert (there, session._service_owners()) == ({0, 977}, {0})
 
 
 def test_a_user_outside_the_group_gets_the_reason(
