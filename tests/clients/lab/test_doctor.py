@@ -356,6 +356,29 @@ def test_the_doctor_asks_the_daemon_of_this_machine(tmp_path: Path) -> None:
         doctor.doctor("1", "tls/lab:7447")
 
 
+@pytest.mark.parametrize(
+    ("runtime", "period", "level", "words"),
+    [
+        ("-1", "1000000", "good", "off"),
+        ("0", "1000000", "bad", "may use 0% of a processor"),
+        ("450000", "500000", "good", "above 90% of a processor"),
+        ("449999", "500000", "bad", "may use 90% of a processor"),
+        ("950000", "", "bad", "may use 0% of a processor"),
+        ("none", "1000000", "note", "not reported by this kernel"),
+    ],
+)
+def test_the_share_of_real_time_programs_is_judged(
+    tmp_path: Path, runtime: str, period: str, level: str, words: str
+) -> None:
+    kernel = "proc/sys/kernel/sched_rt"
+    files = {f"{kernel}_runtime_us": runtime, f"{kernel}_period_us": period}
+
+    finding = found(examine(host(tmp_path, files)), "RT throttling")
+
+    assert finding.level == level
+    assert words in finding.found
+
+
 def test_kernel_workers_of_ordinary_priority_are_reported_with_the_way_out(tmp_path: Path) -> None:
     """Kernel workers move the bytes of the serial port."""
     stat = "50 (kworker/u8:1-events_unbound) I 2 0 0 0 -1 69238880 0 0 0 0 0 0 0 0 20 0 1 0"

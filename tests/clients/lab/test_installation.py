@@ -158,6 +158,19 @@ def test_what_is_taken_away_is_what_was_installed(tmp_path: Path, commands: Comm
     assert _contents(tmp_path) == {"etc/armrig/1.toml": "[device]\n"}
 
 
+def test_what_was_changed_is_taken_away_and_named(tmp_path: Path, commands: Commands) -> None:
+    installing(tmp_path).carry_out(commands)
+    (tmp_path / UNIT).write_text("[Unit]\n")
+
+    plan = uninstalling(tmp_path)
+    shown = [line for line in plan.lines() if line.startswith("remove")]
+    plan.carry_out(commands)
+
+    assert f"remove   {tmp_path / UNIT}, which was changed" in shown
+    assert sum("which was changed" in line for line in shown) == 1
+    assert _contents(tmp_path) == {}
+
+
 def test_a_machine_without_it_has_nothing_to_take_away(tmp_path: Path) -> None:
     assert uninstalling(tmp_path) == Plan()
 
