@@ -1,4 +1,4 @@
-"""What is passed on to Foxglove and similar programs, and when a silent rig is connected again."""
+"""Messages for Foxglove and similar programs, and the next connection to a silent rig."""
 
 from __future__ import annotations
 

@@ -81,6 +81,26 @@ def test_the_page_is_at_both_names_of_this_machine_and_its_code_opens_once(tmp_p
     assert recordings == (200, b'{"released":false}')
 
 
+def test_the_page_and_the_visitors_have_the_ports_that_were_asked_for(tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
+    with closing(_listening(HOST, 0, None)) as one, closing(_listening(HOST, 0, None)) as two:
+        port, share_port = (free.getsockname()[1] for free in (one, two))
+    asked = Settings(
+        connect=f"unixsock-stream/{tmp_path}/none.sock",
+        port=port,
+        share="127.0.0.1",
+        share_port=share_port,
+    )
+
+    with dashboard(asked) as served:
+        own, shared = urlsplit(served.url), urlsplit(served.shared_url)
+
+    assert (own.scheme, own.port) == ("http", port)
+    assert (shared.scheme, shared.hostname, shared.port) == ("https", "127.0.0.1", share_port)
+    assert own.fragment != shared.fragment
+    assert len(served.fingerprint) == 95
+
+
 def test_a_port_that_was_asked_for_and_is_in_use_is_told() -> None:
     with closing(_listening(HOST, 0, None)) as taken:
         port = taken.getsockname()[1]
@@ -163,7 +183,9 @@ def test_the_status_is_asked_for_twice_a_second_and_after_each_change(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def state(**changed: str) -> Any:
-        return SimpleNamespace(**{"t_host_ns": 1, "phase": "safe", "owner": "", "reason": ""} | changed)
+        return SimpleNamespace(
+            **{"t_host_ns": 1, "phase": "safe", "owner": "", "reason": ""} | changed
+        )
 
     states = {
         0.1: state(),

@@ -238,6 +238,9 @@ def test_recordings_go_where_the_users_configuration_says(tmp_path: Path) -> Non
     (user / "armrig.toml").write_text('[recording]\ndirectory = "/home/a"\n')
     assert recordings_directory(tmp_path, user) == Path("/home/a")
 
+    (user / "armrig.toml").write_text('[recording]\ndirectory = "~/rig"\n')
+    assert recordings_directory(tmp_path, user) == Path.home() / "rig"
+
     (user / "armrig.toml").write_text('[recording]\ndirectory = "/b"\n', encoding="utf-8-sig")
     assert recordings_directory(tmp_path, user) == Path("/b")
 

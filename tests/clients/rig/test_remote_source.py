@@ -57,7 +57,7 @@ def _source(*daemons: Any) -> tuple[_Line, RemoteSource]:
 
 
 def _next(source: RemoteSource) -> tuple[list[int], bool, int]:
-    """Return the numbers of the next messages, whether their daemon is new, and how many are lost."""
+    """Return the next messages, whether their daemon is new, and how many messages are lost."""
     piece = source.next_piece()
     assert piece is not None
     return [int(data) for _, data in piece.past.messages], piece.is_new_life, piece.lost
