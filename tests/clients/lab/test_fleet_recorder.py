@@ -116,14 +116,16 @@ def test_a_rig_is_recorded_again_after_a_full_disk_with_a_pause_and_room(
 def test_all_rigs_are_recorded_until_the_last_of_them_has_ended(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    ended, begun, errors = threading.Event(), list[str](), list[str]()
+    ended, begun, goes_on, errors = threading.Event(), list[str](), list[str](), list[str]()
     last = threading.Event()
 
     def recorder(_: Any, recording: Any) -> Any:
-        def record(_: Any) -> None:
+        def record(is_over: threading.Event) -> None:
             begun.append(recording.rig)
             if recording.rig == "b":
                 last.wait(10.0)
+                assert not is_over.is_set()
+                goes_on.append("b")
                 return
             threading.Timer(0.05, last.set).start()
             raise RigError("it ended early")
@@ -139,7 +141,7 @@ def test_all_rigs_are_recorded_until_the_last_of_them_has_ended(
 
     found = fleet.record(ended, None, ["b", "a"])
 
-    assert last.is_set()
+    assert goes_on == ["b"]
     assert sorted(begun) == ["a", "b"]
     assert [(one.rig, one.why) for one in found] == [("a", "it ended early"), ("b", "")]
     assert errors == ["rig a: its recording ended: it ended early"]
