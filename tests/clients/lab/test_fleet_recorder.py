@@ -37,7 +37,7 @@ class _Rigs:
 
     def record(self) -> fleet_recorder.RigRecorded:
         """Record rig 1 to the end of its recording; return what became of it."""
-        (recorded,) = self._fleet.record(threading.Event(), 0.001, ["1"])
+        (recorded,) = self._fleet.record(threading.Event(), 0.05, ["1"])
         return recorded
 
     def _recording(self, *, tell: Any, **_: object) -> Any:
