@@ -9,6 +9,7 @@ import pytest
 from armrig.dashboard.app import RigRoutes, application
 from armrig.dashboard.connections import Connections
 from armrig.dashboard.driver import RunState
+from armrig.dashboard.experiments import Experiment, plan_of
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.stream import Stream
 from armrig.rig.collection import Plan
@@ -138,6 +139,16 @@ def test_without_a_rig_a_preview_tells_why(driver: Any) -> None:
     status, said = asked(_app(driver, feed, may_command=True), "/api/preview", b'{"kind": "step"}')
 
     assert (status, json.loads(said)["error"]) == (502, feed.trouble)
+
+
+@pytest.mark.parametrize(
+    ("file", "stored"), [("a/mine.csv", "mine.csv"), ("u.txt", "u.txt"), ("", "input.csv")]
+)
+def test_of_a_file_of_the_user_the_name_alone_is_stored(file: str, stored: str) -> None:
+    plan = plan_of(Experiment(kind="csv", file=file, text="u\n1\n2\n"), "Ada")
+
+    assert plan.details == {"input": "csv", "file": stored}
+    assert plan.make(0, 0.01).tolist() == [1.0, 2.0]
 
 
 def test_a_live_model_is_begun_and_ended_on_request(driver: Any) -> None:
