@@ -184,7 +184,7 @@ def test_a_name_that_was_revoked_is_given_to_nobody(
     assert main(["pki", "operator", "alice-2"]) == 0
 
 
-def test_a_router_and_its_rigs(here: Path) -> None:
+def test_a_router_and_its_rigs(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["pki", "router", "--host", "localhost"]) == 0
     assert main(["pki", "rig", "7"]) == 0
     assert main(["pki", "renew", "rig-7"]) == 0
@@ -198,7 +198,12 @@ def test_a_router_and_its_rigs(here: Path) -> None:
             read_credential(here / path, purpose)  # type: ignore[arg-type]
     assert main(["pki", "revoke", "rig-7"]) == 0
     assert main(["pki", "rig", "7", "--force"]) == 1
+    assert main(["pki", "rig", "8"]) == 0
     assert read_access_list(here / "access.toml").revoked == ("rig-7",)
+    capsys.readouterr()
+    assert main(["pki", "list"]) == 0
+    listed = [line.split()[:2] for line in capsys.readouterr().out.splitlines()[-3:]]
+    assert listed == [["rig-7", "revoked"], ["rig-8", "rig"], ["router", "router"]]
 
 
 @pytest.mark.parametrize(

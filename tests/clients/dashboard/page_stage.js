@@ -2,7 +2,22 @@
 
 import { createInterface } from "node:readline";
 
+process.env.TZ = "UTC";
+const FRAME_MS = 16;
+let isFrame = false;
 let now = 0;
+const began = Date.UTC(2026, 2, 1, 10);
+globalThis.Date = class extends Date {
+  constructor(...given) {
+    super(...(given.length ? given : [began + now]));
+  }
+  toLocaleString() {
+    return this.toISOString();
+  }
+  static now() {
+    return began + now;
+  }
+};
 const due = [];
 const listeners = {};
 const replies = {};
@@ -52,6 +67,9 @@ class Element {
   focus() {
     say(`${[...known].find(([, one]) => one === this)[0]}: has the focus`);
   }
+  get isConnected() {
+    return true;
+  }
   querySelectorAll(tag) {
     return this.children.flatMap((one) => (one instanceof Element ? [...(one.tag === tag ? [one] : []), ...one.querySelectorAll(tag)] : []));
   }
@@ -94,8 +112,12 @@ Object.assign(globalThis, {
   devicePixelRatio: 2,
   localStorage: { "armrig-owner": "", getItem: (name) => localStorage[name] || null, setItem: (name, value) => (localStorage[name] = value) },
   matchMedia: () => ({ matches: true, addEventListener: () => {} }),
-  getComputedStyle: () => ({ getPropertyValue: (name) => ` ${name}` }),
-  requestAnimationFrame: (does) => due.push([now, does]),
+  getComputedStyle: (one) => ({ getPropertyValue: (name) => ` ${one.dataset.theme}${name}` }),
+  requestAnimationFrame: (does) => due.push([isFrame ? now + FRAME_MS : now, (at) => {
+    isFrame = true;
+    does(at);
+    isFrame = false;
+  }]),
   addEventListener: (type, does) => ((listeners[type] ??= []).push(does)),
   setInterval: (does) => ((listeners.interval ??= []).push(does)),
   setTimeout: (does, ms) => due.push([now + ms, does]),
@@ -113,23 +135,37 @@ Object.assign(globalThis, {
   },
 });
 Object.defineProperty(globalThis, "performance", { value: { now: () => now } });
-URL.createObjectURL = () => "blob:1";
+let saved = null;
+URL.createObjectURL = (blob) => {
+  saved = blob;
+  return "blob:1";
+};
 URL.revokeObjectURL = () => {};
 
 const charts = [];
 let cost = 0; // ms that a chart takes to be drawn
 globalThis.uPlot = class {
   constructor(options, data, where) {
-    Object.assign(this, { options, data, where, width: options.width, height: options.height, bbox: { width: 800 }, cursor: { left: 0 }, select: {} });
+    Object.assign(this, { options, data, where, width: options.width, height: options.height, bbox: { left: -300, top: 0, width: 800, height: 90 }, cursor: { left: 0 }, select: {} });
     charts.push(this);
+    this.over = new Element();
+    for (const does of options.hooks.ready) does(this);
   }
   setData(data) {
     this.data = data;
     now += cost;
-    const drawn = this.options.series[1].paths(this, 1, 0, data[0].length - 1).stroke.drawn;
-    const y = this.options.scales.y.range(this, ...ends(data.slice(1).flat()));
-    const labels = this.options.axes[0].values(this, [0, 1.23456]);
-    say(`chart ${charts.indexOf(this)}: ${labels} x ${short(this.options.scales.x.range(this, 0, 0))}, y ${short(y)},${drawn}`);
+    const { series, scales, axes, hooks } = this.options;
+    const path = (i) => series[i].paths(this, i, 0, data[0].length - 1).stroke.drawn;
+    const x = scales.x.range(this, 0, 0);
+    const y = scales.y.range(this, ...ends(data.slice(1).flat()));
+    this.scales = { x: { min: x[0], max: x[1] }, y: { min: y[0], max: y[1] } };
+    const splits = [axes[0].splits(this, 0, ...x, (x[1] - x[0]) / 3), [y[0], (y[0] + y[1]) / 2, y[1]]];
+    this.axes = splits.map((_splits, i) => ({ _splits, _values: axes[i].values(this, _splits) }));
+    const over = data[3]?.some((value) => value !== null) ? `; over it${path(3)}` : "";
+    say(`chart ${charts.indexOf(this)}: ${axes[0].values(this, [0, 1.23456])} x ${short(x)}, y ${short(y)},${path(1)}${over}`);
+    this.ctx = pen();
+    for (const does of hooks.draw) does(this);
+    if (this.ctx.drawn) say(`  its marks:${this.ctx.drawn}`);
   }
   valToPos(value) {
     return +value.toFixed(3);
@@ -144,7 +180,9 @@ globalThis.uPlot = class {
   setSize(size) {
     say(`chart ${charts.indexOf(this)}: ${JSON.stringify(size)}`);
   }
-  redraw() {}
+  redraw() {
+    say(`chart ${charts.indexOf(this)}: is drawn again in ${this.options.series[1].stroke()}`);
+  }
   destroy() {
     for (const does of this.options.hooks.destroy) does(this);
     say(`chart ${charts.indexOf(this)}: is gone`);
@@ -158,9 +196,21 @@ globalThis.uPlot = class {
     this.options.hooks.setCursor[0](this);
   }
 };
+// The pen that draws marks: a colour with its place, and a name.
+const pen = () => ({
+  drawn: "",
+  save: () => {},
+  restore: () => {},
+  fillRect(...at) {
+    this.drawn += ` ${this.fillStyle} ${short(at)};`;
+  },
+  fillText(text, ...at) {
+    this.drawn += ` ${text} ${short(at)};`;
+  },
+});
 const short = (values) => values.map((value) => +value.toFixed(3));
 const ends = (values) => {
-  const found = values.filter((value) => value !== null);
+  const found = values.filter((value) => value !== null && value !== undefined);
   return found.length ? [Math.min(...found), Math.max(...found)] : [null, null];
 };
 
@@ -183,7 +233,8 @@ globalThis.fetch = async (path, { method = "GET", body: sent, priority, headers,
     return { ok: true, body: { pipeThrough: () => ({ getReader: () => ({ read }) }) } };
   }
   const withdrawn = new Promise((_, fail) => signal?.addEventListener("abort", () => fail(signal.reason)));
-  const reply = await Promise.race([replies[path.slice(4)] ?? {}, withdrawn]);
+  const found = replies[path.slice(4)] ?? {};
+  const reply = await Promise.race([typeof found === "function" ? found(JSON.parse(sent)) : found, withdrawn]);
   return { ok: !reply.error, status: 400, json: async () => reply, blob: async () => ({ size: 77 }) };
 };
 
@@ -199,6 +250,7 @@ const stage = {
     const told = name === "live" ? { at_s: performance.now() / 1000, ...value } : value;
     streams.at(-1).give(`event: ${name}\ndata: ${JSON.stringify(told)}\n\n`);
   },
+  file: async () => say(`its text: ${(await saved.text()).trim().replaceAll("\n", "\n    ")}`),
   raw: (text) => streams.at(-1).give(text),
   set: (id, value) => {
     byId(id).value = value;
@@ -215,7 +267,7 @@ const stage = {
         const [at, does] = due[i];
         if (at > now) continue;
         due[i] = [Infinity, () => {}];
-        does();
+        does(now);
       }
     } while (now < end);
     await settled();

@@ -110,6 +110,9 @@ def test_a_missing_sample_or_a_hidden_angle_costs_no_rate_of_another() -> None:
     assert np.isnan(rate(late[:20], late[20:])[:10]).all()
     assert np.isfinite(rate(late[:20], late[20:])[10:]).all()
     assert np.isnan(rate(found[:0], found[:5])).all()
+    for n in range(1, found.shape[0]):  # of the earlier samples those that are kept are enough
+        kept = rate(needed_before(found[:n]), found[n:])
+        np.testing.assert_array_equal(kept, rate(found[:n], found[n:]))
 
 
 def test_slow_samples_have_a_rate_from_one_to_the_next() -> None:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import uvicorn
 from armrig.dashboard import connections
-from armrig.dashboard.connections import Address, Connections
+from armrig.dashboard.connections import Address, BoundedProtocol, Connections
+from armrig.dashboard.serving import QUIET
+from uvicorn.server import ServerState
 
 
 class Table:
@@ -67,3 +73,56 @@ def test_one_that_has_left_makes_room_and_the_end_closes_the_rest(table: Table) 
     table.all.end()
 
     assert table.closed == ["a", "c", "d"]
+
+
+def test_a_connection_is_asked_from_its_whole_request_to_the_end_of_its_answer() -> None:
+    seen: list[bool] = []
+    table, made = Connections(), list[BoundedProtocol]()
+
+    async def app(scope: Any, receive: Any, send: Callable[[Any], Awaitable[None]]) -> None:
+        seen.append(made[0].is_asked)  # its body has not come
+        while (await receive()).get("more_body"):
+            pass
+        seen.append(made[0].is_asked)
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        await send({"type": "http.response.body", "body": b"ab", "more_body": True})
+        seen.append(made[0].is_asked)
+        await send({"type": "http.response.body", "body": b"c"})
+
+    async def talk() -> list[Any]:
+        config = uvicorn.Config(app, **QUIET)
+        config.load()
+        loop, kind = asyncio.get_running_loop(), table.protocol()
+
+        def new() -> BoundedProtocol:
+            made.append(kind(config, ServerState(), {}, loop))
+            return made[-1]
+
+        server = await loop.create_server(new, "127.0.0.1", 0)
+        address = server.sockets[0].getsockname()
+        reader, writer = await asyncio.open_connection(*address)
+        _, other = await asyncio.open_connection(*address)
+        writer.write(b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: 4\r\n\r\nbo")
+        while not seen:
+            await asyncio.sleep(0.001)
+        writer.write(b"dy")
+        await reader.readuntil(b"c\r\n0\r\n")
+        seen.append(made[0].is_asked)
+        limits = made[0].transport.get_write_buffer_limits()
+        found: list[Any] = [len(table._open), limits[1]]
+        writer.close()
+        while len(table._open) > 1:
+            await asyncio.sleep(0.001)
+        found.append([*table._open] == [other.get_extra_info("sockname")])
+        table.end()
+        server.close()
+        other.close()
+        for one in (writer, other):
+            with suppress(ConnectionError):
+                await one.wait_closed()
+        return found
+
+    found = asyncio.run(asyncio.wait_for(talk(), 20.0))
+
+    assert seen == [False, True, True, False]
+    assert found == [2, 16_384, True]

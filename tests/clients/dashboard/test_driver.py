@@ -128,6 +128,18 @@ def test_a_stop_finds_a_restarted_daemon(where: str) -> None:
     driver.end()
 
 
+def test_a_stop_uses_the_connection_that_was_opened_for_it(
+    driver: Driver, daemon: FakeDaemon
+) -> None:
+    driver.be_ready_to_stop()
+    ready = driver._stopper
+    driver.stop("Ada")
+
+    assert ready is not None
+    assert driver._stopper is ready
+    assert daemon.names() == ["stop"]
+
+
 def test_a_rig_that_the_page_has_is_given_back_once(driver: Driver, daemon: FakeDaemon) -> None:
     driver.arm("a page", 0.04)
     driver.arm("a page", None)

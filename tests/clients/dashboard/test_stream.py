@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from armrig.dashboard.bins import COLUMNS, Rows
 from armrig.dashboard.driver import Driver, RunState
-from armrig.dashboard.feed import Feed
+from armrig.dashboard.feed import LATE_US, Feed
 from armrig.dashboard.stream import History, Stream, encoded, event
 from armrig.dashboard.viewers import MOST_VIEWERS, TooManyViewersError, Viewer, Viewers
 
@@ -86,6 +86,7 @@ def test_a_new_viewer_gets_the_whole_past_and_each_state_once() -> None:
 
     kinds = [message.split(b"\n")[0].decode().removeprefix("event: ") for message in first]
     assert kinds == ["hello", "status", "run", "marks", "timing", "past", "past", "past", "whole"]
+    assert first[0] == event("hello", {"may_command": True, "late_us": LATE_US})
     rows = [row for m in first if m.startswith(b"event: past") for row in json.loads(m[18:])]
     assert [row[0] for row in rows] == [round(1 + k / 100, 3) for k in range(1203)]
     assert not [m for m in then if m.startswith((b"event: status", b"event: run"))]

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from math import inf
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from armrig.dashboard.study_of_one import csv, curves, facts
+from armrig.dashboard import study_of_one
+from armrig.dashboard.study_of_one import csv, curves, facts, identified
+from armrig.estimation.arx import arx
 from armrig.recordings.loading import load
+from armrig.validation.residuals import residuals
 
 from tests.clients.made_recordings import note, recorded, sample, written
 
@@ -56,3 +61,69 @@ def test_the_notes_of_a_recording_are_listed(tmp_path: Path) -> None:
     assert len(found["notes"]) == 100
     assert found["more_notes"] == 50
     assert found["notes"][5] == (pytest.approx(0.05, abs=1e-4), "Ada", "<b>5")
+
+
+@pytest.mark.parametrize(
+    ("output", "judged"),
+    [
+        ("theta_1", "the second half of the recording"),
+        ("alpha", "the second half of the recording"),
+        ("alpha", "validation.mcap"),
+    ],
+)
+def test_a_model_is_judged_on_data_that_it_has_not_seen(
+    three_recordings: tuple[Path, Path, Path],
+    monkeypatch: pytest.MonkeyPatch,
+    output: Any,
+    judged: str,
+) -> None:
+    """The search for the orders and the model's long texts are left out here."""
+    seen: list[list[float]] = []
+
+    class Quick:
+        def __init__(self, *, orders: dict[str, int], nk: int, integrator: bool, **_: Any) -> None:
+            assert (orders, nk, integrator) == ({"nb": 2, "nf": 3}, 4, output == "theta_1")
+
+        def estimated(self, data: Any) -> Any:
+            seen.append(np.ravel(data.u).tolist())
+            fit = arx(data, na=4, nb=4, nk=1)
+            monkeypatch.setattr(type(fit), "summary", lambda _: "characteristics")
+            return fit
+
+    def hints(data: Any) -> Any:
+        seen.append(np.ravel(data.u).tolist())
+        orders = {"nb": 2, "nf": 3, "nk": 4, "integrator": output == "theta_1"}
+        return SimpleNamespace(**orders, explain=lambda: "hints")
+
+    def tested(fit: Any, data: Any) -> Any:
+        seen.append(np.ravel(data.u).tolist())
+        return residuals(fit, data)
+
+    monkeypatch.setattr(study_of_one, "structure_hints", hints)
+    monkeypatch.setattr(study_of_one, "residuals", tested)
+    monkeypatch.setattr(study_of_one, "Request", Quick)
+    monkeypatch.setattr(study_of_one, "advice", lambda _: SimpleNamespace(explain=lambda: "advice"))
+    monkeypatch.setattr(study_of_one, "_figures", lambda *_: [("Bode", "<svg/>")])
+    _, path, validation = three_recordings
+
+    is_alone, recording = judged != validation.name, load(path)
+    u, half = recording.u.tolist(), recording.N // 2
+
+    found = identified(path, None if is_alone else validation, output)
+
+    texts = dict(found["texts"])
+    estimated = u[:half] if is_alone else u
+    validated = u[half:] if is_alone else load(validation).u.tolist()
+    assert seen == [estimated, estimated, validated]
+    assert found["judged"] == judged
+    assert texts["residuals"].startswith("residuals on validation data")
+    assert [texts[name] for name in ("why these orders", "advice")] == ["hints", "advice"]
+    assert found["figures"] == [("Bode", "<svg/>")]
+    name, (t, least, largest) = found["simulated"]
+    assert (name, least) == (output, largest)
+    np.testing.assert_allclose(t, recording.t, atol=1e-6)
+    measured = np.degrees(getattr(recording, output))
+    known = np.isfinite(measured) & [y is not None for y in least]
+    error = np.array([y for y, is_known in zip(least, known, strict=True) if is_known])
+    error -= measured[known]
+    assert np.std(error) < 0.5 * np.std(measured[known])

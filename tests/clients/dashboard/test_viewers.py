@@ -56,6 +56,22 @@ def test_there_are_so_many_and_no_more() -> None:
     asyncio.run(tried())
 
 
+def test_the_end_of_the_server_drops_a_viewer_that_has_not_read_its_messages() -> None:
+    async def heard() -> tuple[list[bytes], list[bytes], bool]:
+        viewers = Viewers()
+        full, other = Viewer(lambda: None), Viewer(lambda: None)
+        viewers.add(full)
+        viewers.add(other)
+        while not full._waiting.full():
+            full.offer(b"a")
+        other.offer(b"b")
+        viewers.end()
+        ends = [[message async for message in viewer.messages()] for viewer in (full, other)]
+        return ends[0], ends[1], full.is_dropped
+
+    assert asyncio.run(heard()) == ([], [b"b"], True)
+
+
 def test_each_dropped_viewer_is_counted() -> None:
     async def told() -> tuple[int, list[bytes], bool]:
         viewers = Viewers()

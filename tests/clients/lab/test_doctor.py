@@ -69,6 +69,8 @@ def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
     assert {f.level for f in findings} == {"good"}
     assert len(findings) == 15
     assert found(findings, "load").found == "0.4 on 4 processors"
+    full = examine(host(tmp_path, {"proc/loadavg": "4.00 1 1 1/2 3"}))
+    assert str(found(full, "load")) == "good  load: 4 on 4 processors"
     assert all("\n" not in str(f) and not f.mend for f in findings)
 
 
@@ -236,6 +238,9 @@ def test_recordings_go_where_the_users_configuration_says(tmp_path: Path) -> Non
     (user / "armrig.toml").write_text('[recording]\ndirectory = "/home/a"\n')
     assert recordings_directory(tmp_path, user) == Path("/home/a")
 
+    (user / "armrig.toml").write_text('[recording]\ndirectory = "~/rig"\n')
+    assert recordings_directory(tmp_path, user) == Path.home() / "rig"
+
     (user / "armrig.toml").write_text('[recording]\ndirectory = "/b"\n', encoding="utf-8-sig")
     assert recordings_directory(tmp_path, user) == Path("/b")
 
@@ -352,6 +357,29 @@ def test_the_doctor_asks_the_daemon_of_this_machine(tmp_path: Path) -> None:
         ValueError, match="the doctor examines only this machine; give unixsock-stream/PATH"
     ):
         doctor.doctor("1", "tls/lab:7447")
+
+
+@pytest.mark.parametrize(
+    ("runtime", "period", "level", "words"),
+    [
+        ("-1", "1000000", "good", "off"),
+        ("0", "1000000", "bad", "may use 0% of a processor"),
+        ("450000", "500000", "good", "above 90% of a processor"),
+        ("449999", "500000", "bad", "may use 90% of a processor"),
+        ("950000", "", "bad", "may use 0% of a processor"),
+        ("none", "1000000", "note", "not reported by this kernel"),
+    ],
+)
+def test_the_share_of_real_time_programs_is_judged(
+    tmp_path: Path, runtime: str, period: str, level: str, words: str
+) -> None:
+    kernel = "proc/sys/kernel/sched_rt"
+    files = {f"{kernel}_runtime_us": runtime, f"{kernel}_period_us": period}
+
+    finding = found(examine(host(tmp_path, files)), "RT throttling")
+
+    assert finding.level == level
+    assert words in finding.found
 
 
 def test_kernel_workers_of_ordinary_priority_are_reported_with_the_way_out(tmp_path: Path) -> None:

@@ -264,6 +264,7 @@ def test_without_avrdude_it_says_how_to_get_it(
 @pytest.mark.parametrize(
     ("port", "there", "found"),
     [
+        (None, [CH340, PICO, R3], f"2 boards: {CH340}, {R3}; choose one by --port"),
         (None, [PICO, R3], R3),
         (None, [CH340], CH340),
         (None, [], "no board is plugged in by USB"),
@@ -389,6 +390,7 @@ def test_ctrl_c_says_what_the_board_may_hold() -> None:
         ("Reading | " + 50 * "#" + " | 100% 0.00s\n", (0, 50, "asking the boot loader")),
         ("Reading | #### | 100%\nWriting | " + 7 * "#", (7, 50, "writing")),
         ("Writing | " + 50 * "#" + " | 100% 3 s\nReading | ###", (3, 50, "reading back")),
+        ("Writing | " + 50 * "#" + " |\nVerifying | " + 9 * "#", (9, 50, "reading back")),
     ],
 )
 def test_progress_is_that_of_the_newest_bar(said: str, told: tuple[int, int, str]) -> None:

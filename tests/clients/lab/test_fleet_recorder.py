@@ -21,6 +21,7 @@ class _Rigs:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
         self.began = 0
         self.errors: list[str] = []
+        self.told: list[str] = []
         self.of_samples: Exception | None = None
         self.of_end: Exception | None = None
         monkeypatch.setattr(fleet_recorder, "RemoteRecording", self._recording)
@@ -30,17 +31,20 @@ class _Rigs:
             session,
             "a router",
             lambda rig: folder / f"{rig}.mcap",
-            lambda _: None,
+            self.told.append,
             self.errors.append,
         )
 
     def record(self) -> fleet_recorder.RigRecorded:
         """Record rig 1 to the end of its recording; return what became of it."""
-        (recorded,) = self._fleet.record(threading.Event(), 0.001, ["1"])
+        (recorded,) = self._fleet.record(threading.Event(), 0.05, ["1"])
         return recorded
 
-    def _recording(self, **_: object) -> Any:
-        return SimpleNamespace(finish=lambda _: self._end(self.of_end), done=[])
+    def _recording(self, *, tell: Any, **_: object) -> Any:
+        tell("the sampling time became 0.02 s")
+        tell("rig 1 does not answer; waiting for it")
+        files = [f"file {self.began}-{i}" for i in range(2)]
+        return SimpleNamespace(finish=lambda _: self._end(self.of_end), done=files)
 
     def _recorder(self, *_: object) -> Any:
         self.began += 1
@@ -71,6 +75,11 @@ def test_a_recording_that_ends_early_is_one_error(
     recorded = rigs.record()
 
     assert recorded.why == why
+    assert rigs.told == [
+        "rig 1: the sampling time became 0.02 s",
+        "rig 1 does not answer; waiting for it",
+        "recording rig 1",
+    ]
     assert rigs.errors == ([f"rig 1: its recording ended: {why}"] if why else [])
 
 
@@ -97,6 +106,42 @@ def test_a_rig_is_recorded_again_after_a_full_disk_with_a_pause_and_room(
     rigs.of_samples = error
 
     rigs.record()
-    rigs.record()
+    recorded = rigs.record()
 
     assert rigs.began == times
+    files = [f"file {k}-{i}" for k in range(times) for i in range(2)]
+    assert [str(file) for file in recorded.files] == files
+
+
+def test_all_rigs_are_recorded_until_the_last_of_them_has_ended(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    ended, begun, goes_on, errors = threading.Event(), list[str](), list[str](), list[str]()
+    last = threading.Event()
+
+    def recorder(_: Any, recording: Any) -> Any:
+        def record(is_over: threading.Event) -> None:
+            begun.append(recording.rig)
+            if recording.rig == "b":
+                last.wait(10.0)
+                assert not is_over.is_set()
+                goes_on.append("b")
+                return
+            threading.Timer(0.05, last.set).start()
+            raise RigError("it ended early")
+
+        return SimpleNamespace(begin=lambda: True, record=record)
+
+    monkeypatch.setattr(fleet_recorder, "RemoteRecorder", recorder)
+    monkeypatch.setattr(fleet_recorder, "_LOOK_INTERVAL_S", 0.01)
+    session: Any = None
+    fleet = FleetRecorder(
+        session, "a router", lambda rig: tmp_path / f"{rig}.mcap", lambda _: None, errors.append
+    )
+
+    found = fleet.record(ended, None, ["b", "a"])
+
+    assert goes_on == ["b"]
+    assert sorted(begun) == ["a", "b"]
+    assert [(one.rig, one.why) for one in found] == [("a", "it ended early"), ("b", "")]
+    assert errors == ["rig a: its recording ended: it ended early"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -50,7 +51,11 @@ def _contents(root: Path) -> dict[str, str]:
 
 
 def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) -> None:
-    installing(tmp_path).carry_out(commands)
+    before = os.umask(0o077)  # of a careful administrator
+    try:
+        installing(tmp_path).carry_out(commands)
+    finally:
+        os.umask(before)
 
     assert set(_contents(tmp_path)) == {
         UNIT,
@@ -63,6 +68,8 @@ def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) ->
         f"systemd-tmpfiles --root={tmp_path} --create armrig.conf",
     ]
     assert set(commands.files) == {4}
+    modes = {path.stat().st_mode & 0o777 for path in tmp_path.rglob("*") if path.is_file()}
+    assert modes == {0o644}
 
 
 @pytest.mark.parametrize(
@@ -149,6 +156,19 @@ def test_what_is_taken_away_is_what_was_installed(tmp_path: Path, commands: Comm
 
     assert commands.given == [f"systemctl --root={tmp_path} disable {' '.join(units)}"]
     assert _contents(tmp_path) == {"etc/armrig/1.toml": "[device]\n"}
+
+
+def test_what_was_changed_is_taken_away_and_named(tmp_path: Path, commands: Commands) -> None:
+    installing(tmp_path).carry_out(commands)
+    (tmp_path / UNIT).write_text("[Unit]\n")
+
+    plan = uninstalling(tmp_path)
+    shown = [line for line in plan.lines() if line.startswith("remove")]
+    plan.carry_out(commands)
+
+    assert f"remove   {tmp_path / UNIT}, which was changed" in shown
+    assert sum("which was changed" in line for line in shown) == 1
+    assert _contents(tmp_path) == {}
 
 
 def test_a_machine_without_it_has_nothing_to_take_away(tmp_path: Path) -> None:
@@ -300,7 +320,15 @@ def test_a_drop_in_that_leads_nowhere_keeps_nothing_installed(tmp_path: Path) ->
         ("RestrictAddressFamilies=AF_INET AF_INET6\n", True),
         ("IPAddressAllow=192.0.2.0/24\n", True),
         ("  PrivateNetwork = No\n", True),  # systemd reads it so, too
+        ("PrivateNetwork=false\n", True),
+        ("PrivateNetwork=off\n", True),
+        ("PrivateNetwork=0\n", True),
         ("# PrivateNetwork=no\nCPUSchedulingPriority=80\n", False),
+        ("PrivateNetwork=yes\n", False),
+        ("PrivateNetwork=1\n", False),
+        ("PrivateNetwork=on\n", False),
+        ("IPAddressAllow=\n", False),
+        ("RestrictAddressFamilies=AF_UNIX\n", False),
     ],
 )
 def test_a_drop_in_stays_and_is_named(

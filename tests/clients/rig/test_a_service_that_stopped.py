@@ -207,3 +207,39 @@ def test_a_recorder_is_notified_and_goes_on(
 
     stopped = f"{SAID}; waiting for it" if is_long else SAID
     assert [line for line in told if "answers again" not in line] == [stopped, STARTED_ANEW]
+
+
+class _Pauses:
+    """Source that is silent for these spans of a clock's seconds, with an answer after each."""
+
+    def __init__(self, clock: list[float], *spans: tuple[float, float]) -> None:
+        self._clock, self._spans = clock, spans
+
+    def next_piece(self) -> Piece | None:
+        self._clock[0] += 0.1
+        if any(begin < self._clock[0] < end for begin, end in self._spans):
+            return None
+        return Piece(past=Past(bytes(16), 0, 0, ()), is_new_life=False, lost=0)
+
+
+def test_a_recorder_reports_each_long_silence_once_with_its_length(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, told, session = [0.0], list[str](), None
+    monkeypatch.setattr(remote_recording, "_QUERY_INTERVAL_S", 0.0)
+    monkeypatch.setattr(remote_recording.time, "monotonic", lambda: clock[0])
+    recording = RemoteRecording(
+        path=tmp_path / "a.mcap", rig="7", endpoint="tls/lab:7447", tell=told.append
+    )
+    recorder = RemoteRecorder(session, recording)  # type: ignore[arg-type]
+    monkeypatch.setattr(recorder, "_row", _Pauses(clock, (1.05, 4.05), (5.05, 6.05), (7.05, 12.05)))
+
+    recorder.record(threading.Event(), 15.0)
+
+    assert told == [
+        "rig 7 does not answer; waiting for it",
+        "rig 7 answers again, after 3.1 s",
+        "rig 7 does not answer; waiting for it",
+        "rig 7 answers again, after 5.1 s",
+    ]
+    assert clock[0] == pytest.approx(15.1, abs=0.15)

@@ -247,6 +247,8 @@ def test_a_voltage_outside_what_was_granted_never_leaves_the_client(
         rig.arm("me")
         with pytest.raises(ValueError, match=r"u\[2\] = 4.8 V is outside 0.5 … 4.5 V"):
             rig.run([1.0, 4.5, 4.8, 0.0])
+        with pytest.raises(ValueError, match=r"u\[1\] = 0.4 V is outside 0.5 … 4.5 V"):
+            rig.run([1.0, 0.4, 4.8, 0.3])
         with pytest.raises(ValueError, match=r"u\[0\] = 0 V is outside 0.5 … 4.5 V"):
             rig.set(0.0)
 

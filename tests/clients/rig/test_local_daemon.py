@@ -6,10 +6,12 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from armrig.rig.client import Rig
-from armrig.rig.local_daemon import running
+from armrig.rig.local_daemon import require_running, running, stop
 from armrig.rig.session import NoReplyError, RigError
 
 RIG = "child"
@@ -55,6 +57,68 @@ def test_one_whose_parent_was_killed_before_it_looked_ends_at_once() -> None:
     done = subprocess.run([*program, "--parent", "999999999"], check=False, timeout=60)
 
     assert done.returncode == -signal.SIGTERM
+
+
+@pytest.mark.parametrize(
+    ("log", "quoted"),
+    [
+        ("armrigd: first\narmrigd: the port is taken\n\n", "the port is taken"),
+        ("first\nlast of all", "last of all"),
+        ("", "it printed nothing in "),
+    ],
+)
+def test_the_last_line_of_one_that_has_ended_is_quoted(
+    tmp_path: Path, log: str, quoted: str
+) -> None:
+    path = tmp_path / "log"
+    path.write_text(log)
+    ended: Any = SimpleNamespace(poll=lambda: 78, returncode=78)
+
+    with pytest.raises(RigError, match=f"^the daemon ended with exit code 78: {quoted}"):
+        require_running(ended, path)
+    require_running(SimpleNamespace(poll=lambda: None), path)  # type: ignore[arg-type]
+
+
+class _Child:
+    """Child process that ends by itself, by a signal, or only if it is killed."""
+
+    def __init__(self, *, ends: bool, has_ended: bool = False) -> None:
+        self.did: list[str] = []
+        self._ends, self._has_ended = ends, has_ended
+
+    def poll(self) -> int | None:
+        return 0 if self._has_ended else None
+
+    def send_signal(self, number: signal.Signals) -> None:
+        self.did.append(number.name)
+
+    def wait(self, timeout: float | None = None) -> None:
+        self.did.append("ignores" if signal.getsignal(signal.SIGINT) is signal.SIG_IGN else "heeds")
+        if not self._ends:
+            self._ends = True
+            raise subprocess.TimeoutExpired("armrigd", timeout or 0.0)
+
+    def kill(self) -> None:
+        self.did.append("killed")
+
+
+@pytest.mark.parametrize(
+    ("child", "did"),
+    [
+        (_Child(ends=True), ["SIGTERM", "ignores"]),
+        (_Child(ends=False), ["SIGTERM", "ignores", "killed", "ignores"]),
+        (_Child(ends=True, has_ended=True), []),
+    ],
+)
+def test_ctrl_c_does_not_keep_a_daemon_from_its_end_and_works_afterwards(
+    child: Any, did: list[str]
+) -> None:
+    before = signal.getsignal(signal.SIGINT)
+
+    stop(child)
+
+    assert child.did == did
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def _interrupted_when_it_answers(rig: Rig) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from armrig.rig.live_gaps import Newest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
+@example([12, 8, 1, 1, 1, 1, (4,), 12, 8, None, 12, 8])
 @given(st.lists(st.none() | st.integers(0, 12) | st.tuples(st.integers(0, 40)), max_size=40))
 def test_what_is_kept_is_the_newest_that_fits(steps: list[int | tuple[int] | None]) -> None:
     """At most 4 items and 20 B."""

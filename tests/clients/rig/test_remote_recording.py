@@ -199,6 +199,7 @@ def test_each_file_is_of_one_life_of_the_daemon(recording: RemoteRecording) -> N
         for k, late in ((5, 9), (8, 9), (10, 9))
     ] + [("/rig/1/sample", sample_ns(11) + 500, sample_ns(11), 11, gone[1])]
     held, lost = (decoded("gap", entry[4]) for entry in raw if "gap" in entry[0])
+    assert (held.reason, lost.reason) == ("link silent", GapCode.RECORDER_CUT_OFF.sentence)
     assert (held.t_from_ns, held.t_to_ns) == (sample_ns(6), sample_ns(8))
     assert (lost.t_from_ns, lost.t_to_ns) == (sample_ns(8) + 9, sample_ns(10) + 9)
     assert next(entry[1] for entry in raw if "event" in entry[0]) == sample_ns(8) + 9
@@ -206,6 +207,20 @@ def test_each_file_is_of_one_life_of_the_daemon(recording: RemoteRecording) -> N
         f"{GapCode.RECORDER_CUT_OFF.sentence}: 4 messages are lost",
         STARTED_ANEW,
     ]  # type: ignore[attr-defined]
+
+
+def test_lost_messages_are_an_event_at_the_time_of_the_rig_s_machine(
+    recording: RemoteRecording,
+) -> None:
+    offset_ns = time.time_ns() - sample_ns(0)
+    recording.add(piece(state(), sample(0), offset_ns=offset_ns))
+    recording.add(piece(sample(1), lost=3, offset_ns=offset_ns))
+
+    [found] = files(recording)
+
+    [warning] = found.events
+    assert warning.message == f"{GapCode.RECORDER_CUT_OFF.sentence}: 3 messages are lost"
+    assert warning.t == pytest.approx(0.0, abs=30.0)
 
 
 def test_no_file_that_is_there_is_replaced(recording: RemoteRecording, tmp_path: Path) -> None:

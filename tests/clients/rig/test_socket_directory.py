@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import pwd
 import socket
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
+from types import SimpleNamespace
 
 import armrig
 import pytest
@@ -16,6 +18,7 @@ from armrig.rig.client import Rig
 from armrig.rig.live_rigs import live_rigs
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.endpoint import endpoint
+from armrig_core.topics import PLAYED
 
 from tests.clients.fake_daemon import FakeDaemon
 
@@ -172,6 +175,21 @@ def test_the_service_s_user_is_looked_up() -> None:
     assert len(session._service_owners()) <= 2
 
 
+def test_root_and_the_service_s_user_own_a_service_s_folder(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def user(name: str) -> SimpleNamespace:
+        if name != "armrig":
+            raise KeyError(name)
+        return SimpleNamespace(pw_uid=977)
+
+    monkeypatch.setattr(pwd, "getpwnam", user)
+    there = session._service_owners()
+    monkeypatch.setattr(session, "SERVICE_USER", "nobody-here")
+
+    assert (there, session._service_owners()) == ({0, 977}, {0})
+
+
 def test_a_user_outside_the_group_gets_the_reason(
     service: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,6 +197,18 @@ def test_a_user_outside_the_group_gets_the_reason(
 
     with pytest.raises(RigError, match="only the group armrig may operate rig 1: `sudo usermod"):
         Rig().__enter__()
+
+
+def test_the_rigs_of_this_machine_are_those_with_a_socket_and_no_played_recordings(
+    service: Path,
+) -> None:
+    own = Path(session._socket_directory())
+    own.mkdir(exist_ok=True)
+    for name in ("lab-2.sock", f"{PLAYED}a.sock", "Not an id.sock", "b.socket"):
+        (own / name).touch()
+    (service / "lab-1.sock").touch()
+
+    assert session.local_rigs() == ["1", "lab-1", "lab-2"]
 
 
 def test_a_rig_whose_daemon_is_gone_is_listed_with_the_reason(directory: Path) -> None:

@@ -1,0 +1,47 @@
+"""The configuration of a lab's router: who may connect, how often, and with which messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from armrig.lab import pki
+from armrig.lab.router import MOST_LINKS, open_router, router_config
+from armrig_core import access_control
+from armrig_core.access_list import read_access_list
+from armrig_core.credential import read_credential
+from armrig_core.errors import InputError
+from armrig_core.topics import EVERY_RIG
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Path:
+    """Give an authority's folder, with a router, two rigs and two people."""
+    pki.make_authority(tmp_path)
+    pki.issue_to_router(tmp_path, ["lab"])
+    for rig in ("1", "7"):
+        pki.issue_to_rig(tmp_path, rig, [])
+    pki.issue_to_person(tmp_path, "ada", "operators")
+    pki.issue_to_person(tmp_path, "bob", "observers")
+    return tmp_path
+
+
+def test_a_router_limits_its_links_and_messages_and_asks_the_access_list(made: Path) -> None:
+    people = read_access_list(made / "access.toml")
+    credential = read_credential(made / "router.pem", "router")
+
+    config = router_config("tls/0.0.0.0:7447", credential, people)
+
+    assert config["mode"] == "router"
+    [listens] = config["listen"]["endpoints"]
+    assert listens.startswith("tls/0.0.0.0:7447#")
+    assert config["transport"]["unicast"]["max_sessions"] == MOST_LINKS
+    assert config["transport"]["link"]["tls"] == credential.tls("listen")
+    assert config["access_control"] == access_control.of_router(people)
+    assert config["low_pass_filter"] == access_control.size_limits(EVERY_RIG)
+    assert not config["scouting"]["multicast"]["enabled"]
+
+
+def test_a_router_without_certificates_is_refused_with_the_right_endpoint(made: Path) -> None:
+    with pytest.raises(InputError, match=r"by their certificates: use tls/127\.0\.0\.1:7447$"):
+        open_router("tcp/127.0.0.1:7447", made / "router.pem", made / "access.toml")

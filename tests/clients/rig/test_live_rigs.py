@@ -1,0 +1,107 @@
+"""The rigs whose daemons run: all of them, by id, each with its status or with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import pytest
+from armrig.rig import live_rigs as module
+from armrig.rig.live_rigs import ids_alive, live_rigs
+from armrig.rig.session import Connection, NoReplyError
+from armrig_core.topics import alive_key
+
+from tests.clients.fake_daemon import FakeDaemon
+
+
+class _Session:
+    """Session of an endpoint, with the rigs there and what each answers."""
+
+    def __init__(self, **answers: Any) -> None:
+        self._answers = {name.replace("_", "-"): answer for name, answer in answers.items()}
+
+    def __enter__(self) -> None:
+        """Begin."""
+
+    def __exit__(self, *_: object) -> None:
+        """End."""
+
+    def liveliness(self) -> Any:
+        """Return the tokens: each twice, the last of the table first."""
+        keys = [alive_key(rig) for rig in reversed(self._answers)] * 2
+        replies = [SimpleNamespace(ok=SimpleNamespace(key_expr=key)) for key in keys]
+        return SimpleNamespace(get=lambda *_, **__: [SimpleNamespace(ok=None), *replies])
+
+    def get(self, key: str, **_: Any) -> Iterator[Any]:
+        """Yield the answers of a rig."""
+        answer = self._answers[key.split("/")[1]]
+        sent = SimpleNamespace(to_bytes=lambda: answer)
+        if answer.startswith(b'{"rig"'):
+            yield SimpleNamespace(ok=SimpleNamespace(payload=sent), err=None)
+        elif answer:
+            said = type("Payload", (SimpleNamespace,), {"__str__": lambda _: answer.decode()})
+            yield SimpleNamespace(ok=None, err=SimpleNamespace(payload=said(**vars(sent))))
+
+
+def _status(rig: str) -> bytes:
+    return msgspec.json.encode(FakeDaemon("there", rig).status())
+
+
+def test_the_ids_of_living_rigs_are_in_order_and_each_is_there_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    session: Any = _Session(lab_9=b"", a=b"", lab_10=b"", z=b"", m=b"", lab_1=b"", c=b"", b=b"")
+
+    assert ids_alive(session) == ["a", "b", "c", "lab-1", "lab-10", "lab-9", "m", "z"]
+    monkeypatch.setattr(module, "MOST_RIGS", 3)
+    assert ids_alive(session) == ["a", "b", "c"]
+
+
+def test_each_rig_at_an_endpoint_has_its_own_status_or_the_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    session: Any = _Session(
+        c=_status("c"), a=b"", d=b"Timeout", b=_status("b"), e=b'{"error": "not permitted"}'
+    )
+    monkeypatch.setattr(module, "configured_connect", lambda: "tls/configured:1")
+    monkeypatch.setattr(module, "open_endpoint", lambda at: Connection(session, at, ""))
+
+    where, found = live_rigs("tls/lab:7447")
+
+    assert where == "tls/lab:7447"
+    assert {one.endpoint for one in found} == {where}
+    assert [(one.rig, one.status and one.status.rig, one.why) for one in found] == [
+        ("a", None, "does not answer"),
+        ("b", "b", ""),
+        ("c", "c", ""),
+        ("d", None, "does not answer"),
+        ("e", None, "not permitted"),
+    ]
+    assert live_rigs(None)[0] == "tls/configured:1"
+
+
+def test_of_this_machine_a_rig_that_cannot_be_reached_hides_no_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def opened(_: None, *, rig: str) -> Connection:
+        if rig in ("a", "c"):
+            raise NoReplyError(f"rig {rig} is gone")
+        session: Any = _Session(**{rig: _status(rig)})
+        return Connection(session, f"socket of {rig}", "")
+
+    monkeypatch.setattr(module, "configured_connect", lambda: "")
+    monkeypatch.setattr(module, "local_rigs", lambda: ["a", "b", "c", "d"])
+    monkeypatch.setattr(module, "default_endpoint", lambda rig: f"default of {rig}")
+    monkeypatch.setattr(module, "open_connection", opened)
+
+    where, found = live_rigs(None)
+
+    assert where == "this machine"
+    assert [(one.rig, one.endpoint, one.status is not None, one.why) for one in found] == [
+        ("a", "default of a", False, "rig a is gone"),
+        ("b", "socket of b", True, ""),
+        ("c", "default of c", False, "rig c is gone"),
+        ("d", "socket of d", True, ""),
+    ]
