@@ -61,7 +61,7 @@ def test_over_gaps_an_arx_model_predicts_the_conditional_mean(na: int) -> None:
 
 @pytest.mark.parametrize("horizon", [1, 3, 9])
 def test_a_model_of_coloured_noise_leaves_the_innovations_of_the_horizon(horizon: int) -> None:
-    """The error y - ŷ(t | t - k) is the sum of h(j) e(t - j), j < k, with h the response of C/(A D)."""
+    """The error is the sum of h(j) e(t - j), j < horizon; h is the response of C/(A D)."""
     fit = made(
         A=(1, -0.4), B=(0, 0, 0.5), C=(1, 0.5), D=(1, -0.7), F=(1, -0.6), nk=2, output="y", unit=""
     )
