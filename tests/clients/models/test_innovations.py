@@ -16,7 +16,7 @@ ONE = np.ones(1)
 
 
 def data(N: int = 60) -> Dataset:
-    """Return noise with two gaps, of which one is near the start."""
+    """Return noise with three gaps; the first is near the start."""
     u, y = np.random.default_rng(1).standard_normal((2, N)) + 0.5
     valid = np.ones(N, dtype=bool)
     valid[[3, 4, 30, 31, 32, 34]] = False

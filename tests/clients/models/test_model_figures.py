@@ -1,4 +1,4 @@
-"""What the figures of models show: read back from their lines."""
+"""Figures of models, read back from their lines."""
 
 from __future__ import annotations
 

@@ -335,7 +335,7 @@ def test_directions_have_the_covariance_and_keep_the_pole_at_1() -> None:
 
 @pytest.mark.parametrize("rate", [False, True])
 def test_a_band_of_draws_has_the_unit_of_its_response(rate: bool) -> None:
-    """A lag with a gain ± 40 %, of which the band holds 95 %, in its own time."""
+    """A lag with a gain ± 40 %; the band holds 95 % of the draws."""
     fit = made(B=(0, 0.2), F=(1, -0.9), std=(0.04, 0.03), Ts=0.02)
     answer, draws = fit.step_response(30, rate=rate), drawn(fit)
     assert draws is not None

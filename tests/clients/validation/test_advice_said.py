@@ -457,7 +457,7 @@ def signals_test(**fields: Any) -> SignalsResidualTest:
 
 
 def test_residuals_of_several_signals_are_told_by_pair() -> None:
-    """Of six pairs one has a p value below 0.01/6 = 0.00167."""
+    """A pair is named if its p value is below 0.01/6 = 0.00167."""
     assert repr(signals_test()).splitlines() == [
         "residuals on validation data, 50 and 45 samples",
         "  all outputs together: white (p = 0.500, portmanteau)",

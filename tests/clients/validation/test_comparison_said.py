@@ -195,7 +195,7 @@ def test_the_figures_of_a_poor_model_are_not_explained() -> None:
 
 
 def data(output: str = "alpha", unit: str = "rad") -> Dataset:
-    """Return six samples, of which one is missing."""
+    """Return six samples without the fourth."""
     y = np.array([0.0, 1.0, 2.0, 99.0, 4.0, 3.0])
     valid = np.array([True, True, True, False, True, True])
     return Dataset(u=np.zeros(6), y=y, Ts=0.5, valid=valid, output=output, unit=unit)
