@@ -156,6 +156,8 @@ def test_python_control_takes_both_transfer_functions() -> None:
     np.testing.assert_allclose(fit.to_control()(1 / x), p["B"] / (p["A"] * p["F"]))
     np.testing.assert_allclose(fit.noise_to_control()(1 / x), p["C"] / (p["A"] * p["D"]))
     assert (fit.noise_to_control().dt, fit.noise_to_control().input_labels) == (0.1, ["e"])
+    Phi = fit.noise_spectrum(omega).Phi
+    np.testing.assert_allclose(Phi, 0.04 * 0.1 * np.abs(p["C"] / (p["A"] * p["D"])) ** 2)
     np.testing.assert_allclose(fit.frequency_response(omega).G, p["B"] / (p["A"] * p["F"]))
 
 
