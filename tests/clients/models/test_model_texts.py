@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.finding import warning
+from armrig.models import characteristics
 from armrig.models.characteristics import model_characteristics
 from armrig.models.equation import form, input_and_output, whiteness_sentence
 from armrig.models.estimate import Start
@@ -16,6 +17,12 @@ from armrig.models.parameter_draws import Draws
 from armrig.models.summary import summary
 
 from tests.clients.models.made_fits import made
+
+
+@pytest.fixture(autouse=True)
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw as often as a range needs at least, not four times."""
+    monkeypatch.setattr(characteristics, "DRAWS", 100)
 
 
 @pytest.fixture(scope="module")

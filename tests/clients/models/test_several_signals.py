@@ -120,6 +120,7 @@ def test_each_channel_is_that_of_the_state_space_with_its_derivatives(name: str)
                 ratio = ratio / np.polyval(below[::-1], 1 / z)
             np.testing.assert_allclose(whole[:, i, j], ratio, atol=1e-9)
             assert not p["B"][: channel.nk].any()
+            assert abs(p["B"][channel.nk]) > 1e-6
 
             def free(theta: Array, i: int = i, j: int = j) -> Array:
                 moved = form.replaced(theta).channel(i, j)
