@@ -12,7 +12,14 @@ from armrig.data.merging import merge
 from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.quantities import NBSP
-from armrig.validation.feedback_and_delay.delay import _enough, _readings, determined_lags
+from armrig.validation.feedback_and_delay.delay import (
+    _enough,
+    _hidden_by_steps,
+    _Onset,
+    _readings,
+    _Readings,
+    determined_lags,
+)
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.figures import plot_delay, plot_open_loop
 from armrig.validation.feedback_and_delay.lag_tests import Before, LagTests
@@ -464,3 +471,10 @@ def test_sims_test_is_the_regression_of_its_docstring() -> None:
     order = [*range(Phi.shape[1] - 1, d - 1, -1), *range(begin, begin + found_.p)]
     np.testing.assert_allclose(found_.coefficients, theta[order], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(found_.std, std[order], rtol=1e-6)
+
+
+def test_a_response_at_lag_1_is_hidden_by_no_reading() -> None:
+    read = _Readings(quantum=1e-3, largest_step=5.0, changes=3, acceleration=1.0, t_q=0.2)
+
+    assert _hidden_by_steps(_Onset(first=0, last=1, misfit={}), read, 0.01) == (0, [])
+    assert _hidden_by_steps(_Onset(first=2, last=2, misfit={}), read, 0.01)[0] == 1

@@ -424,3 +424,13 @@ def test_several_inputs_are_tested_without_an_integrator(
     armrig.delay(data.channels(["y1", "y2"], ["u1"]), integrator=integrator)
 
     assert asked == [False] * 4 + [integrator] * 2
+
+
+def test_given_weights_of_the_outputs_are_those_of_the_projection() -> None:
+    """The estimator minimised the sum of w_i e_i²."""
+    fit = replace(estimated(0), output_weights=(2.0, 8.0))
+
+    (part,) = parts_of(fit, plant(0))
+
+    weights = np.einsum("tij,tik->tjk", part.G, part.G)
+    np.testing.assert_allclose(weights, np.broadcast_to(np.diag([2.0, 8.0]), weights.shape))
