@@ -16,8 +16,8 @@ from armrig.validation.feedback_and_delay.delay import (
     _enough,
     _hidden_by_steps,
     _Onset,
-    _readings,
     _Readings,
+    _readings,
     determined_lags,
 )
 from armrig.validation.feedback_and_delay.delay_result import Delay
