@@ -9,10 +9,12 @@ import armrig
 import numpy as np
 import pytest
 from armrig.models import characteristics
-from armrig.models.characteristics import SCALARS, model_characteristics
+from armrig.models.characteristics import SCALARS, model_characteristics, overlapping
 from armrig.numerics.polynomial import filtered
 from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices
+
+from tests.clients.models.made_fits import made
 
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
@@ -209,3 +211,117 @@ def test_the_times_of_a_model_are_those_of_the_step_analysis_whatever_Ts(Ts: flo
         assert t.slowest_time == pytest.approx(0.02, rel=1e-6)
     assert of_data.tau == pytest.approx(0.02, rel=0.01)
     assert of_data.equivalent_time == pytest.approx(0.02, rel=1e-3)
+
+
+@pytest.mark.parametrize("gain", [2.0, -3.0])
+def test_an_oscillator_has_the_textbook_s_figures_whatever_its_gain(gain: float) -> None:
+    """Damping 0.2 at 20 rad/s; z-plane sampling at 10 ms hardly moves the figures."""
+    zeta, w, Ts = 0.2, 20.0, 0.01
+    z = np.exp((-zeta + 1j * np.sqrt(1 - zeta**2)) * w * Ts)
+    F = np.real(np.poly([z, z.conjugate()]))
+
+    t = model_characteristics(made(B=(0, gain * F.sum()), F=F.tolist(), Ts=Ts))
+
+    assert t.gain == pytest.approx(gain)
+    assert t.resonance == pytest.approx(w * np.sqrt(1 - 2 * zeta**2), rel=1e-3)
+    flat = 1 - 2 * zeta**2
+    assert t.bandwidth == pytest.approx(w * np.sqrt(flat + np.sqrt(flat**2 + 1)), rel=5e-3)
+    overshoot = 100 * np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2))
+    assert t.overshoot == pytest.approx(overshoot, rel=2e-3)
+    assert t.slowest_time == pytest.approx(1 / (zeta * w))
+    assert np.isnan(t.antiresonance)
+    assert not t.integrating
+
+
+def test_poles_are_in_the_order_of_their_speed_with_their_own_deviations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The deviation of s = log(z)/Ts is that of z divided by |z| Ts."""
+    monkeypatch.setattr(characteristics, "DRAWS", 100)  # for the ranges, which are not looked at
+    z = [0.5, 0.95, 0.9 * np.exp(0.3j), 0.9 * np.exp(-0.3j), -0.4]
+    fit = made(F=np.real(np.poly(z)).tolist(), std=[0.001] * 6)
+
+    t = model_characteristics(fit)
+
+    s = np.log(np.array(z[:4], complex)) / fit.Ts
+    expected = s[[1, 2, 3, 0]]
+    np.testing.assert_allclose(t.poles[:4].real, expected.real, rtol=1e-9)
+    np.testing.assert_allclose(np.abs(t.poles[:4].imag), np.abs(expected.imag), atol=1e-9)
+    assert np.isnan(t.poles[4])
+    pairs = zip(np.abs(fit.poles().values).tolist(), fit.poles().std, strict=True)
+    own = {round(modulus, 6): std for modulus, std in pairs}
+    for pole, std in zip(t.poles[:4], t.poles_std[:4], strict=True):
+        modulus = float(np.exp(pole.real * fit.Ts))
+        assert std == pytest.approx(own[round(modulus, 6)] / (modulus * fit.Ts), rel=1e-9)
+
+
+def test_pairs_that_cancel_are_listed_once_and_the_closest_first() -> None:
+    zeros, poles = [0.6 + 0.31j, 0.6 - 0.31j, 0.9], [0.6 + 0.3j, 0.6 - 0.3j, 0.88]
+    B, F = np.real(np.poly(zeros)), np.real(np.poly(poles))
+    fit = made(B=[0.0, *B], F=F.tolist(), std=[0.02] * 7)
+    sure = made(B=[0.0, *B], F=F.tolist(), std=[1e-6] * 7)
+
+    found = overlapping(fit)
+
+    assert [(round(p.real, 6), round(p.imag, 6)) for p, _, _ in found] == [(0.6, 0.3), (0.88, 0.0)]
+    assert [zero for _, zero, _ in found] == pytest.approx([0.6 + 0.31j, 0.9])
+    assert all(0.01 < p < 1 for _, _, p in found)
+    assert overlapping(sure) == []
+
+
+def test_the_pole_of_an_integrator_is_no_half_of_a_pair() -> None:
+    for letter in ("A", "F"):
+        p = {letter: [1.0, -1.5, 0.5]}
+        claimed = made(B=(0, 1, -0.999), **p, integrator=True, std=[0.1] * 4)
+        free = made(B=(0, 1, -0.999), **p, std=[0.1] * 4)
+
+        assert 1.0 not in [round(pole.real, 6) for pole, _, _ in overlapping(claimed)]
+        assert 1.0 in [round(pole.real, 6) for pole, _, _ in overlapping(free)]
+
+
+@pytest.mark.parametrize(
+    ("undefined", "known"), [(0, True), (20, True), (21, False), (399, False), (400, False)]
+)
+def test_a_range_is_known_if_the_figure_exists_in_19_of_20_draws(
+    undefined: int, known: bool
+) -> None:
+    samples = 5.0 + 0.1 * np.random.default_rng(1).standard_normal(400)
+    samples[:undefined] = np.nan
+
+    found = characteristics._range(5.0, 0.1, samples)
+
+    assert bool(np.isfinite(found.low)) == known
+    assert np.isnan(characteristics._range(float("nan"), 0.1, samples).low)
+    assert characteristics._range(5.0, float("nan"), samples).method == "sampled"
+    same = characteristics._range(5.0, 0.1, np.full(400, 5.0))
+    assert (same.low, same.high) == (pytest.approx(4.804, abs=1e-3), pytest.approx(5.196, abs=1e-3))
+
+
+def test_the_first_value_below_a_level_is_interpolated() -> None:
+    x, y = np.array([1.0, 2.0, 4.0, 8.0]), np.array([10.0, 8.0, 4.0, 6.0])
+
+    found = [characteristics._first_below(x, y, level) for level in (11.0, 9.0, 7.0, 5.0, 3.0)]
+
+    assert found[:4] == [1.0, 1.5, 2.5, 3.5]
+    assert np.isnan(found[4])
+
+
+@pytest.mark.parametrize(("pole", "expected"), [(1.0049, True), (0.9951, True), (0.9949, False)])
+def test_a_pole_within_5e_3_of_1_integrates(pole: float, expected: bool) -> None:
+    assert characteristics.integrates(made(F=(1, -pole))) is expected
+    assert characteristics.integrates(made(A=(1, -pole))) is expected
+    assert characteristics.integrates(made(F=(1, -1), integrator=True))
+
+
+@pytest.mark.parametrize("letter", ["A", "F"])
+def test_a_claimed_integrator_has_the_gain_of_its_rate(letter: str) -> None:
+    """0.3 / ((1 - 0.9) Ts), and the pole at 0 is the slowest."""
+    p = {letter: [1.0, -1.9, 0.9]}
+
+    t = model_characteristics(made(B=(0, 0.3), Ts=0.02, integrator=True, **p))
+
+    assert t.integrating
+    assert t.gain == pytest.approx(0.3 / 0.1 / 0.02)
+    assert t.poles == pytest.approx([0.0, np.log(0.9) / 0.02])
+    assert t.slowest_time == pytest.approx(-0.02 / np.log(0.9))
+    assert t.overshoot == pytest.approx(0, abs=1e-6)

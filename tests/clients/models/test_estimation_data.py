@@ -66,9 +66,10 @@ def test_a_treatment_does_not_hide_the_overlap() -> None:
     data = dataset()
     fit = armrig.arx(data, na=1, nb=1)
 
-    [finding] = found(armrig.detrend(data[100:300]), fit)
+    for part, times in ((data[100:300], (10.0, 30.0)), (data, (0.0, 40.0))):
+        [finding] = found(armrig.detrend(part), fit)
 
-    assert finding.numbers == pytest.approx({"start": 10.0, "stop": 30.0})
+        assert finding.numbers == pytest.approx(dict(zip(("start", "stop"), times, strict=True)))
 
 
 def test_the_same_data_have_a_code_of_their_own() -> None:
@@ -77,6 +78,23 @@ def test_the_same_data_have_a_code_of_their_own() -> None:
     [finding] = found(data, armrig.arx(data, na=1, nb=1))
 
     assert finding.about == "own data"
+
+
+def test_beside_a_model_of_the_same_data_another_one_overlaps() -> None:
+    """Each overlap has its model's name and its own times; the end is that of the shorter."""
+    data = dataset()
+    own, first, last = (armrig.arx(part, na=1, nb=1) for part in (data, data[:50], data[390:]))
+
+    for labels, models in (("abc", (own, first, last)), ("cba", (last, first, own))):
+        findings = armrig.compare(data, *models, labels=tuple(labels)).findings
+
+        assert [f.about for f in findings] == ["own data", "overlap", "overlap"]
+        times = {f.text[0]: (f.numbers["start"], f.numbers["stop"]) for f in findings[1:]}
+        names = dict(zip(models, labels, strict=True))
+        assert times[names[first]] == pytest.approx((0.0, 5.0))
+        assert times[names[last]] == pytest.approx((39.0, 40.0))
+    inner = armrig.compare(data[100:200], own, labels=("a",)).findings
+    assert [(f.numbers["start"], f.numbers["stop"]) for f in inner] == [pytest.approx((10.0, 20.0))]
 
 
 def test_data_of_another_file_or_of_merged_parts_have_no_finding() -> None:

@@ -11,9 +11,15 @@ import pytest
 from armrig.models.model import Model
 from armrig.physics.physical_model import PhysicalModel, physical_model
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from numpy.typing import NDArray
+
+from tests.clients.models.made_fits import made
 
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
+
+
+Vector = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
@@ -126,3 +132,117 @@ def test_a_pole_that_an_ill_conditioned_covariance_hardly_moves_has_a_deviation(
         with np.errstate(invalid="raise"):
             known = replace(plain, covariance=covariance, covariance_robust=covariance)
             assert np.isfinite(known.poles().std).all()
+
+
+def whole() -> armrig.Fit:
+    """Return a model with five polynomials of different orders."""
+    return made(
+        A=(1, -0.5),
+        B=(0, 0, 1, 0.5),
+        C=(1, 0.3, 0.1),
+        D=(1, -0.7, 0.2, 0.1),
+        F=(1, -1.5, 0.7, -0.1),
+        nk=2,
+        std=0.01 * np.arange(1, 12),
+    )
+
+
+def test_python_control_takes_both_transfer_functions() -> None:
+    """B/(A F) from u, C/(A D) from e."""
+    fit, omega = whole(), np.array([0.3, 4.0, 20.0])
+    x = np.exp(-1j * omega * fit.Ts)
+    p = {letter: np.polyval(getattr(fit, letter)[::-1], x) for letter in "ABCDF"}
+
+    np.testing.assert_allclose(fit.to_control()(1 / x), p["B"] / (p["A"] * p["F"]))
+    np.testing.assert_allclose(fit.noise_to_control()(1 / x), p["C"] / (p["A"] * p["D"]))
+    assert (fit.noise_to_control().dt, fit.noise_to_control().input_labels) == (0.1, ["e"])
+    Phi = fit.noise_spectrum(omega).Phi
+    np.testing.assert_allclose(Phi, 0.04 * 0.1 * np.abs(p["C"] / (p["A"] * p["D"])) ** 2)
+    np.testing.assert_allclose(fit.frequency_response(omega).G, p["B"] / (p["A"] * p["F"]))
+
+
+@pytest.mark.parametrize("integrating", ["", "a", "f"])
+def test_deviations_are_those_of_the_derivatives(integrating: str) -> None:
+    """Each of the parameters is moved alone: |G|, its phase, the step, the noise and the roots."""
+    fit, omega = whole(), np.array([0.3, 4.0, 20.0])
+    if integrating:
+        p = getattr(fit, integrating.upper())
+        fit = replace(fit, **{integrating.upper(): np.convolve(p, [1, -1])})
+        d = fit.theta.size
+        P = np.diag(np.square(0.01 * np.arange(1, d + 1)))
+        fit = replace(fit, covariance=P, covariance_robust=P)
+    d = fit.theta.size
+
+    def moved(h: Vector) -> list[Vector]:
+        theta = fit.theta + h
+        parts = {letter: theta[fit.slice_of(letter)] for letter in "abcdf"}
+        other = replace(
+            fit,
+            B=np.append([0.0, 0.0], parts.pop("b")),
+            **{letter.upper(): np.append(1.0, part) for letter, part in parts.items()},
+        )
+        G = other.frequency_response(omega).G
+        zeros = other.zeros().values
+        Phi = other.noise_spectrum(omega).Phi
+        return [np.abs(G), np.angle(G), other.step_response(12).y, Phi, zeros.real]
+
+    std = np.sqrt(np.diag(fit.covariance))
+    variances: list[Vector] = [np.zeros(x.size) for x in moved(np.zeros(d))]
+    for k in range(d):
+        h = np.zeros(d)
+        h[k] = 1e-6
+        ends = zip(moved(h), moved(-h), strict=True)
+        for v, (above, below) in zip(variances, ends, strict=True):
+            v += ((above - below) / 2e-6 * std[k]) ** 2
+
+    response, spectrum = fit.frequency_response(omega), fit.noise_spectrum(omega)
+    np.testing.assert_allclose(response.std_magnitude**2, variances[0], rtol=1e-4)
+    np.testing.assert_allclose(response.std_phase**2, variances[1], rtol=1e-4)
+    step = fit.step_response(12).std
+    np.testing.assert_allclose(step**2, variances[2], rtol=1e-4, atol=1e-12)
+    of_lambda = 2 / fit.N * spectrum.Phi**2
+    np.testing.assert_allclose(spectrum.std**2, variances[3] + of_lambda, rtol=1e-4)
+    np.testing.assert_allclose(fit.zeros().covariance[:, 0, 0], variances[4], rtol=1e-4)
+
+
+def test_a_rate_is_the_difference_of_the_step_at_the_middle_of_each_interval() -> None:
+    for fit in (whole(), replace(whole(), Ts=0.02)):
+        step, rate = fit.step_response(9), fit.step_response(8, rate=True)
+
+        np.testing.assert_allclose(step.t, fit.Ts * np.arange(9))
+        np.testing.assert_allclose(rate.t, fit.Ts * (np.arange(8) + 0.5))
+        np.testing.assert_allclose(rate.y, np.diff(step.y) / fit.Ts, atol=1e-12)
+        assert (step.rate, rate.rate) == (False, True)
+
+
+def test_an_integrator_is_a_pole_at_1_without_a_deviation_and_no_parameter() -> None:
+    for letter, other in (("A", "F"), ("F", "A")):
+        p = {letter: np.convolve([1, -1.0000001], [1, -0.6]).tolist()}
+        fit = made(B=(0, 1, 0.5), **p, integrator=True, std=[0.1] * 4)
+
+        poles = fit.poles()
+
+        at = int(np.argmin(np.abs(poles.values - 1)))
+        assert poles.values[at] == 1.0
+        assert poles.std[at] == 0.0
+        assert poles.std[1 - at] > 0
+        assert fit.parameters == 3
+        assert fit.integrating == letter.lower()
+        assert replace(fit, integrator=False).parameters == 4
+        assert replace(fit, integrator=False).integrating == ""
+        assert getattr(fit, other).tolist() == [1.0]
+
+
+def test_roots_are_printed_with_their_deviations() -> None:
+    """z² - 1.2 z + 0.52 has the roots 0.6 ± 0.4i."""
+    roots = made(F=(1, -1.2, 0.52), std=(0.1, 1e-3, 2e-3)).poles()
+    re, im = 0.5e-3, float(np.hypot(0.6 * 0.5e-3 / 0.4, 1e-3 / 0.4))
+
+    lines = repr(roots).splitlines()
+
+    assert roots.std == pytest.approx([np.hypot(re, im)] * 2)
+    assert lines[1].split() == ["0.60000", f"{re:.2g}", "0.40000", f"{im:.2g}", "0.72111", "0.588"]
+    assert lines[2].split()[2] == "-0.40000"
+    assert lines[2].split()[-1] == "-0.588"
+    assert (len(roots), roots[1], [*roots]) == (2, 0.6 - 0.4j, [0.6 + 0.4j, 0.6 - 0.4j])
+    assert repr(made().poles()) == "no roots"

@@ -13,13 +13,15 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.finding import warning
 from armrig.data.merging import merge
-from armrig.data.step import MEAN, Step, codes_of
+from armrig.data.step import LINE, MEAN, Step, codes_of
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
+from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.model_file import fit_of, load_fit
-from armrig.models.model_writing import model_text
+from armrig.models.model_writing import model_text, plain
+from armrig.models.structure import FreeResponse
 from armrig.numerics.polynomial import filtered
 from armrig.validation.residuals import residuals
 from armrig_core.errors import FileError
@@ -179,3 +181,98 @@ def test_a_model_of_a_windows_editor_is_read(fit: Fit, tmp_path: Path) -> None:
         FileError, match=r"json: it is saved as UTF-16: save it as UTF-8; a model is"
     ):
         load_fit(path)
+
+
+def test_nothing_of_a_free_response_or_a_start_is_exchanged(fit: Fit) -> None:
+    changed = replace(
+        fit,
+        free=(
+            FreeResponse(transients=(0.5, -1.5), level=2.5, offset=-3.5),
+            FreeResponse(transients=(), level=float("nan"), offset=float("inf")),
+        ),
+        starts=(
+            Start(name="IV", loss=float("inf"), iterations=7, converged=False),
+            Start(name="ARX", loss=0.5, iterations=2, converged=True),
+        ),
+        agreed=False,
+        converged=False,
+        curvature=0.75,
+        noise_variance=0.25,
+        offset=True,
+        fit_percent=-np.inf,
+    )
+
+    loaded = fit_of(model_text(changed), "m.json")
+
+    assert loaded.free[0] == changed.free[0]
+    assert np.isnan(loaded.free[1].level)
+    assert loaded.free[1].offset == np.inf
+    assert loaded.starts == changed.starts
+    for name in ("agreed", "converged", "curvature", "noise_variance", "offset", "fit_percent"):
+        assert getattr(loaded, name) == getattr(changed, name)
+
+
+def test_each_finding_keeps_all_that_it_says(fit: Fit) -> None:
+    """Numbers that are not finite, too."""
+    findings = (
+        warning("overlap", "first", start=1.5, stop=float("inf")),
+        warning("reflected", "second", "order"),
+    )
+
+    text = model_text(replace(fit, findings=findings))
+
+    assert fit_of(text, "m.json").findings == findings
+    content = json.loads(text)
+    assert content["warnings"] == ["first", "second"]
+    assert [f["asks"] for f in content["findings"]] == ["", "order"]
+    assert content["findings"][0]["numbers"] == {"start": 1.5, "stop": "inf"}
+
+
+def test_each_sentence_of_armrig_0_1_has_its_code(fit: Fit) -> None:
+    content = json.loads(model_text(fit))
+    del content["treatment"]
+    content["history"] = [
+        "removed a straight line from y",
+        "part 2: removed the mean from u and y",
+        "marked 3 samples",
+    ]
+
+    assert codes_of(fit_of(json.dumps(content), "m.json").history) == [LINE, MEAN, ""]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('{"quality": []}', "model of several signals; here give a model of one output"),
+        ('{"version": 1}', "is no model file"),
+        ("[1]", "is no model file"),
+        ('{"format": "armrig model", "version": 3, "armrig": "9.9"}', "version 3.* armrig 9.9"),
+    ],
+)
+def test_what_a_file_is_instead_of_a_model_is_said(content: str, said: str) -> None:
+    with pytest.raises(FileError, match=f"m.json .*{said}"):
+        fit_of(content, "m.json")
+
+
+@pytest.mark.parametrize("name", ["covariance", "covariance_robust"])
+def test_a_covariance_of_another_size_is_damage(fit: Fit, name: str) -> None:
+    content = json.loads(model_text(fit)) | {name: [[1.0, 0.0], [0.0, 1.0]]}
+
+    with pytest.raises(FileError, match="damaged model: it has 6 parameters, and covariances of"):
+        fit_of(json.dumps(content), "m.json")
+
+
+def test_numbers_of_each_type_are_plain() -> None:
+    found = plain(
+        {
+            "a": np.array([[1.0, np.nan], [-np.inf, 2.0]]),
+            "b": (np.int64(3), np.bool_(True), np.float64("inf")),
+            "c": [None, "text", 2.5],
+        }
+    )
+
+    assert json.loads(json.dumps(found, allow_nan=False)) == {
+        "a": [[1.0, "nan"], ["-inf", 2.0]],
+        "b": [3, True, "inf"],
+        "c": [None, "text", 2.5],
+    }

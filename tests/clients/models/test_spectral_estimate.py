@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from armrig.models.spectral_estimate import SpectralEstimate
+import pytest
+from armrig.models.spectral_estimate import (
+    SpectralEstimate,
+    high_band,
+    high_slope,
+    log_slope,
+    low_slope,
+    phase_delay,
+)
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 
 def test_an_unknown_frequency_does_not_cost_the_phase_after_it() -> None:
@@ -28,3 +40,160 @@ def test_an_unknown_frequency_does_not_cost_the_phase_after_it() -> None:
     )
 
     np.testing.assert_allclose(estimate.phase, delay)
+
+
+def estimate(omega: NDArray[np.float64], G: Any, **fields: Any) -> SpectralEstimate:
+    """Return an estimate by hand, without deviations unless given."""
+    unknown = np.full(omega.size, np.nan)
+    values: dict[str, Any] = {
+        "std_magnitude": unknown,
+        "std_phase": unknown,
+        "method": "by hand, Hann",
+        "integrator": False,
+        "N": 60,
+        "Ts": 0.1,
+        "output": "theta_1",
+        "unit": "rad",
+        "input_unit": "V",
+        "source": "",
+    }
+    return SpectralEstimate(omega=omega, G=np.asarray(G, complex), **(values | fields))
+
+
+def test_the_rate_of_an_estimate_is_its_difference_quotient() -> None:
+    """(1 - exp(-iωTs))/Ts: deviations by its modulus, spectra by the square, phases as before."""
+    omega = np.array([2.0, 9.0, 30.0])
+    factor = (1 - np.exp(-1j * omega * 0.1)) / 0.1
+    known = {
+        name: np.array([0.1, 0.2, 0.5]) * (k + 1)
+        for k, name in enumerate(
+            ("std_magnitude", "noise_spectrum", "noise_std", "noise_only_std", "nonlinear_std")
+        )
+    }
+    kept = {"std_phase": np.array([0.1, 0.3, 0.7]), "coherence": np.array([0.9, 0.5, 0.1])}
+    found = estimate(omega, [1.0, 2j, -3.0], integrator=True, **known, **kept)
+
+    rate = found.rate()
+
+    np.testing.assert_allclose(rate.G, found.G * factor)
+    for name, x in known.items():
+        power = 2 if name in ("noise_spectrum", "noise_std") else 1
+        np.testing.assert_allclose(getattr(rate, name), x * np.abs(factor) ** power)
+    for name, x in kept.items():
+        np.testing.assert_array_equal(getattr(rate, name), x)
+    assert (rate.output, rate.unit, rate.integrator) == ("velocity", "rad/s", False)
+    bare = estimate(omega, found.G, unit="").rate()
+    assert (bare.unit, bare.noise_spectrum, bare.nonlinear_std) == ("", None, None)
+
+
+def test_an_estimate_is_printed_in_rad_per_s_and_degrees() -> None:
+    omega = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 31.0])
+    G = [2.0, 2j, -1.0, 0.5 - 0.5j, 0.25, 0.125]
+    std = np.array([0.1, np.nan, 0.1, 0.1, 0.1, 0.02])
+    coherence = np.linspace(1.0, 0.0, 6)
+    found = estimate(
+        omega, G, std_magnitude=std, std_phase=std / 2, coherence=coherence, integrator=True,
+        notes=("a note", "another"),
+    )  # fmt: skip
+
+    lines = repr(found).splitlines()
+
+    assert lines[:3] == [
+        "frequency response to theta_1: by hand, Hann",
+        "  6 frequencies, 1 … 31 rad/s (Nyquist 31.42), 60 samples at 0.1 s",
+        "  y integrates: the response of its rate was estimated, then integrated",
+    ]
+    assert lines[3] == "          1 rad/s  |G| 2 ± 0.1, arg G 0.0 ± 2.9°, coherence 1.000"
+    assert lines[4] == "          2 rad/s  |G| 2, arg G 90.0°, coherence 0.800"
+    assert lines[7] == "         31 rad/s  |G| 0.125 ± 0.02, arg G 0.0 ± 0.57°, coherence 0.000"
+    assert lines[8:] == ["  note: a note", "  note: another"]
+    assert "integrates" not in repr(estimate(omega, G))
+    assert "coherence" not in repr(estimate(omega, G))
+
+
+def test_slopes_are_those_of_the_bands_at_each_end() -> None:
+    """First decade -20 dB, then -60 dB a decade; one frequency is not believed."""
+    omega = np.geomspace(0.1, 30.0, 60)
+    G = np.where(omega < 1, 1 / omega, 1 / omega**3)
+    found, believed = estimate(omega, G), np.delete(np.arange(60), 3)
+
+    slope, std, low = low_slope(found, believed)
+
+    assert (slope, std) == (pytest.approx(-20), pytest.approx(0, abs=1e-6))
+    assert low.tolist() == [w for w in omega[believed] if w <= 0.1 * np.sqrt(10)]
+    assert high_slope(found, believed) == pytest.approx(-60)
+    band = omega[high_band(found, believed)]
+    top = 0.6 * np.pi / 0.1
+    assert band.tolist() == [w for w in omega if top / 10 ** (1 / 3) <= w <= top]
+    few = high_band(found, np.array([0, 10, 20, 30, 40]))
+    assert few.tolist() == [20, 30, 40]
+    assert low_slope(found, np.array([0, 20, 21, 30]))[2].tolist() == omega[[0, 20, 21]].tolist()
+    nothing = np.zeros(0, dtype=int)
+    assert np.isnan(high_slope(found, nothing))
+    assert np.isnan(low_slope(found, nothing)[0])
+
+
+def test_the_deviation_of_a_slope_is_that_of_a_fitted_line() -> None:
+    rng = np.random.default_rng(0)
+    omega = np.geomspace(1.0, 30.0, 12)
+    magnitude = omega**-1.5 * 10 ** (0.05 * rng.standard_normal(12))
+
+    slope, std = log_slope(omega, magnitude)
+
+    (expected, _), covariance = np.polyfit(np.log10(omega), 20 * np.log10(magnitude), 1, cov=True)
+    assert slope == pytest.approx(expected)
+    assert std == pytest.approx(np.sqrt(covariance[0, 0]))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("delay", [0.0, 0.07, 1.24])
+def test_the_phase_that_the_roll_off_does_not_explain_is_a_delay(sign: float, delay: float) -> None:
+    """1/(iω)² has -40 dB a decade and -180°; the known delay differs by less than a turn."""
+    omega = np.geomspace(0.5, 15.0, 40)
+    G = sign / (1j * omega) ** 2 * np.exp(-1j * omega * delay)
+    found, every = estimate(omega, G), np.arange(40)
+
+    for shown in (delay, delay + 0.1, max(delay - 0.1, 0.0)):
+        got = phase_delay(found, every, -40.0, sign=sign, shown=shown)
+        assert got == pytest.approx(delay, abs=1e-9)
+    assert np.isnan(phase_delay(found, every[:0], -40.0, sign=sign, shown=0.0))
+
+
+def test_only_known_values_are_handed_to_python_control() -> None:
+    omega = np.array([1.0, 2.0, 4.0])
+
+    system = estimate(omega, [1.0, np.nan, 3j]).to_control()
+
+    assert system.omega.tolist() == [1.0, 4.0]
+    assert np.ravel(system.frdata).tolist() == [1.0, 3j]
+    assert system.dt == 0.1
+
+
+def test_a_figure_begins_between_minus_360_and_0_degrees() -> None:
+    """Deviations are bands of ±1.96 about the curves; the axis of the coherence is shared."""
+    omega = np.geomspace(1.0, 30.0, 20)
+    for first in (10.0, 170.0, -350.0):
+        G = 2.0 * np.exp(1j * np.radians(first - 40 * np.log(omega)))
+        std = np.full(20, 0.1)
+        found = estimate(
+            omega, G, std_magnitude=std, std_phase=std, coherence=np.linspace(0.2, 0.9, 20),
+            nonlinear_std=0.02 * G.real**2, noise_only_std=np.full(20, 0.02),
+        )  # fmt: skip
+
+        ax, below, *rest = found.plot(ax=Figure().add_subplot()).axes
+
+        (curve,) = (line for line in ax.lines if line.get_label() == "by hand")
+        phase = np.asarray(below.lines[0].get_ydata())
+        assert -360 < phase[0] <= 0
+        assert (phase[0] - first) % 360 == pytest.approx(0, abs=1e-6)
+        np.testing.assert_allclose(phase - phase[0], -40 * np.log(omega), atol=1e-9)
+        np.testing.assert_allclose(np.asarray(curve.get_ydata()), 20 * np.log10(2.0))
+        band = below.collections[0].get_paths()[0].vertices
+        assert band[:, 1].max() - phase.max() == pytest.approx(np.degrees(1.96 * 0.1), rel=1e-3)
+        names = [line.get_label() for line in ax.lines]
+        assert "nonlinear distortion (one realisation)" in names
+        noise = ax.lines[names.index("noise")]
+        np.testing.assert_allclose(np.asarray(noise.get_ydata()), 20 * np.log10(0.02))
+        shown = [line for axis in rest for line in axis.lines]
+        np.testing.assert_array_equal(shown[-1].get_ydata(), np.linspace(0.2, 0.9, 20))
+        assert "rad/V" in ax.get_ylabel()

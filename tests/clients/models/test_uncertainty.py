@@ -12,7 +12,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.oe import oe
 from armrig.models.fit import Fit
-from armrig.models.parameter_draws import drawn, roots_of
+from armrig.models.parameter_draws import Draws, directions, drawn, roots_of
 from armrig.models.uncertainty import (
     frequency_bands,
     frequency_responses,
@@ -33,6 +33,8 @@ from armrig.numerics.polynomial import filtered
 from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
+
+from tests.clients.models.made_fits import made
 
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
@@ -269,3 +271,120 @@ def test_the_rate_after_a_step_has_the_band_of_its_draws(plant: HandoutPlant) ->
     np.testing.assert_allclose(rate.std, scatter, rtol=0.15)
     shown = step_band(fit, rate, draws)
     assert np.all((shown.low < rate.y) & (rate.y < shown.high))
+
+
+def of_one_pole(pole: float, std: float, n: int) -> Draws:
+    """Return draws of a model with this pole and its deviation."""
+    draws = drawn(made(F=(1, -pole), std=(0.1, std)), n=n)
+    assert draws is not None
+    return draws
+
+
+def test_draws_are_repeated_until_half_of_a_round_is_accepted() -> None:
+    """A pole at 0.99 ± 0.05 is unstable in about four of ten draws, ± 100 in nearly all."""
+    few, many = of_one_pole(0.99, 0.05, 200), of_one_pole(0.99, 100.0, 200)
+    off = of_one_pole(0.5, 0.01, 200)
+
+    assert (off.asked, off.unstable, off.degenerate) == (200, 0, 0)
+    assert few.asked == 200
+    assert 0.3 < few.unstable / few.asked < 0.5
+    assert many.asked == 2000
+    assert many.theta.shape[0] < 200
+    for draws in (few, many, off):
+        assert draws.theta.shape[0] == draws.asked - draws.unstable - draws.degenerate
+
+
+def test_draws_of_an_unstable_model_are_all_kept() -> None:
+    draws = of_one_pole(1.2, 0.05, 200)
+
+    assert (draws.asked, draws.unstable) == (200, 0)
+    assert draws.left_out == ""
+    said = replace(draws, unstable=3, degenerate=4).left_out
+    assert said == "3 of 200 unstable, 4 of 200 degenerate"
+
+
+def test_only_a_draw_that_is_finite_may_be_unstable() -> None:
+    """The first b of some draws is 0, which is counted by itself."""
+    fit = made(F=(1, -0.5), std=(0.0, 100.0), B=(0, 0.0))
+
+    draws = drawn(fit, n=100)
+
+    assert draws is not None
+    assert (draws.unstable, draws.degenerate) == (0, draws.asked)
+
+
+def test_directions_have_the_covariance_and_keep_the_pole_at_1() -> None:
+    for letter in ("A", "F"):
+        p = {letter: np.convolve([1, -1], np.poly([0.6, 0.3])).tolist()}
+        free = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, -1.0], [0.5, -1.0, 2.0]]) * 1e-4
+        by_free = np.zeros((4, 3))
+        # The rows are b and p, or p and b: p_k = f_k - f_(k - 1) of the other factor.
+        at = slice(0, 3) if letter == "A" else slice(1, 4)
+        b = 3 if letter == "A" else 0
+        by_free[b, 0] = 1.0
+        by_free[at, 1:] = [[1, 0], [-1, 1], [0, -1]]
+        P = by_free @ free @ by_free.T
+        fit = made(B=(0, 1), **p, integrator=True, covariance=P, covariance_robust=P)
+
+        W = directions(fit)
+
+        np.testing.assert_allclose(W @ W.T, P, atol=1e-12)
+        np.testing.assert_allclose(W[at].sum(axis=0), 0, atol=1e-12)
+        assert W.shape[1] == 3
+
+
+@pytest.mark.parametrize("rate", [False, True])
+def test_a_band_of_draws_has_the_unit_of_its_response(rate: bool) -> None:
+    """A lag with a gain ± 40 %; the band holds 95 % of the draws."""
+    fit = made(B=(0, 0.2), F=(1, -0.9), std=(0.04, 0.03), Ts=0.02)
+    answer, draws = fit.step_response(30, rate=rate), drawn(fit)
+    assert draws is not None
+    steps = step_responses(fit, draws.theta, 30 + rate)
+    samples = np.diff(steps, axis=1) / 0.02 if rate else steps
+
+    shown = step_band(fit, answer, draws)
+
+    expected = np.quantile(samples, [0.025, 0.975], axis=0)
+    assert shown.method == "sampled"
+    np.testing.assert_allclose([shown.low, shown.high], expected, rtol=0.05, atol=1e-3)
+    linear = step_band(fit, answer, None)
+    np.testing.assert_allclose(linear.high - answer.y, 1.96 * answer.std, rtol=1e-3, atol=1e-12)
+
+
+@pytest.mark.parametrize("nk", [0, 1, 3])
+def test_each_draw_has_the_responses_and_roots_of_its_model(nk: int) -> None:
+    """Three draws of a model with A and F."""
+    fit = made(A=(1, -0.4), B=[0.0] * nk + [1, 0.5, 0.2], F=(1, -1.2, 0.5), nk=nk, std=[0.05] * 6)
+    draws = drawn(fit, n=20)
+    assert draws is not None
+    omega = np.array([0.3, 5.0, 30.0])
+
+    G = frequency_responses(fit, draws.theta, omega)
+    steps = step_responses(fit, draws.theta, 9)
+
+    for i in (0, 3, 19):
+        a, b, f = np.split(draws.theta[i], [1, 4])
+        moved = replace(fit, A=np.append(1, a), B=np.append(np.zeros(nk), b), F=np.append(1, f))
+        np.testing.assert_allclose(G[i], moved.frequency_response(omega).G)
+        np.testing.assert_allclose(steps[i], moved.step_response(9).y)
+        for letter, roots in (("b", moved.zeros()), ("f", np.roots(moved.F)), ("a", [-a[0]])):
+            np.testing.assert_allclose(
+                np.sort_complex(roots_of(fit, draws.theta, letter)[i]),
+                np.sort_complex(np.asarray(roots)),
+            )
+
+
+def test_a_band_of_the_phase_is_about_the_phase_of_the_model() -> None:
+    """Also near -180°, where the phases of the draws jump."""
+    fit = made(B=(0, -0.2), F=(1, -0.8), std=(0.02, 0.01))
+    answer = fit.frequency_response([0.01, 3.0])
+
+    for draws in (drawn(fit), None):
+        magnitude, phase = frequency_bands(fit, answer, draws)
+
+        for band_, value, std in (
+            (magnitude, np.abs(answer.G), answer.std_magnitude),
+            (phase, np.zeros(2), answer.std_phase),
+        ):
+            np.testing.assert_allclose(band_.high - value, 1.96 * std, rtol=0.15)
+            np.testing.assert_allclose(value - band_.low, 1.96 * std, rtol=0.15)

@@ -10,8 +10,12 @@ import armrig
 import numpy as np
 import pytest
 from armrig import MultivariableFit, Signals
+from armrig.estimation.multivariable.oe import oe as oe_of_several
 from armrig.numerics.polynomial import filtered
+from armrig.validation.multivariable import feedback_and_delay
+from armrig.validation.multivariable.feedback_and_delay import ByChannel
 from armrig.validation.multivariable.projection import parts_of, projection
+from armrig.validation.multivariable.residuals import residuals as residuals_of_several
 from armrig_core.errors import InputError
 
 from tests.benchmarks.several_signals import Plant
@@ -347,3 +351,86 @@ def test_given_delays_of_each_channel_are_kept() -> None:
     assert "b: given delays 2, 4" in repr(found)
     with pytest.raises(InputError, match="nk: there is no"):
         armrig.select_orders(data, range(1, 4), range(1, 4), {("b", "u9"): 1})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_with_few_samples_one_output_has_the_whiteness_test_of_a_dataset(seed: int) -> None:
+    """To the digits, on the estimation data and on others."""
+    parts = []
+    for k in (seed, seed + 10):
+        rng = np.random.default_rng(k)
+        u = rng.standard_normal(50)
+        y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + 0.5 * rng.standard_normal(50)
+        parts.append(
+            (armrig.Dataset(u=u, y=y, Ts=1.0), Signals(u=u[:, None], y=y[:, None], Ts=1.0))
+        )
+    fit, several = armrig.oe(parts[0][0], nb=2, nf=2), oe_of_several(parts[0][1], nb=2, nf=2)
+
+    for one, signals in parts:
+        white = residuals_of_several(several, signals, 6).white
+
+        assert white.p_value == pytest.approx(armrig.residuals(fit, one, 6).whiteness, rel=1e-6)
+
+
+@pytest.mark.parametrize("factor", [100.0])
+def test_the_allowance_is_a_factor_of_deviations(factor: float) -> None:
+    """The variance of the parameters is added to that of the noise."""
+    fit, data = estimated(0), plant(100)
+    wide = replace(fit, covariance_robust=factor * fit.covariance_robust)
+
+    sure, unsure = (armrig.residuals(one, data).allowance for one in (fit, wide))
+
+    assert unsure**2 - 1 == pytest.approx(factor * (sure**2 - 1), rel=1e-3)
+
+
+def test_sums_and_deviations_of_each_pair_are_those_of_its_signals() -> None:
+    """Correlation of e_i(t) with u_j(t - k), and its deviation about 1/sqrt(N) for white e."""
+    fit, data = estimated(0), plant(100)
+
+    found = armrig.residuals(fit, data, 5)
+
+    e, u = np.nan_to_num(found.e), data.u - data.u.mean(axis=0)
+    for i, j, k in ((0, 1, 3), (1, 0, -4), (0, 0, 0), (1, 1, 5)):
+        late, early = max(k, 0), max(-k, 0)
+        x, z = e[late : N - early, i], u[early : N - late, j]
+        expected = (x @ z) / np.sqrt(np.sum(e[:, i] ** 2) * np.sum(u[:, j] ** 2))
+        at = int(np.flatnonzero(found.cross_lags == k)[0])
+        assert found.cross_correlation[i, j, at] == pytest.approx(expected, abs=1e-9)
+    np.testing.assert_allclose(found.cross_std, 1 / np.sqrt(N), rtol=0.5)
+
+
+def test_channels_are_named_from_the_input_to_the_output() -> None:
+    found: Any = ByChannel(results={("a", "u"): 1, ("b", "u"): 2}, refused={("a", "v"): "why"})
+
+    assert repr(found).splitlines() == ["u to a: 1", "u to b: 2", "v to a: why"]
+    assert ([*found], len(found), found["b", "u"]) == ([("a", "u"), ("b", "u")], 2, 2)
+    with pytest.raises(InputError, match="v to a: why"):
+        found["a", "v"]
+    with pytest.raises(InputError, match=r"\('u', 'a'\): there is no such channel; there are"):
+        found["u", "a"]
+
+
+@pytest.mark.parametrize("integrator", [None, True, False])
+def test_several_inputs_are_tested_without_an_integrator(
+    integrator: bool | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+    monkeypatch.setattr(
+        feedback_and_delay, "delay_of_one", lambda data, integrator: asked.append(integrator)
+    )
+    data = plant(1)
+
+    armrig.delay(data, integrator=integrator)
+    armrig.delay(data.channels(["y1", "y2"], ["u1"]), integrator=integrator)
+
+    assert asked == [False] * 4 + [integrator] * 2
+
+
+def test_given_weights_of_the_outputs_are_those_of_the_projection() -> None:
+    """The estimator minimised the sum of w_i e_i²."""
+    fit = replace(estimated(0), output_weights=(2.0, 8.0))
+
+    (part,) = parts_of(fit, plant(0))
+
+    weights = np.einsum("tij,tik->tjk", part.G, part.G)
+    np.testing.assert_allclose(weights, np.broadcast_to(np.diag([2.0, 8.0]), weights.shape))

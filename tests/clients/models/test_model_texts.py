@@ -1,0 +1,265 @@
+"""Texts of models made by hand, word for word: each number is where it belongs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.data.finding import warning
+from armrig.models import characteristics
+from armrig.models.characteristics import model_characteristics
+from armrig.models.equation import form, input_and_output, whiteness_sentence
+from armrig.models.estimate import Start
+from armrig.models.fit import Fit
+from armrig.models.labels import gain_unit, labels_of, left_out, sources_of
+from armrig.models.parameter_draws import Draws
+from armrig.models.summary import summary
+
+from tests.clients.models.made_fits import made
+
+
+@pytest.fixture(autouse=True)
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw as often as a range needs at least, not four times."""
+    monkeypatch.setattr(characteristics, "DRAWS", 100)
+
+
+@pytest.fixture(scope="module")
+def whole() -> Fit:
+    """Return a model with all five polynomials and a delay, whose search failed."""
+    return made(
+        A=(1, -0.5),
+        B=(0, 0, -2, 0.25),
+        C=(1, 0.3),
+        D=(1, -0.7),
+        F=(1, -1.5, 0.7),
+        nk=2,
+        std=(0.01, 0.2, 0.03, 4e-5, 0.06, 0.007, 0.08),
+        starts=(
+            Start(name="IV", loss=0.03, iterations=3, converged=True),
+            Start(name="ARX", loss=0.0412345678, iterations=9, converged=False),
+        ),
+        agreed=False,
+        converged=False,
+        findings=(warning("gaps", "a < b"), warning("x", "another")),
+    )
+
+
+@pytest.fixture(scope="module")
+def direct() -> Fit:
+    """Return a numerator alone, from lag 0, with an unknown deviation and powers of ten."""
+    B, std = (0.5, 1e-7, -3e8), (np.nan, 1e-9, 2e12)
+    return made(B=B, nk=0, std=std, structure="oe", whiteness=0.001)
+
+
+def test_a_model_is_described_with_each_number_at_its_place(whole: Fit, direct: Fit) -> None:
+    assert repr(whole).splitlines() == [
+        "PEM(na=1, nb=2, nc=1, nd=1, nf=2, nk=2): u [V] to alpha [rad], Ts 0.1 s, N 100",
+        "  A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t)",
+        "  A(q) = 1 - 0.5 (±0.01) q^-1",
+        "  B(q) = -2 (±0.2) q^-2 + 0.25 (±0.03) q^-3",
+        "  C(q) = 1 + 0.3 (±4e-05) q^-1",
+        "  D(q) = 1 - 0.7 (±0.06) q^-1",
+        "  F(q) = 1 - 1.5 (±0.007) q^-1 + 0.7 (±0.08) q^-2",
+        "  fit 91.23 % one step ahead on estimation data, "
+        f"loss 0.03, FPE {0.03 * 1.07 / 0.93:.4g}, "
+        f"AIC {100 * (np.log(2 * np.pi * 0.03) + 1) + 14:.5g}",
+        "  residuals white (p = 0.500, portmanteau test): trust std",
+        "  starts DISAGREE, the best was taken: IV 0.03, ARX 0.0412346 (NOT CONVERGED)",
+        "  warning: a < b",
+        "  warning: another",
+    ]
+    lines = repr(direct).splitlines()
+    assert lines[1:3] == [
+        "  y(t) = B(q) u(t) + e(t)",
+        "  B(q) = 0.5 (±nan) + 1e-07 (±1e-09) q^-1 - 3e+08 (±2e+12) q^-2",
+    ]
+    coloured = "  residuals coloured (p = 0.001, portmanteau test): trust std_robust, not std"
+    assert lines[4:] == [coloured]
+
+
+@pytest.mark.parametrize(("agreed", "converged"), [(True, False), (False, True), (True, True)])
+def test_agreement_and_convergence_are_different_questions(agreed: bool, converged: bool) -> None:
+    start = Start(name="IV", loss=0.5, iterations=1, converged=converged)
+    said = repr(made(starts=(start,), agreed=agreed, converged=converged))
+
+    how = "agree" if agreed else "DISAGREE, the best was taken"
+    assert f"starts {how}: IV 0.5{'' if converged else ' (NOT CONVERGED)'}" in said.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("orders", "expected"),
+    [
+        ({"A": (1, -0.5)}, "A(q) y(t) = B(q) u(t) + e(t)"),
+        ({"A": (1, -0.5), "C": (1, 0.2)}, "A(q) y(t) = B(q) u(t) + C(q) e(t)"),
+        ({"A": (1, -0.5), "D": (1, 0.2)}, "A(q) y(t) = B(q) u(t) + 1/D(q) e(t)"),
+        ({"F": (1, -0.5), "D": (1, 0.2)}, "y(t) = B(q)/F(q) u(t) + 1/D(q) e(t)"),
+        ({"F": (1, -0.5), "structure": "channel"}, "y(t) = B(q)/F(q) u(t) + v(t)"),
+        ({"A": (1, -0.5), "structure": "iv4"}, "A(q) y(t) = B(q) u(t) + v(t)"),
+    ],
+)
+def test_each_structure_has_its_equation(orders: dict[str, Any], expected: str) -> None:
+    assert form(made(**orders)) == expected
+
+
+def test_the_deviations_to_trust_are_named() -> None:
+    said = {
+        whiteness_sentence(made(structure=structure, whiteness=p, curvature=curvature), "s", "r")
+        for structure, p, curvature in (
+            ("iv4", 0.5, 0.0),
+            ("oe", 0.5, 0.51),
+            ("oe", 0.5, 0.5),
+            ("oe", 0.001, 0.51),
+        )
+    }
+
+    assert said == {
+        "IV4's prewhitened residuals white (p = 0.500, portmanteau test): trust s",
+        "residuals white (p = 0.500, portmanteau test): trust s of the responses, not of the "
+        "coefficients",
+        "residuals white (p = 0.500, portmanteau test): trust s",
+        "residuals coloured (p = 0.001, portmanteau test): trust r, not s",
+    }
+    assert "trust" not in whiteness_sentence(made(whiteness=float("nan")))
+    assert input_and_output(made(unit="", Ts=0.25)) == "u [V] to alpha, Ts 0.25 s"
+
+
+def test_an_equation_is_typeset_from_its_first_lag(whole: Fit, direct: Fit) -> None:
+    assert whole.latex().splitlines()[1:-1] == [
+        r"A(q)\,y(t) &= \frac{B(q)}{F(q)}\,u(t) + \frac{C(q)}{D(q)}\,e(t) \\",
+        r"A(q) &= 1 - (0.5 \pm 0.01)\,q^{-1} \\",
+        r"B(q) &= -(2 \pm 0.2)\,q^{-2} + (0.25 \pm 0.03)\,q^{-3} \\",
+        r"C(q) &= 1 + (0.3 \pm 4 \cdot 10^{-5})\,q^{-1} \\",
+        r"D(q) &= 1 - (0.7 \pm 0.06)\,q^{-1} \\",
+        r"F(q) &= 1 - (1.5 \pm 0.007)\,q^{-1} + (0.7 \pm 0.08)\,q^{-2}",
+    ]
+    powers = r"(1 \cdot 10^{-7} \pm 1 \cdot 10^{-9})\,q^{-1} - (3 \cdot 10^{8} \pm 2 \cdot 10^{12})"
+    assert rf"B(q) &= (0.5 \pm ?) + {powers}\,q^{{-2}}" in direct.latex()
+    assert direct.typst().splitlines()[1] == (
+        "  B(q) &= (0.5 plus.minus ?) + (1 dot 10^(-7) plus.minus 1 dot 10^(-9)) thin q^(-1)"
+        " - (3 dot 10^(8) plus.minus 2 dot 10^(12)) thin q^(-2) $"
+    )
+    noise = made(A=(1, -0.5), D=(1, 0.2), std=(0.1, 0.1, 0.1)).latex()
+    assert r"A(q)\,y(t) &= B(q)\,u(t) + \frac{1}{D(q)}\,e(t)" in noise
+
+
+def test_a_notebook_shows_both_deviations_of_each_coefficient(whole: Fit) -> None:
+    text = whole._repr_html_()
+
+    assert text.count("<tr>") == 8
+    for row in ("b2</td><td>0.25</td><td>0.03</td><td>0.06", "f1</td><td>-1.5</td><td>0.007</td>"):
+        assert f"<tr><td>{row}" in text
+    assert "<b>PEM(na=1, nb=2, nc=1, nd=1, nf=2, nk=2)</b>, Ts 0.1 s, N 100" in text
+    assert "Fit 91.23 % one step ahead on estimation data, loss 0.03; residuals white" in text
+    assert "<ul><li>a &lt; b</li><li>another</li></ul>" in text
+
+
+def test_a_summary_has_the_ranges_of_linear_deviations() -> None:
+    """The gain is 1.5/(0.5 · 0.1); the relative variances of B(1), A(1) and F(1) add up."""
+    fit = made(
+        A=(1, -0.5), B=(0, 1, 0.5), C=(1, 0.2), F=(1, -0.9), std=(0.01, 0.1, 0.2, 0.3, 0.002)
+    )
+    found = summary(fit)
+    relative = np.sqrt((0.1**2 + 0.2**2) / 1.5**2 + 0.02**2 + 0.02**2)
+    low, high = 30 * (1 - 1.96 * relative), 30 * (1 + 1.96 * relative)
+
+    lines = repr(found).splitlines()
+
+    assert lines[:5] == [
+        "95 % ranges, classic covariance; * by draws, as the linearisation is poor",
+        "  pole            0.5000 (0.4804 … 0.5196)",
+        "  pole            0.9000 (0.8961 … 0.9039)",
+        "  zero            −0.50 (−0.90 … −0.10)",
+        f"  gain            30.0 ({low:.1f} … {high:.1f}) rad/V",
+    ]
+    assert lines[-1] == "  checked by 1000 draws of the parameters"
+    assert [line.rpartition(" ")[2] for line in lines[7:12]] == ["rad/s", "s", "s", "s", "%"]
+    facts = found.facts()
+    assert facts["figures"]["gain"]["low"] == pytest.approx(low, rel=1e-4)
+    assert facts["figures"]["resonance"]["value"] is None
+    assert facts["poles"][1]["real"] == pytest.approx([0.9 - 0.00392, 0.9 + 0.00392], abs=1e-6)
+    assert facts["draws"] == {"made": 1000, "unstable": 0, "degenerate": 0}
+    robust = summary(made(F=(1, -0.9), std=(0.1, 0.002), whiteness=1e-4))
+    assert repr(robust).startswith("95 % ranges, robust covariance")
+    assert "0.9000 (0.8922 … 0.9078)" in repr(robust)
+    assert robust.facts()["covariance"] == "robust"
+
+
+def test_a_summary_of_a_complex_pair_has_both_signs_in_its_facts() -> None:
+    """z² - 1.2 z + 0.52: the pair 0.6 ± 0.4i moves by df1/2 and df2/(2 · 0.4)."""
+    fit = made(F=(1, -1.2, 0.52), std=(0.1, 1e-3, 2e-3))
+    found = summary(fit)
+    deviations = np.array([0.5e-3, np.hypot(0.6 * 0.5e-3 / 0.4, 1e-3 / 0.4)])
+
+    facts = found.facts()["poles"]
+
+    assert sorted(pole["value"][1] for pole in facts) == pytest.approx([-0.4, 0.4])
+    for pole in facts:
+        widths = [np.diff(pole[name])[0] for name in ("real", "imaginary_magnitude")]
+        assert widths == pytest.approx(2 * 1.96 * deviations, rel=1e-3)
+        assert np.mean(pole["imaginary_magnitude"]) == pytest.approx(0.4)
+    assert sum(line.startswith("  pole") for line in repr(found).splitlines()) == 1
+
+
+def test_only_the_gain_of_a_rate_is_per_second() -> None:
+    fit = made(F=np.convolve([1, -1], [1, -0.8]).tolist(), integrator=True)
+
+    found = summary(fit)
+
+    assert "  gain (rate)     50 rad/V/s" in repr(found)
+    assert found.facts()["of_the_rate"] is True
+    assert "rad/s/s" not in repr(found)
+    assert "/s" not in summary(made(F=(1, -0.8))).gain_unit
+    nameless = made(F=fit.F.tolist(), integrator=True, unit="")
+    assert "  gain (rate)     50\n" in repr(summary(nameless))
+
+
+def test_a_pair_that_cancels_is_in_the_summary() -> None:
+    fit = made(B=(0, 1, -0.801), F=(1, -0.8), std=(0.1, 0.05, 0.05))
+
+    found = summary(fit)
+
+    assert "  cancel: pole 0.800 and zero 0.801 cannot be distinguished" in repr(found)
+    [pair] = found.facts()["cancelling"]
+    assert (pair["pole"], pair["zero"]) == (pytest.approx([0.8, 0]), pytest.approx([0.801, 0]))
+    assert pair["p"] == pytest.approx(overlap_p(0.001, np.hypot(0.0500, 0.05)), abs=0.02)
+
+
+def overlap_p(distance: float, std: float) -> float:
+    """Return the two-sided p value of a distance that is normal."""
+    from scipy.stats import norm
+
+    return float(2 * norm.sf(distance / std))
+
+
+def test_the_labels_of_a_figure_come_from_the_first_model_that_has_them() -> None:
+    nameless, plain = made(unit=""), made(unit="°", input_unit="mV", source="ab12")
+    system = type("System", (), {"name": "G1"})()
+
+    assert gain_unit([system, nameless, plain]) == "°/mV"
+    assert gain_unit([plain], rate=True) == "°/s/mV"
+    assert gain_unit([nameless]) == "–"
+    assert labels_of([plain, system, object()], None) == ["PEM[0 1 0 0 0 1]", "G1", "model"]
+    assert labels_of([plain], ("mine",)) == ["mine"]
+    assert sources_of([system, plain]) == ["", "ab12"]
+
+
+def test_rejected_draws_are_counted_by_their_reason_and_model() -> None:
+    some = Draws(theta=np.zeros((1, 1)), asked=200, unstable=3, degenerate=7)
+    none = Draws(theta=np.zeros((1, 1)), asked=200, unstable=0, degenerate=0)
+    said = "3 of 200 unstable, 7 of 200 degenerate"
+
+    assert left_out({"a": some}, models=1) == [f"draws left out: {said}"]
+    assert left_out({"a": none, "b": some, "c": None}, models=3) == [f"draws left out: b: {said}"]
+    assert left_out({"b": some}, models=2) == [f"draws left out: b: {said}"]
+    assert left_out({"a": none, "c": None}, models=2) == []
+
+
+def test_an_unknown_covariance_leaves_no_deviation_known() -> None:
+    t = model_characteristics(made(F=(1, -0.8), std=(np.nan, 0.1)))
+
+    assert np.isnan([*t.std.values()]).all()
+    assert t.draws is None
+    known = model_characteristics(made(F=(1, -0.8)))
+    assert set(known.std.values()) == {0.0}

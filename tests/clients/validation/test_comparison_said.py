@@ -1,0 +1,352 @@
+"""Tables, sentences and figures of comparisons made by hand, word for word."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
+from armrig.models.characteristics import SCALARS, ModelCharacteristics
+from armrig.models.model import Model
+from armrig.models.parameter_draws import Draws
+from armrig.numerics.confidence_regions import Band
+from armrig.validation.comparison import Comparison, ComparisonTable, _misfit, compare
+from armrig.validation.comparison_figure import plot_comparison
+from armrig.validation.model_differences import explanation, table
+from matplotlib.figure import Figure
+
+from tests.clients.models.made_fits import made
+
+PHYSICS = Model(B=np.array([0.0, 1.0]), nk=1, Ts=0.1)
+
+
+def figures(
+    values: dict[str, float] | None = None,
+    *,
+    std: float | dict[str, float] = 0.1,
+    sampled: dict[str, tuple[float, float]] | None = None,
+    **fields: Any,
+) -> ModelCharacteristics:
+    """Return characteristics: 1, 2, 3 … by name unless given."""
+    known = {name: k + 1.0 for k, name in enumerate(SCALARS)} | (values or {})
+    deviations = dict.fromkeys(SCALARS, std) if isinstance(std, float) else std
+    linear = Band(low=np.array(0.0), high=np.array(1.0), method="linearised")
+    ranges = dict.fromkeys(SCALARS, linear)
+    for name, (low, high) in (sampled or {}).items():
+        ranges[name] = Band(low=np.array(low), high=np.array(high), method="sampled")
+    others: dict[str, Any] = {
+        "integrating": False,
+        "poles": np.array([-1.25 + 3j, -1.25 - 3j, -40.0, np.nan]),
+        "poles_std": np.array([0.012, 0.012, 0.0, 0.0]),
+        "poles_sampled": np.array([True, True, False, False]),
+        "draws": None,
+    }
+    return ModelCharacteristics(**known, std=deviations, ranges=ranges, **(others | fields))
+
+
+def row(name: str, rms: float, t: ModelCharacteristics | None = None, **fields: Any) -> Any:
+    """Return a row of a comparison."""
+    values: dict[str, Any] = {
+        "model": made(structure="oe", F=(1, -0.5)),
+        "on_estimation_data": False,
+    }
+    return SimpleNamespace(
+        name=name, rms_error=rms, characteristics=t or figures(), **(values | fields)
+    )
+
+
+def test_a_table_has_a_line_for_each_figure_and_pole() -> None:
+    draws = Draws(theta=np.zeros((1, 1)), asked=400, unstable=7, degenerate=0)
+    short = figures(
+        {"resonance": np.nan},
+        sampled={"gain": (0.5, 1.75), "overshoot": (7.0, 9.0), "bandwidth": (np.nan, np.nan)},
+        draws=draws,
+        poles=np.array([0.0 + 0j]),
+        poles_std=np.array([0.0]),
+        poles_sampled=np.array([False]),
+        integrating=True,
+    )
+    rows = [row("first", 1.0, figures({"gain": -1.0})), row("second", 2.0, short)]
+
+    lines = table(rows, brief=False)
+
+    cells = [[cell.strip() for cell in line.split("  ") if cell.strip()] for line in lines]
+    assert cells[:13] == [
+        ["rate, ±: one σ", "first", "second"],
+        ["steady gain", "−1.00 ± 0.10", "1.00 (0.50 … 1.75)*"],
+        ["resonance [rad/s]", "2.00 ± 0.10", "none"],
+        ["anti-resonance [rad/s]", "3.00 ± 0.10", "3.00 ± 0.10"],
+        ["bandwidth [rad/s]", "4.00 ± 0.10", "4.00 ± 0.10"],
+        ["63 % time [s]", "5.00 ± 0.10", "5.00 ± 0.10"],
+        ["equivalent time [s]", "6.00 ± 0.10", "6.00 ± 0.10"],
+        ["slowest pole [s]", "7.00 ± 0.10", "7.00 ± 0.10"],
+        ["overshoot [%]", "8.00 ± 0.10", "8.00 (7.00 … 9.00)*"],
+        ["poles [1/s]", "−1.250 + 3.000i (±0.012)*", "0"],
+        ["−1.250 − 3.000i (±0.012)*"],
+        ["−40.00"],
+        ["none in continuous time"],
+    ]
+    assert lines[13:] == [
+        "  * linearisation poor (second): 95 % of 400 draws of the parameters",
+        "    second: 7 of 400 unstable, left out",
+    ]
+    brief = table(rows, brief=True)
+    assert len(brief) == 10
+    assert brief[1].split("  ")[-1].strip() == "0.50 … 1.75*"
+    assert "rate" not in table(rows[:1], brief=True)[0]
+    poor = figures(draws=draws)
+    assert table([row("a", 1.0, poor)], brief=False)[-2:] == [
+        "    the σ of a pole cannot be trusted: fit.summary() prints its range",
+        "    a: 7 of 400 unstable, left out",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "own", "said"),
+    [
+        ((0.5,), (False,), "m0 has an error of 0.5 rms."),
+        ((0.5, 0.2), (True, False), "m1 is closest to these data, 0.2 rms against 0.5 of m0."),
+        (
+            (0.2, 0.5, 0.3999),
+            (False, True, False),
+            "m0 is closest to these data, 0.2 rms against 0.4 of m2: a small difference.",
+        ),
+        (
+            (0.5, 0.2),
+            (False, True),
+            "m1 is closest to these data, 0.2 rms against 0.5 of m0, but it was estimated from "
+            "these data: compare on another recording.",
+        ),
+        ((0.2, 0.20001), (False, False), "m0 and m1 are equally close to these data, 0.2 rms."),
+    ],
+)
+def test_the_closest_model_is_named_with_its_error(
+    sizes: tuple[float, ...], own: tuple[bool, ...], said: str
+) -> None:
+    rows = [
+        row(f"m{k}", rms, on_estimation_data=seen)
+        for k, (rms, seen) in enumerate(zip(sizes, own, strict=True))
+    ]
+
+    assert explanation(rows)[0] == said
+
+
+def test_what_differs_is_compared_with_the_physics_wherever_it_stands() -> None:
+    """A difference counts beyond 2.58 σ of both models, and beyond a thousandth."""
+    physics = row("physics", 1.0, figures({"overshoot": -8.0}, std=0.03), model=PHYSICS)
+    fit = row("fit", 1.1, figures({"gain": 1.12, "bandwidth": 4.2, "overshoot": 8.0}, std=0.04))
+
+    for rows in ([physics, fit], [fit, physics]):
+        lines = explanation(rows)[1:]
+
+        assert [line.partition(";")[0] for line in lines] == [
+            "bandwidth: fit 4.200 ± 0.040, physics 4.000 ± 0.030 (+5 %)",
+            "overshoot: fit 8.000 ± 0.040, physics −8.000 ± 0.030 (−2e+02 %)",
+        ]
+    last = row("last", 1.0, figures(std=1.0))
+    assert explanation([fit, last])[1:] == [
+        "fit and last: no characteristic differs by more than its uncertainty (2.58 σ)."
+    ]
+    exact = [row("a", 1.0, figures({"gain": 1.0009}, std=0.0)), row("b", 1.0, figures(std=0.0))]
+    assert "no characteristic differs" in explanation(exact)[1]
+    exact = [row("a", 1.0, figures({"gain": 1.0011}, std=0.0)), row("b", 1.0, figures(std=0.0))]
+    assert explanation(exact)[1].startswith("steady gain: a 1.0011, b 1 (+0.11 %); on the rig")
+
+
+def test_a_figure_that_one_model_lacks_is_told_of_the_other() -> None:
+    with_it = figures({"resonance": 18.0}, std=0.1)
+    without = figures({"resonance": np.nan}, std=0.1)
+
+    for a, b in ((with_it, without), (without, with_it)):
+        lines = explanation([row("a", 1.0, a), row("b", 1.0, b)])[1:]
+
+        has, none = ("a", "b") if a is with_it else ("b", "a")
+        assert lines == [
+            f"{has} has a resonance (18.00 ± 0.10) and {none} has none: it depends on both "
+            "inertias, the spring and the motor's damping."
+        ]
+    both = explanation([row("a", 1.0, without), row("b", 1.0, without)])
+    assert "no characteristic differs" in both[1]
+
+
+def test_models_of_a_rate_and_of_an_angle_are_not_compared() -> None:
+    rate, angle = figures(integrating=True), figures()
+
+    for a, b, which in ((rate, angle, "a"), (angle, rate, "b")):
+        assert explanation([row("a", 1.0, a), row("b", 1.0, b)])[1:] == [
+            f"Only {which} integrates: the other characteristics cannot be compared."
+        ]
+
+
+def test_the_figures_of_a_poor_model_are_not_explained() -> None:
+    arx = made(structure="arx", A=(1, -0.5))
+    said = [
+        explanation([row("a", rms, model=model), row("b", 0.1)])[1]
+        for rms, model in ((0.51, arx), (0.51, made(structure="oe", F=(1, -0.5))), (0.5, arx))
+    ]
+
+    assert said[0].startswith("a has 5.1 times the error of b: its characteristics differ because")
+    assert said[0].endswith("which biases the ARX model: take OE.")
+    assert said[1].endswith("because the model is poor. Look at its orders and its delay.")
+    assert said[2].startswith("a and b: no characteristic differs")
+
+
+def data(output: str = "alpha", unit: str = "rad") -> Dataset:
+    """Return six samples without the fourth."""
+    y = np.array([0.0, 1.0, 2.0, 99.0, 4.0, 3.0])
+    valid = np.array([True, True, True, False, True, True])
+    return Dataset(u=np.zeros(6), y=y, Ts=0.5, valid=valid, output=output, unit=unit)
+
+
+def compared(name: str, y: Any, rms: float, **fields: Any) -> Comparison:
+    """Return the comparison of one model."""
+    values: dict[str, Any] = {
+        "fit_percent": 12.345,
+        "velocity_fit_percent": None,
+        "on_estimation_data": False,
+        "model": PHYSICS,
+    }
+    return Comparison(name=name, rms_error=rms, y=np.asarray(y, float), **(values | fields))
+
+
+def test_a_comparison_is_printed_model_by_model() -> None:
+    rows = (
+        compared("a", np.zeros(6), 0.123456, velocity_fit_percent=7.891),
+        compared("longer", np.zeros(6), 2.0, fit_percent=-100.5, on_estimation_data=True),
+    )
+    found = ComparisonTable(rows=rows, horizon=None, unit="rad", note="a note", data=data())
+
+    assert repr(found).splitlines() == [
+        "simulation; a note",
+        "  a       fit   12.35 %  rms 0.1235 rad  velocity fit    7.89 %",
+        "  longer  fit -100.50 %  rms 2 rad  (estimation data)",
+    ]
+    ahead = ComparisonTable(rows=rows[:1], horizon=3, unit="", note="n", data=data())
+    assert repr(ahead).splitlines() == [
+        "3 samples ahead; n",
+        "  a  fit   12.35 %  rms 0.1235  velocity fit    7.89 %",
+    ]
+    assert (len(found), found[1].name) == (2, "longer")
+
+
+def test_only_samples_that_both_know_are_compared() -> None:
+    """Errors 1, 1 about a mean of 2, squared deviations 1 + 0 + 1."""
+    measured = np.array([1.0, 2.0, 3.0, np.nan, 5.0])
+    modelled = np.array([2.0, 2.0, 4.0, 9.0, np.nan])
+
+    percent, rms = _misfit(measured, modelled)
+
+    assert (percent, rms) == (pytest.approx(0.0, abs=1e-9), pytest.approx(np.sqrt(2 / 3)))
+    assert _misfit(measured, np.append(modelled[:4], -np.inf)) == (-np.inf, np.inf)
+    assert np.isnan(_misfit(measured, np.full(5, np.nan))).all()
+
+
+@pytest.mark.parametrize(
+    ("integrators", "output", "offset", "velocity"),
+    [
+        ((False,), "alpha", False, False),
+        ((True,), "alpha", True, True),
+        ((False, True), "alpha", True, True),
+        ((False,), "theta_1", False, True),
+    ],
+)
+def test_the_velocity_is_compared_if_the_output_or_a_model_integrates(
+    integrators: tuple[bool, ...], output: str, offset: bool, velocity: bool
+) -> None:
+    rng = np.random.default_rng(1)
+    parts = []
+    for _ in range(2):
+        u = rng.standard_normal(30)
+        valid = np.arange(30) != 12
+        y = np.cumsum(u) + 0.1 * rng.standard_normal(30)
+        parts.append(Dataset(u=u, y=y, Ts=0.1, output=output, unit="rad", valid=valid))
+    whole = merge(parts)
+    models = [
+        made(
+            B=(0, 0.5), F=np.convolve([1, -1], [1, -0.5]) if i else (1, -0.5), integrator=i,
+            output=output,
+        )
+        for i in integrators
+    ]  # fmt: skip
+
+    found = compare(whole, *models, horizon=1)
+
+    assert ("and input offset" in found.note) == offset
+    for row_ in found.rows:
+        assert (row_.velocity_fit_percent is not None) == velocity
+        if row_.velocity_fit_percent is None:
+            continue
+        # Differences within each experiment, where both samples are measured.
+        rates = [
+            np.concatenate([np.diff(x[:12]), np.diff(x[13:30]), np.diff(x[30:42]), np.diff(x[43:])])
+            for x in (whole.y, row_.y)
+        ]
+        error = np.linalg.norm(rates[0] - rates[1])
+        expected = 100 * (1 - error / np.linalg.norm(rates[0] - rates[0].mean()))
+        assert row_.velocity_fit_percent == pytest.approx(expected)
+
+
+def test_differences_are_drawn_from_the_model_with_the_least_error() -> None:
+    y = data().y
+    rows = (
+        compared("poor", y + 1.0, 1.0),
+        compared("best", y + 0.25, 0.25),
+        compared("other", y - 0.5, 0.5),
+        compared("unknown", np.full(6, np.nan), np.nan),
+    )
+
+    ax = plot_comparison(data(), rows[:3], ax=Figure().add_subplot())
+
+    below = ax.figure.axes[1]
+    shown = {line.get_label(): np.asarray(line.get_ydata(), float) for line in below.lines}
+    known = data().valid
+    np.testing.assert_allclose(shown["poor − best"][known], 0.75)
+    np.testing.assert_allclose(shown["other − best"][known], -0.75)
+    (dots,) = (
+        line for line in below.lines if line.get_marker() == "." and len(line.get_xdata()) == 6
+    )
+    np.testing.assert_allclose(np.asarray(dots.get_ydata())[known], -0.25)
+    assert "measured − best" in shown
+    upper = {line.get_label(): np.asarray(line.get_ydata(), float) for line in ax.lines}
+    labels = [label for label in upper if ", rms error " in str(label)]
+    assert [str(label).partition(",")[0] for label in labels] == ["poor", "best", "other"]
+    np.testing.assert_allclose(upper[labels[1]][known], y[known] + 0.25)
+    assert "0.25" in str(labels[1])
+    four = plot_comparison(data(), rows, ax=Figure().add_subplot()).figure.axes[1]
+    named = {line.get_label() for line in four.lines}
+    assert "measured − best" in named
+    assert "poor − best" not in named
+
+
+@pytest.mark.parametrize(("largest", "limit"), [(0.79, 0.0), (0.81, 0.3), (5.0, 0.3)])
+def test_a_scale_is_logarithmic_beyond_three_times_the_least_error_if_one_is_8_times_it(
+    largest: float, limit: float
+) -> None:
+    y = data().y
+    rows = (compared("a", y + 0.1, 0.1), compared("b", y + largest, largest))
+
+    ax = plot_comparison(data(), rows, ax=Figure().add_subplot())
+
+    below = ax.figure.axes[1]
+    assert below.get_yscale() == ("symlog" if limit else "linear")
+    said = [text.get_text() for text in below.get_legend().get_texts()]
+    edges = sorted(line.get_ydata()[0] for line in below.lines if line.get_linestyle() == ":")
+    assert edges == ([-limit, limit] if limit else [])
+    texts = " ".join([*said, below.get_legend().get_title().get_text()])
+    assert (f"scale logarithmic beyond ±{limit:g} rad, dotted" in texts) == bool(limit)
+    if limit:
+        assert below.get_ylim()[1] == pytest.approx(2 * (largest - 0.1))
+
+
+def test_the_scale_of_the_outputs_is_that_of_the_measured_samples() -> None:
+    """0 to 4; a model may go a whole span beyond."""
+    rows = (compared("a", data().y + 20.0, 20.0), compared("b", data().y, 0.0))
+
+    ax = plot_comparison(data(), rows, ax=Figure().add_subplot())
+
+    assert ax.get_ylim() == pytest.approx((-0.2, 8.2))
+    assert ax.get_xlim() == (0.0, 2.5)
+    assert "rad" in ax.get_ylabel()

@@ -1,0 +1,480 @@
+"""Delays and tests for feedback made by hand: their words, and the numbers in them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
+from armrig.estimation.nonparametric.impulse import ImpulseResponse
+from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.quantities import NBSP
+from armrig.validation.feedback_and_delay.delay import (
+    _enough,
+    _hidden_by_steps,
+    _Onset,
+    _Readings,
+    _readings,
+    determined_lags,
+)
+from armrig.validation.feedback_and_delay.delay_result import Delay
+from armrig.validation.feedback_and_delay.figures import plot_delay, plot_open_loop
+from armrig.validation.feedback_and_delay.lag_tests import Before, LagTests
+from armrig.validation.feedback_and_delay.open_loop import OpenLoop, _is_exact, _remarks, open_loop
+from armrig.validation.feedback_and_delay.sims import FUTURE, Sims, sims
+from armrig.validation.feedback_and_delay.smooth_onset import _averaged, possible
+from armrig_core.errors import InputError
+from matplotlib.figure import Figure
+
+
+def response(*, integrating: bool = False, **fields: Any) -> ImpulseResponse:
+    """Return g = 0.1, 0.2 … with the deviation 0.1, or a rate of which this is ten times."""
+    g = 0.1 * np.arange(1, 31)
+    values: dict[str, Any] = {
+        "lags": np.arange(30),
+        "g": g,
+        "covariance": 0.01 * np.eye(30),
+        "rate": -10 * g if integrating else None,
+        "rate_covariance": np.eye(30) if integrating else None,
+        "kernel": None,
+        "hyperparameters": {},
+        "noise_variance": 0.5,
+        "whiteness": 0.5,
+        "N": 200,
+        "Ts": 0.01,
+        "output": "theta_1",
+        "unit": "rad",
+        "input_unit": "V",
+        "source": "",
+        "warnings": (),
+    }
+    return ImpulseResponse(**(values | fields))
+
+
+def found(**fields: Any) -> Delay:
+    """Return a delay of two samples at 10 ms."""
+    values: dict[str, Any] = {
+        "nk": 3,
+        "interval": (3, 3),
+        "may_be_feedback": False,
+        "p_values": {1: 0.5, 2: 0.25, 3: 1e-5},
+        "before": Before(k=2, found=0.61, predicted=5.44, p_value=1e-6),
+        "misfit": {},
+        "arx_loss": {0: 3.0, 1: 2.0, 2: 1.5, 3: 1.0, 4: 1.25},
+        "response": response(),
+        "integrator": False,
+        "na": 4,
+        "t_q": None,
+        "quantum": 0.0,
+        "largest_step": 5.0,
+        "remarks": (),
+        "acceleration": 98.0,
+        "output": "theta_1",
+        "Ts": 0.01,
+        "unit": "rad",
+        "input_unit": "V",
+        "source": "",
+    }
+    return Delay(**(values | fields))
+
+
+def test_a_delay_is_printed_with_its_last_tests() -> None:
+    assert repr(found()).splitlines() == [
+        "nk = 3: 2 samples (20 ms) in addition to the hold (level 0.1 %)",
+        "  lags 1 to 2: their coefficients together, p = 0.250: not shown to matter",
+        "  lags 1 to 3: their coefficients together, p < 0.001: u acts there",
+        "  lag 2 alone: its coefficient is 0.6σ, and would be 5.4σ or more if u acted there "
+        "first, p < 0.001: ruled out",
+    ]
+    late = found(
+        nk=1, interval=(1, 4), before=Before(k=0, found=0.6, predicted=1.0, p_value=0.4),
+        p_values={1: 1e-9}, misfit={1: 4.567, 2: 123.4}, t_q=0.0123, remarks=("a remark", "b"),
+    )  # fmt: skip
+    assert repr(late).splitlines() == [
+        "nk between 1 and 4: not determined at this Ts and noise (level 0.1 %)",
+        "  lag 1: its coefficient, p < 0.001: u acts there",
+        "  lag 0 alone: its coefficient is 0.6σ, and would be 1.0σ or more if u acted there "
+        "first, p = 0.400: not ruled out",
+        "  near the noise, the shape of the onset decides: a smooth onset at lag 1, 2 has chi² "
+        "4.57, 123 (limit 9.21 at the level 1 %)",
+        "  quantisation hides theta_1 for t_q = 12 ms: no delay",
+        "  note: a remark",
+        "  note: b",
+    ]
+    brief = late.brief().splitlines()
+    assert brief[0] == "nk between 1 and 4: not determined at this Ts and noise (level 0.1 %)"
+    assert "take nk = 1, since one coefficient too many" in brief[1]
+    assert "or at a Ts above 10 ms" in brief[1]
+    assert brief[2:] == ["  note: a remark", "  note: b"]
+    assert found().brief() == repr(found()).splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("nk", "interval", "feedback", "said"),
+    [
+        (0, (0, 0), False, "nk = 0: a direct term, u acts within its own sample"),
+        (0, (0, 0), True, "nk = 0: a direct term, or feedback, which looks the same"),
+        (1, (1, 1), False, "nk = 1: no input delay"),
+        (2, (2, 2), False, "nk = 2: 1 sample (10 ms) in addition to the hold"),
+        (1, (0, 1), True, "nk between 0 and 1: not determined at this Ts and noise"),
+    ],
+)
+def test_each_delay_has_its_answer(
+    nk: int, interval: tuple[int, int], feedback: bool, said: str
+) -> None:
+    answer = found(nk=nk, interval=interval, may_be_feedback=feedback)
+
+    assert repr(answer).startswith(f"{said} (level 0.1 %)\n")
+    assert (answer.delay, answer.told) == (nk - 1, interval[0] == interval[1])
+    way_out = "Take nk = 1 if y was read before u was applied, otherwise nk = 0."
+    assert (way_out in answer.brief()) == (feedback and not answer.told)
+
+
+@pytest.mark.parametrize("integrating", [False, True])
+def test_an_explanation_has_the_coefficients_in_their_deviations(integrating: bool) -> None:
+    answer = found(
+        response=response(integrating=integrating), t_q=0.0123, quantum=0.006, remarks=("a", "b")
+    )
+
+    text = answer.explain()
+
+    values = "+2.0σ, 2 +3.0σ, 3 +4.0σ, 4 +5.0σ, 5 +6.0σ"
+    if integrating:
+        values = "-2.0σ, 2 -3.0σ, 3 -4.0σ, 4 -5.0σ, 5 -6.0σ"
+    of = "of theta_1's rate " if integrating else ""
+    assert f"the impulse response {of}at lags 1 {values}. A coefficient" in text
+    assert "Each test has a level of 0.1 %." in text
+    assert "read in steps of 6 mrad (1 LSB). After a step of 5 V in u, theta_1 changes" in text
+    assert "t_q = sqrt(2 LSB / (b Δu)) = 12 ms, 1.2 samples." in text
+    assert text.endswith("\nNote: a.\nNote: b.")
+    assert text.startswith("nk = 3: 2 samples (20 ms) in addition to the hold.\n")
+    volts = found(unit="V", t_q=0.1, quantum=0.006).explain()
+    assert "in steps of 0.006 V (1 LSB)" in volts
+    assert "Assumption" not in found(before=None).explain()
+
+
+def test_the_figure_of_a_delay_has_the_lags_and_the_losses() -> None:
+    for integrating, unit in ((False, "[rad/V]"), (True, "[rad/s/V]")):
+        answer = found(response=response(integrating=integrating))
+
+        ax, below, *_ = plot_delay(answer, ax=Figure().add_subplot()).figure.axes
+
+        (points,) = (line for line in ax.lines if line.get_marker() == "o")
+        g = 0.1 * np.arange(1, 11) * (-10 if integrating else 1)
+        np.testing.assert_allclose(np.asarray(points.get_ydata()), g)
+        band = ax.collections[0].get_paths()[0].vertices[:, 1]
+        assert band.max() == pytest.approx(3.29 * (1.0 if integrating else 0.1))
+        (losses,) = (line for line in below.lines if line.get_label() == "ARX model")
+        assert np.asarray(losses.get_xdata()).tolist() == [0, 1, 2, 3, 4]
+        expected = 200 * np.log([3.0, 2.0, 1.5, 1.0, 1.25])
+        np.testing.assert_allclose(np.asarray(losses.get_ydata()), expected)
+        assert unit in ax.get_ylabel()
+        marks = [
+            line for panel in (ax, below) for line in panel.lines if line.get_label() == "nk = 3"
+        ]
+        assert [line.get_xdata()[0] for line in marks] == [3, 3]
+
+
+def of_lags(p_values: Any, coefficient: Any, std: Any, answer: Any, first: int = 0) -> LagTests:
+    """Return tests of lags."""
+    arrays = [np.array(x, float) for x in (p_values, coefficient, std, answer)]
+    return LagTests(
+        first=first, p_values=arrays[0], coefficient=arrays[1], std=arrays[2],
+        loss=np.ones(len(p_values)), response=arrays[3], na=2, N=100,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_bound_of_an_overlooked_coefficient_is_a_share_of_later_ones(first: int) -> None:
+    """At lag k the bound is the largest of g(k + n)/(1 + 3 n), if the onset is not smoother."""
+    from scipy.special import ndtr
+
+    p, b, std = [0.5, 0.4, 1e-6, 1e-9], [0.01, 0.02, 1.0, 4.0], [0.1, 0.2, 0.1, 0.1]
+    g = [0.0] * (2 + first) + [2.0, 3.0, 16.0, 1.0]
+    tests = of_lags(p, b, std, g, first)
+
+    before = tests.before(first + 1)
+
+    # s = 2, 5, 21: log s rises by log(21/5)/log(4/3) at most; s(shown)/2^d.
+    d = max(np.log(5 / 2) / np.log(3 / 2), np.log(21 / 5) / np.log(4 / 3))
+    least = min(max(2 / 4, 3 / 7, 16 / 10, 1 / 13), 2 / 2**d)
+    assert tests.shown == first + 2
+    assert (before.k, before.found) == (first + 1, pytest.approx(0.02 / 0.2))
+    assert before.predicted == pytest.approx(least / 0.2)
+    assert before.p_value == pytest.approx(ndtr(before.found - before.predicted))
+    steep = of_lags(p, b, std, [0.0] * (2 + first) + [2.0, 0.5, 0.1], first).before(first + 1)
+    assert steep.predicted == pytest.approx(min(2 / 4, 2 / 2) / 0.2)
+
+
+def test_lags_are_ruled_out_one_by_one_from_the_first_significant_one() -> None:
+    p, g = [0.5, 0.4, 0.3, 1e-6], [0.0, 0.0, 0.0, 4.0, 4.0, 4.0]
+
+    for std, least in (([0.01] * 4, 3), ([0.01, 0.01, 2.0, 0.1], 2), ([0.01, 2.0, 2.0, 0.1], 1)):
+        tests = of_lags(p, [0.0, 0.0, 0.0, 4.0], std, g)
+        assert (tests.shown, tests.least(), tests.none_shown) == (3, least, False)
+    wide = of_lags(p, [0.0] * 4, [2.0] * 4, g)
+    assert wide.least() == 0
+    later = of_lags(p[1:], [0.0] * 3, [2.0] * 3, g, first=1)
+    assert (later.shown, later.least()) == (3, 1)
+    nothing = of_lags([0.5, 0.001], [0.0] * 2, [1.0] * 2, [0.0] * 4)
+    assert (nothing.shown, nothing.none_shown) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("misfit", "expected"),
+    [
+        ({1: 2.0, 2: 50.0}, (1, 1)),
+        ({1: 9.2, 2: 1.0, 3: 9.3}, (1, 2)),
+        ({1: 19.0, 2: 2.0, 3: 17.0}, (2, 3)),
+        ({0: 300.0, 1: 95.0, 2: 40.0, 3: 30.0, 4: 271.0}, (1, 3)),
+        ({2: 12.0, 3: 12.0}, (2, 3)),
+    ],
+)
+def test_a_lag_is_possible_below_its_limit_or_near_the_best(
+    misfit: dict[int, float], expected: tuple[int, int]
+) -> None:
+    """Chi² below 9.21, or below nine times the least."""
+    assert possible(misfit) == expected
+
+
+def test_a_smooth_onset_averages_within_each_experiment() -> None:
+    parts = [Dataset(u=u, y=np.zeros(3), Ts=1.0) for u in ([1.0, 3.0, 7.0], [10.0, 20.0, 0.0])]
+
+    averaged = _averaged(merge(parts))
+
+    assert averaged.u.tolist() == [1.0, 2.0, 5.0, 10.0, 15.0, 10.0]
+
+
+def test_readings_are_those_of_the_largest_step() -> None:
+    """Steps of 0.5 in y; the response to the largest change of u, -4, passes one at lag 4."""
+    y = 0.5 * np.round(np.random.default_rng(1).uniform(0, 20, 80))
+    u = np.repeat([0.0, 1.0, -3.0, -3.0], 20)
+    for output in ("theta_1", "alpha", "speed"):
+        data = Dataset(u=u, y=y, Ts=0.1, output=output)
+        g = np.array([9.0, 9.0, 0.05, 0.05, 0.05, 0.3, 0.9])
+
+        read = _readings(data, response(g=g), 2)
+
+        assert (read.quantum, read.largest_step, read.changes) == (pytest.approx(0.5), 4.0, 2)
+        b = 2 * 4 * 0.15 / (4 * 0.3**2) if 4 * 0.15 >= 0.5 else 0.0
+        assert read.acceleration == pytest.approx(b)
+        if output == "speed":
+            assert read.t_q is None
+        else:
+            assert read.t_q == pytest.approx(np.sqrt(2 * 0.5 / (b * 4)))
+
+
+def test_missing_samples_are_not_enough_samples() -> None:
+    valid = np.arange(60) >= 11
+    data = Dataset(u=np.zeros(60), y=np.zeros(60), Ts=1.0, valid=valid)
+
+    with pytest.raises(InputError, match="needs at least 50 samples, got 49: record longer"):
+        _enough(data)
+    assert _enough(Dataset(u=data.u, y=data.u, Ts=1.0, valid=np.arange(60) >= 10)) == 50
+
+
+def test_an_input_of_few_sines_determines_few_lags() -> None:
+    rng = np.random.default_rng(2)
+    t = np.arange(800)
+    sines = sum(np.cos(w * t + w) for w in np.linspace(0.2, 3.0, 16))
+
+    assert determined_lags(Dataset(u=rng.standard_normal(800), y=t * 0.0, Ts=1.0), 60) == 60
+    found_ = determined_lags(Dataset(u=5.0 + np.asarray(sines), y=t * 0.0, Ts=1.0), 60)
+    assert found_ in (32, 33)
+    few = sum(np.cos(w * t + w) for w in np.linspace(0.2, 3.0, 5))
+    with pytest.raises(InputError, match="u determines 10 lags only: the band of u is too narrow"):
+        determined_lags(Dataset(u=np.asarray(few), y=t * 0.0, Ts=1.0), 60)
+
+
+def feedback(**fields: Any) -> OpenLoop:
+    """Return a test that finds feedback, by numbers made up."""
+    s = Sims(
+        p_value=0.002, p_later=0.2, F=3.456, q=5, degrees=400, p=20, explained=0.0412,
+        lags=np.arange(-4, 21), coefficients=np.linspace(-1, 1, 25), std=np.full(25, 0.1), N=450,
+    )  # fmt: skip
+    values: dict[str, Any] = {
+        "feedback": True,
+        "p_value": 0.002,
+        "level": 0.05,
+        "sims": s,
+        "exact": False,
+        "remarks": ("a remark",),
+        "few_levels": False,
+        "output": "alpha",
+        "unit": "rad",
+        "input_unit": "V",
+        "Ts": 0.01,
+        "source": "",
+    }
+    return OpenLoop(**(values | fields))
+
+
+def test_a_test_for_feedback_is_told_with_its_numbers() -> None:
+    test = feedback()
+    said = "FEEDBACK (Sims' F-test of alpha on future u: p = 0.002, level 5 %)"
+
+    assert repr(test).splitlines() == [said, "  note: a remark"]
+    brief = test.brief().splitlines()
+    assert (brief[0], brief[-1], len(brief)) == (said, "  note: a remark", 4)
+    assert brief[2].startswith("But one open-loop experiment in 20 fails the test by chance")
+    lines = test.explain().splitlines()
+    assert lines[0] == "FEEDBACK."
+    assert lines[2] == (
+        f"Finding: it explains 4.12{NBSP}% of the part of alpha that the past does not explain; "
+        "F = 3.46 with 5 and 400 degrees of freedom, p = 0.002."
+    )
+    assert lines[-1] == "Note: a remark."
+    sure = feedback(p_value=0.00099)
+    assert "by chance" not in sure.explain()
+    assert sure.brief().count("So there is feedback, at a level of 5 %") == 1
+    free = feedback(feedback=False, p_value=0.3, level=0.1, remarks=())
+    assert repr(free) == (
+        "open loop: no feedback found (Sims' F-test of alpha on future u: p = 0.300, level 10 %)"
+    )
+    assert "do not contradict open loop, at a level of 10 %" in free.explain()
+    assert free.brief() == repr(free)
+    unknown = feedback(feedback=None, sims=None, p_value=float("nan"), remarks=("no noise",))
+    assert unknown.explain() == "no decision on feedback.\nno noise."
+    assert repr(unknown) == "no decision on feedback\n  note: no noise"
+    exact = feedback(exact=True).explain()
+    assert "Finding: u(t) follows from alpha(t) exactly, in all samples." in exact
+    large = feedback(sims=replace(test.sims, F=2e6)).explain()  # type: ignore[type-var]
+    assert "F = more than 1e+06 with" in large
+
+
+@pytest.mark.parametrize(
+    ("p", "later", "exact", "direct"),
+    [
+        (0.002, 0.05, False, True),
+        (0.002, 0.0499, False, False),
+        (0.05, 0.3, False, False),
+        (0.002, 0.3, True, False),
+    ],
+)
+def test_a_direct_term_may_be_the_cause_if_no_later_input_depends_on_y(
+    p: float, later: float, exact: bool, direct: bool
+) -> None:
+    s = replace(feedback().sims, p_value=p, p_later=later)  # type: ignore[type-var]
+
+    assert feedback(sims=s, exact=exact).may_be_direct_term is direct
+    remarks = _remarks(s, 0.05, exact=exact)
+    assert any("nk = 0" in remark for remark in remarks) is direct
+    assert any("P controller" in remark for remark in remarks) is exact
+
+
+def test_the_figure_of_a_test_for_feedback_shades_the_tested_lags() -> None:
+    ax = plot_open_loop(feedback(), ax=Figure().add_subplot())
+
+    (points,) = (line for line in ax.lines if line.get_marker() == "o")
+    assert np.asarray(points.get_xdata()).tolist() == list(range(-4, 16))
+    np.testing.assert_allclose(np.asarray(points.get_ydata()), np.linspace(-1, 1, 25)[:20])
+    band = ax.collections[0].get_paths()[0].vertices[:, 1]
+    assert band.max() == pytest.approx(0.258)
+    (shade,) = ax.patches
+    assert np.min(shade.get_xy()) == pytest.approx(-4.5)
+    texts = " ".join(text.get_text() for text in ax.get_legend().get_texts())
+    titles = f"{texts} {ax.get_legend().get_title().get_text()}"
+    assert f"p = 0.002, level 5{NBSP}%" in titles
+    assert "[rad/V]" in ax.get_ylabel()
+
+
+def test_an_exact_relation_need_not_hold_at_missing_samples() -> None:
+    rng = np.random.default_rng(3)
+    y = rng.standard_normal(50)
+    valid = np.arange(50) % 7 != 3
+    u = np.where(valid, 2.0 - 3.0 * y, 9.0)
+
+    assert _is_exact(Dataset(u=u, y=np.where(valid, y, 77.0), Ts=1.0, valid=valid))
+    assert not _is_exact(Dataset(u=u, y=y, Ts=1.0))
+    assert not _is_exact(Dataset(u=np.ones(50), y=y, Ts=1.0))
+    assert not _is_exact(Dataset(u=u, y=np.ones(50), Ts=1.0))
+
+
+@pytest.mark.parametrize(("levels", "few"), [(2, True), (20, True), (21, False)])
+def test_an_input_of_at_most_20_levels_has_few(levels: int, few: bool) -> None:
+    rng = np.random.default_rng(4)
+    u = rng.permutation(np.tile(np.arange(levels), 400)[:400]).astype(float)
+
+    test = open_loop(Dataset(u=u, y=rng.standard_normal(400), Ts=1.0, unit="rad", input_unit="V"))
+
+    assert test.few_levels is few
+    assert (test.unit, test.input_unit, test.Ts) == ("rad", "V", 1.0)
+
+
+def regressors(data: Dataset, p: int) -> tuple[Array, Array]:
+    """Return the regressors of Sims' test as its docstring has them, and y, in its rows."""
+    rows, left = [], []
+    parts = list(data.experiments())
+    for i, part in enumerate(parts):
+        u = part.u
+        sums = []
+        for k in (0.0, 1 / 3, 1.0):
+            w = np.zeros(part.N)
+            for t in range(1, part.N):
+                w[t] = (1 - k / p) * w[t - 1] + u[t - 1] - u.mean()
+            sums.append(w)
+        y = np.interp(np.arange(part.N), np.flatnonzero(part.valid), part.y[part.valid])
+        for t in range(p, part.N - FUTURE + 1):
+            if not part.valid[t]:
+                continue
+            rows.append(
+                [
+                    *(float(i == j) for j in range(len(parts))),
+                    *(y[t - k] for k in range(1, p + 1)),
+                    *(u[t - k] for k in range(1, p + 1)),
+                    *(w[t - p] for w in sums),
+                    *(u[t + k] for k in range(FUTURE)),
+                ]
+            )
+            left.append(part.y[t])
+    return np.array(rows), np.array(left)
+
+
+def test_sims_test_is_the_regression_of_its_docstring() -> None:
+    """Two experiments of other lengths and levels, with short gaps."""
+    from scipy.stats import f
+
+    parts = []
+    for seed, N in ((1, 150), (2, 120)):
+        rng = np.random.default_rng(seed)
+        u = rng.standard_normal(N)
+        y = 5.0 * seed + filtered([0.3, 1.0], [1.0, -0.6], u) + rng.standard_normal(N)
+        valid = np.ones(N, dtype=bool)
+        valid[[70, 71, 90]] = False
+        parts.append(Dataset(u=u, y=y, Ts=1.0, valid=valid))
+    data = merge(parts)
+
+    found_ = sims(data)
+
+    Phi, y = regressors(data, found_.p)
+    d = Phi.shape[1] - FUTURE
+    assert (found_.N, found_.q) == (y.size, FUTURE)
+    degrees = y.size - Phi.shape[1]
+    rss = {}
+    for k in (d, d + 1, Phi.shape[1]):
+        theta = np.linalg.lstsq(Phi[:, :k], y, rcond=None)[0]
+        rss[k] = float(np.sum((y - Phi[:, :k] @ theta) ** 2))
+    V = rss[Phi.shape[1]] / degrees
+    F = (rss[d] - rss[Phi.shape[1]]) / FUTURE / V
+    F_later = (rss[d + 1] - rss[Phi.shape[1]]) / (FUTURE - 1) / V
+    assert found_.degrees == degrees
+    assert pytest.approx(F, rel=1e-7) == found_.F
+    assert found_.p_value == pytest.approx(f.sf(F, FUTURE, degrees), rel=1e-6)
+    assert found_.p_later == pytest.approx(f.sf(F_later, FUTURE - 1, degrees), rel=1e-6)
+    assert found_.explained == pytest.approx(1 - rss[Phi.shape[1]] / rss[d])
+    assert found_.lags.tolist() == list(range(-4, found_.p + 1))
+    std = np.sqrt(V * np.diag(np.linalg.inv(Phi.T @ Phi)))
+    begin = len(parts) + found_.p
+    order = [*range(Phi.shape[1] - 1, d - 1, -1), *range(begin, begin + found_.p)]
+    np.testing.assert_allclose(found_.coefficients, theta[order], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(found_.std, std[order], rtol=1e-6)
+
+
+def test_a_response_at_lag_1_is_hidden_by_no_reading() -> None:
+    read = _Readings(quantum=1e-3, largest_step=5.0, changes=3, acceleration=1.0, t_q=0.2)
+
+    assert _hidden_by_steps(_Onset(first=0, last=1, misfit={}), read, 0.01) == (0, [])
+    assert _hidden_by_steps(_Onset(first=2, last=2, misfit={}), read, 0.01)[0] == 1
