@@ -95,7 +95,7 @@ def test_the_gradient_is_the_slope_of_the_cost(noise: bool, direct: bool, missin
         return p.cost(Abar + step[:9].reshape(3, 3), c + step[9:].reshape(2, 3))
 
     slopes = [(cost(h * v) - cost(-h * v)) / (2 * h) for v in V]
-    np.testing.np.testing.assert_allclose(gradient, slopes, atol=1e-4 * np.abs(slopes).max())
+    np.testing.assert_allclose(gradient, slopes, atol=1e-4 * np.abs(slopes).max())
 
 
 def test_tangent_directions_are_orthogonal_to_changes_of_coordinates() -> None:
@@ -104,14 +104,14 @@ def test_tangent_directions_are_orthogonal_to_changes_of_coordinates() -> None:
     change = np.concatenate([(S @ A - A @ S).ravel(), (-C @ S).ravel()])
 
     assert V.shape == (15, 6)
-    np.testing.np.testing.assert_allclose(V.T @ change, 0, atol=1e-12)
+    np.testing.assert_allclose(V.T @ change, 0, atol=1e-12)
 
 
 def test_output_normal_form_is_the_same_model() -> None:
     a, c = output_normal(A, C)
 
-    np.testing.np.testing.assert_allclose(a.T @ a + c.T @ c, np.eye(3), atol=1e-10)
-    np.testing.np.testing.assert_allclose(nearest(np.linalg.eigvals(a)), POLES, atol=1e-10)
+    np.testing.assert_allclose(a.T @ a + c.T @ c, np.eye(3), atol=1e-10)
+    np.testing.assert_allclose(nearest(np.linalg.eigvals(a)), POLES, atol=1e-10)
 
 
 def predictor(experiments: int) -> Predictor:
@@ -147,10 +147,8 @@ def test_with_outputs_missing_the_errors_give_the_likelihood_of_the_measured_out
         quadratic += error @ np.linalg.solve(S, error)
         determinant += np.linalg.slogdet(S)[1]
         determinant -= sum(np.linalg.slogdet(LAMBDA[np.ix_(r, r)])[1] for r in part.rows if r.any())
-    np.testing.np.testing.assert_allclose(np.sum(z**2, axis=1), quadratic, rtol=1e-9)
-    np.testing.np.testing.assert_allclose(
-        log * sum(p.rows.sum() for p in parts), determinant, rtol=1e-9
-    )
+    np.testing.assert_allclose(np.sum(z**2, axis=1), quadratic, rtol=1e-9)
+    np.testing.assert_allclose(log * sum(p.rows.sum() for p in parts), determinant, rtol=1e-9)
 
 
 def test_the_covariance_of_the_noise_is_estimated_along_with_the_gaps() -> None:
@@ -181,16 +179,16 @@ def test_without_a_gap_the_errors_are_those_of_the_constant_gain() -> None:
     gaps = GapProblem(parts=whole.parts, Lambda=LAMBDA, direct=True)
 
     z, log = gaps.errors([at])
-    np.testing.np.testing.assert_allclose(z[0], linear.e, atol=1e-9)
+    np.testing.assert_allclose(z[0], linear.e, atol=1e-9)
     np.testing.assert_array_equal(log, 0)
     for found, e in zip(gaps.residuals(at), whole.residuals(A - K @ C, C, linear), strict=True):
-        np.testing.np.testing.assert_allclose(found, e, atol=1e-9)
+        np.testing.assert_allclose(found, e, atol=1e-9)
 
 
 def test_a_start_value_is_stable() -> None:
     inside = reflected_matrix(np.diag([1.5, 0.5]))
 
-    np.testing.np.testing.assert_allclose(np.sort(np.linalg.eigvals(inside)), [0.5, 1 / 1.5])
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(inside)), [0.5, 1 / 1.5])
 
 
 @pytest.mark.parametrize("Phi", [A, np.array([[0.9, 1.0], [0.0, 0.9]])], ids=["modes", "double"])
@@ -205,7 +203,7 @@ def test_responses_are_those_of_the_recursion(Phi: Array) -> None:
     for s in range(2):
         for k in range(n):
             x = recursion(Phi, np.outer(signals[:, s], np.eye(n)[k]), np.zeros(n))[:-1]
-            np.testing.np.testing.assert_allclose(found[s, k].T, x @ c.T, atol=1e-9)
+            np.testing.assert_allclose(found[s, k].T, x @ c.T, atol=1e-9)
 
 
 def test_noise_free_data_give_back_the_plant() -> None:
@@ -213,12 +211,10 @@ def test_noise_free_data_give_back_the_plant() -> None:
         armrig.ss(data(scale=0.0), order=3, noise=False),
         armrig.n4sid(data(scale=1e-7), 3, replicates=0),
     ):
-        np.testing.np.testing.assert_allclose(nearest(fit.poles().values), POLES, atol=1e-5)
+        np.testing.assert_allclose(nearest(fit.poles().values), POLES, atol=1e-5)
         G = fit.frequency_response([2.0]).G[0]
         z = np.exp(0.2j)
-        np.testing.np.testing.assert_allclose(
-            G, C @ np.linalg.solve(z * np.eye(3) - A, B), atol=1e-4
-        )
+        np.testing.assert_allclose(G, C @ np.linalg.solve(z * np.eye(3) - A, B), atol=1e-4)
 
 
 @pytest.mark.parametrize(("seed", "missing"), sampled([(0, 0.0), (1, 0.0), (2, 0.0), (3, 0.2)], 2))
@@ -230,7 +226,7 @@ def test_estimates_lie_within_their_deviations(seed: int, missing: float) -> Non
     z = np.abs(poles.values[order] - POLES) / poles.std[order]
     assert z.max() < 3.5
     assert fit.converged
-    np.testing.np.testing.assert_allclose(fit.noise_covariance, LAMBDA, rtol=0.25)
+    np.testing.assert_allclose(fit.noise_covariance, LAMBDA, rtol=0.25)
     omega = np.array([0.5, 5.0, 20.0])
     answer = fit.frequency_response(omega)
     truth = np.array([C @ np.linalg.solve(np.exp(0.1j * w) * np.eye(3) - A, B) for w in omega])
@@ -245,7 +241,7 @@ def test_the_unit_of_a_signal_decides_nothing() -> None:
 
     ours, theirs = armrig.ss(signals, order=3), armrig.ss(other, order=3)
 
-    np.testing.np.testing.assert_allclose(
+    np.testing.assert_allclose(
         nearest(theirs.poles().values, ours.poles().values), ours.poles().values, atol=1e-5
     )
     assert theirs["y2", "u1"].B[1] == pytest.approx(1e-9 * ours["y2", "u1"].B[1], rel=1e-3)
@@ -261,9 +257,9 @@ def test_one_input_and_output_give_the_armax_model() -> None:
     fit = armrig.ss(Signals(u=u, y=y, Ts=1.0), order=2)
 
     channel = fit["y", "u"]
-    np.testing.np.testing.assert_allclose(channel.F, known.A, atol=2e-5)
-    np.testing.np.testing.assert_allclose(channel.B, known.B, atol=2e-5)
-    np.testing.np.testing.assert_allclose(channel.std, [*known.std[2:4], *known.std[:2]], rtol=1e-3)
+    np.testing.assert_allclose(channel.F, known.A, atol=2e-5)
+    np.testing.assert_allclose(channel.B, known.B, atol=2e-5)
+    np.testing.assert_allclose(channel.std, [*known.std[2:4], *known.std[:2]], rtol=1e-3)
     assert fit.quality[0].loss == pytest.approx(known.loss, rel=1e-8)
 
 
@@ -274,21 +270,19 @@ def test_a_direct_term_and_a_delay_are_estimated() -> None:
     late = Signals(u=u[:-2], y=signals.y[:-2], Ts=0.1)
     fit = armrig.ss(late, order=3, nk=[3, 1])
 
-    np.testing.np.testing.assert_allclose(direct.state_space()[3], 0.7 * np.eye(2)[::-1], atol=0.1)
+    np.testing.assert_allclose(direct.state_space()[3], 0.7 * np.eye(2)[::-1], atol=0.1)
     assert fit["y1", "u1"].nk == 3
-    np.testing.np.testing.assert_allclose(fit["y1", "u1"].B[:3], 0.0)
-    np.testing.np.testing.assert_allclose(
-        fit.simulate(late.u)[200:], fit.predict(late, None)[200:], atol=1e-3
-    )
+    np.testing.assert_allclose(fit["y1", "u1"].B[:3], 0.0)
+    np.testing.assert_allclose(fit.simulate(late.u)[200:], fit.predict(late, None)[200:], atol=1e-3)
     system = fit.to_control()
     z = np.exp(0.3j)
-    np.testing.np.testing.assert_allclose(fit.frequency_response([3.0]).G[0], system(z), rtol=1e-8)
+    np.testing.assert_allclose(fit.frequency_response([3.0]).G[0], system(z), rtol=1e-8)
 
 
 def test_missing_outputs_of_an_output_error_model_are_left_out() -> None:
     fit = armrig.ss(data(scale=0.3, missing=0.2), order=3, noise=False)
 
-    np.testing.np.testing.assert_allclose(nearest(fit.poles().values), POLES, atol=0.03)
+    np.testing.assert_allclose(nearest(fit.poles().values), POLES, atol=0.03)
 
 
 def test_a_subspace_estimate_worse_than_the_mean_is_reported() -> None:
@@ -337,10 +331,10 @@ def test_weights_of_the_noise_change_nothing_but_the_digits(tmp_path: Path) -> N
     weighted = armrig.ss(alone, order=3, output_weights=[7.0])
     by_noise = armrig.ss(alone, order=3)
 
-    np.testing.np.testing.assert_allclose(
+    np.testing.assert_allclose(
         np.sort_complex(weighted.poles().values), np.sort_complex(by_noise.poles().values), 1e-5
     )
-    np.testing.np.testing.assert_allclose(weighted.quality[0].loss, by_noise.quality[0].loss, 1e-7)
+    np.testing.assert_allclose(weighted.quality[0].loss, by_noise.quality[0].loss, 1e-7)
     weighted.save(tmp_path / "model.json")
     assert armrig.load_fit(tmp_path / "model.json").output_weights == (7.0,)
 
@@ -436,10 +430,8 @@ def test_windows_have_one_factor_by_squares_and_by_a_decomposition(
     safe = projected(parts, 8, "cva")
 
     squares = safe.R.T @ safe.R
-    np.testing.np.testing.assert_allclose(
-        fast.R.T @ fast.R, squares, atol=1e-9 * np.abs(squares).max()
-    )
-    np.testing.np.testing.assert_allclose(fast.singular_values, safe.singular_values, rtol=1e-6)
+    np.testing.assert_allclose(fast.R.T @ fast.R, squares, atol=1e-9 * np.abs(squares).max())
+    np.testing.assert_allclose(fast.singular_values, safe.singular_values, rtol=1e-6)
 
 
 @pytest.mark.exhaustive
