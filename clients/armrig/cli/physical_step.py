@@ -1,4 +1,4 @@
-"""The command model: the physical model (handout 2.1 to 2.3)."""
+"""The command `armrig model`, which prints the physical model (handout 2.1 to 2.3)."""
 
 from __future__ import annotations
 

@@ -75,8 +75,9 @@ class StructureHints:
     low_band: Vector
     """Frequencies at which `low_slope` was estimated, in rad/s."""
     high_slope: float | None
-    """Slope of |G| in dB a decade, over the highest third of a decade of the frequencies at which u
-    explains y. None if the slope of the first structure differs by more than 3 dB a decade."""
+    """Slope of |G| in dB a decade at the highest frequencies at which u explains y; they span a
+    third of a decade. None if the slope of the first structure differs by more than 3 dB a
+    decade."""
     high_band: Vector
     """Frequencies at which `high_slope` was estimated, in rad/s."""
     relative_degree: int
@@ -166,7 +167,7 @@ def structure_hints(
       with a pole at 1. If only one of the two statements is true, or if the description lengths
       hardly differ, a structure with an integrator and a structure without an integrator are
       recommended. The output theta_1 is taken as integrating, unless the step response of its rate
-      significantly returns to 0. Such data are from another rig that uses the name theta_1. With an
+      significantly returns to 0: then another rig uses the name theta_1. With an
       integrator the slope of the gain at low frequency is -20 dB a decade.
     - Order: the number of singular values of a Hankel matrix that exceed `threshold`. The matrix is
       computed from the regularised impulse response, and `threshold` from the uncertainty of this

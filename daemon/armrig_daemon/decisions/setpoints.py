@@ -77,7 +77,7 @@ def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
         return state, []
     held = base + queued
     moved_ns = now_ns if held > queue.held else queue.moved_ns
-    # `sent` is less than `held` if `refill` has reset `sent` to an earlier `held`.
+    # `refill` sets `sent` to the `held` of that moment; `held` may have grown since.
     queue = replace(queue, base=base, held=held, sent=max(queue.sent, held), moved_ns=moved_ns)
     state = replace(state, queue=queue)
     if state.phase is _ARMED and state.asked is None:

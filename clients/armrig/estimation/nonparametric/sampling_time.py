@@ -111,7 +111,7 @@ class SamplingTime:
 
     def __repr__(self) -> str:
         """Return the recommendation with its reasons as text."""
-        beyond = "unknown" if np.isnan(self.beyond) else f"{100 * self.beyond:.2g} %"
+        beyond = "an unknown share" if np.isnan(self.beyond) else f"{100 * self.beyond:.2g} %"
         how = "steps" if self.from_step else "regularised impulse response"
         lines = [
             f"sampling time: {times(self.Ts)} recommended (from {self.output} at "
@@ -120,8 +120,8 @@ class SamplingTime:
             f"  spectrum:  -3 dB {self._band_text()} rad/s, omega_s = 20 omega_B: Ts "
             f"{times(self.Ts_spectrum)}",
             f"  transient: {self._transient_text()}",
-            f"  aliasing:  {100 * self.near_nyquist:.2g} % of the power above 0.8 Nyquist now, "
-            f"{beyond} above the recommendation's Nyquist",
+            f"  aliasing:  {100 * self.near_nyquist:.2g} % of the power is above 0.8 of Nyquist; "
+            f"{beyond} is above Nyquist at the recommended Ts",
         ]
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
@@ -435,9 +435,9 @@ def _notes(
         )
     if near > MIN_ALIASING_SHARE and of and near < MOST_DIFFERENCED:
         yield (
-            f"{100 * near:.2g} % of the power is near Nyquist. If {of} has white noise, the "
-            f"differences of the noise have {100 * DIFFERENCED:g} % of their power there at any "
-            "Ts: a faster recording does not lower this share"
+            f"{100 * near:.2g} % of the power is near Nyquist. White noise of {of}, "
+            f"differenced for the rate, has {100 * DIFFERENCED:g} % of its power there at any Ts, "
+            "so a faster recording does not lower this share"
         )
     elif near > MIN_ALIASING_SHARE:
         yield (

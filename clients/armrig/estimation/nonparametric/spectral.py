@@ -52,9 +52,10 @@ def spa(
         G = Phi_yu / Phi_u,     E|dG|² = Phi_v / (nu Phi_u),    nu = N / sum of w(k)²
 
     Phi_v is ``(Phi_y - |Phi_yu|²/Phi_u) nu/(nu - 1)`` , computed with a lag window of 4 gamma (at
-    most N/5). With this longer window, the variation of G within the resolution of gamma does not
-    count as noise. Phi_v is then smoothed to the resolution of gamma. Missing outputs are replaced
-    by the part that the input explains, and are not counted in N.
+    most N/5). A window of gamma does not separate frequencies that are close together. If G differs
+    at these frequencies, the difference would count as noise; the longer window separates them.
+    Phi_v is then smoothed to the resolution of gamma. Missing outputs are replaced by the part that
+    the input explains, and are not counted in N.
 
     The standard deviations describe the scatter about the smoothed response. The smoothed response
     is the expected value of G for this window. The window blunts resonances that are narrower than

@@ -84,7 +84,8 @@ def sims(data: Dataset) -> Sims:
     feedback. In closed loop u(t) contains the noise of y(t).
 
     p = 15 lg N, at most 60. The sums w represent the input before the last p samples. Without these
-    sums, future u could replace the missing past in open loop. y's past has more lags than the
+    sums, the coefficients of future u could also differ from 0 in open loop, because future u would
+    take over the effect of this earlier input. y's past has more lags than the
     plant has poles, so the F distribution also holds if y integrates: see [2] and [3].
 
     A row whose y(t) is missing is left out. If a past y of a row is missing, it is interpolated

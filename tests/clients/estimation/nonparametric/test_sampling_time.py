@@ -225,8 +225,8 @@ def test_the_recommendation_is_told_line_by_line() -> None:
         "  spectrum:  -3 dB first at 10.2, last (omega_B) at 61.7 rad/s, omega_s = 20 omega_B: Ts "
         "5.1 ms",
         "  transient: 412 ± 31 ms to within 5 %, 10 to 7 samples in it: Ts 41.2 … 58.9 ms",
-        "  aliasing:  2.3 % of the power above 0.8 Nyquist now, 0.07 % above the "
-        "recommendation's Nyquist",
+        "  aliasing:  2.3 % of the power is above 0.8 of Nyquist; 0.07 % is above Nyquist at the "
+        "recommended Ts",
         "  one",
         "  two",
     ]
@@ -242,7 +242,11 @@ def test_the_recommendation_is_told_line_by_line() -> None:
         ({"settling": 0.0019}, 3, "  transient: over within a sample"),
         ({"settling_std": np.nan}, 3, "  transient: 412 ms to within 5 %"),
         ({"settling": 1.23, "settling_std": 0.1}, 3, "  transient: 1.23 ± 0.10 s to within 5 %"),
-        ({"beyond": np.nan}, 4, "now, unknown above the recommendation's Nyquist"),
+        (
+            {"beyond": np.nan},
+            4,
+            "of Nyquist; an unknown share is above Nyquist at the recommended Ts",
+        ),
     ],
 )
 def test_what_is_not_known_is_told_so(of: dict[str, Any], line: int, text: str) -> None:
@@ -260,7 +264,7 @@ NOTES: list[tuple[dict[str, Any], list[str]]] = [
     ({"bandwidth": 124.0}, []),
     ({"near": 0.06}, ["6 % of the power is near Nyquist: noise or aliasing; compare with a fa"]),
     ({"near": 0.05}, []),
-    ({"near": 0.4, "of": "y"}, ["40 % of the power is near Nyquist. If y has white noise, the d"]),
+    ({"near": 0.4, "of": "y"}, ["40 % of the power is near Nyquist. White noise of y, d"]),
     ({"near": 0.46, "of": "y"}, ["46 % of the power is near Nyquist: noise or aliasing"]),
     ({"Ts": 0.005}, ["the recommended Ts is below the data's Ts"]),
 ]
