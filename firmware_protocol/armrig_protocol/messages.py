@@ -248,7 +248,7 @@ class Start(NamedTuple):
 
 
 class Stop(NamedTuple):
-    """Change from READY, ARMED or RUN to IDLE. STOP takes effect whatever its seq."""
+    """Change from READY, ARMED or RUN to IDLE. STOP takes effect even if its seq is not newer than the last seq."""
 
     state: int
     """State of the device; 0 from a host (`State`)."""
@@ -268,7 +268,7 @@ class ClearFault(NamedTuple):
 
 
 class Estop(NamedTuple):
-    """Change from any state to ESTOP. ESTOP takes effect whatever its seq. A host sends ESTOP three times."""
+    """Change from any state to ESTOP. ESTOP takes effect even if its seq is not newer than the last seq. A host sends ESTOP three times."""
 
     state: int
     """State of the device; 0 from a host (`State`)."""

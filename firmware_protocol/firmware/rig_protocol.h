@@ -161,7 +161,7 @@ typedef struct __attribute__((packed)) {
 _Static_assert(sizeof(rig_start_t) == 16, "START");
 _Static_assert(sizeof(rig_start_t) <= RIG_MAX_DECODED, "START");
 
-// Change from READY, ARMED or RUN to IDLE. STOP takes effect whatever its seq.
+// Change from READY, ARMED or RUN to IDLE. STOP takes effect even if its seq is not newer than the last seq.
 #define RIG_TYPE_STOP 0x05U
 typedef struct __attribute__((packed)) {
     uint8_t type;
@@ -184,7 +184,7 @@ typedef struct __attribute__((packed)) {
 _Static_assert(sizeof(rig_clear_fault_t) == 12, "CLEAR_FAULT");
 _Static_assert(sizeof(rig_clear_fault_t) <= RIG_MAX_DECODED, "CLEAR_FAULT");
 
-// Change from any state to ESTOP. ESTOP takes effect whatever its seq. A host sends ESTOP three times.
+// Change from any state to ESTOP. ESTOP takes effect even if its seq is not newer than the last seq. A host sends ESTOP three times.
 #define RIG_TYPE_ESTOP 0x07U
 typedef struct __attribute__((packed)) {
     uint8_t type;

@@ -105,7 +105,8 @@ def test_at_the_end_of_boot_the_byte_in_progress_is_the_first_that_is_heard() ->
         device.receive(5 * MS - gone * 10 * US - 5 * US, ping)
 
         assert len(device.advance(50 * MS)) == 2 + answers, gone
-        assert device._fw.counters.spoilt == spoilt, gone
+        later = b"".join(data for _, data in device.advance(1500 * MS))
+        assert only(Status, decoder.feed(b"", later)[1]).spoilt == spoilt, gone
 
 
 def test_a_reset_draws_a_new_boot_id_and_drops_to_0_v() -> None:
