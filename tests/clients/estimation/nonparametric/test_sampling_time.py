@@ -126,7 +126,7 @@ def test_noise_of_an_angle_is_no_reason_to_record_faster(
     [note] = [n for n in sampling_time(rates).notes if "near Nyquist" in n]
 
     assert power[omega > 0.8 * np.pi].sum() / power.sum() == pytest.approx(DIFFERENCED, abs=0.005)
-    assert "the differences of the noise have 39 % of their power there" in note
+    assert "White noise of theta_1, differenced for the rate, has 39 % of its power there" in note
     assert "before trusting" not in note
 
 
