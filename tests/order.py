@@ -1,4 +1,8 @@
-"""A pytest plug-in for the order of the tests: a drawn order, and what ran before a failure."""
+"""A pytest plug-in for the order of the tests.
+
+It draws an order, shows what ran before a failure, and lets two workers of xdist collect from both
+ends: pytest compiles each module of tests once, and half of the modules in each worker.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +36,28 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         config.option.dist = random.Random(seed).choice(DISTRIBUTIONS)
 
 
+def from_the_end(config: pytest.Config) -> bool:
+    """Return whether this process is a worker of xdist that collects the last folder first."""
+    return getattr(config, "workerinput", {}).get("workerid", "gw0")[-1] in "13579"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Reverse the content of a folder in every second worker."""
+    report = yield
+    if isinstance(collector, pytest.Directory) and from_the_end(collector.config):
+        report.result.reverse()
+    return report
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Draw the order; all workers of xdist draw the same."""
+    """Order the modules as in the first worker; then draw the order, the same in all workers."""
+    if from_the_end(config):
+        modules = [list(tests) for _, tests in groupby(items, key=lambda item: item.path)]
+        items[:] = [item for tests in reversed(modules) for item in tests]
     if (seed := config.getoption("order_seed")) is not None:
         items[:] = shuffled(items, random.Random(seed))
 

@@ -30,6 +30,27 @@ def test_a_seed_draws_one_order(pytester: pytest.Pytester) -> None:
     assert names(pytester, "--order-seed", SEED) == drawn
 
 
+def test_every_second_worker_compiles_from_the_end_and_runs_the_same_order(
+    pytester: pytest.Pytester,
+) -> None:
+    module = "print('compiled', __name__)\ndef test_first(): pass\ndef test_second(): pass"
+    pytester.makepyfile(**{"test_a": module, "test_b": module})
+    pytester.mkpydir("test_folder").joinpath("test_c.py").write_text(module)
+    as_collected, compiled = [], []
+    for worker in ("gw0", "gw1", "gw10", "gw11"):
+        pytester.makeconftest(
+            f"def pytest_configure(config): config.workerinput = {{'workerid': '{worker}'}}"
+        )
+        ran = pytester.runpytest_inprocess(
+            "-p", "tests.order", "-p", "no:cacheprovider", "-p", "no:xdist", "-s", "--collect-only"
+        )
+        as_collected.append([line for line in ran.outlines if "<" in line])
+        compiled.append([line[-1] for line in ran.outlines if line.startswith("compiled")])
+
+    assert compiled == [["a", "b", "c"], ["c", "b", "a"]] * 2
+    assert as_collected == [as_collected[0]] * 4
+
+
 def test_a_failure_shows_what_ran_before_it(pytester: pytest.Pytester) -> None:
     pytester.makepyfile("def test_first(): pass\ndef test_second(): assert False")
 
