@@ -165,6 +165,7 @@ def read_sentences(tree: ast.Module) -> Iterator[tuple[int, str]]:
                         yield node.lineno, text
 
 
+@pytest.mark.exhaustive
 def test_no_program_reads_a_sentence() -> None:
     found = {
         (str(path.relative_to(ROOT)), text): line

@@ -22,12 +22,19 @@ MODULES = [
 ]
 LIVE = "running(["
 """Code of an example that starts an emulated rig: it needs real time, two seconds each."""
+MODELS = "armrig.models."
+"""Examples that estimate the same few models, one each, which other tests do, too."""
+
+
+def marks(example: doctest.DocTest) -> list[pytest.MarkDecorator]:
+    """Return the marks of an example."""
+    if LIVE in example.docstring:
+        return [pytest.mark.real_time, pytest.mark.exhaustive]
+    return [pytest.mark.exhaustive] if example.name.startswith(MODELS) else []
+
+
 EXAMPLES = [
-    pytest.param(
-        example,
-        id=example.name,
-        marks=[pytest.mark.real_time, pytest.mark.exhaustive] if LIVE in example.docstring else [],
-    )
+    pytest.param(example, id=example.name, marks=marks(example))
     for module in MODULES
     for example in doctest.DocTestFinder().find(import_module(module))
     if example.examples

@@ -174,6 +174,7 @@ def test_duty_and_code_are_those_of_python(bits: int) -> None:
         assert c.rig_code(steps) == reported(u, bits)
 
 
+@pytest.mark.exhaustive
 def test_a_duty_of_16_bits_is_the_code() -> None:
     c = library.library(hardware(16)).functions
 

@@ -19,6 +19,8 @@ from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import percent
 
+from tests.sampling import sampled
+
 B, F = [0.0, 0.5, 0.3], [1.0, -1.2, 0.5]
 ESTIMATORS: dict[str, Callable[[Dataset], Fit]] = {
     "arx": lambda data: armrig.arx(data, na=2, nb=2),
@@ -174,7 +176,7 @@ def test_data_that_show_no_level_have_none() -> None:
     assert level_without_input(data[:9], least=0.0) is None
 
 
-@pytest.mark.parametrize("noise", ["normal", "laplace"])
+@pytest.mark.parametrize("noise", sampled(["laplace", "normal"]))
 def test_noise_is_no_outlier_and_a_mean_of_the_input_no_offset(noise: str) -> None:
     """40 runs of each noise."""
     for seed in range(40):

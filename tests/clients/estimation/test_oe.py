@@ -60,8 +60,8 @@ def test_a_noise_free_angle_gives_back_the_plant_from_any_state(plant: HandoutPl
 
 @pytest.fixture(scope="module")
 def fits(plant: HandoutPlant) -> list[Fit]:
-    """Return the fits of four recordings of the handout's plant."""
-    return [oe(plant.dataset(seed), nb=4, nf=4, integrator=True) for seed in range(4)]
+    """Return the fits of two recordings of the handout's plant."""
+    return [oe(plant.dataset(seed), nb=4, nf=4, integrator=True) for seed in range(2)]
 
 
 @pytest.mark.exhaustive

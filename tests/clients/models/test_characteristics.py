@@ -15,6 +15,7 @@ from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices
 
 from tests.clients.models.made_fits import made
+from tests.sampling import sampled
 
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
@@ -84,7 +85,7 @@ def test_errors_are_as_large_as_the_deviations_reported(
         assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35, name
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", sampled([0, 2]))
 def test_a_deviation_is_the_scatter_of_draws(plant: HandoutPlant, seed: int) -> None:
     """200 draws determine a deviation to 5 %, if the linearisation is good."""
     fit = armrig.oe(plant.dataset(seed, N=1500), nb=4, nf=4, integrator=True)

@@ -33,11 +33,12 @@ from matplotlib.figure import Figure as Canvas
 from tests.clients.calibration_rig import REST, TURNS, calibrated, runs, truth, unknown_rig
 from tests.clients.made_recordings import manifest
 from tests.clients.made_turns import HIGH, LOW, D, made_turns, still
+from tests.sampling import sampled
 
 MADE = Made(date="2026-11-01T00:00:00+00:00", rig="1", device_uid="0001", armrig="0.1.0")
 
 
-@pytest.mark.parametrize("seed", [1000, 1001])
+@pytest.mark.parametrize("seed", sampled([1000, 1001]))
 def test_a_rig_that_nobody_has_seen_is_found_out(seed: int) -> None:
     """Offsets, gains, directions, dead band and friction are each within four of their deviations.
 

@@ -217,6 +217,7 @@ def test_an_answer_within_the_sample_is_reported_to_look_like_feedback(plant: Ha
     assert armrig.open_loop(controlled(late, noise)).feedback
 
 
+@pytest.mark.exhaustive
 def test_memory_does_not_grow_with_the_regression() -> None:
     """100 000 samples would need 70 MB of regressors."""
     rng = np.random.default_rng(1)

@@ -287,6 +287,7 @@ def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
         impulse_response(data, 5, integrator=False).band(95)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kernel", [None, "tc"])
 def test_length_costs_no_memory(kernel: Kernel | None) -> None:
     """A hundred lags of 100 000 samples need less memory than 30 arrays of that length."""

@@ -188,6 +188,7 @@ def test_what_is_not_there_is_reported_in_words() -> None:
     assert "like -" not in said
 
 
+@pytest.mark.exhaustive
 def test_a_pure_integrator_has_the_one_pole_at_1() -> None:
     rng = np.random.default_rng(4)
     u = rng.standard_normal(2000)
@@ -217,6 +218,7 @@ def test_the_phase_shows_a_delay_of_more_than_half_a_turn(samples: int) -> None:
     assert found.phase_delay == pytest.approx(0.1 * samples + 0.05, abs=0.05)
 
 
+@pytest.mark.exhaustive
 def test_dead_time_is_delay_and_not_poles() -> None:
     """A first-order plant with ten samples of delay is not of eleventh order."""
     rng = np.random.default_rng(11)
