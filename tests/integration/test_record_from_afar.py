@@ -31,6 +31,7 @@ from armrig_daemon.service.history import History
 from armrig_daemon.service.publish import Session
 
 from tests.integration.processes import Bench
+from tests.sampling import sampled
 
 TS_NS = 10_000_000
 
@@ -350,7 +351,7 @@ def test_what_cannot_be_recorded_is_reported(
     assert [path.name for path in tmp_path.iterdir()] == ["there.mcap"]
 
 
-@pytest.mark.parametrize(("number", "code"), [(2, 0), (15, 128 + 15), (1, 128 + 1)])
+@pytest.mark.parametrize(("number", "code"), sampled([(15, 128 + 15), (2, 0), (1, 128 + 1)]))
 def test_a_signal_ends_it_with_a_whole_file(
     where: str, tmp_path: Path, published: Callable[[], int], number: int, code: int
 ) -> None:

@@ -33,6 +33,7 @@ from tests.benchmarks.host_timing.sleeper import Done, Task
 from tests.benchmarks.host_timing.targets import Rate, Target, against_targets
 from tests.clients.made_recordings import recorded, sample, written
 from tests.clients.running import running
+from tests.sampling import sampled
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
@@ -355,7 +356,7 @@ def test_a_short_run_measures_all_contestants(
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGKILL]))
 def test_no_process_is_left(number: signal.Signals) -> None:
     mark = f"BENCH_TEST={os.getpid()}-{number}"
     command = [sys.executable, "-m", "tests.benchmarks.host_timing"]
@@ -392,6 +393,7 @@ def test_ctrl_c_while_a_program_starts_leaves_none(monkeypatch: pytest.MonkeyPat
     assert started[0].returncode is not None
 
 
+@pytest.mark.exhaustive
 def test_a_started_daemon_ends_with_its_starter() -> None:
     with programs.daemon() as running:
         loop = running.loop_pid()

@@ -23,6 +23,7 @@ from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import gap, of_the_arm, sample, timing, written
 from tests.clients.running import running
 from tests.clients.told import told
+from tests.sampling import sampled
 
 
 @pytest.mark.parametrize(
@@ -399,7 +400,7 @@ def test_a_run_that_ends_early_is_a_failure(
     assert "no fault is latched: repeat the command" in said.err
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", sampled([signal.SIGTERM, signal.SIGHUP]))
 def test_a_signal_that_ends_a_collection_stops_the_rig(
     number: signal.Signals, daemon: FakeDaemon, where: str
 ) -> None:

@@ -118,6 +118,7 @@ def test_the_list_of_outliers_ends_in_an_ellipsis_only_if_it_is_cut(count: int, 
     assert end in treated.history[0]
 
 
+@pytest.mark.exhaustive
 def test_clean_data_lose_a_sample_as_seldom_as_said() -> None:
     """One record in twenty has a marked sample, within four standard deviations of 120 runs."""
     records = [clean(seed, N=500) for seed in range(120)]

@@ -225,6 +225,7 @@ def test_with_offset_true_the_model_is_right() -> None:
     assert not about(fit, "at u = 0")
 
 
+@pytest.mark.exhaustive
 def test_coloured_noise_is_no_offset() -> None:
     """30 runs with noise filtered by a pole at 0.9, which an OE model leaves coloured."""
     for seed in range(30):

@@ -93,6 +93,7 @@ def test_what_is_clear_is_not_searched_for_elsewhere(monkeypatch: pytest.MonkeyP
         assert tried.pop() == 1
 
 
+@pytest.mark.exhaustive
 def test_a_high_order_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """OE of order 60 took more than 200 s; it has too many modes to move each."""
     rng = np.random.default_rng(1)
@@ -107,6 +108,7 @@ def test_a_high_order_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     assert any("poorer minimum" in w or "did not converge" in w for w in fit.warnings)
 
 
+@pytest.mark.exhaustive
 def test_much_data_is_searched_from_where_a_part_leads(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(2)
     N = 2 * prediction_error_fit.PART_SAMPLES + 1000

@@ -107,6 +107,7 @@ def test_validation_data_decide_where_there_are_some() -> None:
     assert (excess[fewer] > std[fewer]).all()
 
 
+@pytest.mark.exhaustive
 def test_the_true_orders_are_chosen_more_often_than_the_lowest_loss_is_theirs() -> None:
     """N = 1000 twice, 30 runs: a larger structure mostly has the lowest of the 600 losses."""
     lowest, chosen = 0, 0

@@ -105,6 +105,7 @@ def test_a_change_of_the_system_is_followed() -> None:
     assert -1.15 < stays.theta[-1, 0] < -0.85
 
 
+@pytest.mark.exhaustive
 def test_the_deviations_hold_while_forgetting() -> None:
     """Ratio of scatter and reported deviation, 150 runs."""
     states = _runs(0.97)

@@ -96,6 +96,7 @@ def test_a_random_walk_is_never_called_white(seed: int) -> None:
     assert (tested.whiteness, tested.whiteness_test) == (fit.whiteness, fit.whiteness_test)
 
 
+@pytest.mark.exhaustive
 def test_where_the_noise_determines_a_ljung_box_loses_as_many_degrees() -> None:
     """A of a pure autoregression; 300 runs at 5 %, of which all 25 lags would reject 2 %."""
     rng = np.random.default_rng(1)

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from tests.clients.chassis_data import Make, Ts, angle
 
 
+@pytest.mark.exhaustive
 def test_the_standard_deviation_follows_the_law(make: Make) -> None:
     """The mean of sd sqrt(N) over 5 runs is the same for 1, 2 and 4 parts within 10 %."""
     scaled = np.mean(

@@ -42,6 +42,8 @@ from armrig_protocol.messages import (
     Stop,
 )
 
+from tests.sampling import sampled
+
 BAUD = 1_000_000
 PATIENCE_S = 30.0
 PROGRAM = """
@@ -247,7 +249,7 @@ def _read_late(emulator: Emulator) -> tuple[list[int], int]:
     return came, idle_ns
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", sampled([signal.SIGTERM, signal.SIGINT]))
 def test_a_signal_ends_it_and_takes_the_link_away(emulator: Emulator, number: int) -> None:
     assert emulator.stop(number) == 0
     assert not emulator.link.is_symlink()

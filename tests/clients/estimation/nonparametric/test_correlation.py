@@ -12,6 +12,8 @@ from armrig.estimation.nonparametric.correlation import Correlation, correlation
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
+from tests.sampling import sampled
+
 
 def test_a_coloured_input_is_whitened(second: Any) -> None:
     data = second.dataset(np.random.default_rng(1), 20_000, u_pole=0.9)
@@ -33,7 +35,7 @@ def test_the_autocorrelation_is_that_at_the_lags(second: Any, lags: int) -> None
     np.testing.assert_allclose(found.autocorrelation, found.autocorrelation[::-1])
 
 
-@pytest.mark.parametrize("order", [None, 0])
+@pytest.mark.parametrize("order", sampled([0, None]))
 def test_the_band_holds_its_share_where_there_is_no_relation(order: int | None) -> None:
     """1 % of the lags lie outside for coloured u and y, whitened or not."""
     outside = []
