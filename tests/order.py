@@ -37,8 +37,12 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
 
 def from_the_end(config: pytest.Config) -> bool:
-    """Return whether this process is a worker of xdist that collects the last folder first."""
-    return getattr(config, "workerinput", {}).get("workerid", "gw0")[-1] in "13579"
+    """Return whether this process is a worker of xdist that collects the last folder first.
+
+    It does so if it collects one folder. Several arguments keep their order.
+    """
+    worker = getattr(config, "workerinput", {}).get("workerid", "gw0")
+    return worker[-1] in "13579" and len(config.args) == 1
 
 
 @pytest.hookimpl(wrapper=True)

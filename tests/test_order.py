@@ -37,18 +37,27 @@ def test_every_second_worker_compiles_from_the_end_and_runs_the_same_order(
     pytester.makepyfile(**{"test_a": module, "test_b": module})
     pytester.mkpydir("test_folder").joinpath("test_c.py").write_text(module)
     as_collected, compiled = [], []
-    for worker in ("gw0", "gw1", "gw10", "gw11"):
+    for worker, *arguments in (
+        ["gw0"],
+        ["gw1"],
+        ["gw10", "."],
+        ["gw11", "."],
+        ["gw0", "test_folder", "test_b.py", "test_a.py"],
+        ["gw1", "test_folder", "test_b.py", "test_a.py"],
+    ):
         pytester.makeconftest(
             f"def pytest_configure(config): config.workerinput = {{'workerid': '{worker}'}}"
         )
         ran = pytester.runpytest_inprocess(
-            "-p", "tests.order", "-p", "no:cacheprovider", "-p", "no:xdist", "-s", "--collect-only"
+            *("-p", "tests.order", "-p", "no:cacheprovider", "-p", "no:xdist"),
+            *("-s", "--collect-only", *arguments),
         )
         as_collected.append([line for line in ran.outlines if "<" in line])
         compiled.append([line[-1] for line in ran.outlines if line.startswith("compiled")])
 
-    assert compiled == [["a", "b", "c"], ["c", "b", "a"]] * 2
-    assert as_collected == [as_collected[0]] * 4
+    assert compiled == [["a", "b", "c"], ["c", "b", "a"]] * 2 + [["c", "b", "a"]] * 2
+    assert as_collected[0] == as_collected[1] == as_collected[2] == as_collected[3]
+    assert as_collected[4] == as_collected[5] != as_collected[0]
 
 
 def test_a_failure_shows_what_ran_before_it(pytester: pytest.Pytester) -> None:
