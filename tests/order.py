@@ -1,7 +1,7 @@
 """A pytest plug-in for the order of the tests.
 
-It draws an order, shows what ran before a failure, and lets two workers of xdist collect from both
-ends: pytest compiles each module of tests once, and half of the modules in each worker.
+It draws an order, and shows what ran before a failure. Every second worker of xdist collects from
+the end. Each of two workers therefore compiles half of the modules of tests.
 """
 
 from __future__ import annotations
