@@ -551,11 +551,12 @@ def test_wrong_samples_are_marked_where_it_is_asked_for(
     write(tmp_path / "data.csv", armrig.Dataset(u=data.u, y=y, Ts=TS))
     command = "identify data.csv --structure arx --na 2 --nb 2"
 
-    _, spoilt, _ = run(command, tmp_path, capsys)
+    _, spoilt, proposed = run(command, tmp_path, capsys)
     code, mended, said = run(f"{command} --hampel", tmp_path, capsys)
 
     assert "mark them missing (hampel)" in spoilt
     assert "armrig.hampel" not in spoilt
+    assert "--hampel" in proposed[proposed.index("next:") :]
     assert code == 0
     assert "look wrong" not in mended
     assert "marked 3 of 400 samples of y missing as outliers (samples 90, 200, 310)" in said

@@ -119,7 +119,7 @@ def test_what_is_never_reached_is_no_time() -> None:
     assert np.isnan(rise_time(y, 0.1))
     assert np.isnan(linear_crossing(0.1 * np.arange(20), y, 0.9))
     assert np.isnan(rise_time(np.array([0.0, np.inf, 1.0]), 0.1))
-    assert np.isnan([slowest_time([]), slowest_time([-1.0, 0.5])]).all()
+    assert np.isnan([slowest_time(decay) for decay in ([], [-1.0, 0.5], [-1.0, 0.0])]).all()
 
 
 @pytest.mark.parametrize("level", [0.1, 0.25, 0.4, 1.0])

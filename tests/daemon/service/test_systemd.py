@@ -55,6 +55,17 @@ def test_systemd_hears_of_each_change_once(systemd: tuple[socket.socket, str]) -
     assert environ == {"HOME": "/"}
 
 
+def test_a_systemd_that_reads_nothing_holds_nobody_up(systemd: tuple[socket.socket, str]) -> None:
+    listening, address = systemd
+    notifier = Notifier({"NOTIFY_SOCKET": address})
+
+    for n in range(2000):  # more than the queue of the socket holds
+        notifier.status(str(n))
+    _close(notifier)
+
+    assert _told(listening)[0] == "STATUS=0"
+
+
 def test_without_systemd_nothing_is_reported(tmp_path: Path) -> None:
     assert not Notifier({}).is_asked
     Notifier({}).ready()
