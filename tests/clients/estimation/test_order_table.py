@@ -122,6 +122,16 @@ def test_the_true_orders_are_chosen_more_often_than_the_lowest_loss_is_theirs() 
     assert chosen > 15
 
 
+def test_validation_data_with_few_rows_have_a_batch_for_each_row() -> None:
+    validation = _data(2, 1000)[:20]
+
+    table = select_orders(_data(1, 200), na=[1, 2], nb=[2], nk=[1], validation=validation)
+
+    assert table.batch_losses is not None
+    assert table.batch_losses.shape == (2, 18)
+    assert np.isfinite(table.batch_losses).all()
+
+
 def test_the_choice_is_explained_in_words() -> None:
     validated = select_orders(_data(1, 1000), validation=_data(2, 1000))
     alone = select_orders(_data(1, 3000))

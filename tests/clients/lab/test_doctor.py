@@ -5,14 +5,16 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from armrig.cli import main
 from armrig.lab import doctor
 from armrig.lab.doctor import examine, is_well
-from armrig.lab.host import Granted, Host, HostCheck, preemption, recordings_directory
+from armrig.lab.host import Granted, Host, HostCheck, preemption, probe, recordings_directory
 from armrig_core.commands import StatusReport
 from msgspec.structs import replace
 
@@ -247,6 +249,24 @@ def test_recordings_go_where_the_users_configuration_says(tmp_path: Path) -> Non
     (user / "armrig.toml").unlink()
     os.mkfifo(user / "armrig.toml")  # nobody writes to it
     assert recordings_directory(tmp_path, user) == Path("/srv/rig")
+
+
+def test_the_free_space_is_that_of_the_nearest_folder_that_exists(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Path] = []
+
+    def disk_usage(path: Path) -> SimpleNamespace:
+        asked.append(path)
+        return SimpleNamespace(total=7, used=4, free=3)
+
+    monkeypatch.setattr(shutil, "disk_usage", disk_usage)
+
+    granted = probe(tmp_path / "not" / "made")
+
+    assert granted.free_bytes == 3
+    assert granted.recordings == tmp_path / "not" / "made"
+    assert asked == [tmp_path]
 
 
 @pytest.mark.parametrize(("fifo", "code"), [(True, 0), (False, 1)])

@@ -13,6 +13,7 @@ from armrig_protocol.messages import (
     Arm,
     CalReply,
     Capability,
+    Cause,
     ClearFault,
     Code,
     ConfigReply,
@@ -213,6 +214,14 @@ FIELDS: dict[str, tuple[Callable[[Any], dict[str, int]], str]] = {
     "EVENT: a time ahead": (
         lambda m: {"t_us": (m.t_us + 50_000) & 0xFFFF_FFFF} if isinstance(m, Event) else {},
         "The time in an EVENT",
+    ),
+    "EVENT: the end is 1.2 ms late": (
+        lambda m: (
+            {"t_us": (m.t_us + 1_200) & 0xFFFF_FFFF}
+            if isinstance(m, Event) and m.cause == Cause.END
+            else {}
+        ),
+        "the last input is held for one Ts",
     ),
     "EVENT: ESTOP without a cause": (
         lambda m: {"cause": 0} if isinstance(m, Event) and m.state == State.ESTOP else {},
