@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from hashlib import blake2b
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from armrig_daemon.conformance.conversation import Broken, Conversation, EndlessError
@@ -16,7 +17,9 @@ from armrig_daemon.conformance.pin_rules import pin_rules
 from armrig_daemon.conformance.rule import Result, Rule
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, RULES, leave, run
 from armrig_daemon.conformance.virtual_line import VirtualLine
+from armrig_daemon.emulator import converter, sampling
 from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.firmware import Firmware
 from armrig_daemon.emulator.harness import Violated, Violation
 from armrig_daemon.emulator.pin import sentence
 from armrig_daemon.emulator.settings import EmulatorSettings
@@ -88,6 +91,26 @@ def test_a_device_that_breaks_a_rule_is_found(how: str, monkeypatch: pytest.Monk
 
     assert [r for r in results if r.outcome == FAIL and spoilt.found_by in r.sentence]
     compare(how, [f"{_head(r)}: {' '.join((r.came or r.outcome).split())}" for r in results])
+
+
+@pytest.mark.parametrize("inside", [0, 1, 3, 4])
+def test_a_reading_may_come_to_the_rail_during_the_run(
+    inside: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A potentiometer near its dead band reads so after the motor has moved it."""
+
+    def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool) -> Any:
+        return sampling.sample(
+            fw, now_ns, t_us, 32_768 if fw.pending[0].k <= inside else y0, y1, late=late
+        )
+
+    monkeypatch.setattr(converter, "sample", sample)
+
+    [result] = tried(
+        SPOILT_SETTINGS, wanted=[r for r in RULES if r.sentence.startswith("`rail_ticks`")]
+    )
+
+    assert (result.outcome, result.came) == (PASS, "")
 
 
 @pytest.mark.exhaustive
