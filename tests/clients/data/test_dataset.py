@@ -114,6 +114,8 @@ def test_only_a_slice_without_a_step_cuts() -> None:
     """A step would change the sampling time, which a slice does not know."""
     with pytest.raises(TypeError, match="cut with data"):
         ramp(4)[::2]
+    with pytest.raises(TypeError, match="cut with data"):
+        ramp(4)[0:3:-1]
     with pytest.raises(ValueError, match="is empty: there are 4 samples"):
         ramp(4)[4:9]
 
