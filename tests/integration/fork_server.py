@@ -21,7 +21,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
-LOADED = ("armrig_daemon.service.service", "armrig_daemon.emulator.real_time", "armrig.rig.client")
+LOADED = (
+    "armrig_daemon.service.service",
+    "armrig_daemon.service.emulated_rig",
+    "armrig_daemon.emulator.real_time",
+    "armrig.rig.client",
+)
 _MOST_BYTES = 1 << 20
 
 
@@ -133,7 +138,16 @@ def _become(arguments: list[str], env: dict[str, str], folder: str) -> None:
         exec(compile(what, "<string>", "exec"), {"__name__": "__main__"})
 
 
-if __name__ == "__main__":
+def _load() -> None:
+    """Load the modules, and those that typer needs to read a command line."""
     for module in LOADED:
         import_module(module)
+    from armrig_daemon.command_line import app
+    from typer.main import get_command
+
+    get_command(app).make_context("armrigd", ["emulate"]).close()
+
+
+if __name__ == "__main__":
+    _load()
     _become(**_copy(socket.socket(fileno=int(sys.argv[1]))))

@@ -16,7 +16,7 @@ from armrig.models.structure import Structure, free_columns
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.numerics.regressors import arx_rows, complete, past
-from armrig.numerics.whiteness import autoregression, joined
+from armrig.numerics.whiteness import autoregression
 
 _PASSES = 3
 _MAX_START_ROOT = 0.98  # largest modulus of a root in a start value; the search may exceed it
@@ -83,7 +83,7 @@ def _long_order(v: Sequence[Array], parameters: int) -> int:
 
 def _long_innovations(v: Sequence[Array]) -> list[Array]:
     """Return the errors of a long autoregression, by Yule and Walker's equations."""
-    D, _ = autoregression(joined(v, 40))
+    D, _ = autoregression(v)
     return [_innovations(D, np.ones(1), x) for x in v]
 
 

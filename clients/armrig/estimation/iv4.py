@@ -21,9 +21,7 @@ from armrig.numerics.least_squares import column_norms, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.numerics.regressors import ArxRows, arx_rows, complete
 from armrig.numerics.stretches import Mask
-from armrig.numerics.whiteness import autoregression, joined
-
-_SEPARATOR_SAMPLES = 40  # NaN samples between experiments, at least the autoregression's order
+from armrig.numerics.whiteness import autoregression
 
 
 @takes_recordings
@@ -92,7 +90,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     N = y.size
     Z = _instruments(inputs, theta, na=na, nb=nb, nk=nk)
     theta, *_ = _solved(Z, whole, orders)
-    L, _ = autoregression(joined(_left(whole, theta), _SEPARATOR_SAMPLES))
+    L, _ = autoregression(_left(whole, theta))
 
     Z = [_filtered(L, z) for z in _instruments(inputs, theta, na=na, nb=nb, nk=nk)]
     prewhitened = [_filtered(L, block) for block in whole]

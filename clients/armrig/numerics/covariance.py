@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from armrig.numerics.polynomial import Array
-from armrig.numerics.whiteness import autoregression, joined
+from armrig.numerics.whiteness import autoregression
 
 _FILTER_ROWS = 1 << 16  # rows filtered at once, so that the memory does not grow with the data
 _SUM_ROWS = 1 << 11  # rows summed at once
@@ -50,7 +50,7 @@ def exogenous_score_in_blocks(
     """Return `exogenous_score` for Psi in blocks of rows (n, d), the last block first."""
     from scipy.signal import lfilter
 
-    C, s2 = autoregression(joined(residuals, 40))
+    C, s2 = autoregression(residuals)
     total = np.zeros((d, d))
     for blocks in experiments:
         state = np.zeros((d, C.size - 1))

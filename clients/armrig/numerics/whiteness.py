@@ -91,9 +91,9 @@ def ljung_box(e: Vector, lags: int, parameters: int = 0) -> float:
 
 
 def autoregression(
-    e: Vector, criterion: Callable[[float, int, int], Array] = aic
+    residuals: Sequence[Vector], criterion: Callable[[float, int, int], Array] = aic
 ) -> tuple[Vector, float]:
-    """Return C and s² of the autoregression C e = white noise of variance s².
+    """Return C and s² of the autoregression C e = white noise of variance s², for all experiments.
 
     The order has the least value of the criterion, by default AIC.
 
@@ -104,9 +104,9 @@ def autoregression(
     ----------
     .. [1] P. Stoica, R. Moses, *Spectral Analysis of Signals*, 2005, sections 3.4-3.5.
     """
-    N = int(np.count_nonzero(np.isfinite(e)))
-    highest = min(int(10 * log10(max(N, 10))), max(N // 10, 0), e.size - 1)
-    R, _ = autocovariance(e, highest)
+    N = sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals)
+    highest = min(int(10 * log10(max(N, 10))), N // 10)
+    R, _ = autocovariance(joined(residuals, highest), highest)
     best: tuple[float, Vector, float] = (float(criterion(R[0], 0, N)), np.ones(1), float(R[0]))
     C, s2 = np.ones(1), float(R[0])
     for order in range(1, highest + 1):

@@ -207,11 +207,11 @@ def recommended(
         raise InputError(
             "u excites no model of third order: record with a richer input (telegraph, PRBS)"
         )
-    D, _ = autoregression(np.concatenate(min(first, key=_bits).residuals()), mdl)
+    D, _ = autoregression(min(first, key=_bits).residuals(), mdl)
     record.require_samples(past=D.size - 1)
     white = record.filtered(D)
     scans = [_refined(white, s) for i in kinds if (s := _scanned(white, nks, integrates=i))]
-    C, _ = autoregression(np.concatenate(_joined(scans)[0].fitted.residuals()), mdl)
+    C, _ = autoregression(_joined(scans)[0].fitted.residuals(), mdl)
     if C.size > 1:
         D = np.convolve(D, C)
         scans = [_refined(record.filtered(D), s) for s in scans]

@@ -364,7 +364,7 @@ def test_the_four_stages_are_those_of_the_textbook() -> None:
     first = np.linalg.lstsq(Phi, seen.y[n], rcond=None)[0]
     Z = instruments(first)
     second = np.linalg.solve(Z.T @ Phi, Z.T @ seen.y[n])
-    L, _ = autoregression(seen.y[n] - Phi @ second)
+    L, _ = autoregression([seen.y[n] - Phi @ second])
     colour = L.size - 1
     Z, rows, y = (
         np.apply_along_axis(lambda x: filtered(L, [1.0], x), 0, M)[colour:]

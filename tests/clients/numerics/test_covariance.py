@@ -8,7 +8,7 @@ from armrig.numerics import covariance
 from armrig.numerics.covariance import correlated_score, exogenous_score
 from armrig.numerics.inference import infer
 from armrig.numerics.polynomial import Array, filtered
-from armrig.numerics.whiteness import autoregression, joined
+from armrig.numerics.whiteness import autoregression
 from scipy.linalg import toeplitz
 from scipy.stats import chi2
 
@@ -56,7 +56,7 @@ def test_an_exogenous_score_has_the_covariance_of_the_noise(
 
     M = exogenous_score(blocks, residuals)
 
-    C, s2 = autoregression(joined(residuals, 40))
+    C, s2 = autoregression(residuals)
     assert C.size > 1
     expected = np.zeros((3, 3))
     for Psi in blocks:
@@ -76,7 +76,7 @@ def test_the_autoregression_sees_no_pair_across_a_boundary() -> None:
     M = exogenous_score(blocks, e)
 
     apart = np.concatenate([e[0], np.full(100, np.nan), e[1]])
-    C, s2 = autoregression(apart)
+    C, s2 = autoregression([apart])
     H = np.tril(toeplitz(filtered([1.0], C, np.eye(1, 60)[0])))
     assert M[0, 0] == pytest.approx(2 * s2 * float(np.sum((H.T @ np.ones(60)) ** 2)), rel=1e-9)
 
@@ -87,7 +87,7 @@ def test_for_white_residuals_the_robust_covariance_is_the_classic(d: int) -> Non
     rng = np.random.default_rng(5)
     Phi, y = rng.standard_normal((60, d)), rng.standard_normal(60)
     e = y - Phi @ np.linalg.lstsq(Phi, y, rcond=None)[0]
-    assert autoregression(e)[0].size == 1  # white, as the autoregression sees it
+    assert autoregression([e])[0].size == 1  # white, as the autoregression sees it
 
     found = infer([e], [Phi], score="exogenous")
 
@@ -118,7 +118,7 @@ def test_an_autoregression_has_at_most_a_tenth_of_the_residuals_as_its_order(see
     for N in (40, 60, 69, 300):
         e = np.resize(period, N) + noise[:N]
         holed = np.insert(e, [10, 30] * 15, np.nan)
-        orders[N] = [autoregression(x)[0].size - 1 for x in (e, holed)]
+        orders[N] = [autoregression([x])[0].size - 1 for x in (e, holed)]
 
     assert all(max(of_both) <= N // 10 for N, of_both in orders.items())
     assert 7 <= max(orders[300]) <= 10 * np.log10(300)

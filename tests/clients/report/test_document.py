@@ -352,6 +352,19 @@ def test_each_caption_names_the_run_that_its_figure_shows(of_three: Study) -> No
     )
 
 
+def test_the_caption_of_a_step_names_the_first_step_which_the_figure_shows(
+    of_three: Study,
+) -> None:
+    steps = tuple(
+        replace(r, manifest=msgspec.structs.replace(r.manifest, experiment="step-2"))
+        for r in of_three.recordings
+    )
+
+    told = content(replace(of_three, recordings=steps), ())["step"]
+
+    assert re.findall(r"run-\d", told) == ["run-1"]
+
+
 def test_only_an_arx_model_is_biased_and_only_far_from_the_best(
     done: Study, of_three: Study
 ) -> None:

@@ -48,7 +48,7 @@ def written_out(fit: Fit, judged: Dataset, *, own: bool) -> tuple[Array, Array, 
         lagged = lagged_inputs(part, float(np.mean(judged.u)), L)
         lagged[~np.isfinite(r.e)] = 0.0
         Z.append(np.column_stack([r.unknown.without(column) for column in lagged.T]))
-    C, s2 = autoregression(np.concatenate([known[0].e, np.full(40, np.nan), known[1].e]))
+    C, s2 = autoregression([known[0].e, known[1].e])
     assert C.size == 1  # white: R_e is s² I
     whole, Psi = np.vstack(Z), np.vstack([r.Psi for r in known])
     scale = float(np.sqrt(np.sum(whole[:, L] ** 2) * (e @ e)))

@@ -37,7 +37,6 @@ from armrig.numerics.whiteness import (
 )
 
 _MIN_WHITENED = 30  # least number of errors from which the correlation of outputs is estimated
-_AR_GAP = 40  # samples between the residuals of two experiments for an autoregression
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -144,7 +143,7 @@ def exogenous_covariance(experiments: Sequence[Sequence[OutputResiduals]]) -> Ar
     """
     ny = len(experiments[0])
     residuals = [[of[i].e for of in experiments] for i in range(ny)]
-    models, variances = zip(*(autoregression(joined(e, _AR_GAP)) for e in residuals), strict=True)
+    models, variances = zip(*(autoregression(e) for e in residuals), strict=True)
     white = [
         np.column_stack([_filtered(C, of[i].e) for i, C in enumerate(models)]) for of in experiments
     ]

@@ -175,7 +175,7 @@ def correlation(
 
 def _whitener(u: list[Vector], order: int | None) -> Vector:
     if order is None:
-        return autoregression(joined(u, 40))[0]
+        return autoregression(u)[0]
     require_integers(order=(order, 0))
     R, _ = _crossed(joined(u, order + 1), joined(u, order + 1), order)
     R = R[order:]
