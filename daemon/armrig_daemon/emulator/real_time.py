@@ -255,5 +255,4 @@ def _be_punctual(stack: ExitStack) -> None:
         print("emulator: SCHED_FIFO is refused, so replies may be late", file=sys.stderr)
     gc.freeze()
     gc.disable()
-    stack.callback(gc.unfreeze)
     stack.callback(gc.enable)
