@@ -59,15 +59,18 @@ def test_a_reset_with_nothing_latched_says_so(bench: Bench) -> None:
 
 @pytest.mark.parametrize(
     ("more", "calibration", "arm"),
-    [
-        ("", "none: the default values; `armrig calibrate` measures a calibration", "mounted"),
-        (
-            "[calibration.alpha]\nzero_counts = 5.0\n[arm]\nremoved = true",
-            "given in the configuration, not measured",
-            "removed, according to [arm] removed",
-        ),
-        ('[calibration]\nfile = "c.toml"', "{folder}/c.toml, made 2026-11-20", "mounted"),
-    ],
+    sampled(
+        [
+            ("", "none: the default values; `armrig calibrate` measures a calibration", "mounted"),
+            (
+                "[calibration.alpha]\nzero_counts = 5.0\n[arm]\nremoved = true",
+                "given in the configuration, not measured",
+                "removed, according to [arm] removed",
+            ),
+            ('[calibration]\nfile = "c.toml"', "{folder}/c.toml, made 2026-11-20", "mounted"),
+        ],
+        2,
+    ),
 )
 def test_status_names_the_calibration_and_the_arm(
     bench: Bench, more: str, calibration: str, arm: str
