@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from armrig_core.loading import end_at_ctrl_c, is_interrupt
@@ -10,6 +11,8 @@ from armrig_core.loading import end_at_ctrl_c, is_interrupt
 def main() -> None:
     """Import the command line and run it."""
     has_loaded = end_at_ctrl_c("armrigd")
+    # Before numpy is imported: threads of OpenBLAS that wait would spin beside the loop.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from armrig_daemon.command_line import app
 
     has_loaded()

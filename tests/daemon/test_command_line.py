@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import typer
 from armrig_daemon import command_line
+from armrig_daemon.__main__ import main
 from armrig_daemon.command_line import app
 from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.rule import Result
@@ -231,3 +232,12 @@ def test_no_file_is_overwritten_by_the_socket(
         assert refused.value.exit_code == 78
         told = f"armrigd: {tmp_path}/{name}: another file has the name of the socket; move it away"
         assert capsys.readouterr().err == f"{told}\n"
+
+
+def test_linear_algebra_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    monkeypatch.setattr("armrig_daemon.command_line.app", lambda: None)
+
+    main()
+
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
