@@ -49,16 +49,11 @@ def test_the_arm_is_seen_through(arm: Any, output: str) -> None:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize(
-    ("pole", "integrates", "seed"),
-    sampled(
-        [(pole, pole == 1.0, seed) for seed in range(2) for pole in (0.99, 1.0, 0.985)],
-        2,
-    ),
-)
-def test_a_slow_pole_is_no_integrator(pole: float, integrates: bool, seed: int) -> None:
+@pytest.mark.parametrize("pole", [0.985, 0.99, 1.0])
+def test_a_slow_pole_is_no_integrator(pole: float) -> None:
     """The slope is an integrator's at all recorded frequencies, but the response decays."""
-    rng = np.random.default_rng(seed)
+    integrates = pole == 1.0
+    rng = np.random.default_rng(0)
     u = np.where(np.cumsum(rng.random(1500) < 0.1) % 2, 1.0, -1.0)
     y = filtered([0, 0.03], np.poly([pole, 0.7]), u)
     data = Dataset(u=u, y=y + 0.02 * np.std(y) * rng.standard_normal(1500), Ts=1.0)
@@ -281,7 +276,7 @@ def test_the_unit_of_y_does_not_change_the_recommended_structures() -> None:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("seed", sampled([2067, 4033, 4035], 2))
+@pytest.mark.parametrize("seed", [2067, 4033])
 def test_a_poor_minimum_of_a_wider_model_does_not_hide_the_true_structure(seed: int) -> None:
     """A model with more b's than are there ended in a poor minimum for each of these plants."""
     plant = drawn(seed)
