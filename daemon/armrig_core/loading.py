@@ -1,7 +1,7 @@
-"""Handling of Ctrl-C during a program's imports: the program prints a line and ends at once.
+"""Preparation of a program before its imports; this module is imported first, with few imports.
 
-Without this handling, a KeyboardInterrupt passes through third-party modules, which may turn it
-into another error. This module is imported first and imports almost nothing.
+At Ctrl-C during its imports, the program prints a line and ends at once. Otherwise, a
+KeyboardInterrupt passes through third-party modules, which may turn it into another error.
 """
 
 from __future__ import annotations
@@ -30,3 +30,12 @@ def end_at_ctrl_c(program: str) -> Callable[[], object]:
 def is_interrupt(err: BaseException) -> bool:
     """Return whether an error, or the cause of the error (in Python 3.11), is a Ctrl-C."""
     return isinstance(err, KeyboardInterrupt) or isinstance(err.__cause__, KeyboardInterrupt)
+
+
+def use_one_thread() -> None:
+    """Limit linear algebra to one thread, unless the environment has another limit.
+
+    Must be called before numpy is imported. The threads of OpenBLAS wait by spinning and cost more
+    time than they save: the matrices are small, and the machine also runs daemon and emulator.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import sys
 
-from armrig_core.loading import end_at_ctrl_c, is_interrupt
+from armrig_core.loading import end_at_ctrl_c, is_interrupt, use_one_thread
 
 
 def main() -> None:
     """Import the command line and run it."""
     has_loaded = end_at_ctrl_c("armrigd")
-    # Before numpy is imported: threads of OpenBLAS that wait would spin beside the loop.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    use_one_thread()
     from armrig_daemon.command_line import app
 
     has_loaded()

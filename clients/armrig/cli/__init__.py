@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import typer
 import typer.core
 from armrig_core.errors import ArmrigError, ParameterError
-from armrig_core.loading import is_interrupt
+from armrig_core.loading import is_interrupt, use_one_thread
 
 from armrig.cli import (
     batch,
@@ -161,9 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     SIGTERM and SIGHUP (a closed terminal) end the command as Ctrl-C does. A run that the command
     began is stopped. The exit code is then 128 plus the number of the signal.
     """
-    # Must be set before numpy is imported. The threads of OpenBLAS wait by spinning and cost more
-    # time than they save: the matrices are small, and the machine also runs daemon and emulator.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    use_one_thread()
     with _signals() as received:
         code = _run(arguments)
     if received:
