@@ -11,7 +11,7 @@ from armrig.models.innovations import Errors, Experiment, LinearPart, errors, re
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
-from armrig.numerics.polynomial import Array, drawn_to_edge, outward_normals, stable
+from armrig.numerics.polynomial import Array, drawn_to_edge, monic, outward_normals, stable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,8 +74,8 @@ class PredictionErrorProblem:
     def polynomials(self, theta: Array) -> tuple[Array, Array, Array]:
         """Return C, D and F for theta = (c, d, f)."""
         n = self.structure
-        c, d, f = np.split(theta, [n.nc, n.nc + n.nd])
-        return np.append(1.0, c), np.append(1.0, d), np.append(1.0, f)
+        begin_f = n.nc + n.nd
+        return monic(theta[: n.nc]), monic(theta[n.nc : begin_f]), monic(theta[begin_f:])
 
     def _linear(self, theta: Array) -> tuple[list[LinearPart], Basis, Array, Array]:
         C, D, F = self.polynomials(theta)

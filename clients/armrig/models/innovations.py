@@ -156,10 +156,13 @@ def unknown(
     n = N if structure.trend else W.shape[0]
     for s, Q in noise:
         n = max(n, s.start + Q.shape[0]) if s.start < n else n
-    W = np.vstack([W, np.zeros((n - W.shape[0], k))])
+    if n > W.shape[0]:
+        W = np.vstack([W, np.zeros((n - W.shape[0], k))])
     if structure.trend:
         W = np.hstack([W, *(_noise(D, C, x)[:, None] for x in trend(structure, N).T)])
-    W = np.array(np.where(experiment.rows[:n, None], W, 0.0), order="F")
+    if not experiment.whole:
+        W = np.where(experiment.rows[:n, None], W, 0.0)
+    W = np.array(W, order="F")
     for s, Q in noise:
         if s.start < n:
             W[s] -= Q @ (Q.T @ W[s])
@@ -224,9 +227,9 @@ def response(numerator: Array | list[float], denominator: Array, N: int) -> Arra
         pulse = np.zeros(n)
         pulse[0] = 1.0
         h = filtered(numerator, denominator, pulse)
-        largest = float(np.abs(h).max())
-        above = np.flatnonzero(np.abs(h) > _SETTLED_SHARE * largest)
-        end = int(above[-1]) + 1 if above.size else 1
+        size = np.abs(h)
+        above = size > _SETTLED_SHARE * size.max()
+        end = n - int(np.argmax(above[::-1])) if above.any() else 1
         # An oscillation may be small for some samples only. The response ends where all later
         # samples are small.
         if n == N or end < n // 2:
@@ -265,7 +268,9 @@ def regression(
     n = structure
     y = _noise(D, C, experiment.y)
     u = filtered(D, np.convolve(C, F), experiment.u)
-    X = np.hstack([-lagged(y, range(1, n.na + 1)), lagged(u, range(n.nk, n.nk + n.nb))])
+    X = lagged(u, range(n.nk, n.nk + n.nb))
+    if n.na:
+        X = np.hstack([-lagged(y, range(1, n.na + 1)), X])
     return LinearPart(
         X=masked(X, experiment),
         y=masked(y, experiment),

@@ -26,6 +26,13 @@ Complex = NDArray[np.complex128]
 _CIRCLE_TOLERANCE = 1e-7  # distance from the circle up to which a root counts as on the circle
 
 
+def monic(coefficients: Array) -> Array:
+    """Return 1 and then the coefficients (n,) of q^-1 … q^-n, (n + 1,)."""
+    p = np.empty(coefficients.size + 1, dtype=coefficients.dtype)
+    p[0], p[1:] = 1.0, coefficients
+    return p
+
+
 def filtered(numerator: ArrayLike, denominator: ArrayLike, x: Array) -> Array:
     """Return x (N,) filtered by numerator/denominator, from rest."""
     from scipy.signal import lfilter
@@ -127,6 +134,7 @@ EDGE_MODULUS = 1 - 1e-7
 """Largest modulus of a root in a search. The distance from 1 is the error of a computed double
 root."""
 _EDGE_TOLERANCE = 1e-9
+_INSIDE_MODULUS = 1 - 1e-5
 _MIN_LEFT_SHARE = 0.1  # share of the distance to the circle that remains after a step
 _PAIR_ANGLE = 1e-3  # angle, in rad, of the pair that replaces two real roots at the edge
 
@@ -139,9 +147,11 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
     real roots at the edge become a complex pair, because two real roots could not separate along
     the circle.
     """
+    if _well_inside(p):
+        return p
     z = roots(p)
     size = np.abs(z)
-    if not z.size or size.max() <= EDGE_MODULUS:
+    if size.max() <= EDGE_MODULUS:
         return p
     farthest = min(EDGE_MODULUS, 1 - _MIN_LEFT_SHARE * (1 - np.abs(roots(previous)).max()))
     z = z * np.minimum(1.0, farthest / np.maximum(size, farthest))
@@ -153,6 +163,11 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
     return np.real(np.poly(z))
 
 
+def _well_inside(p: Array) -> bool:
+    """Return whether no root is near the circle, without computing the roots."""
+    return stable(p * _INSIDE_MODULUS ** -np.arange(float(p.size)))
+
+
 def outward_normals(p: Array) -> Array:
     """Return the unit gradient of |z| for each of the k roots z at the edge.
 
@@ -162,6 +177,8 @@ def outward_normals(p: Array) -> Array:
     of dr along r. A complex pair has one row in the result (k, n), with n coefficients after the
     leading 1.
     """
+    if _well_inside(p):
+        return np.zeros((0, p.size - 1))
     z = roots(p)
     n = z.size
     rows = []

@@ -38,6 +38,7 @@ from armrig.numerics.polynomial import (
     filtered,
     impulse,
     lagged,
+    monic,
     outward_normals,
     stable,
 )
@@ -192,7 +193,7 @@ class PolynomialProblem:
 
     def polynomials(self, theta: Array) -> list[Array]:
         """Return all polynomials with the coefficients theta."""
-        return [np.append(1.0, theta[part]) for part in self.slices]
+        return [monic(theta[part]) for part in self.slices]
 
     def solve(self, theta: Array) -> Solution:
         """Return B and the unknown states by least squares for given C, D and F."""
