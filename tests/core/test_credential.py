@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from datetime import timedelta
 from pathlib import Path
 
@@ -190,10 +191,12 @@ def test_the_file_that_is_read_is_judged_and_not_one_before_it(
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a file to another user")
 def test_a_user_who_cannot_change_a_key_s_mode_gets_the_command_for_root(authority: Path) -> None:
     path = pki.issue_to_rig(authority, "1", []).path
+    path = path.rename(path.with_name("a rig's.pem"))
     os.chown(path, 1, -1)
     path.chmod(0o640)
 
-    assert _refused(path, "rig").endswith(f": `chown root {path} && chmod 400 {path}`")
+    name = shlex.quote(str(path))
+    assert _refused(path, "rig").endswith(f": `chown root {name} && chmod 400 {name}`")
 
 
 def test_a_file_that_is_not_there_is_reported_with_what_makes_it(tmp_path: Path) -> None:

@@ -306,6 +306,21 @@ def test_figures_are_written_as_of_recordings(
     (folder / "figure.png").unlink()
 
 
+def test_a_figure_without_spectral_analysis_says_why(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    y = made(N=60).y
+    write(folder / "constant.csv", armrig.Dataset(u=np.ones(60), y=y, Ts=TS))
+    run("identify data.csv --structure arx --save plotted.json", folder, capsys)
+
+    line = "validate constant.csv --model plotted.json --plot constant.png"
+    code, _, said = run(line, folder, capsys)
+
+    assert code == 0
+    assert "the figure has no spectral analysis: " in said
+    assert "u is constant" in said
+
+
 def test_what_is_missing_or_left_out_is_reported(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -560,6 +575,19 @@ def test_wrong_samples_are_marked_where_it_is_asked_for(
     assert code == 0
     assert "look wrong" not in mended
     assert "marked 3 of 400 samples of y missing as outliers (samples 90, 200, 310)" in said
+
+
+def test_a_search_says_what_it_found_wrong_with_the_data(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = made()
+    y = data.y.copy()
+    y[[90, 200, 310]] += 1e4
+    write(tmp_path / "data.csv", armrig.Dataset(u=data.u, y=y, Ts=TS))
+
+    found = facts("identify data.csv --search --structure arx --max-order 2", tmp_path, capsys)
+
+    assert "outliers" in {f["about"] for f in found["advice"]}
 
 
 def test_a_check_of_own_data_speaks_of_their_output(

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 import typer
 from armrig.cli import app, main
-from armrig.cli.recorded_data import between
+from armrig.cli.recorded_data import between, loaded
 from armrig.data.dataset import Dataset
+
+from tests.clients.made_recordings import manifest, recorded, turning, written
 
 WHOLE = {"report", "calibrate"}
 """Commands of whole runs: a report and a calibration use no part."""
@@ -63,3 +65,15 @@ def test_a_part_begins_and_ends_at_the_sample_that_is_due_then(t: float, k: int)
 
     assert between(data, t, None).u[0] == k
     assert len(between(data, None, t)) == k
+
+
+def test_the_end_of_a_part_is_no_early_end_of_its_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    samples = turning([30_000 + 40 * (k % 50) for k in range(200)])
+    stopped = recorded(samples, manifest=manifest(k_first=0, samples=400), outcome=None)
+    file = written(tmp_path, stopped)
+
+    for part in ({}, {"stop": 1.0}, {"start": 0.1}):
+        loaded([file], None, **part)
+        assert ("ended early" in capsys.readouterr().err) == (not part)

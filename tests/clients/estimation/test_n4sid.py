@@ -11,13 +11,14 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.armax import armax
-from armrig.estimation.n4sid import _of_what_is_left, _pole_std, _stable, n4sid
+from armrig.estimation.n4sid import _focused, _of_what_is_left, _pole_std, _stable, n4sid
 from armrig.estimation.oe import oe
+from armrig.estimation.subspace_horizon import Poles
 from armrig.excitation import telegraph
 from armrig.models.innovations import prepared
 from armrig.models.model_file import load_fit
 from armrig.models.structure import Structure
-from armrig.models.structure_table import Weights
+from armrig.models.structure_table import Focus, Weights
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.polynomial import filtered, impulse
 from armrig.validation.comparison import compare
@@ -51,6 +52,29 @@ def test_noise_free_data_give_back_the_true_system(weights: Weights, nk: int) ->
 
     np.testing.assert_allclose(fit.A, F, atol=1e-7)
     np.testing.assert_allclose(fit.B, numerator, atol=1e-7)
+
+
+def test_an_input_of_one_frequency_is_refused() -> None:
+    u = np.sin(0.5 * np.arange(300))
+    y = filtered(B, F, u) + 0.1 * np.random.default_rng(1).standard_normal(300)
+
+    with pytest.raises(ValueError, match="u determines only 2 of 3 numerator coefficients"):
+        n4sid(Dataset(u=u, y=y, Ts=1.0), 3, nk=1)
+
+
+@pytest.mark.parametrize("focus", ["prediction", "simulation"])
+def test_a_model_without_a_steady_kalman_gain_says_so(focus: Focus) -> None:
+    n = Structure(na=2, nb=2, nc=2, nk=1)
+    ones = np.ones(4)
+    facts = {"weights": "cva", "canonical_correlations": ones, "suggested_order": 2}
+
+    def found(*, steady: bool) -> set[str]:
+        C_F = {"A": np.array(F), "C": np.array(C)}
+        free = Poles(**C_F, horizon=4, singular_values=ones, steady=steady)
+        return {f.about for f in _focused(_data(1), n, free, facts, focus, stable=False).findings}
+
+    assert "no_gain" in found(steady=False)
+    assert "no_gain" not in found(steady=True)
 
 
 @pytest.mark.exhaustive

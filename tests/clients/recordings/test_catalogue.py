@@ -325,6 +325,20 @@ def test_without_a_cache_it_is_only_slower(folder: Path, tmp_path: Path, opened:
     assert len(opened) == 6
 
 
+def test_an_index_that_cannot_take_its_place_leaves_no_file(
+    folder: Path, tmp_path: Path, opened: list[str]
+) -> None:
+    assert len(catalogue(folder)) == 3
+    (index,) = index_files(tmp_path)
+    index.unlink()
+    index.mkdir()
+
+    assert len(catalogue(folder)) == 3
+
+    assert index_files(tmp_path) == [index]
+    assert list(index.parent.iterdir()) == [index]
+
+
 _LOOKED = """
 import sys
 from pathlib import Path

@@ -434,3 +434,15 @@ def test_given_weights_of_the_outputs_are_those_of_the_projection() -> None:
 
     weights = np.einsum("tij,tik->tjk", part.G, part.G)
     np.testing.assert_allclose(weights, np.broadcast_to(np.diag([2.0, 8.0]), weights.shape))
+
+
+def test_a_model_of_all_inputs_has_at_most_a_fifth_of_its_rows_as_parameters() -> None:
+    """As many parameters as rows fit noise exactly, and would be chosen for it."""
+    rng = np.random.default_rng(1)
+    data = Signals(u=rng.standard_normal((60, 2)), y=rng.standard_normal((60, 1)), Ts=0.1)
+
+    (block,) = feedback_and_delay._best_blocks([*data.experiments()], "y1")
+
+    assert block.shape[1] - 1 <= 60 / 5
+    with pytest.raises(InputError, match="too few samples of y1 for an ARX model"):
+        feedback_and_delay._best_blocks([data[:24]], "y1")

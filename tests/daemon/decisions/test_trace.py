@@ -157,6 +157,7 @@ def test_a_recording_does_not_contain_the_lease() -> None:
     bench.run_for(100)
     bench.order(Set(order=10, lease=LEASE, n=1, code=3))  # refused: an experiment is running
     bench.order(Set(order=11, lease="b" * 32, n=2, code=3))  # refused: another lease
+    bench.order(Arm(order=12, owner="Ada", lease=LEASE, ts_us=10_000))  # refused: held
     bench.run_for(2_500)
 
     chunks = bench.of(Trace)
@@ -171,7 +172,11 @@ def test_a_recording_does_not_contain_the_lease() -> None:
             for a in actions
             if isinstance(a, Emit) and isinstance(a.record, Answer) and a.record.error
         ]
-    assert [r.split(" ")[0:2] for r in refused] == [["the", "experiment"], ["not", "the"]]
+    assert [r.split(" ")[0:2] for r in refused] == [
+        ["the", "experiment"],
+        ["not", "the"],
+        ["a", "student"],
+    ]
 
 
 def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_hole_that_shows() -> None:

@@ -84,6 +84,7 @@ def test_an_instant_missing_in_one_period_is_taken_from_the_others(second: Any) 
 
     np.testing.assert_allclose(found.G, second.response(found.omega), rtol=1e-9)
     assert np.isfinite(found.std_magnitude).all()  # from the periods that are whole
+    assert found.N == data.N - 40
 
 
 def test_without_a_period_it_says_so(second: Any) -> None:
