@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import pkgutil
 import sys
 import tempfile
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path, PurePosixPath
 
+import armrig
 import pytest
 from armrig_core.endpoint import endpoint
 
@@ -14,6 +17,14 @@ from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.handout_plant import plant, reference
 
 __all__ = ["plant", "reference"]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def every_module_is_loaded() -> None:
+    """Load all modules: a module first loaded during a patch would keep the patched function."""
+    for module in pkgutil.walk_packages(armrig.__path__, "armrig."):
+        if not module.name.endswith("__main__"):
+            import_module(module.name)
 
 
 @pytest.fixture(autouse=True)
