@@ -107,7 +107,7 @@ class PredictionErrorProblem:
         """Return all polynomials by name, without the factor of an integrator."""
         n = self.structure
         C, D, F = self.polynomials(theta)
-        A, B = np.append(1.0, ab[: n.na]), np.append(np.zeros(n.nk), ab[n.na :])
+        A, B = monic(ab[: n.na]), np.append(np.zeros(n.nk), ab[n.na :])
         return {"A": A, "B": B, "C": C, "D": D, "F": F}
 
     def linearise(self, theta: Array) -> tuple[Array, Array]:

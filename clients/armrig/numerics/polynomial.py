@@ -134,7 +134,7 @@ EDGE_MODULUS = 1 - 1e-7
 """Largest modulus of a root in a search. The distance from 1 is the error of a computed double
 root."""
 _EDGE_TOLERANCE = 1e-9
-_INSIDE_MODULUS = 1 - 1e-5
+_INSIDE_MODULUS = 1 - 1e-5  # a root of smaller modulus is not at the edge, also with rounding
 _MIN_LEFT_SHARE = 0.1  # share of the distance to the circle that remains after a step
 _PAIR_ANGLE = 1e-3  # angle, in rad, of the pair that replaces two real roots at the edge
 
@@ -164,7 +164,7 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
 
 
 def _well_inside(p: Array) -> bool:
-    """Return whether no root is near the circle, without computing the roots."""
+    """Return whether all roots are inside the circle and not near it; compute no roots."""
     return stable(p * _INSIDE_MODULUS ** -np.arange(float(p.size)))
 
 

@@ -557,13 +557,18 @@ def test_an_option_of_one_estimate_is_refused_where_it_does_nothing(
     assert said in err
 
 
-def test_wrong_samples_are_marked_where_it_is_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def _write_with_outliers(path: Path) -> None:
+    """Write data with three outliers of y."""
     data = made()
     y = data.y.copy()
     y[[90, 200, 310]] += 1e4
-    write(tmp_path / "data.csv", armrig.Dataset(u=data.u, y=y, Ts=TS))
+    write(path, armrig.Dataset(u=data.u, y=y, Ts=TS))
+
+
+def test_wrong_samples_are_marked_where_it_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _write_with_outliers(tmp_path / "data.csv")
     command = "identify data.csv --structure arx --na 2 --nb 2"
 
     _, spoilt, proposed = run(command, tmp_path, capsys)
@@ -580,10 +585,7 @@ def test_wrong_samples_are_marked_where_it_is_asked_for(
 def test_a_search_says_what_it_found_wrong_with_the_data(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    data = made()
-    y = data.y.copy()
-    y[[90, 200, 310]] += 1e4
-    write(tmp_path / "data.csv", armrig.Dataset(u=data.u, y=y, Ts=TS))
+    _write_with_outliers(tmp_path / "data.csv")
 
     found = facts("identify data.csv --search --structure arx --max-order 2", tmp_path, capsys)
 

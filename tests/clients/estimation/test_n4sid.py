@@ -69,8 +69,8 @@ def test_a_model_without_a_steady_kalman_gain_says_so(focus: Focus) -> None:
     facts = {"weights": "cva", "canonical_correlations": ones, "suggested_order": 2}
 
     def found(*, steady: bool) -> set[str]:
-        C_F = {"A": np.array(F), "C": np.array(C)}
-        free = Poles(**C_F, horizon=4, singular_values=ones, steady=steady)
+        A, predictor = np.array(F), np.array(C)
+        free = Poles(A=A, C=predictor, horizon=4, singular_values=ones, steady=steady)
         return {f.about for f in _focused(_data(1), n, free, facts, focus, stable=False).findings}
 
     assert "no_gain" in found(steady=False)
