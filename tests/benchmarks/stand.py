@@ -20,7 +20,7 @@ from typing import Any
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
 
-from tests.integration.processes import WITHIN_S, Bench, Process, wait_for
+from tests.integration.processes import WITHIN_S, Bench, Process, state_of, wait_for
 from tests.integration.relay import Relay
 
 DEAD_MAN_S = 1.0
@@ -264,5 +264,5 @@ class Stand:
 def _is_gone(pid: int) -> bool:
     """Return whether a process has ended, also before its exit code was read."""
     with contextlib.suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+        return state_of(pid) == "Z"
     return True

@@ -52,8 +52,12 @@ def settled(rig: Rig) -> str:
 def freeze(pid: int) -> None:
     """Stop a process (SIGSTOP), and return once it is stopped."""
     os.kill(pid, signal.SIGSTOP)
-    stat = Path(f"/proc/{pid}/stat")
-    wait_for(lambda: stat.read_text().rpartition(")")[2].split()[0] in "Tt")
+    wait_for(lambda: state_of(pid) in "Tt")
+
+
+def state_of(pid: int) -> str:
+    """Return the state letter of a process (proc_pid_stat(5)): T stopped, Z ended."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
 def children(pid: int) -> list[int]:

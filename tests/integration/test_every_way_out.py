@@ -19,7 +19,7 @@ import pytest
 from armrig.rig.replies import RefusedError, RunEndedError
 
 from tests.integration.driving import begin
-from tests.integration.processes import WITHIN_S, Bench, freeze, wait_for
+from tests.integration.processes import WITHIN_S, Bench, freeze, state_of, wait_for
 
 STOPPED_S = 1.0
 RUNNER = """
@@ -158,9 +158,12 @@ def test_a_signal_ends_it_in_good_order(run: Run, number: signal.Signals) -> Non
 
 
 def test_ctrl_c_reaches_both_processes(run: Run) -> None:
-    """A terminal sends SIGINT to the whole group."""
+    """A terminal sends SIGINT to the whole group; here the loop acts on it before the service."""
+    freeze(run.daemon.popen.pid)
     os.kill(run.loop_pid, signal.SIGINT)
     told_ns = run.daemon.kill(signal.SIGINT)
+    wait_for(lambda: state_of(run.loop_pid) == "Z")
+    os.kill(run.daemon.popen.pid, signal.SIGCONT)
 
     assert run.daemon.popen.wait(WITHIN_S) == 0
     assert run.bench.went_to_0_v_after(told_ns) < STOPPED_S

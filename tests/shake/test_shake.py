@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.integration.processes import state_of
 from tests.shake import suite
 from tests.shake.__main__ import code_hash, kept, short_folder
 from tests.shake.conditions import CONDITIONS, DRAWN, of_seed
@@ -31,11 +32,6 @@ def ran(folder: Path, condition: str, *program: str, limit_s: float = 30.0) -> R
         limit_s=limit_s,
         environ=dict(os.environ),
     )
-
-
-def state_of(pid: int) -> str:
-    """Return the state of a process, a letter."""
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
 def test_a_stopped_process_does_nothing_until_it_is_continued() -> None:
