@@ -223,6 +223,7 @@ def test_one_recorder_loses_nothing(lab: Lab) -> None:
             lab, "record", "--from", lab.files.endpoint, "--all", "-o", str(folder), "--json"
         )
         wait_for(lambda: len(list(folder.glob("*.active"))) == len(RIGS), WITHIN_S)
+        wait_for(lambda: _newest_ns(folder) > 0, WITHIN_S)
         router.kill()
         router.wait()
         time.sleep(1.0)
@@ -249,6 +250,6 @@ def test_one_recorder_loses_nothing(lab: Lab) -> None:
 
 
 def _newest_ns(folder: Path) -> int:
-    """Return until when all files go."""
+    """Return the time up to which all files have samples; 0 if a file has none yet."""
     files = [*folder.glob("*.active")]
-    return min(int(armrig.load(file).samples["t_host_ns"][-1]) for file in files)
+    return min(int(armrig.load(file).samples["t_host_ns"].max(initial=0)) for file in files)
