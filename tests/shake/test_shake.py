@@ -68,15 +68,15 @@ def test_a_run_that_does_not_end_is_killed(tmp_path: Path) -> None:
 
 def test_a_run_is_interrupted_before_it_is_killed() -> None:
     program = """if 1:
-        try:
-            print("ready", flush=True)
-            input()
-        except KeyboardInterrupt:
-            sys.exit(3)
+        import signal
+        # blocked, because a signal just before a call that waits would not end that call
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        print("ready", flush=True)
+        signal.sigwait([signal.SIGINT])
+        exit(3)
     """
     with subprocess.Popen(
-        [sys.executable, "-c", "import sys\n" + program],
-        stdin=subprocess.PIPE,
+        [sys.executable, "-c", program],
         stdout=subprocess.PIPE,
         process_group=0,
     ) as process:
