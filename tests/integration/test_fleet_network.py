@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -218,10 +218,10 @@ def test_without_the_guard_everybody_does_everything(unguarded: Tried, who: str)
 
 def test_one_recorder_loses_nothing(lab: Lab) -> None:
     folder = lab.files.folder / "files"
-    with routed(lab, *GUARDED) as router:
-        recorder = _armrig(
-            lab, "record", "--from", lab.files.endpoint, "--all", "-o", str(folder), "--json"
-        )
+    asked = ("record", "--from", lab.files.endpoint, "--all", "-o", str(folder), "--json")
+    with routed(lab, *GUARDED) as router, ExitStack() as stack:
+        recorder = _armrig(lab, *asked)
+        stack.callback(recorder.kill)
         wait_for(lambda: len(list(folder.glob("*.active"))) == len(RIGS), WITHIN_S)
         wait_for(lambda: _newest_ns(folder) > 0, WITHIN_S)
         router.kill()
