@@ -58,14 +58,15 @@ def takes_recordings(
     called = signature(f)
     parameters = list(called.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)
+    by_name = [p for p in parameters if p.kind is Parameter.KEYWORD_ONLY]
     variadic = any(p.kind is Parameter.VAR_POSITIONAL for p in parameters)
     first = parameters[0].name
 
     @wraps(f)
     def taking(*args: Any, **options: Any) -> R:
-        if len(args) > positional and not variadic:
+        if len(args) > positional and by_name and not variadic:
             as_dataset(args[0])
-            raise InputTypeError(_by_name(f.__name__, parameters, args[positional:]))
+            raise InputTypeError(_by_name(f.__name__, first, by_name, args[positional:]))
         if not args and first in options:
             args = (options.pop(first),)
         if args:
@@ -92,16 +93,14 @@ def _is_data(value: object) -> bool:
     return isinstance(value, Dataset) or callable(getattr(value, "dataset", None))
 
 
-def _by_name(name: str, parameters: list[Parameter], given: tuple[Any, ...]) -> str:
+def _by_name(name: str, first: str, orders: list[Parameter], given: tuple[Any, ...]) -> str:
     """Return the message for arguments given by position; the message contains the correct call."""
     listed = given[0] if len(given) == 1 and isinstance(given[0], list | tuple) else given
-    orders = [p for p in parameters if p.kind is Parameter.KEYWORD_ONLY]
     needed = [p.name for p in orders if p.default is Parameter.empty]
     names = needed + [p.name for p in orders if p.name == "nk" and p.name not in needed]
     names = names or [p.name for p in orders]
     values = [*map(_short, listed), *("…" for _ in needed)]
-    call = ", ".join(f"{n}={v}" for n, v in zip(names or ["…"], values, strict=False))
-    first = parameters[0].name
+    call = ", ".join(f"{n}={v}" for n, v in zip(names, values, strict=False))
     return f"{name} takes the arguments after {first} by name: {name}({first}, {call})"
 
 

@@ -107,7 +107,7 @@ def load(
         )
     paths = [part for one in given for part in files_of(Path(one))]
     if not paths:
-        raise FileError("no file to load")
+        raise FileError("the list of paths is empty: give at least one path of a recording")
     name = Path(given[0]) if len(given) == 1 else paths[0]
     if isinstance(calibration, (str, Path)):
         _check_is_calibration(Path(calibration), paths[0])

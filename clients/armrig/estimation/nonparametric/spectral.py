@@ -27,6 +27,7 @@ from armrig.numerics.polynomial import summation
 Vector = NDArray[np.float64]
 
 LOGARITHMIC_RESOLUTION = 0.5  # resolution of the window at omega, divided by omega
+_LEAST_SAMPLES = 8  # with an output
 MAX_LAGS = 300
 """Largest lag window of `spectral_reference`, in samples."""
 POINTS = 40
@@ -130,11 +131,10 @@ def spa(
 def _samples_with_output(data: Dataset) -> int:
     """Return the number of samples with an output; refuse too few samples or a constant u."""
     N = data.N - data.missing
-    if N < 8 or np.ptp(data.u) == 0:
-        what = f"only {N} samples have an output" if N < 8 else "u is constant"
-        raise InputError(
-            f"spa cannot estimate a frequency response: {what}; record an input that varies"
-        )
+    if N < _LEAST_SAMPLES:
+        raise InputError(f"spa needs at least {_LEAST_SAMPLES} samples with an output, got {N}")
+    if np.ptp(data.u) == 0:
+        raise InputError("u is constant: it excites no frequency; record an input that varies")
     return N
 
 
