@@ -77,11 +77,11 @@ class ArmParameters:
         return (self.N * self.K_m) ** 2 / self.R_m + self.b_1
 
 
-def require_parameters(p: object) -> None:
-    """Raise InputTypeError if `p` is not an `ArmParameters`."""
+def require_parameters(p: object, name: str = "p") -> None:
+    """Raise InputTypeError if `p` is not an `ArmParameters`; `name` is that of the argument."""
     if not isinstance(p, ArmParameters):
         raise InputTypeError(
-            f"p is a {type(p).__name__}: give the rig's parameters, armrig.ArmParameters(), or "
+            f"{name} is a {type(p).__name__}: give the rig's parameters, armrig.ArmParameters(), or "
             "other values in SI units, armrig.ArmParameters(J_1=0.0017)"
         )
 

@@ -44,7 +44,7 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
     (2000, (0, 1000))
     """
     given: Any = parts
-    kinds = {type(part) for part in ((None,) if isinstance(given, Dataset | Signals) else given)}
+    kinds = {type(part) for part in (given if isinstance(given, Sequence) else (None,))}
     if kinds - {Dataset} and kinds - {Signals}:
         raise InputTypeError(
             "merge takes one list of Datasets, merge([d1, d2]), or one list of Signals; for a "

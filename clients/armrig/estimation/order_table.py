@@ -16,7 +16,7 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.several_signals import accepts_signals
 from armrig.estimation.orders import require_samples
-from armrig.numerics.checks import require_integers, require_several
+from armrig.numerics.checks import require_integers, several
 from armrig.numerics.criteria import (
     BATCHES,
     Criterion,
@@ -386,11 +386,8 @@ def order_table(
 
 def _asked(**orders: Iterable[int]) -> list[Integers]:
     """Return the values of na, nb and nk to try, each in rising order."""
-    require_several(**orders)
-    wanted = [np.unique([*values]) for values in orders.values()]
+    wanted = [np.unique(several(name, values)) for name, values in orders.items()]
     for name, values, lowest in zip(orders, wanted, (0, 1, 0), strict=True):
-        if values.size == 0:
-            raise InputError(f"{name} is empty; give the orders to try, such as {name}=range(1, 5)")
         for value in values.tolist():
             require_integers(**{name: (value, lowest)})
     return wanted

@@ -32,14 +32,25 @@ def require_flags(**asked: Any) -> None:
             raise InputError(f"{name}={value!r} must be True or False")
 
 
-def require_several(**asked: Any) -> None:
-    """Refuse a single value if several values are needed."""
-    for name, value in asked.items():
-        if not isinstance(value, Iterable) or isinstance(value, str):
-            raise InputTypeError(
-                f"{name}={value!r} must be several numbers, such as {name}=range(1, 5) or "
-                f"{name}=(1, 2, 4)"
-            )
+def several(name: str, values: Any) -> list[int]:
+    """Return the values of an argument as a list; refuse a single value and an empty sequence."""
+    if not isinstance(values, Iterable) or isinstance(values, str):
+        got = f"{name}={values!r} must be several numbers"
+        raise InputTypeError(f"{got}, such as {name}=range(1, 5) or {name}=(1, 2, 4)")
+    found = [*values]
+    if not found:
+        raise InputError(f"{name} is empty; give numbers, such as {name}=range(1, 5)")
+    return found
+
+
+def several_of(name: str, values: Iterable[str], allowed: Iterable[str]) -> list[Any]:
+    """Return the names of an argument as a list; refuse an unknown name and an empty sequence."""
+    found = [*values]
+    if unknown := [value for value in found if value not in allowed]:
+        raise InputError(f"{name} has {unknown[0]!r}; each must be one of {', '.join(allowed)}")
+    if not found:
+        raise InputError(f"{name} is empty; give at least one of {', '.join(allowed)}")
+    return found
 
 
 def column(name: str, values: ArrayLike) -> NDArray[np.float64]:

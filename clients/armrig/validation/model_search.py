@@ -20,7 +20,7 @@ from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import OFFERED, OFFERED_NAMES, OfferedName
-from armrig.numerics.checks import require_integers, require_several
+from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
 from armrig.validation.advice.data_advice import Tested, doubts, tested
 from armrig.validation.feedback_and_delay.delay_result import Delay
@@ -127,23 +127,25 @@ def search(
     >>> found.fit.heading
     'OE(nb=3, nf=3, nk=1)'
     """
-    require_several(orders=orders)
+    orders = several("orders", orders)
     halved = validation is None
     if validation is None:
         data, validation = data.split(2)
     known = tested(data, integrator)
     if nk is None:
         nk = _likely_delays(known)
-    delays = [nk] if isinstance(nk, int) else [*nk]
-    families = _offered(known) if families is None else families
+    delays = [nk] if isinstance(nk, int) else several("nk", nk)
+    families = several_of(
+        "families", _offered(known) if families is None else families, OFFERED_NAMES
+    )
     if horizon is None and known.closed:
         horizon = 1
     against = doubts(data, known)
     offset, against, notes = _offset(data, validation, known, offset, families, against)
     candidates = list(
         _candidates(
-            [*families],
-            [*orders],
+            families,
+            orders,
             delays,
             integrator=known.integration.integrates,
             offset=offset,
@@ -227,11 +229,6 @@ def _candidates(
     offset: bool,
     simulated: bool,
 ) -> Iterator[Candidate]:
-    for family in families:
-        if family not in OFFERED_NAMES:
-            raise InputError(
-                f"families has {family!r}; each must be one of {', '.join(OFFERED_NAMES)}"
-            )
     for n in orders:
         require_integers(orders=(n, 1))
     for nk in delays:
@@ -301,9 +298,11 @@ class _Ranking:
 def _ranked(scored: list[Scored], validation: Dataset) -> _Ranking:
     usable = [j for j in scored if not j.reason]
     if not usable:
-        msg = "none of the structures could be estimated"
-        msg += f"; the first, {scored[0].candidate.name}: {scored[0].reason}" if scored else ""
-        raise InputError(msg)
+        first = scored[0]
+        raise InputError(
+            "none of the structures could be estimated; the first, "
+            f"{first.candidate.name}: {first.reason}"
+        )
     # All models are compared at the same samples, since their initial transients differ.
     both = np.all([np.isfinite(j.error) for j in usable], axis=0)
     if not both.any():

@@ -16,6 +16,7 @@ from armrig.estimation.nonparametric.etfe import excited, period
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import summation
+from armrig.numerics.quantities import plural
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -170,16 +171,17 @@ def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -
     seen = np.isfinite(y)
     most = np.count_nonzero(seen, axis=1) >= P / 2
     y, seen = y[most], seen[most]
+    before = plural(transient, "transient period")
     if y.shape[0] == 0:
         raise InputError(
-            f"after {transient} transient periods, a realisation of {part.N} samples has no period "
-            f"of {P} samples of which at least half are known: record more periods"
+            f"after {before}, a realisation of {part.N} samples has no period of {P} samples of "
+            "which at least half are known: record more periods"
         )
     n_k = np.count_nonzero(seen, axis=0)
     if never := int(np.count_nonzero(n_k == 0)):
         raise InputError(
-            f"after {transient} transient periods, a realisation of {part.N} samples has no value "
-            f"at {never} of the {P} instants of its period: record more periods"
+            f"after {before}, a realisation of {part.N} samples has no value at {never} of the "
+            f"{P} instants of its period: record more periods"
         )
     bridged = np.where(seen, y, np.nanmean(y, axis=0))
     U = np.fft.rfft(part.u[cut][:P])

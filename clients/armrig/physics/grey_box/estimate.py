@@ -137,7 +137,7 @@ def greybox(
     K_lin = 1.2 ± 0.1 %
     """
     p = ArmParameters() if fixed is None else fixed
-    require_parameters(p)
+    require_parameters(p, "fixed")
     names = free_names(free, friction)
     given = checked_fixed_std(fixed_std or {}, names)
     physics = Physics(model=model, fixed=p, output=output)

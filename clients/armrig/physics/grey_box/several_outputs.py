@@ -151,7 +151,7 @@ def greybox(
         parameters.
     """
     p = ArmParameters() if fixed is None else fixed
-    require_parameters(p)
+    require_parameters(p, "fixed")
     names = free_names(free, friction)
     _require(data, names, output)
     given = checked_fixed_std(fixed_std or {}, names)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment.wrong_samples import too_quiet
-from armrig.numerics.checks import require_integers, require_several
+from armrig.numerics.checks import require_integers, several
 from armrig.numerics.quantities import p_relation, plural
 from armrig.physics.grey_box.estimate import greybox
 from armrig.physics.grey_box.fit import GreyFit
@@ -251,9 +251,7 @@ def split_study(
     The 2 parts agree at a level of 1 % (...).
     The 4 parts agree at a level of 1 % (...).
     """
-    require_several(parts=parts)
-    if not parts:
-        raise InputError("parts=() is empty; give numbers of parts, such as (1, 2, 4)")
+    parts = several("parts", parts)
     for k in parts:
         require_integers(parts=(k, 1))
     estimator = greybox if estimator is None else estimator

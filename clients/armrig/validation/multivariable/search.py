@@ -15,7 +15,7 @@ from armrig.estimation.multivariable.oe import oe
 from armrig.estimation.multivariable.plans import integrating_outputs
 from armrig.estimation.multivariable.ss import ss
 from armrig.models.multivariable.fit import MultivariableFit, require_same_channels
-from armrig.numerics.checks import require_integers, require_several
+from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
 from armrig.numerics.polynomial import Array
 
@@ -161,15 +161,13 @@ def search(
     ValueError
         No model could be estimated, or an argument is out of range.
     """
-    require_several(orders=orders)
+    orders = several("orders", orders)
     halved = validation is None
     if validation is None:
         data, validation = data.split(2)
-    integrating = integrating_outputs(integrator, data)
-    if any(integrating):
-        families = [name for name in families if name == "oe"]
-    if unknown := [name for name in families if name not in FAMILIES]:
-        raise InputError(f"families has {unknown[0]!r}; each must be one of {', '.join(FAMILIES)}")
+    families = several_of("families", families, FAMILIES)
+    if any(integrating_outputs(integrator, data)):
+        families = ["oe"]
     plan = [(family, int(n)) for family in families for n in orders]
     for _, n in plan:
         require_integers(orders=(n, 1))
