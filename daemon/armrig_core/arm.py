@@ -81,8 +81,8 @@ def require_parameters(p: object, name: str = "p") -> None:
     """Raise InputTypeError if `p` is not an `ArmParameters`; `name` is that of the argument."""
     if not isinstance(p, ArmParameters):
         raise InputTypeError(
-            f"{name} is a {type(p).__name__}: give the rig's parameters, armrig.ArmParameters(), or "
-            "other values in SI units, armrig.ArmParameters(J_1=0.0017)"
+            f"{name} is a {type(p).__name__}: give the rig's parameters, armrig.ArmParameters(), "
+            "or other values in SI units, armrig.ArmParameters(J_1=0.0017)"
         )
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.numerics.checks import several_of
 from armrig.physics.integrators.linear_system import exact, require_positive, system
 from armrig.physics.integrators.methods import METHODS, method_named
 from armrig.physics.integrators.stability import stability_limit
@@ -168,4 +167,9 @@ def growth(A: ArrayLike, method: str, h: float, *, n: int = 20_000) -> float:
 
 def all_methods(methods: Sequence[str] | None) -> tuple[str, ...]:
     """Return the names of the given methods, or of all methods for None."""
-    return tuple(METHODS if methods is None else several_of("methods", methods, METHODS))
+    chosen = tuple(METHODS) if methods is None else tuple(methods)
+    if not chosen:
+        raise InputError(f"methods is empty; give at least one of {', '.join(METHODS)}")
+    for name in chosen:
+        method_named(name)
+    return chosen
