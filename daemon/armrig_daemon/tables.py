@@ -36,6 +36,9 @@ def _explain(message: str, table: Table, kind: type[msgspec.Struct]) -> str:
         value = came.get(unknown[1]) if isinstance(came, dict) else None
         allowed = f"; allowed are {', '.join(owner.__struct_fields__)}" if owner else ""
         return f"{name} = {value!r}: no such key{allowed}"
+    if keys and owner is not None and not isinstance(came, dict):
+        name = ".".join(keys)
+        return f"{name} = {came!r}: must be a table, [{name}]"
     if not keys or owner is not None:  # the message of a check of a table names the key
         return f"{'.'.join(keys)}: {text}" if keys else text
     return f"{'.'.join(keys)} = {came!r}: {text[0].lower()}{text[1:]}"
