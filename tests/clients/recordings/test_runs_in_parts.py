@@ -180,7 +180,7 @@ def test_parts_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None
         ([one, three], "part 3 does not follow part 1"),
         ([two, one], "part 1 does not follow part 2"),
         ([one, other], "only the parts of one run are joined"),
-        ([], "no file"),
+        ([], "the list of paths is empty"),
         ([one, of_another_rig], "of rig 2 is not run"),
         ([one, before], "do not follow the samples of the previous part"),
     ):
