@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from numbers import Integral, Number, Real
 from typing import Any
 
@@ -43,7 +43,7 @@ def several(name: str, values: Any) -> list[int]:
     return found
 
 
-def several_of(name: str, values: Iterable[str], allowed: Iterable[str]) -> list[Any]:
+def several_of(name: str, values: Iterable[str], allowed: Collection[str]) -> list[Any]:
     """Return the names of an argument as a list; refuse an unknown name and an empty sequence."""
     found = [*values]
     if unknown := [value for value in found if value not in allowed]:

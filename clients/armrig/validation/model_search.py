@@ -134,7 +134,7 @@ def search(
     known = tested(data, integrator)
     if nk is None:
         nk = _likely_delays(known)
-    delays = [nk] if isinstance(nk, int) else several("nk", nk)
+    delays = several("nk", nk) if isinstance(nk, Iterable) else [nk]
     families = several_of(
         "families", _offered(known) if families is None else families, OFFERED_NAMES
     )

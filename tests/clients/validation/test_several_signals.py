@@ -283,6 +283,13 @@ def test_search_knows_the_integrator_of_one_output() -> None:
     assert found.fit.form.integrators == (True, False)
 
 
+def test_every_family_of_a_search_has_all_orders_of_an_iterator() -> None:
+    found: Any = armrig.search(plant(0), families=["n4sid", "oe"], orders=iter((1, 2)))
+
+    tried = {(c.family, c.order) for c in (*found.ranked, *found.failed)}
+    assert tried == {("n4sid", 1), ("n4sid", 2), ("oe", 1), ("oe", 2)}
+
+
 def test_a_search_that_cannot_be_is_refused() -> None:
     with pytest.raises(InputError, match="families has 'arx'; each must be one of ss, n4sid, oe"):
         armrig.search(plant(0), families=["arx"])

@@ -132,7 +132,8 @@ def _samples_with_output(data: Dataset) -> int:
     """Return the number of samples with an output; refuse too few samples or a constant u."""
     N = data.N - data.missing
     if N < _LEAST_SAMPLES:
-        raise InputError(f"spa needs at least {_LEAST_SAMPLES} samples with an output, got {N}")
+        needed = f"spa needs at least {_LEAST_SAMPLES} samples with an output"
+        raise InputError(f"{needed}, got {N}; record longer")
     if np.ptp(data.u) == 0:
         raise InputError("u is constant: it excites no frequency; record an input that varies")
     return N

@@ -103,7 +103,8 @@ def recommend_step(
     Raises
     ------
     ValueError
-        A number is not allowed, or no step of a method is stable.
+        A number is not allowed, `methods` is empty or has an unknown name, or no step of a method
+        is stable.
 
     Examples
     --------
