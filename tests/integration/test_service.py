@@ -18,7 +18,7 @@ from armrig_daemon.config import EX_CONFIG
 from mcap.reader import make_reader
 
 from tests.integration.processes import WITHIN_S, Bench, Process, wait_for
-from tests.integration.sockets import sockets
+from tests.integration.sockets import inodes
 
 SUBSCRIBER = """
 import sys, zenoh
@@ -131,7 +131,11 @@ def test_the_socket_is_for_the_user_and_the_group_alone(served: Bench) -> None:
     socket = served.folder / "armrig" / "1.sock"
     assert socket.stat().st_mode & 0o007 == 0
     assert socket.parent.stat().st_mode & 0o077 == 0
-    assert sockets(served.processes[1].popen.pid) == {}
+    of_daemon = inodes(served.processes[1].popen.pid)
+    assert of_daemon  # of the Unix socket
+    for table in ("tcp", "tcp6", "udp", "udp6"):
+        rows = Path(f"/proc/net/{table}").read_text().splitlines()[1:]
+        assert of_daemon.isdisjoint({row.split()[9] for row in rows}), table
 
 
 @pytest.mark.parametrize(
