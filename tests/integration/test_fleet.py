@@ -29,6 +29,7 @@ from tests.integration.fleet_lab import (
     FleetLab,
     Publisher,
     connected,
+    newest,
     publish,
     sample,
 )
@@ -114,7 +115,7 @@ def test_what_is_lost_beyond_the_cache_is_reported_exactly(
         connected(*daemons)
         files = {rig: lab.folder / "files" / f"{rig}.mcap.active" for rig in RIGS}
         wait_for(lambda: any("lost" in line for line in told), WITHIN_S)
-        wait_for(lambda: _last(files["2"]) == _last(files["3"]) == 999, WITHIN_S)
+        wait_for(lambda: newest(files["2"], "k") == newest(files["3"], "k") == 999, WITHIN_S)
 
     found = {rig: armrig.load(one.files[0].path) for rig, one in recorder.recorded.items()}
     [missing] = found["1"].gaps
@@ -128,10 +129,6 @@ def test_what_is_lost_beyond_the_cache_is_reported_exactly(
         line
         == f"rig 1: {GapCode.RECORDER_CUT_OFF.sentence}: {missing.count + states} messages are lost"
     )
-
-
-def _last(path: Path) -> int:
-    return int(armrig.load(path).samples["k"][-1])
 
 
 def test_a_rig_that_sends_nonsense_ends_its_own_recording_alone(
