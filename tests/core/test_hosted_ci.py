@@ -12,7 +12,9 @@ import pytest
 yaml = pytest.importorskip("yaml", reason="no PyYAML")
 ROOT = Path(__file__).parents[2]
 WORKFLOW: dict[str, Any] = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())
-_PART = re.compile(r"^(?:[A-Z_]+=\S+ |.*nice -n 19 )?(make [\w-]+|\.ci/\w+)", re.MULTILINE)
+_PART = re.compile(
+    r"^(?:[A-Z_]+=\S+ |beside \w+ |sh.*nice -n 19 )*(make [\w-]+|\.ci/\w+)", re.MULTILINE
+)
 
 
 def commands(job: dict[str, Any]) -> list[str]:
