@@ -88,7 +88,8 @@ def stream(
 def listen(session: zenoh.Session, key: str, where: str) -> Iterator[Any]:
     """Iterate over the messages of a key in an open session: see `stream`."""
     rig, name = _stream_of(key)
-    with arrivals(session, key) as messages_since, _reported_gaps(session, rig, name) as gaps_since:
+    # The gaps first: who hears a sample also hears the gaps after it.
+    with _reported_gaps(session, rig, name) as gaps_since, arrivals(session, key) as messages_since:
         before: telemetry.Sample | None = None
         reported = told_gaps()
         for messages in _until_gone(session, rig, where, messages_since):
