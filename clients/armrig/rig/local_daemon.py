@@ -15,7 +15,7 @@ from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError, RigError
 
 _START_TIMEOUT_S = 60.0  # the daemon itself waits 30 s for the rig that it emulates
-_STOP_TIMEOUT_S = 5.0
+_STOP_TIMEOUT_S = 30.0  # on a busy host the loop alone takes seconds to load
 _POLL_INTERVAL_S = 0.1
 
 
