@@ -90,8 +90,8 @@ class Uno:
             self._command()
         if not self.left:
             return
-        begun_ns = time.monotonic_ns()
         program = self._run(bytes(self.flash[: self.written]), 0)
+        begun_ns = time.monotonic_ns()
         try:
             self._carry(program, begun_ns)
         finally:

@@ -351,7 +351,7 @@ def test_a_full_disk_ends_the_run_and_not_the_service(rig: Rig) -> None:
         rig.start()
         rig.drive()
         machine.run("sh", "-c", "cat /dev/zero > /var/lib/armrig/full 2>/dev/null || true")
-        wait_for(lambda: rig.phase() != "active")
+        wait_for(lambda: rig.phase() != "active" and _errors(rig, before))
 
         assert _is_at_rest(rig)
         assert _restarts(rig) == 0

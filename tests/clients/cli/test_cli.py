@@ -308,7 +308,7 @@ def test_watch_into_a_pipe_gives_a_line_for_each_sample(
         assert watching.stderr is not None
         assert reader.stdout is not None
         watching.stdout.close()
-        k, until = 0, time.monotonic() + 30
+        k, until = 0, time.monotonic() + 60
         while watching.poll() is None:
             assert time.monotonic() < until
             out.put(telemetry.encode_sample(sample(k)))

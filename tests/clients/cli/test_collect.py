@@ -409,7 +409,7 @@ def test_a_signal_that_ends_a_collection_stops_the_rig(
     daemon.during_run = polled.set
     program = [sys.executable, "-m", "armrig", "collect", "blackbox", "--connect", where]
     with running(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as collecting:
-        assert polled.wait(30)
+        assert polled.wait(60)
         collecting.send_signal(number)
         out, said = collecting.communicate(timeout=30)
 
@@ -522,7 +522,7 @@ def test_ctrl_c_reports_the_state_of_the_rig_and_the_recording(
     daemon.during_run = polled.set
     program = [sys.executable, "-m", "armrig", "collect", "blackbox", "--connect", where]
     with running(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as collecting:
-        assert polled.wait(30)
+        assert polled.wait(60)
         collecting.send_signal(signal.SIGINT)
         out, said = collecting.communicate(timeout=30)
 

@@ -23,6 +23,7 @@ from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError
 from armrig_core.commands import LastRun, StatusReport
 
+from tests.integration.processes import settled
 from tests.sampling import sampled
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
@@ -114,7 +115,7 @@ def test_a_second_lab_is_refused_with_the_first(lab: subprocess.Popen[str]) -> N
     assert "Traceback" not in second.stderr
     assert lab.poll() is None
     with Rig() as rig:
-        assert rig.status().phase == "safe"
+        assert settled(rig) == "safe"
 
 
 @pytest.mark.exhaustive

@@ -70,6 +70,6 @@ def test_a_slow_answer_is_waited_for(address: str, tmp_path: Path) -> None:
         shutil.copy(PAGE / name, tmp_path)
     script = _SCRIPT % (address, (tmp_path / "stream.js").as_uri())
     command = [str(NODE), "--input-type=module", "-e", script]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
 
     assert len(done.stdout.split()) == 2  # once before it fell silent, and once again

@@ -56,7 +56,7 @@ def _what_was_written(folder: Path, flash: bytes, now_ns: int) -> SimulatedUno:
     """Return a simulated Uno that runs the bytes of its flash."""
     image = folder / "flash.hex"
     image.write_text("".join(_records(flash)) + ":00000001FF\n", encoding="ascii")
-    return SimulatedUno(uno_with_optiboot.harness(), image, EmulatorSettings(), now_ns)
+    return SimulatedUno(uno_with_optiboot.FIL / "fil", image, EmulatorSettings(), now_ns)
 
 
 def _records(data: bytes) -> Iterator[str]:
@@ -65,8 +65,16 @@ def _records(data: bytes) -> Iterator[str]:
         yield f":{record.hex()}{-sum(record) & 0xFF:02x}\n"
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait longer for the program's answer: a simulated board may be slower than a real one."""
+    monkeypatch.setattr(avrdude, "greeting", partial(avrdude.greeting, within_s=60.0))
+
+
 @needs("simavr")
-def test_the_firmware_is_written_read_back_and_answers(tmp_path: Path, capsys: Said) -> None:
+def test_the_firmware_is_written_read_back_and_answers(
+    tmp_path: Path, capsys: Said, patient: None
+) -> None:
     image = read_image(shipped_image())
     uno_with_optiboot.harness()
     with Uno(partial(_what_was_written, tmp_path)) as uno:
@@ -81,7 +89,9 @@ def test_the_firmware_is_written_read_back_and_answers(tmp_path: Path, capsys: S
 
 
 @pytest.mark.exhaustive
-def test_a_board_that_runs_another_firmware_afterwards_is_reported(capsys: Said) -> None:
+def test_a_board_that_runs_another_firmware_afterwards_is_reported(
+    capsys: Said, patient: None
+) -> None:
     with Uno(_another_firmware) as uno:
         assert main(["flash", "--port", uno.port, "--yes"]) == 1
 

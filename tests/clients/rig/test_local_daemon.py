@@ -14,6 +14,8 @@ from armrig.rig.client import Rig
 from armrig.rig.local_daemon import require_running, running, stop
 from armrig.rig.session import NoReplyError, RigError
 
+from tests.integration.processes import settled
+
 RIG = "child"
 
 
@@ -123,4 +125,5 @@ def test_ctrl_c_does_not_keep_a_daemon_from_its_end_and_works_afterwards(
 
 def _interrupted_when_it_answers(rig: Rig) -> None:
     assert rig.status().rig == RIG
+    assert settled(rig) == "safe"
     raise KeyboardInterrupt

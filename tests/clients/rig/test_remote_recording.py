@@ -369,13 +369,16 @@ def test_a_file_that_a_full_disk_has_ended_is_whole_and_listed(
 ) -> None:
     """The reserve completes the file; the error names the disk's reason."""
     flush = recording_part.Part.flush
+    added = threading.Event()
 
     def full(self: recording_part.Part) -> None:
+        added.wait(30)
         flush(self)
         raise recording_part.EndsHereError("No space left on device")
 
     monkeypatch.setattr(recording_part.Part, "flush", full)
     recording.add(piece(state(), *map(sample, range(5))))
+    added.set()
     wait_for(recording.path.exists)
 
     with pytest.raises(RigError, match="No space left on device"):

@@ -588,7 +588,7 @@ def test_an_interrupted_batch_does_not_wait_for_the_workers() -> None:
     def interrupted() -> None:
         with workers.processes(1) as executor:
             assert executor.submit(abs, -1).result() == 1
-            at_work.append(executor.submit(time.sleep, 5.0))
+            at_work.append(executor.submit(time.sleep, 600.0))
             while not at_work[0].running():
                 time.sleep(0.01)
             raise KeyboardInterrupt
