@@ -60,9 +60,13 @@ def main() -> None:
     begun = 0
     while begun < n or alive:
         if begun < n and len(alive) < SIDE_BY_SIDE:
+            begins, told = os.pipe()
             pid = os.fork()
             if pid == 0:
-                _write(folder, begun)
+                _write(folder, begun, told)
+            os.close(told)
+            os.read(begins, 1)
+            os.close(begins)
             alive[pid] = time.monotonic() + rng.uniform(0, LONGEST_S)
             begun += 1
             continue
@@ -114,8 +118,8 @@ def _ledger_name(name: str) -> str:
     return name.partition(".")[0] + ".ledger"
 
 
-def _write(folder: Path, number: int) -> NoReturn:
-    """Record a sample each ms until the end."""
+def _write(folder: Path, number: int, told: int) -> NoReturn:
+    """Tell that the recording has begun; record a sample each ms until the end."""
     path = folder / f"1-run-20260101T000000-{number:08x}.mcap"
     with (folder / _ledger_name(path.name)).open("w+b") as file:
         file.truncate(_LEDGER.size)
@@ -129,6 +133,7 @@ def _write(folder: Path, number: int) -> NoReturn:
     attachments = {CONFIG: b"{}", INPUT: b"u_v\n" + b"1.0\n" * 1000}
     begin_ns = time.monotonic_ns()
     recording = Recording(path, manifest, attachments, t_first_ns=begin_ns, changed=lambda: None)
+    os.write(told, b"b")
     for k in range(_N):
         due_ns = begin_ns + k * TS_NS
         time.sleep(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))

@@ -35,6 +35,7 @@ class LoopEnds:
 
     def close(self) -> None:
         """Close the open ends."""
+        self.child._process.wait(30)
         assert self.child.end() == 0
         os.close(self.records_fd)
         if self.orders_fd >= 0:

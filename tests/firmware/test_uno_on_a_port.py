@@ -69,6 +69,7 @@ def test_a_host_that_opens_the_port_meets_the_firmware(port: Path) -> None:
 
 
 @pytest.mark.exhaustive
+@pytest.mark.real_time
 @needs_simavr
 def test_it_does_what_the_protocol_says_in_real_time_too(port: Path) -> None:
     arguments = ["conformance", "--device", str(port), "--motor-unplugged", "--json"]

@@ -11,6 +11,7 @@ from typing import Any
 import armrig
 import numpy as np
 from armrig.rig.client import Rig, RigError
+from armrig.rig.replies import RefusedError
 
 from tests.integration.fork_server import Forked
 from tests.integration.processes import WITHIN_S, Bench, wait_for
@@ -64,11 +65,15 @@ def changed(bench: Bench, times: int) -> bool:
 def hold(rig: Rig, bench: Bench, volts: float, owner: str = "a test") -> None:
     """Arm, and hold a voltage by hand until the motor has it.
 
-    Each look renews the lease, which else may run out between two looks.
+    Each look renews the lease. If the lease has run out on a busy machine, the rig is armed again.
     """
 
     def has_it() -> bool:
-        rig.set(volts)
+        try:
+            rig.set(volts)
+        except RefusedError:
+            rig.reset()
+            rig.arm(owner)
         return bench.volts() > volts - 0.1
 
     rig.arm(owner)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import armrig
 import zenoh
 from armrig.lab import pki
 from armrig.lab.fleet_recorder import FleetRecorder, RigRecorded
@@ -128,15 +127,6 @@ def publish(daemons: Sequence[Session], ks: range) -> None:
             if k % 50 == 0:
                 daemon.put("state", state(k))
             daemon.put("sample", sample(k))
-
-
-def newest(path: Path, column: str) -> int:
-    """Return the newest value of a column in a growing file; -1 if it has no sample yet."""
-    try:
-        values = armrig.load(path).samples[column]
-    except armrig.FileError:  # Its recorder has made the file and not yet written its header.
-        return -1
-    return int(values[-1]) if values.size else -1
 
 
 class Recorder:

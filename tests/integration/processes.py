@@ -16,6 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 
+import armrig
 from armrig.rig.client import Rig
 from armrig_core.emulator_socket import socket_path
 
@@ -47,6 +48,15 @@ def settled(rig: Rig) -> str:
     seen = []
     wait_for(lambda: seen.append(rig.status().phase) or seen[-1] != "init")
     return seen[-1]
+
+
+def newest(path: Path, column: str) -> int:
+    """Return the newest value of a column in a growing file; -1 if it has no sample yet."""
+    try:
+        values = armrig.load(path).samples[column]
+    except (FileNotFoundError, armrig.FileError):  # Its recorder has not yet written the header.
+        return -1
+    return int(values[-1]) if values.size else -1
 
 
 def freeze(pid: int) -> None:
@@ -224,12 +234,16 @@ class Bench:
     def serve(self, env: dict[str, str] | None = None) -> Process:
         """Start the daemon and wait until it samples."""
         daemon = self.start("armrig_daemon", "run", "--config", str(self.config), env=env)
+        self.is_served_by(daemon)
+        return daemon
+
+    def is_served_by(self, daemon: Process) -> None:
+        """Wait until the daemon samples; an assertion fails if it has ended."""
         socket = self.folder / "armrig" / "1.sock"
         # Two waits: to load takes a program most of one where this machine is busy.
         wait_for(lambda: socket.exists() or daemon.popen.poll() is not None)
         wait_for(lambda: self.phase() == "safe" or daemon.popen.poll() is not None)
         assert daemon.popen.poll() is None, daemon.said
-        return daemon
 
     def rig(self) -> Rig:
         """Return a client."""

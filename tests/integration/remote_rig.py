@@ -35,7 +35,7 @@ def started(line: Namespaces, bench: Bench, *program: str) -> Iterator[Path]:
             stderr=stderr,
         )
     try:
-        wait_for(lambda: bench.phase() == "safe" or daemon.poll() is not None)
+        wait_for(lambda: bench.phase() == "safe" or daemon.poll() is not None, WITHIN_S)
         assert daemon.poll() is None, log.read_text()
         yield log
     finally:

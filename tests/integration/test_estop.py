@@ -6,7 +6,7 @@ import os
 import signal
 
 from tests.integration.driving import driven
-from tests.integration.processes import WITHIN_S, Bench, wait_for
+from tests.integration.processes import WITHIN_S, Bench, freeze, wait_for
 
 
 def test_the_rig_of_a_dead_daemon_is_stopped(bench: Bench) -> None:
@@ -14,8 +14,9 @@ def test_the_rig_of_a_dead_daemon_is_stopped(bench: Bench) -> None:
     daemon = bench.serve()
     with driven(bench):
         loop = bench.loop_pid(daemon)
-        daemon.kill()
+        freeze(daemon.popen.pid)  # or its end may end the loop in order
         os.kill(loop, signal.SIGKILL)
+        daemon.kill()
 
         stop = bench.start("armrig_daemon", "estop", "--config", str(bench.config))
 

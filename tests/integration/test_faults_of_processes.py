@@ -92,7 +92,7 @@ def test_a_lab_that_is_killed_takes_its_daemon_along(
     monkeypatch.setenv("XDG_STATE_HOME", str(bench.folder))
     bench.emulate()
     lab = bench.start("armrig", "lab", "--config", str(bench.config), "--port", str(bench.port))
-    wait_for(lambda: bench.phase() == "safe", within_s=30)
+    bench.is_served_by(lab)
     with driven(bench):
         told_ns = lab.kill(signal.SIGKILL)
 

@@ -43,6 +43,7 @@ def test_the_disk_is_full_in_the_middle_of_a_run(bench: Bench) -> None:
     bench.emulate()
     daemon = bench.serve()
     with driven(bench, samples=3000):  # it would go on for longer than anybody waits here
+        wait_for(lambda: list(bench.recordings.glob("*.active")))
         (active,) = bench.recordings.glob("*.active")
         _, most = resource.prlimit(daemon.popen.pid, resource.RLIMIT_FSIZE)
         full = (active.stat().st_size + ROOM, most)
@@ -144,7 +145,7 @@ def test_a_directory_that_cannot_be_written_is_reported_before_the_motor_turns(
     bench.forks = None  # a copy of an interpreter has its path already
     monkeypatch.setenv("PYTHONPATH", str(bench.folder))
     daemon = bench.start("unprivileged", "armrig_daemon", "run", "--config", str(bench.config))
-    wait_for(lambda: bench.phase() == "safe")
+    bench.is_served_by(daemon)
 
     bench.recordings.chmod(0o500)
     with bench.rig() as rig:

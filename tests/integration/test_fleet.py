@@ -29,11 +29,10 @@ from tests.integration.fleet_lab import (
     FleetLab,
     Publisher,
     connected,
-    newest,
     publish,
     sample,
 )
-from tests.integration.processes import Bench, wait_for
+from tests.integration.processes import Bench, newest, wait_for
 from tests.sampling import sampled
 
 
@@ -69,6 +68,8 @@ def test_nothing_is_lost_while_the_router_is_restarted(lab: FleetLab, stack: Exi
         connected(*daemons)
         published.wait_for_more(100)
         before = published.k
+        files = [lab.folder / "files" / f"{rig}.mcap.active" for rig in RIGS]
+        wait_for(lambda: all(newest(file, "k") >= before - 1 for file in files), WITHIN_S)
 
     for rig in RIGS:
         [file] = recorder.recorded[rig].files
@@ -86,7 +87,8 @@ def test_a_rig_that_comes_later_is_taken_in(lab: FleetLab, stack: ExitStack) -> 
         recorder.has_begun("1")
         with lab.daemon("2") as second:
             publish([second], range(50))
-            recorder.has_begun("2")
+            file = lab.folder / "files" / "2.mcap.active"
+            wait_for(lambda: newest(file, "k") == 49, WITHIN_S)
         publish([first], range(100, 200))
 
     files = {rig: one.files[0].path for rig, one in recorder.recorded.items()}
@@ -248,7 +250,7 @@ def test_the_rigs_that_are_there_are_listed(
         assert main(listing) == 0
         return capsys.readouterr().out.splitlines()
 
-    wait_for(lambda: len(listed()) == 3, WITHIN_S)
+    wait_for(lambda: "safe" in " ".join(lines := listed()) and len(lines) == 3, WITHIN_S)
     heading, one, two = listed()
     assert main([*listing, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)["rigs"]
@@ -287,8 +289,7 @@ def test_a_voltage_held_through_a_router_that_dies_falls_to_0_v(
     holder = None
     try:
         with bench.rig() as rig:
-            holder = _holding(lab, bench)
-            assert rig.status().owner == "a test (certificate alice)"
+            holder = _holding(lab, bench, rig)
 
             router.send_signal(number)
             wait_for(lambda: bench.volts() == 0.0, WITHIN_S)
@@ -314,8 +315,8 @@ def _answers(rig: Rig) -> bool:
     return False
 
 
-def _holding(lab: FleetLab, bench: Bench) -> subprocess.Popen[bytes]:
-    """Return alice's program once it holds 2 V, or has ended."""
+def _holding(lab: FleetLab, bench: Bench, rig: Rig) -> subprocess.Popen[bytes]:
+    """Return alice's program once it holds 2 V by its lease."""
     alice = str(lab.made / "alice.pem")
 
     def begun() -> subprocess.Popen[bytes]:
@@ -329,7 +330,7 @@ def _holding(lab: FleetLab, bench: Bench) -> subprocess.Popen[bytes]:
         nonlocal holder
         if holder.poll() is not None:  # the daemon has not found its router yet
             holder = begun()
-        return bench.volts() > 1.9
+        return bench.volts() > 1.9 and rig.status().owner == "a test (certificate alice)"
 
     wait_for(holds, WITHIN_S)
     return holder
@@ -397,7 +398,7 @@ def test_one_command_records_the_rigs_that_are_named(
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
     publish(daemons, range(100))
     connected(*daemons)
-    given = ["--rig", "1", "--rig", "3", "-o", str(lab.folder / "files"), "--seconds", "1"]
+    given = ["--rig", "1", "--rig", "3", "-o", str(lab.folder / "files"), "--seconds", "3"]
 
     assert main(["record", "--from", lab.endpoint, *given, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -416,7 +417,7 @@ def test_a_rig_that_is_named_and_not_there_is_reported(
     daemon = stack.enter_context(lab.daemon("1"))
     publish([daemon], range(100))
     connected(daemon)
-    given = ["--rig", "1", "--rig", "3", "-o", str(lab.folder / "files"), "--seconds", "1"]
+    given = ["--rig", "1", "--rig", "3", "-o", str(lab.folder / "files"), "--seconds", "3"]
 
     assert main(["record", "--from", lab.endpoint, *given]) == 1
     said = capsys.readouterr()

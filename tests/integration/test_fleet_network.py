@@ -21,9 +21,9 @@ import armrig
 import pytest
 
 from tests.integration import namespaces
-from tests.integration.fleet_lab import RIGS, WITHIN_S, FleetLab, newest
+from tests.integration.fleet_lab import RIGS, WITHIN_S, FleetLab
 from tests.integration.fork_server import ForkServer
-from tests.integration.processes import Bench, wait_for
+from tests.integration.processes import Bench, newest, wait_for
 from tests.integration.remote_rig import HERE, said, stranger, watching
 from tests.integration.star import Star, star
 from tests.integration.stranger import ALIVE, FORGED, STREAM_KEYS, TOLD_KEYS, command_keys

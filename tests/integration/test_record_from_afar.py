@@ -30,7 +30,7 @@ from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.service.history import History
 from armrig_daemon.service.publish import Session
 
-from tests.integration.processes import Bench
+from tests.integration.processes import Bench, newest, wait_for
 from tests.sampling import sampled
 
 TS_NS = 10_000_000
@@ -71,6 +71,14 @@ def gap(k_first: int, count: int) -> bytes:
     return bytes(message.SerializeToString())
 
 
+def next_piece(source: RemoteSource) -> Piece:
+    """Return the next piece; wait for a daemon that is away."""
+    pieces: list[Piece | None] = []
+    wait_for(lambda: pieces.append(source.next_piece()) or pieces[-1] is not None)
+    assert pieces[-1] is not None
+    return pieces[-1]
+
+
 class Recorder:
     """The recorder and its source, driven by hand."""
 
@@ -83,14 +91,9 @@ class Recorder:
 
     def take(self) -> Piece:
         """Record all messages; wait for a daemon that is away."""
-        until = time.monotonic() + 30
-        while (piece := self.source.next_piece()) is None:
-            assert time.monotonic() < until
-        self.recording.add(piece)
+        self.recording.add(piece := next_piece(self.source))
         while piece.is_full:
-            more = self.source.next_piece()
-            assert more is not None
-            self.recording.add(piece := more)
+            self.recording.add(piece := next_piece(self.source))
         return piece
 
     def files(self) -> list[Recording]:
@@ -230,11 +233,20 @@ def test_an_answer_to_what_was_not_asked_is_none_of_a_daemon(where: str) -> None
         other.declare_queryable("rig/1/history", lambda query: query.reply(query.key_expr, answer))
         with open_session(where, rig="1") as session:
             source = RemoteSource(session, "1")
-            assert source.next_piece() is not None
+            next_piece(source)
             with pytest.raises(
                 RigError, match="from number 1 on were requested, but messages from 0 on"
             ):
                 source.next_piece()
+
+
+def two_daemons_answer(session: zenoh.Session) -> bool:
+    """Return whether a new source is answered twice and refuses it."""
+    try:
+        RemoteSource(session, "1").next_piece()
+    except RigError as err:
+        return "2 daemons answer" in str(err)
+    return False
 
 
 def test_of_two_that_answer_the_first_one_s_is_taken(where: str) -> None:
@@ -249,14 +261,11 @@ def test_of_two_that_answer_the_first_one_s_is_taken(where: str) -> None:
         one.declare_queryable("rig/1/history", answer(b"a"))
         with open_session(where, rig="1") as session:
             source = RemoteSource(session, "1")
-            while (piece := source.next_piece()) is None:
-                time.sleep(0.05)
+            piece = next_piece(source)
             other.declare_queryable("rig/1/history", answer(b"b"))
-            time.sleep(0.5)
             answers[b"a"] = History(b"a" * 16)
             answers[b"a"].add("sample", sample(0))
-            with pytest.raises(RigError, match="2 daemons answer"):
-                RemoteSource(session, "1").next_piece()
+            wait_for(lambda: two_daemons_answer(session))
             lives = {source._asked(0, piece.past.life).life for _ in range(20)}  # type: ignore[union-attr]
 
     assert lives == {b"a" * 16}
@@ -382,7 +391,7 @@ def test_what_came_before_an_end_by_force_is_recovered(
         while published() < 2000 or not path.with_name("a.mcap.active").exists():
             assert process.poll() is None
             time.sleep(0.05)
-        time.sleep(0.5)
+        wait_for(lambda: newest(path.with_name("a.mcap.active"), "k") > 1000)
         process.kill()
 
     assert main(["recover", str(tmp_path)]) == 0

@@ -17,6 +17,7 @@ from armrig_core.manifest import CONFIG
 from armrig_daemon.config import EX_CONFIG
 from mcap.reader import make_reader
 
+from tests.integration.driving import hold
 from tests.integration.processes import WITHIN_S, Bench, Process, wait_for
 from tests.integration.sockets import inodes
 
@@ -119,9 +120,8 @@ def test_a_client_that_checks_nothing_is_refused_by_the_daemon(served: Bench) ->
 
 def test_the_voltage_follows_the_hand_and_the_stop(served: Bench) -> None:
     with served.rig() as rig:
-        rig.arm("a test")
-        rig.set(2.0)
-        wait_for(lambda: abs(served.volts() - 2.0) < 0.01)
+        hold(rig, served, 2.0)
+        assert served.volts() == pytest.approx(2.0, abs=0.01)
         rig.stop()
         wait_for(lambda: served.volts() == 0.0)
 

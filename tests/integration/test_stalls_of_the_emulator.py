@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -61,12 +60,16 @@ def test_the_daemon_reports_the_length_of_a_stall(bench: Bench) -> None:
 @pytest.mark.exhaustive
 def test_the_stall_is_in_the_recording(bench: Bench) -> None:
     _, pid = _emulated(bench)
-    stopper = threading.Timer(0.8, _stop, (pid, 0.1))
+    stops: list[int] = []
+
+    def stop_once(done: int, total: int) -> None:
+        if done > 20 and not stops:
+            stops.append(done)
+            _stop(pid, 0.1)
 
     with bench.rig() as rig:
         rig.arm("a test")
-        stopper.start()
-        path = rig.run(np.full(250, 1.5))
+        path = rig.run(np.full(250, 1.5), progress=stop_once)
 
     found = disturbances(armrig.load(path))
     assert found.held_up_ms >= 80

@@ -94,7 +94,12 @@ def plain(text: str, folder: Path) -> str:
 def words(text: str, folder: Path) -> list[str]:
     """Return the lines of a text, `#` in place of what differs from run to run."""
     text = _CLOSED.sub("closed", _NUMBER.sub("#", _OF_A_RUN.sub("#", plain(text, folder))))
-    return [line.rstrip() for line in text.splitlines()]
+    lines = [line.rstrip() for line in text.splitlines()]
+    for i, line in enumerate(lines[:-1]):
+        # The disk's speed decides which of the two comes first.
+        if "warning: no link" in line and "info: recorded" in lines[i + 1]:
+            lines[i : i + 2] = lines[i + 1], line
+    return lines
 
 
 def told(script: str, stage: Stage) -> str:

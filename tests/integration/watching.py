@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 from armrig.dashboard.serving import Settings, dashboard
 
-from tests.integration.processes import WITHIN_S, Bench
+from tests.integration.processes import WITHIN_S, Bench, wait_for
 
 STEP = {"kind": "step", "seconds": 120.0, "at": 0.1, "low": 1.0, "high": 4.0}
 """An experiment that lasts until it is stopped."""
@@ -120,9 +120,7 @@ def recorded(client: Client, experiment: dict[str, Any]) -> str:
 
 def begin(client: Client, bench: Bench, experiment: dict[str, Any] = STEP) -> None:
     """Have a dashboard run an experiment, and wait until the motor is driven."""
+    before = len(bench.voltage_changes())
     status, told = client.ask("/api/run", {"owner": "a page", "experiment": experiment})
     assert status == 200, told
-    for name, value in client.events():  # 20 a second
-        assert name != "run" or not value["error"], value["error"]
-        if bench.volts() > 0:
-            return
+    wait_for(lambda: any(volts > 0 for _, volts in bench.voltage_changes()[before:]))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from ast import literal_eval
 from collections import Counter
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from armrig_daemon.config import Config
 from armrig_daemon.loop.process import Settings
 from armrig_daemon.service import child
 
+from tests.integration.processes import state_of, wait_for
 from tests.mutation import __main__ as mutation
 from tests.mutation import by_hand, outcomes, python_sites, text_sites
 from tests.mutation.__main__ import ROOT, Room, Trials, drawn, rooms, sources_of
@@ -290,9 +290,14 @@ def test_what_a_bug_has_left_ends_with_its_child(tmp_path: Path) -> None:
 
     assert in_child(run, 5.0)[1] == 1
 
-    state, until = Path(f"/proc/{pid.read_text()}/stat"), time.monotonic() + 10.0
-    while state.exists() and state.read_text().rpartition(")")[2].split()[0] != "Z":
-        assert time.monotonic() < until
+    wait_for(lambda: _has_ended(int(pid.read_text())))
+
+
+def _has_ended(pid: int) -> bool:
+    try:
+        return state_of(pid) == "Z"
+    except (FileNotFoundError, ProcessLookupError):  # its parent has waited for it
+        return True
 
 
 def test_a_trial_in_a_copy_names_the_test_and_asks_those_of_a_marker_alone(tmp_path: Path) -> None:

@@ -130,7 +130,7 @@ def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
                 break
         recording.add(_samples(10_000, 10_100))  # no hole in silence: nothing more is written
         recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
-        recording.join(10)
+        recording.join(30)
 
     assert disk.failed == 1
     _check(tmp_path / "run.mcap", recording.synced, recording.error)
@@ -155,9 +155,9 @@ def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
 
     monkeypatch.setattr(recording_part.Part, "_write_pending", failing)
     recording.add(_samples(100, 200))
-    assert fails.wait(10)
+    assert fails.wait(30)
     recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
-    recording.join(10)
+    recording.join(30)
     monkeypatch.undo()
 
     left = tmp_path / "run.mcap.active"
@@ -180,7 +180,7 @@ def test_a_run_that_ended_just_before_the_disk_was_full_is_complete(
         recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=lambda: None)
         recording.add(_samples(0, 100))
         recording.finish(COMPLETE)
-        recording.join(10)
+        recording.join(30)
 
     assert (disk.failed, recording.error) == (1, "")
     loaded = armrig.load(tmp_path / "run.mcap")
@@ -195,7 +195,7 @@ def test_a_full_disk_is_reported_before_the_file_is_written_again(
     compact = recording_part.compact
 
     def slow(source: Path, target: Path) -> None:
-        assert go_on.wait(10)
+        assert go_on.wait(30)
         compact(source, target)
 
     monkeypatch.setattr(recording_part, "compact", slow)
@@ -204,11 +204,11 @@ def test_a_full_disk_is_reported_before_the_file_is_written_again(
         path = disk.path(tmp_path / "run.mcap")
         recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=changed.set)
         recording.add(_samples(0, 100))
-        assert changed.wait(10)
+        assert changed.wait(30)
         assert "No space left on device" in recording.error
         assert not recording.done
         recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
         go_on.set()
-        recording.join(10)
+        recording.join(30)
 
     _check(tmp_path / "run.mcap", 100, recording.error)

@@ -306,10 +306,11 @@ def test_a_sample_is_acknowledged_when_the_disk_has_it(
 
     monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fdatasync", answer)
     recording = _recording(tmp_path / "run.mcap")
+    header = recording.active.stat().st_size
     assert asked.acquire(timeout=30)  # the first, of the header
     recording.add([_sample(k) for k in range(50)])
     answers.release()
-    _wait_until_flushed(recording, recording.active.stat().st_size)
+    _wait_until_flushed(recording, header)
     assert asked.acquire(timeout=30)
     assert (recording.samples, recording.synced) == (50, 0)
 
@@ -360,8 +361,9 @@ def test_a_disk_that_is_full_leaves_a_whole_prefix(
 ) -> None:
     changed = threading.Event()
     recording = _recording(tmp_path / "run.mcap", changed)
+    header = recording.active.stat().st_size
     recording.add([_sample(k) for k in range(50)])
-    _wait_until_flushed(recording, recording.active.stat().st_size)
+    _wait_until_flushed(recording, header)
     good = recording.active.read_bytes()
 
     def full(_fd: int) -> None:

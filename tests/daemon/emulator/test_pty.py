@@ -160,6 +160,7 @@ class Port:
         assert self.ask(Start, Ack, k_stop=k_stop, nonce=nonce).code == Code.OK
 
 
+@pytest.mark.real_time
 def test_a_host_takes_the_rig_through_a_run(emulator: Emulator) -> None:
     port = Port(emulator)
     port.run()
@@ -184,6 +185,7 @@ def test_a_host_takes_the_rig_through_a_run(emulator: Emulator) -> None:
     assert [int(t) for t, _, _, _ in lines] == sorted(int(t) for t, _, _, _ in lines)
 
 
+@pytest.mark.real_time
 def test_opening_the_port_resets_the_device(emulator: Emulator) -> None:
     boot_ids = set()
     for _ in range(5):

@@ -126,7 +126,7 @@ def test_each_opening_resets_the_device_once(emulator: Emulator) -> None:
     assert emulator.read() == b""
     again.close()
     emulator.read()
-    assert len(list(Path("/proc/self/fd").iterdir())) == descriptors
+    assert len(list(Path("/proc/self/fd").iterdir())) <= descriptors
 
 
 def test_what_the_host_sent_before_it_closed_is_read(emulator: Emulator, host: Link) -> None:

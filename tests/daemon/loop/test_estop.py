@@ -21,6 +21,7 @@ from armrig_protocol.messages import TYPES, Ack, Cause, Code, Estop, Event
 from armrig_protocol.messages import State as DeviceState
 
 BAUD = 115_200
+BOOTED = Event(DeviceState.IDLE, 0, 1, DeviceState.BOOT, Cause.POWER_ON, 0, 0, 0)
 
 
 @pytest.fixture
@@ -32,12 +33,25 @@ def line() -> Iterator[tuple[int, str]]:
     os.close(slave)
 
 
-class Device:
-    """Device that reads the bytes after `pending`, and answers the n-th frame."""
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait longer for the port and for an answer than the command does."""
+    monkeypatch.setattr(estop_module, "WITHIN_S", 30.0)
+    monkeypatch.setattr(estop_module, "_PORT_WAIT_S", 30.0)
 
-    def __init__(self, master: int, answered: int, pending: bytes = b"") -> None:
+
+class Device:
+    """Device that reads the bytes after `pending`, and answers the n-th frame.
+
+    If `boots`, it reports after the third frame that it has booted.
+    """
+
+    def __init__(
+        self, master: int, answered: int, pending: bytes = b"", *, boots: bool = False
+    ) -> None:
         self.heard: list[object] = []
         self._master, self._answered, self._pending = master, answered, pending
+        self._boots = boots
         self._thread = threading.Thread(target=self._run)
         self._ended = threading.Event()
 
@@ -60,8 +74,11 @@ class Device:
                 if len(self.heard) == self._answered:
                     of = (TYPES[Estop], Code.OK, self._answered - 1)
                     os.write(self._master, encode(Ack(DeviceState.ESTOP, 0, *of)))
+                if self._boots and len(self.heard) == 3:
+                    os.write(self._master, b"\0" + encode(BOOTED))
 
 
+@pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("answered", [1, 3])
 def test_three_are_sent_and_one_answer_is_enough(line: tuple[int, str], answered: int) -> None:
     """The first two may be lost."""
@@ -71,6 +88,7 @@ def test_three_are_sent_and_one_answer_is_enough(line: tuple[int, str], answered
     assert device.heard == [Estop(0, 0), Estop(0, 1), Estop(0, 2)]
 
 
+@pytest.mark.usefixtures("patient")
 def test_half_a_frame_of_a_killed_daemon_costs_no_estop(line: tuple[int, str]) -> None:
     with Device(line[0], answered=2, pending=encode(Estop(0, 9))[:4]) as device:
         assert estop(line[1], BAUD)
@@ -89,12 +107,10 @@ def test_a_device_that_does_not_answer_is_waited_for_no_longer(line: tuple[int, 
     assert time.monotonic() - before >= WITHIN_S
 
 
+@pytest.mark.usefixtures("patient")
 def test_a_device_that_has_booted_meanwhile_gets_estop_again(line: tuple[int, str]) -> None:
     """Opening the port reset the device, and it discarded what came before it was ready."""
-    with Device(line[0], answered=4) as device:
-        booted = Event(DeviceState.IDLE, 0, 1, DeviceState.BOOT, Cause.POWER_ON, 0, 0, 0)
-        threading.Timer(0.2, os.write, [line[0], b"\0" + encode(booted)]).start()
-
+    with Device(line[0], answered=4, boots=True) as device:
         assert estop(line[1], BAUD)
 
     assert len(device.heard) == 6
@@ -119,6 +135,7 @@ def test_to_a_port_that_another_holds_not_a_byte_is_sent(line: tuple[int, str]) 
     daemon.close()
 
 
+@pytest.mark.usefixtures("patient")
 def test_a_daemon_that_is_dying_is_waited_for(line: tuple[int, str]) -> None:
     """The daemon gives its port back a moment after systemd calls `armrigd estop`."""
     holder = os.open(line[1], os.O_RDWR | os.O_NOCTTY)

@@ -232,7 +232,7 @@ def test_a_flood_holds_up_no_stop_and_nothing_of_the_holder_s(session: Session, 
         pouring = threading.Thread(target=pour)
         pouring.start()
         try:
-            _until(lambda: any("too many queries" in told for told in flood.answers))
+            _until(lambda: any("too many queries" in told for told in list(flood.answers)))
             for name in ("stop", "renew", "set", "disarm"):
                 for _ in range(2 * BURST):
                     asking.ask(f"cmd/{name}", f'{{"lease": "{LEASE}"}}')

@@ -162,7 +162,7 @@ def _refusal(replies: Any) -> str:
 def _finished(between: Between) -> Path:
     """Have the run in hand ended; return its recording."""
     between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
-    assert between.service._runs.finished(5)[0] == "info"
+    assert between.service._runs.finished(30)[0] == "info"
     last = between.service._runs.last
     assert last is not None
     return Path(last.recording)
@@ -228,7 +228,7 @@ def test_samples_that_come_with_the_end_of_their_run_are_recorded(between: Betwe
     ended = RunEnded(run_id=run_id, outcome="complete", outcome_code=OutcomeCode.COMPLETE)
     between.service._handle([*map(_sample, range(4)), ended, _sample(4)])
 
-    level, text = between.service._runs.finished(5)
+    level, text = between.service._runs.finished(30)
     assert (level, text.partition(": ")[2]) == ("info", "complete, 3 samples, 0 missing")
 
 
@@ -278,7 +278,7 @@ def test_a_disk_that_refuses_a_recording_stops_its_run(
     monkeypatch.setattr("armrig_core.recording_file.recorder.os.fdatasync", full)
     between.begin_run()
     between.service._handle([_sample(0)])
-    assert select.select([between.service._signals.fd], [], [], 5)[0]
+    assert select.select([between.service._signals.fd], [], [], 30)[0]
 
     between.service._woken()
 
@@ -286,7 +286,7 @@ def test_a_disk_that_refuses_a_recording_stops_its_run(
     assert isinstance(halt, pipe.Stop)
     assert "No space left on device" in halt.reason
     between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
-    between.service._runs.finished(5)
+    between.service._runs.finished(30)
 
 
 @pytest.mark.parametrize(
@@ -392,7 +392,7 @@ def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(
 
     assert not [order for order in between.loop.orders() if isinstance(order, pipe.Stop)]
     between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
-    between.service._runs.finished(5)
+    between.service._runs.finished(30)
 
 
 def test_what_is_due_each_second_is_done_once_a_second(
@@ -775,7 +775,7 @@ def test_a_line_that_was_held_back_is_recorded_before_the_end_of_its_run(between
 
     between.service._handle([*lines, ended])
 
-    assert between.service._runs.finished(5)[0] == "info"
+    assert between.service._runs.finished(30)[0] == "info"
     last = between.service._runs.last
     assert last is not None
     with Path(last.recording).open("rb") as file:
@@ -1073,7 +1073,7 @@ def test_what_other_threads_report_is_in_the_log_with_its_level(
     said: list[Any] = []
     monkeypatch.setattr(between.service, "_say", lambda *line, **of: said.append((line, of)))
 
-    between.service._say_finished(5)
+    between.service._say_finished(30)
     between.service._woken()
 
     (finished, fields), *others = said
