@@ -119,7 +119,7 @@ def _ledger_name(name: str) -> str:
 
 
 def _write(folder: Path, number: int, told: int) -> NoReturn:
-    """Tell that the recording has begun; record a sample each ms until the end."""
+    """Report that the recording has begun; record a sample each ms until the end."""
     path = folder / f"1-run-20260101T000000-{number:08x}.mcap"
     with (folder / _ledger_name(path.name)).open("w+b") as file:
         file.truncate(_LEDGER.size)

@@ -12,6 +12,7 @@ import pytest
 from armrig_core import protobuf
 from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode
 from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
+from armrig_core.recording_file import recorder
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording, RecordingError
@@ -142,6 +143,11 @@ def test_a_number_that_no_longer_fits_into_its_field_costs_nothing(tmp_path: Pat
     with recording.path.open("rb") as file:
         (found,) = [message for _, _, message in make_reader(file).iter_messages()]
     assert found.sequence == 7
+
+
+def test_it_flushes_ten_times_a_second() -> None:
+    """As docs/telemetry.md says."""
+    assert recorder.FLUSH_S == 0.1
 
 
 def test_what_was_flushed_is_on_the_disk_before_the_end(tmp_path: Path) -> None:
