@@ -53,6 +53,19 @@ def test_a_stop_does_not_hold_for_the_next_run(driver: Driver, daemon: FakeDaemo
     assert daemon.names() == ["stop", "arm", "run"]
 
 
+def test_a_run_keeps_nothing_of_the_run_before(driver: Driver, daemon: FakeDaemon) -> None:
+    daemon.refusals["arm"] = "busy"
+    driver.start(PLAN, asked_s=time.monotonic())
+    _wait_for_the_end(driver)
+    before = driver.run.error
+
+    daemon.refusals.clear()
+    driver.start(PLAN, asked_s=time.monotonic())
+    _wait_for_the_end(driver)
+
+    assert (before != "", driver.run.error) == (True, "")
+
+
 def test_a_driver_that_has_ended_takes_no_run(driver: Driver, daemon: FakeDaemon) -> None:
     driver.end()
     with pytest.raises(BusyDriverError, match="the dashboard is ending"):

@@ -229,6 +229,22 @@ def test_named_channels_are_treated_and_others_are_not() -> None:
         signals.treated(armrig.detrend, "fan")
 
 
+def test_a_treatment_of_one_output_keeps_the_samples_of_the_others() -> None:
+    signals = driven()
+
+    def without_the_first(data: armrig.Dataset) -> armrig.Dataset:
+        valid = data.valid.copy()
+        valid[0] = False
+        return data.replaced(step=None, valid=valid)
+
+    found = signals.treated(without_the_first, "flow")
+
+    assert not found.valid[0, signals.outputs.index("flow")]
+    others = [k for k, name in enumerate(signals.outputs) if name != "flow"]
+    np.testing.assert_array_equal(found.valid[:, others], signals.valid[:, others])
+    assert signals.valid[0].all()
+
+
 def test_outliers_of_each_output_are_found_with_all_inputs() -> None:
     signals = driven()
     y = signals.y.copy()

@@ -496,6 +496,8 @@ def test_a_pair_of_several_signals_has_its_numbers() -> None:
     assert repr(test["a", "v"]).splitlines()[1] == "  no dynamics missing: too few samples to test"
     assert test.poorest_pair == ("b", "w")
     assert signals_test(missing_dynamics_by_pair=np.full((2, 3), np.nan)).poorest_pair == ("a", "u")
+    untested_first = np.array([[np.nan, 0.5, 0.5], [0.5, 0.2, 0.5]])
+    assert signals_test(missing_dynamics_by_pair=untested_first).poorest_pair == ("b", "v")
 
 
 @pytest.mark.parametrize(
