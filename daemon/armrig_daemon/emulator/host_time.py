@@ -8,12 +8,15 @@ stall.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 STALL_NS: Final = 10_000_000
 """Largest lateness, in ns, that is not a stall: the device's clock continues during this time."""
 LOOK_NS: Final = 10_000_000
 """Longest wait between two readings of the clock, in ns; a stall within a wait is not detected."""
+_REPORT_INTERVAL_NS: Final = 1_000_000_000
+"""Shortest time between two reports of stalls, in ns."""
 
 
 class HostTime:
@@ -51,3 +54,27 @@ class HostTime:
     def monotonic_ns(self, given_ns: int) -> int:
         """Return the monotonic time of an emulation time that is later than the last stall."""
         return given_ns + self.held_up_ns
+
+
+class StallReports:
+    """Reports of stalls, each with the length of the stalls since the report before."""
+
+    def __init__(self, report: Callable[[int], None]) -> None:
+        """Call `report` with the length of the new stalls, in ns."""
+        self._report = report
+        self._reported_ns = 0
+        self._next_ns = 0
+
+    def look(self, held_up_ns: int, now_ns: int) -> None:
+        """Report new stalls, if the last report is old enough.
+
+        Parameters
+        ----------
+        held_up_ns : int
+            Sum of all stalls so far, in ns.
+        now_ns : int
+            Emulation time.
+        """
+        if held_up_ns > self._reported_ns and now_ns >= self._next_ns:
+            self._report(held_up_ns - self._reported_ns)
+            self._reported_ns, self._next_ns = held_up_ns, now_ns + _REPORT_INTERVAL_NS

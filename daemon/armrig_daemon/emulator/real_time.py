@@ -29,7 +29,7 @@ from armrig_protocol.messages import Cause, State
 from armrig_daemon.emulator.board import Board, Change, Witness
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Violated, Violation
-from armrig_daemon.emulator.host_time import HostTime
+from armrig_daemon.emulator.host_time import HostTime, StallReports
 from armrig_daemon.emulator.line import READ_BYTES, Line, Terminal
 from armrig_daemon.emulator.pin import sentence
 from armrig_daemon.emulator.settings import EmulatorSettings
@@ -39,8 +39,6 @@ from armrig_daemon.emulator.uart import wire_ns
 PRIORITY = 20  # lower than the loop's, so that the device does not delay the daemon
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 _libc = ctypes.CDLL(None)
-_REPORT_INTERVAL_NS = 1_000_000_000
-"""Shortest time between two reports of stalls, in ns."""
 
 
 class RealTimeDevice(Protocol):
@@ -164,16 +162,15 @@ def _run(
     """Pass bytes between line and device until `wake` is readable."""
     full_ns = wire_ns(READ_BYTES, settings.baud) if settings.model_baud else 0
     replies: deque[tuple[int, bytes]] = deque()
-    due_ns = reported_ns = next_report_ns = looked = 0
+    due_ns = looked = 0
+    stalls = StallReports(held_up)
     seen: set[Violation] = set()
     with closing(Waiter()) as waiter:
         waiter.watch(wake)
         line.watch(waiter)
         while True:
             now_ns = time.given_ns(monotonic_ns(), due_ns)
-            if time.held_up_ns > reported_ns and now_ns >= next_report_ns:
-                held_up(time.held_up_ns - reported_ns)
-                reported_ns, next_report_ns = time.held_up_ns, now_ns + _REPORT_INTERVAL_NS
+            stalls.look(time.held_up_ns, now_ns)
             replies.extend(device.advance(now_ns))
             for violation in device.violations[looked:]:
                 looked += 1

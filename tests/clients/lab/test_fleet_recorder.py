@@ -113,6 +113,22 @@ def test_a_rig_is_recorded_again_after_a_full_disk_with_a_pause_and_room(
     assert [str(file) for file in recorded.files] == files
 
 
+def test_a_recording_that_ends_in_order_after_a_full_disk_is_the_last(
+    rigs: _Rigs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = SimpleNamespace(free=fleet_recorder._MIN_FREE_BYTES)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
+    monkeypatch.setattr(fleet_recorder, "_DISK_PAUSE_S", 0.0)
+    rigs.of_samples = DiskError("full")
+    rigs.record()
+    rigs.of_samples = None
+    rigs.record()
+
+    rigs.record()
+
+    assert rigs.began == 2
+
+
 def test_all_rigs_are_recorded_until_the_last_of_them_has_ended(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -473,6 +473,17 @@ def test_a_link_out_of_the_source_is_refused(tmp_path: Path) -> None:
         compiled(folder / TEMPLATE)
 
 
+def test_a_link_inside_a_source_with_a_relative_path_is_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / TEMPLATE).write_text('#let size = json("link")')
+    (tmp_path / "size").write_text("1")
+    (tmp_path / "link").symlink_to("size")
+
+    assert compiled(Path(TEMPLATE))[0].startswith(b"%PDF-")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

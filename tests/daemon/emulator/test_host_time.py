@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from armrig_daemon.emulator.host_time import LOOK_NS, STALL_NS, HostTime
+from armrig_daemon.emulator.host_time import LOOK_NS, STALL_NS, HostTime, StallReports
 from armrig_protocol.messages import Cause, Exchange, State
 from hypothesis import given
 from hypothesis import strategies as st
@@ -98,3 +98,13 @@ def _running() -> tuple[Host, int]:
     fed_ns = host.put(Exchange, k=0, u=20_000)
     host.device.advance(fed_ns)
     return host, fed_ns
+
+
+def test_a_report_has_the_stalls_since_the_report_before_and_is_a_second_after_it() -> None:
+    reported: list[int] = []
+    stalls = StallReports(reported.append)
+
+    for held_up_ms, now_ms in [(0, 0), (30, 500), (50, 1499), (50, 1500), (50, 9000), (90, 9001)]:
+        stalls.look(held_up_ms * MS, now_ms * MS)
+
+    assert reported == [30 * MS, 20 * MS, 40 * MS]
