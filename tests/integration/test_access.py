@@ -289,7 +289,8 @@ def test_a_dashboard_listens_on_the_ports_that_it_says_alone(
 
     assert {table for table in heard if heard[table] != before.get(table, [])} == {"tcp"}
     assert sorted(set(heard["tcp"]) - set(before.get("tcp", []))) == sorted(said)
-    # The SDK's server closes its port in a thread of its own, after `stop` has returned.
+    # The SDK cancels the task that accepts connections, and its `stop` does not wait for the end of
+    # this task (websocket/server.rs). The port closes with the task.
     wait_for(lambda: sockets(os.getpid()) == before)
 
 

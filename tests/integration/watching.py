@@ -6,7 +6,7 @@ import http.client
 import json
 import ssl
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from typing import Any
 from urllib.parse import urlsplit
@@ -55,7 +55,7 @@ class Client:
             link.close()
         return answer.status, (json.loads(text) if text[:1] in (b"{", b"[") else text)
 
-    def events(self) -> Iterator[tuple[str, Any]]:
+    def events(self) -> Generator[tuple[str, Any], None, None]:
         """Give the events of the stream, with their names, for as long as it lasts."""
         link = self._link()
         try:
@@ -80,13 +80,20 @@ class Client:
             self.host, self.port, timeout=_ANSWER_S, context=trusting
         )
 
-    def wait(self, wanted: str, what: Callable[[Any], object], within_s: float = WAIT_S) -> Any:
+    def wait(
+        self,
+        wanted: str,
+        what: Callable[[Any], object],
+        within_s: float = WAIT_S,
+        events: Iterator[tuple[str, Any]] | None = None,
+    ) -> Any:
         """Return the first event of a name for which `what` is true; otherwise an assertion fails.
 
-        All waits share one stream, because each new stream repeats the whole past.
+        Without `events`, a new stream is opened. A new stream repeats the whole past, and is a
+        viewer of its own.
         """
         last_s = time.monotonic() + within_s
-        for name, value in self.events():
+        for name, value in self.events() if events is None else events:
             if name == wanted and what(value):
                 return value
             assert time.monotonic() < last_s, f"{wanted} did not become so in time"

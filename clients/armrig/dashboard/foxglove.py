@@ -35,7 +35,8 @@ def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str
     """Serve the streams on the loopback interface until the block ends; yield the address.
 
     The coordinate frames of chassis and arm are sent with the samples. The server has no services
-    or parameters, and ignores all messages of a client.
+    or parameters, and ignores all messages of a client. The port closes soon after the block,
+    because the SDK does not wait for the end of its task that accepts connections.
 
     Raises
     ------

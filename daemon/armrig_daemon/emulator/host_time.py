@@ -65,7 +65,7 @@ class StallReports:
         self._reported_ns = 0
         self._next_ns = 0
 
-    def look(self, held_up_ns: int, now_ns: int) -> None:
+    def update(self, held_up_ns: int, now_ns: int) -> None:
         """Report new stalls, if the last report is old enough.
 
         Parameters

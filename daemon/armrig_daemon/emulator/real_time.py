@@ -170,7 +170,7 @@ def _run(
         line.watch(waiter)
         while True:
             now_ns = time.given_ns(monotonic_ns(), due_ns)
-            stalls.look(time.held_up_ns, now_ns)
+            stalls.update(time.held_up_ns, now_ns)
             replies.extend(device.advance(now_ns))
             for violation in device.violations[looked:]:
                 looked += 1

@@ -105,6 +105,6 @@ def test_a_report_has_the_stalls_since_the_report_before_and_is_a_second_after_i
     stalls = StallReports(reported.append)
 
     for held_up_ms, now_ms in [(0, 0), (30, 500), (50, 1499), (50, 1500), (50, 9000), (90, 9001)]:
-        stalls.look(held_up_ms * MS, now_ms * MS)
+        stalls.update(held_up_ms * MS, now_ms * MS)
 
     assert reported == [30 * MS, 20 * MS, 40 * MS]
