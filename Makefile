@@ -12,9 +12,10 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: .venv/run $(if $(FIRMWARE),fil)
 	$(BIN)/armrig demo $(if $(FIRMWARE),--firmware)
 
-# Two tests at a time, in five to six minutes on two cores. `make test-all` runs the others.
+# Three tests at a time, because a quarter of their time is waiting: five minutes on two cores.
+# `make test-all` runs the others.
 test: .venv/dev
-	$(BIN)/pytest -m "not exhaustive and not timed and not machine" -n 2 --dist worksteal
+	$(BIN)/pytest -m "not exhaustive and not timed and not machine" -n 3 --dist worksteal
 
 # The tests that `make test` leaves out: grids, long walks and slow tests, three at a time, because a
 # quarter of their time is waiting. Then the timed tests run alone, also if an earlier test failed.

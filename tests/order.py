@@ -1,7 +1,7 @@
 """A pytest plug-in for the order of the tests.
 
 It draws an order, and shows what ran before a failure. Every second worker of xdist collects from
-the end. Each of two workers therefore compiles half of the modules of tests.
+the end, so that two workers share the compilation of the modules of tests.
 """
 
 from __future__ import annotations
