@@ -12,6 +12,9 @@ from tests.integration.fork_server import ForkServer
 from tests.integration.processes import Bench
 
 
+_BENCH = pytest.StashKey[Bench]()
+
+
 def pytest_itemcollected(item: pytest.Item) -> None:
     """Mark the tests with a bench: its rig is a process that a stall of the host stops."""
     if {"bench", "_serving", "shared"} & set(getattr(item, "fixturenames", ())):
@@ -22,13 +25,15 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 def pytest_runtest_makereport(
     item: pytest.Item,
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Show with a failure what each process of the bench printed."""
+    """Show with a failure what the bench reports, also if a fixture failed."""
     report = yield
-    bench = getattr(item, "funcargs", {}).get("bench")
-    if report.failed and bench is not None:
-        report.sections += [
-            (f"Printed by {process.log.name}", process.said) for process in bench.processes
-        ]
+    benches = [node.stash[_BENCH] for node in item.listchain() if _BENCH in node.stash]
+    if report.failed and report.when != "teardown":
+        for bench in benches:
+            try:
+                report.sections += bench.report().items()
+            except (OSError, RuntimeError) as err:
+                report.sections.append(("Bench", repr(err)))
     return report
 
 
@@ -41,16 +46,18 @@ def forks() -> Iterator[ForkServer]:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, forks: ForkServer) -> Iterator[Bench]:
+def bench(request: pytest.FixtureRequest, tmp_path: Path, forks: ForkServer) -> Iterator[Bench]:
     """Give a bench, and end all its processes."""
-    bench = Bench(tmp_path, forks)
+    bench = request.node.stash[_BENCH] = Bench(tmp_path, forks)
     yield bench
     bench.end()
 
 
 @pytest.fixture(scope="module")
-def _serving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    bench = Bench(tmp_path_factory.mktemp("served"))
+def _serving(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Bench]:
+    bench = request.node.stash[_BENCH] = Bench(tmp_path_factory.mktemp("served"))
     try:
         # The longest watchdog: a flood may hold the emulator up for long.
         bench.configure(watchdog_ms=250)

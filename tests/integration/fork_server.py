@@ -7,6 +7,7 @@ share (`served`) is started as a person starts it.
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import os
 import runpy
@@ -27,6 +28,8 @@ LOADED = (
     "armrig_daemon.emulator.real_time",
     "armrig.rig.client",
 )
+SHOW_THREADS = signal.SIGUSR2
+"""Signal at which a started program prints what each of its threads does."""
 _MOST_BYTES = 1 << 20
 
 
@@ -131,6 +134,7 @@ def _become(arguments: list[str], env: dict[str, str], folder: str) -> None:
     os.environ.clear()
     os.environ.update(env)
     os.chdir(folder)
+    faulthandler.register(SHOW_THREADS)
     how, what, *given = arguments
     sys.argv = [how, *given]
     if how == "-m":

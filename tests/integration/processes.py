@@ -20,7 +20,7 @@ import armrig
 from armrig.rig.client import Rig
 from armrig_core.emulator_socket import socket_path
 
-from tests.integration.fork_server import Forked, ForkServer
+from tests.integration.fork_server import SHOW_THREADS, Forked, ForkServer
 
 WITHIN_S = 30.0
 """Time to wait for an event; a busy machine takes seconds to load a program."""
@@ -148,6 +148,14 @@ class Process:
     def said(self) -> str:
         """Return its output so far."""
         return self.log.read_text()
+
+    def show_threads(self) -> None:
+        """Have a running copy of the fork server print what its threads do, unless it is frozen."""
+        if isinstance(self.popen, Forked) and self.popen.poll() is None:
+            before = self.log.stat().st_size
+            self.kill(SHOW_THREADS)
+            with suppress(AssertionError):
+                wait_for(lambda: self.log.stat().st_size > before, within_s=2.0)
 
     def kill(self, number: int = signal.SIGKILL) -> int:
         """Send a signal; return the time of it."""
@@ -277,6 +285,14 @@ class Bench:
         """Return the process of the loop."""
         (pid,) = children(daemon.popen.pid)
         return pid
+
+    def report(self) -> dict[str, str]:
+        """Return what shows why a test failed: the phase, and the output of each process."""
+        phase = self.phase()
+        for process in self.processes:
+            process.show_threads()
+        said = {f"Printed by {process.log.name}": process.said for process in self.processes}
+        return {"Phase of the daemon": phase, **said}
 
     def end(self) -> None:
         """End all processes, the last first."""
