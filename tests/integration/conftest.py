@@ -11,7 +11,6 @@ from tests.integration.driving import bring_to_rest
 from tests.integration.fork_server import ForkServer
 from tests.integration.processes import Bench
 
-
 _BENCH = pytest.StashKey[Bench]()
 
 

@@ -1,4 +1,4 @@
-"""What a failed test of the bench shows."""
+"""The bench reports what shows why a test failed."""
 
 from __future__ import annotations
 
