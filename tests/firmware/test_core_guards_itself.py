@@ -98,6 +98,18 @@ def test_bytes_that_the_board_lost_are_counted_and_reported_once(host: Host) -> 
     assert status[0].rx_lost == 3
 
 
+def test_a_board_that_polls_often_reports_its_status_once_a_second(host: Host) -> None:
+    """The numbers of its frames have no gap, so none is sent between those that arrive."""
+    host.hello()
+    heard: list[Status] = []
+    for _ in range(30):
+        host.device.use().rig_poll()
+        heard += [m for m in host.wait(100 * MS) if isinstance(m, Status)]
+
+    assert [round(m.uptime_ms / 1000) for m in heard] == [1, 2, 3]
+    assert [m.seq - heard[0].seq for m in heard] == [0, 1, 2]
+
+
 def test_samples_that_main_has_no_time_for_are_counted(host: Host) -> None:
     """Two samples wait; a third is a frame not sent, counted once, and a break in k."""
     host.hello()

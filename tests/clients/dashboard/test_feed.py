@@ -140,6 +140,13 @@ def test_news_are_of_one_instant(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(held)
 
 
+def test_the_lines_of_a_model_are_read_while_it_cannot_be_removed() -> None:
+    feed = Feed()
+    feed._model = SimpleNamespace(lines=lambda: [str(feed._lock.locked())])  # type: ignore[assignment]
+
+    assert feed.model_lines() == ["True"]
+
+
 class _Watched(deque[Any]):
     """Rows that count how often they are read."""
 

@@ -17,6 +17,7 @@ from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.estimation.hannan_rissanen import (
     _known,
+    armax_start,
     equation_error,
     noise_start,
     steiglitz_mcbride,
@@ -307,6 +308,20 @@ def test_the_noise_model_of_a_start_is_fitted_to_the_equation_error() -> None:
     C, _ = noise_start([v], nc=1, nd=0)
     np.testing.assert_allclose(theta, C[1:], atol=0.02)
     assert theta[0] > 0.2
+
+
+@pytest.mark.parametrize("nk", [1, 3])
+def test_the_long_model_of_a_start_has_the_past_inputs(nk: int) -> None:
+    """Without past inputs, the residuals of the long model would contain their effect."""
+    rng = np.random.default_rng(5)
+    u, e = rng.standard_normal((2, 4000))
+    A, C = [1, -1.5, 0.7], [1, -0.7, 0.3]
+    y = filtered([0] * nk + [1.0, 0.5], A, u) + filtered(C, A, 0.5 * e)
+    problem = problem_of(Dataset(u=u, y=y, Ts=1.0), Structure(na=2, nb=2, nc=2, nk=nk))
+
+    start = armax_start(problem.experiments, na=2, nb=2, nc=2, nk=nk)
+
+    np.testing.assert_allclose(start, C, atol=0.06)
 
 
 @pytest.mark.parametrize("begin", [0, 3, 7])

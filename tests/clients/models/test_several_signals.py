@@ -136,6 +136,27 @@ def test_each_channel_is_that_of_the_state_space_with_its_derivatives(name: str)
             np.testing.assert_allclose(channel.J, J, atol=1e-6)
 
 
+def without_denominators() -> Polynomials:
+    """Return the rows of `apart` without A and F: FIR with a noise model."""
+    return replace(apart(), F=vectors([ONE] * 3, [ONE] * 3))
+
+
+@pytest.mark.parametrize("form", [apart(), joined(), without_denominators()])
+def test_the_noise_of_the_state_space_is_that_of_the_polynomials(form: Polynomials) -> None:
+    """H = 1 + C inv(q - A) K in the innovations form, and inv(A) C/D of the rows."""
+    model = form.realised()
+    for z in np.exp(1j * np.array([0.2, 1.0, 2.8])):
+        below = z * np.eye(len(model.A)) - model.A
+        H = np.eye(2) + model.C @ np.linalg.solve(below, model.K)
+
+        A = np.array([[np.polyval(a[::-1], 1 / z) for a in row] for row in form.A])
+        ratio = [
+            np.polyval(c[::-1], 1 / z) / np.polyval(d[::-1], 1 / z)
+            for c, d in zip(form.C, form.D, strict=True)
+        ]
+        np.testing.assert_allclose(H, np.linalg.solve(A, np.diag(ratio)), atol=1e-9)
+
+
 @pytest.mark.parametrize("name", FORMS)
 def test_theta_is_put_back_where_it_was_taken(name: str) -> None:
     form: Any = FORMS[name]()

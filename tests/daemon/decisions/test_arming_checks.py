@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import pytest
 from armrig_daemon.config import Config
+from armrig_daemon.decisions.budget import exchange_us
 from armrig_daemon.decisions.requests import NO_DEVICE
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
@@ -157,3 +158,17 @@ def test_a_stop_says_why(scheduled: bool) -> None:
     assert [ended.outcome for ended in rig.of(RunEnded)] == ["its client went away"]
     assert rig.phase is Phase.SAFE
     assert rig.volts == 0.0
+
+
+@pytest.mark.parametrize(("longer_us", "paces"), [(0, True), (-1, False)])
+def test_before_a_run_the_host_paces_at_the_holder_s_ts_if_the_line_is_fast_enough(
+    longer_us: int, paces: bool
+) -> None:
+    """The shortest such Ts is the duration of an exchange; below it, the default Ts paces."""
+    rig = Bench()
+    assert rig.loop.state.device is not None
+    ts_us = exchange_us(rig.loop.state.rules.baud, rig.loop.state.device.skew_us) + longer_us
+
+    assert rig.arm(ts_us=ts_us).error == ""
+
+    assert rig.loop.state.ts_us == (ts_us if paces else rig.loop.state.rules.ts_us)
