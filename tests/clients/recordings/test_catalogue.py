@@ -414,6 +414,14 @@ def test_a_hostile_recording_is_left_out(
     assert why in left.why
 
 
+def test_a_text_may_have_4096_characters(tmp_path: Path) -> None:
+    with_metadata(tmp_path, manifest().metadata() | {"run_id": '"' + "a" * 4096 + '"'})
+
+    [row] = catalogue(tmp_path).recordings
+
+    assert len(row.run_id) == 4096
+
+
 @pytest.mark.parametrize("started", ["yesterday", "2026-11-20T05:00:00", "9999-12-31T23:00-05:00"])
 def test_a_date_that_is_none_is_no_time(tmp_path: Path, started: str) -> None:
     with_metadata(tmp_path, manifest(started=started).metadata())

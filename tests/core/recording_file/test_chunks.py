@@ -44,18 +44,39 @@ def test_what_is_passed_over_is_counted(is_hashed: bool) -> None:
     assert not is_hashed or source.sha256() == hashlib.sha256(data).hexdigest()
 
 
+FOOTER = struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + MAGIC
+END = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
+
+
+def records_of(data: bytes, wanted: Wanted) -> list[tuple[int, bytes]]:
+    """Return opcode and content of each record."""
+    found = file_records(ByteSource(BytesIO(data), len(data)), wanted, lambda _: None)
+    return [(record.opcode, record.body) for record in found]
+
+
 def test_a_footer_among_the_data_is_a_damage() -> None:
     """Data that follow it would be lost without a word."""
-    footer = struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + MAGIC
-    end = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
-
-    def opcodes(records: bytes) -> list[int]:
-        found = file_records(ByteSource(BytesIO(records), len(records)), Wanted(), lambda _: None)
-        return [record.opcode for record in found]
-
-    assert opcodes(end + footer) == []
+    assert records_of(END + FOOTER, Wanted()) == []
     with pytest.raises(DamageError, match="the data section contains a record of opcode 2"):
-        opcodes(footer)
+        records_of(FOOTER, Wanted())
+
+
+@pytest.mark.parametrize("longer", [0, 1])
+def test_an_attachment_that_is_too_long_is_skipped_and_what_follows_is_read(longer: int) -> None:
+    limit = 300
+    long, short = (
+        struct.pack("<BQ", opcode, len(body)) + body
+        for opcode, body in (
+            (Opcode.ATTACHMENT, b"a" * (limit + longer)),
+            (Opcode.METADATA, b"follows"),
+        )
+    )
+
+    found = records_of(long + short + END + FOOTER, Wanted(attachment=limit))
+
+    opcodes = [opcode for opcode, _ in found]
+    assert opcodes == [Opcode.ATTACHMENT, Opcode.METADATA][longer:]
+    assert found[-1] == (Opcode.METADATA, b"follows")
 
 
 def chunk(data: bytes, declared: int) -> bytes:

@@ -257,9 +257,8 @@ def test_a_signal_ends_it_and_takes_the_link_away(emulator: Emulator, number: in
     assert not emulator.link.is_symlink()
 
 
-def test_a_remaining_link_is_taken_over_a_file_is_not(tmp_path: Path) -> None:
+def test_a_remaining_link_is_taken_over(tmp_path: Path) -> None:
     (tmp_path / "rig").symlink_to("/dev/pts/none")
-    (tmp_path / "file").write_text("mine")
     # The link is there from the start: wait until it points elsewhere.
     running = Emulator(tmp_path)
     end_s = time.monotonic() + PATIENCE_S
@@ -268,16 +267,16 @@ def test_a_remaining_link_is_taken_over_a_file_is_not(tmp_path: Path) -> None:
     assert Port(running).hello is not None
     assert running.stop() == 0
 
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(tmp_path / "file"), str(tmp_path / "trace")],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=PATIENCE_S,
-    )
 
-    assert "exists and is not a link" in done.stderr
+def test_a_file_is_not_taken_over(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+
+    with (
+        ExitStack() as stack,
+        pytest.raises(OperationError, match=r"file: exists and is not a link; choose another"),
+    ):
+        Terminal(stack).offer(tmp_path / "file", stack)
+
     assert (tmp_path / "file").read_text() == "mine"
 
 
