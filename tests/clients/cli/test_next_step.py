@@ -15,6 +15,7 @@ import typer
 from armrig.cli import app, main
 from armrig.cli.next_step import AFTER, CHECK, free_name, naming, next_line, options_after
 from armrig.estimation.request import Request
+from armrig.excitation import telegraph
 from armrig.rig.collection import Collected
 from armrig_core.manifest import Outcome
 
@@ -140,6 +141,17 @@ def test_the_path_leads_over_the_chassis_alone(
     lines = capsys.readouterr().err.splitlines()
     assert lines[-1] == f"next: {expected}"
     assert any("remove the arm" in line for line in lines) == (recorded_before is None)
+
+
+def test_after_the_chassis_alone_comes_the_integration(
+    pair: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = of_the_arm(telegraph(300, 0.05, seed=1), experiment="greybox-chassis")
+    path = written(pair, data, "1-greybox-chassis-20261120T140000-0000000e.mcap")
+
+    assert main(["check", str(path)]) == 0
+
+    assert capsys.readouterr().err.splitlines()[-1] == "next: armrig integrate -o integrate.png"
 
 
 def test_the_report_is_of_complete_recordings_that_belong_together(

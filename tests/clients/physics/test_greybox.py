@@ -346,6 +346,7 @@ def test_figures_of_a_fit_are_those_of_its_values_and_deviations(make: Make) -> 
     assert "If a fixed parameter is 1 % larger, J_1 changes: N -0.50 %, R_m +2.00 %." in said
     [told] = below_zero(other.values, other.std)
     assert told == "b_1 = -0.5 is below 0, by 2.5 standard deviations: take it as 0"
+    assert below_zero(other.values, {"J_1": 3.0, "b_1": np.inf}) == []
 
 
 def test_parameters_that_are_correlated_say_so(make: Make) -> None:
