@@ -27,7 +27,7 @@ def pytest_runtest_makereport(
     """Show with a failure what the bench reports, also if a fixture failed."""
     report = yield
     benches = [node.stash[_BENCH] for node in item.listchain() if _BENCH in node.stash]
-    if report.failed and report.when != "teardown":
+    if report.failed:
         for bench in benches:
             try:
                 report.sections += bench.report().items()

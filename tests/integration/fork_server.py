@@ -30,6 +30,8 @@ LOADED = (
 )
 SHOW_THREADS = signal.SIGUSR2
 """Signal at which a started program prints what each of its threads does."""
+LAST_FRAME = " in <module>\n"
+"""End of the outermost frame of the main thread, which is printed last."""
 _MOST_BYTES = 1 << 20
 
 

@@ -20,7 +20,7 @@ import armrig
 from armrig.rig.client import Rig
 from armrig_core.emulator_socket import socket_path
 
-from tests.integration.fork_server import SHOW_THREADS, Forked, ForkServer
+from tests.integration.fork_server import LAST_FRAME, SHOW_THREADS, Forked, ForkServer
 
 WITHIN_S = 30.0
 """Time to wait for an event; a busy machine takes seconds to load a program."""
@@ -151,11 +151,14 @@ class Process:
 
     def show_threads(self) -> None:
         """Have a running copy of the fork server print what its threads do, unless it is frozen."""
-        if isinstance(self.popen, Forked) and self.popen.poll() is None:
-            before = self.log.stat().st_size
-            self.kill(SHOW_THREADS)
-            with suppress(AssertionError):
-                wait_for(lambda: self.log.stat().st_size > before, within_s=2.0)
+        if not isinstance(self.popen, Forked) or self.popen.poll() is not None:
+            return
+        if state_of(self.popen.pid) in "Tt":
+            return
+        before = len(self.said)
+        self.kill(SHOW_THREADS)
+        with suppress(AssertionError):  # a report is no test
+            wait_for(lambda: LAST_FRAME in self.said[before:] or self.popen.poll() is not None)
 
     def kill(self, number: int = signal.SIGKILL) -> int:
         """Send a signal; return the time of it."""

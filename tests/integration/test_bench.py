@@ -3,8 +3,27 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
 
 from tests.integration.processes import Bench, freeze
+
+FAILS = """
+import pytest
+
+@pytest.fixture
+def rig(bench):
+    bench.emulate()
+    {in_fixture}
+    yield
+    {in_teardown}
+
+def test_of_a_rig(rig):
+    pass
+"""
 
 
 def test_the_phase_and_the_threads_of_each_program_are_reported(bench: Bench) -> None:
@@ -18,7 +37,7 @@ def test_the_phase_and_the_threads_of_each_program_are_reported(bench: Bench) ->
         text = report[f"Printed by {log}"]
         assert said in text
         assert "Current thread" in text
-        assert "most recent call first" in text
+        assert text.endswith(" in <module>\n")
 
 
 def test_a_frozen_program_does_not_keep_the_report_waiting(bench: Bench) -> None:
@@ -27,3 +46,25 @@ def test_a_frozen_program_does_not_keep_the_report_waiting(bench: Bench) -> None
 
     assert "Current thread" not in bench.report()["Printed by log0"]
     emulator.kill(signal.SIGCONT)
+
+
+@pytest.mark.parametrize("when", ["in_fixture", "in_teardown"])
+def test_a_fixture_that_fails_shows_what_the_programs_printed(tmp_path: Path, when: str) -> None:
+    parts = {"in_fixture": "pass", "in_teardown": "pass", when: "raise RuntimeError"}
+    (tmp_path / "test_it.py").write_text(FAILS.format(**parts))
+    options = ["-q", "-p", "tests.integration.conftest", "-c", str(tmp_path / "no.ini")]
+    (tmp_path / "no.ini").write_text("[pytest]\n")
+
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, str(tmp_path)],
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+    assert done.returncode == 1, done.stdout
+    assert "Printed by log0" in done.stdout
+    assert "an emulated rig is at" in done.stdout
+    # After the teardown of `rig`, that of `bench` has ended the program.
+    assert ("Current thread" in done.stdout) == (when == "in_fixture")
