@@ -104,6 +104,12 @@ def test_all_that_a_run_has_started_is_killed(monkeypatch: pytest.MonkeyPatch) -
     assert (killed, process.returncode) == (1, -signal.SIGKILL)
 
 
+def test_a_run_has_a_session_of_its_own(tmp_path: Path) -> None:
+    result = ran(tmp_path, "quiet", "import os; exit(os.getsid(0) != os.getpid())")
+
+    assert result.exit_code == 0
+
+
 def test_one_core_is_what_the_suite_gets(tmp_path: Path) -> None:
     result = ran(tmp_path, "one-core", "import os; exit(len(os.sched_getaffinity(0)))")
 
