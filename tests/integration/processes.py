@@ -5,6 +5,7 @@ Tests of the serial edge itself have a pseudo-terminal instead of the socket.
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import signal
 import subprocess
@@ -26,6 +27,7 @@ WITHIN_S = 30.0
 """Time to wait for an event; a busy machine takes seconds to load a program."""
 _COMMAND_S = 60.0
 _LAST_LINES = 1000  # B
+_MOST_SHOWN = 120  # characters of a command
 BURNER = """
 import os
 parent = os.getppid()
@@ -77,6 +79,26 @@ def children(pid: int) -> list[int]:
         with suppress(OSError):  # it has just ended
             found += map(int, (thread / "children").read_text().split())
     return found
+
+
+def programs(pid: int) -> Iterator[str]:
+    """Give a line for each process below a process; the times are those of its main thread."""
+    for child in children(pid):
+        with suppress(OSError):  # it has just ended
+            folder = Path(f"/proc/{child}")
+            ran_ns, waited_ns, _ = map(int, (folder / "schedstat").read_text().split())
+            command = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()[:_MOST_SHOWN]
+            times = f"ran {ran_ns / 1e9:.1f} s, waited {waited_ns / 1e9:.1f} s for a processor"
+            yield f"{child} {state_of(child)} {times}: {command}"
+            yield from programs(child)
+
+
+def threads() -> str:
+    """Return what each thread of this process does."""
+    with TemporaryFile("w+") as file:
+        faulthandler.dump_traceback(file, all_threads=True)
+        file.seek(0)
+        return file.read()
 
 
 class Burners:
@@ -290,12 +312,13 @@ class Bench:
         return pid
 
     def report(self) -> dict[str, str]:
-        """Return what shows why a test failed: the phase, and the output of each process."""
+        """Return what shows why a test failed: threads, processes, phase, outputs."""
+        here = {"Threads of the tests": threads(), "Processes": "\n".join(programs(os.getpid()))}
         phase = self.phase()
         for process in self.processes:
             process.show_threads()
         said = {f"Printed by {process.log.name}": process.said for process in self.processes}
-        return {"Phase of the daemon": phase, **said}
+        return {**here, "Phase of the daemon": phase, **said}
 
     def end(self) -> None:
         """End all processes, the last first."""

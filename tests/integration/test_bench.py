@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -26,13 +27,16 @@ def test_of_a_rig(rig):
 """
 
 
-def test_the_phase_and_the_threads_of_each_program_are_reported(bench: Bench) -> None:
+def test_phase_threads_and_processes_are_reported(bench: Bench) -> None:
     bench.emulate()
-    bench.serve()
+    daemon = bench.serve()
 
     report = bench.report()
 
     assert report["Phase of the daemon"] == "safe"
+    assert "test_bench.py" in report["Threads of the tests"]
+    (line,) = re.findall(rf"^{daemon.popen.pid} . (.*?): ", report["Processes"], re.M)
+    assert re.fullmatch(r"ran \d+\.\d s, waited \d+\.\d s for a processor", line)
     for log, said in (("log0", "an emulated rig is at"), ("log1", "rig 1 at")):
         text = report[f"Printed by {log}"]
         assert said in text
@@ -67,4 +71,4 @@ def test_a_fixture_that_fails_shows_what_the_programs_printed(tmp_path: Path, wh
     assert "Printed by log0" in done.stdout
     assert "an emulated rig is at" in done.stdout
     # After the teardown of `rig`, that of `bench` has ended the program.
-    assert ("Current thread" in done.stdout) == (when == "in_fixture")
+    assert ("in _become" in done.stdout) == (when == "in_fixture")
