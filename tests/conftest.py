@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
-from collections.abc import Generator
-from typing import Any
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
 
 import pytest
 from armrig_core.signal_pipe import ENDING
@@ -17,6 +21,8 @@ pytest_plugins = ("tests.stalls.repeats", "tests.order", "tests.examples")
 
 # Before numpy is loaded: its threads only wait for each other on matrices as small as ours.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# A home of their own must not cost the tests a list of the fonts each.
+os.environ.setdefault("MPLCONFIGDIR", str(Path(__file__).parents[1] / ".pytest_cache/matplotlib"))
 # A shell's background job ignores them and its children with it, which some tests send them to.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
@@ -45,6 +51,55 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 def pytest_collection_finish() -> None:
     """Exempt the collected tests from garbage collection: a full collection takes 0.3 s."""
     gc.freeze()
+
+
+FOLDERS: Final = {
+    "HOME": "home",
+    "XDG_CACHE_HOME": "home/.cache",
+    "XDG_CONFIG_HOME": "home/.config",
+    "XDG_DATA_HOME": "home/.local/share",
+    "XDG_STATE_HOME": "home/.local/state",
+    "XDG_RUNTIME_DIR": "run",
+}
+"""Folders of a user, below a test's folder, by environment variable."""
+_OF_THE_TESTS: Final = re.compile(
+    "ARMRIG_(REQUIRE_ALL|REFERENCE_DATA|FIL|FIRMWARE_EXAMPLES|SIMULATE_SEEDS|RESTARTS|RUN)"
+)
+
+
+@contextmanager
+def _another_user() -> Iterator[None]:
+    """Give a new home, XDG folders and a working folder, without settings of armrig.
+
+    The folder is not pytest's own, whose path may be too long for a socket.
+    """
+    with (
+        TemporaryDirectory(prefix="armrig-", ignore_cleanup_errors=True) as folder,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        for name, path in FOLDERS.items():
+            Path(folder, path).mkdir(mode=0o700, parents=True, exist_ok=True)
+            patch.setenv(name, f"{folder}/{path}")
+        for name in os.environ:
+            if name.startswith("ARMRIG_") and not _OF_THE_TESTS.fullmatch(name):
+                patch.delenv(name)
+        Path(folder, "work").mkdir()
+        patch.chdir(f"{folder}/work")
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _user_of_the_fixtures() -> Iterator[None]:
+    """Keep fixtures of modules and sessions away from the recordings of the person who tests."""
+    with _another_user():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _user_of_the_test(_user_of_the_fixtures: None) -> Iterator[None]:
+    """Keep a test away from the files of the person who tests, and of all other tests."""
+    with _another_user():
+        yield
 
 
 @pytest.fixture(autouse=True)

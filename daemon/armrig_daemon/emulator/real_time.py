@@ -130,7 +130,7 @@ def emulate(
                 fields = (t_ns, repr(change.volts), change.state.name, change.cause.name)
                 out.write(",".join(map(str, fields)) + "\n")
 
-        _be_punctual(stack)
+        is_punctual = _is_made_punctual(stack)
         now_ns = monotonic_ns()
         time = HostTime(now_ns, tolerates_stalls=settings.tolerates_stalls)
         device = switch_on(settings, now_ns, witness)
@@ -140,6 +140,9 @@ def emulate(
             line.offer(port, stack)
         if started:
             print(started, file=sys.stderr, flush=True)
+        if not is_punctual:
+            text = "not granted: SCHED_FIFO; the emulated rig may reply late"
+            print(f"armrigd: warning: {text}", file=sys.stderr, flush=True)
         _run(line, device, time, settings, wake, held_up, partial(_print_violation, port))
         lost = line.backlog
         if lost.dropped_frames:
@@ -241,15 +244,17 @@ def _ended_by(stack: ExitStack) -> int:
     return signals.fd
 
 
-def _be_punctual(stack: ExitStack) -> None:
-    """Request real-time scheduling; print a message if it is refused."""
+def _is_made_punctual(stack: ExitStack) -> bool:
+    """Request real-time scheduling until `stack` ends, and return whether it was granted."""
     _libc.prctl(PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0)
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
         stack.callback(os.sched_setscheduler, 0, *before)
+        is_granted = True
     except PermissionError:
-        print("emulator: SCHED_FIFO is refused, so replies may be late", file=sys.stderr)
+        is_granted = False
     gc.freeze()
     gc.disable()
     stack.callback(gc.enable)
+    return is_granted
