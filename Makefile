@@ -18,9 +18,9 @@ test: .venv/dev
 	$(BIN)/pytest -m "not exhaustive and not timed and not machine" -n 3 --dist worksteal
 
 # The tests that `make test` leaves out: grids, long walks and slow tests, three at a time, because a
-# quarter of their time is waiting. Then the timed tests run alone, also if an earlier test failed.
+# quarter of their time is waiting; as root, also those that an ordinary user skips. Then the timed tests run alone, also if an earlier test failed.
 test-all: .venv/dev
-	$(BIN)/pytest -m "exhaustive and not timed and not machine" -n 3 --dist worksteal; \
+	$(BIN)/pytest -m "(exhaustive or root) and not timed and not machine" -n 3 --dist worksteal; \
 	  exhaustive=$$?; $(BIN)/pytest -m timed tests/integration && exit $$exhaustive
 
 # As root: the service under a systemd, and strangers on a network, each in a namespace of its own.

@@ -188,6 +188,7 @@ def test_the_file_that_is_read_is_judged_and_not_one_before_it(
     assert _refused(path).startswith("with mode 0644 other users can read or change the key")
 
 
+@pytest.mark.root
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a file to another user")
 def test_a_user_who_cannot_change_a_key_s_mode_gets_the_command_for_root(authority: Path) -> None:
     path = pki.issue_to_rig(authority, "1", []).path

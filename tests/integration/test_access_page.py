@@ -156,6 +156,7 @@ def _at_router(text: str, port: int) -> str:
     return text.replace(ROUTER_HOST, "localhost").replace(":7447", f":{port}")
 
 
+@pytest.mark.root
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root installs files for another user")
 def test_a_student_reads_no_key_and_no_password_that_lies_as_the_page_says(lab: Bench) -> None:
     owner, folder = getpwnam("daemon"), lab.folder / "etc"

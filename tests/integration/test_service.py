@@ -172,6 +172,7 @@ def test_a_directory_of_sockets_that_others_can_write_to_is_refused(bench: Bench
     assert daemon.said.count("\n") == 1
 
 
+@pytest.mark.root
 def test_the_thread_of_the_loop_s_parent_death_signal_waits_for_no_processor(served: Bench) -> None:
     daemon = served.processes[-1]
     loop = served.loop_pid(daemon)

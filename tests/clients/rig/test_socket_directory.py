@@ -22,6 +22,8 @@ from armrig_core.topics import PLAYED
 
 from tests.clients.fake_daemon import FakeDaemon
 
+# Most of these tests give a directory to another user.
+pytestmark = pytest.mark.root
 NOBODY = 65534
 
 

@@ -37,6 +37,7 @@ def _granted() -> bool:
 
 
 pytestmark = [
+    pytest.mark.root,
     pytest.mark.skipif(not _granted(), reason="SCHED_FIFO is not granted to this user"),
     pytest.mark.skipif(os.uname().machine != "x86_64", reason="the filter's numbers are x86-64's"),
 ]
