@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import os
 import re
 import shlex
@@ -122,7 +123,7 @@ def test_a_password_is_taken_as_the_page_says(lab: Bench) -> None:
     done = _armrig(lab, "stop")
 
     assert done.returncode == 0, done.stderr
-    user = os.environ.get("USER", "root")
+    user = getpass.getuser()
     wait_for(lambda: f"stop: by {user} (user alice)" in lab.processes[-1].said)
 
 
