@@ -55,10 +55,10 @@ def exogenous_score_in_blocks(
     for blocks in experiments:
         state = np.zeros((d, C.size - 1))
         for block in blocks:
-            backwards = block.T[:, ::-1]
+            scores = block.T
             if C.size > 1:
-                backwards, state = lfilter([1.0], C, backwards, zi=state)
-            total += s2 * (backwards @ backwards.T)
+                scores, state = lfilter([1.0], C, scores[:, ::-1], zi=state)
+            total += s2 * (scores @ scores.T)
     return total
 
 
