@@ -1,5 +1,6 @@
 # armrig: `make demo` and `make test` need Debian's python3, python3-venv, make and a C compiler.
 PYTHON ?= python3
+OTHER_PYTHON := name another Python, for example: make $(or $(firstword $(MAKECMDGOALS)),demo) PYTHON=python3.12
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 
@@ -106,7 +107,7 @@ docs: .venv/dev
 # pyproject.toml's dependencies. UPGRADE=1 takes the newest versions.
 LOCKED = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
   --no-header --no-annotate --no-strip-extras $(if $(UPGRADE),--upgrade)
-lock: .venv
+lock: $(BIN)/pip
 	$(BIN)/pip install --quiet uv
 	$(LOCKED) pyproject.toml -o requirements.lock
 	$(LOCKED) pyproject.toml --extra dev --constraint requirements.lock -o tests/requirements.lock
@@ -140,16 +141,28 @@ clean:
 	rm -rf .venv demo dist
 
 # What a user needs, in the locked versions; repeated when they change.
-.venv/run: pyproject.toml requirements.lock | .venv
+.venv/run: pyproject.toml requirements.lock | $(BIN)/pip
 	$(PIP) --require-hashes -r requirements.lock
 	$(PIP) --no-deps --editable .
 	touch $@
 
 # What a developer needs in addition.
-.venv/dev: pyproject.toml tests/requirements.lock | .venv
+.venv/dev: pyproject.toml tests/requirements.lock | $(BIN)/pip
+	@command -v cc >/dev/null || { echo "no C compiler (cc), which the tests need; on Debian: apt install gcc libc6-dev" >&2; exit 1; }
 	$(PIP) --require-hashes -r tests/requirements.lock
 	$(PIP) --no-deps --no-build-isolation --editable .
 	touch $@ .venv/run
 
-.venv:
+# `PYTHON=…` on the command line and a `.venv` of another version: nothing would use that Python.
+ifeq ($(origin PYTHON),command line)
+.venv/run .venv/dev: | is-of-this-python
+endif
+.PHONY: is-of-this-python
+is-of-this-python: | $(BIN)/pip
+	@[ "$$($(PYTHON) -V)" = "$$($(BIN)/python -V)" ] || { echo "PYTHON=$(PYTHON) is $$($(PYTHON) -V), but .venv has $$($(BIN)/python -V); remove .venv (make clean), or leave PYTHON out" >&2; exit 1; }
+
+# pip names a wrong Python only by a package that it does not find.
+$(BIN)/pip:
+	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" 2>/dev/null || { echo "armrig needs Python 3.11 or later; $(PYTHON) is $$($(PYTHON) -V 2>/dev/null || echo missing); install it, or $(OTHER_PYTHON)" >&2; exit 1; }
+	@$(PYTHON) -c "import ensurepip, venv" 2>/dev/null || { echo "$(PYTHON) has no venv; on Debian: apt install python3-venv; or $(OTHER_PYTHON)" >&2; exit 1; }
 	$(PYTHON) -m venv .venv

@@ -1,0 +1,98 @@
+"""What `make` says of a Python or a compiler that armrig cannot use."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.tools import needs
+
+pytestmark = needs("make")
+MAKEFILE = Path(__file__).parents[2] / "Makefile"
+
+
+def program(path: Path, text: str) -> str:
+    """Write a program for a shell, and return its path."""
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+    return str(path)
+
+
+def made(*arguments: str, path: str = os.environ["PATH"]) -> str:
+    """Return the first line that a failing `make` prints to standard error."""
+    done = subprocess.run(
+        ["/usr/bin/env", f"PATH={path}", "make", "-f", MAKEFILE, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode != 0
+    return done.stderr.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (
+            '[ "$1" != -V ] || echo Python 3.10.13; [ "$1" = -V ]',
+            "armrig needs Python 3.11 or later; {python} is Python 3.10.13; install it, or name "
+            "another Python, for example: make .venv/bin/pip PYTHON=python3.12",
+        ),
+        (
+            'case "$2" in *venv*) exit 1;; esac',
+            "{python} has no venv; on Debian: apt install python3-venv; or name another Python, "
+            "for example: make .venv/bin/pip PYTHON=python3.12",
+        ),
+    ],
+)
+def test_an_unsuitable_python_is_named_with_the_way_out(
+    tmp_path: Path, text: str, line: str
+) -> None:
+    python = program(tmp_path / "python", text)
+
+    assert made("-C", str(tmp_path), ".venv/bin/pip", f"PYTHON={python}") == line.format(
+        python=python
+    )
+    assert not (tmp_path / ".venv").exists()
+
+
+def test_a_python_that_is_not_there_is_called_missing(tmp_path: Path) -> None:
+    said = made("-C", str(tmp_path), ".venv/bin/pip", "PYTHON=python9")
+
+    assert "python9 is missing;" in said
+    assert said.endswith("make .venv/bin/pip PYTHON=python3.12")
+
+
+def environment(folder: Path) -> None:
+    """Make the files of an environment of Python 3.11, which needs nothing more."""
+    (folder / ".venv").mkdir()
+    program(folder / ".venv/bin/pip", "")
+    program(folder / ".venv/bin/python", "echo Python 3.11.2")
+    for name in ("pyproject.toml", "requirements.lock", "tests/requirements.lock"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).touch()
+
+
+def test_a_python_that_the_environment_does_not_have_is_refused(tmp_path: Path) -> None:
+    environment(tmp_path)
+    python = program(tmp_path / "python", "echo Python 3.12.1")
+
+    said = made("-C", str(tmp_path), ".venv/dev", f"PYTHON={python}")
+
+    assert said.startswith(f"PYTHON={python} is Python 3.12.1, but .venv has Python 3.11.2; remove")
+
+
+def test_the_tests_name_a_missing_compiler(tmp_path: Path) -> None:
+    environment(tmp_path)
+    commands = tmp_path / "commands"
+    commands.mkdir()
+    for name in ("make", "sh"):
+        (commands / name).symlink_to(f"/usr/bin/{name}")
+
+    said = made("-C", str(tmp_path), ".venv/dev", path=str(commands))
+
+    assert said.startswith("no C compiler (cc), which the tests need; on Debian: apt install gcc")
