@@ -13,6 +13,7 @@ from tests.systemd.machine import CHECKOUT, missing
 pytestmark = pytest.mark.machine
 
 README = (CHECKOUT / "README.md").read_text(encoding="utf-8").partition("## Your own")[0]
+README = README.partition("## Install for daily use")[2]
 LINES: str = re.findall(r"```\n(.*?)```", README, re.DOTALL)[0]
 DEMO = LINES.splitlines()[-1]
 WITH_PIPX = "pipx install ."
