@@ -50,6 +50,14 @@ class Clock:
 
 
 @pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Give the clock by which the client gives up: a busy host must not end its patience."""
+    clock = Clock()
+    monkeypatch.setattr(rig_module, "time", clock)
+    return clock
+
+
+@pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[BusyDaemon]:
     """Give a daemon that may be busy."""
     with BusyDaemon(f"unixsock-stream/{tmp_path}/1.sock") as daemon:
@@ -69,6 +77,7 @@ def test_a_run_goes_on_while_the_daemon_has_no_time_for_its_client(daemon: BusyD
     assert "stop" not in daemon.names()
 
 
+@pytest.mark.usefixtures("clock")
 def test_arming_waits_for_what_passes_by_itself(daemon: BusyDaemon) -> None:
     daemon.busy = {"arm": 3}
 
@@ -78,12 +87,8 @@ def test_arming_waits_for_what_passes_by_itself(daemon: BusyDaemon) -> None:
     assert daemon.refused == {"arm": 3}
 
 
-def test_arming_outlasts_two_seconds_of_a_daemon_s_timing(
-    daemon: BusyDaemon, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_arming_outlasts_two_seconds_of_a_daemon_s_timing(daemon: BusyDaemon, clock: Clock) -> None:
     """A stall between two reports of the timing spoils both; the next is two seconds later."""
-    clock = Clock()
-    monkeypatch.setattr(rig_module, "time", clock)
     daemon.is_busy = lambda: clock.now_s < 2.4
 
     with Rig(connect=daemon.endpoint) as rig:
@@ -95,6 +100,7 @@ def test_arming_outlasts_two_seconds_of_a_daemon_s_timing(
     assert clock.now_s < 6.0
 
 
+@pytest.mark.usefixtures("clock")
 def test_a_look_and_a_reset_wait_for_a_flood_of_others(daemon: BusyDaemon) -> None:
     daemon.busy = {"status": 3, "reset": 3}
 
@@ -105,6 +111,7 @@ def test_a_look_and_a_reset_wait_for_a_flood_of_others(daemon: BusyDaemon) -> No
     assert daemon.refused == {"status": 3, "reset": 3}
 
 
+@pytest.mark.usefixtures("clock")
 def test_a_calibration_waits_for_what_passes_by_itself(daemon: BusyDaemon, tmp_path: Path) -> None:
     daemon.busy = {"calibrate": 3}
     file = tmp_path / "calibration.toml"
@@ -117,7 +124,7 @@ def test_a_calibration_waits_for_what_passes_by_itself(daemon: BusyDaemon, tmp_p
     assert daemon.names() == ["calibrate"]
 
 
-@pytest.mark.exhaustive
+@pytest.mark.usefixtures("clock")
 def test_arming_gives_up_in_time(daemon: BusyDaemon) -> None:
     daemon.busy = {"arm": 1_000_000}
 
