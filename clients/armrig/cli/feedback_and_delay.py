@@ -30,6 +30,7 @@ from armrig.cli.options import (
     say,
     tell,
 )
+from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import SignalChoice, from_recording, source_facts
 
 if TYPE_CHECKING:
@@ -46,12 +47,14 @@ _CHASSIS = (
 )
 
 
+@reads_tables
 def check(
     file: DataFile,
     input: Input = None,
     signal: Signal = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
+    reading: ReadingOptions = AS_IT_STANDS,
     detrend: Detrend = False,
     hampel: Hampel = False,
     output: NoOutput = None,
@@ -77,6 +80,7 @@ def check(
         input=input,
         time=time,
         Ts=Ts,
+        reading=reading,
         detrend=detrend,
         hampel=hampel,
         calibration=calibration,

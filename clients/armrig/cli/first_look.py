@@ -25,6 +25,7 @@ from armrig.cli.options import (
     print_table,
     say,
 )
+from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import SignalChoice, from_recording, loaded, source_facts
 
 if TYPE_CHECKING:
@@ -69,12 +70,14 @@ def plot(
     say_next(after if after in AFTER else "plot", file=typed(file))
 
 
+@reads_tables
 def sampling(
     file: DataFile,
     input: Input = None,
     signal: Signal = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
+    reading: ReadingOptions = AS_IT_STANDS,
     detrend: Detrend = False,
     calibration: CalibrationFile = None,
     start: From = None,
@@ -96,6 +99,7 @@ def sampling(
         input=input,
         time=time,
         Ts=Ts,
+        reading=reading,
         detrend=detrend,
         calibration=calibration,
         start=start,
@@ -167,12 +171,14 @@ def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
     return {"step": {name: getattr(steps, name) for name in names}}
 
 
+@reads_tables
 def hints(
     file: DataFile,
     input: Input = None,
     signal: Signal = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
+    reading: ReadingOptions = AS_IT_STANDS,
     detrend: Detrend = False,
     calibration: CalibrationFile = None,
     start: From = None,
@@ -194,6 +200,7 @@ def hints(
         input=input,
         time=time,
         Ts=Ts,
+        reading=reading,
         detrend=detrend,
         calibration=calibration,
         start=start,

@@ -37,6 +37,7 @@ from armrig.cli.options import (
     say,
     tell,
 )
+from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import (
     SignalChoice,
     from_recording,
@@ -90,6 +91,7 @@ Save = Annotated[Path | None, typer.Option("--save", metavar="JSON", help="Model
 
 
 @estimation_options(without_nk="1; estimated with --search of one input and one output")
+@reads_tables
 def identify(
     file: DataFile,
     given: Given,
@@ -101,6 +103,7 @@ def identify(
     signal: Signals = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
+    reading: ReadingOptions = AS_IT_STANDS,
     shared: Shared = False,
     detrend: Detrend = False,
     hampel: Hampel = False,
@@ -127,6 +130,7 @@ def identify(
         input=input,
         time=time,
         Ts=Ts,
+        reading=reading,
         detrend=detrend,
         offset=given["offset"] if given["structure"] in (None, *users("offset")) else None,
         hampel=hampel,

@@ -30,6 +30,7 @@ from armrig.cli.options import (
     print_json,
     say,
 )
+from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import (
     SignalChoice,
     from_recording,
@@ -66,6 +67,7 @@ Lags = Annotated[
 _HORIZONS = (1, 10)
 
 
+@reads_tables
 def validate(
     file: DataFile,
     model: ModelFile,
@@ -73,6 +75,7 @@ def validate(
     signal: Signals = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
+    reading: ReadingOptions = AS_IT_STANDS,
     detrend: Detrend = False,
     hampel: Hampel = False,
     output: NoOutput = None,
@@ -99,6 +102,7 @@ def validate(
         input=input,
         time=time,
         Ts=Ts,
+        reading=reading,
         detrend=detrend,
         hampel=hampel,
         calibration=calibration,
