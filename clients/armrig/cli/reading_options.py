@@ -13,7 +13,7 @@ import typer
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions:
-    """How the columns of a table become data; the fields are arguments of `load_data`."""
+    """Options of reading a table; the fields are arguments of `load_data`."""
 
     decimal: Annotated[
         Literal[",", "."] | None,

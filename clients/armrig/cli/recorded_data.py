@@ -84,7 +84,7 @@ class SignalChoice:
     Ts: float | None = None
     """Sampling time of other data, in s."""
     reading: ReadingOptions = AS_IT_STANDS
-    """How the columns of other data become numbers on a grid."""
+    """Options of reading other data."""
     detrend: bool = False
     """Subtract the mean of each signal of each file."""
     offset: bool | None = None

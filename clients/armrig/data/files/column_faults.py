@@ -25,8 +25,8 @@ _MAX_REST = 0.25  # largest usual step of a counter that wraps, as a share of it
 def rails(y: Vector) -> tuple[NDArray[np.bool_], list[float]]:
     """Return the samples on a rail, and the values of the rails.
 
-    A rail is the largest or smallest value, at which y stands in runs that it reaches by a jump. A
-    level that y settles at is reached by steps that become small.
+    A rail is the largest or smallest value, if y reaches it by jumps and keeps it for several
+    samples. If y settles at a level instead, its last steps before the level are small.
     """
     found, values = np.zeros(y.size, np.bool_), []
     known = y[np.isfinite(y)]
@@ -93,7 +93,7 @@ def unwrapped(y: Vector, modulus: float) -> Vector:
 def treated(
     y: Vector, name: str, *, mask_rails: bool, unwrap: float | None
 ) -> tuple[Vector, list[str]]:
-    """Return a column with its faults mended as asked, and notes on what was done or remains."""
+    """Return a column without the faults that the options name, and notes on all its faults."""
     notes = []
     if unwrap is not None:
         before, y = y, unwrapped(y, unwrap)
@@ -116,9 +116,9 @@ def treated(
             notes.append(f"masked {share} of {name} at the rail {where}")
         else:
             notes.append(
-                f"{share} of {name} stand at exactly {where}, as at the rail of a converter: give "
+                f"{share} of {name} are exactly {where}, as at the rail of a converter: give "
                 "--mask-rails to mark them as missing"
             )
     elif mask_rails:
-        notes.append(f"{name} stands at no rail")
+        notes.append(f"{name} has no samples at a rail")
     return y, notes

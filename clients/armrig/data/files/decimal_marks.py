@@ -43,8 +43,8 @@ def mark_of(column: Sequence[str], others: Iterable[Sequence[str]], *, mixed: bo
     """Return the decimal mark of a column, or None if its numbers may be read with either mark.
 
     A cell such as 0,5 or 1,234.5 proves its mark; 1,493 may be thousands. The column decides, then
-    the other columns of the file. If none proves a mark, a point is the mark, unless points stand
-    before three digits only and beside whole numbers of three digits.
+    the other columns of the file. If none proves a mark, a point is the mark. The exception is a
+    column of whole numbers of three digits and of points before exactly three digits.
 
     Parameters
     ----------

@@ -243,7 +243,7 @@ def _names(columns: Sequence[Column], letter: str) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How the columns of a table become data; the fields are the arguments of `load_data`."""
+    """Options of reading a table; the fields are arguments of `load_data`."""
 
     time: str | None
     Ts: float | None

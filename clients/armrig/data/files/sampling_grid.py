@@ -257,8 +257,8 @@ def _uneven(
     verb = "is" if count == 1 else "are"
     return UnevenTimesError(
         f"{place(k)}: {name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, the usual interval is "
-        f"{usual:.6g} s; {count} of {t.size - 1} intervals {verb} off; sample evenly, give "
-        "--resample to interpolate, or give Ts in s (--Ts) if the times are wrong"
+        f"{usual:.6g} s; {count} of {t.size - 1} intervals {verb} off; give --resample to "
+        "interpolate, or Ts in s (--Ts) if the times are wrong"
     )
 
 

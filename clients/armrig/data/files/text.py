@@ -89,11 +89,11 @@ def table_of(text: str, decimal: str | None = None) -> TextTable:
     """Return the table that a text contains.
 
     Lines that are empty, or begin with # or %, are remarks. A first line such as `sep=;` names the
-    separator. Otherwise the separator is the first of semicolon, tab, comma and blank that gives
-    the first 20 lines of the table an equal number of cells, with numbers in the last line. The
+    separator. Otherwise semicolon, tab, comma and blank are tried in this order on the first 20
+    lines, which must have an equal number of cells. The
     first line that is not a remark contains names if none of its cells is a number. The line after
-    the names contains units if none of its cells is a number. The decimal mark is the one that the
-    numbers show, or `decimal`.
+    the names contains units if none of its cells is a number. The numbers show the decimal mark, or
+    `decimal` gives it.
 
     Raises
     ------
