@@ -256,8 +256,8 @@ def _uneven(
     count = int(np.count_nonzero(irregular))
     verb = "is" if count == 1 else "are"
     return UnevenTimesError(
-        f"{place(k)}: {name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, the usual interval is "
-        f"{usual:.6g} s; {count} of {t.size - 1} intervals {verb} off; give --resample to "
+        f"{place(k)}: {name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, and {count} of "
+        f"{t.size - 1} intervals {verb} not the usual {usual:.6g} s; give --resample to "
         "interpolate, or Ts in s (--Ts) if the times are wrong"
     )
 
