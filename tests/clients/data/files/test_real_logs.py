@@ -176,7 +176,7 @@ def test_uneven_times_are_resampled_only_if_asked(tmp_path: Path) -> None:
     t = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.15, 200))
     path = log(tmp_path / "a.csv", [f"{x:.4f}" for x in t])
 
-    with pytest.raises(FileError, match=r"of 199 intervals are not .* give --resample"):
+    with pytest.raises(FileError, match=r"of 199 intervals are not .* Give --resample"):
         armrig.load_data(path)
     data = armrig.load_data(path, resample=True, Ts=0.1)
 
