@@ -47,9 +47,10 @@ PROBE = """
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Made:
-    """A report, and Typst's account of it."""
+    """A report, its values, and Typst's account of it."""
 
     pages: list[list[pdf_text.Text]]
+    values: dict[str, Any]
     account: dict[str, Any]
 
 
@@ -60,7 +61,8 @@ def made(make: Callable[..., Path], folder: Path, template: str) -> Made:
     source.write_text(source.read_text() + PROBE)
     compiler = typst.Compiler(str(source), root=str(source.parent))
     [account] = json.loads(compiler.query("<probe>", field="value"))
-    return Made(pages=pdf_text.pages(pdf), account=account)
+    values = json.loads(source.with_name("data.json").read_text())
+    return Made(pages=pdf_text.pages(pdf), values=values, account=account)
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +94,7 @@ def test_no_text_is_smaller_than_seven_points(either: Made) -> None:
     """Also in the figures, in the indices of formulas, and in the line at the foot."""
     sizes = [text.size for page in either.pages for text in page]
 
-    assert min(sizes) >= MIN_SIZE - 1e-2
+    assert min(sizes) >= 7 - 1e-2
 
 
 def test_no_page_but_the_last_is_half_empty(either: Made) -> None:
@@ -115,7 +117,7 @@ def test_figures_and_tables_are_numbered_in_their_order_and_mentioned(either: Ma
 
 
 def test_the_results_are_on_the_first_page_and_the_device_in_the_appendix(of_study: Made) -> None:
-    account = of_study.account
+    account, values = of_study.account, of_study.values
 
     headings = {text.strip("[]"): page for text, page in account["headings"]}
     assert list(headings) == [
@@ -124,8 +126,18 @@ def test_the_results_are_on_the_first_page_and_the_device_in_the_appendix(of_stu
     ]
     first = {f["kind"]: f["page"] for f in account["figures"] if f["number"] == 1}
     assert first == {"table": 1, "image": 1}
+    assert [row[0] for row in values["fits"]] == ["OE", "ARX", "physics"]
     assert headings["Data"] <= 2
     assert headings["Recordings"] > headings["Comparison with the physics"]
+
+
+@pytest.mark.exhaustive
+def test_the_best_model_comes_first_in_the_handout_s_report(of_handout: Made) -> None:
+    sections = {s["number"]: s for s in of_handout.values["sections"]}
+
+    coefficients, validation = sections["3.3"]["tables"]
+    assert coefficients["header"] == ["k", "OE, b_k", "OE, f_k", "ARX, a_k", "ARX, b_k"]
+    assert [row[0] for row in validation["rows"]] == ["OE", "ARX"]
 
 
 def test_a_text_of_a_figure_is_enlarged_to_seven_points(tmp_path: Path) -> None:
