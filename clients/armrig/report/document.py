@@ -204,7 +204,7 @@ def _captions(one: Study) -> dict[str, str]:
     estimation, validation = (_run(data, one) for data in (one.estimation, one.validation))
     marks = ascii_lowercase[: 2 * len(one.estimated)]
     halves = ", the first and the second half of one recording" if one.halves else ""
-    angle = one.angle
+    angle, ramp = one.angle, without_turns(one.validation)
     turns = " with its turns counted" if one.integrates else ""
     detail = f"rate of the {angle}, from differences" if one.integrates else angle
     drawn = [f"{angle}{turns}{without_turns(data)}" for data in (one.estimation, one.validation)]
@@ -215,9 +215,8 @@ def _captions(one: Study) -> dict[str, str]:
         f"recording {validation}){halves}: {angles}; (b, d) voltage that the device applied. "
         "Shaded: dead band or missing sample.",
         "compare": f"(a) Measured and simulated {angle} of the validation data (recording "
-        f"{validation}){without_turns(one.validation)}; (b) data (dots) and models, minus the best "
-        "model. If a model has a much larger error, the scale is logarithmic beyond the dotted "
-        "lines.",
+        f"{validation}){ramp}; (b) data (dots) and models, minus the best model. If a model has a "
+        "much larger error, the scale is logarithmic beyond the dotted lines.",
         "velocity": f"Detail of {DETAIL_S:g} s: {detail} (recording {validation}). The simulation "
         "of the models starts at the beginning of the data.",
         "bode": f"Frequency response from voltage to {angle}, (a) magnitude and (b) phase, with "

@@ -18,9 +18,8 @@ from armrig.data.dataset import Vector
 from armrig.estimation.nonparametric.spectral import spectral_reference
 from armrig.physics.integrators.accuracy import convergence
 from armrig.physics.systems import ArmParameters
+from armrig.plots import layout
 from armrig.plots.captions import legend, named, named_by_run
-from armrig.plots.layout import pens
-from armrig.plots.layout import save as save_figure
 from armrig.recordings.figures import varying_times
 from armrig.report.handout_study import METHODS, HandoutStudy
 from armrig.report.study import STEP, Study, each_output, kind_of
@@ -30,7 +29,6 @@ STYLE: Any = {
     "font.family": ["STIXGeneral", "DejaVu Sans"],  # the second if the first lacks a glyph
     "mathtext.fontset": "stix",
     "font.size": 9,
-    "axes.labelsize": 9,
     "axes.linewidth": 0.6,
     "lines.linewidth": 1.1,
     "xtick.labelsize": 8.5,
@@ -67,7 +65,7 @@ def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as SVG; texts smaller than `MIN_SIZE`, such as an index, get this size."""
-    save_figure(figure, path)
+    layout.save(figure, path)
     svg = re.sub(
         r"(?<=font-size: )[\d.]+(?=px)",
         lambda size: f"{max(float(size[0]), MIN_SIZE):g}",
@@ -90,8 +88,7 @@ def _canvas(height: float, columns: int = 1, rows: int = 1) -> tuple[Figure, lis
 def _timing_figure(study: Study) -> Figure | None:
     """Draw a panel for each quantity that has more than one value; None if there is none."""
     recording = study.recording_of(study.estimation.source)
-    varying = varying_times(recording)
-    if not varying:
+    if not (varying := varying_times(recording)):
         return None
     figure, axes = _canvas(2.2, len(varying))
     for ax, quantity in zip(axes, varying, strict=True):
@@ -135,7 +132,7 @@ def _velocity_figure(study: Study) -> Figure:
     shown = (t >= begin) & (t <= begin + DETAIL_S)
     measured = of(data.y)[shown]
     ax.plot(t[shown], measured, ".", color=plots.INK, ms=2.5, alpha=0.6, label="measured")
-    for model, pen in zip(study.estimated, pens(len(study.estimated)), strict=True):
+    for model, pen in zip(study.estimated, layout.pens(len(study.estimated)), strict=True):
         modelled = of(model.comparison.y)
         ax.plot(t[shown], modelled[shown], label=f"{model.name}, simulated", **pen)
     lowest, highest = np.nanmin(measured), np.nanmax(measured)
