@@ -273,7 +273,7 @@ def _of_data(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
         fit, data = black.best.fit, black.validation
         found["residuals"] = (_LEGENDS_HEIGHT, [lambda ax: plots.plot_residuals(fit, data, ax=ax)])
         found["compare"] = (
-            2.75,
+            2.95,
             [lambda ax: plots.plot_compare(data, *models, labels=names, ax=ax)],
         )
     if grey is not None and chassis is not None:

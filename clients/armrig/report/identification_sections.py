@@ -254,8 +254,8 @@ def _comparison(study: HandoutStudy) -> Section:
         ),
         tables=(table,),
         figure="compare",
-        caption=f"(a) Validation data and models{without_turns(black.validation)}; (b) data (dots) "
-        "and models, minus the best model.",
+        caption=f"(a) Measured and simulated angle{without_turns(black.validation)}; (b) data "
+        "(dots) and models, minus the best model.",
     )
 
 
