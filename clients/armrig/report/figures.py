@@ -67,7 +67,7 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure as SVG; texts smaller than `MIN_SIZE`, such as an index, get this size."""
     layout.save(figure, path)
     svg = re.sub(
-        r"(?<=font-size: )[\d.]+(?=px)",
+        r"(?<=font-size:\s)[\d.]+(?=px)",
         lambda size: f"{max(float(size[0]), MIN_SIZE):g}",
         path.read_text(encoding="utf-8"),
     )
