@@ -114,12 +114,12 @@ def _experiment_name(experiment: str, name: str) -> str:
 
 def _check_name_is_free(name: str) -> None:
     """Refuse the name of a complete recording; otherwise the name would become ambiguous."""
-    from armrig.cli.chosen_recording import (
+    from armrig.recordings.catalogue import newest_first
+    from armrig.recordings.recording_names import (
         NoSuchRecordingError,
         matching,
         recording_folder,
     )
-    from armrig.recordings.catalogue import newest_first
 
     if not name:
         return

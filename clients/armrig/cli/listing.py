@@ -13,18 +13,12 @@ from armrig_core.codes import COMPLETE
 from armrig_core.errors import InputError
 from armrig_core.printable import printable
 
-from armrig.cli.chosen_recording import (
-    VALIDATION,
-    Answering,
-    answering_among,
-    recording_folder,
-    short_name,
-)
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Json, echo, print_json, tell
 
 if TYPE_CHECKING:
     from armrig.recordings.catalogue import Catalogue
+    from armrig.recordings.recording_names import Answering
     from armrig.recordings.recording_summary import RecordingSummary
 
 Count = Annotated[
@@ -81,6 +75,7 @@ def ls(
         _list_rigs(connect, json=json)
         return
     from armrig.recordings.catalogue import catalogue, facts_of
+    from armrig.recordings.recording_names import answering_among, recording_folder, short_name
     from armrig.recordings.recording_summary import shown_path
 
     folder = where or recording_folder()
@@ -168,6 +163,8 @@ def _clipped(text: str) -> str:
 
 def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answering) -> str:
     """Return the estimation recording's name; "" if the validation recording's name contains it."""
+    from armrig.recordings.recording_names import VALIDATION, short_name
+
     if not summary.is_validation or short_name(summary, answering).endswith(VALIDATION):
         return ""
     estimations = answering(f"@{summary.validation_of}") if summary.validation_of else []

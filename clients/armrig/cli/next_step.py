@@ -109,12 +109,12 @@ def _goes_on(line: str) -> str:
     words = shlex.split(line)
     if words[1] != "collect" or words[-2] != "--name":
         return line
-    from armrig.cli.chosen_recording import (
+    from armrig.recordings.catalogue import newest_first
+    from armrig.recordings.recording_names import (
         NoSuchRecordingError,
         matching,
         recording_folder,
     )
-    from armrig.recordings.catalogue import newest_first
 
     try:
         paths = newest_first(recording_folder())
@@ -161,13 +161,13 @@ def typed(path: Path) -> str:
     """Return the @name of a recording, or its quoted path, as a user types it."""
     from armrig_core.recording_file.budget import DamageError
 
-    from armrig.cli.chosen_recording import (
+    from armrig.recordings.catalogue import newest_first
+    from armrig.recordings.recording_names import (
         NoSuchRecordingError,
         matching,
         recording_folder,
         short_name,
     )
-    from armrig.recordings.catalogue import newest_first
     from armrig.recordings.recording_summary import summary_of
 
     try:
@@ -193,7 +193,7 @@ def estimation_of(path: Path) -> str:
 
 def _named(text: str) -> str:
     """Return the short name of the recording with this id; if there is none, return the id."""
-    from armrig.cli.chosen_recording import NoSuchRecordingError, chosen, recording_folder
+    from armrig.recordings.recording_names import NoSuchRecordingError, chosen, recording_folder
 
     try:
         return typed(chosen(text, recording_folder()).path)
@@ -228,8 +228,8 @@ def for_the_report() -> str:
     If no recording of this kind has a name, it takes the newest one. The result is "" if there is
     no recording.
     """
-    from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.catalogue import newest_first
+    from armrig.recordings.recording_names import NoSuchRecordingError, recording_folder
 
     try:
         paths = newest_first(recording_folder())
@@ -259,8 +259,8 @@ def answers_here() -> str:
 
 def chassis() -> str:
     """Return the name of the newest complete recording of the chassis alone; "" if none exists."""
-    from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.catalogue import newest_first
+    from armrig.recordings.recording_names import NoSuchRecordingError, recording_folder
 
     try:
         every = _complete(newest_first(recording_folder()), "greybox")
@@ -293,7 +293,7 @@ def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
 
     None if the sampling time or the calibration differs.
     """
-    from armrig.cli.chosen_recording import NoSuchRecordingError, chosen
+    from armrig.recordings.recording_names import NoSuchRecordingError, chosen
 
     try:
         found = chosen(f"@{validation.validation_of}", validation.folder)
@@ -305,7 +305,7 @@ def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
 
 def validation_beside(path: Path) -> str:
     """Return the name of the validation recording of an estimation recording; "" if none exists."""
-    from armrig.cli.chosen_recording import (
+    from armrig.recordings.recording_names import (
         VALIDATION,
         NoSuchRecordingError,
         chosen,

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from armrig.cli.chosen_recording import recording_folder
 from armrig.cli.options import Json, echo, print_json, tell
 
 if TYPE_CHECKING:
@@ -35,6 +34,8 @@ def recover(where: Where = None, json: Json = False) -> None:
     """
     from armrig_core.recording_file.recovery import sentence
     from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
+
+    from armrig.recordings.recording_names import recording_folder
 
     paths = list(_files(where or [recording_folder()]))
     done: list[RecoveredFile] = []

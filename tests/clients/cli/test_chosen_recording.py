@@ -6,10 +6,11 @@ import json
 import re
 from pathlib import Path
 
+import armrig
 import pytest
 from armrig.cli import main
-from armrig.cli.chosen_recording import answering_among, short_name
 from armrig.recordings import recording_summary
+from armrig.recordings.recording_names import answering_among, short_name
 from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import Outcome
 
@@ -85,6 +86,14 @@ def test_a_recording_has_names(
     folder: Path, name: str, run_id: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert read(name, capsys) == run_id
+
+
+def test_python_takes_the_names_of_the_commands(folder: Path) -> None:
+    meant = {"@last": "0000000e", "@monday": "0000000b", "@monday/validation": "0000000c"}
+
+    assert {name: armrig.load(name).manifest.run_id for name in meant} == meant
+    with pytest.raises(armrig.ArmrigError, match=r"@munday: no finished .* did you mean @monday\?"):
+        armrig.load("@munday")
 
 
 def test_the_last_is_the_newest_that_is_whole(
