@@ -81,11 +81,10 @@ def load(
     ------
     FileError
         The file is not a recording or is damaged before its first sample. The calibration cannot be
-        read. The parts belong to different runs, or the range contains no sample.
+        read. The parts belong to different runs, or the range contains no sample. No recording has
+        the name, or several recordings have the name.
     OSError
         The file cannot be opened or read.
-    OperationError
-        No recording has the name, or several recordings have the name.
 
     Examples
     --------
@@ -105,11 +104,11 @@ def load(
     if not isinstance(given, list | tuple) or not all(isinstance(p, str | Path) for p in given):
         msg = f'path is a {type(path).__name__}: pass the name of a file, armrig.load("F.mcap"), '
         raise InputTypeError(msg + "or a list of the parts of a run, in their order")
-    given = [named_path(one) for one in given]
-    paths = [part for one in given for part in files_of(one)]
+    named = [named_path(one) for one in given]
+    paths = [part for one in named for part in files_of(one)]
     if not paths:
         raise FileError("the list of paths is empty: give at least one path of a recording")
-    name = given[0] if len(given) == 1 else paths[0]
+    name = named[0] if len(named) == 1 else paths[0]
     if isinstance(calibration, (str, Path)):
         _check_is_calibration(Path(calibration), paths[0])
         calibration = read_calibration(Path(calibration))

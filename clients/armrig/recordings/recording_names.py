@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
 
-from armrig_core.errors import OperationError
+from armrig_core.errors import FileError, OperationError
 from armrig_core.recording_directory import directory_to_look_in, installed
 
 from armrig.recordings.catalogue import may_answer_to, newest_first, summaries
@@ -39,12 +39,15 @@ def named_path(name: str | Path) -> Path:
 
     Raises
     ------
-    NoSuchRecordingError
+    FileError
         No recording has the name, or several recordings have the name.
     """
     if not str(name).startswith("@") or Path(name).exists():
         return Path(name)
-    return chosen(str(name), recording_folder()).path
+    try:
+        return chosen(str(name), recording_folder()).path
+    except NoSuchRecordingError as err:
+        raise FileError(str(err)) from err
 
 
 def chosen(text: str, folder: Path) -> RecordingSummary:
