@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from armrig_core.recording_file.part_names import part_paths
 
-from armrig.cli.options import tell
+from armrig.cli.options import inform
 from armrig.data.files.suffixes import OTHER_DATA, RECORDING
 
 _NAMES = "@last or @NAME"
@@ -29,7 +29,7 @@ def recording_path(text: str) -> Path:
         return Path(text)
     found = chosen(text, recording_folder())
     about = described(found).removeprefix(f"{text}, ")  # an id is not repeated
-    tell(f"{text} is {about}")
+    inform(f"{text} is {about}", dim=True)
     return found.path
 
 

@@ -14,7 +14,7 @@ from armrig_core.errors import InputError
 from armrig_core.printable import printable
 
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Json, echo, print_json, tell
+from armrig.cli.options import Json, echo, inform, print_json, tell
 
 if TYPE_CHECKING:
     from armrig.recordings.catalogue import Catalogue
@@ -59,7 +59,7 @@ def ls(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """List the recordings, newest first; with --live, list the rigs that are alive.
+    """List the recordings, newest first, or with --live the rigs.
 
     Other commands accept the listed names, and @last, in place of a file. If you give a FOLDER,
     the list contains file names instead. With --connect, --live lists the rigs at the given
@@ -110,7 +110,7 @@ def ls(
         kept = [True] * (len(_HEADINGS) - _OPTIONAL)
         kept += [not {row[i] for row in rows} <= {"", COMPLETE.text} for i in range(-_OPTIONAL, 0)]
         echo(_table([tuple(compress(row, kept)) for row in (_HEADINGS, *rows)]))
-    tell(_the_rest(folder, found, len(shown)))
+    inform(_the_rest(folder, found, len(shown)), dim=True)
     if shown:
         newest = shown[0]
         say_next("ls", file=typed(newest.path) if where else short_name(newest, answering))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armrig.cli.options import fields_of
 from armrig.cli.recorded_data import source_facts
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from armrig.validation.multivariable.residual_test import SignalsResidualTest
     from armrig.validation.search_result import SearchResult
 
+RTOL = 1e-9
+"""Relative difference of two errors that is due to rounding."""
 _MAX_DECIMALS = 9
 _MAX_SHOWN_MODELS = 5  # models of a search without --verbose
 _MAX_REASONS = 3  # reasons without --verbose; the table shows the first
@@ -37,7 +40,7 @@ _MAX_REASONS = 3  # reasons without --verbose; the table shows the first
 def answer(
     fit: Fit, validation: ComparisonTable | None, tests: ResidualTest | None, *, doubted: bool
 ) -> str:
-    """Return one or two sentences on the fit and the residuals of a model.
+    """Return lines on the fit and the residuals of a model.
 
     If the data are doubtful, the text advises the user to correct the data before the orders.
     """
@@ -47,10 +50,11 @@ def answer(
     )
     said += f"; {_DATA_FIRST if doubted else COLOURED}." if fit.trusts_robust else "."
     if validation is None or tests is None:
-        return said if isnan(fit.whiteness) else f"{said} {_MORE_TESTS}"
+        return said if isnan(fit.whiteness) else f"{said}\n{_MORE_TESTS}"
     simulated = simulated_to(validation[0], validation.unit)
     return (
-        f"{said} Simulated on the validation data it fits to {simulated}; {tests_sentence(tests)}."
+        f"{said}\nSimulated on the validation data it fits to {simulated}.\n"
+        f"{tests_sentence(tests)}."
     )
 
 
@@ -58,7 +62,8 @@ def simulated_to(row: Comparison, unit: str) -> str:
     """Return the fit of a simulation as text, such as 99.9 % (rms 0.0035 rad, velocity 83.6 %)."""
     velocity = row.velocity_fit_percent
     said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {unit}".rstrip()
-    return said + (f", velocity {velocity:.2f} %)" if velocity is not None else ")")
+    said += f", velocity {velocity:.2f} %)" if velocity is not None else ")"
+    return said + " on its estimation data" * row.on_estimation_data
 
 
 def short_model_lines(fit: Fit, *, roots: bool) -> list[str]:
@@ -236,12 +241,18 @@ def tests_sentence(tests: ResidualTest | SignalsResidualTest) -> str:
             passed.append(f"{good} ({said})" if p >= 0 else f"{good}: {_UNTESTED}")
     if failed:
         rest = [f"passed: {', '.join(passed)}"] if passed else []
-        return f"its residuals do not pass: {'; '.join([*failed, *rest, _LEVEL])}"
+        return f"Its residuals do not pass: {'; '.join([*failed, *rest, _LEVEL])}"
     if tests.powerless:
-        return f"the tests of its residuals have no power: {tests.powerless}"
+        return f"The tests of its residuals have no power: {tests.powerless}"
     if not all(p >= WHITE_LEVEL for p in (tests.missing_dynamics, tests.feedback)):
-        return f"residuals {tests.white}; {_UNTESTED}"
-    return f"its residuals pass: {', '.join(passed)}; {_LEVEL}"
+        return f"Residuals {tests.white}; {_UNTESTED}"
+    return f"Its residuals pass: {', '.join(passed)}; {_LEVEL}"
+
+
+def equally_well(horizons: Sequence[int | None]) -> str:
+    """Return a sentence on the horizons, in samples, at which prediction equals simulation."""
+    ahead = " and ".join(map(str, horizons))
+    return f"Predicted {ahead} ahead, it fits equally well: the model has no noise model."
 
 
 def residual_lines(tests: ResidualTest) -> list[str]:
@@ -283,20 +294,12 @@ def model_facts(fit: Fit) -> dict[str, Any]:
     """Return the results of the estimation as JSON fields."""
     rows = zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True)
     facts = {
-        "structure": fit.structure,
-        "orders": fit.orders,
-        "integrator": fit.integrator,
-        "Ts": fit.Ts,
+        **fields_of(fit, "structure orders integrator Ts"),
         "parameters": {
             name: {"value": float(v), "std": float(s), "std_robust": float(r)}
             for name, v, s, r in rows
         },
-        "noise_variance": fit.noise_variance,
-        "loss": fit.loss,
-        "fpe": fit.fpe,
-        "aic": fit.aic,
-        "mdl": fit.mdl,
-        "fit_percent": fit.fit_percent,
+        **fields_of(fit, "noise_variance loss fpe aic mdl fit_percent"),
         "p_white": fit.whiteness,
         "whiteness_test": fit.whiteness_test,
         "converged": fit.converged,

@@ -213,7 +213,9 @@ def test_an_answer_has_the_fits_and_the_deviation_to_trust() -> None:
         **{"whiteness": 0.4, "white": _white(0.4), "trusts_robust": False},
         trusts_coefficients=True,
     )
-    row: Any = SimpleNamespace(fit_percent=80.0, rms_error=0.01234, velocity_fit_percent=70.126)
+    row: Any = SimpleNamespace(
+        fit_percent=80.0, rms_error=0.01234, velocity_fit_percent=70.126, on_estimation_data=False
+    )
     table: Any = type("Table", (list,), {"unit": "rad"})([row])
 
     alone = answer(of, None, None, doubted=False)
@@ -221,10 +223,10 @@ def test_an_answer_has_the_fits_and_the_deviation_to_trust() -> None:
     of.trusts_robust, of.white = True, _white(0.001)
 
     head = "ARX fits alpha to 91.24 % one step ahead; residuals white (p = 0.400, T): trust σ."
-    assert alone.startswith(f"{head} A p below 0.01 rejects; --validate F2 tests the residuals")
+    assert alone.startswith(f"{head}\nA p below 0.01 rejects; --validate F2 tests the residuals")
     assert validated.startswith(
-        f"{head} Simulated on the validation data it fits to 80.00 % (rms 0.01234 rad, velocity "
-        "70.13 %); its residuals pass: "
+        f"{head}\nSimulated on the validation data it fits to 80.00 % (rms 0.01234 rad, velocity "
+        "70.13 %).\nIts residuals pass: "
     )
     assert "trust σ robust, not σ; correct the data first" in answer(of, None, None, doubted=True)
     assert "trust σ robust, not σ; raise the orders" in answer(of, None, None, doubted=False)
