@@ -318,12 +318,12 @@ def _validated(fit: Fit, other: Dataset) -> _Validation:
 
 def _print_lines(found: _Found, validate: Path | None, *, verbose: bool) -> None:
     from armrig.cli import model_output
+    from armrig.validation.answer import answer
 
     table, tests = None, None
     if found.validation is not None:
         table, tests = found.validation.table, found.validation.tests
-    doubted = model_output.doubted(found.fit, found.doubts)
-    say_answer(model_output.answer(found.fit, table, tests, doubted=doubted))
+    say_answer(answer(found.fit, table, tests, found.doubts))
     if verbose:
         _print_all(found, validate)
     else:

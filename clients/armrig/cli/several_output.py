@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.cli.model_output import RTOL, coefficients, equally_well, root_lines, tests_sentence
+from armrig.cli.model_output import RTOL, coefficients, equally_well, root_lines
 from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.plots.captions import signature
+from armrig.validation.answer import tests_sentence
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -188,16 +188,10 @@ def _print_validation_json(validated: _Validated, model: Path) -> None:
 
 
 def _print_validation(validated: _Validated, file: Path, *, verbose: bool, drawn: bool) -> None:
-    from armrig.cli.model_output import (
-        RTOL,
-        equally_well,
-        lags_outside,
-        residual_lines,
-        simulated_to,
-        tests_sentence,
-    )
+    from armrig.cli.model_output import RTOL, equally_well, lags_outside, residual_lines
     from armrig.models.equation import input_and_output
     from armrig.plots.captions import signature
+    from armrig.validation.answer import simulated_to, tests_sentence
     from armrig.validation.comparison import row_line
 
     fit, table, tests = validated.fit, validated.simulated, validated.tests
