@@ -11,7 +11,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.model_output import advice_lines, doubted, to_act_on
+from armrig.cli.model_output import advice_lines, to_act_on
 from armrig.cli.next_step import CHECK, options_after, options_of
 from armrig.data.finding import warning
 from armrig.estimation.oe import oe
@@ -265,9 +265,7 @@ def test_what_an_estimate_found_decides_by_its_code_and_not_by_its_words() -> No
 
     lines = advice_lines(other, [])
 
-    assert doubted(wrong, [])
     assert to_act_on(wrong, []) - to_act_on(fit, []) == {"outliers"}
-    assert not doubted(other, [])
     assert to_act_on(other, []) == to_act_on(fit, [])
     assert "! 2 samples look wrong; lower the orders" in lines
     assert to_act_on(unsteady, []) - to_act_on(fit, []) == {"structure"}

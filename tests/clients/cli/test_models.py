@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.model_output import coefficients, lags_outside
-from armrig.cli.model_output import tests_sentence as sentence
 from armrig.cli.spinner import estimating
 from armrig.models.structure_table import users
 from armrig.numerics.whiteness import Whiteness
+from armrig.validation.answer import tests_sentence as sentence
 
 from tests.clients.made_recordings import recorded, sample, written
 from tests.clients.told import told
