@@ -64,10 +64,10 @@ def tell_of_columns(file: Path, data: Dataset, columns: Mapping[str, str]) -> No
     """Print the columns that were read from a file of data."""
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
-    parts = [f"{file}: {data.N} samples, {data.Ts:g} s apart"]
+    parts = [f"{data.N} samples, {data.Ts:g} s apart"]
     parts += [f"the {what} is column {name}" for what, name in columns.items()]
     parts += [f"{data.missing} samples without {data.output}"] if data.missing else []
-    inform("; ".join([*parts, *data.history]), dim=True)
+    _tell_of_reading(file, parts, data.history)
     if data.output in INTEGRATING_OUTPUTS:
         tell(
             f"{data.output} is assumed to be the rig's angle, which integrates its input; if "
@@ -77,9 +77,22 @@ def tell_of_columns(file: Path, data: Dataset, columns: Mapping[str, str]) -> No
 
 def tell_of_signals(file: Path, signals: Signals) -> None:
     """Print the channels that were read from a file of data."""
-    missing = f"; {signals.missing} values are missing" if signals.missing else ""
-    inform(
-        f"{file}: {signals.N} samples, {signals.equidistant():g} s apart; outputs "
-        f"{', '.join(signals.outputs)}; inputs {', '.join(signals.inputs)}{missing}",
-        dim=True,
-    )
+    parts = [
+        f"{signals.N} samples, {signals.equidistant():g} s apart",
+        f"outputs {', '.join(signals.outputs)}",
+        f"inputs {', '.join(signals.inputs)}",
+        *([f"{signals.missing} values are missing"] if signals.missing else []),
+    ]
+    _tell_of_reading(file, parts, signals.history)
+
+
+def _tell_of_reading(file: Path, parts: Sequence[str], history: Sequence[str]) -> None:
+    """Print first the doubts about the reading of a file, then its other facts."""
+    from armrig.data.step import DOUBT, codes_of
+
+    steps = list(zip(history, codes_of(history), strict=True))
+    for text, code in steps:
+        if code == DOUBT:
+            tell(f"{file}: {text}")
+    facts = [text for text, code in steps if code != DOUBT]
+    inform(f"{file}: {'; '.join([*parts, *facts])}", dim=True)

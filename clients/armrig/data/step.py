@@ -10,6 +10,8 @@ MEAN = "mean"
 """Code of a step that removed the mean."""
 LINE = "line"
 """Code of a step that removed a straight line."""
+DOUBT = "doubt"
+"""Code of a step that may be a misreading of a file, or that names a fault of its data."""
 
 _PART = "part"
 """First word of the code of a step that selected a part; the part's start and end in s follow."""

@@ -109,7 +109,9 @@ def test_a_sampling_time_that_is_given_overrides_the_times(
     assert code == 0
     assert out.startswith("OE(nb=2, nf=2, nk=1) fits y to ")
     assert "u to y, Ts 0.1 s, N 400;" in out
-    assert said.startswith(
+    doubt, facts, *_ = said.splitlines()
+    assert doubt.endswith("used the given Ts = 0.1 s, although the times are 0.05 s apart")
+    assert facts.startswith(
         f"{folder}/data.csv: 400 samples, 0.1 s apart; the input is column u; the"
     )
 

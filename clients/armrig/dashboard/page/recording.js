@@ -14,6 +14,8 @@ const SIGNALS = [
   { key: "alpha", name: "α", unit: "°", range: null, least: 1, digits: 2 },
 ];
 
+const ANGLES = ["theta_1", "alpha"];
+
 let chosen = ""; // the file
 let name = ""; // its @name
 let seconds = 0;
@@ -60,7 +62,7 @@ export async function look(file, list = []) {
   const notes = found.notes.map(([t, owner, text]) => make("li", {}, `${t.toFixed(2)} s, ${owner}: ${text}`));
   if (found.more_notes) notes.push(make("li", { textContent: `${found.more_notes} more; \`armrig info --verbose\` lists them` }));
   const where = make("div", { id: "curves" });
-  const replay = new Replay(charts, () => own, () => seen || [0, seconds]);
+  const replay = new Replay(charts, () => own, () => seen || [0, seconds], ANGLES);
   const section = (title, items) => (items.length ? [make("h3", { textContent: title }), make("ul", {}, ...items)] : []);
   const about = [make("h3", { textContent: "Details" }), facts];
   byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { id: "legend", hidden: true }), make("p", { className: "hint", id: "seen" }), where, make("div", { id: "model" }), make("div", { id: "reported" }), replay.element, ...section("Notes", notes), ...about, ...section("Missing samples", gaps));

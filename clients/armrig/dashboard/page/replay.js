@@ -5,8 +5,10 @@ import { valuesAt } from "./compared.js";
 import { make } from "./elements.js";
 
 export class Replay {
-  // charts: the charts; curves: returns the curves by signal; range: returns the visible range [from, to] in s.
-  constructor(charts, curves, range) {
+  // charts: the charts; curves: returns the curves by signal; range: returns the visible range [from, to] in s;
+  // angles: the keys of the arm's angles.
+  constructor(charts, curves, range, angles) {
+    this.angles = angles;
     this.charts = charts;
     this.curves = curves;
     this.range = range;
@@ -46,7 +48,7 @@ export class Replay {
     const left = this.charts[0].valToPos(this.t, "x");
     for (const u of this.charts) u.setCursor({ left, top: 10 });
     this.time.textContent = `${this.t.toFixed(2)} s`;
-    const [theta_1, alpha] = ["theta_1", "alpha"].map((key) => valuesAt(this.curves()[key], this.t)?.[0] ?? null);
+    const [theta_1, alpha] = this.angles.map((key) => valuesAt(this.curves()[key], this.t)?.[0] ?? null);
     this.arm.show(theta_1, alpha);
   }
 }

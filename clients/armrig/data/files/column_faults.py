@@ -9,6 +9,7 @@ from armrig_core.errors import FileError
 from numpy.typing import NDArray
 
 from armrig.data.files.table import Vector
+from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 
 _MODULI = (*(2.0**n for n in range(8, 17)), 2.0**24, 2.0**32, 360.0, tau)
@@ -19,7 +20,8 @@ _MIN_STEPS = 20
 _MIN_JUMP = 0.5  # of the modulus
 _MAX_JUMP_SHARE = 0.25  # of the steps
 _MIN_RANGE = 0.7  # of the modulus
-_MAX_REST = 0.25  # largest usual step of a counter that wraps, as a share of its modulus
+_MAX_REST = 0.25  # largest step of a counter that wraps, as a share of its modulus
+_MAX_USUAL_STEP = 0.125  # of the modulus, for nine of ten steps: noise has larger ones
 
 
 def rails(y: Vector) -> tuple[NDArray[np.bool_], list[float]]:
@@ -67,6 +69,7 @@ def modulus_of(y: Vector) -> float | None:
             0 < np.count_nonzero(jumps) <= _MAX_JUMP_SHARE * d.size
             and _MIN_RANGE * modulus <= np.ptp(known) <= modulus * (1 + 1e-9)
             and rest.max() < _MAX_REST * modulus
+            and np.quantile(rest, 0.9) < _MAX_USUAL_STEP * modulus
             and rest[jumps].max() <= 2 * max(float(rest[~jumps].max()), modulus / 1000)
         ):
             return modulus
@@ -102,10 +105,11 @@ def treated(
     elif modulus := modulus_of(y):
         known = y[np.isfinite(y)]
         jumps = int(np.count_nonzero(np.abs(np.diff(known)) > _MIN_JUMP * modulus))
-        notes.append(
+        text = (
             f"{name} jumps by {modulus:.6g} at {plural(jumps, 'place')}, as a counter that wraps: "
             f"give --unwrap {modulus:.6g}"
         )
+        notes.append(Step(text, DOUBT))
         return y, notes
     at, values = rails(y)
     if values:
@@ -115,10 +119,11 @@ def treated(
             y = np.where(at, np.nan, y)
             notes.append(f"masked {share} of {name} at the rail {where}")
         else:
-            notes.append(
+            text = (
                 f"{share} of {name} are exactly {where}, as at the rail of a converter: give "
                 "--mask-rails to mark them as missing"
             )
+            notes.append(Step(text, DOUBT))
     elif mask_rails:
         notes.append(f"{name} has no samples at a rail")
     return y, notes

@@ -24,6 +24,7 @@ from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
 from armrig.data.files.stamps import time_columns, times_of
 from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
 from armrig.data.signals import Mask, Signals
+from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 
 Array = NDArray[np.float64]
@@ -430,8 +431,8 @@ def _grid(table: Table, taken: set[int], N: int, how: Reading) -> Grid:
         except FileError as err:
             if how.Ts is None or how.resample:
                 raise
-            note = f"used the given Ts = {how.Ts:g} s, because the times cannot be used: {err}"
-            return replace(unit_grid(N, how.Ts), notes=(note,))
+            text = f"used the given Ts = {how.Ts:g} s, because the times cannot be used: {err}"
+            return replace(unit_grid(N, how.Ts), notes=(Step(text, DOUBT),))
     if how.Ts is not None and not how.resample:
         return unit_grid(N, how.Ts)
     msg = "the sampling time is not known: give it in s (--Ts)"

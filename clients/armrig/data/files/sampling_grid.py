@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from armrig.data.files.stamps import Times
 from armrig.data.files.table import Vector
+from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 
 MAX_INTERVAL_DEVIATION = 0.05
@@ -118,6 +119,8 @@ def grid_of(
         and the last digit of the times.
     """
     t = times.t
+    if t.size < 2 and Ts is not None:
+        return unit_grid(t.size, Ts)
     if t.size < 2:
         raise FileError(
             f"{name}: a sampling time needs at least 2 times, got {t.size}; give Ts in s (--Ts)"
@@ -136,11 +139,13 @@ def grid_of(
     except UnevenTimesError as err:
         usual = _usual(t)
         breaks = np.flatnonzero((np.diff(t) < 0) | (np.diff(t) > _MAX_LEFT_OUT * usual)) + 1
-        notes = (f"used each row as one sample although {err}", *_gap_notes(t, breaks, place))
+        doubt = Step(f"used each row as one sample although {err}", DOUBT)
+        notes = (doubt, *_gap_notes(t, breaks, place))
         grid = Grid(Ts=Ts, at=np.arange(t.size), size=t.size, breaks=tuple(breaks), notes=notes)
     notes = grid.notes
     if not isclose(usual, Ts, rel_tol=MAX_TS_DEVIATION):
-        notes = (f"used the given Ts = {Ts:g} s, although the times are {usual:g} s apart", *notes)
+        text = f"used the given Ts = {Ts:g} s, although the times are {usual:g} s apart"
+        notes = (Step(text, DOUBT), *notes)
     return Grid(Ts=Ts, at=grid.at, size=grid.size, breaks=grid.breaks, notes=notes)
 
 

@@ -12,6 +12,7 @@ from armrig_core.errors import FileError
 
 from armrig.data.files.decimal_marks import number
 from armrig.data.files.table import Column, Table, Vector, shown
+from armrig.data.step import DOUBT, Step
 
 _UNITS = {
     1.0: "s sec secs second seconds",
@@ -127,7 +128,7 @@ def times_of(table: Table, i: int) -> Times:
             unit = _DAY_S
             notes.append(f"read {_named(column)} as days (MATLAB's datenum)")
         elif usual >= 1.0:
-            notes.append(f"{_named(column)} have no unit: read as s")
+            notes.append(Step(f"{_named(column)} have no unit: read as s", DOUBT))
     for bits in _TIMER_BITS:
         steps = np.diff(t)
         wraps = (steps < 0) & (np.abs(steps + 2.0**bits - usual) <= usual)
