@@ -25,6 +25,7 @@ from armrig.cli.options import (
     Signal,
     TimeColumn,
     To,
+    Topic,
     Verbose,
     print_json,
     say,
@@ -50,6 +51,7 @@ def check(
     file: DataFile,
     input: Input = None,
     signal: Signal = None,
+    topic: Topic = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
     detrend: Detrend = False,
@@ -75,6 +77,7 @@ def check(
     signals = SignalChoice(
         signal=signal,
         input=input,
+        topic=topic,
         time=time,
         Ts=Ts,
         detrend=detrend,

@@ -32,6 +32,7 @@ from armrig.cli.options import (
     Signals,
     TimeColumn,
     To,
+    Topic,
     Verbose,
     print_json,
     say,
@@ -99,6 +100,7 @@ def identify(
     validate: ValidationFile = None,
     input: Inputs = None,
     signal: Signals = None,
+    topic: Topic = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
     shared: Shared = False,
@@ -125,6 +127,7 @@ def identify(
     signals = SignalChoice(
         signal=signal,
         input=input,
+        topic=topic,
         time=time,
         Ts=Ts,
         detrend=detrend,

@@ -28,7 +28,7 @@ from armrig.cli.column_notes import (
 )
 from armrig.cli.figures import name_runs
 from armrig.cli.options import tell, warned
-from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
+from armrig.data.files.suffixes import OTHER_DATA
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -78,6 +78,8 @@ class SignalChoice:
     """Output, or outputs with commas; None means theta_1 of a recording, or y of other data."""
     input: str | None = None
     """Column of the input in other data, or several columns with commas; None means u."""
+    topic: str | None = None
+    """Topic of an MCAP file of another program, whose fields are the columns."""
     time: str | None = None
     """Column of the times in other data."""
     Ts: float | None = None
@@ -111,6 +113,7 @@ class SignalChoice:
         if signal is None and data is not None and data.output not in (*_UNNAMED, THETA_1):
             signal = data.output
         given = {
+            "--topic": self.topic,
             "--input": self.input,
             "--signal": signal,
             "--time": self.time,
@@ -181,7 +184,7 @@ class SignalChoice:
             inputs, outputs = inputs or model.inputs, outputs or model.outputs
         columns = {"inputs": inputs or ("u",), "outputs": outputs or ("y",)}
         with spinner("reading"):
-            signals = load_signals(file, **columns, time=self.time, Ts=self.Ts)
+            signals = load_signals(file, **columns, time=self.time, Ts=self.Ts, topic=self.topic)
         tell_of_signals(file, signals)
         every = [
             (name, signals.y[signals.valid[:, i], i]) for i, name in enumerate(signals.outputs)
@@ -213,7 +216,7 @@ class SignalChoice:
             "signal": self.signal or (model.output if model else None) or "y",
         }
         with spinner("reading"):
-            data = load_data(file, **columns, time=self.time, Ts=self.Ts)
+            data = load_data(file, **columns, time=self.time, Ts=self.Ts, topic=self.topic)
         if model is not None and self.signal is not None and model.output not in _UNNAMED:
             data = data.replaced(
                 step=None, output=model.output
@@ -231,10 +234,10 @@ class SignalChoice:
         return data
 
     def _is_other(self, file: Path) -> bool:
-        """Return True if the file's name or the options show that the file is not a recording."""
-        suffix = file.suffix.lower()
-        asked = (self.input, self.time, self.Ts) != (None, None, None)
-        return suffix in DATA or (asked and suffix != RECORDING)
+        """Return True if --topic or the content shows that the file is not a recording."""
+        from armrig.recordings.recording_summary import is_recording
+
+        return self.topic is not None or not is_recording(file)
 
     def _recording(self, file: Path) -> Recording:
         """Return a recording; refuse options that apply to other data."""

@@ -26,6 +26,7 @@ from armrig.cli.options import (
     Signals,
     TimeColumn,
     To,
+    Topic,
     Verbose,
     print_json,
     say,
@@ -71,6 +72,7 @@ def validate(
     model: ModelFile,
     input: Inputs = None,
     signal: Signals = None,
+    topic: Topic = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
     detrend: Detrend = False,
@@ -97,6 +99,7 @@ def validate(
     signals = SignalChoice(
         signal=signal,
         input=input,
+        topic=topic,
         time=time,
         Ts=Ts,
         detrend=detrend,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from struct import Struct
 
+import lz4.frame
 import zstandard
 
 from armrig_core.recording_file.budget import UNPACKED, Budget, DamageError
@@ -40,8 +41,10 @@ class Unpacker:
         self._budget.spend(UNPACKED, size)
         if compression == "zstd":
             data = self._unpacked(packed, size)
+        elif compression == "lz4":
+            data = _unpacked_lz4(packed, size)
         elif compression:
-            raise DamageError(f"compression {compression!r}: allowed are zstd and none")
+            raise DamageError(f"compression {compression!r}: allowed are zstd, lz4 and none")
         else:
             data = bytes(packed)
         if len(data) != size or (crc and zlib.crc32(data) != crc):
@@ -58,3 +61,11 @@ class Unpacker:
                 return stream.read(size + 1)
         except zstandard.ZstdError as err:
             raise DamageError(f"a chunk cannot be unpacked ({err})") from err
+
+
+def _unpacked_lz4(packed: memoryview, size: int) -> bytes:
+    try:
+        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
+    except RuntimeError as err:
+        raise DamageError(f"a chunk cannot be unpacked ({err})") from err
+    return data

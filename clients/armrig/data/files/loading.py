@@ -15,9 +15,11 @@ import numpy as np
 from armrig_core.bounded import decoded, read_bounded
 from armrig_core.calls import checked_call
 from armrig_core.errors import FileError, InputError
+from armrig_core.recording_file.file_records import MAGIC
 
 from armrig.data.dataset import Dataset, require_size
-from armrig.data.files import arrays, text
+from armrig.data.files import arrays, messages, text
+from armrig.data.files.parquet import read_parquet
 from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
 from armrig.data.signals import Mask, Signals
 
@@ -39,8 +41,9 @@ def load_data(
     signal: str = "y",
     time: str | None = None,
     Ts: float | None = None,
+    topic: str | None = None,
 ) -> Dataset:
-    """Load the data of a file other than a recording: CSV, another text table, .mat or .npz.
+    """Load the data of a file other than a recording: a text table, .mat, .npz, Parquet or MCAP.
 
     Columns are chosen by name or by number from 1. The cells of a text are separated by semicolons,
     tabs, commas or blanks. A line of names is optional. Lines that begin with # or % are remarks.
@@ -60,6 +63,10 @@ def load_data(
     Ts : float, optional
         Sampling time in s, used instead of the times. The default is the interval of the times. If
         `time` is not given, a number named Ts in a MAT-file or .npz has priority over the times.
+    topic : str, optional
+        Topic of an MCAP file of another program; the columns are the fields of its messages, such
+        as `twist.linear.x`. The default of `time` is then the log time. Of several topics with
+        commas, the last gives the times, and the newest values of the others are held.
 
     Returns
     -------
@@ -83,7 +90,7 @@ def load_data(
     <Dataset: 3 samples at 0.01 s; output alpha [rad]; 1 missing (33.3 %)>
     """
     columns = {"input": input, "signal": signal}
-    return _loaded(path, lambda table, source: _dataset(table, columns, time, Ts, source))
+    return _loaded(path, lambda table, source: _dataset(table, columns, time, Ts, source), topic)
 
 
 @checked_call
@@ -94,8 +101,9 @@ def load_signals(
     outputs: str | Sequence[str],
     time: str | None = None,
     Ts: float | None = None,
+    topic: str | None = None,
 ) -> Signals:
-    r"""Load several inputs and outputs of a file: CSV, another text table, .mat or .npz.
+    r"""Load several inputs and outputs of a file other than a recording.
 
     The file is read as in `load_data`. The name of a matrix, such as u of a saved iddata structure,
     chooses all columns of the matrix. If an input is missing at an instant, the instant is left
@@ -111,6 +119,8 @@ def load_signals(
         Column of the times, as for `load_data`.
     Ts : float, optional
         Sampling time in s, as for `load_data`.
+    topic : str, optional
+        Topic of an MCAP file of another program, as for `load_data`.
 
     Returns
     -------
@@ -133,16 +143,22 @@ def load_signals(
     >>> armrig.load_signals("plant.csv", inputs=["u1", "u2"], outputs="y1")
     <Signals: 50 samples at 0.1 s; outputs y1; inputs u1, u2>
     """
-    return _loaded(path, lambda table, source: _signals(table, inputs, outputs, time, Ts, source))
+
+    def made(table: Table, source: str) -> Signals:
+        return _signals(table, inputs, outputs, time, Ts, source)
+
+    return _loaded(path, made, topic)
 
 
-def _loaded(path: str | PathLike[str], made: Callable[[Table, str], Data]) -> Data:
+def _loaded(
+    path: str | PathLike[str], made: Callable[[Table, str], Data], topic: str | None
+) -> Data:
     """Call `made` with the table in a file and the hash of the file, and return the result."""
     path = Path(path)
     try:
         data = read_bounded(path, MOST_BYTES)
         source = f"{SOURCE}:{hashlib.sha256(data).hexdigest()}"
-        return made(table_of(data, path.suffix.lower()), source)
+        return made(table_of(data, path.suffix.lower(), topic), source)
     except FileError as err:
         raise FileError(f"{path}: {err}") from err
     except OSError as err:
@@ -351,25 +367,26 @@ def _values(table: Table, i: int, what: str) -> Vector:
 # Recognition of a file's kind by its first bytes.
 
 
-_KNOWN_KINDS = "armrig reads CSV and other tables of text, .mat (to -v7) and .npz"
+_KNOWN_KINDS = "armrig reads tables of text, .mat (to -v7), .npz, Parquet and MCAP"
 _SAVE_IN_MATLAB = "save it in MATLAB with save('data.mat', 'u', 'y', '-v7')"
 _UTF_16 = 'is saved as UTF-16, like Excel\'s "Unicode text"; save it as "CSV UTF-8"'
 _REFUSED_KINDS = (
-    (b"\x89MCAP0\r\n", "is a recording and not a table; armrig.load(path).dataset() reads it"),
     (b"MATLAB 7.3", f"is a MAT-file of version 7.3, which only MATLAB reads; {_SAVE_IN_MATLAB}"),
     (b"\x89HDF\r\n", f"is HDF5, which armrig does not read; if MATLAB wrote it, {_SAVE_IN_MATLAB}"),
     (b"# Created by Octave", "is Octave's text format; in Octave: save -v7 data.mat u y"),
     (b"\xd0\xcf\x11\xe0", "is an old Excel workbook; save its sheet as CSV"),
     (b"\x93NUMPY", "is an .npy, an array without a name; save it with numpy.savez(…, u=u, y=y)"),
-    (b"PAR1", "is Parquet, which armrig does not read; save it as CSV"),
     (b"\x1f\x8b", "is packed with gzip; unpack it first (gunzip)"),
     (codecs.BOM_UTF16_LE, _UTF_16),
     (codecs.BOM_UTF16_BE, _UTF_16),
 )
 
 
-def table_of(data: bytes, suffix: str) -> Table:
-    """Return the table in a file, whose kind is recognised by its first bytes and its suffix.
+def table_of(data: bytes, suffix: str, topic: str | None = None) -> Table:
+    """Return the table in a file, whose kind is recognised by its first bytes.
+
+    Only a MAT-file of version 4 is recognised by its suffix, because it begins with numbers. The
+    topic chooses the messages of an MCAP file.
 
     Raises
     ------
@@ -379,6 +396,12 @@ def table_of(data: bytes, suffix: str) -> Table:
     for beginning, what in _REFUSED_KINDS:
         if data.startswith(beginning):
             raise FileError(what)
+    if data.startswith(MAGIC):
+        return messages.table_of(data, topic)
+    if topic is not None:
+        raise FileError(f"topic {topic}: only MCAP files have topics; leave out --topic")
+    if data.startswith(b"PAR1"):
+        return read_parquet(data)
     if data.startswith(b"PK\x03\x04"):
         return arrays.read_npz(data)
     if data.startswith(b"MATLAB 5.0") or (suffix == ".mat" and b"\0" in data[:128]):
