@@ -75,8 +75,8 @@ def table_of(data: bytes, topic: str | None) -> ArrayTable:
 def _joined(series: Mapping[str, _Series]) -> dict[str, Vector]:
     """Return the times of the last topic, from 0 on, and the values of all topics at these times.
 
-    The names begin with the topic if there are several topics. So does a field named t or time,
-    because the column of the log times is recognised by its name.
+    The names begin with the topic if there are several topics. The name of a field t or time also
+    begins with the topic, because the column of the log times is recognised by its name.
     """
     *_, (last, _) = series.values()
     times_ns = np.sort(np.array(last, dtype=np.uint64))
