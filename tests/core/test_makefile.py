@@ -1,4 +1,4 @@
-"""What `make` says of a Python or a compiler that armrig cannot use."""
+"""`make` names a Python or a compiler that armrig cannot use."""
 
 from __future__ import annotations
 

@@ -25,12 +25,12 @@ from armrig.cli.options import (
     Signal,
     TimeColumn,
     To,
-    Topic,
     Verbose,
     print_json,
     say,
     tell,
 )
+from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import SignalChoice, from_recording, source_facts
 
 if TYPE_CHECKING:
@@ -47,13 +47,14 @@ _CHASSIS = (
 )
 
 
+@reads_tables
 def check(
     file: DataFile,
     input: Input = None,
     signal: Signal = None,
-    topic: Topic = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
+    reading: ReadingOptions = AS_IT_STANDS,
     detrend: Detrend = False,
     hampel: Hampel = False,
     output: NoOutput = None,
@@ -77,9 +78,9 @@ def check(
     signals = SignalChoice(
         signal=signal,
         input=input,
-        topic=topic,
         time=time,
         Ts=Ts,
+        reading=reading,
         detrend=detrend,
         hampel=hampel,
         calibration=calibration,

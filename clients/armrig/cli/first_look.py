@@ -21,11 +21,11 @@ from armrig.cli.options import (
     Signal,
     TimeColumn,
     To,
-    Topic,
     print_json,
     print_table,
     say,
 )
+from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import SignalChoice, from_recording, loaded, source_facts
 
 if TYPE_CHECKING:
@@ -70,13 +70,14 @@ def plot(
     say_next(after if after in AFTER else "plot", file=typed(file))
 
 
+@reads_tables
 def sampling(
     file: DataFile,
     input: Input = None,
     signal: Signal = None,
-    topic: Topic = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
+    reading: ReadingOptions = AS_IT_STANDS,
     detrend: Detrend = False,
     calibration: CalibrationFile = None,
     start: From = None,
@@ -96,9 +97,9 @@ def sampling(
     signals = SignalChoice(
         signal=signal,
         input=input,
-        topic=topic,
         time=time,
         Ts=Ts,
+        reading=reading,
         detrend=detrend,
         calibration=calibration,
         start=start,
@@ -170,13 +171,14 @@ def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
     return {"step": {name: getattr(steps, name) for name in names}}
 
 
+@reads_tables
 def hints(
     file: DataFile,
     input: Input = None,
     signal: Signal = None,
-    topic: Topic = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
+    reading: ReadingOptions = AS_IT_STANDS,
     detrend: Detrend = False,
     calibration: CalibrationFile = None,
     start: From = None,
@@ -196,9 +198,9 @@ def hints(
     signals = SignalChoice(
         signal=signal,
         input=input,
-        topic=topic,
         time=time,
         Ts=Ts,
+        reading=reading,
         detrend=detrend,
         calibration=calibration,
         start=start,

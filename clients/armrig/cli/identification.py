@@ -32,12 +32,12 @@ from armrig.cli.options import (
     Signals,
     TimeColumn,
     To,
-    Topic,
     Verbose,
     print_json,
     say,
     tell,
 )
+from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import (
     SignalChoice,
     from_recording,
@@ -91,6 +91,7 @@ Save = Annotated[Path | None, typer.Option("--save", metavar="JSON", help="Model
 
 
 @estimation_options(without_nk="1; estimated with --search of one input and one output")
+@reads_tables
 def identify(
     file: DataFile,
     given: Given,
@@ -100,9 +101,9 @@ def identify(
     validate: ValidationFile = None,
     input: Inputs = None,
     signal: Signals = None,
-    topic: Topic = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
+    reading: ReadingOptions = AS_IT_STANDS,
     shared: Shared = False,
     detrend: Detrend = False,
     hampel: Hampel = False,
@@ -127,9 +128,9 @@ def identify(
     signals = SignalChoice(
         signal=signal,
         input=input,
-        topic=topic,
         time=time,
         Ts=Ts,
+        reading=reading,
         detrend=detrend,
         offset=given["offset"] if given["structure"] in (None, *users("offset")) else None,
         hampel=hampel,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from functools import wraps
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from armrig.cli.reading_options import grouped
 from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.estimation.request import DEFAULTS, OPTIONS, Option, Request, flag
 from armrig.models.structure_table import (
@@ -53,26 +53,7 @@ def estimation_options(
     without_nk : str
         Text for the default of nk in the help, if `nk` is None.
     """
-    options = _options(structure, nk, without_nk)
-
-    def decorated(command: Callable[..., None]) -> Callable[..., None]:
-        @wraps(command)
-        def taking(**values: Any) -> None:
-            command(given={p.name: values.pop(p.name) for p in options}, **values)
-
-        signature = inspect.signature(command, eval_str=True)
-        taken = [
-            p
-            for one in signature.parameters.values()
-            for p in (options if one.name == "given" else [one])
-        ]
-        taking.__signature__ = signature.replace(  # type: ignore[attr-defined]
-            parameters=[p.replace(kind=p.KEYWORD_ONLY) for p in taken]
-        )
-        taking.__annotations__ = {p.name: p.annotation for p in taken}
-        return taking
-
-    return decorated
+    return grouped("given", _options(structure, nk, without_nk))
 
 
 def _options(

@@ -94,15 +94,6 @@ Inputs = Annotated[
         show_default="u",
     ),
 ]
-Topic = Annotated[
-    str | None,
-    typer.Option(
-        "--topic",
-        metavar="NAME",
-        help="Topic of an MCAP file of another program. --input and --signal then name fields of "
-        "its messages, such as twist.linear.x.",
-    ),
-]
 TimeColumn = Annotated[
     str | None,
     typer.Option(

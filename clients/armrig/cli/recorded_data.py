@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import typer
 from armrig_core.errors import InputError
@@ -28,6 +28,7 @@ from armrig.cli.column_notes import (
 )
 from armrig.cli.figures import name_runs
 from armrig.cli.options import tell, warned
+from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions
 from armrig.data.files.suffixes import OTHER_DATA
 
 if TYPE_CHECKING:
@@ -78,12 +79,12 @@ class SignalChoice:
     """Output, or outputs with commas; None means theta_1 of a recording, or y of other data."""
     input: str | None = None
     """Column of the input in other data, or several columns with commas; None means u."""
-    topic: str | None = None
-    """Topic of an MCAP file of another program, whose fields are the columns."""
     time: str | None = None
     """Column of the times in other data."""
     Ts: float | None = None
     """Sampling time of other data, in s."""
+    reading: ReadingOptions = AS_IT_STANDS
+    """Options of reading other data."""
     detrend: bool = False
     """Subtract the mean of each signal of each file."""
     offset: bool | None = None
@@ -113,7 +114,6 @@ class SignalChoice:
         if signal is None and data is not None and data.output not in (*_UNNAMED, THETA_1):
             signal = data.output
         given = {
-            "--topic": self.topic,
             "--input": self.input,
             "--signal": signal,
             "--time": self.time,
@@ -123,6 +123,7 @@ class SignalChoice:
         }
         given["--calibration"] = None if self.calibration is None else str(self.calibration)
         typed = [f" {name} {shlex.quote(value)}" for name, value in given.items() if value]
+        typed.append(self.reading.typed())
         return "".join(typed) + " --detrend" * self.detrend + " --hampel" * self.hampel
 
     def of(self, file: Path, model: Model | None = None) -> Dataset:
@@ -184,7 +185,7 @@ class SignalChoice:
             inputs, outputs = inputs or model.inputs, outputs or model.outputs
         columns = {"inputs": inputs or ("u",), "outputs": outputs or ("y",)}
         with spinner("reading"):
-            signals = load_signals(file, **columns, time=self.time, Ts=self.Ts, topic=self.topic)
+            signals = load_signals(file, **self._options(columns))
         tell_of_signals(file, signals)
         every = [
             (name, signals.y[signals.valid[:, i], i]) for i, name in enumerate(signals.outputs)
@@ -194,6 +195,10 @@ class SignalChoice:
         if not (self.detrend or _without_means(model)):
             hint_at_means(every, [(name, signals.u[:, j]) for j, name in enumerate(signals.inputs)])
         return signals if model is None else as_modelled(file, signals, model)
+
+    def _options(self, columns: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the arguments of `load_data` or `load_signals`."""
+        return {**columns, "time": self.time, "Ts": self.Ts, **asdict(self.reading)}
 
     def _tell_of_means(self, model: Model | MultivariableFit | None) -> None:
         if _without_means(model) and not self.detrend:
@@ -216,7 +221,7 @@ class SignalChoice:
             "signal": self.signal or (model.output if model else None) or "y",
         }
         with spinner("reading"):
-            data = load_data(file, **columns, time=self.time, Ts=self.Ts, topic=self.topic)
+            data = load_data(file, **self._options(columns))
         if model is not None and self.signal is not None and model.output not in _UNNAMED:
             data = data.replaced(
                 step=None, output=model.output
@@ -237,16 +242,16 @@ class SignalChoice:
         """Return True if --topic or the content shows that the file is not a recording."""
         from armrig.recordings.recording_summary import is_recording
 
-        return self.topic is not None or not is_recording(file)
+        return self.reading.topic is not None or not is_recording(file)
 
     def _recording(self, file: Path) -> Recording:
         """Return a recording; refuse options that apply to other data."""
         given = {"--input": self.input, "--time": self.time, "--Ts": self.Ts}
+        given |= self.reading.given()
         for name, value in given.items():
             if value is not None:
-                raise typer.BadParameter(
-                    f"{name} {value} applies to {OTHER_DATA}; {file} is a recording"
-                )
+                typed = f"{name} {value}".removesuffix(" True")
+                raise typer.BadParameter(f"{typed} applies to {OTHER_DATA}; {file} is a recording")
         recording = loaded([file], self.calibration, self.start, self.stop)[0]
         self._tell_of_pair(recording)
         return recording

@@ -26,11 +26,11 @@ from armrig.cli.options import (
     Signals,
     TimeColumn,
     To,
-    Topic,
     Verbose,
     print_json,
     say,
 )
+from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import (
     SignalChoice,
     from_recording,
@@ -67,14 +67,15 @@ Lags = Annotated[
 _HORIZONS = (1, 10)
 
 
+@reads_tables
 def validate(
     file: DataFile,
     model: ModelFile,
     input: Inputs = None,
     signal: Signals = None,
-    topic: Topic = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
+    reading: ReadingOptions = AS_IT_STANDS,
     detrend: Detrend = False,
     hampel: Hampel = False,
     output: NoOutput = None,
@@ -99,9 +100,9 @@ def validate(
     signals = SignalChoice(
         signal=signal,
         input=input,
-        topic=topic,
         time=time,
         Ts=Ts,
+        reading=reading,
         detrend=detrend,
         hampel=hampel,
         calibration=calibration,

@@ -55,6 +55,9 @@ class ArrayTable:
         with np.errstate(invalid="ignore"):  # a signalling NaN is NaN, too
             return np.array(self.values[i], dtype=np.float64)
 
+    def texts(self, i: int) -> None:
+        """Return None: the columns are numbers."""
+
     def place(self, k: int) -> str:
         """Return the row of instant k as text; rows count from 1."""
         return f"row {k + 1}"

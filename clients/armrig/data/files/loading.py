@@ -6,31 +6,38 @@ import codecs
 import errno
 import hashlib
 from collections.abc import Callable, Sequence
-from math import isclose
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 from armrig_core.bounded import decoded, read_bounded
 from armrig_core.calls import checked_call
 from armrig_core.errors import FileError, InputError
 from armrig_core.recording_file.file_records import MAGIC
+from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, require_size
 from armrig.data.files import arrays, messages, text
+from armrig.data.files.column_faults import treated
 from armrig.data.files.parquet import read_parquet
+from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
+from armrig.data.files.stamps import time_columns, times_of
 from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
 from armrig.data.signals import Mask, Signals
+from armrig.numerics.quantities import plural
 
+Array = NDArray[np.float64]
 Data = TypeVar("Data")
 
 MOST_BYTES = 1 << 27
 """Largest size of a file, in B; a text of a million rows of eight numbers each is smaller."""
 SOURCE = "data"
 """Prefix of the hash in `source` if the file is not a recording."""
-_TIME_NAMES = ("t", "time")
-MAX_TS_DEVIATION = 0.05  # largest relative deviation of the given Ts from Ts in the file
+_MIN_KNOWN_INPUTS = 0.5  # share of the rows
+_MAX_HELD = 3  # rows that a file leaves out in which u is held, if it is the same on both sides
+_ONE_PAIR = 2
 
 
 @checked_call
@@ -41,6 +48,11 @@ def load_data(
     signal: str = "y",
     time: str | None = None,
     Ts: float | None = None,
+    decimal: Literal[",", "."] | None = None,
+    resample: bool = False,
+    hold_input: bool = False,
+    mask_rails: bool = False,
+    unwrap: float | None = None,
     topic: str | None = None,
 ) -> Dataset:
     """Load the data of a file other than a recording: a text table, .mat, .npz, Parquet or MCAP.
@@ -59,10 +71,21 @@ def load_data(
         Columns of u and y.
     time : str, optional
         Column of the times, in s unless its header names another unit; by default the column named
-        t or time. The times must be equidistant.
+        t or time. Dates and times of day are also read. Rows that the times leave out are missing;
+        a gap, or a time that goes back, begins a new experiment.
     Ts : float, optional
         Sampling time in s, used instead of the times. The default is the interval of the times. If
         `time` is not given, a number named Ts in a MAT-file or .npz has priority over the times.
+    decimal : {",", "."}, optional
+        Decimal mark of a text file. The default is the mark that all numbers of the file show.
+    resample : bool, default False
+        Interpolate rows at uneven times: y on straight lines, u held.
+    hold_input : bool, default False
+        Hold u where its cell is empty, for files that contain u only where it changes.
+    mask_rails : bool, default False
+        Mark samples of y at a rail of its converter as missing.
+    unwrap : float, optional
+        Range of a counter or angle that wraps, such as 65536 or 360; its jumps are removed from y.
     topic : str, optional
         Topic of an MCAP file of another program; the columns are the fields of its messages, such
         as `twist.linear.x`. The default of `time` is then the log time. Of several topics with
@@ -90,7 +113,10 @@ def load_data(
     <Dataset: 3 samples at 0.01 s; output alpha [rad]; 1 missing (33.3 %)>
     """
     columns = {"input": input, "signal": signal}
-    return _loaded(path, lambda table, source: _dataset(table, columns, time, Ts, source), topic)
+    how = Reading(time, Ts, resample, hold_input, mask_rails, unwrap)
+    return _loaded(
+        path, decimal, topic, lambda table, source: _dataset(table, columns, how, source)
+    )
 
 
 @checked_call
@@ -101,6 +127,11 @@ def load_signals(
     outputs: str | Sequence[str],
     time: str | None = None,
     Ts: float | None = None,
+    decimal: Literal[",", "."] | None = None,
+    resample: bool = False,
+    hold_input: bool = False,
+    mask_rails: bool = False,
+    unwrap: float | None = None,
     topic: str | None = None,
 ) -> Signals:
     r"""Load several inputs and outputs of a file other than a recording.
@@ -115,12 +146,8 @@ def load_signals(
         The file, of at most 128 MiB.
     inputs, outputs : str or sequence of str
         Columns of the inputs and of the outputs, by name or by number from 1.
-    time : str, optional
-        Column of the times, as for `load_data`.
-    Ts : float, optional
-        Sampling time in s, as for `load_data`.
-    topic : str, optional
-        Topic of an MCAP file of another program, as for `load_data`.
+    time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic
+        As for `load_data`.
 
     Returns
     -------
@@ -143,22 +170,24 @@ def load_signals(
     >>> armrig.load_signals("plant.csv", inputs=["u1", "u2"], outputs="y1")
     <Signals: 50 samples at 0.1 s; outputs y1; inputs u1, u2>
     """
-
-    def made(table: Table, source: str) -> Signals:
-        return _signals(table, inputs, outputs, time, Ts, source)
-
-    return _loaded(path, made, topic)
+    how = Reading(time, Ts, resample, hold_input, mask_rails, unwrap)
+    return _loaded(
+        path, decimal, topic, lambda table, source: _signals(table, inputs, outputs, how, source)
+    )
 
 
 def _loaded(
-    path: str | PathLike[str], made: Callable[[Table, str], Data], topic: str | None
+    path: str | PathLike[str],
+    decimal: str | None,
+    topic: str | None,
+    made: Callable[[Table, str], Data],
 ) -> Data:
     """Call `made` with the table in a file and the hash of the file, and return the result."""
     path = Path(path)
     try:
         data = read_bounded(path, MOST_BYTES)
         source = f"{SOURCE}:{hashlib.sha256(data).hexdigest()}"
-        return made(table_of(data, path.suffix.lower(), topic), source)
+        return made(table_of(data, path.suffix.lower(), decimal, topic), source)
     except FileError as err:
         raise FileError(f"{path}: {err}") from err
     except OSError as err:
@@ -173,8 +202,7 @@ def _signals(
     table: Table,
     inputs: str | Sequence[str],
     outputs: str | Sequence[str],
-    time: str | None,
-    Ts: float | None,
+    how: Reading,
     source: str,
 ) -> Signals:
     of_u, of_y = _columns_of(table, inputs, "input"), _columns_of(table, outputs, "signal")
@@ -186,37 +214,22 @@ def _signals(
     taken = {*of_u, *of_y}
     if len(taken) < len(of_u) + len(of_y):
         raise FileError(f"a column is an input and an output; {listed(table, 'signal')}")
-    notes = list(table.notes)
-    if Ts is None:
-        Ts = _sampling_time(table, time, taken)
-    else:
-        notes += _other_times(table, time, taken, Ts)
-    values = [_values(table, i, "input") for i in of_u] + [
-        _values(table, i, "signal") for i in of_y
-    ]
-    sizes = sorted({x.size for x in values})
-    if len(sizes) > 1:
-        raise FileError(
-            f"the columns have {sizes[0]} to {sizes[-1]} samples; all need the same number"
-        )
-    u, y = (np.column_stack(x) for x in (values[: len(of_u)], values[len(of_u) :]))
-    known = np.array(np.isfinite(u).all(axis=1))
-    if not known.any():
+    rows = _rows(table, of_u, of_y, how)
+    if not rows.u.size:
         raise FileError("no row has a value of each input; leave an input out, or fill it in")
     named_u, named_y = ([table.columns[i] for i in of] for of in (of_u, of_y))
-    starts, left_out = _between_gaps(known)
     try:
         return Signals(
-            u=u[known],
-            y=y[known],
-            Ts=Ts,
-            starts=starts,
+            u=rows.u,
+            y=rows.y,
+            Ts=rows.Ts,
+            starts=rows.starts,
             inputs=_names(named_u, "u"),
             outputs=_names(named_y, "y"),
             input_units=[c.unit for c in named_u],
             units=[c.unit for c in named_y],
             source=source,
-            history=[*notes, *left_out],
+            history=rows.notes,
         )
     except InputError as err:
         raise FileError(str(err)) from err
@@ -241,57 +254,153 @@ def _names(columns: Sequence[Column], letter: str) -> list[str]:
     return [name or f"{letter}{k}" for k, name in enumerate(names, 1)]
 
 
-def _between_gaps(known: Mask) -> tuple[list[int], list[str]]:
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Options of reading a table; the fields are arguments of `load_data`."""
+
+    time: str | None
+    Ts: float | None
+    resample: bool
+    hold_input: bool
+    mask_rails: bool
+    unwrap: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rows:
+    """Samples that have a value of each input."""
+
+    u: Array
+    """Inputs (N, nu)."""
+    y: Array
+    """Outputs (N, ny), NaN where missing."""
+    Ts: float
+    """Sampling time in s."""
+    starts: list[int]
+    """First sample of each experiment."""
+    notes: list[str]
+    """History steps: what was done to the rows, and which faults remain."""
+
+
+def _rows(table: Table, of_u: Sequence[int], of_y: Sequence[int], how: Reading) -> Rows:
+    """Return the samples of these columns on their grid of times."""
+    columns = [_values(table, i, "input") for i in of_u] + [
+        _values(table, i, "signal") for i in of_y
+    ]
+    sizes = [x.size for x in columns]
+    if len(set(sizes)) > 1:
+        if len(sizes) == _ONE_PAIR:
+            raise FileError(
+                f"the input has {sizes[0]} samples and the signal {sizes[1]}; both need the same "
+                "number"
+            )
+        raise FileError(
+            f"the columns have {min(sizes)} to {max(sizes)} samples; all need the same number"
+        )
+    grid = _grid(table, {*of_u, *of_y}, sizes[0], how)
+    notes = [*table.notes, *grid.notes]
+    for k, i in enumerate(of_y, len(of_u)):
+        name = table.columns[i].name or "y"
+        columns[k], said = treated(columns[k], name, mask_rails=how.mask_rails, unwrap=how.unwrap)
+        notes += said
+    given = np.column_stack(columns[: len(of_u)])
+    if not how.hold_input:
+        _check_inputs(given, [table.columns[i].name or "u" for i in of_u])
+    u = np.column_stack([grid.placed(x, held=True) for x in given.T])
+    y = np.column_stack([grid.placed(x, held=False) for x in columns[len(of_u) :]])
+    put_in = np.ones(grid.size, np.bool_)
+    put_in[grid.at if grid.times is None else slice(None)] = False
+    held = _held(u, put_in, everywhere=how.hold_input)
+    if how.hold_input and (count := int(np.isnan(given).any(axis=1).sum())):
+        notes.append(f"held the input in {plural(count, 'row')} without a value of it")
+    known = np.array(np.isfinite(held).all(axis=1))
+    starts, left_out = _between_gaps(known, put_in, grid.breaks)
+    return Rows(u=held[known], y=y[known], Ts=grid.Ts, starts=starts, notes=[*notes, *left_out])
+
+
+def _check_inputs(u: Array, names: Sequence[str]) -> None:
+    """Refuse an input that most rows lack: without these rows the data would be distorted."""
+    known = np.isfinite(u).sum(axis=0)
+    i = int(np.argmin(known))
+    if 0 < known[i] < _MIN_KNOWN_INPUTS * u.shape[0]:
+        raise FileError(
+            f"{shown(names[i])} has a value in {known[i]} of {u.shape[0]} rows; if it is written "
+            "only where it changes, give --hold-input"
+        )
+
+
+def _held(u: Array, put_in: Mask, *, everywhere: bool) -> Array:
+    """Return u with its last value where it is missing.
+
+    Without `everywhere`, only in a few rows that the file leaves out, with one u on both sides.
+    """
+    held = u.copy()
+    for column in held.T:
+        known = np.isfinite(column)
+        last = np.maximum.accumulate(np.where(known, np.arange(column.size), -1))
+        after = np.minimum.accumulate(np.where(known, np.arange(column.size), column.size)[::-1])[
+            ::-1
+        ]
+        fill = ~known & (last >= 0)
+        if not everywhere:
+            inside = fill & (after < column.size)
+            same = column[last] == column[np.minimum(after, column.size - 1)]
+            fill = inside & put_in & same & (after - last <= _MAX_HELD + 1)
+        column[fill] = column[last[fill]]
+    return held
+
+
+def _between_gaps(known: Mask, put_in: Mask, breaks: Sequence[int]) -> tuple[list[int], list[str]]:
     """Return the first row of each experiment, counted in the known rows, and history steps."""
     begins = known & ~np.append(False, known[:-1])
-    left_out = int(known.size - np.count_nonzero(known))
-    count = "1 sample" if left_out == 1 else f"{left_out} samples"
-    step = f"left out {count} without an input; a new experiment begins after each gap"
-    return np.flatnonzero(begins[known]).tolist(), [step] if left_out else []
+    for k in breaks:
+        after = np.flatnonzero(known[k:])
+        begins[k + after[:1]] = True
+    steps = []
+    if left_out := int(np.count_nonzero(~known & ~put_in)):
+        steps.append(
+            f"left out {plural(left_out, 'sample')} without an input; a new experiment begins "
+            "after each gap"
+        )
+    if unknown := int(np.count_nonzero(~known & put_in)):
+        steps.append(
+            f"the input is not known in {plural(unknown, 'row')} that the file leaves out; a new "
+            "experiment begins after each such gap (--hold-input holds it instead)"
+        )
+    return np.flatnonzero(begins[known]).tolist(), steps
 
 
 def _dataset(
     table: Table,
     columns: dict[str, str],
-    time: str | None,
-    Ts: float | None,
+    how: Reading,
     source: str,
 ) -> Dataset:
-    has_times = time is not None or Ts is not None or table.Ts is not None or _named_times(table)
+    has_times = how.time or how.Ts is not None or table.Ts is not None or time_columns(table)
     at = _chosen(table, columns, has_times=bool(has_times))
     if at["input"] == at["signal"]:
         raise FileError(
             f"input and signal are both column {at['input'] + 1}; {listed(table, 'signal')}"
         )
-    notes = list(table.notes)
-    if Ts is None:
-        Ts = _sampling_time(table, time, set(at.values()))
-    else:
-        notes += _other_times(table, time, set(at.values()), Ts)
-    u, y = (_values(table, i, what) for what, i in at.items())
-    if u.size != y.size:
-        raise FileError(
-            f"the input has {u.size} samples and the signal {y.size}; both need the same number"
-        )
+    rows = _rows(table, [at["input"]], [at["signal"]], how)
+    u, y = rows.u[:, 0], rows.y[:, 0]
     for name, x in (("input", u), ("signal", y)):
         try:
             require_size(name, x[~np.isnan(x)])
         except ValueError as err:
             raise FileError(str(err)) from err
-    known = np.array(np.isfinite(u))
     of_u, of_y = (table.columns[i] for i in at.values())
-    starts, left_out = _between_gaps(known)
     return Dataset(
-        u=u[known],
-        y=y[known],
-        Ts=Ts,
-        valid=~np.isnan(y[known]),
-        starts=starts,
+        u=u,
+        y=y,
+        Ts=rows.Ts,
+        valid=~np.isnan(y),
+        starts=rows.starts,
         output=of_y.name or "y",
         unit=of_y.unit,
         input_unit=of_u.unit,
         source=source,
-        history=[*notes, *left_out],
+        history=rows.notes,
     )
 
 
@@ -315,37 +424,33 @@ def _chosen(table: Table, columns: dict[str, str], *, has_times: bool) -> dict[s
     return at
 
 
-def _named_times(table: Table) -> list[int]:
-    """Return the indices of the columns named t or time."""
-    return [i for i, c in enumerate(table.columns) if c.name.casefold() in _TIME_NAMES]
-
-
-def _other_times(table: Table, time: str | None, taken: set[int], Ts: float) -> list[str]:
-    """Return a note if the sampling time in the file differs from the given Ts."""
-    try:
-        said = _sampling_time(table, time, taken)
-    except FileError:
-        return []  # the times cannot be read, and the given Ts replaces them
-    if isclose(said, Ts, rel_tol=MAX_TS_DEVIATION):
-        return []
-    return [f"used the given Ts = {Ts:g} s, although the times are {said:g} s apart"]
-
-
-def _sampling_time(table: Table, time: str | None, taken: set[int]) -> float:
-    """Return Ts from the column of times, or the Ts that the file states."""
-    if time is not None:
-        i = chosen(table, time, "time")
-    elif table.Ts is not None:
-        return table.Ts
+def _grid(table: Table, taken: set[int], N: int, how: Reading) -> Grid:
+    """Return the grid of the rows, from a column of times, the Ts of the file, or the given Ts."""
+    if how.time is not None:
+        at = [chosen(table, how.time, "time")]
+    elif how.Ts is None and table.Ts is not None:
+        return unit_grid(N, table.Ts)
     else:
-        named = [i for i in _named_times(table) if i not in taken]
-        if len(named) != 1:
-            msg = "the sampling time is not known: give it in s (--Ts)"
-            if len(table.columns) > len(taken):
-                msg += f", or the column of times: {listed(table, 'time')}"
-            raise FileError(msg)
-        i = named[0]
-    return sampling_time(table.numbers(i), table.columns[i], table.place)
+        at = [i for i in time_columns(table) if i not in taken]
+    if len(at) == 1:
+        name = table.columns[at[0]].name
+        named = f"the times in column {shown(name)}" if name else "the times"
+        try:
+            times = times_of(table, at[0])
+            if times.t.size != N:
+                raise FileError(f"{named} are {times.t.size}, for {plural(N, 'sample')}")
+            return grid_of(times, named, table.place, Ts=how.Ts, resample=how.resample)
+        except FileError as err:
+            if how.Ts is None or how.resample:
+                raise
+            note = f"used the given Ts = {how.Ts:g} s, because the times cannot be used: {err}"
+            return replace(unit_grid(N, how.Ts), notes=(note,))
+    if how.Ts is not None and not how.resample:
+        return unit_grid(N, how.Ts)
+    msg = "the sampling time is not known: give it in s (--Ts)"
+    if len(table.columns) > len(taken):
+        msg += f", or the column of times: {listed(table, 'time')}"
+    raise FileError(msg)
 
 
 def _values(table: Table, i: int, what: str) -> Vector:
@@ -382,11 +487,14 @@ _REFUSED_KINDS = (
 )
 
 
-def table_of(data: bytes, suffix: str, topic: str | None = None) -> Table:
+def table_of(
+    data: bytes, suffix: str, decimal: str | None = None, topic: str | None = None
+) -> Table:
     """Return the table in a file, whose kind is recognised by its first bytes.
 
-    Only a MAT-file of version 4 is recognised by its suffix, because it begins with numbers. The
-    topic chooses the messages of an MCAP file.
+    Only a MAT-file of version 4 is recognised by its suffix, because it begins with numbers.
+    `decimal` is the decimal mark of a text, or None if the text itself shows it. `topic` chooses
+    the messages of an MCAP file.
 
     Raises
     ------
@@ -412,72 +520,4 @@ def table_of(data: bytes, suffix: str, topic: str | None = None) -> Table:
         content = decoded(data)
     except FileError as err:
         raise FileError(f'{err} (in Excel: "CSV UTF-8")') from err
-    return text.table_of(content)
-
-
-# Sampling time from a column of times.
-
-
-MAX_INTERVAL_DEVIATION = 0.05
-"""Largest allowed deviation of an interval from the median interval, as a share of the median."""
-_SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6}
-_SECONDS |= {"min": 60.0, "h": 3600.0}
-_MAX_DIGITS = 12
-
-
-def sampling_time(t: Vector, column: Column, place: Callable[[int], str]) -> float:
-    """Return the sampling time Ts, in s, of equidistant times.
-
-    The times of a file often have few digits. Ts is therefore the mean interval, rounded to the
-    fewest digits with which multiples of Ts still fit the times.
-
-    Parameters
-    ----------
-    t : ndarray, shape (N,)
-        Times in the column's unit; in s if the column has no unit.
-    place : callable
-        Function that returns the place of instant k in the file.
-
-    Raises
-    ------
-    FileError
-        The unit is unknown, a time is missing, there is only one time, or an interval differs from
-        the median interval by more than a twentieth.
-    """
-    name = f"the times in column {column.name}" if column.name else "the times"
-    if column.unit.casefold() not in _SECONDS:
-        known = ", ".join(unit for unit in _SECONDS if unit)
-        raise FileError(
-            f"{name} are in {column.unit}, known units are {known}; give Ts in s (--Ts)"
-        )
-    missing = ~np.isfinite(t)
-    if missing.any():
-        msg = f"{place(int(np.argmax(missing)))}: {name} have no value here; add it, or give "
-        raise FileError(msg + "Ts in s (--Ts)")
-    if t.size < 2:
-        raise FileError(
-            f"{name}: a sampling time needs at least 2 times, got {t.size}; give Ts in s (--Ts)"
-        )
-    t = t * _SECONDS[column.unit.casefold()]
-    intervals = np.diff(t)
-    usual = float(np.median(intervals))
-    wrong = ~(np.abs(intervals - usual) <= MAX_INTERVAL_DEVIATION * usual)
-    if wrong.any() or usual <= 0:
-        k = int(np.argmax(wrong)) + 1
-        raise FileError(
-            f"{place(k)}: {name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, the usual interval is "
-            f"{usual:.6g} s; sample evenly, cut the file, or give Ts in s (--Ts) if the times are "
-            "wrong"
-        )
-    return _roundest(t)
-
-
-def _roundest(t: Vector) -> float:
-    k = np.arange(t.size)
-    mean = float(t[-1] - t[0]) / (t.size - 1)
-    apart = 1.1 * float(np.ptp(t - mean * k)) + 1e-9 * mean
-    for digits in range(1, _MAX_DIGITS):
-        rounded = float(f"{mean:.{digits}g}")
-        if float(np.ptp(t - rounded * k)) <= apart:
-            return rounded
-    return mean
+    return text.table_of(content, decimal)

@@ -17,7 +17,9 @@ Vector = NDArray[np.float64]
 _MAX_LISTED_COLUMNS = 12
 _MAX_SHOWN_CHARACTERS = 40  # of a text of the file that a message quotes
 _MAX_NUMBER_DIGITS = 9  # of a number that chooses a column
-_UNIT = re.compile(r"(?P<name>.+?)(?:\s*\[(?P<unit>[^][]*)\]|\s+\((?P<other>[^()]*)\))")
+_UNIT = re.compile(
+    r"(?P<name>.+?)(?:\s*\[(?P<unit>[^][]*)\]|\s+\((?P<other>[^()]*)\)|\((?P<glued>[^()\d][^()]*)\))"
+)
 
 
 class NoColumnError(FileError):
@@ -62,16 +64,22 @@ class Table(Protocol):
             A value is not a number; the message names the place of the first such value.
         """
 
+    def texts(self, i: int) -> Sequence[str] | None:
+        """Return the cells of column i as text; None if the file contains numbers."""
+
     def place(self, k: int) -> str:
         """Return the place of instant k in the file as text, such as `line 4`."""
 
 
 def titled(heading: str) -> Column:
-    """Return the column with the name and the unit of a heading such as `u [V]` or `u (V)`."""
+    """Return the name and the unit of a heading such as `u [V]`, `u (V)` or `u(V)`."""
     found = _UNIT.fullmatch(heading)
     if found is None:
         return Column(name=heading)
-    return Column(name=found["name"].strip(), unit=(found["unit"] or found["other"] or "").strip())
+    return Column(
+        name=found["name"].strip(),
+        unit=(found["unit"] or found["other"] or found["glued"] or "").strip(),
+    )
 
 
 def chosen(table: Table, wanted: str, what: str) -> int:

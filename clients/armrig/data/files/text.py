@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from armrig_core.errors import FileError
 
+from armrig.data.files.decimal_marks import doubtful_cell, mark_of, number, refused
 from armrig.data.files.table import Column, Vector, shown, titled
 
 _REMARK_MARKS = ("#", "%")
-_MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none"})
 _SEPARATORS = (";", "\t", ",")
 _MAX_UNIT_CHARACTERS = 16
 _PROBED_LINES = 20  # to find the separator
@@ -30,6 +30,8 @@ class TextTable:
     """Line number of each row, from 1."""
     separator: str
     """Separator of the cells; "" for blanks."""
+    decimal: str | None
+    """Decimal mark that the user gave, or None."""
     notes: tuple[str, ...] = ()
     """Notes on lines that contain no values: the line of units."""
 
@@ -50,14 +52,28 @@ class TextTable:
         FileError
             A value is not a number; the message names its line.
         """
-        values = np.empty(len(self.rows))
-        for k, row in enumerate(self.rows):
-            cell = _cells(row, self.separator)[i]
-            value = number(cell, self.separator)
+        cells = self.texts(i)
+        mark = self.decimal or self._mark(i, cells)
+        values = np.empty(len(cells))
+        for k, cell in enumerate(cells):
+            value = number(cell, mark) if mark else number(cell.replace(",", "."), ".")
             if value is None:
                 raise FileError(self._no_number(i, k, cell))
             values[k] = value
         return values
+
+    def texts(self, i: int) -> list[str]:
+        """Return the cells of column i, counted from 0."""
+        return [_cells(row, self.separator)[i] for row in self.rows]
+
+    def _mark(self, i: int, cells: Sequence[str]) -> str:
+        """Return the decimal mark of column i, or "" if both marks are decimal marks."""
+        others = (self.texts(j) for j in range(len(self.columns)) if j != i)
+        mark = mark_of(cells, others, mixed=self.separator != ",")
+        if mark is None:
+            k = doubtful_cell(cells)
+            raise refused(self.place(k), shown(self.columns[i].name) or str(i + 1), cells[k])
+        return mark
 
     def place(self, k: int) -> str:
         """Return the line of instant k as text, such as `line 4`."""
@@ -66,19 +82,18 @@ class TextTable:
     def _no_number(self, i: int, k: int, cell: str) -> str:
         name = shown(self.columns[i].name) or str(i + 1)
         text = f"{self.place(k)}, column {name}: '{shown(cell.strip())}' is not a number; "
-        if "," in cell and self.separator != ";":
-            return text + "write 0.5, or 0,5 if semicolons separate the columns"
         return text + "leave a missing value empty, or write NaN; begin a remark's line with #"
 
 
-def table_of(text: str) -> TextTable:
+def table_of(text: str, decimal: str | None = None) -> TextTable:
     """Return the table that a text contains.
 
-    Lines that are empty, or begin with # or %, are remarks. The separator is a semicolon if the
-    first 20 lines of the table contain a semicolon, otherwise a tab, otherwise a comma. If these
-    lines contain none of the three, blanks separate the cells. The first line that is not a remark
-    contains names if none of its cells is a number. The line after the names contains units if none
-    of its cells is a number. If semicolons separate the cells, the decimal mark may be a comma.
+    Lines that are empty, or begin with # or %, are remarks. A first line such as `sep=;` names the
+    separator. Otherwise semicolon, tab, comma and blank are tried in this order on the first 20
+    lines, which must have an equal number of cells. The
+    first line that is not a remark contains names if none of its cells is a number. The line after
+    the names contains units if none of its cells is a number. The numbers show the decimal mark, or
+    `decimal` gives it.
 
     Raises
     ------
@@ -90,8 +105,13 @@ def table_of(text: str) -> TextTable:
         for number, line in enumerate(text.splitlines(), start=1)
         if line.strip() and not line.lstrip().startswith(_REMARK_MARKS)
     ]
+    declared = numbered[0][1].strip() if numbered else ""
+    if declared.casefold().startswith("sep=") and len(declared) == len("sep=") + 1:
+        del numbered[0]  # Excel's line
+    else:
+        declared = ""
     probed = [line for _, line in numbered[:_PROBED_LINES]]
-    separator = next((s for s in _SEPARATORS if any(s in line for line in probed)), "")
+    separator = declared[-1:] or _separator(probed)
     header: list[str] = []
     if probed and _are_names(first := _cells(probed[0], separator)):
         header = [cell.strip() for cell in first]
@@ -116,21 +136,31 @@ def table_of(text: str) -> TextTable:
     columns = [_column(*named) for named in zip(header, units, strict=False)]
     columns = columns or [Column(name="")] * width
     return TextTable(
-        columns=tuple(columns), rows=rows, lines=lines, separator=separator, notes=tuple(notes)
+        columns=tuple(columns),
+        rows=rows,
+        lines=lines,
+        separator=separator,
+        decimal=decimal,
+        notes=tuple(notes),
     )
 
 
-def number(cell: str, separator: str) -> float | None:
-    """Return the number in a cell, NaN for a missing value, None for other text."""
-    text = cell.strip()
-    if text.casefold() in _MISSING:
-        return float("nan")
-    if "_" in text:  # Python reads 1_000 as a number
-        return None
-    try:
-        return float(text.replace(",", ".") if separator == ";" else text)
-    except ValueError:
-        return None
+def _separator(lines: Sequence[str]) -> str:
+    """Return the separator of the cells of these lines; "" for blanks."""
+    present = [s for s in _SEPARATORS if any(s in line for line in lines)]
+    for separator in (*present, ""):
+        widths = {len(_cells(line.rstrip(f" \r{separator}"), separator)) for line in lines}
+        if (
+            len(widths) == 1
+            and widths != {1}
+            and any(_is_number(c) for c in _cells(lines[-1], separator))
+        ):
+            return separator
+    return present[0] if present else ""
+
+
+def _is_number(cell: str) -> bool:
+    return bool(cell.strip()) and number(cell.replace(",", "."), ".") is not None
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -146,7 +176,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 def _are_names(cells: Sequence[str]) -> bool:
     """Return whether the cells can be names: none of them is a number."""
-    return all(number(cell, ";") is None for cell in cells if cell.strip())
+    return not any(_is_number(cell) for cell in cells)
 
 
 def _are_units(cells: Sequence[str], header: Sequence[str]) -> bool:
@@ -175,7 +205,7 @@ def _ragged(line: int, cells: int, width: int, separator: str, *, names: bool) -
     text = f"line {line} has {_count(cells)} (separated by {by}), {whose} {_count(width)}; give "
     text += "every row the same number, and begin remarks with #"
     if separator == "," and width < cells <= 2 * width:
-        text += "; if decimals have a comma, separate the cells by semicolon"
+        text += "; if decimals have a comma, separate the cells by semicolon or tab"
     return text
 
 

@@ -1,0 +1,331 @@
+"""Logs as people have them: their clocks, numbers and faults are read right, or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+from armrig_core.errors import FileError
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+B, F = 0.2, -0.9
+K = np.arange(200.0)
+
+
+def plant(N: int, seed: int = 1, noise: float = 0.02, runs: int = 1) -> tuple[Vector, Vector]:
+    """Return u and y of y = B/(q + F) u + 20 + e, for `runs` runs that begin at rest."""
+    rng = np.random.default_rng(seed)
+    u = armrig.telegraph(N, 0.1, low=1, high=3, seed=rng)
+    x = np.zeros(N)
+    for k in range(1, N):
+        x[k] = 0.0 if k % (N // runs) == 0 else -F * x[k - 1] + B * u[k - 1]
+    return u, 20 + x + noise * rng.standard_normal(N)
+
+
+def log(
+    path: Path,
+    times: Sequence[object],
+    *,
+    header: str = "time,u,y",
+    rows: Sequence[int] | NDArray[Any] | None = None,
+    **how: Any,
+) -> Path:
+    """Write the rows of a log with these times, and return its path."""
+    u, y = plant(len(times), **how)
+    lines = [f"{t},{u[k]:.0f},{y[k]:.4f}" for k, t in enumerate(times)]
+    taken = range(len(lines)) if rows is None else rows
+    path.write_text("\n".join([header, *(lines[k] for k in taken)]))
+    return path
+
+
+def good(data: armrig.Dataset, N: int, Ts: float, *, starts: Sequence[int] = (0,)) -> None:
+    """Fail unless the data have this grid, and their model the true parameters."""
+    assert (data.N, data.Ts, tuple(data.starts)) == (N, pytest.approx(Ts, rel=1e-9), tuple(starts))
+    fit = armrig.oe(data, nb=1, nf=1, offset=True)
+    assert abs(fit.B[1] - B) < 4 * fit.std[0] < 0.02
+    assert abs(fit.F[1] - F) < 4 * fit.std[1] < 0.02
+
+
+@pytest.mark.parametrize(
+    ("header", "times"),
+    [
+        ("time_ms,u,y", 10 * K),
+        ("Time(ms),u,y", 10 * K),
+        ("t/ms,u,y", 10 * K),
+        ("millis,u,y", 10 * K),
+        ("t_us,u,y", 10_000 * K),
+        ("Elapsed [ms],u,y", 10 * K),
+        ("timestamp,u,y", 1_711_846_800_000 + 10 * K),
+        ("time,u,y", 1_711_846_800_000_000 + 10_000 * K),
+        ("time,u,y", [f"{1_711_846_800 + 0.01 * k:.2f}" for k in K]),
+        ("time,u,y", [f"{737_000 + 0.01 * k / 86_400:.12f}" for k in K]),
+    ],
+    ids=str,
+)
+def test_the_unit_is_that_of_the_name_or_of_the_size(
+    header: str, times: Sequence[object], tmp_path: Path
+) -> None:
+    shown = [f"{t:.0f}" if isinstance(t, float) else t for t in times]
+
+    good(armrig.load_data(log(tmp_path / "a.csv", shown, header=header)), 200, 0.01)
+
+
+def test_seconds_by_default_are_noted_where_they_may_be_another_unit(tmp_path: Path) -> None:
+    slow = armrig.load_data(log(tmp_path / "a.csv", [f"{10 * k:.0f}" for k in K]))
+    fast = armrig.load_data(log(tmp_path / "b.csv", [f"{0.1 * k:.1f}" for k in K]))
+
+    assert slow.history == ("the times in column time have no unit: read as s",)
+    assert (slow.Ts, fast.Ts, fast.history) == (10, 0.1, ())
+
+
+def stamps(text: str, step_s: float = 1.0, jump: int = 0) -> list[str]:
+    """Return 200 times of day from half a minute before 2 o'clock in local time."""
+    at = datetime(2024, 3, 30, 1, 59, 30)
+    moved = [timedelta(seconds=step_s * k + (jump if k * step_s >= 30 else 0)) for k in K]
+    return [f"{at + m:{text}}" for m in moved]
+
+
+@pytest.mark.parametrize(
+    ("text", "Ts", "jump", "note"),
+    [
+        ("%Y-%m-%dT%H:%M:%S", 1, 0, ""),
+        ("%d.%m.%Y %H:%M:%S", 1, 0, ""),
+        ("%m/%d/%Y %I:%M:%S %p", 1, 0, ""),
+        ("%H:%M:%S.%f", 0.1, 0, ""),
+        ("%H:%M:%S", 600, 0, ""),
+        ("%Y-%m-%d %H:%M:%S", 1, 3600, "the clock goes forward by 1 h"),
+        ("%H:%M:%S", 1, -3600, "the clock goes back by 1 h"),
+    ],
+)
+def test_dates_and_times_of_day_are_read(
+    text: str, Ts: float, jump: int, note: str, tmp_path: Path
+) -> None:
+    data = armrig.load_data(log(tmp_path / "a.csv", stamps(text, Ts, jump)))
+
+    good(data, 200, Ts)
+    assert note in "".join(data.history)
+    assert bool(note) == bool(data.history)
+
+
+def test_a_date_in_a_column_of_its_own_counts(tmp_path: Path) -> None:
+    times = [f"2024-03-{1 + k // 24:02.0f},{k % 24:02.0f}:00:00" for k in K]
+    path = log(tmp_path / "a.csv", times, header="date,time,u,y")
+
+    good(armrig.load_data(path), 200, 3600)
+
+
+def shifted(t: Vector, where: Sequence[int], by: float) -> list[str]:
+    """Return times of which some rows are late."""
+    t = t.copy()
+    t[list(where)] += by
+    return [f"{x:.4f}" for x in t]
+
+
+@pytest.mark.parametrize(
+    ("times", "Ts", "starts", "note"),
+    [
+        (shifted(0.1 * K, [17, 90, 91], 0.03), 0.1, (0,), "4 of 199 intervals differ from 0.1 s"),
+        (shifted(3.003 * K, range(40, 200), 0.202), 3.003, (0,), "at most by 0.202 s (7 %)"),
+        (shifted(0.1 * K, range(40, 200), 60.0), 0.1, (0, 40), "line 42: a gap of 60.1 s"),
+        (shifted(0.1 * K, range(40, 200), -4.0), 0.1, (0, 40), "the time goes back by 3.9 s"),
+        ([f"{0.1 * k:.0f}" for k in K], 0.1, (0,), "have a last digit of 1 s"),
+        ([f"{k * 0.01 + k // 7 * 0.001:.3f}" for k in K], 0.010141, (0,), ""),
+    ],
+    ids=["late", "longer", "gap", "again", "whole seconds", "millis"],
+)
+def test_a_row_lies_on_the_grid_of_all_rows(
+    times: list[str], Ts: float, starts: tuple[int, ...], note: str, tmp_path: Path
+) -> None:
+    data = armrig.load_data(log(tmp_path / "a.csv", times))
+
+    assert note in "; ".join(data.history)
+    assert (data.N, data.Ts, data.starts) == (200, pytest.approx(Ts, rel=1e-4), starts)
+
+
+def test_rows_that_the_file_leaves_out_are_missing(tmp_path: Path) -> None:
+    times = [f"{0.1 * k:.1f}" for k in K]
+    u, _ = plant(200)
+    same = next(k for k in range(50, 190) if u[k - 1] == u[k] == u[k + 1] == u[k + 2])
+    other = next(k for k in range(50, 190) if u[k - 1] != u[k + 1])
+    for left_out, N, starts, missing in (([same, same + 1], 200, 1, 2), ([other], 199, 2, 0)):
+        rows = np.delete(np.arange(200), left_out)
+        data = armrig.load_data(log(tmp_path / "a.csv", times, rows=rows))
+
+        assert (data.N, len(data.starts), data.missing) == (N, starts, missing)
+        assert "put in" in "".join(data.history)
+    held = armrig.load_data(tmp_path / "a.csv", hold_input=True)
+    assert (held.N, len(held.starts), held.missing) == (200, 1, 1)
+
+
+def test_a_given_sampling_time_keeps_gaps_and_is_compared_with_the_times(tmp_path: Path) -> None:
+    path = log(tmp_path / "a.csv", shifted(0.1 * K, range(100, 200), 60.0), runs=2)
+
+    data = armrig.load_data(path, Ts=1.0)
+
+    good(data, 200, 1.0, starts=(0, 100))
+    assert "used the given Ts = 1 s, although the times are 0.1 s apart" in data.history[0]
+
+
+def test_uneven_times_are_resampled_only_if_asked(tmp_path: Path) -> None:
+    t = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.15, 200))
+    path = log(tmp_path / "a.csv", [f"{x:.4f}" for x in t])
+
+    with pytest.raises(FileError, match=r"of 199 intervals are not .* Give --resample"):
+        armrig.load_data(path)
+    data = armrig.load_data(path, resample=True, Ts=0.1)
+
+    assert pytest.approx((t[-1] - t[0]) / 0.1, abs=1) == data.N
+    assert "resampled 200 rows" in data.history[0]
+    assert "each row as one sample although" in armrig.load_data(path, Ts=0.1).history[0]
+
+
+@pytest.mark.parametrize(
+    ("cells", "mark", "read"),
+    [
+        ("298 1,493 1,2", None, [298, 1.493, 1.2]),
+        ("298 1,493.5 12", None, [298, 1493.5, 12]),
+        ("298 1.493,5 1.493", None, [298, 1493.5, 1493]),
+        ("1,234,567 1,493 7", None, [1234567, 1493, 7]),
+        ("1.493 1.250 2.000", None, [1.493, 1.25, 2]),
+        ("0 1.125 2", None, [0, 1.125, 2]),
+        ("0,125 1,125 2,000", None, [0.125, 1.125, 2]),
+        ("298 1'493 12", None, [298, 1493, 12]),
+        ("298 1,493 640", None, None),
+        ("298 1.493 640", None, None),
+        ("298 1,493 640", ",", [298, 1.493, 640]),
+        ("298 1,493 640", ".", [298, 1493, 640]),
+    ],
+)
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_number_is_read_as_its_column_says(
+    cells: str, mark: Any, read: list[float] | None, separator: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{k}{separator}{k % 2}{separator}{cell}" for k, cell in enumerate(cells.split())]
+    path.write_text("\n".join([separator.join("tuy"), *rows]))
+
+    if read is None:
+        with pytest.raises(FileError, match=r"'1[,.]493' may be 1.493 or 1493.*--decimal"):
+            armrig.load_data(path, decimal=mark)
+    else:
+        assert armrig.load_data(path, decimal=mark).y.tolist() == read
+
+
+def test_another_column_decides_what_the_column_does_not(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    for time, thousand in (("0,{}", 1.493), ("0.{}", 1493)):
+        rows = [f"{time.format(k)};1;1,493" for k in range(3)]
+        path.write_text("\n".join(["t;u;y", *rows]))
+        assert armrig.load_data(path).y[0] == thousand
+
+
+@pytest.mark.parametrize(
+    ("header", "comma"),
+    [("sep=;\ntime;u;y", True), ("time\tu\ty", True), ("time u y", True), ("time u y", False)],
+)
+def test_the_separator_is_the_one_that_splits_the_lines(
+    header: str, comma: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.txt"
+    u, y = plant(200)
+    mark = header[-2]
+    rows = [f"{0.1 * k:.1f}{mark}{u[k]:.1f}{mark}{y[k]:.3f}" for k in range(200)]
+    text = "\n".join([header, *rows])
+    path.write_text(text.replace(".", ",") if comma else text)
+
+    good(armrig.load_data(path), 200, 0.1)
+
+
+@pytest.mark.parametrize("modulus", [256.0, 4096.0, 65536.0, 360.0])
+def test_a_counter_that_wraps_is_named_and_unwrapped(modulus: float, tmp_path: Path) -> None:
+    u, rate = plant(400)
+    counts = np.cumsum(rate - 10) * modulus / 150
+    np.savetxt(tmp_path / "a.txt", np.column_stack([0.1 * np.arange(400), u, counts % modulus]))
+
+    found = armrig.load_data(tmp_path / "a.txt", time="1", input="2", signal="3")
+    mended = armrig.load_data(tmp_path / "a.txt", time="1", input="2", signal="3", unwrap=modulus)
+
+    assert f"y jumps by {modulus:g} at " in found.history[0]
+    np.testing.assert_allclose(np.diff(mended.y), np.diff(counts), atol=1e-6 * modulus)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 1023), (-5, 5), (20.8, 100)])
+def test_samples_at_a_rail_are_named_and_masked(low: float, high: float, tmp_path: Path) -> None:
+    u, y = plant(400)
+    scaled = np.clip((y - y.mean()) / 2 * (high - low) * 1.2 + (low + high) / 2, low, high)
+    table = np.column_stack([0.1 * np.arange(400), u, scaled])
+    np.savetxt(tmp_path / "a.csv", table, "%.3f", ",", header="t,u,y", comments="")
+    rails = np.count_nonzero((scaled == low) | (scaled == high))
+
+    found = armrig.load_data(tmp_path / "a.csv")
+    masked = armrig.load_data(tmp_path / "a.csv", mask_rails=True)
+
+    assert f"{rails} of 400 samples of y are exactly " in found.history[0]
+    assert (found.missing, masked.missing) == (0, rails)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_level_that_y_settles_at_is_no_rail(noise: float, tmp_path: Path) -> None:
+    u = np.repeat([1.0, 3.0, 1.0, 3.0], 100)
+    x = np.zeros(400)
+    for k in range(1, 400):
+        x[k] = 0.9 * x[k - 1] + 0.2 * u[k - 1]
+    x += noise * np.random.default_rng(1).standard_normal(400)
+    table = np.column_stack([0.1 * np.arange(400), u, x])
+    np.savetxt(tmp_path / "a.csv", table, "%.3f", ",", header="t,u,y", comments="")
+
+    assert armrig.load_data(tmp_path / "a.csv").history == ()
+
+
+def test_an_input_written_where_it_changes_is_held_if_asked(tmp_path: Path) -> None:
+    u, y = plant(200)
+    shown = [f"{a:.0f}" if k == 0 or a != u[k - 1] else "" for k, a in enumerate(u)]
+    rows = [f"{0.1 * k:.1f},{a},{b:.4f}" for k, (a, b) in enumerate(zip(shown, y, strict=True))]
+    (tmp_path / "a.csv").write_text("\n".join(["t,u,y", *rows]))
+
+    with pytest.raises(FileError, match=r"u has a value in \d+ of 200 rows; .* --hold-input"):
+        armrig.load_data(tmp_path / "a.csv")
+    good(armrig.load_data(tmp_path / "a.csv", hold_input=True), 200, 0.1)
+
+
+CLOCKS: dict[str, Callable[[np.random.Generator, int], Vector]] = {
+    "even": lambda rng, N: 0.1 * np.arange(N),
+    "sleep loop": lambda rng, N: np.cumsum(0.1 + rng.exponential(0.001, N)),
+    "busy sleep loop": lambda rng, N: np.cumsum(0.1 + rng.exponential(0.002, N)),
+    "millis": lambda rng, N: np.floor(np.cumsum(100.3 + rng.normal(0, 0.4, N))) / 1000,
+    "late rows": lambda rng, N: 0.1 * np.arange(N) + 0.03 * (rng.random(N) < 0.03),
+}
+"""Times of rows by a rig's clock, in s; u is applied and y is read at these times."""
+
+
+@pytest.mark.exhaustive
+def test_the_plant_of_twenty_drawn_logs_is_found(tmp_path: Path) -> None:
+    """All parameters lie within four standard deviations, and 95 % within two and a half."""
+    off = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        t = CLOCKS[list(CLOCKS)[seed % 5]](rng, 600)
+        u = armrig.telegraph(600, 0.1, low=1, high=3, seed=rng)
+        x, real = np.zeros(600), seed % 5 in (1, 2, 3)
+        for k in range(1, 600):
+            pole = 0.9 ** ((t[k] - t[k - 1]) / 0.1 if real else 1.0)
+            x[k] = pole * x[k - 1] + 2 * (1 - pole) * u[k - 1]
+        y = 20 + x + 0.05 * rng.standard_normal(600)
+        rows = np.flatnonzero(rng.random(600) >= (0.01 if seed % 2 else 0.0))
+        t = t + (t > t[300]) * (90.0 if seed % 3 == 0 else -t[300] if seed % 3 == 1 else 0.0)
+        lines = [f"{t[k]:.4f},{u[k]:.0f},{y[k]:.4f}" for k in rows]
+        (tmp_path / "a.csv").write_text("\n".join(["t,u,y", *lines]))
+
+        data = armrig.load_data(tmp_path / "a.csv")
+        fit = armrig.oe(data, nb=1, nf=1, offset=True)
+
+        pole = 0.9 ** (data.Ts / 0.1) if real else 0.9
+        off += [(fit.B[1] - 2 * (1 - pole)) / fit.std[0], (fit.F[1] + pole) / fit.std[1]]
+    assert np.max(np.abs(off)) < 4
+    assert np.mean(np.abs(off) < 2.5) >= 0.95
