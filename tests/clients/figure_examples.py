@@ -134,8 +134,13 @@ def searched() -> SearchResult:
 def saved(write: Callable[[Path], object]) -> Iterator[Figure]:
     """Yield the figures that would be written."""
     drawn: list[Figure] = []
+
+    def keep(figure: Figure, path: Path, **_: object) -> None:
+        drawn.append(figure)
+        path.touch()
+
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as folder:
-        patch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+        patch.setattr(Figure, "savefig", keep)
         write(Path(folder))
     yield from drawn
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -23,12 +24,26 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 _RESOLUTION_US = 1.0  # of the device's clock
+Quantity = Literal["jitter", "lateness"]
+_TIMES: dict[Quantity, tuple[Callable[[Recording], Vector], str]] = {
+    "jitter": (jitter_us, r"$|\Delta t - T_s|$ on the device's clock [µs]"),
+    "lateness": (lateness_us, "host's lateness [µs]"),
+}
+
+
+def varying_times(recording: Recording) -> list[Quantity]:
+    """Return the quantities of `plot_timing` whose values differ by the clock's resolution."""
+    return [quantity for quantity, (times, _) in _TIMES.items() if _varies(times(recording))]
+
+
+def _varies(x: Vector) -> bool:
+    return bool(x.size) and float(np.ptp(x)) >= _RESOLUTION_US
 
 
 def plot_timing(
     recording: Recording,
     *,
-    quantity: Literal["jitter", "lateness"] = "jitter",
+    quantity: Quantity = "jitter",
     ax: Axes | None = None,
 ) -> Axes:
     """Plot the histogram of jitter or lateness, and mark its p50, p99 and maximum.
@@ -43,11 +58,9 @@ def plot_timing(
         the host's request, or of the sample's arrival if the device paces the samples.
     """
     ax = axes(ax)
-    if quantity == "jitter":
-        x, label = jitter_us(recording), r"$|\Delta t - T_s|$ on the device's clock [µs]"
-    else:
-        x, label = lateness_us(recording), "host's lateness [µs]"
-    if x.size == 0 or np.ptp(x) < _RESOLUTION_US:
+    times, label = _TIMES[quantity]
+    x = times(recording)
+    if not _varies(x):
         return _write_the_same(ax, recording, x, label)
     marks = np.percentile(x, (50, 99, 100))
     # Times below the clock's resolution are drawn at the left edge.

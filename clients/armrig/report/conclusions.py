@@ -35,7 +35,7 @@ def conclusions(study: Study) -> list[str]:
         *dict.fromkeys(text for one in each_output(study) for text in _structure_verdicts(one)),
     ]
     points += calibration_sentences(study.recordings)
-    points.append(_jitter_verdict(study))
+    points += _jitter_verdicts(study)
     missing = sum(r.missing for r in study.recordings)
     if missing:
         points.append(
@@ -105,9 +105,11 @@ def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
     ]
 
 
-def _jitter_verdict(study: Study) -> str:
-    """Return sentences on the jitter of the validation data and the resulting errors of angles."""
+def _jitter_verdicts(study: Study) -> Iterator[str]:
+    """Yield sentences on the jitter of the validation data, if there is any, and its effect."""
     timing = study.timing[study.recordings.index(study.recording_of(study.validation.source))]
+    if timing.std_us == 0:
+        return
     moved: list[str] = []
     for one in each_output(study):
         data = one.validation
@@ -115,7 +117,7 @@ def _jitter_verdict(study: Study) -> str:
         rate += "" if moved else ", the rate that 99 % of the data do not exceed,"
         by = error(angle_of_jitter(timing, data), data.unit)
         moved.append(f"{rate} this jitter moves {one.symbol} by {by}")
-    return (
+    yield (
         "The sampling interval of the validation data has a standard deviation of "
         f"{microseconds(timing.std_us)}. A{'; '.join(moved)[1:]}. The jitter affects both the "
         "measurement and the response to the input."

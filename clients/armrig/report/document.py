@@ -10,7 +10,9 @@ from string import ascii_lowercase
 from typing import Any
 
 from armrig.data.dataset import Dataset
+from armrig.models.characteristics import integrates
 from armrig.numerics.quantities import error, percent
+from armrig.recordings.figures import varying_times
 from armrig.recordings.usability import different_calibrations, emulation
 from armrig.report.conclusions import abstract, conclusions
 from armrig.report.figures import DETAIL_S, suffix, write_figures
@@ -33,6 +35,7 @@ from armrig.report.recording_facts import (
     shared_facts,
     timing_rows,
     treatment,
+    without_turns,
 )
 from armrig.report.study import STEP, Study, each_output, kind_of
 from armrig.report.typesetting import recorded, source_folder, typeset
@@ -68,7 +71,7 @@ def report(
     OSError
         The PDF cannot be written.
     """
-    output = Path(output)
+    output, study = Path(output), study.best_first
     with source_folder(source) as root:
         drawn = write_figures(study, root)
         made = recorded(study.recordings)
@@ -104,6 +107,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
         "timing": [*timing_rows(study.timing), *disturbance_rows(study.disturbances)],
         "data": data_text(study),
         "treatment": treatment(study),
+        "timing_figure": _timing_caption(study),
         "step": _step_caption(study),
         "orders": orders(study),
         "structure": structure(study),
@@ -172,6 +176,19 @@ def _of_output(one: Study, study: Study) -> dict[str, Any]:
     }
 
 
+def _timing_caption(study: Study) -> str | None:
+    """Return the caption of `timing.svg`, with its quantities; None if there is no such figure."""
+    recording = study.recording_of(study.estimation.source)
+    texts = {"jitter": "jitter of the sampling instants", "lateness": "lateness at the host"}
+    if not (varying := varying_times(recording)):
+        return None
+    return (
+        f"Histogram of {' and of '.join(map(texts.__getitem__, varying))} in the estimation data "
+        f"(recording {run_name(recording)}). Both axes are logarithmic. Values below the clock's "
+        "resolution are at the left edge."
+    )
+
+
 def _step_caption(study: Study) -> str | None:
     steps = [r for r in study.recordings if kind_of(r) == STEP]
     if not steps:
@@ -183,30 +200,33 @@ def _step_caption(study: Study) -> str | None:
 
 
 def _captions(one: Study) -> dict[str, str]:
-    """Return the captions of the figures of one output."""
+    """Return the captions of the figures of one output, with the quantities on their axes."""
     estimation, validation = (_run(data, one) for data in (one.estimation, one.validation))
     marks = ascii_lowercase[: 2 * len(one.estimated)]
     halves = ", the first and the second half of one recording" if one.halves else ""
-    angle, ramp = one.angle, ", minus the ramp of its mean speed" if one.integrates else ""
+    angle, ramp = one.angle, without_turns(one.validation)
     turns = " with its turns counted" if one.integrates else ""
     detail = f"rate of the {angle}, from differences" if one.integrates else angle
+    drawn = [f"{angle}{turns}{without_turns(data)}" for data in (one.estimation, one.validation)]
+    angles = f"(a, c) {drawn[0]}" if drawn[0] == drawn[1] else f"(a) {drawn[0]}; (c) {drawn[1]}"
+    rate = "Rate" if all(integrates(m.model) for m in one.models) else "Response"
     return {
         "data": f"Estimation data (a, b; recording {estimation}) and validation data (c, d; "
-        f"recording {validation}){halves}. (a, c) {angle.capitalize()}{turns}{ramp}; (b, d) "
-        "voltage that the device applied. Shaded: dead band or missing sample.",
+        f"recording {validation}){halves}: {angles}; (b, d) voltage that the device applied. "
+        "Shaded: dead band or missing sample.",
         "compare": f"(a) Measured and simulated {angle} of the validation data (recording "
         f"{validation}){ramp}; (b) data (dots) and models, minus the best model. If a model has a "
         "much larger error, the scale is logarithmic beyond the dotted lines.",
         "velocity": f"Detail of {DETAIL_S:g} s: {detail} (recording {validation}). The simulation "
         "of the models starts at the beginning of the data.",
-        "bode": f"Frequency response from voltage to {angle} with 95 % bands. A band is linearised "
-        "or, if a linearisation is poor, sampled from the covariance of the parameters. Dots: "
-        "spectral analysis of the estimation data with 95 % bars. Recording "
-        f"{estimation}.",
-        "step_poles": f"(a) Response of the {angle} to a unit step with 95 % bands; (b) poles (×) "
-        "and zeros (○) with 95 % regions: bars for real roots, ellipses for complex roots, dotted "
-        "if sampled. A square marks a pole and a zero that are not significantly different (1 %). "
-        f"Models from recording {estimation}.",
+        "bode": f"Frequency response from voltage to {angle}, (a) magnitude and (b) phase, with "
+        "95 % bands. A band is linearised or, if a linearisation is poor, sampled from the "
+        "covariance of the parameters. Dots: spectral analysis of the estimation data with 95 % "
+        f"bars. Recording {estimation}.",
+        "step_poles": f"(a) {rate} of the {angle} after a step of 1 V, with 95 % bands; (b) poles "
+        "(×) and zeros (○) with 95 % regions: bars for real roots, ellipses for complex roots, "
+        "dotted if sampled. A square marks a pole and a zero that are not significantly different "
+        f"(1 %). Models from recording {estimation}.",
         "residuals": f"Correlation of the residuals of the {angle} with themselves "
         f"({', '.join(marks[::2])}) and with the input ({', '.join(marks[1::2])}) on recording "
         f"{validation}. Grey: range of 99 % of the values if the hypothesis is true.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
@@ -17,8 +18,9 @@ from armrig.data.dataset import Vector
 from armrig.estimation.nonparametric.spectral import spectral_reference
 from armrig.physics.integrators.accuracy import convergence
 from armrig.physics.systems import ArmParameters
+from armrig.plots import layout
 from armrig.plots.captions import legend, named, named_by_run
-from armrig.plots.layout import pens, save
+from armrig.recordings.figures import varying_times
 from armrig.report.handout_study import METHODS, HandoutStudy
 from armrig.report.study import STEP, Study, each_output, kind_of
 
@@ -26,19 +28,22 @@ STYLE: Any = {
     "svg.fonttype": "none",
     "font.family": ["STIXGeneral", "DejaVu Sans"],  # the second if the first lacks a glyph
     "mathtext.fontset": "stix",
-    "font.size": 8.5,
+    "font.size": 9,
     "axes.linewidth": 0.6,
     "lines.linewidth": 1.1,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
     "axes.unicode_minus": True,
 }
 WIDTH = 6.4
+"""Width of a figure in inches, as wide as the text of report.typ, so that sizes are as printed."""
+MIN_SIZE = 7.0
+"""Smallest size of a text in a figure, in points."""
 DETAIL_S = 4.0
 _RESIDUALS_ROW_HEIGHT = 3.4
-_LOW_HEIGHT, _HEIGHT = 1.35, 1.55
-_TWO_PANELS_HEIGHT, _LEGENDS_HEIGHT = 1.95, 1.75
-"""Heights, in inches, of a figure with two stacked panels, and of a panel with long legends."""
+_LOW_HEIGHT, _HEIGHT = 1.6, 1.75
+_TWO_PANELS_HEIGHT, _LEGENDS_HEIGHT, _HIGH_LEGENDS_HEIGHT = 2.1, 1.85, 2.6
+"""Heights, in inches, of a figure with two stacked panels, and of panels with long legends."""
 _STEP_HEIGHT = 2.6
 """Height, in inches, at which the slope at t = 0 (assignment 2.2) is visible below the legend."""
 Draw = Callable[[Axes], object]
@@ -58,6 +63,17 @@ def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
     return tuple(paths)
 
 
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as SVG; texts smaller than `MIN_SIZE`, such as an index, get this size."""
+    layout.save(figure, path)
+    svg = re.sub(
+        r"(?<=font-size:\s)[\d.]+(?=px)",
+        lambda size: f"{max(float(size[0]), MIN_SIZE):g}",
+        path.read_text(encoding="utf-8"),
+    )
+    path.write_text(svg, encoding="utf-8")
+
+
 def suffix(one: Study, study: Study) -> str:
     """Return the suffix in the file names of an output's figures; "" for the first output."""
     return "" if one is study else f"-{one.output}"
@@ -69,11 +85,14 @@ def _canvas(height: float, columns: int = 1, rows: int = 1) -> tuple[Figure, lis
     return figure, figure.subplots(rows, columns, squeeze=False).ravel().tolist()
 
 
-def _timing_figure(study: Study) -> Figure:
-    figure, axes = _canvas(2.1, 2)
+def _timing_figure(study: Study) -> Figure | None:
+    """Draw a panel for each quantity that has more than one value; None if there is none."""
     recording = study.recording_of(study.estimation.source)
-    plots.plot_timing(recording, quantity="jitter", ax=axes[0])
-    plots.plot_timing(recording, quantity="lateness", ax=axes[1])
+    if not (varying := varying_times(recording)):
+        return None
+    figure, axes = _canvas(2.2, len(varying))
+    for ax, quantity in zip(axes, varying, strict=True):
+        plots.plot_timing(recording, quantity=quantity, ax=ax)
     return figure
 
 
@@ -113,7 +132,7 @@ def _velocity_figure(study: Study) -> Figure:
     shown = (t >= begin) & (t <= begin + DETAIL_S)
     measured = of(data.y)[shown]
     ax.plot(t[shown], measured, ".", color=plots.INK, ms=2.5, alpha=0.6, label="measured")
-    for model, pen in zip(study.estimated, pens(len(study.estimated)), strict=True):
+    for model, pen in zip(study.estimated, layout.pens(len(study.estimated)), strict=True):
         modelled = of(model.comparison.y)
         ax.plot(t[shown], modelled[shown], label=f"{model.name}, simulated", **pen)
     lowest, highest = np.nanmin(measured), np.nanmax(measured)
@@ -180,9 +199,8 @@ class Shown(Protocol):
 def write_handout_figures(study: HandoutStudy, directory: Path) -> frozenset[str]:
     """Write the figures for which the study has data as SVG files, and return their names."""
     drawn = _drawn(study)
-    look = STYLE | {"font.size": 7.5, "xtick.labelsize": 7, "ytick.labelsize": 7}
     runs = {r.sha256: r.manifest.run_id for r in study.recordings}
-    with mpl.rc_context(look), named_by_run(runs):
+    with mpl.rc_context(STYLE), named_by_run(runs):
         for name, (height, draws) in drawn.items():
             figure = Figure(figsize=(WIDTH, height), layout="constrained")
             columns = figure.subplots(1, len(draws), squeeze=False)[0]
@@ -197,7 +215,7 @@ def _drawn(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
     A, _, _ = arm_matrices(ArmParameters())
     studies = [convergence(study.problem, m) for m in METHODS.values()]
     found: dict[str, tuple[float, list[Draw]]] = {
-        "rig": (_LOW_HEIGHT, [lambda ax: plots.plot_rig(ax=ax)]),
+        "rig": (_LEGENDS_HEIGHT, [lambda ax: plots.plot_rig(ax=ax)]),
         "step": (
             _STEP_HEIGHT,
             [lambda ax: plots.plot_physical_step(study.cases, seconds=0.5, ax=ax)],
@@ -239,8 +257,8 @@ def _of_data(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
         "delay": study.delay,
     }
     heights = {
-        "sampling": _TWO_PANELS_HEIGHT,
-        "structure": _TWO_PANELS_HEIGHT,
+        "sampling": _HIGH_LEGENDS_HEIGHT,
+        "structure": _HIGH_LEGENDS_HEIGHT,
         "loop": _LOW_HEIGHT,
     }
     found = {
@@ -255,7 +273,7 @@ def _of_data(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
         fit, data = black.best.fit, black.validation
         found["residuals"] = (_LEGENDS_HEIGHT, [lambda ax: plots.plot_residuals(fit, data, ax=ax)])
         found["compare"] = (
-            2.75,
+            2.95,
             [lambda ax: plots.plot_compare(data, *models, labels=names, ax=ax)],
         )
     if grey is not None and chassis is not None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from math import isfinite
 
+from armrig.models.equation import letters
 from armrig.models.markup import typst_form
+from armrig.models.model import Model
 from armrig.numerics.quantities import (
+    NBSP,
     error,
     fixed,
     listed,
@@ -23,6 +27,7 @@ from armrig.numerics.quantities import (
 )
 from armrig.report.handout_study import HandoutStudy
 from armrig.report.model_facts import arm_at_rest
+from armrig.report.recording_facts import without_turns
 from armrig.report.section import Section, Table
 from armrig.report.study import Study
 
@@ -70,10 +75,10 @@ def _sampling(study: HandoutStudy) -> Section:
         number="3.1",
         answer=(
             f"The recommended sampling time is {milliseconds(found.Ts)}. From {how}, {measured}. "
-            f"ω_s = 20/τ then corresponds to {number(1e3 * found.Ts_step)} ms. The spectrum is at "
-            f"−3 dB at {number(found.omega_spectrum)} rad/s, which corresponds to "
+            f"$omega_s = 20 slash tau$ then gives {number(1e3 * found.Ts_step)} ms. The spectrum "
+            f"is at −3 dB at {number(found.omega_spectrum)} rad/s, which gives "
             f"{number(1e3 * found.Ts_spectrum)} ms. 7 to 10 samples in the transient of "
-            f"{number(1e3 * found.settling)} ms correspond to Ts = {number(1e3 * low)} to "
+            f"{number(1e3 * found.settling)} ms give $T_s$ = {number(1e3 * low)} to "
             f"{number(1e3 * high)} ms.{other}",
         ),
         figure="sampling",
@@ -95,8 +100,8 @@ def _hints(study: HandoutStudy) -> Section:
     )
     slope = ""
     if found.low_slope is not None:
-        slope = f"At low frequency |G| falls by {minus(f'{-found.low_slope:.1f}')} dB per decade "
-        slope += "(an integrator: 20 dB). "
+        slope = f"At low frequency $abs(G)$ falls by {minus(f'{-found.low_slope:.1f}')} dB per "
+        slope += "decade (an integrator: 20 dB). "
     return Section(
         number="3.2",
         answer=(
@@ -116,26 +121,7 @@ def _black_box(study: HandoutStudy) -> Section:
     black = study.black
     if black is None:
         return _lacking(study, "3.3", "black", _BLACKBOX)
-    best, rows = black.best, []
-    for m in black.estimated:
-        fit = m.fit
-        decimals = [places(float(s)) for s in fit.std]
-        theta = listed(
-            [
-                f"{n} = {fixed(float(v), d)} ± {fixed(float(s), d)}"
-                for n, v, s, d in zip(fit.names, fit.theta, fit.std, decimals, strict=True)
-            ]
-        )
-        tests = m.tests
-        rows.append(
-            (
-                m.name,
-                theta,
-                error(m.comparison.rms_error, black.validation.unit),
-                p_value(tests.whiteness),
-                p_value(tests.missing_dynamics),
-            )
-        )
+    best = black.best
     halves = " (the second half of the recording)" if black.halves else ""
     nb, nf = (best.fit.orders.get(name) for name in ("nb", "nf"))
     hints = study.hints
@@ -151,18 +137,14 @@ def _black_box(study: HandoutStudy) -> Section:
             f"The {best.name} model simulates the validation data{halves} with an rms error of "
             f"{error(best.comparison.rms_error, black.validation.unit)}. It is estimated from "
             f"{best.fit.N} of {black.estimation.N} samples at {milliseconds(black.estimation.Ts)}: "
-            "for these samples the angle and its past are known. ± is one standard deviation."
-            f"{other}",
-            f"The equation of the {best.name} model contains the delay q⁻¹ and white noise "
-            f"e(t). The table contains the coefficients of the polynomials.{_fixed_root(black)} "
+            f"for these samples the angle and its past are known.{other}",
+            f"$ {', quad '.join([typst_form(best.fit), *_polynomials(best.fit)])} $",
+            f"The equation contains the delay $q^(-1)$ and white noise $e(t)$.{_fixed_root(black)} "
             "The rms error is the error of the simulated angle on the validation data. p white and "
             "p dynamics are the p values of two hypotheses: the residuals are white, and past "
             "input does not explain the residuals. A value below 0.01 speaks against the model.",
         ),
-        formula=typst_form(best.fit),
-        table=Table(
-            header=("model", "coefficients", "rms error", "p white", "p dynamics"), rows=tuple(rows)
-        ),
+        tables=(_coefficients(black), _validation(black)),
         figure="residuals",
         caption=f"Residuals of the {best.name} model on validation data: correlation "
         "with themselves (a) and with the input (b).",
@@ -175,9 +157,59 @@ def _fixed_root(black: Study) -> str:
     if not names:
         return ""
     return (
-        f" {listed(names)} {'has' if len(names) == 1 else 'have'} the factor 1 − q⁻¹, the "
+        f" {listed(names)} {'has' if len(names) == 1 else 'have'} the factor $1 - q^(-1)$, the "
         "integrator from speed to angle. Its root at 1 is fixed, not estimated."
     )
+
+
+def _polynomials(model: Model) -> list[str]:
+    """Return the definition of each polynomial of a model, in Typst's mathematics."""
+    defined = []
+    for letter in letters(model):
+        part = model.slice_of(letter.lower())
+        n, first = part.stop - part.start, model.nk if letter == "B" else 1
+        terms = [f"{letter.lower()}_{k} q^(-{first + k - 1})" for k in sorted({1, n})]
+        one, between = "" if letter == "B" else "1 + ", " + dots.c + " if n > 2 else " + "
+        defined.append(f"{letter}(q) = {one}{between.join(terms)}")
+    return defined
+
+
+def _coefficients(black: Study) -> Table:
+    """Return a table with a column for each polynomial of each model."""
+    columns: dict[str, list[str]] = {}
+    for m in black.estimated:
+        for name, *estimate in zip(m.fit.names, m.fit.theta, m.fit.std, strict=True):
+            decimals = places(float(estimate[1]))
+            cell = " ± ".join(fixed(float(x), decimals) for x in estimate)
+            columns.setdefault(f"{m.name}, {name[0]}_k", []).append(cell)
+    rows = zip_longest(*columns.values(), fillvalue="–")
+    return Table(
+        caption="Coefficients of the models; ± is one standard deviation.",
+        header=("k", *columns),
+        rows=tuple((str(k), *row) for k, row in enumerate(rows, 1)),
+    )
+
+
+def _validation(black: Study) -> Table:
+    rows = []
+    for m in black.estimated:
+        p = map(p_value, (m.tests.whiteness, m.tests.missing_dynamics))
+        rows.append((m.name, error(m.comparison.rms_error, black.validation.unit), *p))
+    return Table(
+        caption="Simulation of the validation data, and tests of the residuals.",
+        header=("model", "rms error", "p white", "p dynamics"),
+        rows=tuple(rows),
+    )
+
+
+_CHARACTERISTICS = (
+    ("gain", "gain [rad/(s V)]", 1.0),
+    ("antiresonance", "antires. [rad/s]", 1.0),
+    ("rise_time", "63 % time [ms]", 1e3),
+    ("equivalent_time", "equivalent [ms]", 1e3),
+    ("overshoot", "overshoot [%]", 1.0),
+)
+"""Characteristics of a model, with their headings and scales in a table."""
 
 
 def _comparison(study: HandoutStudy) -> Section:
@@ -187,54 +219,43 @@ def _comparison(study: HandoutStudy) -> Section:
     rows = []
     for m in black.models:
         c, found = m.comparison, m.comparison.characteristics
-        named = (
-            ("gain", found.gain, 1.0),
-            ("antiresonance", found.antiresonance, 1.0),
-            ("rise_time", found.rise_time, 1e3),
-            ("equivalent_time", found.equivalent_time, 1e3),
-            ("overshoot", found.overshoot, 1.0),
-        )
         velocity = c.velocity_fit_percent
         rows.append(
             (
                 m.name,
                 error(c.rms_error, black.validation.unit),
                 "–" if velocity is None else percent(velocity),
-                *(_figure(x, found.std.get(name, float("nan")), k) for name, x, k in named),
+                *(
+                    _figure(getattr(found, name), found.std.get(name, float("nan")), k)
+                    for name, _, k in _CHARACTERISTICS
+                ),
             )
         )
     unit = black.validation.unit
     off = {m.name: error(m.comparison.rms_error, unit) for m in black.models}
     best = min(black.models, key=lambda m: m.comparison.rms_error)
     closest = [name for name, size in off.items() if size == off[best.name]]
+    table = Table(
+        caption="Models on the validation data, and characteristics of their step responses.",
+        header=("model", "rms error", "fit of the rate", *(h for _, h, _ in _CHARACTERISTICS)),
+        rows=tuple(rows),
+    )
     are = "is closest" if len(closest) == 1 else "are equally close"
     return Section(
         number="3.4",
         answer=(
             f"On the validation data {listed(closest)} {are}, with an rms error of "
             f"{off[best.name]}. {_difference(black)}",
-            "The fit of the rate is 100 (1 − |v − w|/|v − mean v|) %, v measured and w simulated. "
-            "This fit is below 0 % if a constant fits better. It is below 100 % even for the true "
-            "system, since v contains the converter's noise twice. Gain, times and overshoot "
-            "describe the rate after a step. The equivalent time is the area above the rate, "
-            "divided by its final value.",
+            "The fit of the rate is $100 (1 - norm(v - w) slash norm(v - macron(v)))$ %, $v$ "
+            "measured with mean $macron(v)$, $w$ simulated. This fit is below 0 % if a constant "
+            "fits better. It is below 100 % even for the true system, since $v$ contains the "
+            "converter's noise twice. Gain, times and overshoot describe the rate after a step. "
+            "The equivalent time is the area above the rate, divided by its final value.",
         ),
-        table=Table(
-            header=(
-                "model",
-                "rms error",
-                "fit of the rate",
-                "gain [rad/(s V)]",
-                "antires. [rad/s]",
-                "63 % time [ms]",
-                "equivalent [ms]",
-                "overshoot [%]",
-            ),
-            rows=tuple(rows),
-        ),
+        tables=(table,),
         figure="compare",
-        caption="(a) Validation data and models, minus the ramp of the mean speed; (b) data (dots) "
-        "and models, minus the best model.",
+        caption=f"(a) Measured and simulated angle{without_turns(black.validation)}; (b) data "
+        "(dots) and models, minus the best model.",
     )
 
 
@@ -249,10 +270,11 @@ def _difference(black: Study) -> str:
     import numpy as np
 
     median = percent(100 * float(np.median(black.best.deviation)))
+    resting = arm_at_rest(black).replace("$", "")  # the name of a run contains no formula
     return (
         f"From {black.omega[0]:g} to {black.omega[-1]:.0f} rad/s the frequency response of "
         f"{black.best.name} differs from that of the physical model by a median of {median}. "
-        f"Nothing in the physical model was fitted.{arm_at_rest(black)}"
+        f"Nothing in the physical model was fitted.{resting}"
     )
 
 
@@ -263,19 +285,20 @@ def _grey_box(study: HandoutStudy) -> Section:
     J, std = found.values["J_1"], found.std["J_1"]
     handout = study.parameters.J_1
     influence = found.influence.get("J_1", {})
-    moved = ", ".join(f"{n} {minus(f'{x:+.2f}')} %" for n, x in influence.items())
-    fixed_ones = f" An increase of a fixed parameter by 1 % changes J: {moved}." if moved else ""
+    moved = ", ".join(f"{n} {minus(f'{x:+.2f}')}{NBSP}%" for n, x in influence.items())
+    fixed_ones = f" An increase of a fixed parameter by 1 % changes $J$: {moved}." if moved else ""
     return Section(
         number="3.5",
         answer=(
-            f"J = {scaled(J, std, 'kg m²')} (one standard deviation), "
-            f"{minus(f'{100 * (J / handout - 1):+.2f}')} % from the handout's J₁.",
-            "The chassis alone obeys J θ₁″ = N K_m (u − N K_m θ₁′)/R_m, without friction. With "
-            f"this J the simulated angle fits {found.N} samples best.{fixed_ones}",
+            f"$J$ = {scaled(J, std, 'kg m²')} (one standard deviation), "
+            f"{minus(f'{100 * (J / handout - 1):+.2f}')} % from the handout's $J_1$. The chassis "
+            "alone obeys, without friction,",
+            "$ J dot.double(theta)_1 = (N K_m)/R_m (u - N K_m dot(theta)_1) $",
+            f"With this $J$ the simulated angle fits {found.N} samples best.{fixed_ones}",
         ),
         figure="greybox",
-        caption="(a) Measured and simulated angle of the chassis alone, minus the ramp of its mean "
-        "speed; (b) the error.",
+        caption="(a) Measured and simulated angle of the chassis alone"
+        f"{without_turns(study.chassis) if study.chassis else ''}; (b) the error.",
     )
 
 
@@ -291,23 +314,25 @@ def _split(study: HandoutStudy) -> Section:
         )
         for s in found.splits
     )
+    caption = "Estimates from parts of the data; ± is one standard deviation."
+    table = Table(caption=caption, header=("", "samples each", "J [kg m²]"), rows=rows)
     first, last = found.splits[0], found.splits[-1]
     crosses = ""
     if last.k > 2:
         scatter, low, high = map(power, (last.scatter, *last.scatter_interval))
-        crosses = f"; the {last.k} parts scatter by {scatter} kg m², 95 % interval {low} to {high} "
-        crosses += f"(χ² with {last.k - 1} degrees of freedom)"
+        crosses = f"; the {last.k} parts scatter by {scatter} kg{NBSP}m², 95 % interval {low} to "
+        crosses += f"{high} (χ² with {last.k - 1} degrees of freedom)"
     return Section(
         number="3.6",
         answer=(
-            f"If the data are divided into {plural(last.k, 'part')}, the variance of J grows by a "
-            f"factor of {found.std_growth**2:.2f}. "
-            "A variance proportional to 1/N would grow by a factor of "
+            f"If the data are divided into {plural(last.k, 'part')}, the variance of $J$ grows by "
+            f"a factor of {found.std_growth**2:.2f}. "
+            "A variance proportional to $1 slash N$ would grow by a factor of "
             f"{first.N.mean() / last.N.mean():.2f}. "
-            "Each sample adds to the information Σ ψψᵀ/λ, and the covariance is the inverse of the "
-            "information.",
+            "Each sample adds to the information $sum psi psi^top slash lambda$, and the "
+            "covariance is the inverse of the information.",
         ),
-        table=Table(header=("", "samples each", "J [kg m²]"), rows=rows),
+        tables=(table,),
         figure="split",
         caption="(a) Each estimate with ±2 σ; band: weighted mean of the parts ±2 σ. "
         f"(b) σ against N{crosses}.",
@@ -325,11 +350,11 @@ def _loop(study: HandoutStudy) -> Section:
     return Section(
         number="3.7",
         answer=(
-            f"p {p_relation(found.p_value)} in Sims' F-test (F = {s.F:.3g} with {s.q} and "
+            f"p {p_relation(found.p_value)} in Sims' F-test ($F$ = {s.F:.3g} with {s.q} and "
             f"{s.degrees} degrees of freedom): {verdict}.",
-            "θ₁(t) is regressed on its own past, past u, and u(t) … u(t + 4). θ₁ is read before u "
-            "is applied. In open loop u(t) and later inputs therefore add nothing to the "
-            "information of the past on θ₁(t).",
+            "$theta_1(t)$ is regressed on its own past, past $u$, and $u(t), dots, u(t + 4)$. "
+            "$theta_1$ is read before $u$ is applied. In open loop $u(t)$ and later inputs "
+            "therefore add nothing to the information of the past on $theta_1(t)$.",
         ),
         figure="loop",
         caption="Coefficients of u in the regression of θ₁(t). The band contains 99 % of the "
@@ -342,7 +367,7 @@ def _delay(study: HandoutStudy) -> Section:
     found = study.delay
     if found is None:
         return _lacking(study, "3.8", "delay", _BLACKBOX)
-    samples = "no delay: u acts one sample later, as with every zero-order hold"
+    samples = "no delay: $u$ acts one sample later, as with every zero-order hold"
     if found.delay > 0:
         samples = f"a delay of {plural(found.delay, 'sample')} in addition to the zero-order hold"
     g, std = found.response.decaying
@@ -353,8 +378,8 @@ def _delay(study: HandoutStudy) -> Section:
         number="3.8",
         answer=(
             f"{found.nk_range}, {samples}.",
-            f"Joint tests of the first coefficients of u in an ARX model: {ps}. The impulse "
-            f"response of θ₁'s rate is {sizes}.",
+            f"Joint tests of the first coefficients of $u$ in an ARX model: {ps}. The impulse "
+            f"response of the rate of $theta_1$ is {sizes}.",
         ),
         figure="delay",
         caption="(a) Impulse response. The band contains 99.9 % of the estimates of a coefficient "

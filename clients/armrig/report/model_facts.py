@@ -148,11 +148,6 @@ def estimations(study: Study) -> str:
     return " ".join(dict.fromkeys(sentences))
 
 
-def estimation(model: AssessedFit) -> str:
-    """Return a text with a model's losses and a note on which standard deviations are valid."""
-    return " ".join(_estimation(model, ""))
-
-
 def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
     """Yield sentences with losses and warnings; FPE and AIC only for a model of one output."""
     fit = model.fit

@@ -10,7 +10,8 @@ import numpy as np
 from armrig_core.arm import ArmParameters, arm_matrices
 from numpy.typing import NDArray
 
-from armrig.numerics.quantities import listed, minus, number, power
+from armrig.numerics.quantities import NBSP, listed, minus, number, power
+from armrig.physics.integrators.methods import method_named
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.step_response import Characteristics, characteristics, step_response
 from armrig.report.handout_study import METHODS, HandoutStudy
@@ -29,23 +30,31 @@ def _model(p: ArmParameters) -> Section:
     return Section(
         number="2.1",
         answer=(
-            "With the states x = (θ₁, α, θ₁′, α′) and the motor's voltage u the rig is linear, "
-            "x′ = A x + B u. With k = N K_m and the handout's values:",
-            "Structure: circuit, motor, gear, chassis, spring and arm. Equations: R_m i = u − u_m, "
-            "u_m = k θ₁′, Q_E = k i, Q_s = K_lin α, J₁ θ₁″ = Q_E + Q_s, J₂ (θ₁″ + α″) = −Q_s. "
+            "With the states $x = (theta_1, alpha, dot(theta)_1, dot(alpha))$ and the motor's "
+            "voltage $u$ the rig is linear, with $k = N K_m$:",
+            f"$ dot(x) = A x + B u, quad A = {_SYMBOLIC_A}, quad "
+            "B = vec(0, 0, display(k/(R_m J_1)), display(-k/(R_m J_1))) $",
+            "With the handout's values $A$ and $B$ are",
+            f"$ A = {_matrix(A)}, quad B = {_matrix(B)} $",
+            "Structure: circuit, motor, gear, chassis, spring and arm. The equations are",
+            "$ R_m i = u - u_m, quad u_m = k dot(theta)_1, quad Q_E = k i, quad "
+            'Q_s = K_"lin" alpha, \\ J_1 dot.double(theta)_1 = Q_E + Q_s, quad '
+            "J_2 (dot.double(theta)_1 + dot.double(alpha)) = -Q_s $",
             "State space: three states are needed for the energy of two inertias and a spring, and "
-            "θ₁ is the fourth state. i and the torques follow from the states and u. Left out are "
-            "the inductance, friction (b₁ = 0), play and elasticity of the gear, bending of the "
-            "arm and the springs' mass.",
-        ),
-        formula=(
-            'x\' = mat(0, 0, 1, 0; 0, 0, 0, 1; 0, K_"lin"/J_1, -k^2/(R_m J_1), 0; '
-            '0, -K_"lin" (1/J_1 + 1/J_2), k^2/(R_m J_1), 0) x + vec(0, 0, k/(R_m J_1), '
-            f"-k/(R_m J_1)) u quad A = {_matrix(A)} quad B = {_matrix(B)}"
+            "$theta_1$ is the fourth state. $i$ and the torques follow from the states and $u$. "
+            "Left out are the inductance, friction ($b_1 = 0$), play and elasticity of the gear, "
+            "bending of the arm and the springs' mass.",
         ),
         figure="rig",
         caption="Parts of the rig, and the quantities between them.",
     )
+
+
+_SYMBOLIC_A = (
+    "mat(0, 0, 1, 0; 0, 0, 0, 1; "
+    '0, display(K_"lin"/J_1), display(-k^2/(R_m J_1)), 0; '
+    '0, display(-K_"lin" (J_1 + J_2)/(J_1 J_2)), display(k^2/(R_m J_1)), 0)'
+)
 
 
 def _matrix(M: NDArray[Any]) -> str:
@@ -64,17 +73,17 @@ def _step(found: Characteristics) -> Section:
     return Section(
         number="2.2",
         answer=(
-            f"After a step of 1 V the simulated speed settles at {settled:.4f} rad/s. The "
-            f"steady speed is 1/(N K_m) = {found.steady_speed:.4f} rad/(s V). The slope at t = 0 "
-            f"is N K_m/(R_m J₁) = {found.initial_slope:.2f} rad/s².",
-            "In steady state nothing accelerates, so torque and current are 0 and u = u_m. At "
-            "t = 0 the chassis is at rest, so there is no back-EMF. The spring is not wound, so "
-            "the torque accelerates J₁ alone. With a rigid arm the slope would be "
+            f"After a step of 1 V the simulated speed settles at {settled:.4f} rad/s. The steady "
+            f"speed is $1 slash (N K_m)$ = {found.steady_speed:.4f} rad/(s{NBSP}V). The slope at "
+            f"$t = 0$ is $N K_m slash (R_m J_1)$ = {found.initial_slope:.2f} rad/s².",
+            "In steady state nothing accelerates, so torque and current are 0 and $u = u_m$. At "
+            "$t = 0$ the chassis is at rest, so there is no back-EMF. The spring is not wound, so "
+            "the torque accelerates $J_1$ alone. With a rigid arm the slope would be "
             f"{found.rigid_slope:.2f} rad/s². Then the arm swings, with poles at {_pole(w)} 1/s.",
             f"The speed reaches 63 % after {1e3 * found.rise_time:.1f} ms. The equivalent time, "
             f"the area above the response, is {1e3 * found.equivalent_time:.1f} ms. The time "
-            f"constant of the slowest pole, 1/|Re s|, is {1e3 * found.slowest_time:.1f} ms. In a "
-            "first-order system all three times are equal.",
+            f'constant of the slowest pole, $1 slash abs(op("Re") s)$, is '
+            f"{1e3 * found.slowest_time:.1f} ms. In a first-order system these times are equal.",
         ),
         figure="step",
         caption="Speed of the chassis after a step of 1 V, with the handout's parameters and with "
@@ -93,27 +102,29 @@ def _other_parameters(cases: dict[str, ArmParameters]) -> Section:
         f"{_CHANGE_WORDS.get(name, name)} {_effect(after, first)}"
         for name, after in zip([*found][1:], changed, strict=True)
     )
+    table = Table(
+        caption="Step response, and poles of the swing, for each set of parameters.",
+        header=("parameters", "steady speed [rad/(s V)]", "slope [rad/(s² V)]", "poles [1/s]"),
+        rows=tuple(
+            (
+                name,
+                f"{c.steady_speed:.4f}",
+                f"{c.initial_slope:.2f}",
+                _pole(max(c.poles, key=lambda z: z.imag)),
+            )
+            for name, c in found.items()
+        ),
+    )
     return Section(
         number="2.3",
         answer=(
             f"{effects[0].upper()}{effects[1:]}.",
-            "Without friction the steady speed is 1/(N K_m), independent of inertias, spring and "
-            "R_m. The slope at t = 0 is N K_m/(R_m J₁), independent of J₂ and K_lin, since the "
-            "spring is not yet wound. All parameters move the poles: the larger |Re s|, the sooner "
-            "the swing dies out.",
+            "Without friction the steady speed is $1 slash (N K_m)$, independent of inertias, "
+            "spring and $R_m$. The slope at $t = 0$ is $N K_m slash (R_m J_1)$, independent of "
+            '$J_2$ and $K_"lin"$, since the spring is not yet wound. All parameters move the '
+            'poles: the larger $abs(op("Re") s)$, the sooner the swing dies out.',
         ),
-        table=Table(
-            header=("parameters", "steady speed [rad/(s V)]", "slope [rad/(s² V)]", "poles [1/s]"),
-            rows=tuple(
-                (
-                    name,
-                    f"{c.steady_speed:.4f}",
-                    f"{c.initial_slope:.2f}",
-                    _pole(max(c.poles, key=lambda z: z.imag)),
-                )
-                for name, c in found.items()
-            ),
-        ),
+        tables=(table,),
     )
 
 
@@ -137,17 +148,17 @@ def _effect(after: Characteristics, before: Characteristics) -> str:
 
 
 _METHOD_TEXTS = {
-    "forward_euler": "Each step is x(t+h) = x(t) + h f(t). The order is 1, and the region of "
-    "stability is |1 + hλ| ≤ 1. The handout asks for a minimum step, but the limit is a maximum: "
-    "with a larger step, hλ of one of the poles is outside the region.",
-    "ab2": "Each step is x(t+h) = x(t) + h (3 f(t) − f(t−h))/2. The order is 2, with one "
-    "evaluation of f per step. The first step is a Heun step.",
-    "trapezoidal": "Each step is x(t+h) = x(t) + h (f(t) + f(t+h))/2. The order is 2. The "
+    "forward_euler": "Each step is $x(t+h) = x(t) + h f(t)$. The order is 1, and the region of "
+    "stability is $abs(1 + h lambda) <= 1$. The handout asks for a minimum step, but the limit is "
+    "a maximum: with a larger step, $h lambda$ of one of the poles is outside the region.",
+    "ab2": "Each step is $x(t+h) = x(t) + h (3 f(t) - f(t-h)) slash 2$. The order is 2, with one "
+    "evaluation of $f$ per step. The first step is a Heun step.",
+    "trapezoidal": "Each step is $x(t+h) = x(t) + h (f(t) + f(t+h)) slash 2$. The order is 2. The "
     "method is implicit: each step solves a linear system. The region of stability is the whole "
     "left half-plane, so accuracy alone limits the step.",
     "heun": "Each step has two stages: an Euler step, then "
-    "x(t+h) = x(t) + h (f(t) + f*(t+h))/2. f* is f after the Euler step. The order is 2, with two "
-    "evaluations of f per step.",
+    "$x(t+h) = x(t) + h (f(t) + f^*(t+h)) slash 2$. $f^*$ is $f$ after the Euler step. The order "
+    "is 2, with two evaluations of $f$ per step.",
 }
 
 
@@ -168,11 +179,11 @@ def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
         answer=(
             f"{edge}. A step of {number(1e3 * advice.h)} ms keeps the error of each state below "
             f"{100 * study.steps.tolerance:g} % of its largest value. The error is computed for "
-            f"{advice.steps} steps over {problem.span:.3g} s with u = "
-            f"{problem.amplitude:g} sin({problem.omega:g} t) V, against the exact solution.",
+            f"{advice.steps} steps over {problem.span:.3g} s with "
+            f"$u = {problem.amplitude:g} sin({problem.omega:g} t)$ V, against the exact solution.",
             _METHOD_TEXTS[name],
         ),
-        table=_errors(study, name, _steps(advice.h, limit), limit),
+        tables=(_errors(study, name, _steps(advice.h, limit), limit),),
         figure="integrators" if first else "solution" if number_ == "4.4" else "",
         caption="(a) Regions of stability, and the arm's hλ at forward Euler's limit; (b) "
         "error against step, with the observed orders."
@@ -198,8 +209,7 @@ def _errors(study: HandoutStudy, name: str, steps: Sequence[float], limit: float
     """
     errors = [study.problem.error(h, name) for h in steps]
     return Table(
+        caption=f"Largest error of a state, over its largest value: {method_named(name).name}.",
         header=("h [ms]", *(_marked(h, limit) for h in steps)),
-        rows=(
-            ("largest error, relative", *(power(e) if isfinite(e) else "overflow" for e in errors)),
-        ),
+        rows=(("largest error", *(power(e) if isfinite(e) else "overflow" for e in errors)),),
     )

@@ -9,6 +9,7 @@ from armrig_core.calibration import Driver
 from armrig_core.telemetry import ALPHA
 
 from armrig.data.dataset import Dataset
+from armrig.data.figures import without_ramp
 from armrig.numerics.quantities import NBSP, microseconds, milliseconds, number, percent
 from armrig.recordings.calibration.staleness import calibrated
 from armrig.recordings.jitter import Disturbances, SamplingStatistics, Spread
@@ -32,6 +33,11 @@ def run_name(recording: Recording) -> str:
     """Return the run's id as `@RUN`, as in figures and commands, or the hash if there is no id."""
     run = recording.manifest.run_id
     return f"@{run}" if run else recording.short_hash
+
+
+def without_turns(data: Dataset) -> str:
+    """Return a text on the ramp that a figure of an output leaves out; "" if there is none."""
+    return ", minus the ramp of its mean speed" if without_ramp(data)[2] else ""
 
 
 def facts(study: Study) -> list[list[str]]:

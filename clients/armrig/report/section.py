@@ -9,6 +9,8 @@ from dataclasses import dataclass
 class Table:
     """Table of texts, with a heading for each column."""
 
+    caption: str
+    """Caption of the table, with the quantities in it."""
     header: tuple[str, ...]
     """A heading for each column."""
     rows: tuple[tuple[str, ...], ...]
@@ -17,16 +19,14 @@ class Table:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """Section on one assignment: text, formula, table and figure, or a reason for no answer."""
+    """Section on one assignment: text, tables and figure, or a reason for no answer."""
 
     number: str
     """Number of the assignment in the handout, such as 3.5."""
     answer: tuple[str, ...] = ()
-    """Paragraphs; the first contains the numbers."""
-    formula: str = ""
-    """Formula after the first paragraph, in Typst's mathematics."""
-    table: Table | None = None
-    """Table after the paragraphs."""
+    """Paragraphs; the first contains the numbers. As in Typst, "$" encloses a formula."""
+    tables: tuple[Table, ...] = ()
+    """Tables after the paragraphs."""
     figure: str = ""
     """Name of the figure; "" for no figure."""
     caption: str = ""

@@ -45,7 +45,7 @@ def plot_comparison(
     best = min(range(len(compared)), key=lambda i: _size(compared[i].rms_error))
     reference = compared[best].y
     ramp, label, notes = without_ramp(data)
-    ax.plot(data.t, data.y - ramp, color=MISSING, lw=4.5, label="measured")
+    ax.plot(data.t, data.y - ramp, color=MISSING, lw=6.0, label="measured")
     for i, (row, name, pen) in enumerate(zip(compared, names, pens(len(names)), strict=True)):
         text = f"{name}, rms error {error(row.rms_error, data.unit)}"
         ax.plot(data.t, row.y - ramp, label=text, **pen)

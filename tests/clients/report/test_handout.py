@@ -121,8 +121,8 @@ def test_physics_and_integrators_need_no_recording(without: HandoutStudy) -> Non
     assert "1.8623 rad/s" in found["2.2"].answer[0]
     assert "98.40 rad/s²" in found["2.2"].answer[0]
     [pole] = re.findall(r"with poles at (.*?) 1/s", found["2.2"].answer[1])
-    assert found["2.3"].table is not None
-    assert pole == found["2.3"].table.rows[0][3] == "−8.05 ± 17.08i"
+    [table] = found["2.3"].tables
+    assert pole == table.rows[0][3] == "−8.05 ± 17.08i"
     assert found["4.1"].answer[0].startswith("The largest stable step is 45.147 ms")
     assert found["4.3"].answer[0].startswith("Every step is stable")
 
@@ -174,11 +174,11 @@ def test_each_answer_gives_its_own_figures(done: HandoutStudy) -> None:
 
     assert found["3.1"].answer == (
         "The recommended sampling time is 1\xa0ms. From a step response, the time to 63 % is "
-        "21.10 ± 0.40 ms (one standard deviation). ω_s = 20/τ then corresponds to 2 ms. The "
-        "spectrum is at −3 dB at 66 rad/s, which corresponds to 3 ms. 7 to 10 samples in the "
-        "transient of 77 ms correspond to Ts = 4 to 5 ms. The models below use 10\xa0ms.",
+        "21.10 ± 0.40 ms (one standard deviation). $omega_s = 20 slash tau$ then gives 2 ms. The "
+        "spectrum is at −3 dB at 66 rad/s, which gives 3 ms. 7 to 10 samples in the transient of "
+        "77 ms give $T_s$ = 4 to 5 ms. The models below use 10\xa0ms.",
     )
-    assert "(F = 1.25 with 5 and 777 degrees of freedom)" in found["3.7"].answer[0]
+    assert "($F$ = 1.25 with 5 and 777 degrees of freedom)" in found["3.7"].answer[0]
 
 
 def test_an_insignificant_extreme_of_a_spectrum_is_none(done: HandoutStudy) -> None:
@@ -205,24 +205,43 @@ def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStu
 
     found = sections(replace(done, black=replace(done.black, estimated=(made_up,))), "3")
 
-    table = found["3.3"].table
-    assert table is not None
-    [(name, theta, error, white, dynamics)] = table.rows
-    assert table.header == ("model", "coefficients", "rms error", "p white", "p dynamics")
-    assert (name, error, white, dynamics) == ("OE", "4\xa0mrad", "0.110", "0.330")
-    assert theta.startswith(f"b1 = {fit.theta[0]:.3f} ± 0.010, b2 = ".replace("-", "−"))
+    coefficients, validation = found["3.3"].tables
+    assert validation.header == ("model", "rms error", "p white", "p dynamics")
+    assert validation.rows == (("OE", "4\xa0mrad", "0.110", "0.330"),)
+    assert coefficients.header == ("k", "OE, b_k", "OE, f_k")
+    for k, row in enumerate(coefficients.rows):
+        values = (fit.theta[fit.slice_of(letter)][k] for letter in "bf")
+        assert row == (str(k + 1), *(f"{x:.3f} ± 0.010".replace("-", "−") for x in values))
     assert (
         "with an rms error of 4\xa0mrad. It is estimated from 1459 of 1500 samples at 10\xa0ms"
         in (found["3.3"].answer[0])
     )
-    assert "The equation of the OE model contains" in found["3.3"].answer[1]
-    assert "Its root at 1 is fixed" in found["3.3"].answer[1]
+    assert found["3.3"].answer[1] == (
+        "$ y(t) = B(q)/F(q) thin u(t) + e(t), quad B(q) = b_1 q^(-1) + dots.c + b_4 q^(-4), "
+        "quad F(q) = 1 + f_1 q^(-1) + dots.c + f_4 q^(-4) $"
+    )
+    assert "Its root at 1 is fixed" in found["3.3"].answer[2]
+
+
+def test_the_table_of_coefficients_has_a_column_for_each_polynomial(done: HandoutStudy) -> None:
+    assert done.black is not None
+    arx = armrig.arx(done.black.estimation, na=4, nb=2)
+    models = tuple(
+        replace(m, fit=arx) if m.name == "ARX" else m for m in done.black.best_first.estimated
+    )
+
+    table, _ = sections(replace(done, black=replace(done.black, estimated=models)), "3")[
+        "3.3"
+    ].tables
+
+    assert table.header == ("k", "OE, b_k", "OE, f_k", "ARX, a_k", "ARX, b_k")
+    assert [row[0] for row in table.rows] == ["1", "2", "3", "4"]
+    assert [row[4] == "–" for row in table.rows] == [False, False, True, True]
 
 
 def test_the_comparison_has_each_characteristic_in_its_column(done: HandoutStudy) -> None:
     assert done.black is not None
-    table = sections(done, "3")["3.4"].table
-    assert table is not None
+    [table] = sections(done, "3")["3.4"].tables
 
     for row, model in zip(table.rows, done.black.models, strict=True):
         found = model.comparison.characteristics
@@ -282,7 +301,8 @@ def test_the_model_that_is_closest_may_be_any(
     def off(m: A, rms_error: float) -> A:
         return replace(m, comparison=replace(m.comparison, rms_error=rms_error))
 
-    estimated = tuple(map(off, done.black.estimated, (arx, oe)))
+    errors = {"ARX": arx, "OE": oe}
+    estimated = tuple(off(m, errors[m.name]) for m in done.black.estimated)
     black = replace(done.black, estimated=estimated, reference=off(done.black.reference, physics))
 
     found = sections(replace(done, black=black), "3")["3.4"].answer[0]
@@ -302,19 +322,19 @@ def test_a_recording_of_the_chassis_fills_its_sections(tmp_path: Path) -> None:
     assert study.black is None
     assert study.grey is not None
     value, std = 1e3 * study.grey.values["J_1"], 1e3 * study.grey.std["J_1"]
-    said = re.search(r"J = \(([\d.]+) ± ([\d.]+)\)·10⁻³\skg m²", found["3.5"].answer[0])
+    said = re.search(r"\$J\$ = \(([\d.]+) ± ([\d.]+)\)·10⁻³\skg m²", found["3.5"].answer[0])
     assert said is not None
     assert float(said[1]) == pytest.approx(value, abs=std)
     assert float(said[2]) == pytest.approx(std, rel=0.06)
-    assert found["3.6"].table is not None
-    assert [row[0] for row in found["3.6"].table.rows] == ["1 part", "2 parts", "4 parts"]
+    [table] = found["3.6"].tables
+    assert [row[0] for row in table.rows] == ["1 part", "2 parts", "4 parts"]
     assert study.split is not None
     growth = study.split.std_growth**2
     assert (
-        f"into 4 parts, the variance of J grows by a factor of {growth:.2f}."
+        f"into 4 parts, the variance of $J$ grows by a factor of {growth:.2f}."
         in (found["3.6"].answer[0])
     )
-    assert "proportional to 1/N would grow by a factor of 4.00." in found["3.6"].answer[0]
+    assert "proportional to $1 slash N$ would grow by a factor of 4.00." in found["3.6"].answer[0]
     assert "the 4 parts scatter by" in found["3.6"].caption
     assert "95 % interval" in found["3.6"].caption
     assert "(χ² with 3 degrees of freedom)" in found["3.6"].caption
@@ -367,9 +387,9 @@ def test_changed_parameters_and_the_sinusoid_are_those_given() -> None:
         "R_m=6.42 multiplies the slope by 0.5, does not change the steady speed and moves the "
         "swing's poles from −8.05 ± 17.08i to −9.11 ± 26.75i 1/s."
     )
-    assert found["2.3"].table is not None
-    assert [row[0] for row in found["2.3"].table.rows] == list(cases)
-    assert "u = 1.5 sin(25 t) V" in found["4.2"].answer[0]
+    [table] = found["2.3"].tables
+    assert [row[0] for row in table.rows] == list(cases)
+    assert "$u = 1.5 sin(25 t)$ V" in found["4.2"].answer[0]
 
 
 @pytest.mark.usefixtures("only_values")
@@ -421,10 +441,9 @@ def test_a_step_beyond_the_limit_is_marked(without: HandoutStudy) -> None:
     found = sections(without, "4")
 
     for number, marked in (("4.1", 1), ("4.2", 1), ("4.3", 0), ("4.4", 1)):
-        table = found[number].table
-        assert table is not None
+        [table] = found[number].tables
         assert [head.endswith(" (unstable)") for head in table.header].count(True) == marked
-        assert table.rows[0][0] == "largest error, relative"
+        assert table.rows[0][0] == "largest error"
         assert "0.1 % of its largest value" in found[number].answer[0]
 
 

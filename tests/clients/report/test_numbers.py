@@ -11,7 +11,7 @@ from armrig.recordings.jitter import SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
 from armrig.report.conclusions import abstract, conclusions
 from armrig.report.document import content
-from armrig.report.model_facts import estimation, model_table, residual_rows
+from armrig.report.model_facts import estimations, model_table, residual_rows
 from armrig.report.recording_facts import facts, shared_facts, timing_rows
 from armrig.report.study import AssessedFit, Study
 from armrig_core.calibration import Calibration, Figure, Made
@@ -58,7 +58,7 @@ def test_the_loss_and_the_criteria_are_reported_by_their_names(done: Study) -> N
     """FPE = loss (N + d)/(N - d), and AIC."""
     fit = replace(done.best.fit, loss=2.5e-5)
 
-    said = estimation(replace(done.best, fit=fit))
+    said = estimations(replace(done, estimated=(replace(done.best, fit=fit),)))
 
     d = fit.fpe / fit.loss
     assert said.startswith(f"OE: loss 2.50·10⁻⁵ rad², FPE {2.5 * d:.2f}·10⁻⁵ rad², AIC −")

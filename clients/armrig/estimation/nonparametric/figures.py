@@ -210,7 +210,7 @@ def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
     grid = np.arange(0.0, min(end, float(result.t[-1])), result.Ts)
     dots = np.interp(grid, t, response)
     name = rf"recommended samples, every {1e3 * result.Ts:g} ms"
-    ax.plot(grid, dots, "o", color=VERMILION, ms=2.6, label=name)
+    ax.plot(grid, dots, "o", color=VERMILION, ms=1.5, label=name)
     ax.axhspan(0.95, 1.05, color=GREY, alpha=0.25, lw=0, label="final value ±5 %")
     ax.axhline(1 - np.exp(-1), color=INK, lw=0.7, ls=":", label="63 % of the final value")
     ax.set_xlim(0, end)
@@ -285,7 +285,7 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
     below.axhline(hints.threshold, color=VERMILION, ls="--", lw=1.0, label=name)
     below.set_yscale("log")
     below.set_xticks(index)
-    below.set_xlabel("state of the decaying response, strongest first")
+    below.set_xlabel("state, strongest first")
     below.set_ylabel("Hankel singular\nvalue, relative")
     finish(ax, xlim=(float(w[0]), float(w[-1])))
     finish(below)
