@@ -48,15 +48,16 @@ class ReadingOptions:
         ),
     ] = None
 
-    def given(self) -> dict[str, str | float | bool]:
-        """Return the values of the options that differ from their defaults, by option."""
+    def given(self) -> dict[str, str | float]:
+        """Return the values of the options that differ from their defaults; "" for a switch."""
         values = {f"--{f.name.replace('_', '-')}": getattr(self, f.name) for f in fields(self)}
-        return {name: value for name, value in values.items() if value not in (None, False)}
+        given = {name: value for name, value in values.items() if value not in (None, False)}
+        return {name: "" if value is True else value for name, value in given.items()}
 
     def typed(self) -> str:
         """Return the options as a user types them, for the next command; "" for the defaults."""
-        values = (f" {name} {quote(str(value))}" for name, value in self.given().items())
-        return "".join(text.removesuffix(" True") for text in values)
+        given = self.given().items()
+        return "".join(f" {name} {value and quote(str(value))}".rstrip() for name, value in given)
 
 
 AS_IT_STANDS = ReadingOptions()

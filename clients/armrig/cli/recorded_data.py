@@ -250,7 +250,7 @@ class SignalChoice:
         given |= self.reading.given()
         for name, value in given.items():
             if value is not None:
-                typed = f"{name} {value}".removesuffix(" True")
+                typed = f"{name} {value}".rstrip()
                 raise typer.BadParameter(f"{typed} applies to {OTHER_DATA}; {file} is a recording")
         recording = loaded([file], self.calibration, self.start, self.stop)[0]
         self._tell_of_pair(recording)
