@@ -112,7 +112,7 @@ def test_nested_fields_lists_times_and_missing_values_have_paths(tmp_path: Path)
 
     assert (data.Ts, data.missing, data.u.tolist()) == (0.25, 1, list(range(20)))
     assert (second.u.tolist(), second.y.tolist()) == (list(range(20)), [1.0, 0.0] * 10)
-    with pytest.raises(FileError, match=r"the times in column time go from 0 to 0\.01 s.*--resample"):
+    with pytest.raises(FileError, match=r"column time go from 0 to 0\.01 s.*--resample"):
         load_data(path, topic="/a", input="to.x")
 
 
