@@ -224,8 +224,8 @@ def _signals(
             y=rows.y,
             Ts=rows.Ts,
             starts=rows.starts,
-            inputs=_names(named_u, "u"),
-            outputs=_names(named_y, "y"),
+            inputs=_names(named_u, "u", named_y),
+            outputs=_names(named_y, "y", named_u),
             input_units=[c.unit for c in named_u],
             units=[c.unit for c in named_y],
             source=source,
@@ -248,10 +248,17 @@ def _columns_of(table: Table, wanted: str | Sequence[str], what: str) -> list[in
     return found
 
 
-def _names(columns: Sequence[Column], letter: str) -> list[str]:
-    """Return a name for each column, such as u1 for `u:1` and for a first input without a name."""
-    names = [column.name.rpartition(".")[2].replace(":", "") for column in columns]
-    return [name or f"{letter}{k}" for k, name in enumerate(names, 1)]
+def _names(columns: Sequence[Column], letter: str, others: Sequence[Column]) -> list[str]:
+    """Return a name for each column, such as u1 for `u:1` and for a first input without a name.
+
+    The name of a field is its last part if no other column has the same last part.
+    """
+    last_parts = [column.name.rpartition(".")[2] for column in (*columns, *others)]
+    parts = [
+        column.name if last and last_parts.count(last) > 1 else last.replace(":", "")
+        for column, last in zip(columns, last_parts, strict=False)
+    ]
+    return [name or f"{letter}{k}" for k, name in enumerate(parts, 1)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,12 +108,12 @@ def _listed(data: bytes) -> str:
                 topics[topic] = ", ".join(names[:_MAX_LISTED]) + more or "no numeric field"
             except FileError as err:
                 topics[topic] = str(err)
-    said = "another program wrote this MCAP file: give --topic"
+    said = "another program wrote this MCAP file"
     if not topics:
-        return f"{said}, but it has no messages" + "".join(f"; {note}" for note in notes)
+        return f"{said}, and it has no messages" + "".join(f"; {note}" for note in notes)
     listed = "; ".join(f"{shown(topic)} ({fields})" for topic, fields in topics.items())
-    said += ", or two topics with a comma," if len(topics) > 1 else ""
-    return f"{said} and numeric fields as --input and --signal, of {listed}"
+    two = " (or A,B)" if len(topics) > 1 else ""
+    return f"{said}; give --topic NAME{two}, --input FIELD and --signal FIELD of: {listed}"
 
 
 def _messages(

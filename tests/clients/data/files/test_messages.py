@@ -169,6 +169,8 @@ def test_of_two_topics_the_first_is_held_at_the_times_of_the_last(tmp_path: Path
     np.testing.assert_array_equal(data.u, U[:-1])
     np.testing.assert_array_equal(data.y, Y[1:])
     assert data.history[0] == "held the newest value of /cmd at the times of /angle"
+    signals = load_signals(path, topic="/cmd,/angle", inputs="/cmd.data", outputs="/angle.data")
+    assert (signals.inputs, signals.outputs) == (("/cmd.data",), ("/angle.data",))
 
 
 def test_without_a_topic_the_topics_and_their_fields_are_listed(tmp_path: Path) -> None:
@@ -185,7 +187,7 @@ def test_without_a_topic_the_topics_and_their_fields_are_listed(tmp_path: Path) 
         with pytest.raises(FileError, match=f"{before}.*{said}"):
             load_data(path, topic=topic)
     mcap(tmp_path / "empty.mcap")
-    with pytest.raises(FileError, match="but it has no messages"):
+    with pytest.raises(FileError, match="and it has no messages"):
         load_data(tmp_path / "empty.mcap")
 
 

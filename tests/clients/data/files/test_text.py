@@ -202,7 +202,7 @@ def test_what_is_no_table_is_reported_with_its_line_and_the_way_out(
         (b"PAR1", "is a damaged Parquet file"),
         (b"\x1f\x8b\x08", "is packed with gzip; unpack it first"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is an old Excel workbook; save its sheet as CSV"),
-        (b"\x89MCAP0\r\n", "another program wrote this MCAP file: give --topic, but it has no me"),
+        (b"\x89MCAP0\r\n", "another program wrote this MCAP file, and it has no messages; only"),
         (b"\x93NUMPY\x01", "is an .npy"),
         (b"# Created by Octave 8.4", "is Octave's text format; in Octave: save -v7"),
     ],
