@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
 from armrig_core.errors import InputError
 
-from armrig.cli.next_step import say_next, typed
+from armrig.cli.next_step import opener, say_next
 from armrig.cli.options import Json, RigId, print_json, say
 
 Socket = Annotated[
@@ -73,7 +74,7 @@ def demo(
     if json:
         print_json(done)
     else:
-        say_next("demo", file=typed(from_here(Path(done["recordings"]["telegraph"]))))
+        say_next("demo", opener=opener(), file=quote(str(from_here(Path(done["report"])))))
 
 
 def doctor(rig: RigId = "1", connect: Socket = None, json: Json = False) -> None:

@@ -39,7 +39,7 @@ AFTER: Mapping[str, str] = {
     "calibrate": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
     "status": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
     "status chassis": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
-    "demo": "armrig plot {file} -o data.png",
+    "demo": "{opener} {file}",
     "stop": "armrig status{rig}",
     "reset": "armrig status{rig}",
     "ls": "armrig info {file}",

@@ -10,6 +10,7 @@ from datetime import datetime, timedelta
 import numpy as np
 from armrig_core.errors import FileError
 
+from armrig.data.files.decimal_marks import number
 from armrig.data.files.table import Column, Table, Vector, shown
 
 _UNITS = {
@@ -23,19 +24,23 @@ _UNITS = {
 }
 _SECONDS = {name: seconds for seconds, names in _UNITS.items() for name in names.split()}
 _KNOWN = ", ".join(names.split()[0] for names in _UNITS.values())
-_WITH_UNIT = re.compile(rf"(?:(?P<base>.+?)[\s_/.,-]+)?(?P<unit>{'|'.join(_SECONDS)})")
+_WITH_UNIT = re.compile(
+    rf"(?:(?P<base>.+?)(?:\s+in\s+|[\s_/.,-]+))?(?P<unit>{'|'.join(_SECONDS)})\.?"
+)
 _TIME_NAMES = frozenset(
     {"t", "time", "times", "timestamp", "timestamps", "time_stamp", "datetime", "date_time"}
-    | {"elapsed", "elapsed_time", "zeit", "tid", "temps", "tiempo", "millis", "micros"}
+    | {"elapsed", "elapsed_time", "zeit", "uhrzeit", "tid", "temps", "tiempo", "millis", "micros"}
 )
 _DATE_NAMES = frozenset({"date", "datum", "day", "fecha"})
 _EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "µs", 1e9: "ns"}
 _EPOCH_S = (9e8, 4.2e9)  # 1998 to 2103, in seconds since 1970, or since 1904
 _DATENUM = (7e5, 8e5)  # MATLAB's days since year 0, from 1916 to 2190
 _TIME_OF_DAY = re.compile(
-    r"(?P<h>\d{1,3}):(?P<m>\d\d)(?::(?P<s>\d\d(?:[.,]\d+)?))?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+    r"(?:(?P<h>\d{1,3}):)?(?P<m>\d{1,3}):(?P<s>\d\d(?:[.,]\d+)?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
 )
 _DATE = re.compile(r"(?P<a>\d{1,2})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<year>\d{4}|\d\d)")
+_MATLAB = ("%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M:%S.%f")
+_TIMER_BITS = (16, 32)  # Arduino's micros() begins again after 71 min
 _DAY_S = 86400.0
 _HOUR_S = 3600.0
 _MAX_DIGITS = 9
@@ -76,12 +81,13 @@ def unit_of(column: Column) -> float | None:
         The unit is not a unit of time.
     """
     if column.unit:
-        if column.unit.casefold() not in _SECONDS:
+        unit = column.unit.casefold().removesuffix(".")
+        if unit not in _SECONDS:
             raise FileError(
                 f"{_named(column)} are in {shown(column.unit)}, known units are {_KNOWN}; give Ts "
                 "in s (--Ts)"
             )
-        return _SECONDS[column.unit.casefold()]
+        return _SECONDS[unit]
     found = _WITH_UNIT.fullmatch(column.name.casefold())
     return _SECONDS[found["unit"]] if found else None
 
@@ -99,7 +105,7 @@ def times_of(table: Table, i: int) -> Times:
         The unit is unknown, or a time is missing, or a text is not a time.
     """
     column, cells = table.columns[i], table.texts(i)
-    if (cells and any(mark in cells[0] for mark in ":/")) or (cells and cells[0].count("-") > 1):
+    if cells and all(number(cells[0], mark) is None for mark in ".,"):
         return _of_stamps(table, i, cells)
     t = table.numbers(i)
     missing = ~np.isfinite(t)
@@ -114,7 +120,7 @@ def times_of(table: Table, i: int) -> Times:
     if unit is None:
         unit = 1.0
         epochs = [e for e in _EPOCHS if _EPOCH_S[0] * e <= middle < _EPOCH_S[1] * e]
-        if epochs and middle == middle and epochs[0] > 1:
+        if epochs:
             unit = 1 / epochs[0]
             notes.append(f"read {_named(column)} as {_EPOCHS[epochs[0]]} since 1970")
         elif _DATENUM[0] <= middle < _DATENUM[1] and 0 < usual < 0.5:
@@ -122,6 +128,12 @@ def times_of(table: Table, i: int) -> Times:
             notes.append(f"read {_named(column)} as days (MATLAB's datenum)")
         elif usual >= 1.0:
             notes.append(f"{_named(column)} have no unit: read as s")
+    for bits in _TIMER_BITS:
+        steps = np.diff(t)
+        wraps = (steps < 0) & (np.abs(steps + 2.0**bits - usual) <= usual)
+        if wraps.any():
+            t = t + 2.0**bits * np.append(0, np.cumsum(wraps))
+            notes.append(f"{_named(column)} begin again after {2**bits}: joined, as of a timer")
     # The difference first: the unit of an epoch in ns would round times of 1e18.
     return Times(t=(t - t[:1]) * unit, resolution=_last_digit(t) * unit, notes=tuple(notes))
 
@@ -195,14 +207,21 @@ def _time_of_day(text: str) -> float:
     found = _TIME_OF_DAY.fullmatch(text.strip())
     if found is None:
         raise ValueError(text)
-    hours, half = int(found["h"]), (found["half"] or "").casefold()[:1]
+    hours, minutes, seconds = int(found["h"] or 0), int(found["m"]), found["s"].replace(",", ".")
+    if found["h"] is None and "." not in seconds:  # 1:59 is in hours, Excel's 1:59.5 in minutes
+        hours, minutes, seconds = minutes, int(seconds), "0"
+    half = (found["half"] or "").casefold()[:1]
     if half:
         hours = hours % 12 + 12 * (half == "p")
-    return 3600.0 * hours + 60.0 * int(found["m"]) + float((found["s"] or "0").replace(",", "."))
+    return 3600.0 * hours + 60.0 * minutes + float(seconds)
 
 
 def _iso(text: str) -> tuple[float, bool]:
-    moment = datetime.fromisoformat(text.replace(",", "."))
+    text = text.replace(",", ".").replace("/", "-")
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        moment = datetime.strptime(text, _MATLAB["." in text])
     zone = moment.utcoffset() or timedelta()
     since = moment.replace(tzinfo=None) - zone - datetime(2000, 1, 1)
     return since.total_seconds(), moment.tzinfo is not None
