@@ -14,10 +14,16 @@ from typing import Any
 import numpy as np
 from armrig_core.errors import FileError
 from armrig_core.manifest import RUN
-from armrig_core.recording_file import file_records as records
 from armrig_core.recording_file.budget import WORK, Budget, DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.chunks import Unpacker
+from armrig_core.recording_file.file_records import (
+    MAGIC,
+    MESSAGE_HEAD,
+    UNREADABLE,
+    Wanted,
+    file_records,
+)
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
@@ -28,7 +34,6 @@ from armrig.data.optional_packages import MissingPackageError, imported
 
 _DECODERS = {"protobuf": "mcap_protobuf.decoder", "cdr": "mcap_ros2.decoder"}
 _STAMPS = ({"sec", "nanosec"}, {"sec", "nsec"}, {"seconds", "nanos"})  # ROS 2, JSON, protobuf
-_HEAD = records.MESSAGE_HEAD
 _MAX_ELEMENTS = 64  # of a list whose elements are columns; an image is longer
 _MAX_LISTED = 12  # topics, and fields of a topic
 _Series = tuple[list[int], dict[str, "array[float]"]]
@@ -136,11 +141,11 @@ def _messages(
                 if wanted is None or channel.topic in wanted:
                     channels[channel.id] = channel
             elif opcode == Opcode.MESSAGE:
-                number, _, log_time, _ = _HEAD.unpack_from(body)
+                number, _, log_time, _ = MESSAGE_HEAD.unpack_from(body)
                 if channel := channels.get(number):
-                    schema, body = schemas.get(channel.schema_id), body[_HEAD.size :]
+                    schema, body = schemas.get(channel.schema_id), body[MESSAGE_HEAD.size :]
                     yield channel.topic, log_time, partial(_read, decoders, channel, schema, body)
-    except (DamageError, *records.UNREADABLE) as err:
+    except (DamageError, *UNREADABLE) as err:
         notes.append(f"only the messages before a damage are read ({err or type(err).__name__})")
 
 
@@ -149,17 +154,11 @@ def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
     budget = Budget(len(data))
     chunks, spend = Unpacker(budget), partial(budget.spend, WORK)
     source = ByteSource(BytesIO(data), len(data))
-    source.skip(len(records.MAGIC))
-    for opcode, body, _ in records.file_records(source, records.Wanted(attachment=0), spend):
-        if opcode != Opcode.CHUNK:
-            yield opcode, body
-            continue
-        chunk, at = chunks.records(body), 0
-        while at < len(chunk):
-            opcode, length = records.RECORD_HEAD.unpack_from(chunk, at)
-            at += records.RECORD_HEAD.size + length
+    source.skip(len(MAGIC))
+    for record in file_records(source, Wanted(attachment=0), spend):
+        for part in chunks.parts(record):
             spend(1)
-            yield opcode, chunk[at - length : at]
+            yield part
 
 
 _Decoders = dict[int, Callable[[bytes], Any]]
