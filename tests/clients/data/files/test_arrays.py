@@ -441,7 +441,7 @@ T = 0.5 * np.arange(30).reshape(-1, 1)
 
 def test_a_structure_with_time_of_simulink_is_columns_by_label(tmp_path: Path) -> None:
     column = U.reshape(-1, 1), Y.reshape(-1, 1)
-    scope = logged(T, (column[0], "u"), (column[1], "<y>"), (np.column_stack([U, Y]), ""))
+    scope = logged(T, (column[0], "u"), (column[1], "<y>"), (np.column_stack([U, Y]), "u"))
 
     path = mat(tmp_path, {"ScopeData": scope})
     data = load_data(path)

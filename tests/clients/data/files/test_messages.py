@@ -15,10 +15,15 @@ import numpy as np
 import pytest
 from armrig import FileError, load_data, load_signals
 from armrig.cli import main
+from armrig.recordings.catalogue import catalogue
+from armrig.recordings.recording_summary import is_recording
+from armrig_core.manifest import OUTCOME, RUN, Outcome
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from mcap.writer import CompressionType, Writer
+
+from tests.clients.made_recordings import manifest
 
 N, STEP_NS = 200, 10_000_000
 BEGIN_NS = 1_750_000_000_000_000_000
@@ -173,6 +178,21 @@ def test_of_two_topics_the_first_is_held_at_the_times_of_the_last(tmp_path: Path
     assert (signals.inputs, signals.outputs) == (("/cmd.data",), ("/angle.data",))
 
 
+def test_a_value_of_the_same_time_is_held_and_messages_of_the_same_time_stay_apart(
+    tmp_path: Path,
+) -> None:
+    topic, encoding, schema, messages = as_ros2("/twice", Y)
+    pairs = [(time - (k % 2) * STEP_NS, data) for k, (time, data) in enumerate(messages)]
+    channels = as_ros2("/cmd", U), as_ros2("/angle", Y), (topic, encoding, schema, pairs)
+    path = mcap(tmp_path / "log.mcap", *channels)
+
+    data = load_data(path, topic="/cmd,/angle", input="/cmd.data", signal="/angle.data")
+    apart = load_data(path, topic="/twice", input="time", signal="data", Ts=1)
+
+    assert_motor(data)
+    np.testing.assert_array_equal(apart.y, Y)
+
+
 def test_without_a_topic_the_topics_and_their_fields_are_listed(tmp_path: Path) -> None:
     text = (
         "/words",
@@ -273,6 +293,19 @@ def test_the_command_line_reads_a_topic(tmp_path: Path, capsys: pytest.CaptureFi
     assert refused == 1
     assert "/motor (t, voltage, angle)" in listed
     assert "/motor (t, voltage, angle)" in named
+
+
+def test_a_recording_that_another_program_has_rewritten_is_a_recording(tmp_path: Path) -> None:
+    path = tmp_path / "copy.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="", library="a program that copies " * 5)
+        writer.add_metadata(RUN, manifest().metadata())
+        writer.add_metadata(OUTCOME, Outcome(outcome="complete", samples=0, missing=0).metadata())
+        writer.finish()
+
+    assert is_recording(path)
+    assert catalogue(tmp_path).recordings[0].file == "copy.mcap"
 
 
 def test_files_of_other_programs_are_not_called_damaged(
