@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import redirect_stderr
 from functools import partial
-from io import BytesIO
+from io import BytesIO, StringIO
 from math import nan
 from types import SimpleNamespace
 from typing import Any
@@ -73,7 +74,7 @@ def table_of(data: bytes, topic: str | None) -> ArrayTable:
         others = " and ".join(map(shown, names[:-1]))
         notes.append(f"held the newest value of {others} at the times of {shown(names[-1])}")
     found = _joined(series)
-    named = tuple(Column(name=name) for name in found)
+    named = tuple(Column(name=name, unit="s" if name == "time" else "") for name in found)
     return ArrayTable(columns=named, values=[*found.values()], refused={}, Ts=None, notes=notes)
 
 
@@ -185,7 +186,8 @@ def _decoder(encoding: str, schema: Schema | None) -> Callable[[bytes], Any]:
     why = "armrig reads json, protobuf, and cdr with ros2msg; export the topic as CSV"
     try:
         factory = imported(_DECODERS[encoding], "mcap").DecoderFactory()
-        decoder: Callable[[bytes], Any] | None = factory.decoder_for(encoding, schema)
+        with redirect_stderr(StringIO()):  # mcap_ros2 prints the damaged line
+            decoder: Callable[[bytes], Any] | None = factory.decoder_for(encoding, schema)
         if decoder:
             return decoder
     except MissingPackageError:

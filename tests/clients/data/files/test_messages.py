@@ -218,12 +218,19 @@ def test_without_a_topic_the_topics_and_their_fields_are_listed(tmp_path: Path) 
         ("json", "jsonschema", b"", b"[" * 100_000, "cannot be decoded .RecursionError: "),
         ("protobuf", "protobuf", b"\xff", b"", "messages in protobuf.*: the schema is damaged"),
         ("cdr", "ros2msg", b"float64 data", b"\0", "a message cannot be decoded"),
+        ("cdr", "ros2msg", b"float64 \x1b", b"", "messages in cdr.*: the schema is damaged"),
         ("cdr", "ros2idl", b"", b"", "messages in cdr with a schema in ros2idl: armrig reads json"),
         ("ros1", "ros1msg", b"float64 data", b"", "messages in ros1 .*armrig reads json, protobuf"),
     ],
 )
 def test_a_message_that_cannot_be_decoded_is_refused_with_the_way_out(
-    encoding: str, form: str, text: bytes, data: bytes, said: str, tmp_path: Path
+    encoding: str,
+    form: str,
+    text: bytes,
+    data: bytes,
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = mcap(tmp_path / "log.mcap", ("/a", encoding, ("pkg/msg/A", form, text), [(0, data)]))
 
@@ -233,6 +240,7 @@ def test_a_message_that_cannot_be_decoded_is_refused_with_the_way_out(
     assert "export" in str(refused.value)
     with pytest.raises(FileError, match=said):
         load_data(path)
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("channel", [as_protobuf("/a"), as_ros2("/a", U)], ids=["protobuf", "cdr"])
