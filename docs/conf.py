@@ -24,7 +24,6 @@ extensions = [
     "sphinx.ext.autosummary",
     "sphinx.ext.mathjax",
     "numpydoc",
-    "sphinx_design",
     "site_parts.codes",
     "site_parts.commands",
     "site_parts.docstrings",
@@ -46,7 +45,6 @@ include_patterns = [
 ]
 exclude_patterns = ["docs/_build", ".venv", ".git", "tests", "clients", "daemon", "dist", "deploy"]
 
-myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
 
 default_role = "autolink"

@@ -7,6 +7,7 @@ theme. Pages 600 px wide or narrower are those of a touch screen.
 from __future__ import annotations
 
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -19,10 +20,11 @@ from armrig.dashboard.serving import Settings, dashboard
 from playwright.sync_api import sync_playwright
 
 from tests.clients import made_recordings
-from tests.integration.processes import Bench
+from tests.integration.driving import bring_to_rest
+from tests.integration.processes import Bench, freeze
 from tests.integration.watching import STEP, Client, begin, endpoint, watched
 
-HEIGHTS = {1440: 900, 1024: 768, 390: 844, 320: 640}
+HEIGHTS = {1440: 900, 1024: 700, 390: 844, 320: 640}
 TOUCH = 600
 THEMES: dict[str, dict[str, Any]] = {
     "light": {"color_scheme": "light", "forced_colors": "none"},
@@ -79,6 +81,13 @@ def recording(page: Any) -> None:
     page.locator("#one").scroll_into_view_if_needed()
 
 
+def comparing(page: Any) -> None:
+    """Show two recordings together."""
+    recording(page)
+    page.select_option("#compared", index=1)
+    page.wait_for_selector("#legend .dashed")
+
+
 def model(page: Any) -> None:
     """Show a model of a recording, and its simulation over the curves."""
     recording(page)
@@ -95,7 +104,11 @@ def undelivered(page: Any) -> None:
     page.wait_for_selector("#undelivered[role=alert]")
 
 
-AT_REST = (rest, preview, refusal, projector, zoom, recordings, recording, model, undelivered)
+AT_REST = (
+    *(rest, preview, refusal, projector, zoom, recordings, recording, comparing, model),
+    undelivered,
+)
+DRIVEN = ("running", "stopped", "frozen", "fault", "stale")
 
 
 class Pictures:
@@ -142,26 +155,40 @@ def _fill(bench: Bench) -> None:
 
 def _driven(bench: Bench, client: Client, pictures: Pictures, wanted: set[str]) -> None:
     """Take the pictures of a rig that moves, and of a rig without its line or daemon."""
-    begin(client, bench, STEP)
-    if "running" in wanted:
-        pictures.take("running", client.url)
     emulator, daemon = bench.processes[:2]
+
+    def take(state: str) -> None:
+        if state in wanted:
+            pictures.take(state, client.url)
+
+    begin(client, bench, STEP)
+    take("running")
+    client.ask("/api/stop", {"owner": "Ada"})
+    client.wait("run", lambda seen: not seen["is_going"])
+    take("stopped")
+    bring_to_rest(bench)
+    begin(client, bench, STEP)
+    freeze(emulator.popen.pid)
+    client.wait("status", lambda seen: seen["line"])
+    take("frozen")
+    emulator.kill(signal.SIGCONT)
+    client.wait("status", lambda seen: not seen["line"])
+    bring_to_rest(bench)
+    begin(client, bench, STEP)
     emulator.kill()
     emulator.popen.wait(10)
-    client.wait("status", lambda seen: seen["phase"] == "fault")
-    if "fault" in wanted:
-        pictures.take("fault", client.url)
+    client.wait("status", lambda seen: seen["line"])
+    take("fault")
     daemon.kill()
     daemon.popen.wait(10)
     client.wait("live", lambda seen: seen["is_stale"])
-    if "stale" in wanted:
-        pictures.take("stale", client.url)
+    take("stale")
 
 
 def main() -> None:
     """Take the pictures of the states that are named, or of all."""
     folder, *states = sys.argv[1:]
-    known = [show.__name__ for show in AT_REST] + ["visitor", "running", "fault", "stale"]
+    known = [show.__name__ for show in AT_REST] + ["visitor", *DRIVEN]
     wanted = set(states or known)
     with tempfile.TemporaryDirectory() as temporary, sync_playwright() as started:
         bench = Bench(Path(temporary))
@@ -184,7 +211,7 @@ def main() -> None:
                     shared = Settings(connect=endpoint(bench), share="127.0.0.1")
                     with dashboard(shared) as found:
                         pictures.take("visitor", str(found.shared_url))
-                if wanted & {"running", "fault", "stale"}:
+                if wanted & {*DRIVEN}:
                     _driven(bench, client, pictures, wanted)
         finally:
             browser.close()

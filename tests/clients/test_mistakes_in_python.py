@@ -34,7 +34,7 @@ def _entered(rig: str) -> None:
 a: Any = armrig  # mypy would find most of these mistakes before Python does
 MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     # Files.
-    ("load('@last')", lambda: a.load("@last"), armrig.FileError, "`armrig ls --json` prints"),
+    ("load('@last')", lambda: a.load("@last"), armrig.FileError, "make one with `armrig collect`"),
     ("load(3)", lambda: a.load(3), TypeError, 'armrig.load("F.mcap")'),
     ("load(data)", lambda: a.load(DATA), TypeError, "pass the name of a file"),
     ("load('nofile')", lambda: a.load("nofile"), FileNotFoundError, "nofile"),
@@ -131,7 +131,7 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     ("Rig(1)", lambda: a.Rig(1), TypeError, "give the id in quotes, such as '1'"),
     ("run before arm", lambda: a.Rig("1").run(U), armrig.RigError, "call arm(owner) first"),
     ("Rig without with", lambda: a.Rig("1").arm("I"), armrig.RigError, "used in a with block"),
-    ("no such rig", lambda: _entered("nosuch"), armrig.RigError, "no reply from rig nosuch"),
+    ("no such rig", lambda: _entered("nosuch"), armrig.RigError, "`armrig lab --rig nosuch`"),
 ]
 
 

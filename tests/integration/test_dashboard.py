@@ -77,16 +77,6 @@ def test_the_words_are_those_of_the_status(page: Client, served: Bench) -> None:
     assert rows["motor"] == "at 0 V, as the device reports"
 
 
-def test_an_experiment_is_shown_before_it_runs(page: Client) -> None:
-    status, shown = page.ask("/api/preview", STEP)
-
-    assert status == 200
-    assert (shown["N"], shown["seconds"], shown["Ts"]) == (12000, 120.0, 0.01)
-    assert (shown["t"], shown["u"]) == ([0.0, 0.1, 120.0], [1.0, 4.0, 4.0])
-    assert shown["rehearsal"].startswith("rehearsed on the model: the chassis turns ")
-    assert shown["deviations"][0].startswith("J_1 to ± ")
-
-
 def test_a_preview_moves_nothing(page: Client, served: Bench) -> None:
     before = served.voltage_changes()
     page.ask("/api/preview", STEP)
@@ -438,42 +428,6 @@ def test_a_viewer_that_does_not_read_is_dropped_and_delays_nobody(page: Client) 
         with deaf(page):
             wait_for_viewers(2)
             wait_for_viewers(1)
-
-
-def test_a_daemon_that_dies_is_stale_and_comes_back(bench: Bench) -> None:
-    bench.configure(watchdog_ms=250)
-    bench.emulate()
-    daemon = bench.serve()
-    with watched(bench) as page:
-        page.wait("live", lambda seen: not seen["is_stale"])
-        daemon.kill()
-        daemon.popen.wait(10)
-        page.wait("live", lambda seen: seen["is_stale"])
-        page.wait("status", lambda seen: "armrig lab" in seen["trouble"])
-        bench.serve()
-        page.wait("live", lambda seen: not seen["is_stale"])
-
-        assert page.first("status")["trouble"] == ""
-        assert page.ask("/api/stop", {})[0] == 200
-
-
-def test_a_fault_shows_its_cause_before_its_reset(bench: Bench) -> None:
-    bench.configure(watchdog_ms=250)
-    emulator = bench.emulate()
-    bench.serve()
-    with watched(bench) as page:
-        page.wait("live", lambda seen: not seen["is_stale"])
-        begin(page, bench)
-        emulator.kill()
-        page.wait("status", lambda seen: seen["phase"] == "fault")
-        seen = page.first("status")
-
-        assert seen["reason"]
-        assert seen["remedy"]
-        assert dict(seen["rows"])["fault"] == f"{seen['fault']}: {seen['reason']}"
-        bench.emulate()
-        wait_for(lambda: page.ask("/api/reset", {}) == (200, {"was_latched": True}))
-        page.wait("status", lambda seen: seen["phase"] == "safe")
 
 
 def test_a_name_is_reported_unchanged(page: Client, served: Bench) -> None:

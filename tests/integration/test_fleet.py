@@ -371,8 +371,7 @@ def test_a_router_ends_in_order_at_a_signal(lab: FleetLab) -> None:
         rest = router.stderr.read()
 
     assert said == (
-        f"armrig: router at {lab.endpoint}: 3 rigs, 2 may drive and 1 may watch; "
-        "Ctrl-C ends the router\n"
+        f"router at {lab.endpoint}: 3 rigs, 2 may drive and 1 may watch; Ctrl-C ends the router\n"
     )
     assert (router.returncode, rest) == (0, "")
 

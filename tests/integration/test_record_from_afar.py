@@ -426,7 +426,7 @@ def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
     pipe = subprocess.PIPE
     with subprocess.Popen([*command, "--json"], stdout=pipe, stderr=pipe) as process:
         assert process.stderr is not None
-        assert process.stderr.readline().startswith(b"armrig: recording rig 1 from ")
+        assert process.stderr.readline().startswith(b"recording rig 1 from ")
         try:
             with bench.rig() as rig:
                 rig.arm("a test", Ts=0.01)

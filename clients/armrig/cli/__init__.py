@@ -53,26 +53,44 @@ from armrig.cli.options import tell_error
 from armrig.cli.usage_errors import usage_error
 
 _HELP = {"help_option_names": ["-h", "--help"]}
-_ORDER: list[str] = []
+_HELP_INDENT = 6
+"""Number of columns around the name of a command in the help."""
+_HEADINGS = {
+    "Rig": "lab status watch stop reset note dashboard calibrate",
+    "Runs": "collect record play demo",
+    "Recordings": "ls info plot verify export recover replay",
+    "Identify": "sampling hints identify batch",
+    "Validate": "validate compare check report",
+    "Physics": "model simulate greybox split integrate",
+    "Administration": "doctor glossary flash conformance service pki router",
+}
+"""Commands under each heading of `armrig --help`."""
 
 
-class _InOrder(typer.core.TyperGroup):
-    """Group that lists its commands and its groups of commands in the order of `_ORDER`."""
+class _UnderHeadings(typer.core.TyperGroup):
+    """Group that lists its commands and its groups of commands under headings."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of the commands."""
-        return sorted(super().list_commands(ctx), key=_ORDER.index)
+        """Return the names of the commands, in the order of the help."""
+        return " ".join(_HEADINGS.values()).split()
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands under their headings; all names have the same width."""
+        width = max(map(len, self.commands))
+        limit = formatter.width - width - _HELP_INDENT
+        for heading, names in _HEADINGS.items():
+            rows = [(x, self.commands[x].get_short_help_str(limit)) for x in names.split()]
+            with formatter.section(heading):
+                formatter.write_dl([(f"{name:{width}}", text) for name, text in rows])
 
 
 app = typer.Typer(
-    cls=_InOrder,
+    cls=_UnderHeadings,
     context_settings=_HELP | {"max_content_width": 100},
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-# Commands in the order of `armrig --help`: first for a rig, then for its data in the order of the
-# handout. Each command is followed by an example of its arguments, each group of commands by its
-# name.
+# Each command is followed by an example of its arguments, each group of commands by its name.
 for _command, _example in (
     (lab.lab, ""),
     (rig.status, ""),
@@ -119,11 +137,9 @@ for _command, _example in (
 ):
     if isinstance(_command, typer.Typer):
         app.add_typer(_command, name=_example, context_settings=_HELP)
-        _ORDER.append(_example)
     else:
         _line = f"Example: armrig {_command.__name__} {_example}".rstrip()
         app.command(epilog=_line, context_settings=_HELP)(_command)
-        _ORDER.append(_command.__name__)
 
 # Commands that connect to a rig, or measure the host of a rig; they do not exist on Windows.
 _WITH_A_RIG = ("fcntl", "grp", "pty", "pwd", "resource", "termios", "tty", "zenoh")

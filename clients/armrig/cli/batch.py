@@ -27,7 +27,7 @@ def _example(given: str) -> str:
 
 
 app = typer.Typer(
-    help="Process all recordings of a folder; write a table (Parquet) with a row for each "
+    help="Process all recordings of a folder. Write a table (Parquet) with a row for each "
     "recording.",
     no_args_is_help=True,
     rich_markup_mode=None,

@@ -15,7 +15,7 @@ from armrig_core.calibration_file import raw_path
 from armrig_core.errors import InputError
 
 from armrig.cli.next_step import say_to_copy
-from armrig.cli.options import question, tell
+from armrig.cli.options import inform, question
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
@@ -105,7 +105,7 @@ class Player:
             owner=_OWNER,
             dead_man=_DEAD_MAN_S,
         )
-        return load(collect(plan, rig=self._rig, connect=self._connect, tell=tell).path)
+        return load(collect(plan, rig=self._rig, connect=self._connect, tell=inform).path)
 
 
 def check_turns(levels: Sequence[float], level_seconds: float) -> None:
@@ -178,9 +178,9 @@ def take_into_use(
         if wanted:
             raise
         is_used = False
-        tell(f"not in use: no daemon of rig {rig} answers")
+        inform(f"not in use: no daemon of rig {rig} answers")
     if is_used:
-        tell(
+        inform(
             f"rig {rig} uses the calibration from the next sample on, until `armrig lab` or "
             "armrigd ends"
         )
@@ -191,12 +191,12 @@ def take_into_use(
 def _is_wanted(wanted: bool | None, *, asks: bool) -> bool:
     """Return True if the daemon must load the calibration; if not, print that it is not in use."""
     if wanted is None and asks and not sys.stdin.isatty():
-        tell("not in use: --use loads the calibration into the running daemon")
+        inform("not in use: --use loads the calibration into the running daemon")
         return False
     if wanted is None:
         wanted = not asks or typer.confirm(_QUESTION, default=True, err=True)
     if not wanted:
-        tell("not in use")
+        inform("not in use")
     return wanted
 
 
@@ -207,15 +207,15 @@ def _say_how_it_stays(path: Path, named: str) -> None:
     """
     path = path.absolute()
     if named == str(path):
-        tell("armrigd reads this file at its next start, too")
+        inform("armrigd reads this file at its next start, too")
         return
     if named:
         pairs = [(path, Path(named)), (raw_path(path), raw_path(Path(named)))]
         copies = [f"cp {quote(str(a))} {quote(str(b))}" for a, b in pairs]
-        tell(f"armrigd reads {named} at its next start; to replace that file:")
+        inform(f"armrigd reads {named} at its next start; to replace that file:")
         say_to_copy(" && ".join(copies))
         return
     configuration = Path(platformdirs.user_config_dir("armrig")) / "armrig.toml"
     name = path.name if path.parent == configuration.parent else str(path)
-    tell(f"to use the calibration from the next start of armrigd on, add to {configuration}:")
+    inform(f"to use the calibration from the next start of armrigd on, add to {configuration}:")
     say_to_copy(f"[calibration]\nfile = {json.dumps(name, ensure_ascii=False)}")

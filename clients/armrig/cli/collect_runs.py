@@ -11,8 +11,8 @@ from typing import Any, Literal, NamedTuple
 
 from armrig_core.errors import FileError, InputError, OperationError
 
-from armrig.cli.next_step import naming, say_next, step_again, typed
-from armrig.cli.options import echo, print_json, tell
+from armrig.cli.next_step import naming, own_recordings, say_next, step_again, typed
+from armrig.cli.options import echo, inform, print_json
 
 SECONDS = 30.0
 _MAX_NAME_LENGTH = 40  # characters of a kind of experiment that the daemon accepts
@@ -114,19 +114,11 @@ def _experiment_name(experiment: str, name: str) -> str:
 
 def _check_name_is_free(name: str) -> None:
     """Refuse the name of a complete recording; otherwise the name would become ambiguous."""
-    from armrig.cli.chosen_recording import (
-        NoSuchRecordingError,
-        matching,
-        recording_folder,
-    )
-    from armrig.recordings.catalogue import newest_first
+    from armrig.recordings.recording_names import matching
 
     if not name:
         return
-    try:
-        paths = newest_first(recording_folder())
-    except (NoSuchRecordingError, OSError):
-        return
+    paths = own_recordings()
 
     def is_used(text: str) -> bool:
         return any(s.is_complete for s in matching(text, paths))
@@ -168,7 +160,9 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
     estimation, first = "", None  # id of the previous run; path of the first readable recording
     for p, plan in zip(each, plans, strict=True):
         details = {**plan.details, VALIDATION_OF: estimation} if p.is_validation else plan.details
-        done = collect(replace(plan, details=details), rig=run.rig, connect=run.connect, tell=tell)
+        done = collect(
+            replace(plan, details=details), rig=run.rig, connect=run.connect, tell=inform
+        )
         verdict, estimation = done.verdict, done.run_id
         first = first or (done.path if verdict else None)
         if run.json:
@@ -181,11 +175,11 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
         kept = f"{done.synced} samples are on the disk; " if done.synced else ""
         if verdict is None:
             where = "the recording is on the daemon's machine; run `armrig info` there to show its"
-            tell(f"{kept}{where} contents")
+            inform(f"{kept}{where} contents")
         elif not verdict.usable:
             raise OperationError(verdict.summary)
         else:
-            tell(f"{kept}{verdict.summary}")
+            inform(f"{kept}{verdict.summary}", bold=True)
     if first is not None and not run.json:
         _say_next(each[0].experiment, first, naming(run.rig, run.connect))
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from armrig_core.errors import InputError
 
-from armrig.cli.options import tell
+from armrig.cli.options import inform, tell
 from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def tell_of_columns(file: Path, data: Dataset, columns: Mapping[str, str]) -> No
     parts = [f"{file}: {data.N} samples, {data.Ts:g} s apart"]
     parts += [f"the {what} is column {name}" for what, name in columns.items()]
     parts += [f"{data.missing} samples without {data.output}"] if data.missing else []
-    tell("; ".join([*parts, *data.history]))
+    inform("; ".join([*parts, *data.history]), dim=True)
     if data.output in INTEGRATING_OUTPUTS:
         tell(
             f"{data.output} is assumed to be the rig's angle, which integrates its input; if "
@@ -78,7 +78,8 @@ def tell_of_columns(file: Path, data: Dataset, columns: Mapping[str, str]) -> No
 def tell_of_signals(file: Path, signals: Signals) -> None:
     """Print the channels that were read from a file of data."""
     missing = f"; {signals.missing} values are missing" if signals.missing else ""
-    tell(
+    inform(
         f"{file}: {signals.N} samples, {signals.equidistant():g} s apart; outputs "
-        f"{', '.join(signals.outputs)}; inputs {', '.join(signals.inputs)}{missing}"
+        f"{', '.join(signals.outputs)}; inputs {', '.join(signals.inputs)}{missing}",
+        dim=True,
     )

@@ -23,9 +23,11 @@ from armrig.cli.options import (
     To,
     Verbose,
     echo,
+    fields_of,
+    inform,
     print_json,
     say,
-    tell,
+    say_more,
 )
 from armrig.cli.parameters import Given, physics_beside
 from armrig.cli.recorded_data import (
@@ -37,6 +39,7 @@ from armrig.cli.recorded_data import (
     warn_of_estimation_data,
 )
 from armrig.cli.several_signals import compare as compare_several
+from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
@@ -49,6 +52,8 @@ if TYPE_CHECKING:
 
 
 _SAME_RTOL = 1e-6
+_MAX_DIFFERENCES = 4
+"""Largest number of differences without --verbose."""
 
 Models = Annotated[
     list[Path] | None,
@@ -84,7 +89,7 @@ def compare(
     json: Json = False,
     verbose: Verbose = False,
 ) -> None:
-    """Compare models on a recording that they were not estimated from.
+    """Compare models on data that they were not estimated from.
 
     With F2, the command estimates an ARX and an OE model from F. On F2, it compares these two
     models, the physical model and the models of --model. Without F2, it compares the models of
@@ -111,7 +116,7 @@ def compare(
     recordings = loaded(files, calibration, start, stop)
     if other is None:
         data = dataset_of(recordings[0], saved[0][1])
-        compared = _Compared(models=saved, data=data, where=str(file))
+        compared = _Compared(models=saved, data=data, where=typed(file))
     else:
         from armrig.physics.systems import HANDOUT
 
@@ -126,9 +131,9 @@ def compare(
     else:
         from armrig.recordings.usability import emulation
 
-        _print_comparison(compared, table, verbose=verbose)
+        print_comparison(table, f"on {compared.where}", verbose=verbose)
         for text in emulation(recordings):
-            say(text)
+            say(text, dim=True)
         options = options_of(compared.data, calibration, start, stop)
         say_next("compare", file=typed(file), given=options)
 
@@ -187,7 +192,7 @@ def _studied(
 
     with estimating("na, nb and nf"):
         done = study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))
-    where = str(done.recording_of(done.validation.source).path)
+    where = typed(done.recording_of(done.validation.source).path)
     if done.halves:
         where += ", its second half (the models are estimated from its first half)"
     models = [(assessed.name, assessed.model) for assessed in done.models]
@@ -197,7 +202,7 @@ def _studied(
         if same is None:
             more.append((name, fit))
         else:
-            tell(f"the model {name} equals the {same} model estimated here; it is shown once")
+            inform(f"the model {name} equals the {same} model estimated here; it is shown once")
     return _Compared(models=models + more, data=done.validation, where=where)
 
 
@@ -245,30 +250,25 @@ def _plot_comparison(compared: _Compared, table: ComparisonTable, plot: Path | N
     )
 
 
-def _print_comparison(compared: _Compared, table: ComparisonTable, *, verbose: bool) -> None:
-    best, *differences = table.explain().splitlines()
-    say(best)
-    how = "simulated"
-    if table.horizon is not None:
-        how = f"predicted {table.horizon} samples ahead"
-    say(f"{how} on {compared.where} (recording {compared.data.source[:12]})")
-    width = max(8, *(len(name) for name in compared.names))
-    for row in table.rows:
-        say(row_line(f"{row.name:{width}}", row, table.unit))
-    echo(table.table(brief=not verbose))
-    if differences:
-        say("\n".join(differences))
+def print_comparison(table: ComparisonTable, where: str, *, verbose: bool) -> None:
+    """Print the closest model, the fit of each model, and the differences between the models.
 
-
-def row_line(name: str, row: Comparison, unit: str) -> str:
-    """Return the row of a model as a line of text."""
-    velocity = row.velocity_fit_percent
-    line = f"  {name} fit {row.fit_percent:7.2f} %  rms {row.rms_error:.4g} {unit}".rstrip()
-    if velocity is not None:
-        line += f"  velocity fit {velocity:7.2f} %"
-    if row.on_estimation_data:
-        line += "  (estimation data)"
-    return line
+    With `verbose`, also print the characteristics of the models, and the causes of the differences.
+    """
+    best, *differences = table.explain(brief=not verbose).splitlines()
+    say(best, bold=True)
+    how = "simulated" if table.horizon is None else f"predicted {table.horizon} samples ahead"
+    say(f"{how} {where}", dim=True)
+    say("\n".join(repr(table).splitlines()[1:]))
+    if verbose:
+        echo(table.table())
+    left = [] if verbose else differences[_MAX_DIFFERENCES:]
+    for text in differences[: len(differences) - len(left)]:
+        say(text)
+    if verbose:
+        return
+    more = [plural(len(left), "more difference")] if left else []
+    say_more(", ".join([*more, "characteristics of the models, causes of the differences"]))
 
 
 def row_facts(row: Comparison) -> dict[str, Any]:
@@ -278,10 +278,7 @@ def row_facts(row: Comparison) -> dict[str, Any]:
     poles = [[z.real, z.imag] for z in t.poles.tolist()]
     return {
         "model": row.name,
-        "fit_percent": row.fit_percent,
-        "rms_error": row.rms_error,
-        "velocity_fit_percent": row.velocity_fit_percent,
-        "on_estimation_data": row.on_estimation_data,
+        **fields_of(row, "fit_percent rms_error velocity_fit_percent on_estimation_data"),
         "of_rate": t.integrating,
         "figures": figures,
         "poles": poles,

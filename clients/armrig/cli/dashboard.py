@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from armrig_core.signal_pipe import SignalPipe, until_signal
 
-from armrig.cli.options import Connect, Json, RigId, echo, print_json
+from armrig.cli.options import Connect, Json, RigId, echo, inform, print_json
 
 if TYPE_CHECKING:
     from armrig.dashboard.serving import Served
@@ -48,6 +48,8 @@ def dashboard(
 
     With --json the command prints {"url": …, "shared_url": …, "foxglove": …, "layouts": …}.
     """
+    if not json:
+        inform("starting the dashboard …", dim=True)
     with until_signal() as ended:
         _serve(
             *(ended, rig, connect, port),

@@ -63,7 +63,7 @@ def verify(file: File, json: Json = False) -> None:
         facts = {"recording": str(found.path), "sha256": found.sha256}
         print_json(facts | {"passed": found.passed, "checks": checks})
     else:
-        print_table(*rows(found))
+        print_table(*rows(found), verdict=True)
     if not found.passed:
         failed = ", ".join(c.about for c in found.checks if c.result == "failed")
         n = found.samples

@@ -26,9 +26,11 @@ from armrig.cli.options import (
     TimeColumn,
     To,
     Verbose,
+    fields_of,
+    inform,
     print_json,
     say,
-    tell,
+    say_answer,
 )
 from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import SignalChoice, from_recording, source_facts
@@ -68,7 +70,7 @@ def check(
     verbose: Verbose = False,
     plot: Plot = None,
 ) -> None:
-    """Test the data for feedback and for a delay (handout 3.7, 3.8)."""
+    """Test the data for feedback and a delay (handout 3.7, 3.8)."""
     from armrig.cli.spinner import spinner
     from armrig.validation.feedback_and_delay.delay import delay
     from armrig.validation.feedback_and_delay.open_loop import open_loop, require_level
@@ -108,7 +110,7 @@ def check(
             continue
         first, *more = (found.explain() if verbose else found.brief()).splitlines()
         verdict = first.removeprefix("open loop: ")
-        say("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
+        say_answer("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
     _say_next(file, signals, of_rig=of_rig)
 
 
@@ -121,7 +123,7 @@ def _say_next(file: Path, signals: SignalChoice, *, of_rig: bool) -> None:
     elif recorded := chassis():
         say_next("check with chassis", chassis=recorded)
     else:
-        tell(_CHASSIS)
+        inform(_CHASSIS)
         say_next("check")
 
 
@@ -152,16 +154,5 @@ def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:
 def _delay_facts(late: Delay | str) -> dict[str, Any]:
     if isinstance(late, str):
         return {"nk": None, "told": False, "remarks": [late]}
-    return {
-        "nk": late.nk,
-        "delay": late.delay,
-        "told": late.told,
-        "interval": late.interval,
-        "integrator": late.integrator,
-        "level": late.level,
-        "p_values": late.p_values,
-        "before": late.before,
-        "misfit": late.misfit,
-        "t_q": late.t_q,
-        "remarks": late.remarks,
-    }
+    of = "interval integrator level p_values before misfit t_q remarks"
+    return fields_of(late, "nk delay") | {"told": late.told} | fields_of(late, of)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from armrig_core.errors import InputError
 
-from armrig.cli.options import tell
+from armrig.cli.options import inform
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -136,7 +136,7 @@ def write_plot(
         for file, subjects in figures.items():
             save(_drawn(subjects, height, width), file, dpi=_DPI)
     said = f"figure{'s' if len(figures) > 1 else ''}: {', '.join(map(str, figures))}"
-    tell(said + (f"; replaced: {', '.join(replaced)}" if replaced else ""))
+    inform(said + (f"; replaced: {', '.join(replaced)}" if replaced else ""), dim=True)
     return list(figures)
 
 

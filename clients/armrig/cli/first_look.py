@@ -21,9 +21,12 @@ from armrig.cli.options import (
     Signal,
     TimeColumn,
     To,
+    Verbose,
+    fields_of,
     print_json,
     print_table,
-    say,
+    say_answer,
+    say_more,
 )
 from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import SignalChoice, from_recording, loaded, source_facts
@@ -49,7 +52,7 @@ def plot(
     figure: Drawing = Path("plot.png"),
     json: Json = False,
 ) -> None:
-    """Plot a recording and report faults of its data (handout 3.1.4).
+    """Plot a recording, and report its faults (handout 3.1.4).
 
     The figure shows u, theta_1, its rate and alpha. Missing samples and the dead band are shaded,
     and outliers are ringed. A drift is reported in the text.
@@ -84,6 +87,7 @@ def sampling(
     stop: To = None,
     plot: Plot = None,
     json: Json = False,
+    verbose: Verbose = False,
 ) -> None:
     """Recommend a sampling time (handout 3.1).
 
@@ -117,7 +121,11 @@ def sampling(
     if json:
         print_json(source_facts(data) | _sampling_facts(choice) | _step_facts(steps))
         return
-    say("\n".join(repr(one) for one in reversed(shown.values())))
+    if verbose:
+        say_answer("\n".join(map(repr, reversed(shown.values()))))
+    else:
+        say_answer(choice.brief())
+        say_more(f"aliasing, reasons{', step analysis' * (steps is not None)}")
     if signals.read and (again := step_again(signals.read[0])):
         say_next("step hidden", again=again)
     elif from_recording(data):
@@ -141,24 +149,10 @@ def _drawing(one: Any) -> Any:
 
 
 def _sampling_facts(choice: SamplingTime) -> dict[str, Any]:
-    return {
-        "Ts": choice.Ts,
-        "recorded_at": choice.recorded_at,
-        "output": choice.output,
-        "method": "step" if choice.from_step else "impulse response",
-        "tau": choice.tau,
-        "omega_step": choice.omega_step,
-        "omega_first": choice.omega_first,
-        "omega_spectrum": choice.omega_spectrum,
-        "settling": choice.settling,
-        "settling_std": choice.settling_std,
-        "Ts_step": choice.Ts_step,
-        "Ts_spectrum": choice.Ts_spectrum,
-        "Ts_transient": choice.Ts_transient,
-        "near_nyquist": choice.near_nyquist,
-        "beyond": choice.beyond,
-        "notes": choice.notes,
-    }
+    method = "step" if choice.from_step else "impulse response"
+    of = "tau omega_step omega_first omega_spectrum settling settling_std Ts_step Ts_spectrum "
+    of += "Ts_transient near_nyquist beyond notes"
+    return fields_of(choice, "Ts recorded_at output") | {"method": method} | fields_of(choice, of)
 
 
 def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
@@ -214,7 +208,7 @@ def hints(
     if json:
         print_json(source_facts(data) | _hint_facts(found) | {"doubts": [d.text for d in doubts]})
         return
-    say("\n".join([repr(found), *(f"! {d.about}: {d.text}" for d in doubts)]))
+    say_answer("\n".join([repr(found), *(f"! {d.about}: {d.text}" for d in doubts)]))
     if any(d.about == "feedback" for d in doubts):
         say_next("identify check", file=typed(file), given=signals.options())
         return
@@ -250,19 +244,13 @@ def _draw_hints(found: StructureHints, data: Dataset, plot: Path | None) -> None
 
 
 def _hint_facts(found: StructureHints) -> dict[str, Any]:
+    of = "integrator integrator_shown low_slope low_slope_std high_slope relative_degree "
+    of += "resonances antiresonances nk_interval"
     return {
         "structure": "oe",
         "orders": {"nb": found.nb, "nf": found.nf, "nk": found.nk},
         "structures": [dict(s) for s in found.structures],
-        "integrator": found.integrator,
-        "integrator_shown": found.integrator_shown,
-        "low_slope": found.low_slope,
-        "low_slope_std": found.low_slope_std,
-        "high_slope": found.high_slope,
-        "relative_degree": found.relative_degree,
-        "resonances": found.resonances,
-        "antiresonances": found.antiresonances,
-        "nk_interval": found.nk_interval,
+        **fields_of(found, of),
         "singular_values": found.singular_values.tolist(),
         "threshold": found.threshold,
         "reasons": [line.removeprefix("- ") for line in found.explain().splitlines()],

@@ -72,7 +72,7 @@ def flash(
     fuse: Fuse = None,
     json: Json = False,
 ) -> None:
-    """Write the firmware to an Uno, and check which firmware the board runs.
+    """Write the firmware to an Uno, and check what the board runs.
 
     The command uses avrdude and the board's boot loader, Optiboot, and verifies the written
     firmware. It refuses a port that a daemon uses, and a board with another boot loader.

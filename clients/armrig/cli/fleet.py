@@ -10,7 +10,7 @@ import typer
 from armrig_core.errors import InputError, OperationError
 from armrig_core.signal_pipe import SignalPipe
 
-from armrig.cli.options import echo, print_json, tell, tell_error
+from armrig.cli.options import echo, inform, print_json, tell, tell_error
 
 if TYPE_CHECKING:
     from armrig.lab.fleet_recorder import RigRecorded
@@ -48,7 +48,7 @@ def record_many(
             session, where, lambda rig: folder / default_name(rig), tell, tell_error
         )
         named = "all rigs" if rigs is None else f"rigs {', '.join(rigs)}"
-        tell(f"recording {named} from {where}; Ctrl-C ends it")
+        inform(f"recording {named} from {where}; Ctrl-C ends it")
         recorded = recorder.record(ended, seconds, rigs)
     _say(recorded, where, json=json)
     silent = [one.rig for one in recorded if not one.files]

@@ -12,7 +12,7 @@ import typer
 from armrig_core.errors import InputError
 
 from armrig.cli.next_step import opener, say_next
-from armrig.cli.options import Json, RigId, print_json, say
+from armrig.cli.options import Json, RigId, Verbose, print_json, say_answer, say_more
 
 Socket = Annotated[
     str | None,
@@ -77,22 +77,26 @@ def demo(
         say_next("demo", opener=opener(), file=quote(str(from_here(Path(done["report"])))))
 
 
-def doctor(rig: RigId = "1", connect: Socket = None, json: Json = False) -> None:
-    """Show what degrades the timing on this host, and how to correct it.
+def doctor(
+    rig: RigId = "1", connect: Socket = None, json: Json = False, verbose: Verbose = False
+) -> None:
+    """Show what degrades the timing here, and how to correct it.
 
     If a daemon answers on this machine, the command checks the rights of the daemon, otherwise the
     rights of this user. The exit code is 1 if a check fails.
 
     A note is a fact that cannot be checked or corrected here; it does not change the exit code.
     """
+    from armrig.lab.doctor import brief, is_well
     from armrig.lab.doctor import doctor as examine_this_host
-    from armrig.lab.doctor import is_well
 
     checks = examine_this_host(rig, connect)
     if json:
         print_json(checks)
     else:
-        say("\n".join(map(str, checks)))
+        say_answer("\n".join(map(str, checks)) if verbose else brief(checks))
+        if not verbose:
+            say_more("the result of each check")
     if not is_well(checks):
         raise typer.Exit(1)
 
@@ -108,10 +112,10 @@ def conformance(
     ] = False,
     json: Json = False,
 ) -> None:
-    """Test a device against each rule of PROTOCOL.md, with the motor unplugged.
+    """Test a device against PROTOCOL.md, with the motor unplugged.
 
-    The test takes a minute and prints a line for each rule. The exit code is 0 only if no rule is
-    broken.
+    The test takes a minute and prints a line for each rule of PROTOCOL.md. The exit code is 0 only
+    if no rule is broken.
 
     At the end, the device is at 0 V.
     """

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import InputError
+from armrig_core.telemetry import THETA_1
 
 from armrig.cli.chosen_recording import DataFile, recording_path
 from armrig.cli.figures import Plot, check_output, check_plot, write_plot
@@ -35,6 +36,7 @@ from armrig.cli.options import (
     Verbose,
     print_json,
     say,
+    say_answer,
     tell,
 )
 from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
@@ -116,7 +118,9 @@ def identify(
     json: Json = False,
     verbose: Verbose = False,
 ) -> None:
-    """Estimate a model from a recording or other data, or search for a model.
+    """Estimate a model from data, or search for a model.
+
+    The data are a recording or a file of another program.
 
     Each parameter is printed with its standard deviation. --signal theta_1,alpha gives one model of
     both outputs.
@@ -314,12 +318,12 @@ def _validated(fit: Fit, other: Dataset) -> _Validation:
 
 def _print_lines(found: _Found, validate: Path | None, *, verbose: bool) -> None:
     from armrig.cli import model_output
+    from armrig.validation.answer import answer
 
     table, tests = None, None
     if found.validation is not None:
         table, tests = found.validation.table, found.validation.tests
-    doubted = model_output.doubted(found.fit, found.doubts)
-    say(model_output.answer(found.fit, table, tests, doubted=doubted))
+    say_answer(answer(found.fit, table, tests, found.doubts))
     if verbose:
         _print_all(found, validate)
     else:
@@ -397,6 +401,8 @@ def _say_next(
         say_next("identify check", **(values | {"given": given}))
     elif save is None or options != options_of(found.request):
         say_next("identify", **values)
+    elif validate is not None and signals.read and fit.output == THETA_1:
+        say_next("validate", **(values | {"estimation": typed(file), "file": validation}))
     elif validation:
         say_next("identify --save", **values)
     else:

@@ -13,7 +13,7 @@ import typer
 
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next
-from armrig.cli.options import Json, print_json, say
+from armrig.cli.options import Json, Verbose, print_json, say, say_more
 from armrig.cli.parameters import AMPLITUDE_V, OMEGA, Amplitude, Omega
 
 if TYPE_CHECKING:
@@ -56,10 +56,11 @@ def integrate(
     ] = 1e-3,
     json: Json = False,
     plot: Plot = None,
+    verbose: Verbose = False,
 ) -> None:
-    """Solve the arm's equations with numerical methods, for a sinusoidal input (handout 4).
+    """Solve the arm's equations numerically (handout 4).
 
-    The input is u = A sin(ωt). Each solution is compared with the exact solution.
+    The input is sinusoidal, u = A sin(ωt). Each solution is compared with the exact solution.
     """
     check_plot(plot)
     problem = _problem(amplitude=amplitude, omega=omega, span=span)
@@ -70,7 +71,9 @@ def integrate(
     else:
         given = "" if omega == OMEGA else f" --omega {omega:g}"
         given += "" if amplitude == AMPLITUDE_V else f" --amplitude {amplitude:g}"
-        _print_table(solved, given)
+        _print_table(solved, verbose=verbose)
+        values = {"files": for_the_report(), "answers": answers_here(), "report": free_name()}
+        say_next("integrate", **values, sinusoid=given)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,8 +189,11 @@ def _print_json(solved: _Solved) -> None:
     print_json(facts | {"rows": solved.rows})
 
 
-def _print_table(solved: _Solved, given: str) -> None:
+def _print_table(solved: _Solved, *, verbose: bool) -> None:
     problem = solved.problem
+    if solved.advice is not None:
+        best = solved.advice.rows[0]
+        say(f"least work for an error of {solved.advice.tolerance:g}: {best.method}", bold=True)
     say(
         f"x' = A x + B u, the handout's arm, u = {problem.amplitude:g} sin({problem.omega:g} t) V, "
         f"{problem.span:.4g} s from rest. error: largest error of a state, relative to the "
@@ -199,11 +205,13 @@ def _print_table(solved: _Solved, given: str) -> None:
         error = f"{row.error:10.3g}" if isfinite(row.error) else f"{'overflow':>10}"
         stable = "stable" if row.stable else "UNSTABLE"
         say(f"{row.method:14} {row.h:10.4g} {limit}  {stable:8} {error}")
+    say("The limit is the largest absolutely stable step (the handout calls it the minimum).")
+    if not verbose:
+        say_more("the meaning of the limit" + ", the reason for each step" * bool(solved.advice))
+        return
+    say(
+        "At a larger step h, h λ is outside the method's region of stability for an eigenvalue λ "
+        "of A."
+    )
     if solved.advice is not None:
         say(solved.advice.explain())
-    say(
-        "The limit is the largest absolutely stable step (the handout calls it the minimum). At a "
-        "larger step h, h λ is outside the method's region of stability for an eigenvalue λ of A."
-    )
-    values = {"files": for_the_report(), "answers": answers_here(), "report": free_name()}
-    say_next("integrate", **values, sinusoid=given)

@@ -15,12 +15,13 @@ import typer
 from armrig_core.printable import printable
 
 from armrig.cli.next_step import naming, next_line
-from armrig.cli.options import Json, RigId, echo, folded, print_json, tell
+from armrig.cli.options import Json, RigId, echo, folded, inform, print_json, takes_styles
 
 if TYPE_CHECKING:
     import subprocess
 
     from armrig_core.commands import StatusReport
+    from rich.text import Text
 
     from armrig.rig.client import Rig
 
@@ -65,7 +66,7 @@ def lab(
     page: Page = True,
     json: Json = False,
 ) -> None:
-    """Start a rig with its daemon, and show the rig live until Ctrl-C.
+    """Start a rig with its daemon, and show it live until Ctrl-C.
 
     Without --port the rig is emulated. In a second terminal, commands such as `armrig collect` use
     this rig (with --rig, if it is not rig 1). At the end the motor is at 0 V.
@@ -73,6 +74,9 @@ def lab(
     With --json the command prints a line at each change of the phase, with the fields of
     `armrig status --json`. In phase "safe" the rig is ready.
     """
+    what = "an emulated rig" if port is None else port
+    if not json:
+        inform(f"starting {what} …", dim=True)
     import platformdirs
 
     from armrig.rig.client import Rig
@@ -82,7 +86,6 @@ def lab(
     log.parent.mkdir(parents=True, exist_ok=True)
     arguments = ["--rig", rig, *(["--emulate"] if port is None else ["--port", port])]
     arguments += [] if config is None else ["--config", str(config)]
-    what = "an emulated rig" if port is None else port
     with (
         running(arguments, rig=rig, log=log) as daemon,
         Rig(rig) as opened,
@@ -91,7 +94,7 @@ def lab(
         try:
             _show(opened, daemon, log, _Lab(what, url), json=json)
         except KeyboardInterrupt:
-            tell("ending: the motor goes to 0 V")
+            inform("ending: the motor goes to 0 V")
             raise
 
 
@@ -179,6 +182,13 @@ def _between_words(text: str, columns: int) -> str:
     )
 
 
+def _headed(text: Text) -> Text:
+    """Return the text with its first line in bold."""
+    if takes_styles():
+        text.stylize("bold", 0, len(text.plain.partition("\n")[0]))
+    return text
+
+
 @contextmanager
 def _view(*, json: bool) -> Iterator[tuple[Callable[[Any], None], Callable[[str], None]]]:
     """Yield two functions: print a line, and draw the live view on a terminal."""
@@ -192,6 +202,8 @@ def _view(*, json: bool) -> Iterator[tuple[Callable[[Any], None], Callable[[str]
     console = Console()
     with Live(console=console, refresh_per_second=10, transient=True) as live:
         yield (
-            lambda text: console.print(Text(_between_words(text, console.width)), soft_wrap=True),
+            lambda text: console.print(
+                _headed(Text(_between_words(text, console.width))), soft_wrap=True
+            ),
             lambda text: live.update(Text(_between_words(text, console.width))),
         )

@@ -13,18 +13,12 @@ from armrig_core.codes import COMPLETE
 from armrig_core.errors import InputError
 from armrig_core.printable import printable
 
-from armrig.cli.chosen_recording import (
-    VALIDATION,
-    Answering,
-    answering_among,
-    recording_folder,
-    short_name,
-)
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Json, echo, print_json, tell
+from armrig.cli.options import Json, echo, inform, print_json, tell
 
 if TYPE_CHECKING:
     from armrig.recordings.catalogue import Catalogue, LeftOut
+    from armrig.recordings.recording_names import Answering
     from armrig.recordings.recording_summary import RecordingSummary
 
 Count = Annotated[
@@ -65,7 +59,7 @@ def ls(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """List the recordings, newest first; with --live, list the rigs that are alive.
+    """List the recordings, newest first, or with --live the rigs.
 
     Other commands accept the listed names, and @last, in place of a file. If you give a FOLDER,
     the list contains file names instead. With --connect, --live lists the rigs at the given
@@ -81,6 +75,7 @@ def ls(
         _list_rigs(connect, json=json)
         return
     from armrig.recordings.catalogue import catalogue, facts_of
+    from armrig.recordings.recording_names import answering_among, recording_folder, short_name
     from armrig.recordings.recording_summary import shown_path
 
     folder = where or recording_folder()
@@ -119,7 +114,7 @@ def ls(
         kept = [True] * (len(_HEADINGS) - _OPTIONAL)
         kept += [not {row[i] for row in rows} <= {"", COMPLETE.text} for i in range(-_OPTIONAL, 0)]
         echo(_table([tuple(compress(row, kept)) for row in (_HEADINGS, *rows)]))
-    tell(_the_rest(folder, found, len(shown)))
+    inform(_the_rest(folder, found, len(shown)), dim=True)
     if shown:
         newest = shown[0]
         say_next("ls", file=typed(newest.path) if where else short_name(newest, answering))
@@ -172,6 +167,8 @@ def _clipped(text: str) -> str:
 
 def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answering) -> str:
     """Return the estimation recording's name; "" if the validation recording's name contains it."""
+    from armrig.recordings.recording_names import VALIDATION, short_name
+
     if not summary.is_validation or short_name(summary, answering).endswith(VALIDATION):
         return ""
     estimations = answering(f"@{summary.validation_of}") if summary.validation_of else []

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armrig.cli.options import fields_of
 from armrig.cli.recorded_data import source_facts
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
@@ -16,8 +17,8 @@ from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.quantities import NBSP, near_one, p_relation, places, with_std
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice.advice import advice
-from armrig.validation.advice.model_advice import COLOURED
-from armrig.validation.comparison import Comparison, ComparisonTable
+from armrig.validation.answer import DYNAMICS, FEEDBACK, LEVEL, NOISE, OF_DATA, UNTESTED
+from armrig.validation.comparison import Comparison
 from armrig.validation.residual_figure import BAND_99_PERCENT
 from armrig.validation.residuals import ResidualTest
 
@@ -26,39 +27,13 @@ if TYPE_CHECKING:
 
     from armrig.data.finding import Finding
     from armrig.models.responses import Roots
-    from armrig.validation.multivariable.residual_test import SignalsResidualTest
     from armrig.validation.search_result import SearchResult
 
+RTOL = 1e-9
+"""Relative difference of two errors that is due to rounding."""
 _MAX_DECIMALS = 9
 _MAX_SHOWN_MODELS = 5  # models of a search without --verbose
 _MAX_REASONS = 3  # reasons without --verbose; the table shows the first
-
-
-def answer(
-    fit: Fit, validation: ComparisonTable | None, tests: ResidualTest | None, *, doubted: bool
-) -> str:
-    """Return one or two sentences on the fit and the residuals of a model.
-
-    If the data are doubtful, the text advises the user to correct the data before the orders.
-    """
-    said = (
-        f"{fit.heading} fits {fit.output} to {fit.fit_percent:.2f} % one step ahead; "
-        f"{whiteness_sentence(fit, 'σ', 'σ robust')}"
-    )
-    said += f"; {_DATA_FIRST if doubted else COLOURED}." if fit.trusts_robust else "."
-    if validation is None or tests is None:
-        return said if isnan(fit.whiteness) else f"{said} {_MORE_TESTS}"
-    simulated = simulated_to(validation[0], validation.unit)
-    return (
-        f"{said} Simulated on the validation data it fits to {simulated}; {tests_sentence(tests)}."
-    )
-
-
-def simulated_to(row: Comparison, unit: str) -> str:
-    """Return the fit of a simulation as text, such as 99.9 % (rms 0.0035 rad, velocity 83.6 %)."""
-    velocity = row.velocity_fit_percent
-    said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {unit}".rstrip()
-    return said + (f", velocity {velocity:.2f} %)" if velocity is not None else ")")
 
 
 def short_model_lines(fit: Fit, *, roots: bool) -> list[str]:
@@ -119,11 +94,6 @@ def model_lines(fit: Fit) -> list[str]:
     return [*lines, *(f"  warning: {w}" for w in fit.warnings)]
 
 
-def doubted(fit: Fit, doubts: Sequence[Finding]) -> bool:
-    """Return True if a test of the data or of the estimate makes the data doubtful."""
-    return bool(doubts) or any(f.about in _OF_DATA for f in fit.findings)
-
-
 def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
     """Return lines with doubts about the data, warnings from the estimation, and advice."""
     about = {f.about for f in doubts}
@@ -143,7 +113,7 @@ def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
 def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> set[str]:
     """Return the names of the findings to act on."""
     found = {f.about for f in (*doubts, *advice(fit).findings) if f.level != "good"}
-    asked = {f.about if f.about in _OF_DATA else f.asks for f in fit.findings}
+    asked = {f.about if f.about in OF_DATA else f.asks for f in fit.findings}
     return found | (asked - {""})
 
 
@@ -158,22 +128,13 @@ def search_lines(found: SearchResult) -> list[str]:
     return [line for line in lines if line.removeprefix("- ") not in found.fit.warnings]
 
 
-_DATA_FIRST = "correct the data first, see below"
-_OF_DATA = frozenset({"outliers", "level"})
-"""Names of the findings about the data; the estimation and the advice use the same names."""
 _SAID_BY = {
-    **{name: {name} for name in _OF_DATA},
+    **{name: {name} for name in OF_DATA},
     "unstable": {"integrator", "unstable"},
     "poorer_minimum": {"search"},
     "not_converged": {"search"},
 }
 """For each name of an estimation's finding: names of the findings of the advice that repeat it."""
-_NOISE = "look at the noise model or the orders"
-_DYNAMICS = "look at the orders or the delay"
-_FEEDBACK = "look at the experiment, or the delay is too large"
-_LEVEL = f"a p below {WHITE_LEVEL:g} rejects"
-_MORE_TESTS = f"{_LEVEL.capitalize()}; --validate F2 tests the residuals against the input, too."
-_UNTESTED = "too few samples or residuals for the test"
 _UNFINISHED = " (NOT CONVERGED)"
 
 
@@ -210,49 +171,21 @@ def root_lines(fit: Fit) -> list[str]:
     return lines
 
 
-def tests_sentence(tests: ResidualTest | SignalsResidualTest) -> str:
-    """Return the result of the tests of the residuals, with p values and the level."""
-    failed, passed = [], []
-    if tests.white.coloured:
-        failed.append(f"they are {tests.white}: {_NOISE}")
-    else:
-        passed.append(str(tests.white))
-    # If u is not white, missing dynamics also affect the lags at which feedback is tested.
-    feedback = f"there is feedback ({{}}): {_FEEDBACK}"
-    if tests.missing_dynamics < WHITE_LEVEL:
-        feedback = "until the dynamics are modelled, the test of feedback ({}) is not valid"
-    for p, bad, good in (
-        (
-            tests.missing_dynamics,
-            f"dynamics are missing ({{}}): {_DYNAMICS}",
-            "no dynamics missing",
-        ),
-        (tests.feedback, feedback, "no feedback seen"),
-    ):
-        said = f"p {p_relation(p)}"
-        if p < WHITE_LEVEL:
-            failed.append(bad.format(said))
-        else:
-            passed.append(f"{good} ({said})" if p >= 0 else f"{good}: {_UNTESTED}")
-    if failed:
-        rest = [f"passed: {', '.join(passed)}"] if passed else []
-        return f"its residuals do not pass: {'; '.join([*failed, *rest, _LEVEL])}"
-    if tests.powerless:
-        return f"the tests of its residuals have no power: {tests.powerless}"
-    if not all(p >= WHITE_LEVEL for p in (tests.missing_dynamics, tests.feedback)):
-        return f"residuals {tests.white}; {_UNTESTED}"
-    return f"its residuals pass: {', '.join(passed)}; {_LEVEL}"
+def equally_well(horizons: Sequence[int | None]) -> str:
+    """Return a sentence on the horizons, in samples, at which prediction equals simulation."""
+    ahead = " and ".join(map(str, horizons))
+    return f"Predicted {ahead} ahead, it fits equally well: the model has no noise model."
 
 
 def residual_lines(tests: ResidualTest) -> list[str]:
     """Return the tests of the residuals, each with its hypothesis and p value."""
     where = "estimation" if tests.on_estimation_data else "validation"
-    look = f": {_NOISE}" if tests.white.coloured else ""
+    look = f": {NOISE}" if tests.white.coloured else ""
     return [
-        f"residuals on {where} data, {np.count_nonzero(np.isfinite(tests.e))} samples; {_LEVEL}",
+        f"residuals on {where} data, {np.count_nonzero(np.isfinite(tests.e))} samples; {LEVEL}",
         f"  residuals {tests.white}{look}",
-        f"  no dynamics missing: {_p(tests.missing_dynamics, _DYNAMICS)}",
-        f"  no feedback seen: {_p(tests.feedback, _FEEDBACK)}",
+        f"  no dynamics missing: {_p(tests.missing_dynamics, DYNAMICS)}",
+        f"  no feedback seen: {_p(tests.feedback, FEEDBACK)}",
         *([f"  no power: {tests.powerless}"] if tests.powerless else []),
     ]
 
@@ -283,20 +216,12 @@ def model_facts(fit: Fit) -> dict[str, Any]:
     """Return the results of the estimation as JSON fields."""
     rows = zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True)
     facts = {
-        "structure": fit.structure,
-        "orders": fit.orders,
-        "integrator": fit.integrator,
-        "Ts": fit.Ts,
+        **fields_of(fit, "structure orders integrator Ts"),
         "parameters": {
             name: {"value": float(v), "std": float(s), "std_robust": float(r)}
             for name, v, s, r in rows
         },
-        "noise_variance": fit.noise_variance,
-        "loss": fit.loss,
-        "fpe": fit.fpe,
-        "aic": fit.aic,
-        "mdl": fit.mdl,
-        "fit_percent": fit.fit_percent,
+        **fields_of(fit, "noise_variance loss fpe aic mdl fit_percent"),
         "p_white": fit.whiteness,
         "whiteness_test": fit.whiteness_test,
         "converged": fit.converged,
@@ -340,7 +265,7 @@ def _equation(fit: Fit) -> str:
 
 def _p(p: float, otherwise: str) -> str:
     if isnan(p):
-        return _UNTESTED
+        return UNTESTED
     return f"p {p_relation(p)}" + (f", rejected: {otherwise}" if p < WHITE_LEVEL else "")
 
 

@@ -11,6 +11,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from armrig_core.errors import ArmrigError
 from armrig_core.printable import printable
 from msgspec.structs import replace
 
@@ -40,7 +41,6 @@ AFTER: Mapping[str, str] = {
     "status": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
     "status chassis": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
     "demo": "{opener} {file}",
-    "stop": "armrig status{rig}",
     "reset": "armrig status{rig}",
     "ls": "armrig info {file}",
     "info": "armrig plot {file}",
@@ -76,9 +76,12 @@ AFTER: Mapping[str, str] = {
     "split": "armrig integrate -o integrate.png",
     "integrate": "armrig report --handout{files}{answers}{sinusoid} -o {report}",
     "report": "{opener} {file}",
+    "report --questions": "armrig report --handout --questions {questions}",
     "report --source": "armrig report --from {source} -o {report}",
 }
 """Next command after each command; names in braces are replaced by values."""
+REASONS = "reasons.toml"
+"""Usual name of the file with the answers to the handout's questions."""
 CHECK = ""
 """Result of `options_after` if the next command must be `armrig check`, which tests the data."""
 _LOWER = {"order", "poles"}
@@ -102,30 +105,57 @@ def next_line(after: str, **values: str | float) -> str:
 
 
 def _goes_on(line: str) -> str:
-    """Return the command, or the next command if the recording of this command already exists.
+    """Return the command, or a later command if the result of this command already exists.
 
-    A second complete recording with this --name would make the name ambiguous.
+    The result is a running rig, or a complete recording. A second complete recording with the same
+    --name would make the name ambiguous.
     """
     words = shlex.split(line)
+    if words[1:] == ["lab"] and _rig_runs():
+        return _goes_on(AFTER["lab"].format(rig=""))
+    if words[1] == "collect" and "--validation" in words:
+        pair = recorded_pair(float(words[words.index("--Ts") + 1]))
+        return AFTER["collect blackbox"].format(file=pair) if pair else line
     if words[1] != "collect" or words[-2] != "--name":
         return line
-    from armrig.cli.chosen_recording import (
-        NoSuchRecordingError,
-        matching,
-        recording_folder,
-    )
-    from armrig.recordings.catalogue import newest_first
+    from armrig.recordings.recording_names import matching
 
-    try:
-        paths = newest_first(recording_folder())
-    except (NoSuchRecordingError, OSError):
-        return line
+    paths = own_recordings()
     names = (f"@{words[-1]}{_AGAIN}", f"@{words[-1]}")  # prefer the repeated run
     found = [s for name in names for s in matching(name, paths) if s.is_complete]
     if not found:
         return line
+    if found[0].kind == "step" and (pair := recorded_pair()):
+        return AFTER["plot"].format(file=pair)
     after = f"collect {found[0].kind}"
     return AFTER[after if after in AFTER else "plot"].format(file=typed(found[0].path))
+
+
+def _rig_runs() -> bool:
+    """Return True if a daemon of rig 1 has its socket on this machine."""
+    with suppress(ImportError, ArmrigError):  # not on Windows
+        from armrig.rig.session import local_rigs
+
+        return "1" in local_rigs()
+    return False
+
+
+def recorded_pair(Ts: float | None = None) -> str:
+    """Return the newest estimation recording with a validation recording; "" if none exists."""
+    pairs = map(_estimation, _complete(own_recordings(), "blackbox-validation"))
+    found = next((s for s in pairs if s and Ts in (None, s.Ts)), None)
+    return typed(found.path) if found else ""
+
+
+def own_recordings() -> list[Path]:
+    """Return the paths in the recording folder, newest first; none if it cannot be read."""
+    from armrig.recordings.catalogue import newest_first
+    from armrig.recordings.recording_names import NoSuchRecordingError, recording_folder
+
+    try:
+        return newest_first(recording_folder())
+    except (NoSuchRecordingError, OSError):
+        return []
 
 
 def step_again(recording: Recording) -> str:
@@ -161,13 +191,13 @@ def typed(path: Path) -> str:
     """Return the @name of a recording, or its quoted path, as a user types it."""
     from armrig_core.recording_file.budget import DamageError
 
-    from armrig.cli.chosen_recording import (
+    from armrig.recordings.catalogue import newest_first
+    from armrig.recordings.recording_names import (
         NoSuchRecordingError,
         matching,
         recording_folder,
         short_name,
     )
-    from armrig.recordings.catalogue import newest_first
     from armrig.recordings.recording_summary import summary_of
 
     try:
@@ -193,12 +223,18 @@ def estimation_of(path: Path) -> str:
 
 def _named(text: str) -> str:
     """Return the short name of the recording with this id; if there is none, return the id."""
-    from armrig.cli.chosen_recording import NoSuchRecordingError, chosen, recording_folder
+    found = _chosen(text)
+    return typed(found.path) if found else text
+
+
+def _chosen(text: str, folder: Path | None = None) -> RecordingSummary | None:
+    """Return the recording that a name means; None if the name is unknown or ambiguous."""
+    from armrig.recordings.recording_names import NoSuchRecordingError, chosen, recording_folder
 
     try:
-        return typed(chosen(text, recording_folder()).path)
+        return chosen(text, folder or recording_folder())
     except NoSuchRecordingError:
-        return text
+        return None
 
 
 def kind_of(path: Path) -> str:
@@ -228,13 +264,7 @@ def for_the_report() -> str:
     If no recording of this kind has a name, it takes the newest one. The result is "" if there is
     no recording.
     """
-    from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
-    from armrig.recordings.catalogue import newest_first
-
-    try:
-        paths = newest_first(recording_folder())
-    except NoSuchRecordingError:
-        return ""
+    paths = own_recordings()
     parts = ("-validation", "greybox", "step")
     every = {s.path: s for part in parts for s in _complete(paths, part)}
     calibrations = dict.fromkeys(s.calibration_sha256 for s in every.values())
@@ -254,19 +284,12 @@ def _of_calibration(hash_: str, every: Sequence[RecordingSummary]) -> list[Recor
 
 def answers_here() -> str:
     """Return the option `--answers reasons.toml` if this file exists; otherwise ""."""
-    return " --answers reasons.toml" if Path("reasons.toml").exists() else ""
+    return f" --answers {REASONS}" if Path(REASONS).exists() else ""
 
 
 def chassis() -> str:
     """Return the name of the newest complete recording of the chassis alone; "" if none exists."""
-    from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
-    from armrig.recordings.catalogue import newest_first
-
-    try:
-        every = _complete(newest_first(recording_folder()), "greybox")
-        found = _newest(s for s in every if s.kind == "greybox")
-    except (NoSuchRecordingError, OSError):
-        return ""
+    found = _newest(s for s in _complete(own_recordings(), "greybox") if s.kind == "greybox")
     return typed(found.path) if found else ""
 
 
@@ -293,11 +316,8 @@ def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
 
     None if the sampling time or the calibration differs.
     """
-    from armrig.cli.chosen_recording import NoSuchRecordingError, chosen
-
-    try:
-        found = chosen(f"@{validation.validation_of}", validation.folder)
-    except NoSuchRecordingError:
+    found = _chosen(f"@{validation.validation_of}", validation.folder)
+    if found is None:
         return None
     same = found.Ts == validation.Ts and found.calibration_sha256 == validation.calibration_sha256
     return found if same and found.is_complete else None
@@ -305,21 +325,10 @@ def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
 
 def validation_beside(path: Path) -> str:
     """Return the name of the validation recording of an estimation recording; "" if none exists."""
-    from armrig.cli.chosen_recording import (
-        VALIDATION,
-        NoSuchRecordingError,
-        chosen,
-        recording_folder,
-    )
+    from armrig.recordings.recording_names import VALIDATION
 
-    name = typed(path)
-    if not name.startswith("@"):
-        return ""
-    try:
-        chosen(f"{name}{VALIDATION}", recording_folder())
-    except NoSuchRecordingError:
-        return ""
-    return f"{name}{VALIDATION}"
+    beside = f"{typed(path)}{VALIDATION}"
+    return beside if beside.startswith("@") and _chosen(beside) else ""
 
 
 def options_of(request: Request) -> str:

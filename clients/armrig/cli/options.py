@@ -137,10 +137,15 @@ SAME_DATA = OWN_DATA
 
 
 def tell(message: str) -> None:
-    """Print a line for the user on standard error."""
+    """Print a warning or an error on standard error."""
+    inform(f"armrig: {message}")
+
+
+def inform(message: str, **style: bool) -> None:
+    """Print news for the user on standard error, as a single line, in a style of `say`."""
     with suppress(OSError):  # the terminal may be closed
-        line = _for_terminal(f"armrig: {brief(' '.join(message.split()))}")
-        print(folded(line, _columns(sys.stderr)), file=sys.stderr)
+        line = folded(_for_terminal(brief(" ".join(message.split()))), _columns(sys.stderr))
+        typer.echo(_styled(line, sys.stderr, style), err=True)
 
 
 def tell_error(message: str) -> None:
@@ -150,9 +155,36 @@ def tell_error(message: str) -> None:
     tell(message)
 
 
-def say(text: str) -> None:
-    """Print text on standard output; on a terminal, lines are folded between words."""
-    echo(folded(text, _columns(sys.stdout)))
+def say(text: str, **style: bool) -> None:
+    """Print text on standard output; on a terminal, lines are folded between words.
+
+    A terminal shows the text in a style, such as `bold=True` or `dim=True`.
+    """
+    text = _for_terminal(folded(text, _columns(sys.stdout)), keep="\n")
+    typer.echo(_styled(text, sys.stdout, style))
+
+
+def say_answer(text: str) -> None:
+    """Print text as `say` does; the first line, which contains the verdict, is bold."""
+    first, _, rest = text.partition("\n")
+    say(first, bold=True)
+    if rest:
+        say(rest)
+
+
+def say_more(contents: str) -> None:
+    """Print what --verbose adds to the output."""
+    say(f"--verbose: {contents}", dim=True)
+
+
+def takes_styles() -> bool:
+    """Return True if the user accepts bold and dim text (https://no-color.org)."""
+    return not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def _styled(text: str, stream: TextIO, style: dict[str, bool]) -> str:
+    """Return the text in a style if the stream is a terminal; otherwise return it unchanged."""
+    return typer.style(text, **style) if style and stream.isatty() and takes_styles() else text
 
 
 def echo(text: str) -> None:
@@ -227,6 +259,11 @@ def _columns(stream: TextIO) -> int:
         return 0
 
 
+def fields_of(value: Any, names: str) -> dict[str, Any]:
+    """Return attributes of a value as JSON fields; blanks separate the names."""
+    return {name: getattr(value, name) for name in names.split()}
+
+
 def print_json(value: Any) -> None:
     """Print a value as a line of JSON."""
     import msgspec
@@ -250,13 +287,13 @@ def _as_text(value: Any) -> Any:
     return value
 
 
-def print_table(*rows: tuple[str, str]) -> None:
-    """Print each value in a line of its own, after the name of the value."""
+def print_table(*rows: tuple[str, str], verdict: bool = False) -> None:
+    """Print each value in a line of its own, after its name; a verdict in the first row is bold."""
     width = max(len(name) for name, _ in rows)
     columns = _columns(sys.stdout)
-    for name, value in rows:
-        line = _for_terminal(f"{name:{width}}  {value}")
-        typer.echo(folded(line, columns, indent=width + 2))
+    for i, (name, value) in enumerate(rows):
+        line = folded(_for_terminal(f"{name:{width}}  {value}"), columns, indent=width + 2)
+        typer.echo(_styled(line, sys.stdout, {"bold": True} if verdict and not i else {}))
 
 
 def warned(recording: Any) -> Any:

@@ -10,7 +10,7 @@ from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1, ChannelName
 
 from armrig.cli.chosen_recording import File, recording_path
-from armrig.cli.comparison import row_facts
+from armrig.cli.comparison import print_comparison, row_facts
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
@@ -21,8 +21,11 @@ from armrig.cli.options import (
     To,
     Verbose,
     echo,
+    fields_of,
     print_json,
     say,
+    say_answer,
+    say_more,
 )
 from armrig.cli.parameters import PARAMETERS, Given, cases, parameters, physics_beside
 from armrig.cli.recorded_data import loaded, options_of
@@ -115,13 +118,13 @@ def greybox(
     if json:
         print_json({"recording": data.source, "model": model} | _grey_facts(fit))
         return
-    say(fit.explain())
+    say_answer(fit.explain())
     if verbose:
         say(repr(fit))
     else:
         say(repr(fit).partition("\n")[0])
     for text in emulation([recording]):
-        say(text)
+        say(text, dim=True)
     given_options = options_of(data, calibration, start, stop)
     say_next("greybox", file=typed(file), given=given_options)
 
@@ -142,14 +145,10 @@ def _grey_facts(fit: GreyFit) -> dict[str, Any]:
         "parameters": parameters,
         "influence": fit.influence,
         "outputs": {name: q.fit_percent for name, q in fit.by_output.items()},
-        "fit_percent": fit.fit_percent,
-        "loss": fit.loss,
+        **fields_of(fit, "fit_percent loss"),
         "p_white": fit.whiteness,
         "whiteness_test": fit.whiteness_test,
-        "N": fit.N,
-        "Ts": fit.Ts,
-        "converged": fit.converged,
-        "warnings": fit.warnings,
+        **fields_of(fit, "N Ts converged warnings"),
     }
 
 
@@ -198,7 +197,7 @@ def split(
     if json:
         print_json({"recording": data.source} | _split_facts(study))
         return
-    say(study.explain() if verbose else study.verdict)
+    say_answer(study.explain() if verbose else study.verdict)
     echo(repr(study))
     say_next("split")
 
@@ -239,6 +238,7 @@ def simulate(
     stop: To = None,
     json: Json = False,
     plot: Plot = None,
+    verbose: Verbose = False,
 ) -> None:
     """Simulate the physical model and saved models (handout 3.4).
 
@@ -255,7 +255,7 @@ def simulate(
                 f"{option} needs a recording F: armrig simulate F simulates the response to its "
                 "input"
             )
-        _step(cases(given), json=json, plot=plot)
+        _step(cases(given), json=json, plot=plot, verbose=verbose)
         return
     from armrig.cli.spinner import spinner
     from armrig.models.fit import Fit
@@ -277,14 +277,15 @@ def simulate(
     if json:
         print_json({"recording": data.source, "models": [row_facts(row) for row in table.rows]})
         return
-    say(repr(table))
-    echo(table.table())
-    say(table.explain())
+    how = f"; {table.note}" if verbose else ""
+    print_comparison(table, f"on {typed(file)}{how}", verbose=verbose)
     options = options_of(data, calibration, start, stop)
     say_next("simulate F", file=typed(file), given=options)
 
 
-def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) -> None:
+def _step(
+    compared: dict[str, ArmParameters], *, json: bool, plot: Path | None, verbose: bool
+) -> None:
     from armrig.physics.figures import plot_physical_step
     from armrig.physics.step_response import characteristics
 
@@ -298,7 +299,9 @@ def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) 
         figures = ("steady_speed", "initial_slope", "rigid_slope")
         print_json({name: getattr(found, name) for name in figures} | roots)
         return
-    say(found.explain())
+    say_answer(found.explain() if verbose else found.brief())
+    if not verbose:
+        say_more("the meaning of each number")
     say_next("simulate")
 
 

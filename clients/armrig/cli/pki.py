@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
-    help="Make certificates for rigs, and for people who drive or watch them over a network.",
+    help="Make certificates for rigs and for people on a network.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

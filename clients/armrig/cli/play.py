@@ -42,10 +42,11 @@ def play(
     listen: Listen = None,
     json: Json = False,
 ) -> None:
-    """Publish the messages of a recording again, until its end or Ctrl-C.
+    """Publish the messages of a recording again.
 
-    The messages have keys such as rig/played-1/sample for a recording of rig 1. No rig has the id
-    played-1, so commands get no answer.
+    The command ends with the recording, or by Ctrl-C. The messages have keys such as
+    rig/played-1/sample for a recording of rig 1. No rig has the id played-1, so commands get no
+    answer.
 
     With --json the first line contains the endpoint, and the last line contains the number of
     messages.

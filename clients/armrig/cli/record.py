@@ -13,7 +13,7 @@ from armrig_core.signal_pipe import SignalPipe, until_signal
 
 from armrig.cli.fleet import default_name, record_many
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Json, echo, print_json, tell
+from armrig.cli.options import Json, echo, inform, print_json, tell
 
 if TYPE_CHECKING:
     from armrig.rig.remote_recording import RemoteRecording
@@ -59,7 +59,9 @@ def record(
     seconds: Seconds = None,
     json: Json = False,
 ) -> None:
-    """Record all that a rig publishes, over any connection to its daemon, until Ctrl-C.
+    """Record all that a rig publishes, until Ctrl-C.
+
+    The connection to the rig's daemon may be a socket or a network.
 
     With --all or several --rig the command records many rigs, each into its own files. Rigs that
     start later are included. A failure of one rig does not affect the other rigs.
@@ -110,7 +112,7 @@ def _record_one(
         try:
             if not recorder.begin():
                 raise no_reply(rig, where)
-            tell(f"recording rig {rig} from {where}; Ctrl-C ends it")
+            inform(f"recording rig {rig} from {where}; Ctrl-C ends it")
             recorder.record(ended, seconds)
         except (RuntimeError, OSError) as err:
             how = recorder_ended(err)

@@ -27,7 +27,7 @@ from armrig.cli.column_notes import (
     tell_of_signals,
 )
 from armrig.cli.figures import name_runs
-from armrig.cli.options import tell, warned
+from armrig.cli.options import inform, tell, warned
 from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions
 from armrig.data.files.suffixes import OTHER_DATA
 
@@ -144,7 +144,7 @@ class SignalChoice:
         self._tell_of_means(model)
         if self.hampel:
             data = hampel(data)
-            tell(f"{file}: {data.history[-1]}")
+            inform(f"{file}: {data.history[-1]}", dim=True)
         return detrend(data) if self.detrend else data
 
     def signals_of(self, file: Path, model: MultivariableFit | None = None) -> Signals:
@@ -161,7 +161,7 @@ class SignalChoice:
         self._tell_of_means(model)
         if self.hampel:
             signals = hampel(signals)
-            tell(f"{file}: {signals.history[-1]}")
+            inform(f"{file}: {signals.history[-1]}", dim=True)
         return detrend(signals) if self.detrend else signals
 
     def recorded_signals(self, file: Path, model: MultivariableFit) -> Signals:

@@ -50,7 +50,7 @@ def info(
     if json:
         print_json(_recording_facts(recording))
     else:
-        print_table(*_recording_rows(recording, verbose=verbose))
+        print_table(*_recording_rows(recording, verbose=verbose), verdict=True)
         if recording.N:
             say_next("info", file=typed(file))
 

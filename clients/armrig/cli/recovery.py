@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from armrig.cli.chosen_recording import recording_folder
-from armrig.cli.options import Json, echo, print_json, tell
+from armrig.cli.options import Json, echo, inform, print_json, tell
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,6 +35,8 @@ def recover(where: Where = None, json: Json = False) -> None:
     from armrig_core.recording_file.recovery import sentence
     from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
 
+    from armrig.recordings.recording_names import recording_folder
+
     paths = list(_files(where or [recording_folder()]))
     done: list[RecoveredFile] = []
     left: list[tuple[Path, str]] = []
@@ -55,7 +56,7 @@ def recover(where: Where = None, json: Json = False) -> None:
         unfinished = [{"recording": str(path), "why": why} for path, why in left]
         print_json({"recovered": [_facts(file) for file in done], "left": unfinished})
     elif not paths:
-        tell(f"nothing to recover in {', '.join(map(str, where or [recording_folder()]))}")
+        inform(f"nothing to recover in {', '.join(map(str, where or [recording_folder()]))}")
     if failed:
         raise typer.Exit(1)
 

@@ -15,7 +15,7 @@ from armrig_core.telemetry import THETA_1, OutputName
 from armrig.cli.channels import names, recorded_outputs
 from armrig.cli.chosen_recording import recording_path
 from armrig.cli.figures import check_output
-from armrig.cli.next_step import free_name, opener, say_next
+from armrig.cli.next_step import REASONS, for_the_report, free_name, opener, say_next
 from armrig.cli.options import (
     SAME_DATA,
     CalibrationFile,
@@ -25,6 +25,7 @@ from armrig.cli.options import (
     Nf,
     Nk,
     echo,
+    inform,
     print_json,
     tell,
 )
@@ -134,6 +135,8 @@ def report(
     files = files or []
     if questions is not None:
         _write_questions(questions)
+        if not json:
+            _say_next_answers(questions)
         return
     _check_options(
         files,
@@ -179,8 +182,21 @@ def report(
         echo(str(output))
         if source is not None:
             say_next("report --source", source=quote(str(source)), report=free_name())
-        else:
+        elif answers or edited:
             say_next("report", opener=opener(), file=quote(str(output)))
+        else:
+            _say_next_answers(Path(REASONS))
+
+
+def _say_next_answers(path: Path) -> None:
+    """Print the next command: the file of the questions, or the report with the answers."""
+    if path.exists():
+        inform(f"fill in {path} before the next command")
+        answers = f" --answers {quote(str(path))}"
+        values = {"files": for_the_report(), "answers": answers, "report": free_name()}
+        say_next("integrate", sinusoid="", **values)
+    else:
+        say_next("report --questions", questions=quote(str(path)))
 
 
 def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object]) -> None:

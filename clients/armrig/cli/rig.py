@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armrig.cli.next_step import naming, say_next
-from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_table
+from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_table, say
+
+if TYPE_CHECKING:
+    from armrig.rig.client import Rig
+
+_DRIVEN = frozenset({"armed", "active"})
+"""Phases in which an input may drive the motor."""
+_STOP_REPORT_S = 1.0
+"""Longest wait, in s, for the status that follows a stop."""
+_STATUS_INTERVAL_S = 0.02
 
 By = Annotated[
     str,
@@ -74,20 +84,34 @@ def watch(
 def stop(rig: RigId = "1", connect: Connect = None, by: By = "", json: Json = False) -> None:
     """Stop the rig at 0 V, even if another person is the owner.
 
+    The command prints the state of the motor after the stop, as the device reports it.
+
     With --json the command prints {"rig": "1", "stopped": true}. If no daemon answers, the exit
     code is 1: run `armrigd estop` to stop the device without a daemon.
     """
     with _opened(rig, connect) as opened:
         opened.stop(by)
-    if json:
-        print_json({"rig": rig, "stopped": True})
-        return
-    echo(f"rig {rig}: stop sent")
-    say_next("stop", rig=naming(rig, connect))
+        if json:
+            print_json({"rig": rig, "stopped": True})
+        else:
+            say(f"rig {rig}, motor: {_motor_after_stop(opened)}", bold=True)
+
+
+def _motor_after_stop(rig: Rig) -> str:
+    """Return the state of the motor, once a status reports that the input has ended."""
+    from armrig.rig.session import RigError
+
+    status, end_s = None, time.monotonic() + _STOP_REPORT_S
+    with suppress(RigError):  # the stop is confirmed: a missing status is no failed stop
+        status = rig.status()
+        while status.phase in _DRIVEN and time.monotonic() < end_s:
+            time.sleep(_STATUS_INTERVAL_S)
+            status = rig.status()
+    return (status and status.motor) or "stop sent"
 
 
 def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
-    """Clear a latched fault; the rig is then at 0 V and has no owner.
+    """Clear a latched fault. The rig is then at 0 V and has no owner.
 
     The fault remains if its cause remains; `armrig status` shows fault and cause.
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from armrig_core.signal_pipe import until_signal
 
-from armrig.cli.options import tell
+from armrig.cli.options import inform
 
 Listen = Annotated[
     str, typer.Option("--listen", metavar="ENDPOINT", help="Endpoint for rigs and clients.")
@@ -25,7 +25,7 @@ def router(
     certificate: Certificate = Path("router.pem"),
     names: Names = Path("access.toml"),
 ) -> None:
-    """Run the router of a lab, through which clients reach the rigs, until Ctrl-C.
+    """Run the router of a lab, until Ctrl-C. Clients reach the rigs through it.
 
     A rig connects if its configuration names the router in [access]. A client connects with
     --connect. The access list contains the rights of each name. The router keeps no state and may
@@ -36,7 +36,7 @@ def router(
 
         session, people = open_router(listen, certificate, names)
         with session:
-            tell(
+            inform(
                 f"router at {listen}: {len(people.rigs)} rigs, {len(people.operators)} may drive "
                 f"and {len(people.observers)} may watch; Ctrl-C ends the router"
             )

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
-    help="Install, remove or show the systemd service that runs the daemon of each rig.",
+    help="Install, remove or show the systemd service of the rigs.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

@@ -50,6 +50,8 @@ def after_identify(
     if save is None or options != asked:
         options += given + (f" --validate {validation}" if validation else "")
         say_next("identify", file=typed(file), options=options, model=model)
+    elif tests is not None and validate is not None and signals.read:
+        after_validate(fit, tests, data, validate, save, signals)
     elif validation:
         say_next("identify --save", validation=validation, model=model, given=given)
     elif signals.read:

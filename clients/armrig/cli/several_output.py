@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.cli.model_output import coefficients, root_lines, tests_sentence
+from armrig.cli.model_output import RTOL, coefficients, equally_well, root_lines
 from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.plots.captions import signature
+from armrig.validation.answer import tests_sentence
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,7 +57,7 @@ def validated(
     """Yield a sentence on simulation and tests, then each pair of signals that fails a test."""
     row = table[0]
     yield (
-        f"Simulated on {file}, {row.name} fits {simulated(row, table.data)}; "
+        f"Simulated on {file}, {row.name} fits {simulated(row, table.data)}.\n"
         f"{tests_sentence(tests)}."
     )
     yield from _pair_lines(tests, verbose=verbose)
@@ -87,12 +88,16 @@ def validation_lines(
     Without `verbose`, only pairs of input and output that fail a test are shown.
     """
     row, data = tables[0][0], tables[0].data
-    yield f"Simulated, {row.name} fits {simulated(row, data)}; {tests_sentence(tests)}."
+    yield f"Simulated, {row.name} fits {simulated(row, data)}.\n{tests_sentence(tests)}."
     yield f"validated on {data.N} samples of {file} ({signature(data.source)})"
     width = max(len(name) for name in data.outputs)
-    for table in tables:
-        ahead = "simulated" if table.horizon is None else f"{table.horizon} ahead"
-        one = table[0]
+    same = [t.horizon for t in tables[1:] if np.allclose(t[0].rms_error, row.rms_error, RTOL, 0)]
+    if same:
+        yield equally_well(same)
+    for table in tables[1:]:
+        if table.horizon in same:
+            continue
+        ahead, one = f"{table.horizon} ahead", table[0]
         for values in zip(data.outputs, data.units, one.fit_percent, one.rms_error, strict=True):
             name, unit, fit, rms = values
             yield f"  {ahead:10}  {name:{width}}  fit {fit:7.2f} %  rms {rms:.4g} {unit}".rstrip()

@@ -11,7 +11,7 @@ import typer
 from armrig.cli import several_next
 from armrig.cli.figures import write_plot
 from armrig.cli.model_structures import Given, requested_of_several
-from armrig.cli.options import print_json, say, tell
+from armrig.cli.options import print_json, say, say_answer, tell
 from armrig.cli.recorded_data import (
     SignalChoice,
     from_recording,
@@ -87,7 +87,7 @@ def identify(
             facts |= {"validation": _rows(table), "tests": several_output.test_facts(tests)}
         print_json(facts)
     else:
-        say(several_output.answer(fit))
+        say(several_output.answer(fit), bold=True)
         say("\n".join(several_output.lines(fit, verbose=to.verbose)))
         if table is not None and tests is not None and to.validate is not None:
             said = several_output.validated(table, tests, to.validate, verbose=to.verbose)
@@ -232,7 +232,9 @@ def validate(
         facts |= source_facts(data) | several_output.test_facts(tests)
         print_json(facts | {"comparisons": [row for t in tables for row in _rows(t)]})
     else:
-        say("\n".join(several_output.validation_lines(tables, tests, file, verbose=to.verbose)))
+        say_answer(
+            "\n".join(several_output.validation_lines(tables, tests, file, verbose=to.verbose))
+        )
         several_next.after_validate(fit, tests, data, file, to.model, signals)
 
 
@@ -256,6 +258,6 @@ def compare(
     if json:
         print_json({"validation": data.source, "models": _rows(table)})
     else:
-        say(several_output.closest(table))
+        say(several_output.closest(table), bold=True)
         say(repr(table))
         several_next.after_compare(data, file, signals)

@@ -13,8 +13,6 @@ from armrig_core.recording_file.part_names import PART, part_number
 from armrig.data.files.suffixes import DATA, RECORDING
 from armrig.models.structure_table import OFFERED_NAMES
 
-_ACTING = frozenset({"demo", "stop", "reset", "calibrate", "collect", "lab", "flash"})
-"""Commands that act on a rig; messages never suggest these commands after a typing error."""
 _ELSEWHERE: dict[str, str] = {
     "help": "`armrig --help` lists the commands, `armrig COMMAND --help` explains one",
     "version": "`armrig --version` shows it",
@@ -116,9 +114,7 @@ def _no_command(name: str, message: str) -> str:
         return f"no such command '{name}'; {_ELSEWHERE[name]}"
     if PurePath(name).suffix in _FILES or name.startswith("@"):
         return f"no such command '{name}'; the command precedes the file, armrig info {name}"
-    # A command that acts on the rig is not offered.
     near = re.findall(r"'([^']+)'", message.partition("Did you mean")[2])
-    near = [n for n in near if n not in _ACTING]
     return f"no such command '{name}'" + (f": did you mean {' or '.join(near)}?" if near else "")
 
 

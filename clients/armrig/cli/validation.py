@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isclose
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armrig.cli.chosen_recording import DataFile
-from armrig.cli.comparison import row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import estimation_of, say_next, typed
 from armrig.cli.options import (
@@ -29,6 +29,7 @@ from armrig.cli.options import (
     Verbose,
     print_json,
     say,
+    say_answer,
 )
 from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import (
@@ -187,20 +188,30 @@ def _print_validation_json(validated: _Validated, model: Path) -> None:
 
 
 def _print_validation(validated: _Validated, file: Path, *, verbose: bool, drawn: bool) -> None:
-    from armrig.cli.model_output import lags_outside, residual_lines, simulated_to, tests_sentence
+    from armrig.cli.model_output import RTOL, equally_well, lags_outside, residual_lines
     from armrig.models.equation import input_and_output
     from armrig.plots.captions import signature
+    from armrig.validation.answer import simulated_to, tests_sentence
+    from armrig.validation.comparison import row_line
 
     fit, table, tests = validated.fit, validated.simulated, validated.tests
     simulated = simulated_to(table[0], table.unit)
-    say(f"Simulated, {fit.heading} fits {fit.output} to {simulated}; {tests_sentence(tests)}.")
+    say_answer(
+        f"Simulated, {fit.heading} fits {fit.output} to {simulated}.\n{tests_sentence(tests)}."
+    )
+    rms = table[0].rms_error
+    same = [t.horizon for t in validated.predicted if isclose(t[0].rms_error, rms, rel_tol=RTOL)]
+    if same:
+        say(equally_well(same))
+    for one in validated.predicted:
+        if one.horizon not in same:
+            say(row_line(f"{f'{one.horizon} ahead':9}", one[0], one.unit))
     N = validated.data.N - validated.data.missing
-    say(f"  {input_and_output(fit)}; estimated from {fit.N} samples")
-    say(f"validated on {N} samples of {file} ({signature(validated.data.source)})")
-    for one in (table, *validated.predicted):
-        ahead = "simulated" if one.horizon is None else f"{one.horizon} ahead"
-        say(row_line(f"{ahead:10}", one[0], one.unit))
-    say(f"  {table.note}")
+    say(
+        f"{input_and_output(fit)}; estimated from {fit.N} samples, validated on {N} samples of "
+        f"{typed(file)} ({signature(validated.data.source)}); {table.note}",
+        dim=True,
+    )
     if verbose:
         say("\n".join(residual_lines(tests)))
     if (verbose or drawn) and (why := lags_outside(tests)):

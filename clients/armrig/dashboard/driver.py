@@ -16,7 +16,7 @@ from armrig_core.errors import OperationError
 
 from armrig.rig.client import Rig
 from armrig.rig.collection import Plan, collect
-from armrig.rig.replies import Progress
+from armrig.rig.replies import Progress, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
 
 
@@ -30,7 +30,7 @@ class RunState(msgspec.Struct, frozen=True, kw_only=True):
     told: str = ""
     """Sentence that describes the rehearsal."""
     recording: str = ""
-    """Name of the complete recording."""
+    """Name of the recording, also if the run ended early."""
     verdict: str = ""
     """Verdict on the data."""
     error: str = ""
@@ -173,7 +173,12 @@ class Driver:
             verdict = done.verdict.summary if done.verdict else ""
             self._note(done=done.samples, recording=done.path.name, verdict=verdict)
         except Exception as err:  # the page shows any error
-            self._note(error=str(err) or repr(err))
+            ended = err if isinstance(err, RunEndedError) else err.__cause__
+            if isinstance(ended, RunEndedError):
+                # The page shows the remedy of a fault once, with the fault.
+                self._note(error=ended.why, recording=ended.recording.name)
+            else:
+                self._note(error=str(err) or repr(err))
         finally:
             self._note(is_going=False)
             self._one.release()

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from armrig_core.commands import StatusReport
+from armrig_core.emulated import is_emulated
 from armrig_core.telemetry import Sample
 from numpy.typing import NDArray
 
@@ -92,6 +93,7 @@ class Feed:
         self._notes: deque[int] = deque(maxlen=_MOST_NOTES)  # in ns
         self.status: StatusReport | None = None
         """Newest status of the daemon."""
+        self._emulated = False
         self._model: LiveModel | None = None
         self.trouble = "looking for the rig's daemon"
         """Reason why no daemon is connected; "" if a daemon is connected."""
@@ -174,6 +176,14 @@ class Feed:
             "link_p99_us": link.p99,
             "cpu_pressure_percent": report.cpu_pressure_percent,
         }
+
+    def is_emulated(self) -> bool:
+        """Return whether the rig is emulated, also while its device is silent and has no uid."""
+        if (status := self.status) is not None:
+            uid = str(status.device.get("uid", ""))
+            found = is_emulated(uid=uid, port=status.line)
+            self._emulated = found if uid else found or self._emulated
+        return self._emulated
 
     def set_model(self, *, wanted: bool) -> None:
         """Start or stop the estimation of a model from live samples."""

@@ -27,7 +27,8 @@ from armrig.dashboard.app import Answer, error, value
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.study_of_one import csv, curves, facts, identified, report
 from armrig.recordings.catalogue import Catalogue, catalogue, facts_of
-from armrig.recordings.recording_summary import shown_path
+from armrig.recordings.recording_names import Answering, answering_among, short_name
+from armrig.recordings.recording_summary import RecordingSummary, shown_path
 
 _MOST_LISTED = 200
 _PIECE = 1 << 18  # B
@@ -81,12 +82,17 @@ class RecordingRoutes:
             found = await asyncio.to_thread(catalogue, self._folder())
         except OSError as err:
             return error(404, f"{self._folder()}: {err.strerror}; record an experiment first")
+        answering = answering_among(found.recordings)
         return value(
             {
                 "folder": shown_path(found.folder),
                 "count": len(found),
                 "recordings": [
-                    {**facts_of(s), "file": shown_path(Path(s.file))}
+                    {
+                        **facts_of(s),
+                        "file": shown_path(Path(s.file)),
+                        "at": _name_or_file(s, answering),
+                    }
                     for s in found.recordings[:_MOST_LISTED]
                 ],
                 "left_out": [
@@ -191,6 +197,12 @@ def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
                 yield piece
 
     return size, pieces()
+
+
+def _name_or_file(summary: RecordingSummary, answering: Answering) -> str:
+    """Return the @name that the commands accept for a recording; without one, its file name."""
+    name = short_name(summary, answering)
+    return name if name.startswith("@") else shown_path(Path(summary.file))
 
 
 def _leave_ctrl_c() -> None:

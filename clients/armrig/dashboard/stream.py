@@ -10,8 +10,10 @@ from pathlib import PurePosixPath
 from typing import Any
 
 import msgspec
+from armrig_core.arm import ArmParameters
 from armrig_core.commands import LastRun, StatusReport
 from armrig_core.telemetry import CHANNELS, Sample
+from msgspec.structs import replace
 
 from armrig.dashboard.bins import Rows, as_lists
 from armrig.dashboard.driver import Driver
@@ -26,6 +28,16 @@ PAUSE_S = 0.25
 _PIECE = 500  # rows in a message
 _STALE_S = 0.3
 """If no sample arrives for this time, in s, plus two sampling times, the data are stale."""
+_RATE_PER_VOLT = degrees(ArmParameters().torque_per_volt / ArmParameters().damping)
+"""Steady rate of theta_1 at 1 V with the handout's parameters, in °/s."""
+_EMULATOR = "continue the emulator if its process is stopped, or start `armrig lab` again"
+_OF_EMULATED = {
+    "link": _EMULATOR,
+    "stale": f"{_EMULATOR}; if this host was late, close other programs (`armrig doctor`)",
+    "reset": "press Reset: the emulator was started again",
+    "request": _EMULATOR,
+}
+"""Remedy of an emulated rig, by the id of a fault whose usual remedy names a cable or a supply."""
 
 
 class Stream:
@@ -167,6 +179,7 @@ def status_facts(feed: Feed) -> dict[str, Any]:
     status: StatusReport | None = feed.status
     if status is None:
         return {"trouble": feed.trouble, "rows": []}
+    status = advised(status) if feed.is_emulated() else status
     return {
         "trouble": feed.trouble,
         "rows": status_rows(status),
@@ -180,9 +193,16 @@ def status_facts(feed: Feed) -> dict[str, Any]:
         "Ts": status.Ts,
         "u_min": status.u_min,
         "u_max": status.u_max,
+        "rate_max": round(status.u_max * _RATE_PER_VOLT, 1),
         "arm_removed": status.arm_removed,
         "last_run": _run_facts(status.last_run),
     }
+
+
+def advised(status: StatusReport) -> StatusReport:
+    """Return the status of an emulated rig with advice on its emulator, which has no cable."""
+    line = "the emulator does not answer: " + _EMULATOR if status.line else ""
+    return replace(status, line=line, remedy=_OF_EMULATED.get(status.fault, status.remedy))
 
 
 def _newest(sample: Sample | None) -> dict[str, float | None] | None:

@@ -11,6 +11,7 @@ import numpy as np
 from armrig_core.telemetry import ALPHA, THETA_1, ChannelName
 from numpy.typing import NDArray
 
+from armrig.dashboard.bins import rate
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.recordings.loading import load
@@ -18,6 +19,8 @@ from armrig.recordings.recording import Recording
 from armrig.recordings.recording_summary import shown_path
 from armrig.recordings.usability import data_verdict
 from armrig.validation.advice.advice import advice
+from armrig.validation.advice.data_advice import examine_fit_of
+from armrig.validation.answer import answer
 from armrig.validation.comparison import compare
 from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
@@ -59,32 +62,35 @@ def facts(path: Path) -> dict[str, Any]:
 
 
 def curves(path: Path, start: float | None, stop: float | None) -> dict[str, Any]:
-    """Return points of u, theta_1 (turns counted) and alpha between two times in s.
+    """Return points of u, theta_1 (turns counted), its rate and alpha between two times in s.
 
     If there is no sample between the two times, the function returns the next sample. If the
     recording ends before the two times, the function returns the last sample.
     """
     t, *signals = _part(path, start, stop)
-    return {name: _drawn(t, y) for name, y in zip(("u", THETA_1, ALPHA), signals, strict=True)}
+    names = ("u", THETA_1, ALPHA, "rate")
+    return {name: _drawn(t, y) for name, y in zip(names, signals, strict=True)}
 
 
 def csv(path: Path, start: float | None, stop: float | None) -> bytes:
     """Return a CSV of all samples between two times in s, with the page's quantities and units."""
-    rows = zip(*(column.tolist() for column in _part(path, start, stop)), strict=True)
+    columns = _part(path, start, stop)[:-1]
+    rows = zip(*(column.tolist() for column in columns), strict=True)
     lines = (f"{t:.6f},{u:.4f},{theta_1:.4f},{alpha:.4f}\n" for t, u, theta_1, alpha in rows)
     # This process encodes up to 100 MB, so that the server's process is free for a stop.
     return ("t [s],u [V],theta_1 counted [deg],alpha [deg]\n" + "".join(lines)).encode()
 
 
 def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[np.float64]]:
-    """Return t in s, u in V, and theta_1 (turns counted) and alpha in °, from `start` to `stop`."""
+    """Return t in s, u in V, theta_1 (turns counted) and alpha in °, and the rate in °/s."""
     recording = _loaded(path)
     first = 0 if start is None else int(np.searchsorted(recording.t, start))
     first = min(first, recording.N - 1)
     last = recording.N if stop is None else int(np.searchsorted(recording.t, stop, "right"))
     part = slice(first, max(last, first + 1))
     angles = (np.degrees(recording.theta_1), np.degrees(recording.alpha))
-    return [column[part] for column in (recording.t, recording.u, *angles)]
+    found = np.column_stack([np.arange(recording.N), recording.t, recording.u, *angles])
+    return [*found[part, 1:].T, rate(found[:0], found)[part]]
 
 
 def identified(path: Path, validation: Path | None, output: ChannelName) -> dict[str, Any]:
@@ -119,6 +125,7 @@ def identified(path: Path, validation: Path | None, output: ChannelName) -> dict
     tests = residuals(fit, other)
     return {
         "model": fit.label,
+        "answer": answer(fit, table, tests, tuple(examine_fit_of(estimation, fit))),
         "simulated": [
             output,
             _drawn(recording.t, np.degrees(compare(data, fit)[0].y)),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,6 +37,8 @@ MAX_STEAL_SHARE = 0.01
 """Largest acceptable steal time: fraction of time that the hypervisor takes from this machine."""
 MIN_FREE_BYTES = 1 << 30
 """Least free space for recordings, in B; a recording at 2 kHz needs about 15 MB per minute."""
+MAX_REMEDIES = 4
+"""Largest number of effects that are shown with their remedies in a brief text."""
 _PRIORITY_FIELD = 15
 """Index of the priority among the fields after the process's name, see proc_pid_stat(5).
 
@@ -93,6 +95,18 @@ def examine(host: Host) -> list[HostCheck]:
 def is_well(checks: Iterable[HostCheck]) -> bool:
     """Return True if no check found an effect on timing (level bad)."""
     return not any(check.level == "bad" for check in checks)
+
+
+def brief(checks: Sequence[HostCheck]) -> str:
+    """Return the effects on timing, with remedies unless there are many, and the other checks."""
+    bad = [f"bad   {c.name}: {c.found}" for c in checks if c.level == "bad"]
+    if len(bad) <= MAX_REMEDIES:
+        bad = [f"bad   {c.name}: {c.found}; {c.mend}" for c in checks if c.level == "bad"]
+    lines = [f"{len(bad) or 'none'} of {len(checks)} checks found an effect on the timing", *bad]
+    for level in ("note", "good"):
+        names = ", ".join(c.name for c in checks if c.level == level)
+        lines += [f"{level}  {names}"] if names else []
+    return "\n".join(lines)
 
 
 def _daemon(host: Host) -> list[HostCheck]:

@@ -36,6 +36,7 @@ from armrig.recordings.daemon_reports import (
 )
 from armrig.recordings.grid import Grid, check_sampling_time, grid
 from armrig.recordings.recording import Recording, Vector
+from armrig.recordings.recording_names import named_path
 from armrig.recordings.recording_summary import is_foreign, is_recording
 
 EVERYTHING = (0, 1 << 63)
@@ -61,7 +62,8 @@ def load(
     Parameters
     ----------
     path : str or Path, or a sequence of them
-        MCAP file of armrigd, finished or unfinished (``*.mcap.active``). A run in several files is
+        Name ``@NAME``, ``@NAME/validation`` or ``@last``, as in the commands; or MCAP file of
+        armrigd, finished or unfinished (``*.mcap.active``). A run in several files is
         selected by the name of the run (all parts), the name of one part, or the names of
         consecutive parts.
     calibration : Calibration, str or Path, optional
@@ -80,7 +82,8 @@ def load(
     ------
     FileError
         The file is not a recording or is damaged before its first sample. The calibration cannot be
-        read. The parts belong to different runs, or the range contains no sample.
+        read. The parts belong to different runs, or the range contains no sample. No recording has
+        the name, or several recordings have the name.
     OSError
         The file cannot be opened or read.
 
@@ -102,14 +105,11 @@ def load(
     if not isinstance(given, list | tuple) or not all(isinstance(p, str | Path) for p in given):
         msg = f'path is a {type(path).__name__}: pass the name of a file, armrig.load("F.mcap"), '
         raise InputTypeError(msg + "or a list of the parts of a run, in their order")
-    if str(given[0] if given else "").startswith("@") and not Path(given[0]).exists():
-        raise FileError(
-            f"{given[0]}: only commands accept names with @; `armrig ls --json` prints paths"
-        )
-    paths = [part for one in given for part in files_of(Path(one))]
+    named = [named_path(one) for one in given]
+    paths = [part for one in named for part in files_of(one)]
     if not paths:
         raise FileError("the list of paths is empty: give at least one path of a recording")
-    name = Path(given[0]) if len(given) == 1 else paths[0]
+    name = named[0] if len(named) == 1 else paths[0]
     if isinstance(calibration, (str, Path)):
         _check_is_calibration(Path(calibration), paths[0])
         calibration = read_calibration(Path(calibration))

@@ -53,7 +53,7 @@ class RigError(OperationError):
     ...         print(rig.status())
     ... except armrig.RigError as err:
     ...     print(err)
-    no reply from rig no-such-rig ...
+    no rig no-such-rig runs here; in another terminal: `armrig lab ...
     """
 
     def __init__(self, message: str) -> None:
@@ -193,6 +193,11 @@ def open_connection(
             return Connection(zenoh.open(_config(way)), way.endpoint, way.name)
         except zenoh.ZError:
             continue
+    if not (where or rig.startswith(PLAYED)) and ways[0].endpoint == default_endpoint(rig):
+        named = ("", "") if rig == "1" else (f" {rig}", f" --rig {rig}")
+        msg = "no rig{} runs here; in another terminal: `armrig lab{}`; "
+        msg += "a rig elsewhere needs --connect ENDPOINT"
+        raise NoReplyError(msg.format(*named))
     raise no_reply(rig, ways[0].endpoint, ways[0].fault())
 
 

@@ -92,13 +92,15 @@ class ComparisonTable:
         """
         return "\n".join(table(self.rows, brief=brief))
 
-    def explain(self) -> str:
+    def explain(self, *, brief: bool = False) -> str:
         """Return the closest model and the significant differences from the reference, as text.
+
+        A brief text contains no causes of the differences.
 
         The reference is the physical model, `armrig.physical_model(p, data)` (handout, assignment
         3.4). Without a physical model, the reference is the last model.
         """
-        return "\n".join(explanation(self.rows))
+        return "\n".join(explanation(self.rows, brief=brief))
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of data, models and errors: see `armrig.plots.plot_compare`."""
@@ -118,15 +120,17 @@ class ComparisonTable:
         what = "simulation" if self.horizon is None else f"{self.horizon} samples ahead"
         lines = [f"{what}; {self.note}"]
         width = max(len(row.name) for row in self.rows)
-        for row in self.rows:
-            velocity = row.velocity_fit_percent
-            lines.append(
-                f"  {row.name:{width}}  fit {row.fit_percent:7.2f} %  "
-                f"rms {row.rms_error:.4g} {self.unit}".rstrip()
-                + (f"  velocity fit {velocity:7.2f} %" if velocity is not None else "")
-                + ("  (estimation data)" if row.on_estimation_data else "")
-            )
+        lines += [row_line(f"{row.name:{width}}", row, self.unit) for row in self.rows]
         return "\n".join(lines)
+
+
+def row_line(name: str, row: Comparison, unit: str) -> str:
+    """Return the row of a model as a line of text."""
+    velocity = row.velocity_fit_percent
+    line = f"  {name}  fit {row.fit_percent:7.2f} %  rms {row.rms_error:.4g} {unit}".rstrip()
+    if velocity is not None:
+        line += f"  velocity fit {velocity:7.2f} %"
+    return line + "  (estimation data)" * row.on_estimation_data
 
 
 @accepts_signals("armrig.models.multivariable.comparison")

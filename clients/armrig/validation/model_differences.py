@@ -115,20 +115,20 @@ def _cell(t: ModelCharacteristics, name: str, *, brief: bool) -> str:
     return (text.partition("(")[2].rstrip(")") if brief else text) + "*"
 
 
-def explanation(rows: Sequence[Row]) -> list[str]:
+def explanation(rows: Sequence[Row], *, brief: bool = False) -> list[str]:
     """Return sentences on the best model, and on each model's differences from the reference.
 
     The reference is the physical model, because its parameters were not estimated from data. If
-    there is no physical model, the reference is the last model.
+    there is no physical model, the reference is the last model. Brief sentences contain no causes.
     """
     lines = [_best(rows)]
     reference = next((row for row in rows if not isinstance(row.model, Estimate)), rows[-1])
     figures = reference.characteristics
     for row in (row for row in rows if row is not reference):
         if row.rms_error > _MAX_COMPARED_RATIO * reference.rms_error:
-            lines.append(_hopeless(row, reference))
+            lines.append(_hopeless(row, reference, brief=brief))
             continue
-        apart = list(_apart(row, reference, figures))
+        apart = list(_apart(row, reference, figures, brief=brief))
         if not apart:
             lines.append(
                 f"{row.name} and {reference.name}: no characteristic differs by more than its "
@@ -156,10 +156,12 @@ def _best(rows: Sequence[Row]) -> str:
     return f"{said}."
 
 
-def _hopeless(row: Row, reference: Row) -> str:
+def _hopeless(row: Row, reference: Row, *, brief: bool) -> str:
     """Return the reason why the characteristics of a poor model do not describe the rig."""
     said = f"{row.name} has {row.rms_error / reference.rms_error:.3g} times the error of "
     said += f"{reference.name}: its characteristics differ because the model is poor"
+    if brief:
+        return f"{said}."
     if isinstance(row.model, Estimate) and row.model.structure == "arx":
         said += ". ARX assumes noise that passes through 1/A; a potentiometer adds noise to the "
         said += "output, which biases the ARX model: "
@@ -167,7 +169,7 @@ def _hopeless(row: Row, reference: Row) -> str:
     return f"{said}. Look at its orders and its delay."
 
 
-def _apart(row: Row, reference: Row, b: ModelCharacteristics) -> Iterator[str]:
+def _apart(row: Row, reference: Row, b: ModelCharacteristics, *, brief: bool) -> Iterator[str]:
     """Yield a sentence for each characteristic that differs significantly from the reference b."""
     a = row.characteristics
     if a.integrating != b.integrating:
@@ -176,13 +178,14 @@ def _apart(row: Row, reference: Row, b: ModelCharacteristics) -> Iterator[str]:
         return
     for name in SCALARS:
         x, y = getattr(a, name), getattr(b, name)
+        because = "" if brief else f"; {_BECAUSE[name]}"
         if np.isnan(x) != np.isnan(y):
             figure = _NAMES[name].partition(" [")[0]
             if np.isnan(y):
                 has, none, at = row.name, reference.name, _figure(x, a.std[name])
             else:
                 has, none, at = reference.name, row.name, _figure(y, b.std[name])
-            yield f"{has} has a {figure} ({at}) and {none} has none: {_BECAUSE[name]}."
+            yield f"{has} has a {figure} ({at}) and {none} has none{because.replace(';', ':', 1)}."
             continue
         std = float(np.hypot(a.std[name], b.std[name]))
         if np.isnan(x) or not abs(x - y) > max(SURE * std, 1e-3 * abs(y)):
@@ -191,7 +194,7 @@ def _apart(row: Row, reference: Row, b: ModelCharacteristics) -> Iterator[str]:
         figure = _NAMES[name].partition(" [")[0]
         yield (
             f"{figure}: {row.name} {_figure(x, a.std[name])}, {reference.name} "
-            f"{_figure(y, b.std[name])}{share}; {_BECAUSE[name]}."
+            f"{_figure(y, b.std[name])}{share}{because}."
         )
 
 

@@ -95,7 +95,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Daemon]:
     ("options", "typed", "is_used", "said"),
     [
         ((), "\n", True, "Load the calibration into the running daemon now? [Y/n]"),
-        ((), "n\n", False, "armrig: not in use"),
+        ((), "n\n", False, "not in use\n"),
         ((), None, False, "not in use: --use loads the calibration into the running daemon"),
         (
             ("--use",),
@@ -109,7 +109,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Daemon]:
             True,
             "from the next sample on, until `armrig lab` or armrigd ends",
         ),
-        (("--no-use", "--yes"), None, False, "armrig: not in use"),
+        (("--no-use", "--yes"), None, False, "not in use\n"),
     ],
 )
 def test_the_running_daemon_takes_it_where_that_is_wanted(

@@ -141,5 +141,5 @@ def test_the_signals_of_a_table_are_listed_with_what_is_missing(
     tell_of_signals(Path("f.csv"), signals)
 
     assert capsys.readouterr().err == (
-        "armrig: f.csv: 6 samples, 0.25 s apart; outputs p, q; inputs v; 3 values are missing\n"
+        "f.csv: 6 samples, 0.25 s apart; outputs p, q; inputs v; 3 values are missing\n"
     )

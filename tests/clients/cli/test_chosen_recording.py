@@ -6,10 +6,11 @@ import json
 import re
 from pathlib import Path
 
+import armrig
 import pytest
 from armrig.cli import main
-from armrig.cli.chosen_recording import answering_among, short_name
 from armrig.recordings import recording_summary
+from armrig.recordings.recording_names import answering_among, short_name
 from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import Outcome
 
@@ -87,6 +88,14 @@ def test_a_recording_has_names(
     assert read(name, capsys) == run_id
 
 
+def test_python_takes_the_names_of_the_commands(folder: Path) -> None:
+    meant = {"@last": "0000000e", "@monday": "0000000b", "@monday/validation": "0000000c"}
+
+    assert {name: armrig.load(name).manifest.run_id for name in meant} == meant
+    with pytest.raises(armrig.FileError, match=r"@munday: no finished .* did you mean @monday\?"):
+        armrig.load("@munday")
+
+
 def test_the_last_is_the_newest_that_is_whole(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -103,7 +112,7 @@ def test_the_recording_of_a_name_is_printed(
     assert main(["info", "@monday", "--json"]) == 0
 
     told = capsys.readouterr().err
-    assert told == "armrig: @monday is @0000000b, blackbox monday, 0.1 s, 2026-11-20 13:10:00\n"
+    assert told == "@monday is @0000000b, blackbox monday, 0.1 s, 2026-11-20 13:10:00\n"
 
 
 def test_of_one_name_a_complete_run_is_meant(

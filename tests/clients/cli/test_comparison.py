@@ -10,7 +10,8 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.comparison import _Compared, _print_comparison, _same, row_line
+from armrig.cli.comparison import _same, print_comparison
+from armrig.validation.comparison import ComparisonTable, row_line
 from armrig_core.arm import ArmParameters
 
 from tests.clients.made_recordings import of_the_arm, written
@@ -67,6 +68,14 @@ def _row(name: str, **changes: Any) -> Any:
     return SimpleNamespace(**of | {"name": name, "on_estimation_data": False} | changes)
 
 
+class _Table(ComparisonTable):
+    def explain(self, *, brief: bool = False) -> str:
+        return "OE is the best." + "\nOE differs." * 6
+
+    def table(self, *, brief: bool = False) -> str:
+        return "the table"
+
+
 @pytest.mark.parametrize(
     ("horizon", "how"), [(None, "simulated"), (7, "predicted 7 samples ahead")]
 )
@@ -74,24 +83,21 @@ def test_a_comparison_begins_with_the_best_and_has_a_line_for_each_model(
     horizon: int | None, how: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = [_row("OE"), _row("the physics of it", velocity_fit_percent=3.0)]
-    table: Any = SimpleNamespace(
-        **{"explain": lambda: "OE is the best.\nOE differs.", "horizon": horizon, "rows": rows},
-        **{"unit": "rad", "table": lambda brief: f"brief {brief}"},
-    )
-    compared = _Compared(
-        models=[(row.name, row) for row in rows],
-        data=SimpleNamespace(source="0123456789abcdef"),  # type: ignore[arg-type]
-        where="F",
-    )
-
-    _print_comparison(compared, table, verbose=False)
-
-    assert capsys.readouterr().out.splitlines() == [
-        *("OE is the best.", f"{how} on F (recording 0123456789ab)"),
-        "  OE                fit    9.50 %  rms 0.01235 rad",
-        "  the physics of it fit    9.50 %  rms 0.01235 rad  velocity fit    3.00 %",
-        *("brief True", "OE differs."),
+    table = _Table(rows=tuple(rows), horizon=horizon, unit="rad", note="", data=None)  # type: ignore[arg-type]
+    fits = [
+        *("OE is the best.", f"{how} on F"),
+        "  OE                 fit    9.50 %  rms 0.01235 rad",
+        "  the physics of it  fit    9.50 %  rms 0.01235 rad  velocity fit    3.00 %",
     ]
+
+    print_comparison(table, "on F", verbose=False)
+    *short, more = capsys.readouterr().out.splitlines()
+    print_comparison(table, "on F", verbose=True)
+    whole = capsys.readouterr().out.splitlines()
+
+    assert short == [*fits, *["OE differs."] * 4]
+    assert more.startswith("--verbose: 2 more differences, ")
+    assert whole == [*fits, "the table", *["OE differs."] * 6]
 
 
 def test_models_are_the_same_by_their_polynomials_and_their_sampling_time() -> None:
@@ -111,7 +117,7 @@ def test_models_are_the_same_by_their_polynomials_and_their_sampling_time() -> N
 def test_a_row_has_what_is_known_of_a_model() -> None:
     full = _row("OE", velocity_fit_percent=-3.0, on_estimation_data=True)
 
-    assert row_line("OE", _row("OE"), "rad") == "  OE fit    9.50 %  rms 0.01235 rad"
+    assert row_line("OE", _row("OE"), "rad") == "  OE  fit    9.50 %  rms 0.01235 rad"
     assert row_line("OE", full, "") == (
-        "  OE fit    9.50 %  rms 0.01235  velocity fit   -3.00 %  (estimation data)"
+        "  OE  fit    9.50 %  rms 0.01235  velocity fit   -3.00 %  (estimation data)"
     )

@@ -223,7 +223,7 @@ def test_sampling_recommends_a_time_with_its_method(
     other = written(tmp_path, of_the_arm(telegraph(1500, 0.05, seed=1)), "telegraph.mcap")
     figure = tmp_path / "sampling.png"
 
-    text = said(["sampling", str(path), "-o", str(figure)], capsys)
+    text = said(["sampling", str(path), "-v", "-o", str(figure)], capsys)
     by_step, by_impulse = (facts(["sampling", str(p)], capsys) for p in (path, other))
 
     assert text.startswith("sampling time: ")

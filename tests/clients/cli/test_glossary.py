@@ -14,6 +14,12 @@ from armrig_core.errors import InputError
 PAGE = (Path(__file__).parents[3] / "docs" / "glossary.md").read_text(encoding="utf-8")
 
 
+def test_the_words_of_the_first_outputs_are_explained() -> None:
+    words = {"ARX", "OE", "BJ", "MDL", "σ", "robust", "fault", "latched", "validation"}
+
+    assert words <= read_terms(PAGE).keys()
+
+
 def test_each_entry_of_the_page_is_a_term_of_one_sentence() -> None:
     terms = read_terms(PAGE)
 

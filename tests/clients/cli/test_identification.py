@@ -11,7 +11,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.model_output import advice_lines, doubted, to_act_on
+from armrig.cli.model_output import advice_lines, to_act_on
 from armrig.cli.next_step import CHECK, options_after, options_of
 from armrig.data.finding import warning
 from armrig.estimation.oe import oe
@@ -99,7 +99,7 @@ def test_validate_judges_a_model_from_a_file(
     assert main([*arguments, "--horizon", "1", "--horizon", "20", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
 
-    assert [x.split()[0] for x in text.splitlines()[3:6]] == ["simulated", "1", "20"]
+    assert "Predicted 1 and 20 ahead, it fits equally well" in text
     assert "no dynamics missing: p" in text
     assert facts["rms_error"] < 0.006
     assert [x["horizon"] for x in facts["ahead"]] == [1, 20]
@@ -114,7 +114,7 @@ def test_validating_on_the_estimation_data_is_reported(
 
     said = capsys.readouterr()
     assert "judged on their own estimation data" in said.err
-    assert "(estimation data)" in said.out
+    assert "on its estimation data" in said.out
 
 
 @pytest.mark.exhaustive
@@ -192,7 +192,8 @@ def test_identify_says_roots_and_advice(
 
     assert main([*arguments, "-v"]) == 0
     whole = capsys.readouterr().out
-    assert "trust σ. A p below 0.01 rejects; --validate F2 tests" in text.splitlines()[0]
+    assert text.splitlines()[0].endswith("trust σ.")
+    assert "A p below 0.01 rejects; --validate F2 tests" in text.splitlines()[1]
     [poles] = re.findall(r"^  poles  1 \(fixed\), (.+)$", text, re.MULTILINE)
     assert re.fullmatch(r"0\.9\d+ ± 0\.1\d+i \(σ \S+, \S+\), 0\.6\d+ ± \S+", poles)
     assert re.search(r"^  zeros  -0\.\d+ ± ", text, re.MULTILINE)
@@ -264,9 +265,7 @@ def test_what_an_estimate_found_decides_by_its_code_and_not_by_its_words() -> No
 
     lines = advice_lines(other, [])
 
-    assert doubted(wrong, [])
     assert to_act_on(wrong, []) - to_act_on(fit, []) == {"outliers"}
-    assert not doubted(other, [])
     assert to_act_on(other, []) == to_act_on(fit, [])
     assert "! 2 samples look wrong; lower the orders" in lines
     assert to_act_on(unsteady, []) - to_act_on(fit, []) == {"structure"}

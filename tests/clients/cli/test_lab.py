@@ -146,7 +146,7 @@ def test_a_program_hears_of_each_change_in_json(tmp_path: Path) -> None:
     lines = said.read_text().splitlines()
     phases = [json.loads(line)["phase"] for line in lines if line.startswith("{")]
     assert phases[-2:] == ["safe", "armed"]
-    assert "armrig: ending: the motor goes to 0 V" in lines
+    assert "ending: the motor goes to 0 V" in lines
 
 
 @pytest.mark.parametrize("terminal", [True, False])

@@ -60,7 +60,7 @@ def test_a_folder_that_is_named_is_listed_by_its_files(
 
     assert told.out.splitlines()[1].startswith(f"{path}  blackbox")
     assert told.err.splitlines() == [
-        f"armrig: in {synced}",
+        f"in {synced}",
         f"next: armrig info '{path}'",
     ]
     found = json.loads(capsys.readouterr().out)

@@ -104,7 +104,7 @@ REFUSED = [
     ("model --set", "--set is given without a value; see `armrig model --help`"),
     ("plot", "F is missing"),
     # Commands and options that there are not.
-    ("stpo", "no such command 'stpo'; see `armrig --help`"),
+    ("stpo", "no such command 'stpo': did you mean stop?; see `armrig --help`"),
     ("idntify est.mcap", "did you mean identify?"),
     ("help", "`armrig --help` lists the commands"),
     ("version", "`armrig --version` shows it"),
@@ -156,9 +156,9 @@ REFUSED = [
     ("report est.mcap -o report.docx", "give a name that ends in .pdf"),
     ("report est.mcap -o report.pdf", "--force overwrites it, or give another name"),
     # The rig, and what it plays.
-    ("stop", "no reply from rig 1"),
-    ("stop --rig 2", "no reply from rig 2"),
-    ("collect blackbox", "or give its endpoint with --connect"),
+    ("stop", "no rig runs here; in another terminal: `armrig lab`"),
+    ("stop --rig 2", "no rig 2 runs here; in another terminal: `armrig lab --rig 2`"),
+    ("collect blackbox", "a rig elsewhere needs --connect"),
     ("collect blackbox --connect localhost", "not a zenoh endpoint, such as"),
     ("collect blackbox --rig 1/2", "use 1 to 40 characters, each a-z, 0-9 or -"),
     ("collect blackbox --seconds 30s", "must be a number without its unit, such as 30"),
@@ -221,7 +221,7 @@ def test_what_may_be_a_mistake_is_doubted_before_any_number(
 
     lines = capsys.readouterr().out.splitlines()
     assert code == 0
-    before = list(takewhile(lambda text: text.startswith("armrig: "), lines))
+    before = list(takewhile(lambda text: text.startswith("armrig: ") or ".csv: " in text, lines))
     assert len(before) < len(lines)
     assert sum(doubt in text for text in before) == 1
 

@@ -12,7 +12,6 @@ import pytest
 from armrig.cli import model_output
 from armrig.cli.model_output import (
     advice_lines,
-    answer,
     coefficients,
     hint,
     lags_outside,
@@ -21,12 +20,12 @@ from armrig.cli.model_output import (
     root_lines,
     short_model_lines,
     short_search_lines,
-    simulated_to,
     to_act_on,
 )
 from armrig.data.finding import Finding, warning
 from armrig.models.responses import Roots
 from armrig.numerics.whiteness import Whiteness
+from armrig.validation.answer import answer, simulated_to
 
 NBSP = "\u00a0"
 
@@ -153,7 +152,6 @@ def test_each_finding_is_reported_once(
 
     assert advice_lines(of, doubted) == (lines or ["nothing to act on"])
     assert to_act_on(of, doubted) == set(acts.split())
-    assert model_output.doubted(of, doubted) == bool(doubts or {"level", "outliers"} & {estimation})
 
 
 def test_what_an_estimation_asks_for_is_acted_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,22 +210,29 @@ def test_an_answer_has_the_fits_and_the_deviation_to_trust() -> None:
         **{"heading": "ARX", "output": "alpha", "fit_percent": 91.239, "structure": "arx"},
         **{"whiteness": 0.4, "white": _white(0.4), "trusts_robust": False},
         trusts_coefficients=True,
+        findings=(),
     )
-    row: Any = SimpleNamespace(fit_percent=80.0, rms_error=0.01234, velocity_fit_percent=70.126)
+    row: Any = SimpleNamespace(
+        fit_percent=80.0, rms_error=0.01234, velocity_fit_percent=70.126, on_estimation_data=False
+    )
     table: Any = type("Table", (list,), {"unit": "rad"})([row])
 
-    alone = answer(of, None, None, doubted=False)
-    validated = answer(of, table, _tests(), doubted=False)
+    alone = answer(of, None, None, [])
+    validated = answer(of, table, _tests(), [])
     of.trusts_robust, of.white = True, _white(0.001)
 
     head = "ARX fits alpha to 91.24 % one step ahead; residuals white (p = 0.400, T): trust σ."
-    assert alone.startswith(f"{head} A p below 0.01 rejects; --validate F2 tests the residuals")
+    assert alone.startswith(f"{head}\nA p below 0.01 rejects; --validate F2 tests the residuals")
     assert validated.startswith(
-        f"{head} Simulated on the validation data it fits to 80.00 % (rms 0.01234 rad, velocity "
-        "70.13 %); its residuals pass: "
+        f"{head}\nSimulated on the validation data it fits to 80.00 % (rms 0.01234 rad, velocity "
+        "70.13 %).\nIts residuals pass: "
     )
-    assert "trust σ robust, not σ; correct the data first" in answer(of, None, None, doubted=True)
-    assert "trust σ robust, not σ; raise the orders" in answer(of, None, None, doubted=False)
+    data_first = "trust σ robust, not σ; correct the data first"
+    assert data_first in answer(of, None, None, [_finding("outliers")])
+    of.findings = [_finding("level")]
+    assert data_first in answer(of, None, None, [])
+    of.findings = [_finding("gaps")]
+    assert "trust σ robust, not σ; raise the orders" in answer(of, None, None, [])
     row.velocity_fit_percent = None
     assert simulated_to(row, "") == "80.00 % (rms 0.01234)"
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.model_output import coefficients, lags_outside
-from armrig.cli.model_output import tests_sentence as sentence
 from armrig.cli.spinner import estimating
 from armrig.models.structure_table import users
 from armrig.numerics.whiteness import Whiteness
+from armrig.validation.answer import tests_sentence as sentence
 
 from tests.clients.made_recordings import recorded, sample, written
 from tests.clients.told import told
@@ -106,7 +106,7 @@ def test_the_coefficients_are_a_table_with_both_standard_deviations(
 
     text = capsys.readouterr().out
     assert ["coefficient", "estimate", "σ", "σ", "robust"] in [x.split() for x in text.splitlines()]
-    assert [x.split()[:2] for x in text.splitlines()[4:12:7]] == [["a1", "q^-1"], ["b4", "q^-4"]]
+    assert [x.split()[:2] for x in text.splitlines()[6:14:7]] == [["a1", "q^-1"], ["b4", "q^-4"]]
     assert " rad², FPE " in text
     assert "residuals coloured (p < 0.001, " in text
     assert " test): trust σ robust, not σ" in text
@@ -243,7 +243,7 @@ def test_lags_outside_the_band_are_explained_where_the_joint_test_accepts() -> N
             0.5,
             0.5,
             "",
-            "its residuals pass: white (p = 0.500), no dynamics missing (p = 0.500), no feedback",
+            "Its residuals pass: white (p = 0.500), no dynamics missing (p = 0.500), no feedback",
         ),
         (0.001, 0.5, 0.5, "", "do not pass: they are coloured (p = 0.001): look at the noise"),
         (
@@ -254,8 +254,8 @@ def test_lags_outside_the_band_are_explained_where_the_joint_test_accepts() -> N
             "do not pass: dynamics are missing (p = 0.001): look at the orders",
         ),
         (0.5, 0.5, 0.001, "", "do not pass: there is feedback (p = 0.001): look at the experi"),
-        (0.5, 0.5, 0.5, "u is constant", "the tests of its residuals have no power: u is constant"),
-        (0.5, np.nan, 0.5, "", "residuals white (p = 0.500); too few samples"),
+        (0.5, 0.5, 0.5, "u is constant", "The tests of its residuals have no power: u is constant"),
+        (0.5, np.nan, 0.5, "", "Residuals white (p = 0.500); too few samples"),
     ],
 )
 def test_a_sentence_says_which_test_the_residuals_fail(

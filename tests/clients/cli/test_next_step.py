@@ -39,6 +39,7 @@ VALUES: dict[str, Any] = {
     "report": "report.pdf",
     "chassis": "F3.mcap",
     "source": "source",
+    "questions": "reasons.toml",
     "again": " --Ts 0.002 --at 1.8 --seconds 11 --name first-again",
 }
 
@@ -238,15 +239,18 @@ def test_a_step_whose_rise_is_hidden_is_made_again(
 
 
 @pytest.mark.parametrize(
-    ("after", "experiment", "goes_on"),
+    ("after", "experiment", "is_pair", "goes_on"),
     [
-        ("status", "step-first", "armrig sampling @first -o sampling.png"),
-        ("lab chassis", "greybox-chassis", "armrig greybox @chassis -o chassis.png"),
+        ("status", "step-first", False, "armrig sampling @first -o sampling.png"),
+        ("status", "step-first", True, "armrig hints @0000000a -o hints.png"),
+        ("lab chassis", "greybox-chassis", True, "armrig greybox @chassis -o chassis.png"),
     ],
 )
 def test_no_line_records_a_second_one_of_a_name(
-    pair: Path, after: str, experiment: str, goes_on: str
+    pair: Path, after: str, experiment: str, is_pair: bool, goes_on: str
 ) -> None:
+    if not is_pair:
+        _unpaired(pair)
     collects = next_line(after, rig="")
     samples = [sample(k) for k in range(10)]
     for run_id, outcome in (("0000000e", "stopped"), ("0000000f", "complete")):
@@ -260,7 +264,40 @@ def test_no_line_records_a_second_one_of_a_name(
     assert next_line(after, rig="") == f"next: {goes_on}"
 
 
+def _unpaired(pair: Path) -> None:
+    """Remove the validation recording."""
+    next(pair.glob("*-validation-*")).unlink()
+
+
+def test_no_line_records_a_pair_again_or_starts_a_second_lab(
+    pair: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rigs: list[str] = []
+    monkeypatch.setattr("armrig.rig.session.local_rigs", lambda: rigs)
+
+    collects = [next_line("sampling", Ts=Ts) for Ts in (0.01, 0.005)]
+    starts = next_line("simulate")
+    rigs.append("1")
+
+    assert collects[0] == "next: armrig plot @0000000a"
+    assert collects[1].startswith("next: armrig collect blackbox --Ts 0.005 ")
+    assert starts == "next: armrig lab"
+    assert next_line("simulate") == "next: " + AFTER["lab"].format(rig="")
+
+
+def test_a_report_leads_to_the_questions_and_these_to_the_answers(
+    pair: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["report", "--questions", "reasons.toml"]) == 0
+
+    fill, goes_on = capsys.readouterr().err.splitlines()
+    assert fill == "fill in reasons.toml before the next command"
+    files = "@0000000a @0000000a/validation --answers reasons.toml"
+    assert goes_on == f"next: armrig report --handout {files} -o report.pdf"
+
+
 def test_a_step_that_was_made_again_replaces_the_first(pair: Path) -> None:
+    _unpaired(pair)
     for run_id, experiment in (("0000000e", "step-first"), ("0000000f", "step-first-again")):
         about = manifest(experiment=experiment, run_id=run_id)
         data = recorded([sample(k) for k in range(10)], manifest=about)
@@ -295,9 +332,9 @@ def test_the_way_from_a_structure_to_its_validation(
         if walked[-1] == "hints":
             typed += ["--validate", validation]
 
-    assert walked == ["hints", "identify", "validate", "check"]
+    assert walked == ["hints", "identify", "compare", "check"]
     assert (tmp_path / "model.json").exists()
-    assert (tmp_path / "validate.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "compare.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_recording_elsewhere_is_named_by_its_path(

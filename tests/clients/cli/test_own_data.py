@@ -110,7 +110,7 @@ def test_a_sampling_time_that_is_given_overrides_the_times(
     assert out.startswith("OE(nb=2, nf=2, nk=1) fits y to ")
     assert "u to y, Ts 0.1 s, N 400;" in out
     assert said.startswith(
-        f"armrig: {folder}/data.csv: 400 samples, 0.1 s apart; the input is column u; the"
+        f"{folder}/data.csv: 400 samples, 0.1 s apart; the input is column u; the"
     )
 
 
@@ -127,9 +127,9 @@ def test_a_model_is_validated_on_other_data(
     assert at_once["fit_percent"] == later["fit_percent"] > 80
     assert at_once["data"] == later["data"]
     assert f"samples of {folder}/other.csv (data {later['data'][:12]})" in out
-    assert "its residuals pass: white (p = " in out
+    assert "Its residuals pass: white (p = " in out
     _, part, _ = run("validate other.csv --model model.json --to 10", folder, capsys)
-    assert "estimated from 398 samples\nvalidated on 200 samples of " in part
+    assert "estimated from 398 samples, validated on 200 samples of " in part
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def test_simulate_takes_saved_models_too(
     armrig.oe(data, nb=4, nf=4, integrator=True).save(tmp_path / "mine.json")
     arguments = ["simulate", str(three_recordings[2]), "--model", str(tmp_path / "mine.json")]
 
-    text = said(arguments, capsys)
+    text = said([*arguments, "-v"], capsys)
 
     assert [m["model"] for m in facts(arguments, capsys)["models"]] == ["mine", "physics"]
     assert "anti-resonance [rad/s]" in text
@@ -115,7 +115,8 @@ def test_simulate_without_a_recording_answers_a_step(capsys: pytest.CaptureFixtu
     assert facts(["simulate"], capsys)["steady_speed"] == pytest.approx(1.8623, abs=1e-4)
     other = facts(["simulate", "--set", "N=32"], capsys)["steady_speed"]
     assert other == pytest.approx(2 * 1.8623, abs=2e-4)
-    assert "Initial slope 98.40" in said(["simulate"], capsys)
+    assert "initial slope 98.40" in said(["simulate"], capsys)
+    assert "no back-EMF" in said(["simulate", "-v"], capsys)
 
 
 def test_integrate_separates_stable_from_unstable(

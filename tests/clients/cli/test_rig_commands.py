@@ -77,10 +77,41 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> type[_Rig]:
 
 
 @pytest.mark.parametrize(
+    ("phases", "said"), [(("active", "active", "safe"), "at 0 V"), (("active",) * 9, "driven")]
+)
+def test_a_stop_reports_the_motor_after_the_end_of_the_input(
+    phases: tuple[str, ...],
+    said: str,
+    rig: type[_Rig],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    now_s, left = [0.0], list(phases)
+
+    def waited(seconds: float) -> None:
+        now_s[0] += 0.2
+        left.pop(0)
+
+    def status(self: _Rig) -> StatusReport:
+        motor = "at 0 V" if left[0] == "safe" else "driven"
+        self.report.update(phase=left[0], motor=motor)
+        return of_the_rig(self)
+
+    of_the_rig = rig.status
+    monkeypatch.setattr(rig, "status", status)
+    monkeypatch.setattr("time.sleep", waited)
+    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+
+    assert main(["stop"]) == 0
+
+    assert capsys.readouterr().out == f"rig 1, motor: {said}\n"
+
+
+@pytest.mark.parametrize(
     ("words", "asked", "said", "facts"),
     [
-        (["stop"], ("stop", ""), "rig 7: stop sent", {"stopped": True}),
-        (["stop", "--owner", "Ada"], ("stop", "Ada"), "rig 7: stop sent", {"stopped": True}),
+        (["stop"], ("stop", ""), "rig 7, motor: stop sent", {"stopped": True}),
+        (["stop", "--owner", "Ada"], ("stop", "Ada"), "rig 7, motor: stop sent", {"stopped": True}),
         (["reset"], ("reset",), "rig 7 was reset", {"was_latched": True}),
         (
             ["note", "touched", "--owner", "Ada"],
@@ -106,7 +137,7 @@ def test_a_request_is_made_of_its_rig_and_closed(
 
     assert rig.asked == [("7", FAR), asked, "closed"] * 2
     assert text.out == f"{said}\n"
-    goes_on = "" if words[0] == "note" else f"next: armrig status --rig 7 --connect {FAR}\n"
+    goes_on = "" if words[0] != "reset" else f"next: armrig status --rig 7 --connect {FAR}\n"
     assert text.err == goes_on
     assert json.loads(capsys.readouterr().out) == {"rig": "7", **facts}
 
@@ -231,5 +262,5 @@ def test_a_remote_recording_ends_with_its_reason(
     assert (ended[1] is COMPLETE) == (error is None)
     assert error is None or ended[1].text == f"the recorder ended: {error}"
     said = capsys.readouterr().err
-    assert "armrig: recording rig 7 from E; Ctrl-C ends it" in said
+    assert "recording rig 7 from E; Ctrl-C ends it" in said
     assert ("recorded up to the error: a.mcap" in said) == (error is not None)

@@ -221,7 +221,7 @@ def test_a_router_counts_the_names_of_each_right(
     assert main(["router", "--listen", "tls/a:1"]) == 0
 
     said = "router at tls/a:1: 1 rigs, 2 may drive and 3 may watch; Ctrl-C ends the router"
-    assert capsys.readouterr().err == f"armrig: {said}\n"
+    assert capsys.readouterr().err == f"{said}\n"
 
 
 def test_a_report_names_the_recordings_that_give_no_model(

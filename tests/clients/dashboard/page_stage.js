@@ -67,6 +67,9 @@ class Element {
   focus() {
     say(`${[...known].find(([, one]) => one === this)[0]}: has the focus`);
   }
+  scrollIntoView() {
+    say(`${this.known ?? this.tag}: is scrolled into view`);
+  }
   get isConnected() {
     return true;
   }
@@ -111,6 +114,7 @@ Object.assign(globalThis, {
   innerHeight: 900,
   devicePixelRatio: 2,
   localStorage: { "armrig-owner": "", getItem: (name) => localStorage[name] || null, setItem: (name, value) => (localStorage[name] = value) },
+  scrollTo: ({ top }) => say(`scrolled to ${top}`),
   matchMedia: () => ({ matches: true, addEventListener: () => {} }),
   getComputedStyle: (one) => ({ getPropertyValue: (name) => ` ${one.dataset.theme}${name}` }),
   requestAnimationFrame: (does) => due.push([isFrame ? now + FRAME_MS : now, (at) => {
@@ -119,7 +123,8 @@ Object.assign(globalThis, {
     isFrame = false;
   }]),
   addEventListener: (type, does) => ((listeners[type] ??= []).push(does)),
-  setInterval: (does) => ((listeners.interval ??= []).push(does)),
+  setInterval: (does) => (listeners.interval ??= []).push(does),
+  clearInterval: (n) => (listeners.interval[n - 1] = () => {}),
   setTimeout: (does, ms) => due.push([now + ms, does]),
   clearTimeout: (n) => n && (due[n - 1] = [Infinity, () => {}]),
   document: {

@@ -118,6 +118,17 @@ def test_a_run_is_reported_completely_at_its_end(
     assert run.verdict.startswith("the data are good: signal to noise")
 
 
+def test_a_run_that_ends_early_has_a_recording_and_a_reason_without_a_remedy(
+    driver: Driver, daemon: FakeDaemon, three_recordings: tuple[Path, Path, Path]
+) -> None:
+    daemon.recording, daemon.outcome = str(three_recordings[1]), "stopped by Ada"
+    driver.start(PLAN, asked_s=time.monotonic())
+    _wait_for_the_end(driver)
+
+    assert driver.run.recording == "estimation.mcap"
+    assert driver.run.error == "the run ended after 100 of 100 samples: stopped by Ada"
+
+
 def test_a_trip_is_reported_with_the_page_s_own_button(driver: Driver, daemon: FakeDaemon) -> None:
     daemon.fault, daemon.remedy = "the link is silent", "see to the cable"
     daemon.refusals["arm"] = "in fault"

@@ -28,6 +28,7 @@ class Element {
   append(...made) { this.children.push(...made); }
   replaceChildren(...made) { this.children = made; }
   addEventListener() {}
+  scrollIntoView() {}
 }
 const there = {};
 globalThis.location = { hash: "#token=x" };
@@ -123,30 +124,71 @@ def test_the_age_goes_on_while_nothing_comes(page: Path) -> None:
     """The age is that of the last message plus the time since then."""
     told = _run(
         page,
-        "globalThis.at = 1000; status.showLost(900, 'gone'); told.none = text('stale-what');"
+        "globalThis.at = 1000; status.showLost('gone'); told.none = text('stale-what');"
         "status.showStatus({ rows: [], phase: 'safe', trouble: '' });"
         "status.showLive({ at_s: 7, age_s: 0.05, is_stale: false });"
         "told.fresh = [text('age'), hidden('stale'), text('phase')];"
-        "globalThis.at = 3500; status.showLost(2500, 'the server is silent');"
+        "globalThis.at = 3500; status.showLost('the server is silent');"
         "told.lost = [text('age'), hidden('stale'), text('phase'), text('stale-what'),"
         " text('stale-why')];",
     )
 
     assert told == {
-        "none": "No data yet.",
+        "none": "No data from the rig yet.",
         "fresh": ["0.05 s old", True, "safe"],
         "lost": [
             "2.55 s old",
             False,
             "no data",
-            "No data for 2.55 s; the last phase was safe.",
+            "No data from the rig for 2.55 s; the last phase was safe.",
             "the server is silent",
         ],
     }
 
 
+def test_without_fresh_data_a_value_is_the_last_one_and_the_motor_is_not_known(page: Path) -> None:
+    told = _run(
+        page,
+        "status.showStatus({ rows: [['motor', 'at 0 V']], phase: 'safe' });"
+        "const seen = () => [status.dated('4.50 V'), document.getElementById('status')"
+        ".children[1].textContent];"
+        "told.none = seen(); const live = { at_s: 7, age_s: 0.5, is_stale: false };"
+        "status.showLive(live); told.fresh = seen(); globalThis.at = 2000;"
+        "status.showLive({ ...live, at_s: 9, is_stale: true }); told.stale = seen();"
+        "status.showLive(live); status.showLost('silent'); globalThis.at = 3000;"
+        "told.lost = seen();",
+    )
+
+    assert told == {
+        "none": ["not known", "not known"],
+        "fresh": ["4.50 V", "at 0 V"],
+        "stale": ["last: 4.50 V, 0.5 s ago", "not known"],
+        "lost": ["last: 4.50 V, 3.5 s ago", "not known"],
+    }
+
+
+def test_one_cause_has_one_message(page: Path) -> None:
+    told = _run(
+        page,
+        "const said = () => [text('phase'), hidden('fault'), hidden('stale'), text('stale-why')];"
+        "const fault = { rows: [], phase: 'fault', fault: 'stale', reason: 'r', line: 'port' };"
+        "const live = { at_s: 7, age_s: 0.5, is_stale: true };"
+        "status.showLive(live); status.showStatus(fault); told.fault = said();"
+        "status.showStatus({ ...fault, trouble: 'no daemon' }); told.daemon = said();"
+        "status.showStatus(fault); status.showLost('silent'); told.server = said();"
+        "status.showLive(live); status.showStatus({ ...fault, reason: '' }); told.line = said();",
+    )
+
+    assert told == {
+        "fault": ["fault", False, True, told["fault"][3]],
+        "daemon": ["no data", True, False, "no daemon"],
+        "server": ["no data", True, False, "silent"],
+        "line": ["no data", True, False, "port"],
+    }
+
+
 def test_each_row_of_the_status_is_shown_in_one_of_two_lists(page: Path) -> None:
-    rows = [["sampled", "at 100 Hz"], ["motor", "at 0 V"], ["firmware", "0"]]
+    rows = [["sampled", "at 100 Hz"], ["owner", "Ada"], ["firmware", "0"]]
     told = _run(
         page,
         f"status.showStatus({{ rows: {json.dumps(rows)}, phase: 'safe' }});"
@@ -154,7 +196,7 @@ def test_each_row_of_the_status_is_shown_in_one_of_two_lists(page: Path) -> None
         "told.lists = [words('status'), words('status-all')];",
     )
 
-    assert told["lists"] == [["motor", "at 0 V"], ["sampled", "at 100 Hz", "firmware", "0"]]
+    assert told["lists"] == [["owner", "Ada"], ["sampled", "at 100 Hz", "firmware", "0"]]
 
 
 def test_a_button_is_offered_where_the_rig_can_take_it(page: Path) -> None:
@@ -163,9 +205,11 @@ def test_a_button_is_offered_where_the_rig_can_take_it(page: Path) -> None:
         "const offered = () => ['run', 'arm', 'release'].filter((id) => !disabled(id)).join(' ');"
         "const run = (is_going) => control.showRun({ is_going, experiment: '' });"
         "status.showLive({ at_s: 7, age_s: 0, is_stale: false }); run(false);"
+        "control.offer({ kind: 'step' });"
         "for (const phase of ['init', 'safe', 'armed', 'active', 'fault']) {"
         "  control.showControl({ phase, trouble: '' }); told[phase] = offered(); }"
         "control.showControl({ phase: 'safe', trouble: '' }); run(true); told.going = offered();"
+        "run(false); control.offer(null); told.unseen = offered();"
         "run(false); status.showLive({ at_s: 7, age_s: 9, is_stale: true }); control.allow();"
         "told.stale = offered();",
     )
@@ -177,32 +221,41 @@ def test_a_button_is_offered_where_the_rig_can_take_it(page: Path) -> None:
         "active": "",
         "fault": "",
         "going": "",
+        "unseen": "arm",
         "stale": "",
     }
 
 
 def test_a_run_is_shown_with_its_progress_and_its_end(page: Path) -> None:
     going = {"is_going": True, "experiment": "step", "done": 30, "total": 120, "told": "t"}
+    file = {"file": "a.mcap", "finished": True, "outcome": "stopped by Ada"}
     ended = {"is_going": False, "experiment": "step", "done": 120, "total": 120, "verdict": "v"}
     told = _run(
         page,
+        "const rig = { phase: 'active', Ts: 0.1 }; control.showControl(rig);"
         "const say = () => [text('running-text'), text('running-told'),"
         " document.getElementById('progress').value, hidden('progress'), hidden('look')];"
         f"control.showRun({json.dumps(going)}); told.going = say();"
         f"control.showRun({json.dumps({**ended, 'recording': 'a.mcap'})}); told.ended = say();"
         f"control.showRun({json.dumps({**ended, 'error': 'stopped', 'recording': ''})});"
-        "told.stopped = say();",
+        "told.refused = say();"
+        f"control.showControl({{ ...rig, last_run: {json.dumps(file)} }});"
+        f"control.showRun({json.dumps({**ended, 'error': 'x', 'recording': 'a.mcap'})});"
+        "told.stopped = say();"
+        "control.showControl({ ...rig, reason: 'no answer' }); told.fault = say();",
     )
 
     assert told == {
-        "going": ["step: 30 of 120 samples", "t", 0.25, False, True],
+        "going": ["step: 9.0 s left", "t", 0.25, False, True],
         "ended": ["step is recorded: a.mcap", "v", 1, True, False],
-        "stopped": ["step failed: stopped", "v", 1, True, True],
+        "refused": ["step failed: stopped", "v", 1, True, True],
+        "stopped": ["step ended early, after 12 s: stopped by Ada", "v", 1, True, False],
+        "fault": ["step ended early, after 12 s: see the fault", "v", 1, True, False],
     }
 
 
 def test_another_recording_is_shown_in_its_whole_length(page: Path) -> None:
-    curves = {name: [[], [], []] for name in ("u", "theta_1", "alpha")}
+    curves = {name: [[], [], []] for name in ("u", "theta_1", "rate", "alpha")}
     found = {"seconds": 10, "summary": "", "usable": True, "about": [], "findings": [], "gaps": []}
     found |= {"notes": []}
     told = _run(

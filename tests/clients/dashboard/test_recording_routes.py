@@ -66,6 +66,7 @@ def test_the_newest_recordings_are_listed_first_and_the_damaged_ones_with_the_re
     told = json.loads(said)
     assert (status, told["folder"], told["count"]) == (200, str(folder), 4)
     assert [one["file"] for one in told["recordings"]] == ["a.mcap", "b.mcap", "c.mcap"]
+    assert [one["at"] for one in told["recordings"]] == ["@run-a", "@run-b", "@run-c"]
     assert [one["validation_of"] for one in told["recordings"]] == [None, "run-c", None]
     assert told["recordings"][0]["started"].startswith("2026-03-04T10")
     assert any(line.startswith("damaged: broken.mcap: ") for line in told["left_out"])

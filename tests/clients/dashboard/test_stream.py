@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 from collections.abc import AsyncIterator
 from contextlib import suppress
 
@@ -12,9 +13,13 @@ import pytest
 from armrig.dashboard.bins import COLUMNS, Rows
 from armrig.dashboard.driver import Driver, RunState
 from armrig.dashboard.feed import LATE_US, Feed
-from armrig.dashboard.stream import History, Stream, encoded, event
+from armrig.dashboard.stream import History, Stream, encoded, event, status_facts
 from armrig.dashboard.viewers import MOST_VIEWERS, TooManyViewersError, Viewer, Viewers
+from armrig_core.emulated import EMULATOR_UID
+from armrig_daemon.decisions.faults import REMEDIES, Id
+from msgspec.structs import replace
 
+from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import sample
 
 BEFORE = RunState(experiment="step", error="refused")
@@ -49,6 +54,22 @@ def test_a_run_that_is_over_before_the_next_turn_is_reported_as_over() -> None:
         return [message for message in told if message.startswith(b"event: run\n")]
 
     assert asyncio.run(heard()) == [event("run", GOING), event("run", BEFORE)]
+
+
+@pytest.mark.parametrize("fault", REMEDIES)
+def test_the_advice_for_an_emulated_rig_names_no_cable(fault: Id) -> None:
+    seen = FakeDaemon("there").status()
+    silent = {"device": {}, "line": "/tmp/tty: check the cable", "fault": fault}
+    found = {}
+    for uid in (EMULATOR_UID, 1):
+        feed = Feed()
+        feed.status = replace(seen, device={"uid": f"{uid:016x}"})
+        status_facts(feed)  # as a viewer receives it; the device is silent afterwards
+        feed.status = replace(seen, **silent, reason="silent", remedy=REMEDIES[fault])
+        found[uid] = status_facts(feed)
+
+    assert not re.search("cable|plug|supply|baud|/tty", json.dumps(found[EMULATOR_UID]))
+    assert (found[1]["remedy"], found[1]["line"]) == (REMEDIES[fault], silent["line"])
 
 
 def test_a_viewer_that_leaves_makes_room() -> None:

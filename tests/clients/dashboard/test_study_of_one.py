@@ -30,6 +30,16 @@ def test_a_part_without_a_sample_is_the_next_one_or_the_last(
     assert shown["u"][1] == shown["u"][2] == [pytest.approx(recording.u[k], abs=1e-4)]
 
 
+def test_the_mean_rate_is_the_angle_turned_in_the_time(
+    three_recordings: tuple[Path, Path, Path],
+) -> None:
+    recording = load(three_recordings[0])
+    t, rate, _ = curves(three_recordings[0], None, None)["rate"]
+    turned = np.degrees(np.nanmax(recording.theta_1) - np.nanmin(recording.theta_1))
+
+    assert np.nanmean(np.array(rate, float)) == pytest.approx(turned / t[-1], rel=0.05)
+
+
 def test_a_part_as_csv_has_the_page_s_quantities(three_recordings: tuple[Path, Path, Path]) -> None:
     path = three_recordings[0]
     recording = load(path)
@@ -116,6 +126,7 @@ def test_a_model_is_judged_on_data_that_it_has_not_seen(
     validated = u[half:] if is_alone else load(validation).u.tolist()
     assert seen == [estimated, estimated, validated]
     assert found["judged"] == judged
+    assert "Simulated on the validation data it fits to " in found["answer"]
     assert texts["residuals"].startswith("residuals on validation data")
     assert [texts[name] for name in ("why these orders", "advice")] == ["hints", "advice"]
     assert found["figures"] == [("Bode", "<svg/>")]

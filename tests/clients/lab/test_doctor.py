@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from armrig.cli import main
+from armrig.cli.options import folded
 from armrig.lab import doctor
 from armrig.lab.doctor import examine, is_well
 from armrig.lab.host import Granted, Host, HostCheck, preemption, probe, recordings_directory
@@ -269,6 +270,27 @@ def test_the_free_space_is_that_of_the_nearest_folder_that_exists(
     assert asked == [tmp_path]
 
 
+def test_a_brief_result_has_few_lines_and_the_remedies_of_an_ordinary_laptop(
+    tmp_path: Path,
+) -> None:
+    files = {
+        "sys/devices/system/cpu/cpu1/cpufreq/scaling_governor": "powersave",
+        "sys/kernel/debug/sched/preempt": "none (voluntary) full lazy",
+        "proc/sys/kernel/version": "#1 SMP PREEMPT_DYNAMIC Debian",
+    }
+    laptop: dict[str, Any] = {"fifo": False, "memory_lock": False}
+
+    few = doctor.brief(examine(host(tmp_path, files, **laptop)))
+    many = doctor.brief(examine(host(tmp_path, files, **laptop, groups=frozenset({"student"}))))
+
+    assert few.startswith("4 of 15 checks found an effect on the timing\nbad   SCHED_FIFO: not")
+    assert "LimitMEMLOCK=infinity" in few
+    assert len(folded(few, 80).splitlines()) < 14
+    assert "LimitMEMLOCK" not in many
+    assert len(folded(many, 80).splitlines()) < 14
+    assert many.splitlines()[-1].startswith("good  idle states, ")
+
+
 @pytest.mark.parametrize(("fifo", "code"), [(True, 0), (False, 1)])
 def test_the_exit_code_says_whether_all_is_well(
     tmp_path: Path,
@@ -281,6 +303,11 @@ def test_the_exit_code_says_whether_all_is_well(
     monkeypatch.setattr(doctor, "doctor", lambda *_: findings)
 
     assert main(["doctor"]) == code
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"{code or 'none'} of 15 checks found an effect on the timing"
+    assert lines[1].startswith("good  SCHED_FIFO, mlockall" if fifo else "bad   SCHED_FIFO: not")
+
+    assert main(["doctor", "-v"]) == code
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == len(findings)
     assert lines[0].startswith("good  SCHED_FIFO" if fifo else "bad   SCHED_FIFO")

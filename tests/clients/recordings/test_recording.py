@@ -147,8 +147,6 @@ def test_another_file_than_a_recording_is_refused_with_what_reads_it(
 ) -> None:
     with pytest.raises(FileError, match=rf"{name}: {why}"):
         load(written(tmp_path, content, name))
-    with pytest.raises(FileError, match="@run: only commands accept names with @"):
-        load("@run")
 
 
 def test_each_level_of_an_event_has_its_name(tmp_path: Path) -> None:

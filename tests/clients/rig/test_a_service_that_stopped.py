@@ -108,7 +108,7 @@ def test_a_program_is_notified_on_its_open_connection_and_on_a_new_one(service: 
 
     with pytest.raises(NoReplyError) as anew, Rig():
         pass
-    with pytest.raises(NoReplyError, match="start it with `armrig lab` or `armrigd run`"), Rig("2"):
+    with pytest.raises(NoReplyError, match="in another terminal: `armrig lab --rig 2`"), Rig("2"):
         pass
     assert (str(here.value), str(anew.value)) == (SAID, SAID)
 

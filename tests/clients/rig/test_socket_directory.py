@@ -108,7 +108,8 @@ def test_an_endpoint_that_is_given_is_the_user_s_own_choice(directory: Path) -> 
 def test_where_there_is_no_directory_nobody_answers(directory: Path) -> None:
     directory.rename(directory.with_name("elsewhere"))
 
-    with pytest.raises(NoReplyError, match="start it with `armrig lab` or `armrigd run`"), Rig():
+    missing = "no rig runs here; in another terminal: `armrig lab`"
+    with pytest.raises(NoReplyError, match=missing), Rig():
         pass
 
 
@@ -222,4 +223,4 @@ def test_a_rig_whose_daemon_is_gone_is_listed_with_the_reason(directory: Path) -
     assert where == "this machine"
     assert (there.rig, there.status is not None, there.why) == ("1", True, "")
     assert (gone.rig, gone.status) == ("0", None)
-    assert gone.why.startswith("no reply from rig 0 at ")
+    assert gone.why.startswith("no rig 0 runs here; ")

@@ -49,7 +49,6 @@ function roundedUp(x) {
 function drawMarks(u) {
   const { left, top, width, height } = u.bbox;
   u.ctx.save();
-  u.ctx.textAlign = "left";
   u.ctx.textBaseline = "alphabetic";
   u.ctx.font = `${11 * devicePixelRatio}px system-ui, DejaVu Sans, sans-serif`;
   for (const { x, kind } of u.marks ?? []) {
@@ -57,7 +56,10 @@ function drawMarks(u) {
     if (at < left || at > left + width) continue;
     u.ctx.fillStyle = colour(kind === "trip" ? "bad" : kind === "start" ? "good" : "soft");
     u.ctx.fillRect(at, top, devicePixelRatio, height);
-    if (u.namesMarks) u.ctx.fillText(kind, at + 4 * devicePixelRatio, top + 11 * devicePixelRatio);
+    if (!u.namesMarks) continue;
+    const isAtEnd = at > left + width - 40 * devicePixelRatio;
+    u.ctx.textAlign = isAtEnd ? "right" : "left";
+    u.ctx.fillText(kind, at + (isAtEnd ? -4 : 4) * devicePixelRatio, top + 11 * devicePixelRatio);
   }
   u.ctx.restore();
 }
@@ -102,7 +104,11 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
   const series = { stroke, width: size / 8, points: { show: false } };
   const range = (u, least, largest) => {
     if (u.wantedY) return u.wantedY;
-    if (signal.range) return [signal.range[0] - signal.pad, signal.range[1] + signal.pad];
+    if (u.most) {
+      const most = roundedUp(1.1 * u.most);
+      return [Math.min(-most / 6, least ?? 0), Math.max(most, largest ?? 0)];
+    }
+    if (signal.range) return [(u.isDifference ? -signal.range[1] : signal.range[0]) - signal.pad, signal.range[1] + signal.pad];
     if (least === null || !Number.isFinite(least)) return [-signal.least, signal.least];
     if (signal.isSymmetric) {
       const half = roundedUp(Math.max(signal.least / 2, -least, largest));
@@ -124,7 +130,7 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
       scales: { x: { time: false, range: (u, a, b) => u.wanted || [a, b] }, y: { range } },
       axes: [
         { ...axis, size: xLabel ? 18 + size : 8, splits: xSplits, values: (u, splits) => splits.map((x, i) => (xLabel ? xText(u, x, i === splits.length - 1 ? ` ${xLabel}` : "") : "")) },
-        { ...axis, size: 10 + 4.5 * size, space: 1.7 * size, values: withUnit, ...(signal.splits ? { splits: (u) => (u.wantedY ? fifths(u.wantedY) : size > 12 ? signal.fewSplits : signal.splits) } : {}) },
+        { ...axis, size: 10 + 4.5 * size, space: 1.7 * size, values: withUnit, ...(signal.splits ? { splits: (u) => (u.wantedY ? fifths(u.wantedY) : u.isDifference ? [-signal.range[1], 0, signal.range[1]] : signal.fewSplits && (size > 12 || u.height < 120) ? signal.fewSplits : signal.splits) } : {}) },
       ],
       series: [{}, ...pair(series), ...(compares ? pair({ ...series, stroke: () => colour("bad"), dash: [6, 4] }) : [])],
       hooks: {

@@ -2,7 +2,7 @@
 
 import { chart } from "./chart.js";
 import { askJson, attempt, byId, make, notice, owner, setText, show } from "./elements.js";
-import { isStale } from "./status.js";
+import { duration, isStale } from "./status.js";
 
 const LEVELS = ["low", "high"];
 const RANDOM = ["input", "seconds", ...LEVELS, "a", "seed"];
@@ -31,6 +31,7 @@ const MOST_FILE = 6 << 20;
 let shown = null; // the experiment in the preview
 let plot = null;
 let asking = new AbortController(); // aborts the newest request for a run
+let newest = { is_going: false, experiment: "" }; // run of this page
 let going = false;
 let status = {};
 let look = () => {};
@@ -45,7 +46,7 @@ export function setUpControl(lookAt) {
   const who = make("input", { id: "owner-name", maxLength: 80, required: true, value: localStorage.getItem("armrig-owner") || "dashboard" });
   who.addEventListener("change", () => localStorage.setItem("armrig-owner", who.value));
   form.append(make("label", { className: "wide" }, "your name, for others to read", who));
-  form.append(make("button", { id: "show", type: "submit", textContent: "Preview the experiment" }));
+  form.append(make("button", { id: "show", type: "submit", textContent: "Preview" }), make("button", { id: "run", type: "button", className: "go", textContent: "Run" }));
   kind.addEventListener("change", chooseKind);
   form.addEventListener("input", (event) => event.target !== who && forget());
   form.addEventListener("submit", (event) => {
@@ -79,8 +80,14 @@ function chooseKind() {
 }
 
 function forget() {
-  shown = null;
   show("preview", false);
+  offer(null);
+}
+
+// Offer the run of an experiment whose preview is shown; null for no experiment.
+export function offer(experiment) {
+  shown = experiment;
+  allow();
 }
 
 async function asked() {
@@ -103,20 +110,18 @@ async function asked() {
 async function preview() {
   const experiment = await asked();
   const found = await askJson("preview", experiment);
-  shown = experiment;
   show("preview", true);
   show("running", going);
-  const where = byId("preview-plot");
   plot?.destroy();
   const signal = { key: "u", unit: "V", range: [0, 5], pad: 0.3, splits: [0, 1, 2, 3, 4, 5] };
-  plot = chart(where, { signal, height: 130, xLabel: "s", stepped: true });
+  plot = chart(byId("preview-plot"), { signal, height: 130, xLabel: "s", stepped: true });
   plot.wanted = [0, found.seconds];
   plot.setData([found.t, found.u, found.u], true);
   setText("preview-told", unbroken(`${found.experiment}: ${found.N} samples, ${found.seconds.toPrecision(4) * 1} s at Ts = ${found.Ts} s.`));
   const lines = [`${found.rehearsal}.`];
   if (found.deviations.length) lines.push(`with the handout's parameters and the noise of the converter, the data would determine ${found.deviations.join(", ")}.`);
   byId("preview-lines").replaceChildren(...[...lines, ...found.notes].map((text) => make("li", { textContent: unbroken(text) })));
-  allow();
+  offer(experiment);
   byId("run").focus();
 }
 
@@ -128,6 +133,7 @@ async function run() {
   asking = new AbortController();
   await askJson("run", { owner: owner(), experiment: shown }, asking.signal);
   forget();
+  scrollTo({ top: 0 }); // the plots are at the top
 }
 
 // Abort the request for a run: if it waited for a connection, the run would begin after the stop.
@@ -148,33 +154,47 @@ async function release() {
 
 export function showControl(found) {
   status = found;
-  allow();
+  showRun(newest);
 }
 
 // A button is enabled only if the rig can take its command and sends data.
 export function allow() {
   const answers = !isStale() && !status.trouble;
-  byId("run").disabled = going || !answers || !["safe", "armed"].includes(status.phase);
+  byId("run").disabled = !shown || going || !answers || !["safe", "armed"].includes(status.phase);
   byId("arm").disabled = going || !answers || status.phase !== "safe";
   byId("release").disabled = going || status.phase !== "armed";
 }
 
 export function showRun(found) {
+  newest = found;
   going = found.is_going;
   allow();
+  showHeader();
   if (!found.experiment) return;
   show("running", true);
-  const share = found.total ? found.done / found.total : 0;
-  byId("progress").value = share;
+  byId("progress").value = found.total ? found.done / found.total : 0;
   show("progress", going);
-  const text = going
-    ? `${found.experiment}: ${found.done} of ${found.total || "…"} samples`
-    : found.error
-      ? `${found.experiment} failed: ${found.error}`
-      : `${found.experiment} is recorded: ${found.recording}`;
-  setText("running-text", text);
+  setText("running-text", runText(found));
   byId("running-text").className = found.error ? "bad-text" : "";
   setText("running-told", going ? found.told : found.verdict);
   show("look", !going && Boolean(found.recording));
   byId("look").dataset.file = found.recording;
+}
+
+function runText(run) {
+  if (run.is_going) return `${run.experiment}: ${run.total ? `${duration((run.total - run.done) * status.Ts)} left` : "starts"}`;
+  if (!run.error) return `${run.experiment} is recorded: ${run.recording}`;
+  if (!run.recording) return `${run.experiment} failed: ${run.error}`;
+  // The page shows a fault once, in the line of the fault.
+  const last = status.last_run;
+  const why = status.reason && !status.trouble ? "see the fault" : last?.finished && last.file === run.recording ? last.outcome : run.error;
+  return `${run.experiment} ended early, after ${duration(run.done * status.Ts)}: ${why}`;
+}
+
+// Show in the top line that a run is recorded; only a run of this page has a known end.
+function showHeader() {
+  const last = status.last_run?.finished === false ? status.last_run : null;
+  show("recording", last || going);
+  byId("recording").title = last?.file ?? "";
+  setText("recording-text", going ? runText(newest) : last ? `recording, ${duration(last.samples * status.Ts)}` : "");
 }

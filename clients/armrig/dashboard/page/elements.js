@@ -89,5 +89,27 @@ export async function attempt(does) {
   }
 }
 
+// Return a button that does something, and meanwhile shows for how long; a refusal is a notice.
+export function button(text, does, className = "") {
+  const made = make("button", { type: "button", textContent: text, className });
+  made.addEventListener("click", () =>
+    attempt(async () => {
+      made.disabled = true;
+      const began = Date.now();
+      const progress = () => (made.textContent = `${text} … ${Math.floor((Date.now() - began) / 1000)} s`);
+      progress();
+      const ticks = setInterval(progress, 500);
+      try {
+        await does();
+      } finally {
+        clearInterval(ticks);
+        made.textContent = text;
+        made.disabled = false;
+      }
+    }),
+  );
+  return made;
+}
+
 // Return the name of the user who sends commands from this page.
 export const owner = () => byId("owner-name")?.value.trim() || "dashboard";

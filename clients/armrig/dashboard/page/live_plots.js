@@ -4,20 +4,22 @@ import { chart } from "./chart.js";
 import { FIGURES_MS, byId, make, setText, show } from "./elements.js";
 import { onPlotKey } from "./live_keys.js";
 import { setUpSaving } from "./live_saving.js";
-import { SIGNALS } from "./live_signals.js";
+import { SIGNALS, valueText } from "./live_signals.js";
 import { KEPT_S, Rows } from "./rows.js";
+import { dated, isStale } from "./status.js";
 import { AXES, originOf } from "./time_axis.js";
 
 const SPANS = [5, 30, 300];
 const HEAD_PIXELS = 255; // width of the name and value next to a chart in the projector view
 
 // On a wide screen the four plots fill the height; on a phone they have the least readable height.
-const heightOf = (last) => (innerWidth > 900 ? Math.max(115, Math.min(210, (innerHeight - 330) / 4)) : 105) + (last ? 22 : 0);
+const heightOf = (last) => (innerWidth > 900 ? Math.max(85, Math.min(210, (innerHeight - 360) / 4)) : 88) + (last ? 22 : 0);
 
 export class LivePlots {
   constructor() {
     this.rows = new Rows();
     this.span = 30;
+    this.rateMost = 0; // rate that the largest voltage can cause, in °/s; 0 if it is not known
     this.frozen = null; // {zero, from, to} while zoomed
     this.cursorAt = null; // in s relative to the newest sample, as on the x axis
     this.toldAt = -FIGURES_MS; // time at which the values were last shown
@@ -47,7 +49,6 @@ export class LivePlots {
     byId("charts").replaceChildren();
     this.isLarge = isLarge;
     this.charts = SIGNALS.map((signal, i) => this.#made(signal, i === SIGNALS.length - 1));
-    this.values = SIGNALS.map((signal) => byId(`value-${signal.key}`));
     this.toldAt = -FIGURES_MS;
     this.draw();
   }
@@ -152,11 +153,11 @@ export class LivePlots {
     const marks = this.marks.map(({ t, kind }) => ({ x: t - zero, kind }));
     const origin = originOf(this.axis, zero, this.frozen ? this.shownAt : Date.now(), this.marks);
     this.charts.forEach((u, i) => {
-      Object.assign(u, { wanted: [from, to], marks, origin, namesMarks: i === 0 });
+      Object.assign(u, { wanted: [from, to], marks, origin, namesMarks: i === 0, most: SIGNALS[i].isRate ? this.rateMost : 0 });
       const pixels = u.bbox.width / devicePixelRatio;
       u.setData(this.rows.drawn(i, { from: zero + from, to: zero + to, pixels, zero, wraps: SIGNALS[i].wraps }), true);
     });
-    if (this.frozen || this.cursorAt !== null || performance.now() - this.toldAt >= FIGURES_MS) this.#tell();
+    this.tell();
     this.restUntil = 2 * performance.now() - began;
   }
 
@@ -165,26 +166,23 @@ export class LivePlots {
     this.#tell();
   }
 
+  // Show the values, at most five times a second.
+  tell() {
+    if (this.frozen || this.cursorAt !== null || performance.now() - this.toldAt >= FIGURES_MS) this.#tell();
+  }
+
   #tell() {
     this.toldAt = performance.now();
     const { zero } = this.seen;
     const pointed = this.cursorAt !== null;
     const t = pointed ? zero + this.cursorAt : zero;
     const row = this.rows.holding(t);
-    SIGNALS.forEach((signal, i) => {
-      const value = this.values?.[i];
-      if (!value || !this.rows.length) return;
-      const least = this.rows.at(row, 1 + 2 * i);
-      const largest = this.rows.at(row, 2 + 2 * i);
-      const text = row === null
-        ? "no data"
-        : Number.isNaN(least)
-          ? "not known"
-          : least === largest
-            ? `${least.toFixed(signal.digits)} ${signal.unit}`
-            : `${least.toFixed(signal.digits)} … ${largest.toFixed(signal.digits)} ${signal.unit}`;
-      if (value.textContent !== text) value.textContent = text;
+    const texts = SIGNALS.map((signal, i) => {
+      const known = row === null ? "no data" : valueText(signal, this.rows.at(row, 1 + 2 * i), this.rows.at(row, 2 + 2 * i));
+      return pointed ? known || "not known" : dated(known);
     });
+    SIGNALS.forEach(({ key }, i) => setText(`value-${key}`, texts[i]));
+    if (!pointed) setText("motion", `u ${texts[0]}, θ₁ ${texts[1]}`);
     const frozen = this.frozen ? "the plots are paused; the rig continues. " : "";
     setText("cursor", `${frozen}${pointed ? `cursor at ${this.cursorAt.toFixed(2)} s` : ""}`);
   }

@@ -7,7 +7,7 @@ import { ask, attempt, byId, notice, owner, setText, show, token } from "./eleme
 import { LivePlots } from "./live_plots.js";
 import { setUpNote, takesBlank } from "./note.js";
 import { listRecordings, setUpRecordings } from "./recordings.js";
-import { begin as beginStatus, setUpStatus, showBusy, showLive, showLost, showStatus, showTiming, rigStatus } from "./status.js";
+import { begin as beginStatus, dated, isStale, setUpStatus, showBusy, showLive, showLost, showStatus, showTiming, rigStatus } from "./status.js";
 import { Stream } from "./stream.js";
 
 const THEMES = ["system", "light", "dark"];
@@ -93,6 +93,10 @@ function begin() {
   addEventListener("keyup", onKey, true);
   document.addEventListener("visibilitychange", () => plots.wants());
   for (const tab of ["live", "recordings"]) byId(`tab-${tab}`).addEventListener("click", () => choose(tab));
+  const showAges = () => {
+    arm.setAge(isStale() ? dated(arm.text) : "");
+    if (isStale()) plots.tell();
+  };
   setUpStatus();
   setUpControl((file) => {
     choose("recordings");
@@ -118,6 +122,7 @@ function begin() {
         showLive(live);
         if (live.newest) arm.show(live.newest.theta_1, rigStatus().arm_removed ? 0 : live.newest.alpha);
         allow();
+        showAges();
         if (live.rows.length) {
           plots.rows.addLive(live.rows);
           plots.wants();
@@ -126,14 +131,16 @@ function begin() {
       status: (status) => {
         showStatus(status);
         showControl(status);
+        plots.rateMost = status.rate_max;
       },
       run: showRun,
       marks: (marks) => plots.setMarks(marks),
       timing: showTiming,
     },
-    (silence, why) => {
-      showLost(silence, why);
+    (why) => {
+      showLost(why);
       allow();
+      showAges();
     },
     showBusy,
   );

@@ -1,19 +1,36 @@
-// Model of one recording: its texts and figures.
+// Results of one recording: its model with texts and figures, and its report.
 
-import { askJson, byId, make } from "./elements.js";
+import { ask, askJson, byId, make, notice } from "./elements.js";
+import { save } from "./picture.js";
 
 // `simulated` is called with the model's name, its output signal, and its simulated curve.
 export async function identify(file, output, simulated) {
   const where = byId("model"); // element of this recording; the next recording has another element
-  where.replaceChildren(make("p", { textContent: "estimating …", role: "status" }));
   try {
     const found = await askJson("identify", { file, output });
+    if (!where.isConnected) return;
     showModel(where, found);
-    simulated(found.model, ...found.simulated);
+    await simulated(found.model, ...found.simulated);
   } catch (error) {
     // The data are plotted above, whether a model fits or not.
     where.replaceChildren(make("p", { className: "bad-text", role: "alert", textContent: `no model: ${error.message}` }));
   }
+  where.scrollIntoView({ block: "start" });
+}
+
+// Save the report as a PDF, and show its name.
+export async function report(file) {
+  const where = byId("reported");
+  const name = file.replace(/mcap$/, "pdf");
+  try {
+    const pdf = await (await ask("report", { file })).blob();
+    save(pdf, name);
+    notice(""); // the result names the file
+    where.replaceChildren(make("p", { className: "answer", textContent: `${name}: ${Math.ceil(pdf.size / 1000)} kB, saved by this browser` }));
+  } catch (error) {
+    where.replaceChildren(make("p", { className: "bad-text", role: "alert", textContent: `no report: ${error.message}` }));
+  }
+  where.scrollIntoView({ block: "center" });
 }
 
 function showModel(where, found) {
@@ -27,5 +44,5 @@ function showModel(where, found) {
     const part = make("details", { open: i === 0 || title === "advice" }, make("summary", { textContent: title }), make("pre", { textContent: text }));
     return part;
   });
-  where.replaceChildren(make("h2", { textContent: `${found.model}, judged on ${found.judged}` }), ...texts, make("div", { className: "figures" }, ...figures));
+  where.replaceChildren(make("p", { className: "answer", textContent: found.answer }), make("h2", { textContent: `${found.model}, judged on ${found.judged}` }), ...texts, make("div", { className: "figures" }, ...figures));
 }

@@ -1,24 +1,29 @@
 // One recording: its verdict, its curves with zoom, downloads.
 
 import { chart } from "./chart.js";
-import { ask, askJson, attempt, byId, make, notice, setText } from "./elements.js";
-import { aligned, chooser, curvesOf } from "./compared.js";
-import { identify } from "./model.js";
+import { ask, askJson, attempt, button, byId, make, notice, setText } from "./elements.js";
+import { aligned, chooser, curvesOf, differenceOf, legendOf, valuesText } from "./compared.js";
+import { identify, report } from "./model.js";
 import { save, savePng, saveSvg } from "./picture.js";
 import { Replay } from "./replay.js";
 
 const SIGNALS = [
   { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 3, splits: [0, 1, 2, 3, 4, 5] },
   { key: "theta_1", name: "θ₁, turns counted", unit: "°", range: null, least: 1, digits: 2 },
+  { key: "rate", name: "rate of θ₁", unit: "°/s", range: null, least: 10, digits: 0 },
   { key: "alpha", name: "α", unit: "°", range: null, least: 1, digits: 2 },
 ];
 
 let chosen = ""; // the file
+let name = ""; // its @name
 let seconds = 0;
 let seen = null; // [from, to] in s while zoomed
 let charts = [];
 let others = []; // other recordings for a comparison, as {file, text}
-let over = null; // curves drawn over this recording's: {name, file} or {name, signal, curve}
+let own = {}; // curves of this recording by signal, [x, least, largest]
+let over = null; // source drawn over this recording: {name, file} or {name, signal, curve}
+let overCurves = {}; // its curves by signal
+let isDifference = false; // the charts show the second source minus the first
 let request = 0; // number of the newest request for curves; older answers are ignored
 
 export const setUpRecording = () => new ResizeObserver(resize).observe(byId("one"));
@@ -26,7 +31,8 @@ export const setUpRecording = () => new ResizeObserver(resize).observe(byId("one
 export async function look(file, list = []) {
   chosen = file;
   others = list.filter((one) => one.file !== file);
-  over = null;
+  name = list.find((one) => one.file === file)?.text ?? file;
+  [over, overCurves, isDifference] = [null, {}, false];
   request += 1; // curves that arrive late are of another recording
   for (const one of charts) one.destroy();
   charts = [];
@@ -41,26 +47,29 @@ export async function look(file, list = []) {
   if (file !== chosen) return;
   seconds = found.seconds;
   seen = null;
-  const heading = make("h2", { textContent: file });
+  const heading = make("h2", { textContent: name, title: file });
   const verdict = make("p", { className: rank(found), textContent: found.summary });
   const facts = make("dl", {}, ...pairs(found.about));
+  // The verdict on usable data contains the findings.
   const findings = make(
     "ul",
     {},
-    ...found.findings.filter(([level]) => level !== "good").map(([level, about, text]) => make("li", { className: level === "unusable" ? "bad-text" : "warn-text", textContent: `${about}: ${text}` })),
+    ...found.findings.filter(([level]) => level !== "good" && !found.usable).map(([level, about, text]) => make("li", { className: level === "unusable" ? "bad-text" : "warn-text", textContent: `${about}: ${text}` })),
   );
   const gaps = found.gaps.map(([t, count, reason]) => make("li", { textContent: `${t.toFixed(2)} s: ${count} samples missing: ${reason}` }));
   const notes = found.notes.map(([t, owner, text]) => make("li", {}, `${t.toFixed(2)} s, ${owner}: ${text}`));
   if (found.more_notes) notes.push(make("li", { textContent: `${found.more_notes} more; \`armrig info --verbose\` lists them` }));
   const where = make("div", { id: "curves" });
-  const replay = new Replay(charts, () => seen || [0, seconds]);
+  const replay = new Replay(charts, () => own, () => seen || [0, seconds]);
   const section = (title, items) => (items.length ? [make("h3", { textContent: title }), make("ul", {}, ...items)] : []);
   const about = [make("h3", { textContent: "Details" }), facts];
-  byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { className: "hint", id: "seen" }), where, replay.element, ...section("Notes", notes), ...about, ...section("Missing samples", gaps), make("div", { id: "model" }));
+  byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { id: "legend", hidden: true }), make("p", { className: "hint", id: "seen" }), where, make("div", { id: "model" }), make("div", { id: "reported" }), replay.element, ...section("Notes", notes), ...about, ...section("Missing samples", gaps));
   charts.push(...SIGNALS.map((signal, i) => curve(where, signal, i === SIGNALS.length - 1)));
   charts.forEach((u, i) => Object.assign(u, { marks: found.notes.map(([x]) => ({ x, kind: "note" })), namesMarks: i === 0 }));
   where.addEventListener("dblclick", () => attempt(() => zoom(null)));
-  draw(found.curves);
+  own = found.curves;
+  draw();
+  byId("one").scrollIntoView({ block: "nearest" }); // on a phone the recording is below the list
 }
 
 const rank = (found) => {
@@ -76,38 +85,43 @@ function buttons() {
   return make(
     "p",
     { className: "tools" },
-    button("Download MCAP", () => download("mcap", { file: chosen }, chosen)),
-    button("CSV of what is seen", () => download("csv", { file: chosen, ...(seen ? { start: seen[0], stop: seen[1] } : {}) }, chosen.replace(/mcap$/, "csv"))),
-    button("Picture, PNG", () => savePng(seenCharts(), pictureTitle(), chosen.replace(/\.mcap$/, ""))),
-    button("Picture, SVG", () => saveSvg(seenCharts(), pictureTitle(), chosen.replace(/\.mcap$/, ""))),
-    button("Whole length", () => zoom(null)),
-    chooser(others, (file) => attempt(() => lay(file ? { file, name: file } : null))),
+    chooser(others, (file) => attempt(() => lay(file ? { file, name: others.find((one) => one.file === file).text } : null))),
+    makeDifference(),
     output,
     button("Identify", () => identify(chosen, output.value, layModel), "go"),
-    button("Report", () => download("report", { file: chosen }, chosen.replace(/mcap$/, "pdf"))),
+    button("Report", () => report(chosen)),
+    make(
+      "span",
+      { className: "together", role: "group", "aria-label": "Save" },
+      button("MCAP", () => download("mcap", { file: chosen }, chosen)),
+      button("CSV", () => download("csv", { file: chosen, ...(seen ? { start: seen[0], stop: seen[1] } : {}) }, chosen.replace(/mcap$/, "csv"))),
+      button("PNG", () => savePng(seenCharts(), pictureTitle(), chosen.replace(/\.mcap$/, ""))),
+      button("SVG", () => saveSvg(seenCharts(), pictureTitle(), chosen.replace(/\.mcap$/, ""))),
+    ),
+    Object.assign(button("Whole length", () => zoom(null)), { id: "whole" }),
   );
 }
 
-const dashed = () => (over ? `; dashed: ${over.name}` : "");
+const overText = () => (!over ? "" : isDifference ? `; ${over.name} minus ${name}` : `; dashed: ${over.name}`);
 
-const pictureTitle = () => `${chosen}${dashed()}`;
+const pictureTitle = () => `${chosen}${overText()}`;
+
+function makeDifference() {
+  const made = button("Difference", () => {
+    isDifference = !isDifference;
+    for (const one of charts) one.wantedY = null;
+    draw();
+  });
+  return Object.assign(made, { id: "difference", title: "Show the dashed curve minus the other curve", hidden: true });
+}
+
+function showLegend() {
+  byId("legend").replaceChildren(...legendOf(name, over?.name, isDifference));
+  for (const id of ["legend", "difference"]) byId(id).hidden = !over;
+  byId("difference").setAttribute("aria-pressed", String(isDifference));
+}
 
 const seenCharts = () => charts.map((u, i) => ({ u, signal: SIGNALS[i] }));
-
-function button(text, does, className = "") {
-  const made = make("button", { type: "button", textContent: text, className });
-  made.addEventListener("click", () =>
-    attempt(async () => {
-      made.disabled = true;
-      try {
-        await does();
-      } finally {
-        made.disabled = false;
-      }
-    }),
-  );
-  return made;
-}
 
 function curve(where, signal, last) {
   const value = make("span", { className: "value" });
@@ -121,17 +135,8 @@ function curve(where, signal, last) {
     compares: true,
     stepped: signal.key === "u",
     onZoom: (from, to) => attempt(() => zoom([Math.max(0, from), Math.min(seconds, Math.max(to, from + 0.01))])),
-    onCursor: (x, u) => (value.textContent = valueAt(u, signal, x)),
+    onCursor: (x) => (value.textContent = x === null ? "" : valuesText(signal, own[signal.key], overCurves[signal.key], x)),
   });
-}
-
-function valueAt(u, signal, x) {
-  let i = u.cursor.idx;
-  if (x === null || i === null || i === undefined) return "";
-  while (i > 0 && u.data[1][i] === undefined) i -= 1; // skip the points of the other curve
-  if (u.data[1][i] == null) return "";
-  const [least, largest] = [u.data[1][i], u.data[2][i]].map((value) => value.toFixed(signal.digits));
-  return `${least === largest ? least : `${least} … ${largest}`} ${signal.unit} at ${u.data[0][i].toFixed(3)} s`;
 }
 
 async function zoom(range) {
@@ -140,28 +145,33 @@ async function zoom(range) {
   const part = range || [0, seconds];
   const [found, other] = await Promise.all([curvesOf(chosen, part), over?.file ? curvesOf(over.file, part) : null]);
   if (mine !== request) return;
-  seen = range;
-  draw(found, other);
+  [seen, own] = [range, found];
+  overCurves = over?.file ? other : over ? { [over.signal]: over.curve } : {};
+  draw();
 }
 
 // Draw another recording, a model or nothing over the curves.
 async function lay(what) {
   over = what;
+  isDifference &&= Boolean(what);
   await zoom(seen);
 }
 
-async function layModel(name, signal, curve) {
+async function layModel(model, signal, curve) {
   byId("compared").value = "";
-  await lay({ name, signal, curve });
+  await lay({ name: model, signal, curve });
 }
 
-function draw(found, other) {
-  const overOf = (key) => (over?.file ? other?.[key] : over?.signal === key ? over.curve : null);
+function draw() {
   const [from, to] = seen || [0, seconds];
-  setText("seen", (seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are shown; double-click for the whole length` : "drag across a plot or turn the wheel to zoom in time; turn the wheel with Shift to move, with Alt to zoom the values") + dashed());
-  SIGNALS.forEach((signal, i) => {
-    charts[i].wanted = [from, to];
-    charts[i].setData(aligned(found[signal.key], overOf(signal.key)), true);
+  setText("seen", seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are shown; double-click for the whole length` : "drag across a plot or turn the wheel to zoom in time; turn the wheel with Shift to move, with Alt to zoom the values");
+  byId("whole").hidden = !seen;
+  showLegend();
+  SIGNALS.forEach(({ key }, i) => {
+    Object.assign(charts[i], { wanted: [from, to], isDifference });
+    const [first, second] = [own[key], overCurves[key]];
+    const isHidden = isDifference && !second;
+    charts[i].setData(isHidden ? aligned([[], [], []]) : isDifference ? aligned(differenceOf(first, second, key === "u")) : aligned(first, second), true);
   });
 }
 
@@ -171,7 +181,7 @@ function resize() {
   for (const one of charts) if (one.width !== width) one.setSize({ width, height: one.height });
 }
 
-async function download(what, body, name) {
-  notice(what === "report" ? "typesetting the report …" : `fetching ${name} …`);
-  save(await (await ask(what, body)).blob(), name);
+async function download(what, body, file) {
+  notice(`fetching ${file} …`);
+  save(await (await ask(what, body)).blob(), file);
 }

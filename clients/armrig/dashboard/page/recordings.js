@@ -4,20 +4,17 @@ import { askJson, attempt, byId, make, setText } from "./elements.js";
 import { look, setUpRecording } from "./recording.js";
 
 const COLUMNS = [
-  { title: "recording", of: (one) => nameOf(one) },
-  { title: "id", of: (one) => one.run_id },
+  { title: "recording", of: (one) => one.at },
   { title: "started", of: (one) => Date.parse(one.started) || 0, first: -1 },
   { title: "length", of: (one) => one.seconds, first: -1 },
   { title: "missing", of: (one) => one.missing, first: -1 },
 ];
-const ID_LETTERS = 8; // as `armrig ls` shows them
 
 let chosen = ""; // the file
 let found = { recordings: [], left_out: [] };
-let sorted = { column: COLUMNS[2], way: -1 };
+let sorted = { column: COLUMNS[1], way: -1 };
 
-const nameOf = (one) => `${one.experiment}${one.name ? ` ${one.name}` : ""}${one.validation ? ", validation" : ""}`;
-const idOf = (one) => `@${(one.run_id || "").slice(0, ID_LETTERS)}`;
+const kindOf = (one) => `${one.experiment}${one.validation ? ", validation" : ""}`;
 
 export function setUpRecordings() {
   byId("again").addEventListener("click", () => attempt(() => listRecordings()));
@@ -35,7 +32,7 @@ export async function listRecordings(file) {
 
 function fill() {
   const words = byId("filter").value.toLowerCase().split(/\s+/);
-  const text = (one) => [nameOf(one), idOf(one), one.started, one.outcome, one.file].join(" ").toLowerCase();
+  const text = (one) => [one.at, kindOf(one), one.run_id, one.started, one.outcome, one.file].join(" ").toLowerCase();
   const { column, way } = sorted;
   const order = (a, b) => way * (column.of(a) < column.of(b) ? -1 : column.of(a) > column.of(b) ? 1 : 0);
   const rows = found.recordings.filter((one) => words.every((word) => text(one).includes(word))).sort(order);
@@ -54,33 +51,29 @@ function head(column, i) {
     sorted = { column, way: isSorted ? -sorted.way : (column.first ?? 1) };
     fill();
   });
-  return make("th", { className: i > 1 ? "n" : "", "aria-sort": isSorted ? (sorted.way > 0 ? "ascending" : "descending") : "none" }, button);
+  return make("th", { className: i > 0 ? "n" : "", "aria-sort": isSorted ? (sorted.way > 0 ? "ascending" : "descending") : "none" }, button);
 }
 
 function row(one) {
-  const button = make("button", { type: "button", textContent: nameOf(one), title: one.file });
+  const button = make("button", { type: "button", textContent: one.at, title: `${one.at}, ${one.file}` });
   button.addEventListener("click", () => attempt(() => choose(one.file)));
   button.dataset.file = one.file;
-  // The view of one recording shows the reason; in the list, many rows may have the same reason.
-  const early = one.outcome_code === "complete" ? "" : make("div", { className: "warn-text", textContent: "ended early", title: one.outcome });
+  const kind = make("span", { className: "kind", textContent: kindOf(one) });
+  const early = one.outcome_code === "complete" ? [] : [make("div", { className: "warn-text early", textContent: `ended early: ${one.outcome}`, title: one.outcome })];
   return make(
     "tr",
     {},
-    make("td", {}, button, early),
-    make("td", { className: "id", textContent: idOf(one) }),
-    make("td", { title: one.started, className: "n time" }, ...time(one.started)),
+    make("td", {}, button, " ", kind, ...early),
+    make("td", { title: one.started, className: "n", textContent: `${one.started.slice(0, 10)} ${one.started.slice(11, 16)}` }),
     make("td", { className: "n", textContent: `${one.seconds.toPrecision(4) * 1} s` }),
     make("td", { className: `n ${one.missing ? "warn-text" : ""}`, textContent: one.missing }),
   );
 }
 
-// Return day and time; the line may break only between them.
-const time = (iso) => [make("span", { textContent: iso.slice(0, 10) }), " ", make("span", { textContent: iso.slice(11, 16) })];
-
 async function choose(file) {
   chosen = file;
   mark();
-  await look(file, found.recordings.map((one) => ({ file: one.file, text: `${nameOf(one)} ${idOf(one)}` })));
+  await look(file, found.recordings.map((one) => ({ file: one.file, text: one.at })));
 }
 
 function mark() {

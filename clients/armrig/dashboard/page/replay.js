@@ -1,12 +1,14 @@
 // Replay of a recording on the page: the cursor moves over the curves, and the drawn arm moves, too.
 
 import { ArmDrawing } from "./arm.js";
+import { valuesAt } from "./compared.js";
 import { make } from "./elements.js";
 
 export class Replay {
-  // charts: the charts of u, θ₁ and α; range: returns the visible range [from, to] in s.
-  constructor(charts, range) {
+  // charts: the charts; curves: returns the curves by signal; range: returns the visible range [from, to] in s.
+  constructor(charts, curves, range) {
     this.charts = charts;
+    this.curves = curves;
     this.range = range;
     this.speed = 0; // 0 at rest
     this.t = null;
@@ -44,19 +46,7 @@ export class Replay {
     const left = this.charts[0].valToPos(this.t, "x");
     for (const u of this.charts) u.setCursor({ left, top: 10 });
     this.time.textContent = `${this.t.toFixed(2)} s`;
-    this.arm.show(this.#value(1), this.#value(2));
-  }
-
-  // Return the value of a chart at the time of the replay; null if the value is unknown.
-  #value(chart) {
-    const [x, low] = this.charts[chart].data;
-    let [a, b] = [0, x.length];
-    while (b - a > 1) {
-      const middle = (a + b) >> 1;
-      if (x[middle] <= this.t) a = middle;
-      else b = middle;
-    }
-    while (low[a] === undefined && a > 0) a -= 1; // skip the points of the other curve
-    return low[a] ?? null;
+    const [theta_1, alpha] = ["theta_1", "alpha"].map((key) => valuesAt(this.curves()[key], this.t)?.[0] ?? null);
+    this.arm.show(theta_1, alpha);
   }
 }

@@ -12,6 +12,8 @@ let leastLate = Infinity; // least arrival time of a message minus its sending t
 let arrived = performance.now();
 let agedAt = -FIGURES_MS; // time at which the age was last shown
 let stale = true;
+let lost = ""; // reason why the dashboard's server sends nothing
+let [rowsOf, rowsStale] = [null, null]; // status that the rows show
 
 export const rigStatus = () => status;
 
@@ -25,30 +27,39 @@ export function showStatus(found) {
   const title = found.rig ? `rig ${found.rig}` : "armrig";
   setText("title", title);
   setText("owner", found.owner || "nobody");
-  const faulty = Boolean(found.reason);
-  show("fault", faulty);
-  if (faulty) {
-    setText("fault-name", `Fault ${found.fault}:`);
-    setText("fault-reason", found.reason);
-    setText("fault-remedy", found.remedy || "correct the cause");
-  }
-  const run = found.last_run;
-  const going = Boolean(run && !run.finished);
-  show("recording", going);
-  if (going) setText("recording-text", `recording ${run.file}, ${run.samples} samples`);
-  const rows = (wanted) => found.rows.filter(([name]) => FIRST.includes(name) === wanted).flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", { textContent: value })]);
-  byId("status").replaceChildren(...rows(true));
-  byId("status-all").replaceChildren(...rows(false));
-  showPhase();
+  setText("fault-name", `Fault ${found.fault}:`);
+  setText("fault-reason", found.reason || "");
+  setText("fault-remedy", found.remedy || "correct the cause");
+  showState();
 }
 
-function showPhase() {
-  const phase = byId("phase");
-  const name = stale ? "stale" : status.phase || "init";
-  setText("phase", stale ? "no data" : name);
-  phase.className = `pill ${name}`;
+// Show one message for one cause: the connection, then the fault, then the line to the device.
+function showState() {
+  const isLost = stale && Boolean(lost || status.trouble);
+  const isFault = Boolean(status.reason) && !isLost;
+  const name = isFault ? "fault" : stale ? "stale" : status.phase || "init";
+  const said = name === "stale" ? "no data" : name;
+  setText("phase", said);
+  byId("phase").className = `pill ${name}`;
   document.body.classList.toggle("is-stale", stale);
-  document.title = `${stale ? "no data" : name}${status.rig ? ` · rig ${status.rig}` : ""} · armrig`;
+  document.title = `${said}${status.rig ? ` · rig ${status.rig}` : ""} · armrig`;
+  show("fault", isFault);
+  show("stale", stale && !isFault);
+  if (stale) {
+    const what = total() === null ? "No data from the rig yet" : `No data from the rig for ${seconds(total())}`;
+    setText("stale-what", status.phase ? `${what}; the last phase was ${status.phase}.` : `${what}.`);
+    setText("stale-why", lost || status.trouble || status.line || "");
+  }
+  if (rowsOf !== status || rowsStale !== stale) showRows();
+}
+
+// Without data from the rig, the voltage of the motor is not known.
+function showRows() {
+  [rowsOf, rowsStale] = [status, stale];
+  const text = ([name, value]) => (name === "motor" && stale ? "not known" : value);
+  const rows = (wanted) => status.rows.filter(([name]) => FIRST.includes(name) === wanted).flatMap((row) => [make("dt", { textContent: row[0] }), make("dd", { textContent: text(row) })]);
+  byId("status").replaceChildren(...rows(true));
+  byId("status-all").replaceChildren(...rows(false));
 }
 
 export function showLive(live) {
@@ -56,11 +67,20 @@ export function showLive(live) {
   const before = arrived;
   arrived = performance.now();
   age = live.age_s === null ? null : live.age_s + delay(live.at_s, (arrived - before) / 1000);
-  setStale(live.is_stale, age === null ? "No data from the rig yet" : `No data from the rig for ${seconds(age)}`, status.trouble || status.line);
-  if (isCalm && arrived - agedAt < FIGURES_MS) return;
-  agedAt = arrived;
-  setText("age", age === null ? "none yet" : `${seconds(age)} old`);
+  setStale(live.is_stale, "");
+  if (!isCalm || arrived - agedAt >= FIGURES_MS) showAge();
 }
+
+function showAge() {
+  agedAt = performance.now();
+  setText("age", total() === null ? "none yet" : `${seconds(total())} old`);
+}
+
+// Return the age of the newest sample, in s; null if there is no sample.
+const total = () => (age === null ? null : age + (performance.now() - arrived) / 1000);
+
+// Return the text of a value, "" if it is not known; without fresh data, the last value with its age.
+export const dated = (text) => (!text || age === null ? "not known" : stale ? `last: ${text}, ${total().toFixed(1)} s ago` : text);
 
 // Return the delay of a message in a slow network, in s, relative to the fastest message.
 function delay(at, since) {
@@ -69,10 +89,9 @@ function delay(at, since) {
   return late - leastLate;
 }
 
-export function showLost(silence, why) {
-  const total = age === null ? null : age + (performance.now() - arrived) / 1000;
-  setText("age", total === null ? "none yet" : `${seconds(total)} old`);
-  setStale(true, total === null ? "No data yet" : `No data for ${seconds(total)}`, why);
+export function showLost(why) {
+  showAge();
+  setStale(true, why);
 }
 
 // Report that this browser was too slow to draw.
@@ -82,16 +101,13 @@ export function showBusy(late) {
 
 const seconds = (s) => (s < 10 ? `${s.toFixed(2)} s` : `${Math.round(s)} s`);
 
-function setStale(now, what, why) {
-  show("stale", now);
-  if (now) {
-    setText("stale-what", status.phase ? `${what}; the last phase was ${status.phase}.` : `${what}.`);
-    setText("stale-why", why || "");
-  }
-  if (now !== stale) {
-    stale = now;
-    showPhase();
-  }
+// Return a length of time as text.
+export const duration = (s) => (s < 10 ? `${s.toFixed(1)} s` : s < 100 ? `${Math.round(s)} s` : `${Math.floor(s / 60)} min ${Math.floor(s % 60)} s`);
+
+function setStale(now, why) {
+  const isNew = now !== stale || why !== lost;
+  [stale, lost] = [now, why];
+  if (isNew || now) showState();
 }
 
 export const isStale = () => stale;

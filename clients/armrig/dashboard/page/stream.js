@@ -11,7 +11,7 @@ const LOST_MS = 5000; // after this silence the stream is opened again; also lim
 export class Stream {
   constructor(handlers, lost, busy) {
     this.handlers = handlers;
-    this.lost = lost; // called repeatedly while no message arrives, with the silence in ms and a reason
+    this.lost = lost; // called repeatedly with a reason while no message arrives
     this.busy = busy; // called with the lateness of this browser in ms
     this.looked = performance.now();
     this.heard = performance.now();
@@ -35,7 +35,7 @@ export class Stream {
     // If this browser was late, unread messages may be waiting, so the server need not be silent.
     if (late > BUSY_MS) return document.hidden ? undefined : this.busy(late);
     if (this.silence > SILENT_MS) {
-      this.lost(this.silence, this.why || "the dashboard's server is silent");
+      this.lost(this.why || "the dashboard's server is silent");
       if (Math.min(this.silence, performance.now() - this.opened) > LOST_MS) this.open();
     }
   }

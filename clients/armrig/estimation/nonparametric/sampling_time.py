@@ -93,8 +93,10 @@ class SamplingTime:
     """Frequency response (of the rate if y integrates)."""
     source: str
     """Hash of the recording, or ""."""
+    doubts: tuple[str, ...]
+    """Notes that make the recommendation doubtful."""
     notes: tuple[str, ...]
-    """Notes about the reliability of the recommendation."""
+    """Notes about the recommendation; `doubts` are the first of these notes."""
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return the figure of step response and spectrum (`armrig.plots.plot_sampling_time`)."""
@@ -108,6 +110,10 @@ class SamplingTime:
         from armrig.plots.notebook import html
 
         return html(self)
+
+    def brief(self) -> str:
+        """Return the recommendation, the result of each rule, and the doubts, as text."""
+        return "\n".join([*repr(self).splitlines()[:4], *(f"  {note}" for note in self.doubts)])
 
     def __repr__(self) -> str:
         """Return the recommendation with its reasons as text."""
@@ -218,6 +224,11 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     Ts = nearest_125(min(rules) if seen else data.Ts / SPEED_UP)
     omega, power = _power(data, integrates=integrates)
     near = _share(omega, power, NYQUIST_SHARE * np.pi / data.Ts)
+    of = data.output if integrates else ""
+    doubts = (
+        *(steps.warnings if steps else decided.notes),
+        *_doubts(Ts, data.Ts, last, near, seen=seen, of=of),
+    )
     return SamplingTime(
         Ts=Ts,
         tau=tau,
@@ -241,12 +252,8 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         spectrum=estimate,
         power=power / power.max(),
         source=data.source,
-        notes=(
-            *(steps.warnings if steps else decided.notes),
-            *_notes(
-                Ts, data.Ts, rules, last, near, seen=seen, of=data.output if integrates else ""
-            ),
-        ),
+        doubts=doubts,
+        notes=(*doubts, *(_reasons(Ts, data.Ts, rules, near, of=of) if seen else ())),
     )
 
 
@@ -399,17 +406,10 @@ def _share(omega: Vector, power: Vector, above: float) -> float:
     return float(np.sum(power[omega > above]) / np.sum(power))
 
 
-def _notes(
-    Ts: float,
-    now: float,
-    rules: tuple[float, float, float],
-    bandwidth: float,
-    near: float,
-    *,
-    seen: bool,
-    of: str,
+def _doubts(
+    Ts: float, now: float, bandwidth: float, near: float, *, seen: bool, of: str
 ) -> Iterator[str]:
-    """Yield notes on the recommendation; `of` is the output whose rate was analysed, or ""."""
+    """Yield the reasons to record again; `of` is the output whose rate was analysed, or ""."""
     if not seen:
         yield (
             f"63 % is reached within one sample of {times(now)}, so the data do not determine the "
@@ -417,6 +417,22 @@ def _notes(
             "ends within a sample, any Ts is suitable"
         )
         return
+    if bandwidth > 0.4 * np.pi / now:
+        yield (
+            f"the bandwidth is {100 * bandwidth * now / np.pi:.0f} % of these data's Nyquist "
+            f"frequency: record at {times(now / SPEED_UP)} and repeat the analysis"
+        )
+    if near > MIN_ALIASING_SHARE and not (of and near < MOST_DIFFERENCED):
+        yield (
+            f"{100 * near:.2g} % of the power is near Nyquist: noise or aliasing; compare with a "
+            "faster recording before you trust the spectrum"
+        )
+
+
+def _reasons(
+    Ts: float, now: float, rules: tuple[float, float, float], near: float, *, of: str
+) -> Iterator[str]:
+    """Yield the reasons for the recommendation; `of` as for `_doubts`."""
     names = ("the step's time constant", "the spectrum's bandwidth", "the transient")
     least, most = int(np.argmin(rules)), int(np.argmax(rules))
     yield (
@@ -428,21 +444,11 @@ def _notes(
             f"the rules differ by a factor {rules[most] / rules[least]:.2g}: the response rises "
             "fast and settles slowly, and the fast part decides"
         )
-    if bandwidth > 0.4 * np.pi / now:
-        yield (
-            f"the bandwidth is {100 * bandwidth * now / np.pi:.0f} % of these data's Nyquist "
-            f"frequency: record at {times(now / SPEED_UP)} and repeat the analysis"
-        )
-    if near > MIN_ALIASING_SHARE and of and near < MOST_DIFFERENCED:
+    if of and MIN_ALIASING_SHARE < near < MOST_DIFFERENCED:
         yield (
             f"{100 * near:.2g} % of the power is near Nyquist. White noise of {of}, "
             f"differenced for the rate, has {100 * DIFFERENCED:g} % of its power there at any Ts, "
             "so a faster recording does not lower this share"
-        )
-    elif near > MIN_ALIASING_SHARE:
-        yield (
-            f"{100 * near:.2g} % of the power is near Nyquist: noise or aliasing; compare with a "
-            "faster recording before you trust the spectrum"
         )
     if Ts < now:
         yield "the recommended Ts is below the data's Ts; the data show nothing above their Nyquist"

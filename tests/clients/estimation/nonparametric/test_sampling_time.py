@@ -15,8 +15,9 @@ from armrig.estimation.nonparametric.sampling_time import (
     SamplingTime,
     _bandwidth,
     _dead_time,
+    _doubts,
     _from_impulse,
-    _notes,
+    _reasons,
     _settled_steps,
     nearest_125,
     sampling_time,
@@ -210,7 +211,7 @@ def _found(**of: Any) -> SamplingTime:
         "Ts_transient": (0.0412, 0.0589), "near_nyquist": 0.023, "beyond": 0.0007,
         "from_step": True, "recorded_at": 0.002, "output": "the rate of theta_1", "t": np.zeros(2),
         "response": np.zeros(2), "gain": 1.0, "omega": np.zeros(2), "power": np.zeros(2),
-        "spectrum": None, "source": "", "notes": ("one", "two"),
+        "spectrum": None, "source": "", "doubts": ("one",), "notes": ("one", "two"),
     }  # fmt: skip
     return SamplingTime(**(fields | of))
 
@@ -230,6 +231,7 @@ def test_the_recommendation_is_told_line_by_line() -> None:
         "  one",
         "  two",
     ]
+    assert _found().brief().replace("\xa0", " ").splitlines() == [*lines[:4], "  one"]
 
 
 @pytest.mark.parametrize(
@@ -272,12 +274,16 @@ NOTES: list[tuple[dict[str, Any], list[str]]] = [
 
 @pytest.mark.parametrize(("of", "told"), NOTES)
 def test_notes_have_their_limits_and_numbers(of: dict[str, Any], told: list[str]) -> None:
-    fields = {
+    fields: dict[str, Any] = {
         "Ts": 0.02, "now": 0.01, "rules": (0.03, 0.021, 0.04), "bandwidth": 50.0, "near": 0.01,
         "seen": True, "of": "",
     } | of  # fmt: skip
 
-    first, *notes = [x.replace("\xa0", " ") for x in _notes(**fields)]
+    bandwidth, seen = fields.pop("bandwidth"), fields.pop("seen")
+    known = {name: fields[name] for name in ("Ts", "now", "near", "of")}
+    doubts = list(_doubts(bandwidth=bandwidth, seen=seen, **known))
+    first, *notes = [x.replace("\xa0", " ") for x in _reasons(**fields)]
+    notes = [x.replace("\xa0", " ") for x in doubts] + notes
 
     names = ("the step's time constant", "the spectrum's bandwidth", "the transient")
     least = int(np.argmin(fields["rules"]))
@@ -285,7 +291,7 @@ def test_notes_have_their_limits_and_numbers(of: dict[str, Any], told: list[str]
     assert first.startswith(f"the shortest time decides, {decides}, rounded to ")
     assert len(notes) == len(told)
     assert all(note.startswith(text) for note, text in zip(notes, told, strict=True))
-    [unseen] = _notes(**(fields | {"seen": False}))
+    [unseen] = _doubts(bandwidth=bandwidth, seen=False, **known)
     assert unseen.replace("\xa0", " ").startswith("63 % is reached within one sample of 10 ms, so")
 
 

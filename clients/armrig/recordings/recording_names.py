@@ -1,0 +1,150 @@
+"""Names of recordings: `@last`, `@NAME` and `@NAME/validation`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
+from itertools import islice
+from pathlib import Path
+
+from armrig_core.errors import FileError, OperationError
+from armrig_core.recording_directory import directory_to_look_in, installed
+
+from armrig.recordings.catalogue import may_answer_to, newest_first, summaries
+from armrig.recordings.recording_summary import RecordingSummary
+
+LAST = "last"
+VALIDATION = "/validation"
+_MAX_SEARCHED = 100
+"""Number of recordings, newest first, whose names are compared with an unknown name."""
+_MAX_LISTED = 4
+"""Largest number of recordings in the message about an ambiguous name."""
+
+
+class NoSuchRecordingError(OperationError):
+    """A name is unknown or ambiguous; for an ambiguous name, the message lists the recordings."""
+
+
+def recording_folder() -> Path:
+    """Return the recording folder of this user's daemon or of this machine's service."""
+    try:
+        return directory_to_look_in(installed(), os.environ)
+    except ValueError as err:  # typer would replace the message of a ValueError
+        raise NoSuchRecordingError(str(err)) from err
+
+
+def named_path(name: str | Path) -> Path:
+    """Return the path of a recording from its @NAME in the recording folder, or from its path.
+
+    Raises
+    ------
+    FileError
+        No recording has the name, or several recordings have the name.
+    """
+    if not str(name).startswith("@") or Path(name).exists():
+        return Path(name)
+    try:
+        return chosen(str(name), recording_folder()).path
+    except NoSuchRecordingError as err:
+        raise FileError(str(err)) from err
+
+
+def chosen(text: str, folder: Path) -> RecordingSummary:
+    """Return the finished recording that a name means: `@last`, `@NAME` or `@NAME/validation`.
+
+    The function reads the names of all files, and the metadata of matching files only.
+
+    Raises
+    ------
+    NoSuchRecordingError
+        No recording has the name, or several recordings have the name.
+    """
+    paths = newest_first(folder)
+    if text == f"@{LAST}":
+        for newest in summaries(paths):
+            return newest
+    found = matching(text, paths)
+    if not found:
+        raise NoSuchRecordingError(_none(text, folder))
+    if len(found) > 1:
+        listed = "; ".join(described(s) for s in found[:_MAX_LISTED])
+        rest = f"; and {len(found) - _MAX_LISTED} older ones" if len(found) > _MAX_LISTED else ""
+        raise NoSuchRecordingError(
+            f"{text} may be any of {len(found)} recordings, newest first: {listed}{rest}; use "
+            "one of these, and give the next recording its own --name"
+        )
+    return found[0]
+
+
+def preferred(found: Sequence[RecordingSummary]) -> Sequence[RecordingSummary]:
+    """Return the complete recordings of a name; if no recording is complete, return all.
+
+    A run that ended early is usually repeated with the same command, and thus has the same name.
+    """
+    complete = [s for s in found if s.is_complete]
+    return complete or found
+
+
+def matching(text: str, paths: Sequence[Path]) -> Sequence[RecordingSummary]:
+    """Return the finished recordings among `paths` that `@NAME` or `@NAME/validation` may mean."""
+    validation = text.endswith(VALIDATION)
+    name = text.removeprefix("@").removesuffix(VALIDATION)
+    possible = [path for path in paths if may_answer_to(path, name, validation=validation)]
+    return preferred([s for s in summaries(possible) if name in s.names(validation=validation)])
+
+
+Answering = Callable[[str], Sequence[RecordingSummary]]
+"""Function of `@NAME` or `@NAME/validation` that returns the recordings that the name may mean."""
+
+
+def answering_among(known: Iterable[RecordingSummary]) -> Answering:
+    """Return a function that looks up a name in an index and returns the possible recordings."""
+    by_name: dict[str, list[RecordingSummary]] = {}
+    for summary in known:
+        for validation, behind in ((False, ""), (True, VALIDATION)):
+            for name in summary.names(validation=validation):
+                by_name.setdefault(f"@{name}{behind}", []).append(summary)
+    meant = {name: preferred(found) for name, found in by_name.items()}
+    return lambda name: meant.get(name, [])
+
+
+def short_name(summary: RecordingSummary, answering: Answering) -> str:
+    """Return the shortest unambiguous name of a recording: `@NAME`, its id or its path."""
+    names = [f"@{summary.run_id}", f"@{Path(summary.file).stem}"]
+    if summary.is_validation and (of := summary.name or summary.validation_of):
+        names.insert(0, f"@{of}{VALIDATION}")
+    elif summary.name:
+        names.insert(0, f"@{summary.name}")
+    for name in names:
+        found = answering(name)
+        if len(found) == 1 and found[0].path == summary.path:
+            return name
+    return str(summary.path)
+
+
+def described(summary: RecordingSummary) -> str:
+    """Return id, kind, length and start of a recording as text."""
+    name = f" {summary.name}" if summary.name else ""
+    what = f"{summary.kind}{name}{' (validation)' if summary.is_validation else ''}"
+    when = summary.started[:19].replace("T", " ")
+    return f"@{summary.run_id}, {what}, {summary.seconds:g} s, {when}"
+
+
+def _near(text: str, folder: Path) -> str:
+    """Return a question that offers the most similar name; "" if no name is similar."""
+    newest = islice(summaries(newest_first(folder)), _MAX_SEARCHED)
+    wanted = text.removeprefix("@").removesuffix(VALIDATION)
+    near = get_close_matches(wanted, sorted({s.name for s in newest if s.name}), n=1)
+    return f": did you mean @{near[0]}?" if near else ""
+
+
+def _none(text: str, folder: Path) -> str:
+    unfinished = sum(1 for _ in folder.glob("*.mcap.active"))
+    going = f" ({unfinished} still being written)" if unfinished else ""
+    if text == f"@{LAST}":
+        why = f"there is no finished recording in {folder}{going}; make one with `armrig collect`"
+    else:
+        why = f"no finished recording in {folder} has that name{going}; `armrig ls` lists all names"
+        why += _near(text, folder)
+    return f"{text}: {why}"
