@@ -34,7 +34,8 @@ from armrig.data.files.table import Column, Vector, shown
 from armrig.data.optional_packages import MissingPackageError, imported
 
 _DECODERS = {"protobuf": "mcap_protobuf.decoder", "cdr": "mcap_ros2.decoder"}
-_STAMPS = ({"sec", "nanosec"}, {"sec", "nsec"}, {"seconds", "nanos"})  # ROS 2, JSON, protobuf
+_STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
+"""Fields of a time: seconds and nanoseconds, in ROS 2, Foxglove's JSON, ROS 1 and protobuf."""
 _MAX_ELEMENTS = 64  # of a list whose elements are columns; an image is longer
 _MAX_LISTED = 12  # topics, and fields of a topic
 _Series = tuple[list[int], dict[str, "array[float]"]]
@@ -55,7 +56,7 @@ def table_of(data: bytes, topic: str | None) -> ArrayTable:
         There is no such topic, or no name is given: the message lists the topics and their fields.
         The messages cannot be decoded, or the file is a recording of armrig.
     """
-    names = [name.strip() for name in (topic or "").split(",") if name.strip()]
+    names = [*dict.fromkeys(filter(None, map(str.strip, (topic or "").split(","))))]
     series: dict[str, _Series] = {name: ([], {}) for name in names}
     notes: list[str] = []
     for name, log_time, fields in _messages(data, series, notes):
@@ -206,10 +207,10 @@ def _fields(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
         yield path or "value", float(value)
         return
     parts = _parts(value)
-    if path and set(parts) in _STAMPS:
-        seconds, nanoseconds = parts.values()
-        yield path, seconds + nanoseconds * 1e-9
-        return
+    for seconds, nanoseconds in _STAMPS:
+        if path and parts.keys() == {seconds, nanoseconds}:
+            yield path, parts[seconds] + parts[nanoseconds] * 1e-9
+            return
     for name, part in parts.items():
         yield from _fields(part, f"{path}.{name}".removeprefix(".").replace(".:", ":"))
 

@@ -102,7 +102,7 @@ def test_messages_are_sorted_by_their_log_times(tmp_path: Path) -> None:
 def test_nested_fields_lists_times_and_missing_values_have_paths(tmp_path: Path) -> None:
     rows = [
         {
-            "head": {"stamp": {"sec": 5 + k // 4, "nanosec": k % 4 * 250_000_000}},
+            "head": {"stamp": {"nanosec": k % 4 * 250_000_000, "sec": 5 + k // 4}},
             "to": {"x": k, "name": "left", "far": float("nan")},
             "joints": [k, {"on": k % 2 == 0}],
             "y": None if k == 3 else k + 0.5,
