@@ -157,7 +157,8 @@ def _sort(name: str, value: Any, arrays: dict[str, Any], refused: dict[str, str]
         value = _logged(value)
     if isinstance(value, dict):
         for field, inner in value.items():
-            _sort(f"{name}.{_NAME_OF_FIELD.get(field, field)}", inner, arrays, refused)
+            path = f"{name}.{_NAME_OF_FIELD.get(field, field)}".rstrip(".")
+            _sort(path, inner, arrays, refused)
     elif isinstance(value, list):
         what = "an array" if isinstance(value, StructureArray) else "a cell"
         of = "structures" if isinstance(value, StructureArray) else "values"
@@ -173,8 +174,8 @@ def _sort(name: str, value: Any, arrays: dict[str, Any], refused: dict[str, str]
 def _logged(structure: dict[str, Any]) -> dict[str, Any]:
     """Return the times and the signals of a Simulink structure with time, by their labels.
 
-    A signal without a label of its own is named `signals:2`, or `signals.values` if it is the only
-    signal.
+    A signal without a label of its own is named `signals:2`. If it is the only signal, it has the
+    name of the structure.
     """
     signals = structure["signals"]
     each = signals if isinstance(signals, list) else [signals]
@@ -185,7 +186,7 @@ def _logged(structure: dict[str, Any]) -> dict[str, Any]:
         label = signal.get("label", "")
         name = label.strip(" <>") if isinstance(label, str) else ""  # Simulink inherits <label>
         if not name or name in found:
-            name = f"signals:{k}" if len(each) > 1 else "signals.values"
+            name = f"signals:{k}" if len(each) > 1 else ""
         values = signal["values"]
         if getattr(values, "ndim", 0) == 3:  # a matrix at each time
             values = values.reshape(-1, values.shape[2], order="F")

@@ -458,14 +458,14 @@ def test_two_structures_with_the_same_times_are_read_together(tmp_path: Path) ->
     values = {"yout": logged(T, (cube, "")), "uout": logged(T, (U.reshape(-1, 1), ""))}
     path = mat(tmp_path, values, do_compression=True)
 
-    data = load_data(path, input="uout.signals.values", signal="yout.signals.values")
+    data = load_data(path, input="uout", signal="yout")
 
     np.testing.assert_array_equal(data.u, U)
     np.testing.assert_array_equal(data.y, Y)
     assert data.Ts == 0.5
     other = mat(tmp_path, values | {"yout": logged(2 * T, (cube, ""))})
     with pytest.raises(FileError, match=r"sampling time is not known.*1 yout\.time"):
-        load_data(other, input="uout.signals.values", signal="yout.signals.values")
+        load_data(other, input="uout", signal="yout")
 
 
 def test_a_structure_without_times_needs_a_sampling_time(tmp_path: Path) -> None:
