@@ -159,9 +159,13 @@ def test_a_mistake_is_refused_with_the_way_out(
 @pytest.mark.parametrize(
     ("name", "content", "way_out"),
     [
-        ("data.csv", b"t,u,y\n0,1,2\n", "read by sampling, hints, identify, validate and check"),
+        (
+            "data.csv",
+            b"t,u,y\n0,1,2\n",
+            "sampling, hints, identify, validate and check also read other",
+        ),
         ("empty.mcap", b"", "is empty, 0 B: nothing was recorded"),
-        ("report.pdf", b"%PDF-1.7", "not an MCAP file"),
+        ("report.pdf", b"%PDF-1.7", "is not a recording of the rig; give a recording"),
     ],
 )
 def test_a_file_that_is_no_recording_is_refused(

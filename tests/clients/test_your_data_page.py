@@ -37,7 +37,7 @@ def test_every_line_of_the_page_runs_and_prints_what_it_says(
             commands += 1
         printed = capsys.readouterr().out
 
-    assert (commands, compared) == (7, 6)
+    assert (commands, compared) == (8, 7)
     assert (tmp_path / "heater.png").stat().st_size > 0
 
 

@@ -74,8 +74,8 @@ class _Line:
         ),
         (
             lambda: NOISE.randbytes(10),
-            "1690 bytes came at 500000 baud, but no frame; check that its firmware "
-            "has the same [device] baud, and that this is its port",
+            "1690 bytes came at 500000 baud, but no frame; check the [device] baud and the port; "
+            "another sketch may run on the board: `armrig flash` writes armrig's firmware",
         ),
         (
             lambda: b"\0" + encode(Keepalive(0, 7)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,7 +17,7 @@ from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Json, echo, inform, print_json, tell
 
 if TYPE_CHECKING:
-    from armrig.recordings.catalogue import Catalogue
+    from armrig.recordings.catalogue import Catalogue, LeftOut
     from armrig.recordings.recording_names import Answering
     from armrig.recordings.recording_summary import RecordingSummary
 
@@ -88,13 +88,17 @@ def ls(
     whole = found.recordings if found else ()
     shown = whole if every else whole[:count]
     if json:
-        left_out = found.left_out if found else ()
+        # `found` is false without a recording, even if it contains other files.
+        left_out, unfinished = (found.left_out, found.unfinished) if found is not None else ((), ())
         print_json(
             {
                 "folder": str(folder),
                 "recordings": [facts_of(s) for s in shown],
-                "left_out": [{"recording": shown_path(p), "why": why} for p, why in left_out],
-                "unfinished": [shown_path(p) for p in (found.unfinished if found else ())],
+                "left_out": [
+                    {"recording": shown_path(path), "why": why, "foreign": is_foreign}
+                    for path, why, is_foreign in left_out
+                ],
+                "unfinished": [shown_path(p) for p in unfinished],
             }
         )
         return
@@ -181,19 +185,25 @@ def _table(rows: list[tuple[str, ...]]) -> str:
 
 
 def _the_rest(folder: Path, found: Catalogue | None, shown: int) -> str:
-    """Return a line about older, damaged and unfinished recordings, which are not in the table."""
-    from armrig.recordings.recording_summary import shown_path
-
+    """Return a line about the files that are not in the table."""
     if found is None or not (found.recordings or found.left_out or found.unfinished):
         return f"there are no recordings in {folder}; make one with `armrig collect`"
     parts = [f"in {folder}"]
     if older := len(found) - shown:
         parts.append(f"{older} older recordings: --all")
-    if found.left_out:
-        named = [shown_path(Path(left.path.name)) for left in found.left_out[:_MAX_NAMES]]
-        more = len(found.left_out) - len(named)
-        parts.append(f"damaged: {', '.join(named)}" + (f" and {more} more" if more else ""))
-        parts[-1] += "; `armrig info FILE` shows the damage"
+    if damaged := [left for left in found.left_out if not left.is_foreign]:
+        parts.append(f"damaged: {_names(damaged)}; `armrig info FILE` shows the damage")
+    if foreign := [left for left in found.left_out if left.is_foreign]:
+        parts.append(f"not made by armrig: {_names(foreign)}; `armrig hints FILE` lists the topics")
     if unfinished := len(found.unfinished):
         parts.append(f"{unfinished} being written, or left by a dead daemon: `armrig recover`")
     return "; ".join(parts)
+
+
+def _names(left_out: Sequence[LeftOut]) -> str:
+    """Return the names of the first files, and the number of the others."""
+    from armrig.recordings.recording_summary import shown_path
+
+    named = ", ".join(shown_path(Path(left.path.name)) for left in left_out[:_MAX_NAMES])
+    more = len(left_out) - _MAX_NAMES
+    return f"{named} and {more} more" if more > 0 else named

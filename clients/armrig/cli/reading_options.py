@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import wraps
+from shlex import quote
 from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
@@ -15,6 +16,13 @@ import typer
 class ReadingOptions:
     """Options of reading a table; the fields are arguments of `load_data`."""
 
+    topic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Topic of an MCAP file of another program; its messages' fields are the columns.",
+        ),
+    ] = None
     decimal: Annotated[
         Literal[",", "."] | None,
         typer.Option(
@@ -48,7 +56,8 @@ class ReadingOptions:
 
     def typed(self) -> str:
         """Return the options as a user types them, for the next command; "" for the defaults."""
-        return "".join(f" {name} {value}".rstrip() for name, value in self.given().items())
+        given = self.given().items()
+        return "".join(f" {name} {value and quote(str(value))}".rstrip() for name, value in given)
 
 
 AS_IT_STANDS = ReadingOptions()

@@ -29,7 +29,7 @@ from armrig.cli.column_notes import (
 from armrig.cli.figures import name_runs
 from armrig.cli.options import inform, tell, warned
 from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions
-from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
+from armrig.data.files.suffixes import OTHER_DATA
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -239,18 +239,15 @@ class SignalChoice:
         return data
 
     def _is_other(self, file: Path) -> bool:
-        """Return True if the file's name or the options show that the file is not a recording."""
-        suffix = file.suffix.lower()
-        asked = (self.input, self.time, self.Ts) != (None, None, None)
-        return suffix in DATA or (asked and suffix != RECORDING)
+        """Return True if --topic or the content shows that the file is not a recording."""
+        from armrig.recordings.recording_summary import is_recording
+
+        return self.reading.topic is not None or not is_recording(file)
 
     def _recording(self, file: Path) -> Recording:
         """Return a recording; refuse options that apply to other data."""
         given = {"--input": self.input, "--time": self.time, "--Ts": self.Ts}
-        given |= {
-            f"--{name.replace('_', '-')}": value or None
-            for name, value in asdict(self.reading).items()
-        }
+        given |= self.reading.given()
         for name, value in given.items():
             if value is not None:
                 typed = f"{name} {value}".rstrip()

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from armrig.numerics.quantities import plural
 from armrig.recordings.container import Content, read, streamed
 from armrig.recordings.loading import files_of, run_content
+from armrig.recordings.recording_summary import is_foreign
 from armrig.recordings.sample_rows import SAMPLE_DTYPE
 from armrig.recordings.verification import recorded_input
 
@@ -84,8 +85,8 @@ def replay(path: str | Path) -> Replay:
         content = read(path) if paths == [path] else run_content(paths, digest=False).content
     except DamageError as err:
         raise FileError(f"{path}: {err}") from err
-    if content is None:
-        raise FileError(f"{path}: not an MCAP file; replay reads recordings of armrigd (*.mcap)")
+    if content is None or is_foreign(paths[0]):
+        raise FileError(f"{path}: not made by armrig; replay reads recordings of armrigd (*.mcap)")
     first = next(_chunks_of(paths), None)
     if first is None or not first.state:
         why = "the file may be older than `armrig replay`"

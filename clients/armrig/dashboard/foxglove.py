@@ -14,7 +14,8 @@ from armrig_core import protobuf
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_core.topics import STREAMS, stream_key
 
-from armrig.recordings.export import imported, transforms, transforms_channel
+from armrig.data.optional_packages import imported
+from armrig.recordings.export import transforms, transforms_channel
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
 

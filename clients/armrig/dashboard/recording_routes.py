@@ -96,7 +96,9 @@ class RecordingRoutes:
                     for s in found.recordings[:_MOST_LISTED]
                 ],
                 "left_out": [
-                    f"{shown_path(Path(path.name))}: {why}" for path, why in found.left_out
+                    f"{'' if left.is_foreign else 'damaged: '}{shown_path(Path(left.path.name))}: "
+                    f"{left.why}"
+                    for left in found.left_out
                 ],
             }
         )

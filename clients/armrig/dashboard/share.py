@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from armrig.recordings.export import imported
+from armrig.data.optional_packages import imported
 from armrig.rig.session import RigError
 
 PORT = 8808

@@ -29,8 +29,13 @@ from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.unfinished import unfinished
 from numpy.typing import NDArray
 
-from armrig.recordings.export import imported
-from armrig.recordings.recording_summary import RecordingSummary, shown_path, summary_of
+from armrig.data.optional_packages import imported
+from armrig.recordings.recording_summary import (
+    ForeignError,
+    RecordingSummary,
+    shown_path,
+    summary_of,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -79,6 +84,8 @@ class LeftOut(NamedTuple):
 
     path: Path
     why: str
+    is_foreign: bool = False
+    """True if another program wrote the file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -222,14 +229,14 @@ def catalogue(folder: str | Path) -> Catalogue:
         known = before.get(name)
         if known is None or known.state != state_of(state):
             try:
-                known = Known(state_of(state), _said_by(folder / name))
+                known = Known(state_of(state), *_said_by(folder / name))
             except OSError as err:  # the error may be temporary, so it is not kept
                 left_out.append(LeftOut(folder / name, err.strerror or str(err)))
                 continue
         if is_settled(state, looked_ns):
             kept[name] = known
         if isinstance(known.found, str):
-            left_out.append(LeftOut(folder / name, known.found))
+            left_out.append(LeftOut(folder / name, known.found, known.is_foreign))
         else:
             rows.append(known.found)
     if sum(known is not before.get(name) for name, known in kept.items()) >= WORTH_KEEPING:
@@ -242,12 +249,12 @@ def catalogue(folder: str | Path) -> Catalogue:
     )
 
 
-def _said_by(path: Path) -> RecordingSummary | str:
-    """Return the summary of a file, or the reason why it cannot be listed."""
+def _said_by(path: Path) -> tuple[RecordingSummary | str, bool]:
+    """Return the summary of a file, or the reason why it cannot be listed, and `is_foreign`."""
     try:
-        return summary_of(path)
+        return summary_of(path), False
     except DamageError as err:
-        return str(err)
+        return str(err), isinstance(err, ForeignError)
 
 
 def columns(recordings: Sequence[RecordingSummary]) -> dict[str, NDArray[Any]]:
@@ -300,6 +307,8 @@ class Known(msgspec.Struct, frozen=True, array_like=True):
     """Size, times and inode number of the file: a text that changes if the file changes."""
     found: RecordingSummary | str
     """Summary of the recording, or the reason why the file cannot be listed."""
+    is_foreign: bool = False
+    """True if another program wrote the file."""
 
 
 class _Index(msgspec.Struct, frozen=True):

@@ -5,7 +5,6 @@ Each sample that was due has a row. If the sample is missing, or shows no angle,
 
 from __future__ import annotations
 
-from importlib import import_module
 from math import cos, isfinite, sin
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,8 @@ from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1, ChannelName
 from armrig_core.topics import topic
 from numpy.typing import NDArray
+
+from armrig.data.optional_packages import imported
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -154,25 +155,6 @@ def _about(recording: Recording) -> dict[str, str]:
         "run_id": recording.manifest.run_id,
         "rig": recording.manifest.rig,
     }
-
-
-def imported(module: str, extra: str) -> Any:
-    """Return the imported module of an optional extra, or raise MissingPackageError."""
-    try:
-        return import_module(module)
-    except ImportError as err:
-        name = module.partition(".")[0]
-        raise MissingPackageError(
-            f"{name} is not installed: pip install {name}, or pip install 'armrig[{extra}]'",
-            name=name,
-        ) from err
-
-
-class MissingPackageError(InputError, ImportError):
-    """An optional package is not installed; the message contains the install command."""
-
-    def __init__(self, msg: str, name: str) -> None:
-        ImportError.__init__(self, msg, name=name)
 
 
 def transforms_channel(rig: str, context: Any) -> Any:

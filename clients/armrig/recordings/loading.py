@@ -21,7 +21,7 @@ from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.part_names import part_number, part_paths
 from numpy.typing import NDArray
 
-from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
+from armrig.data.files.suffixes import OTHER_DATA, RECORDING
 from armrig.recordings.channels import channels_of
 from armrig.recordings.container import Content, Part, read
 from armrig.recordings.daemon_reports import (
@@ -37,6 +37,7 @@ from armrig.recordings.daemon_reports import (
 from armrig.recordings.grid import Grid, check_sampling_time, grid
 from armrig.recordings.recording import Recording, Vector
 from armrig.recordings.recording_names import named_path
+from armrig.recordings.recording_summary import is_foreign, is_recording
 
 EVERYTHING = (0, 1 << 63)
 """Range of indices that contains all samples."""
@@ -140,7 +141,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def _check_is_calibration(path: Path, first: Path) -> None:
-    if RECORDING in path.suffixes:
+    if is_recording(path):
         msg = f"{path}: is a recording, not a calibration; give the parts of a run as a list, "
         raise FileError(f'{msg}armrig.load(["{first.name}", "{path.name}"])')
 
@@ -182,13 +183,12 @@ def run_content(
 
 
 _READABLE_FILES = (
-    f"give a recording of armrigd (*{RECORDING}); the commands sampling, hints, identify, validate "
-    f"and check also read {OTHER_DATA}"
+    f"give a recording (*{RECORDING}, or @NAME of `armrig ls`); sampling, hints, identify, "
+    f"validate and check also read {OTHER_DATA}"
 )
-_TABLE_REFUSAL = (
-    f"is not a recording of the rig; give a recording (*{RECORDING}, or @NAME of `armrig ls`); "
-    f"{OTHER_DATA} can be read by sampling, hints, identify, validate and check, such as "
-    "`armrig hints {path}`"
+_FOREIGN = (
+    "not made by armrig; sampling, hints, identify, validate and check read a topic of it "
+    "(--topic NAME --input FIELD --signal FIELD), and `armrig hints {path}` lists the topics"
 )
 _File = tuple[Content, Manifest, Outcome | None, Calibration | None]
 
@@ -202,11 +202,11 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
     if content is None and not path.stat().st_size:
         raise FileError(f"{path}: is empty, 0 B: nothing was recorded; record again")
     if content is None:
-        table = path.suffix.lower() in DATA
-        why = _TABLE_REFUSAL.format(path=path) if table else f"not an MCAP file; {_READABLE_FILES}"
-        raise FileError(f"{path}: {why}")
+        raise FileError(f"{path}: is not a recording of the rig; {_READABLE_FILES}")
     entries = content.metadata.get(records.RUN)
     if entries is None:
+        if is_foreign(path):
+            raise FileError(f"{path}: {_FOREIGN.format(path=path)}")
         why = content.damage or "it contains no metadata named armrig.run"
         raise FileError(f"{path}: not a recording of a run: {why}")
     try:

@@ -24,12 +24,14 @@ from armrig_core.manifest import (
 )
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_records import MAGIC, RECORD_HEAD, RECORD_LIMIT, CutOffError
-from armrig_core.recording_file.opening import regular_file
+from armrig_core.recording_file.opening import byte_source, regular_file
+from armrig_core.recording_file.part_names import part_paths
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Metadata, MetadataIndex
 
+from armrig.data.files.suffixes import RECORDING
 from armrig.recordings.grid import check_sampling_time
 
 VALIDATION_OF = "validation_of"
@@ -42,8 +44,45 @@ TEXT_LIMIT = 4096
 """Longest text in a summary, in characters."""
 
 _EXPERIMENT = re.compile(rf"({'|'.join(KINDS)})(-validation)?(?:-(.+))?")
+_HEAD_BYTES = 64  # a recording's header, with the profile and the library
 _FOOTER = Struct("<BQQQI")  # opcode, length, start of the summary, start of the offsets, CRC
 _FOOTER_BODY = 8 + 8 + 4
+
+
+class ForeignError(DamageError):
+    """Another program wrote the MCAP file."""
+
+
+def is_recording(path: Path) -> bool:
+    """Return True if the file at `path` is a recording of armrig, whatever its name is.
+
+    If the file is empty or cannot be read, the suffix of its name decides.
+    """
+    first = part_paths(path)[0]
+    try:
+        with regular_file(first) as stream:
+            magic = stream.read(len(MAGIC))
+    except (OSError, DamageError):
+        magic = b""
+    if not magic:
+        return RECORDING in path.suffixes
+    return magic == MAGIC and not is_foreign(first)
+
+
+def is_foreign(path: Path) -> bool:
+    """Return True if another program wrote the MCAP file; False if the header is damaged.
+
+    armrig writes its name into the header. If another program has rewritten a recording, the
+    metadata of the run show that the file is a recording.
+    """
+    with byte_source(path) as source:
+        head = source.read(_HEAD_BYTES) if source else b""
+    if head[:1] != bytes([Opcode.HEADER]) or b"armrig" in head:
+        return False
+    try:
+        return RUN not in read_metadata(path)
+    except DamageError:
+        return True
 
 
 class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
@@ -146,13 +185,20 @@ def summary_of(path: Path) -> RecordingSummary:
     ------
     OSError
         The file cannot be read.
+    ForeignError
+        Another program wrote the file.
     DamageError
         The file is incomplete, or not a recording of armrig.
     """
-    metadata = read_metadata(path)
-    for name in (RUN, OUTCOME):
-        if name not in metadata:
-            raise DamageError(f"it contains no metadata named {name}")
+    try:
+        metadata = read_metadata(path)
+        for name in (RUN, OUTCOME):
+            if name not in metadata:
+                raise DamageError(f"it contains no metadata named {name}")
+    except DamageError as err:
+        if is_foreign(path):
+            raise ForeignError("not made by armrig") from err
+        raise
     try:
         manifest, outcome = manifest_of(metadata[RUN]), outcome_of(metadata[OUTCOME])
         check_whole_numbers(manifest)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
 from struct import Struct
 
+import lz4.frame
 import zstandard
+from mcap.opcode import Opcode
 
 from armrig_core.recording_file.budget import UNPACKED, Budget, DamageError
-from armrig_core.recording_file.file_records import CHUNK_LIMIT
+from armrig_core.recording_file.file_records import CHUNK_LIMIT, RECORD_HEAD, Record
 
 _HEAD = Struct("<QQQII")  # start, end, uncompressed size, uncompressed CRC, length of the name
 
@@ -20,6 +23,19 @@ class Unpacker:
         """Count the unpacked bytes in `budget`."""
         self._budget = budget
         self._zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_LIMIT)
+
+    def parts(self, record: Record) -> Iterator[tuple[int, bytes]]:
+        """Yield the opcodes and contents of the records in a chunk, or of another record."""
+        if record.opcode != Opcode.CHUNK:
+            yield record.opcode, record.body
+            return
+        data, at = self.records(record.body), 0
+        while at < len(data):
+            opcode, length = RECORD_HEAD.unpack_from(data, at)
+            begin, at = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
+            if at > len(data):
+                raise DamageError("a record runs over the end of its chunk")
+            yield opcode, data[begin:at]
 
     def records(self, body: bytes) -> bytes:
         """Check a chunk; return its unpacked records.
@@ -40,8 +56,10 @@ class Unpacker:
         self._budget.spend(UNPACKED, size)
         if compression == "zstd":
             data = self._unpacked(packed, size)
+        elif compression == "lz4":
+            data = _unpacked_lz4(packed, size)
         elif compression:
-            raise DamageError(f"compression {compression!r}: allowed are zstd and none")
+            raise DamageError(f"compression {compression!r}: allowed are zstd, lz4 and none")
         else:
             data = bytes(packed)
         if len(data) != size or (crc and zlib.crc32(data) != crc):
@@ -58,3 +76,11 @@ class Unpacker:
                 return stream.read(size + 1)
         except zstandard.ZstdError as err:
             raise DamageError(f"a chunk cannot be unpacked ({err})") from err
+
+
+def _unpacked_lz4(packed: memoryview, size: int) -> bytes:
+    try:
+        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
+    except RuntimeError as err:
+        raise DamageError(f"a chunk cannot be unpacked ({err})") from err
+    return data

@@ -24,7 +24,6 @@ from armrig_core.recording_file.chunks import Unpacker
 from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.file_records import (
     MESSAGE_HEAD,
-    RECORD_HEAD,
     UNREADABLE,
     Record,
     Wanted,
@@ -56,16 +55,8 @@ class Rewriter:
 
     def add(self, record: Record) -> Iterator[tuple[int, bytes]]:
         """Write a record of a file; yield channel and payload of each message in it."""
-        if record.opcode != Opcode.CHUNK:
-            yield from self._add(record.opcode, record.body)
-            return
-        data, at = self._chunks.records(record.body), 0
-        while at < len(data):
-            opcode, length = RECORD_HEAD.unpack_from(data, at)
-            begin, at = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
-            if at > len(data):
-                raise DamageError("a record runs over the end of its chunk")
-            yield from self._add(opcode, data[begin:at])
+        for opcode, body in self._chunks.parts(record):
+            yield from self._add(opcode, body)
 
     def add_metadata(self, name: str, metadata: dict[str, str]) -> None:
         """Write a metadata record."""

@@ -141,8 +141,8 @@ def unanswered(state: State) -> str:
         )
     elif came.bytes:
         found = (
-            f"{came.bytes} bytes came at {baud} baud, but no frame; check that its firmware has "
-            "the same [device] baud, and that this is its port"
+            f"{came.bytes} bytes came at {baud} baud, but no frame; check the [device] baud and "
+            "the port; another sketch may run on the board: `armrig flash` writes armrig's firmware"
         )
     else:
         found = (

@@ -42,7 +42,9 @@ def test_a_file_that_is_no_recording_is_reported_in_one_line(
 
     assert main([*command, *files]) == 1
 
-    assert told(capsys).startswith(f"armrig: {path}: not an MCAP file; give a recording")
+    assert told(capsys).startswith(
+        f"armrig: {path}: is not a recording of the rig; give a recording"
+    )
 
 
 @pytest.mark.parametrize("command", READERS, ids=lambda c: c[0])

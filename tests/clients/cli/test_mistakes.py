@@ -78,10 +78,10 @@ REFUSED = [
     ("info @last", "make one with `armrig collect`"),
     ("info none.mcap", "`armrig ls` lists the recordings, each with its @NAME"),
     ("info folder", "give a file in the folder"),
-    ("info report.pdf", "give a recording of armrigd (*.mcap)"),
+    ("info report.pdf", "give a recording (*.mcap, or @NAME of `armrig ls`)"),
     (
         "greybox data.csv",
-        "can be read by sampling, hints, identify, validate and check, such as `armr",
+        "sampling, hints, identify, validate and check also read other data",
     ),
     ("info empty.mcap", "is empty, 0 B: nothing was recorded; record again"),
     ("identify run.mcap.active --structure arx", "still being recorded, or the daemon was kill"),

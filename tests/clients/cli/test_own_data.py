@@ -409,14 +409,42 @@ def test_what_needs_a_recording_says_so(
     assert said.err.startswith(
         f"armrig: {path}: is not a recording of the rig; give a recording (*.mcap, or"
     )
-    assert "(.csv, .dat, .mat, .npz) can be read by sampling, hints, identify, vali" in said.err
-    assert f"such as `armrig hints {path}`" in said.err
+    assert "hints, identify, validate and check also read other data (.csv, .dat, " in said.err
 
 
 def test_a_replay_needs_a_recording(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", str(folder / "data.csv")]) == 1
 
-    assert "not an MCAP file; replay reads recordings of armrigd" in capsys.readouterr().err
+    assert "not made by armrig; replay reads recordings of armrigd" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["data.log", "data.mcap", "data.xlsx", "data"])
+@pytest.mark.parametrize("kind", ["csv", "mat", "npz"])
+def test_the_content_and_not_the_suffix_decides_how_a_file_is_read(
+    kind: str, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / f"a.{kind}", made()).rename(tmp_path / name)
+
+    found = facts(f"identify ./{name} --structure arx --na 2 --nb 2", tmp_path, capsys)
+    fit = armrig.arx(armrig.load_data(tmp_path / name), na=2, nb=2)
+
+    assert [p["value"] for p in found["parameters"].values()] == fit.theta.tolist()
+
+
+def test_a_recording_under_another_name_is_a_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "data.csv"
+    path.write_bytes(armrig.example_recording().path.read_bytes())
+
+    assert main(["check", str(path), "--to", "5"]) == 0
+    assert "handout 3.7" in capsys.readouterr().out
+    assert main(["check", str(path), "--input", "u"]) != 0
+    assert f"{path} is a recording" in capsys.readouterr().err
+    with pytest.raises(armrig.FileError, match="is a recording and not a table"):
+        armrig.load_data(path)
+    with pytest.raises(armrig.FileError, match="is a recording, not a calibration"):
+        armrig.load(armrig.example_recording().path, path)
 
 
 def about_20(folder: Path) -> None:
@@ -498,7 +526,7 @@ def test_a_model_without_means_is_validated_so(
         ),
         (
             "book.xlsx",
-            "not an MCAP file; give a recording of armrigd (*.mcap); the commands sampling",
+            "is not text, and not of another known kind; armrig reads",
         ),
     ],
 )

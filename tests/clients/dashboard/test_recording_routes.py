@@ -69,7 +69,7 @@ def test_the_newest_recordings_are_listed_first_and_the_damaged_ones_with_the_re
     assert [one["at"] for one in told["recordings"]] == ["@run-a", "@run-b", "@run-c"]
     assert [one["validation_of"] for one in told["recordings"]] == [None, "run-c", None]
     assert told["recordings"][0]["started"].startswith("2026-03-04T10")
-    assert any(line.startswith("broken.mcap: ") for line in told["left_out"])
+    assert any(line.startswith("damaged: broken.mcap: ") for line in told["left_out"])
 
 
 def test_a_folder_that_there_is_not_is_told_with_the_way_out(tmp_path: Path) -> None:

@@ -262,7 +262,7 @@ def test_a_package_that_is_missing_is_reported_with_its_remedy(
             raise ModuleNotFoundError(name)
         return import_module(name)
 
-    monkeypatch.setattr("armrig.recordings.export.import_module", without)
+    monkeypatch.setattr("armrig.data.optional_packages.import_module", without)
     for kind in (ImportError, ValueError):
         with pytest.raises(kind, match=rf"pip install {package}, .* 'armrig\[{extra}\]'$"):
             export(rec)

@@ -400,4 +400,4 @@ def test_hostile_files_are_played_as_far_as_they_are_whole(
 
     bad = written(tmp_path, b"text", "text.mcap")
     assert main(["play", str(bad), *where]) == 1
-    assert "not an MCAP file" in capsys.readouterr().err
+    assert "is not a recording of the rig" in capsys.readouterr().err

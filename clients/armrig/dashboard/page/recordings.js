@@ -39,7 +39,7 @@ function fill() {
   const empty = found.recordings.length ? "No recording has these words." : "There are no recordings yet: run an experiment on the page Live.";
   byId("table").replaceChildren(
     rows.length ? make("table", {}, make("thead", {}, make("tr", {}, ...COLUMNS.map(head))), make("tbody", {}, ...rows.map(row))) : make("p", { textContent: empty }),
-    ...found.left_out.map((why) => make("p", { className: "warn-text", textContent: `damaged: ${why}` })),
+    ...found.left_out.map((why) => make("p", { className: "warn-text", textContent: why })),
   );
   mark();
 }

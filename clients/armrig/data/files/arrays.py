@@ -12,11 +12,20 @@ from zipfile import ZipFile
 import numpy as np
 from armrig_core.errors import FileError, InputError
 
-from armrig.data.files.mat_variables import DamageError, TooLongError, Unread, variables
+from armrig.data.files.mat_variables import (
+    EMPTY,
+    DamageError,
+    StructureArray,
+    TooLongError,
+    Unread,
+    variables,
+)
 from armrig.data.files.table import Column, Vector
 
 MOST_BYTES = 1 << 28
 """Largest unpacked size of a file, in B; in an .npz, a number counts as at least 8 B."""
+NO_NUMBERS = "contains no numbers; save it as a vector of real numbers"
+"""Reason why a variable is not a column, and the remedy."""
 _MIN_LIMIT_BYTES = 1 << 26
 _MAX_RATIO = 100  # packing shrinks measured data by a factor of 5 to 20, zeros by 1000
 
@@ -38,11 +47,8 @@ class ArrayTable:
     """Reason why a variable is not a column of numbers, by the name of the variable."""
     Ts: float | None
     """Sampling time in s, from a number named Ts."""
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """Return an empty sequence: only text files have notes."""
-        return ()
+    notes: Sequence[str] = ()
+    """Notes on how the columns were read."""
 
     def numbers(self, i: int) -> Vector:
         """Return the values of column i, counted from 0; NaN where a value is missing."""
@@ -92,9 +98,9 @@ def _columns(array: Any) -> list[Any]:
     if array.dtype.kind == "c":
         raise InputError("is complex; save its real part if only that part was measured")
     if array.dtype.kind not in "buif":
-        raise InputError("contains no numbers; save it as a vector of real numbers")
+        raise InputError(NO_NUMBERS)
     if array.size == 0:
-        raise InputError("is empty; save it with a value for each sample")
+        raise InputError(EMPTY)
     if array.ndim > 2:
         raise InputError(
             f"has {array.ndim} dimensions; save it as a vector, or a matrix of columns"
@@ -105,7 +111,8 @@ def _columns(array: Any) -> list[Any]:
     return list(rows)
 
 
-# The columns of a MAT-file: vectors, matrices, structures with these, and old iddata objects.
+# The columns of a MAT-file: vectors, matrices, structures with these, structures with time of
+# Simulink, and old iddata objects.
 
 
 _NAME_OF_FIELD = {"OutputData": "y", "InputData": "u"}  # fields of iddata
@@ -130,22 +137,61 @@ def read_mat(data: bytes) -> ArrayTable:
         raise FileError(f"is a damaged MAT-file ({err}); {_SAVE_IN_MATLAB}") from err
     except TooLongError as err:
         raise FileError(f"unpacked it has more than {most >> 20} MiB; {_SAVE_IN_MATLAB}") from err
+    _add_common_time(arrays)
     return table_of(arrays, refused)
+
+
+def _add_common_time(arrays: dict[str, Any]) -> None:
+    """Add the array `time` if no array has this name, and all fields `time` are equal."""
+    every = [np.ravel(x) for name, x in arrays.items() if name.endswith(".time")]
+    is_same = every and all(np.array_equal(every[0], x) for x in every)
+    if is_same and not any(name.casefold() in ("t", "time") for name in arrays):
+        arrays["time"] = every[0]
 
 
 def _sort(name: str, value: Any, arrays: dict[str, Any], refused: dict[str, str]) -> None:
     """Add a variable, or the fields of a structure, to the arrays or to the refused names."""
     while isinstance(value, list) and len(value) == 1:
         value = value[0]  # a cell array that contains one experiment
+    if isinstance(value, dict) and {"time", "signals"} <= value.keys():
+        value = _logged(value)
     if isinstance(value, dict):
         for field, inner in value.items():
-            _sort(f"{name}.{_NAME_OF_FIELD.get(field, field)}", inner, arrays, refused)
+            path = f"{name}.{_NAME_OF_FIELD.get(field, field)}".rstrip(".")
+            _sort(path, inner, arrays, refused)
     elif isinstance(value, list):
-        refused[name] = f"is a cell of {len(value)} values; save one of them"
+        what = "an array" if isinstance(value, StructureArray) else "a cell"
+        of = "structures" if isinstance(value, StructureArray) else "values"
+        refused[name] = f"is {what} of {len(value)} {of}; save one of them"
+    elif isinstance(value, str):
+        refused[name] = NO_NUMBERS
     elif isinstance(value, Unread):
         refused[name] = value.why
     else:
         arrays[name] = value
+
+
+def _logged(structure: dict[str, Any]) -> dict[str, Any]:
+    """Return the times and the signals of a Simulink structure with time, by their labels.
+
+    A signal without a label of its own is named `signals:2`. If it is the only signal, it has the
+    name of the structure.
+    """
+    signals = structure["signals"]
+    each = signals if isinstance(signals, list) else [signals]
+    if not all(isinstance(signal, dict) and "values" in signal for signal in each):
+        return structure
+    found = {"time": structure["time"]}
+    for k, signal in enumerate(each, 1):
+        label = signal.get("label", "")
+        name = label.strip(" <>") if isinstance(label, str) else ""  # Simulink inherits <label>
+        if not name or name in found:
+            name = f"signals:{k}" if len(each) > 1 else ""
+        values = signal["values"]
+        if getattr(values, "ndim", 0) == 3:  # a matrix at each time
+            values = values.reshape(-1, values.shape[2], order="F")
+        found[name] = values
+    return found
 
 
 # The arrays of a file of numpy.savez.

@@ -15,11 +15,13 @@ import numpy as np
 from armrig_core.bounded import decoded, read_bounded
 from armrig_core.calls import checked_call
 from armrig_core.errors import FileError, InputError
+from armrig_core.recording_file.file_records import MAGIC
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, require_size
-from armrig.data.files import arrays, text
+from armrig.data.files import arrays, messages, text
 from armrig.data.files.column_faults import treated
+from armrig.data.files.parquet import read_parquet
 from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
 from armrig.data.files.stamps import time_columns, times_of
 from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
@@ -52,8 +54,9 @@ def load_data(
     hold_input: bool = False,
     mask_rails: bool = False,
     unwrap: float | None = None,
+    topic: str | None = None,
 ) -> Dataset:
-    """Load the data of a file other than a recording: CSV, another text table, .mat or .npz.
+    """Load the data of a file other than a recording: a text table, .mat, .npz, Parquet or MCAP.
 
     Columns are chosen by name or by number from 1. The cells of a text are separated by semicolons,
     tabs, commas or blanks. A line of names is optional. Lines that begin with # or % are remarks.
@@ -84,6 +87,10 @@ def load_data(
         Mark samples of y at a rail of its converter as missing.
     unwrap : float, optional
         Range of a counter or angle that wraps, such as 65536 or 360; its jumps are removed from y.
+    topic : str, optional
+        Topic of an MCAP file of another program; the columns are the fields of its messages, such
+        as `twist.linear.x`. The default of `time` is then the log time. Of several topics with
+        commas, the last gives the times, and the newest values of the others are held.
 
     Returns
     -------
@@ -108,7 +115,9 @@ def load_data(
     """
     columns = {"input": input, "signal": signal}
     how = Reading(time, Ts, resample, hold_input, mask_rails, unwrap)
-    return _loaded(path, decimal, lambda table, source: _dataset(table, columns, how, source))
+    return _loaded(
+        path, decimal, topic, lambda table, source: _dataset(table, columns, how, source)
+    )
 
 
 @checked_call
@@ -124,8 +133,9 @@ def load_signals(
     hold_input: bool = False,
     mask_rails: bool = False,
     unwrap: float | None = None,
+    topic: str | None = None,
 ) -> Signals:
-    r"""Load several inputs and outputs of a file: CSV, another text table, .mat or .npz.
+    r"""Load several inputs and outputs of a file other than a recording.
 
     The file is read as in `load_data`. The name of a matrix, such as u of a saved iddata structure,
     chooses all columns of the matrix. If an input is missing at an instant, the instant is left
@@ -137,7 +147,7 @@ def load_signals(
         The file, of at most 128 MiB.
     inputs, outputs : str or sequence of str
         Columns of the inputs and of the outputs, by name or by number from 1.
-    time, Ts, decimal, resample, hold_input, mask_rails, unwrap
+    time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic
         As for `load_data`.
 
     Returns
@@ -163,19 +173,22 @@ def load_signals(
     """
     how = Reading(time, Ts, resample, hold_input, mask_rails, unwrap)
     return _loaded(
-        path, decimal, lambda table, source: _signals(table, inputs, outputs, how, source)
+        path, decimal, topic, lambda table, source: _signals(table, inputs, outputs, how, source)
     )
 
 
 def _loaded(
-    path: str | PathLike[str], decimal: str | None, made: Callable[[Table, str], Data]
+    path: str | PathLike[str],
+    decimal: str | None,
+    topic: str | None,
+    made: Callable[[Table, str], Data],
 ) -> Data:
     """Call `made` with the table in a file and the hash of the file, and return the result."""
     path = Path(path)
     try:
         data = read_bounded(path, MOST_BYTES)
         source = f"{SOURCE}:{hashlib.sha256(data).hexdigest()}"
-        return made(table_of(data, path.suffix.lower(), decimal), source)
+        return made(table_of(data, path.suffix.lower(), decimal, topic), source)
     except FileError as err:
         raise FileError(f"{path}: {err}") from err
     except OSError as err:
@@ -212,8 +225,8 @@ def _signals(
             y=rows.y,
             Ts=rows.Ts,
             starts=rows.starts,
-            inputs=_names(named_u, "u"),
-            outputs=_names(named_y, "y"),
+            inputs=_names(named_u, "u", named_y),
+            outputs=_names(named_y, "y", named_u),
             input_units=[c.unit for c in named_u],
             units=[c.unit for c in named_y],
             source=source,
@@ -236,10 +249,17 @@ def _columns_of(table: Table, wanted: str | Sequence[str], what: str) -> list[in
     return found
 
 
-def _names(columns: Sequence[Column], letter: str) -> list[str]:
-    """Return a name for each column, such as u1 for `u:1` and for a first input without a name."""
-    names = [column.name.rpartition(".")[2].replace(":", "") for column in columns]
-    return [name or f"{letter}{k}" for k, name in enumerate(names, 1)]
+def _names(columns: Sequence[Column], letter: str, others: Sequence[Column]) -> list[str]:
+    """Return a name for each column, such as u1 for `u:1` and for a first input without a name.
+
+    The name of a field is its last part if no other column has the same last part.
+    """
+    last_parts = [column.name.rpartition(".")[2] for column in (*columns, *others)]
+    parts = [
+        column.name if last and last_parts.count(last) > 1 else last.replace(":", "")
+        for column, last in zip(columns, last_parts, strict=False)
+    ]
+    return [name or f"{letter}{k}" for k, name in enumerate(parts, 1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -460,27 +480,29 @@ def _values(table: Table, i: int, what: str) -> Vector:
 # Recognition of a file's kind by its first bytes.
 
 
-_KNOWN_KINDS = "armrig reads CSV and other tables of text, .mat (to -v7) and .npz"
+_KNOWN_KINDS = "armrig reads tables of text, .mat (to -v7), .npz, Parquet and MCAP"
 _SAVE_IN_MATLAB = "save it in MATLAB with save('data.mat', 'u', 'y', '-v7')"
 _UTF_16 = 'is saved as UTF-16, like Excel\'s "Unicode text"; save it as "CSV UTF-8"'
 _REFUSED_KINDS = (
-    (b"\x89MCAP0\r\n", "is a recording and not a table; armrig.load(path).dataset() reads it"),
     (b"MATLAB 7.3", f"is a MAT-file of version 7.3, which only MATLAB reads; {_SAVE_IN_MATLAB}"),
     (b"\x89HDF\r\n", f"is HDF5, which armrig does not read; if MATLAB wrote it, {_SAVE_IN_MATLAB}"),
     (b"# Created by Octave", "is Octave's text format; in Octave: save -v7 data.mat u y"),
     (b"\xd0\xcf\x11\xe0", "is an old Excel workbook; save its sheet as CSV"),
     (b"\x93NUMPY", "is an .npy, an array without a name; save it with numpy.savez(…, u=u, y=y)"),
-    (b"PAR1", "is Parquet, which armrig does not read; save it as CSV"),
     (b"\x1f\x8b", "is packed with gzip; unpack it first (gunzip)"),
     (codecs.BOM_UTF16_LE, _UTF_16),
     (codecs.BOM_UTF16_BE, _UTF_16),
 )
 
 
-def table_of(data: bytes, suffix: str, decimal: str | None = None) -> Table:
-    """Return the table in a file, whose kind is recognised by its first bytes and its suffix.
+def table_of(
+    data: bytes, suffix: str, decimal: str | None = None, topic: str | None = None
+) -> Table:
+    """Return the table in a file, whose kind is recognised by its first bytes.
 
-    `decimal` is the decimal mark of a text, or None if the text itself shows it.
+    Only a MAT-file of version 4 is recognised by its suffix, because it begins with numbers.
+    `decimal` is the decimal mark of a text, or None if the text itself shows it. `topic` chooses
+    the messages of an MCAP file.
 
     Raises
     ------
@@ -490,6 +512,12 @@ def table_of(data: bytes, suffix: str, decimal: str | None = None) -> Table:
     for beginning, what in _REFUSED_KINDS:
         if data.startswith(beginning):
             raise FileError(what)
+    if data.startswith(MAGIC):
+        return messages.table_of(data, topic)
+    if topic is not None:
+        raise FileError(f"topic {topic}: only MCAP files have topics; leave out --topic")
+    if data.startswith(b"PAR1"):
+        return read_parquet(data)
     if data.startswith(b"PK\x03\x04"):
         return arrays.read_npz(data)
     if data.startswith(b"MATLAB 5.0") or (suffix == ".mat" and b"\0" in data[:128]):

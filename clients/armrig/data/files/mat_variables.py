@@ -23,17 +23,24 @@ _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
 _NUMBERS |= {12: "i8", 13: "u8"}
 _CELL, _STRUCTURE, _OBJECT, _TEXT, _SPARSE = 1, 2, 3, 4, 5
-_FIRST_NUMBER, _LAST_NUMBER = 6, 15
+_TWO_BYTE_CHARACTERS = (4, 17)  # types of a text's element: UTF-16; all others are UTF-8
+_LAST_NUMBER = 15
 _COMPLEX = 0x0800
 _VERSION_4_NUMBERS = ("f8", "f4", "i4", "i2", "u2", "u1")
 _MAX_NAME_BYTES = 4096
+EMPTY = "is empty; save it with a value for each sample"
+"""Reason why a variable without values is not a column, and the remedy."""
 _OPAQUE = (
     "is an object that only MATLAB reads; in MATLAB: u = data.u; y = data.y; Ts = data.Ts; "
     "save('data.mat', 'u', 'y', 'Ts', '-v7')"
 )
 
 Value = Any
-"""An array, a list (cell array), a dict with the fields of a structure, or `Unread`."""
+"""An array, a text, a list (cell array), a dict with the fields of a structure, or `Unread`."""
+
+
+class StructureArray(list[Value]):
+    """Several structures with the same fields, each a dict."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +122,7 @@ def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
     if flags.size < 1 or depth > _MAX_DEPTH:
         raise DamageError("an array without a class, or nested too deeply")
     kind = int(flags[0]) & 0xFF
-    if kind > _LAST_NUMBER:
+    if not 1 <= kind <= _LAST_NUMBER:
         return _name(parts), Unread(_OPAQUE)
     shape = tuple(_numbers(parts, order).tolist())
     name = _name(parts)
@@ -127,8 +134,8 @@ def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
         return name, _structure(parts, shape, order, depth)
     if kind == _SPARSE:
         return name, Unread("is sparse; save full(…) of it")
-    if kind == _TEXT or not _FIRST_NUMBER <= kind <= _LAST_NUMBER:
-        return name, Unread("contains no numbers; save it as a vector of real numbers")
+    if kind == _TEXT:
+        return name, _characters(parts, order)
     if int(flags[0]) & _COMPLEX:
         return name, Unread("is complex; save its real part if only that part was measured")
     return name, _shaped(_numbers(parts, order), shape)
@@ -144,10 +151,24 @@ def _structure(
         raise DamageError("a structure without names")
     size = int(width[0])
     fields = [_text(names[i : i + size]) for i in range(0, len(names), size)]
-    if prod(shape) != 1:
-        return Unread(f"is an array of {prod(shape)} structures; save one of them")
-    values = [_matrix(inner, order, depth + 1)[1] for inner in _matrices(parts)]
-    return dict(zip(fields, values, strict=False))
+    # MATLAB writes a field that was never assigned as a matrix of 0 B.
+    values = [
+        _matrix(inner, order, depth + 1)[1] if len(inner) else Unread(EMPTY)
+        for kind, inner in parts
+        if kind == _MATRIX
+    ]
+    if prod(shape) == 1:
+        return dict(zip(fields, values, strict=False))
+    every = range(0, len(values), len(fields))
+    return StructureArray(dict(zip(fields, values[i:], strict=False)) for i in every)
+
+
+def _characters(parts: Iterator[tuple[int, memoryview]], order: str) -> str:
+    """Return the next element as a text."""
+    kind, body = next(parts, (0, memoryview(b"")))
+    utf_16 = "utf-16-le" if order == "<" else "utf-16-be"
+    encoding = utf_16 if kind in _TWO_BYTE_CHARACTERS else "utf-8"
+    return bytes(body[:_MAX_NAME_BYTES]).decode(encoding, "replace")
 
 
 def _matrices(parts: Iterator[tuple[int, memoryview]]) -> Iterator[memoryview]:

@@ -263,7 +263,7 @@ def _uneven(
     return UnevenTimesError(
         f"{place(k)}: {name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, and {count} of "
         f"{t.size - 1} intervals {verb} not the usual {usual:.6g} s. Give --resample to "
-        "interpolate, or Ts in s (--Ts) if the times are wrong"
+        "interpolate, another column (--time), or Ts in s (--Ts) if the times are wrong"
     )
 
 

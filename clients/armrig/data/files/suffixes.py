@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 RECORDING = ".mcap"
-TEXT = (".csv", ".tsv", ".txt", ".dat")
-ARRAYS = (".mat", ".npz")
-DATA = (*TEXT, *ARRAYS)
-"""Suffixes of data files other than recordings, in lower case."""
+DATA = (".csv", ".tsv", ".txt", ".dat", ".mat", ".npz", ".parquet")
+"""Usual suffixes of data files other than recordings; the readers look at the content instead."""
 OTHER_DATA = "other data (.csv, .dat, .mat, .npz)"
 """Name of the data files in messages, with their usual suffixes."""

@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import msgspec
 from armrig_core.errors import InputError, OperationError
 
-from armrig.recordings.export import imported
+from armrig.data.optional_packages import imported
 from armrig.recordings.recording_summary import shown_path
 from armrig.report.batch.items import Item, items_in
 from armrig.report.batch.progress import OTHER, SUFFIX, Progress, still_right

@@ -14,7 +14,7 @@ from typing import Any
 
 from armrig_core.errors import OperationError
 
-from armrig.recordings.export import imported
+from armrig.data.optional_packages import imported
 
 _CONNECT_TIMEOUT_S = 10.0
 

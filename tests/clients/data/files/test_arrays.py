@@ -12,7 +12,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 import pytest
-from armrig import FileError, load_data
+from armrig import FileError, load_data, load_signals
 from armrig.data.files.arrays import most_unpacked
 from scipy.io import savemat
 from scipy.io.matlab import MatlabObject
@@ -425,3 +425,66 @@ def test_a_small_file_holds_little() -> None:
     assert most_unpacked(500_000) == most_unpacked(0) == 1 << 26
     assert most_unpacked(1_000_000) == 100_000_000
     assert most_unpacked(100_000_000) == 1 << 28
+
+
+def logged(time: Any, *signals: tuple[Any, str]) -> dict[str, Any]:
+    """Return a structure with time as Simulink logs it; each signal has values and a label."""
+    kinds = [("values", object), ("dimensions", object), ("label", object), ("title", object)]
+    every = np.empty((1, len(signals)), dtype=kinds)
+    for k, (values, label) in enumerate(signals):
+        every[0, k] = (values, 1.0, label, "")
+    return {"time": time, "signals": every, "blockName": "plant/Scope"}
+
+
+T = 0.5 * np.arange(30).reshape(-1, 1)
+
+
+def test_a_structure_with_time_of_simulink_is_columns_by_label(tmp_path: Path) -> None:
+    column = U.reshape(-1, 1), Y.reshape(-1, 1)
+    scope = logged(T, (column[0], "u"), (column[1], "<y>"), (np.column_stack([U, Y]), "u"))
+
+    path = mat(tmp_path, {"ScopeData": scope})
+    data = load_data(path)
+    both = load_signals(path, inputs="signals:3", outputs="y")
+
+    np.testing.assert_array_equal(data.u, U)
+    np.testing.assert_array_equal(data.y, Y)
+    assert (data.Ts, data.output) == (0.5, "ScopeData.y")
+    np.testing.assert_array_equal(both.u, np.column_stack([U, Y]))
+
+
+def test_two_structures_with_the_same_times_are_read_together(tmp_path: Path) -> None:
+    cube = Y.reshape(1, 1, -1)  # as Simulink logs a signal that is a matrix
+    values = {"yout": logged(T, (cube, "")), "uout": logged(T, (U.reshape(-1, 1), ""))}
+    path = mat(tmp_path, values, do_compression=True)
+
+    data = load_data(path, input="uout", signal="yout")
+
+    np.testing.assert_array_equal(data.u, U)
+    np.testing.assert_array_equal(data.y, Y)
+    assert data.Ts == 0.5
+    other = mat(tmp_path, values | {"yout": logged(2 * T, (cube, ""))})
+    with pytest.raises(FileError, match=r"sampling time is not known.*1 yout\.time"):
+        load_data(other, input="uout", signal="yout")
+
+
+def test_a_structure_without_times_needs_a_sampling_time(tmp_path: Path) -> None:
+    path = mat(tmp_path, {"out": logged(np.zeros((0, 0)), (U, "u"), (Y, "y"))})
+
+    assert load_data(path, Ts=2).y.tolist() == Y.tolist()
+    with pytest.raises(FileError, match="sampling time is not known"):
+        load_data(path)
+
+
+def test_a_field_that_was_never_assigned_does_not_shift_the_others(tmp_path: Path) -> None:
+    """MATLAB writes such a field as a matrix element of 0 B."""
+    path = mat(tmp_path, {"z": {"a": np.zeros((0, 0)), "u": U, "y": Y, "Ts": 2.0}})
+    whole = path.read_bytes()
+    empty = whole.index(struct.pack("<II", 14, 48))  # the element of `a`, a matrix of 0 values
+    parts = bytearray(whole[:empty] + struct.pack("<II", 14, 0) + whole[empty + 56 :])
+    struct.pack_into("<I", parts, 132, struct.unpack_from("<I", whole, 132)[0] - 48)
+    path.write_bytes(parts)
+
+    data = load_data(path)
+
+    assert (data.u.tolist(), data.y.tolist(), data.Ts) == (U.tolist(), Y.tolist(), 2.0)

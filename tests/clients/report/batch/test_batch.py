@@ -100,7 +100,7 @@ def test_each_recording_has_a_row_and_a_broken_one_stops_nothing(identified: Pat
     rows = {row["recording"]: row for row in rows_of(identified)}
     assert len(rows) == MANY + 4
     assert [name for name, row in rows.items() if row["problem"]] == [BROKEN, STEP]
-    assert "not an MCAP file" in rows[BROKEN]["problem"]
+    assert "is not a recording of the rig" in rows[BROKEN]["problem"]
     assert "\n" not in rows[BROKEN]["problem"]
     assert rows[CUT]["damage"]
     assert 0 < rows[CUT]["samples"] < 3000
