@@ -71,7 +71,7 @@ def report(
     OSError
         The PDF cannot be written.
     """
-    output, study = Path(output), study.best_first
+    output, study = Path(output), study.best_first()
     with source_folder(source) as root:
         drawn = write_figures(study, root)
         made = recorded(study.recordings)

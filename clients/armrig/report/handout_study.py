@@ -104,7 +104,7 @@ def handout_study(
     recordings = sorted(recordings, key=ended_early)
     excited = [r for r in recordings if kind_of(r) not in OTHERS]
     stepped, alone = _first(recordings, STEP), _first(recordings, GREYBOX)
-    black = tried("black", lambda: study(excited, orders=orders).best_first) if excited else None
+    black = tried("black", lambda: study(excited, orders=orders).best_first()) if excited else None
     first = stepped or (excited[0].dataset() if excited else None)
     data = black.estimation if black else excited[0].dataset() if excited else None
     return HandoutStudy(

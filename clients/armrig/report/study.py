@@ -175,9 +175,8 @@ class Study:
         """The estimated models, sorted by rms error, the best first."""
         return tuple(sorted(self.estimated, key=lambda m: m.comparison.rms_error))
 
-    @property
     def best_first(self) -> Study:
-        """The study with its models in the order of `ranked`; a figure's first line is widest."""
+        """Return the study with its models in the order of `ranked`: the first line is widest."""
         order = [m.name for m in self.ranked]
 
         def ordered(one: Study) -> Study:

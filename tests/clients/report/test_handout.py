@@ -227,7 +227,7 @@ def test_the_table_of_coefficients_has_a_column_for_each_polynomial(done: Handou
     assert done.black is not None
     arx = armrig.arx(done.black.estimation, na=4, nb=2)
     models = tuple(
-        replace(m, fit=arx) if m.name == "ARX" else m for m in done.black.best_first.estimated
+        replace(m, fit=arx) if m.name == "ARX" else m for m in done.black.best_first().estimated
     )
 
     table, _ = sections(replace(done, black=replace(done.black, estimated=models)), "3")[

@@ -211,9 +211,9 @@ def drawn_by(found: Study, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Ax
 
 def test_the_best_model_has_the_widest_line(done: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     """ARX is estimated first, and OE simulates best."""
-    panels = drawn_by(done.best_first, monkeypatch)
+    panels = drawn_by(done.best_first(), monkeypatch)
 
-    assert [m.name for m in done.best_first.estimated] == ["OE", "ARX"]
+    assert [m.name for m in done.best_first().estimated] == ["OE", "ARX"]
     for name in ("compare", "velocity", "bode", "step_poles"):
         widths = {
             model: line.get_linewidth()
