@@ -37,7 +37,7 @@ from armrig.report.recording_facts import (
     treatment,
     without_turns,
 )
-from armrig.report.study import STEP, Study, each_output, kind_of
+from armrig.report.study import STEP, Study, best_first, each_output, kind_of
 from armrig.report.typesetting import recorded, source_folder, typeset
 
 
@@ -71,7 +71,7 @@ def report(
     OSError
         The PDF cannot be written.
     """
-    output, study = Path(output), study.best_first()
+    output, study = Path(output), best_first(study)
     with source_folder(source) as root:
         drawn = write_figures(study, root)
         made = recorded(study.recordings)

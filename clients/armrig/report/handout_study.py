@@ -19,7 +19,7 @@ from armrig.physics.integrators.step_choice import Recommendation, recommend_ste
 from armrig.physics.systems import HANDOUT, chassis
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import ended_early
-from armrig.report.study import STAIRCASE, STEP, Orders, Study, kind_of, study
+from armrig.report.study import STAIRCASE, STEP, Orders, Study, best_first, kind_of, study
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
@@ -104,7 +104,7 @@ def handout_study(
     recordings = sorted(recordings, key=ended_early)
     excited = [r for r in recordings if kind_of(r) not in OTHERS]
     stepped, alone = _first(recordings, STEP), _first(recordings, GREYBOX)
-    black = tried("black", lambda: study(excited, orders=orders).best_first()) if excited else None
+    black = tried("black", lambda: best_first(study(excited, orders=orders))) if excited else None
     first = stepped or (excited[0].dataset() if excited else None)
     data = black.estimation if black else excited[0].dataset() if excited else None
     return HandoutStudy(

@@ -175,16 +175,6 @@ class Study:
         """The estimated models, sorted by rms error, the best first."""
         return tuple(sorted(self.estimated, key=lambda m: m.comparison.rms_error))
 
-    def best_first(self) -> Study:
-        """Return the study with its models in the order of `ranked`: the first line is widest."""
-        order = [m.name for m in self.ranked]
-
-        def ordered(one: Study) -> Study:
-            models = tuple(sorted(one.estimated, key=lambda m: order.index(m.name)))
-            return replace(one, estimated=models)
-
-        return replace(ordered(self), others=tuple(map(ordered, self.others)))
-
     def model(self, name: str) -> Assessed:
         """Return the model with this name in the report."""
         return next(m for m in self.models if m.name == name)
@@ -192,6 +182,17 @@ class Study:
     def recording_of(self, sha256: str) -> Recording:
         """Return the recording with this hash."""
         return next(r for r in self.recordings if r.sha256 == sha256)
+
+
+def best_first(study: Study) -> Study:
+    """Return the study with its models in the order of `ranked`: the first line is widest."""
+    order = [m.name for m in study.ranked]
+
+    def ordered(one: Study) -> Study:
+        models = tuple(sorted(one.estimated, key=lambda m: order.index(m.name)))
+        return replace(one, estimated=models)
+
+    return replace(ordered(study), others=tuple(map(ordered, study.others)))
 
 
 def each_output(study: Study) -> tuple[Study, ...]:

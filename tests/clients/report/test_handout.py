@@ -33,7 +33,7 @@ from armrig.report.model_facts import physics
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.recording_facts import run_name
 from armrig.report.section import Section
-from armrig.report.study import Assessed
+from armrig.report.study import Assessed, best_first
 from armrig.report.typesetting import compiled, typeset
 from armrig_core.arm import ArmParameters
 from armrig_core.calibration import Calibration, Driver
@@ -227,7 +227,7 @@ def test_the_table_of_coefficients_has_a_column_for_each_polynomial(done: Handou
     assert done.black is not None
     arx = armrig.arx(done.black.estimation, na=4, nb=2)
     models = tuple(
-        replace(m, fit=arx) if m.name == "ARX" else m for m in done.black.best_first().estimated
+        replace(m, fit=arx) if m.name == "ARX" else m for m in best_first(done.black).estimated
     )
 
     table, _ = sections(replace(done, black=replace(done.black, estimated=models)), "3")[

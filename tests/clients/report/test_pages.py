@@ -20,7 +20,7 @@ from armrig.report.document import content, report
 from armrig.report.figures import MIN_SIZE, STYLE, save, write_figures
 from armrig.report.handout import handout_report
 from armrig.report.handout_study import handout_study
-from armrig.report.study import Study, study
+from armrig.report.study import Study, best_first, study
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -211,9 +211,9 @@ def drawn_by(found: Study, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Ax
 
 def test_the_best_model_has_the_widest_line(done: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     """ARX is estimated first, and OE simulates best."""
-    panels = drawn_by(done.best_first(), monkeypatch)
+    panels = drawn_by(best_first(done), monkeypatch)
 
-    assert [m.name for m in done.best_first().estimated] == ["OE", "ARX"]
+    assert [m.name for m in best_first(done).estimated] == ["OE", "ARX"]
     for name in ("compare", "velocity", "bode", "step_poles"):
         widths = {
             model: line.get_linewidth()
