@@ -11,7 +11,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.numerics.polynomial import filtered, impulse
 from armrig.validation.feedback_and_delay.delay import _hidden_by_steps, _Onset, _Readings
-from armrig.validation.feedback_and_delay.lag_tests import lag_tests
+from armrig.validation.feedback_and_delay.lag_tests import _least_without_one, lag_tests
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 from scipy.stats import f
@@ -379,3 +379,79 @@ def test_a_plant_of_relative_degree_four_has_no_dead_time(seed: int) -> None:
     assert found.nk == 1
     assert found.interval[0] <= 1 <= found.interval[1] <= 3
     assert "An even slower onset looks like a delay" in found.explain()
+
+
+def held(
+    seed: int, *, gain: float, pole: float, walk: float, spikes: tuple[float, float]
+) -> Dataset:
+    """Return a lag with nk = 6 under an input of long holds; the noise drifts and has spikes."""
+    rng, N = np.random.default_rng([77, seed]), 300
+    high, u = bool(rng.random() < 0.5), []
+    while len(u) < N:
+        u += [6.0 if high else -6.0] * (10 * int(rng.integers(1, 12)))
+        high = not high
+    share, size = spikes
+    drift = filtered([1.0], [1.0, -0.99], walk * rng.standard_normal(N))
+    spike = np.where(rng.random(N) < share, size * rng.standard_normal(N), 0.0)
+    x = filtered([*np.zeros(6), gain], [1.0, -pole], np.array(u[:N]))
+    y = np.round(120 + x + drift + 0.5 * rng.standard_normal(N) + spike)
+    return Dataset(u=np.array(u[:N]), y=y, Ts=0.025)
+
+
+@pytest.mark.parametrize("seed", [7, 12, 17, 25])
+def test_the_last_lag_of_a_model_is_not_the_first_lag_of_u(seed: int) -> None:
+    """AIC chose a single lag of u, and that lag contained the effect of all later lags."""
+    data = held(seed, gain=0.1, pole=0.98, walk=1.5, spikes=(0.06, 6.0))
+
+    try:
+        low, high = armrig.delay(data, integrator=False).interval
+    except ValueError as err:
+        assert "do not determine the delay" in str(err)  # noqa: PT017
+    else:
+        assert low <= 6 <= high
+
+
+@pytest.mark.parametrize("seed", [22, 33, 42])
+def test_one_spike_is_no_effect_of_u(seed: int) -> None:
+    """If u changes rarely, one wrong sample made the coefficient of an early lag significant."""
+    data = held(seed, gain=0.25, pole=0.97, walk=0.7, spikes=(0.02, 15.0))
+
+    low, high = armrig.delay(data, integrator=False).interval
+
+    assert low <= 6 <= high
+
+
+def test_the_p_value_without_one_row_is_the_largest_of_all_rows() -> None:
+    """Each row is left out in turn from the scores."""
+    rng = np.random.default_rng(8)
+    X, y = rng.standard_normal((40, 5)), rng.standard_normal(40)
+    Q, R = np.linalg.qr(np.column_stack([X, y]))
+
+    found = _least_without_one([np.column_stack([X, y])], R, 3)
+
+    for k in (1, 2, 3):
+        first = Q[:, 5 - k : 5]
+        e = y - Q[:, : 5 - k] @ (Q[:, : 5 - k].T @ y)
+        sums = [float(np.sum((first.T @ e - first[i] * e[i]) ** 2)) for i in range(40)]
+        assert found[k - 1] == pytest.approx(min(sums))
+
+
+def test_the_progress_of_the_fits_of_an_onset_is_reported() -> None:
+    seen: list[tuple[int, int, str]] = []
+
+    armrig.delay(unnamed(arm(1)), integrator=True, progress=lambda *of: seen.append(of))
+
+    (done, total, name), *_ = seen
+    assert (done, name.split()[0]) == (0, "lag")
+    assert len(seen) == total == len({name for _, _, name in seen})
+
+
+def test_a_wide_range_of_lags_is_not_tested_by_its_shape() -> None:
+    """The test of 12 lags took a minute, and its result was then discarded."""
+    data = held(1, gain=0.25, pole=0.97, walk=0.7, spikes=(0.02, 15.0))
+    seen: list[tuple[int, int, str]] = []
+
+    found = armrig.delay(data, integrator=True, progress=lambda *of: seen.append(of))
+
+    assert found.interval == (0, 11)
+    assert (found.misfit, seen) == ({}, [])

@@ -182,8 +182,8 @@ def of_lags(p_values: Any, coefficient: Any, std: Any, answer: Any, first: int =
     """Return tests of lags."""
     arrays = [np.array(x, float) for x in (p_values, coefficient, std, answer)]
     return LagTests(
-        first=first, p_values=arrays[0], coefficient=arrays[1], std=arrays[2],
-        loss=np.ones(len(p_values)), response=arrays[3], na=2, N=100,
+        first=first, p_values=arrays[0], p_without_one=arrays[0], coefficient=arrays[1],
+        std=arrays[2], loss=np.ones(len(p_values)), response=arrays[3], na=2, N=100,
     )  # fmt: skip
 
 

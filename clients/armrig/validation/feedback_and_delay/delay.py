@@ -28,7 +28,12 @@ from armrig.validation.feedback_and_delay.lag_tests import (
     lag_tests,
 )
 from armrig.validation.feedback_and_delay.open_loop import open_loop
-from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING, possible, smooth_onsets
+from armrig.validation.feedback_and_delay.smooth_onset import (
+    SURPRISING,
+    Progress,
+    possible,
+    smooth_onsets,
+)
 
 Vector = NDArray[np.float64]
 
@@ -36,6 +41,7 @@ SECOND_ORDER = frozenset({THETA_1, ALPHA})
 """Outputs whose second derivative jumps at a voltage step, with a continuous first derivative."""
 _MIN_SAMPLES = 50  # with a known y
 _LOSS_LAGS = 3  # number of lags after nk for which the result contains the loss
+_MAX_SHAPED_LAGS = 8  # noise that hides more lags hides the shape of the onset, too
 _MAX_FEW_CHANGES = 10  # changes of u; with more changes the error of quantisation averages out
 Matrix = NDArray[np.float64]
 
@@ -46,7 +52,12 @@ _BLOCK = 4096  # rows decomposed at once: they stay in the cache
 
 @accepts_signals("armrig.validation.multivariable.feedback_and_delay")
 @takes_recordings
-def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
+def delay(
+    data: Dataset,
+    *,
+    integrator: bool | None = None,
+    progress: Progress | None = None,
+) -> Delay:
     """Find the first lag at which u acts: the first lag that a model of y needs.
 
     The model is ARX with lags of u from 0 on; AIC chooses its orders. For each k, `lag_tests` tests
@@ -62,7 +73,8 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     t²/2 under a hold, this ratio is 1/(1 + 2 n). If the response begins more slowly, the bound is
     computed from an onset (t/Ts)^d, and d is estimated from the first lags. The first two
     coefficients of a plant of relative degree d have the ratio 1 to (2^d - 1). If several lags
-    remain for an angle or for an integrating y, the shape of the onset decides (`smooth_onsets`).
+    remain for an angle, or at most nine lags for an integrating y, the shape of the onset decides
+    (`smooth_onsets`).
 
     nk is the least lag that is not ruled out, so an unproven delay is never claimed. A direct term,
     nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, the model
@@ -78,6 +90,9 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     integrator : bool, optional
         True if y integrates. The default is True for theta_1. For any other y a test decides, and
         `remarks` contains the result of this test.
+    progress : callable, optional
+        Called before each slow estimate with the number of finished estimates, the number of all
+        estimates, and the tested lag as text.
 
     Returns
     -------
@@ -121,11 +136,11 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         tests = tests if zero.rig and later.none_shown else later
     if tests.none_shown:
         raise InputError(
-            f"{data.output} shows no response to u above the noise: record longer, or with "
-            "a larger input"
+            f"the data do not determine the delay: {data.output} shows no response to u above the "
+            "noise at any lag; record longer, or with more and larger changes of u"
         )
     first, shown = tests.first, tests.shown
-    onset = _onset(data, tests, integrates=decided.integrates)
+    onset = _onset(data, tests, progress, integrates=decided.integrates)
     read = _readings(data, response, onset.first)
     low, remarks = _hidden_by_steps(onset, read, data.Ts)
     either = zero is not None and zero.rig and bool(zero.remark)
@@ -133,7 +148,7 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         nk=1 if either and first else max(low, min(1, onset.last)),
         interval=(0 if either else low, onset.last),
         may_be_feedback=either,
-        p_values={k: float(tests.p_values[k - first]) for k in range(first, shown + 1)},
+        p_values={k: float(tests.p_without_one[k - first]) for k in range(first, shown + 1)},
         before=tests.before(shown - 1) if shown > first else None,
         misfit=onset.misfit,
         arx_loss={
@@ -216,12 +231,14 @@ class _Onset:
     """Chi-squared of the model with a smooth onset, for each first lag; empty if not tested."""
 
 
-def _onset(data: Dataset, tests: LagTests, *, integrates: bool) -> _Onset:
+def _onset(
+    data: Dataset, tests: LagTests, progress: Progress | None, *, integrates: bool
+) -> _Onset:
     first, last = tests.least(), tests.shown
     angle = data.output in SECOND_ORDER
-    if first == last or not (angle or integrates):
+    if first == last or not (angle or (integrates and last - first <= _MAX_SHAPED_LAGS)):
         return _Onset(first=first, last=last, misfit={})
-    misfit = smooth_onsets(data, first, last, integrator=integrates)
+    misfit = smooth_onsets(data, first, last, integrator=integrates, progress=progress)
     if not angle and min(misfit.values()) > SURPRISING:
         return _Onset(first=first, last=last, misfit={})  # it is no smooth onset
     first, last = possible(misfit)

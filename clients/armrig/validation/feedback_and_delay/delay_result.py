@@ -29,7 +29,7 @@ class Delay:
     direct term."""
     p_values: dict[int, float]
     """p value for each lag k, up to the first significant lag. The hypothesis is that u does not
-    act at lag k or at an earlier lag."""
+    act at lag k or at an earlier lag. If one sample is left out, no p value is larger."""
     before: Before | None
     """Test for a weak effect of u one lag before the first significant lag. None if the first
     significant lag is 0."""

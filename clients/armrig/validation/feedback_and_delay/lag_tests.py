@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.criteria import aic
-from armrig.numerics.least_squares import column_norms, triangle
+from armrig.numerics.least_squares import column_norms, triangle, upper_inverse
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.regressors import arx_rows, in_blocks
 
@@ -58,6 +59,9 @@ class LagTests:
     """Least lag of the model: 0, or 1 if feedback hides lag 0."""
     p_values: Vector
     """p values of H_k: b_first = … = b_k = 0, (n,)."""
+    p_without_one: Vector
+    """Largest p value of H_k if any one row is left out, (n,). If u changes rarely, a few rows
+    determine a coefficient, and one large error of y in these rows can look like an effect of u."""
     coefficient: Vector
     """b_k of the model that begins at lag k, (n,), in the unit of y per unit of u."""
     std: Vector
@@ -73,13 +77,13 @@ class LagTests:
 
     @property
     def shown(self) -> int:
-        """First lag at which H_k is rejected; the last lag + 1 if no H_k is rejected."""
-        return self.first + _first(self.p_values)
+        """First lag at which H_k is rejected without any one row; the last lag + 1 if none is."""
+        return self.first + _first(self.p_without_one)
 
     @property
     def none_shown(self) -> bool:
         """True if no H_k is rejected."""
-        return _first(self.p_values) == self.p_values.size
+        return _first(self.p_without_one) == self.p_without_one.size
 
     def before(self, k: int) -> Before:
         """Test whether u may act first at lag k with a coefficient that is not significant.
@@ -177,24 +181,38 @@ def _in_arx(blocks: list[Matrix], most: int, lags: range) -> LagTests:
     scale = column_norms(R)
     scale[scale == 0] = 1.0
     na, nb = _orders(R / scale, most, len(lags), N)
-    columns = [*range(na), *range(most + nb - 1, most - 1, -1), width - 1]
-    T, d = _triangle_of(R / scale, columns), na + nb
-    latest_first = np.arange(d - 1, na - 1, -1)  # of the lags of u in T
-    diagonal, t = np.diag(T)[latest_first], T[latest_first, -1]
-    left = max(float(T[d, -1] ** 2), _ROUNDING**2)
-    s = np.sqrt(left / (N - d - len(blocks)))
-    unit = scale[-1] / scale[most : most + nb]
-    p_values = _joint(t / s, N - d - len(blocks))
-    return LagTests(
-        first=lags.start,
-        p_values=p_values,
-        coefficient=t / diagonal * unit,
-        std=s / np.abs(diagonal) * unit,
-        loss=(left + np.append(0.0, np.cumsum(t**2)[:-1])) * scale[-1] ** 2 / N,
-        response=_response(T, scale[columns], na, _first(p_values), lags.start),
-        na=na,
-        N=N,
-    )
+
+    def tests(nb: int) -> LagTests:
+        columns = [*range(na), *range(most + nb - 1, most - 1, -1), width - 1]
+        T, d = _triangle_of(R / scale, columns), na + nb
+        latest_first = np.arange(d - 1, na - 1, -1)  # of the lags of u in T
+        diagonal, t = np.diag(T)[latest_first], T[latest_first, -1]
+        left = max(float(T[d, -1] ** 2), _ROUNDING**2)
+        degrees = N - d - len(blocks)
+        s = np.sqrt(left / degrees)
+        unit = scale[-1] / scale[most : most + nb]
+        rows = (
+            piece[:, columns] / scale[columns] for b in blocks for piece in in_blocks(b, _BLOCK)
+        )
+        p_without_one = _joint(_least_without_one(rows, T, nb) / s**2, degrees)
+        return LagTests(
+            first=lags.start,
+            p_values=_joint(np.cumsum(t**2) / s**2, degrees),
+            p_without_one=p_without_one,
+            coefficient=t / diagonal * unit,
+            std=s / np.abs(diagonal) * unit,
+            loss=(left + np.append(0.0, np.cumsum(t**2)[:-1])) * scale[-1] ** 2 / N,
+            response=_response(T, scale[columns], na, _first(p_without_one), lags.start),
+            na=na,
+            N=N,
+        )
+
+    found = tests(nb)
+    # The last lag of a model also represents later lags: u(t) is correlated with its past.
+    while _first(found.p_without_one) == nb - 1 < len(lags) - 1:
+        nb = min(2 * nb, len(lags))
+        found = tests(nb)
+    return found
 
 
 def _first(p_values: Vector) -> int:
@@ -242,9 +260,11 @@ def _in_response(response: ImpulseResponse, first: int) -> LagTests:
     rounding = (_ROUNDING * np.linalg.norm(g)) ** 2 + np.finfo(np.float64).tiny
     L = np.linalg.cholesky(np.asarray(covariance) + rounding * np.eye(g.size))
     score, std = np.linalg.solve(L, g)[first:], np.diag(L)[first:]
+    p_values = _joint(np.cumsum(score**2), max(response.N - g.size, 1))
     return LagTests(
         first=first,
-        p_values=_joint(score, max(response.N - g.size, 1)),
+        p_values=p_values,
+        p_without_one=p_values,
         coefficient=std * score,
         std=std,
         loss=response.noise_variance * (1 + np.append(0.0, np.cumsum(score**2)[:-1]) / response.N),
@@ -254,9 +274,29 @@ def _in_response(response: ImpulseResponse, first: int) -> LagTests:
     )
 
 
-def _joint(score: Vector, degrees: int) -> Vector:
-    """Return the p value for each k: the mean square of the first k scores is F(k, degrees)."""
+def _joint(squares: Vector, degrees: int) -> Vector:
+    """Return the p value for each k: the sum of the first k squared scores, over k, is F."""
     from scipy.special import fdtrc
 
-    k = np.arange(1, score.size + 1)
-    return np.asarray(fdtrc(k, degrees, np.cumsum(score**2) / k))
+    k = np.arange(1, squares.size + 1)
+    return np.asarray(fdtrc(k, degrees, squares / k))
+
+
+def _least_without_one(rows: Iterable[Matrix], T: Matrix, nb: int) -> Vector:
+    """Return the least sum of the first k squared scores if one row is left out, for each k.
+
+    A score is the sum q' e_k over the rows. q is the column of Q of a lag of u, and e_k are the
+    residuals of the model without the first k lags.
+    """
+    d = T.shape[1] - 1
+    dependent = np.diag(T)[:d] == 0
+    inverse, t = upper_inverse(T[:d, :d] + np.diag(dependent)), T[:d, -1]
+    late = np.arange(d - 1, d - nb - 1, -1)
+    total, least = np.cumsum(t[late] ** 2), np.full(nb, np.inf)
+    for block in rows:
+        Q = block[:, :d] @ inverse
+        explained = np.cumsum(Q[:, late] * t[late], axis=1)
+        leverage = np.cumsum(Q[:, late] ** 2, axis=1)
+        e = (block[:, -1] - Q @ t)[:, None] + explained
+        least = np.minimum(least, np.min(total - 2 * e * explained + e**2 * leverage, axis=0))
+    return least

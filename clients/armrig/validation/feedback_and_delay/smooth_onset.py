@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -9,13 +10,17 @@ import numpy as np
 from armrig.data.dataset import Dataset
 from armrig.estimation.oe import oe
 
+Progress = Callable[[int, int, str], object]
+"""Function of the number of finished estimates, the number of all estimates, and the next lag."""
 SURPRISING = 9.21  # 99 % point of chi-squared, two degrees of freedom
 _MAX_DISTANCE_RATIO = 3.0  # largest sqrt(chi²) of a possible lag, in units of the least sqrt(chi²)
 _POLES = 4  # number of poles of the arm
 _MAX_EXTRA_LAGS = 4  # lags by which the range is extended at each end
 
 
-def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> dict[int, float]:
+def smooth_onsets(
+    data: Dataset, first: int, last: int, *, integrator: bool, progress: Progress | None = None
+) -> dict[int, float]:
     """Return chi-squared of the model with a smooth onset, for each first lag.
 
     OE models with different first lags k are compared. Their numerator is the product of (1 + q^-1)
@@ -38,6 +43,8 @@ def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> 
 
     @cache
     def loss(k: int) -> float:
+        if progress and k <= last:
+            progress(k - first, last - first + 1, f"lag {k}")
         return oe(averaged, nb=_POLES - 1, nf=_POLES, nk=k, integrator=integrator).loss
 
     low, high = first, last
