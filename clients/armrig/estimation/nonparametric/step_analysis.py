@@ -58,7 +58,7 @@ class StepAnalysis:
     dead_time: float
     """Dead time in s; 0.0 if the probability of no dead time is 1 % or more."""
     dead_time_interval: tuple[float, float]
-    """95 % interval of the dead time in s; estimated even if `dead_time` is 0."""
+    """95 % interval of the dead time in s, which contains `dead_time`."""
     tau: float
     """63 % time: time from the step to 63.2 % of the final value, less the dead time, in s."""
     tau_std: float
@@ -121,10 +121,11 @@ class StepAnalysis:
         if self.rate:  # the name that `sampling_time` prints
             name = "the rate of theta_1" if name == "velocity" else f"the {name}"
         unit = f"{self.unit or '1'}/{self.input_unit or '1'}".replace("1/1", "")
+        dead_time = f"{self.dead_time:.4g} s" if self.dead_time else "not determined"
         lines = [
             f"step analysis of {name}, {plural(self.steps, 'step')}, Ts {self.Ts:g} s",
             f"  gain {with_std(self.gain, self.gain_std)} {unit}".rstrip(),
-            f"  dead time {self.dead_time:.4g} s (95 %: {low:.4g} … {high:.4g} s)",
+            f"  dead time {dead_time} (95 %: {low:.4g} … {high:.4g} s)",
             f"  63 % time {with_std(self.tau, self.tau_std)} s, so omega_B = 1/tau = "
             f"{self.bandwidth:.3g} rad/s",
             f"  equivalent time {with_std(self.equivalent_time, self.equivalent_time_std)} s "
@@ -212,6 +213,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         raise InputError(
             f"{treated.output} does not respond to the step: final value {gain:.3g} ± "
             f"{gain_std:.2g}; use a larger step, or hold u longer"
+            + "; or y settles (--assume settling, integrator=False)"
+            * bool(decided.reason)
         )
     answer = _answer(own, k, weight, data, gain, integrates=integrates)
     crossing, L = answer.crossing, answer.dead_time

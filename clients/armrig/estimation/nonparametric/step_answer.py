@@ -112,11 +112,15 @@ class Answer:
 
     @property
     def dead_time_interval(self) -> tuple[float, float]:
-        """Shortest interval that contains the dead times of 95 % of the curves, in s."""
+        """Shortest interval that contains the dead times of 95 % of the curves, in s.
+
+        If no dead time is reported, the interval is extended to 0.
+        """
         delays = np.sort(self.delays)
         n = int(np.ceil(0.95 * delays.size)) - 1
         first = int(np.argmin(delays[n:] - delays[: delays.size - n]))
-        return float(delays[first]), float(delays[first + n])
+        low = float(delays[first]) if self.dead_time else 0.0
+        return low, float(delays[first + n])
 
 
 def _deviation(error: Vector) -> float:

@@ -24,7 +24,7 @@ from armrig.estimation.nonparametric.step_analysis import (
     _warnings,
     step_analysis,
 )
-from armrig.estimation.nonparametric.step_answer import Answer, _reached, _settled
+from armrig.estimation.nonparametric.step_answer import DRAWS, Answer, _reached, _settled
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import with_std
 from armrig.recordings.example import example_recording
@@ -496,3 +496,33 @@ def test_nothing_is_smoothed_to_before_the_step(sampled: Any) -> None:
     assert found.smooth[0] < 0.3 * found.gain
     assert found.smooth.shape == found.smooth_t.shape == found.smooth_std.shape
     assert found.smooth_std.max() < 0.2 * found.gain
+
+
+def test_a_dead_time_lies_inside_its_interval() -> None:
+    """The interval of this record was 10 to 14 s, and the estimate 0 s; the dead time is 12 s."""
+    rng = np.random.default_rng(26)
+    u, t = np.repeat([0.0, 50.0], [100, 700]), np.arange(800) - 112.0
+    y = 22 + 40 * (1 - np.exp(-np.maximum(t, 0) / 99.5)) + 0.45 * rng.standard_normal(800)
+
+    found = step_analysis(Dataset(u=u, y=y, Ts=1.0), integrator=False)
+
+    low, high = found.dead_time_interval
+    assert low == found.dead_time == 0
+    assert high == pytest.approx(12, abs=3)
+    assert found.tau == pytest.approx(99.5, abs=2 * found.tau_std)
+    assert f"dead time not determined (95 %: 0 … {high:.4g} s)" in repr(found)
+
+
+@pytest.mark.parametrize(("zeros", "shown"), [(2, True), (10, False), (30, False)])
+def test_the_interval_excludes_0_only_if_a_dead_time_is_shown(zeros: int, shown: bool) -> None:
+    delays = np.append(np.zeros(zeros), np.linspace(7, 12, DRAWS - zeros))
+    ones = np.ones(DRAWS)
+    answer = Answer(
+        t=ones, y=ones, std=ones, crossings=ones, delays=delays, settlings=ones, peaks=ones,
+        none=zeros / DRAWS,
+    )  # fmt: skip
+
+    low, high = answer.dead_time_interval
+
+    assert (low > 0, answer.dead_time > 0) == (shown, shown)
+    assert low <= answer.dead_time <= high
