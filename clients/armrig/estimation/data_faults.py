@@ -27,6 +27,12 @@ Vector = NDArray[np.float64]
 NO_OPTION = "remove the means (detrend), or take a structure with the option offset, such as OE"
 """Remedy for an offset if the estimator cannot estimate an offset."""
 
+CONSTANT_INPUT = (
+    "u is constant: gain and level cannot be distinguished; record a u that changes (step, "
+    "telegraph, PRBS)"
+)
+"""Text for data whose u is constant in each experiment."""
+
 _MAD_TO_STD = 1.4826  # ratio of the standard deviation to median |x| for a normal distribution
 _OUTLIER_SIGMAS = 10.0  # Gaussian residuals never exceed this many robust std
 _MIN_OUTLIER_SHARE = 0.2  # share of the sum of squares above which outliers dominate the estimate
@@ -54,6 +60,8 @@ def data_faults(
         Text of the remedy for an offset; "" if the model already has an offset.
     """
     yield from swapped(data)
+    if way_out and constant_input(data):
+        yield warning("excitation", CONSTANT_INPUT)
     e = np.concatenate(residuals)
     e = e[np.isfinite(e)]
     if e.size < _MIN_RESIDUALS:
@@ -78,8 +86,15 @@ def swapped(data: Dataset) -> Iterator[EstimateFinding]:
         )
 
 
+def constant_input(data: Dataset) -> bool:
+    """Return whether u is constant in each experiment."""
+    return all(np.ptp(part.u) == 0 for part in data.experiments())
+
+
 def undetermined(data: Dataset) -> str:
     """Return the cause of undetermined parameters, or a remedy if the cause is unknown."""
+    if data.trends and constant_input(data):
+        return CONSTANT_INPUT
     for name, x in (("u", data.u), (data.output, data.y[data.valid])):
         if x.size and np.ptp(x) == 0:
             return f"{name} is always {x[0]:.4g}: give the column that varies, or record again"
@@ -126,11 +141,12 @@ def level_without_input(data: Dataset, least: float = _MIN_LEVEL_SIGMAS) -> Esti
     """Return a finding with the level of y at u = 0, or None if the level is within `least` σ of 0.
 
     The model A(q) y(t) = B(q) u(t) + c + e(t) has a constant c. At u = 0 the level of y is c /
-    A(1). In a model without c, the initial state can explain a level only for a short time.
+    A(1). In a model without c, the initial state can explain a level only for a short time. The
+    result is None if u is constant from lag n on, because c and the gain then have the same effect.
     """
     parts = [(part.u, part.y) for part in data[:_MAX_OFFSET_SAMPLES].experiments()]
     n = min(_MAX_OFFSET_ORDER, (data.N - data.missing) // 10)
-    if n < 1:
+    if n < 1 or all(np.ptp(u[n:]) == 0 for u, _ in parts if u.size > n):
         return None
     model = whitening(parts, n)
     std = float(np.sqrt(model.covariance[2 * n + 1, 2 * n + 1]))

@@ -12,7 +12,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding, warning
-from armrig.estimation.data_faults import data_faults
+from armrig.estimation.data_faults import CONSTANT_INPUT, constant_input, data_faults
 from armrig.estimation.multistart import Ends, rounding_floor, same_minimum, searched_minimum
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import PredictionErrorProblem, Solution
@@ -96,6 +96,8 @@ def searched(
         )
         free, at_rest = either(initial="estimate"), either(initial="zero")
         return free if _state_matters(free, at_rest) else at_rest
+    if constant_input(data) and (structure.trend or not data.u.any()):
+        raise InputError(CONSTANT_INPUT)
     n = replace(structure, at_rest=initial == "zero")
     problem = PredictionErrorProblem(
         experiments=tuple(prepared(part, n) for part in data.experiments()), structure=n

@@ -167,6 +167,8 @@ def _line(t: Vector, x: Vector, where: Mask, order: int) -> tuple[float, float]:
     """Return level at t = 0 and slope of the least-squares line; (0, 0) without a valid sample."""
     if not where.any():
         return 0.0, 0.0
+    if np.ptp(x[where]) == 0:  # exactly: a rounded mean would leave a small signal
+        return float(x[where][0]), 0.0
     # With time measured from its mean, the estimates of level and slope are uncorrelated.
     middle = float(np.mean(t[where]))
     basis = orthonormal(np.vander(t[where] - middle, order + 1, increasing=True))

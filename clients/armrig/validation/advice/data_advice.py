@@ -13,7 +13,12 @@ from armrig.data.step import LINE, codes_of
 from armrig.data.treatment import INTEGRATING_OUTPUTS, drift, hampel
 from armrig.data.treatment.integrating import Integration, integration
 from armrig.estimation.arx import arx
-from armrig.estimation.data_faults import NO_OPTION, level_without_input
+from armrig.estimation.data_faults import (
+    CONSTANT_INPUT,
+    NO_OPTION,
+    constant_input,
+    level_without_input,
+)
 from armrig.estimation.oe import oe
 from armrig.excitation.input_description import describe_input
 from armrig.models.fit import Fit
@@ -90,6 +95,13 @@ def doubts(data: Dataset, known: Tested) -> list[Finding]:
     return [f for f in found if f.about != "feedback" or known.together]
 
 
+def data_doubts(data: Dataset) -> list[Finding]:
+    """Return a poor input, and feedback with p < 0.1 %; neither depends on a structure."""
+    known = Tested(integration=Integration(integrates=False), loop=_loop(data), late="")
+    found = [_about_input(data), *(_about_feedback(known) if known.together else ())]
+    return [f for f in found if f.level != "good"]
+
+
 def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
     """Yield the findings that need no model."""
     yield _about_input(data)
@@ -106,11 +118,11 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
     yield from _about_delay(known)
 
 
-def examine_fit_of(data: Dataset, fit: Fit) -> Iterator[Finding]:
+def examine_fit_of(data: Dataset, fit: Fit, integrator: bool | None = None) -> Iterator[Finding]:
     """Yield the findings on excitation, integrator, feedback and delay that concern the model."""
-    known = tested(data, fit.integrator or None)
+    known = tested(data, fit.integrator or integrator)
     order, needed = _excitation(data), _parameters_from_u(fit)
-    if order < needed:
+    if order < needed and not constant_input(data):
         text = f"u is exciting of order {order} only, and {needed} parameters of the model "
         text += "describe the response to u: play a u that switches often (telegraph, PRBS), or "
         text += "lower the orders"
@@ -152,6 +164,8 @@ def _about_input(data: Dataset) -> Finding:
     if order >= needed:
         text = f"u is exciting of order {order} at least: enough for {order} parameters of B and F "
         return finding("excitation", text + "(or B and A) together", good=True)
+    if constant_input(data):
+        return finding("excitation", CONSTANT_INPUT, good=False)
     text = f"u is exciting of order {order} only, and a model of order {ORDER} has {needed} "
     text += "parameters of B and F (or B and A): play a u that switches often (telegraph, PRBS)"
     return finding("excitation", text, good=False)
@@ -162,6 +176,7 @@ def _about_integrator(decided: Integration) -> Finding:
         return finding("integrator", "none is seen", good=True)
     text = decided.reason or "the output is an angle"
     text += ": fix its pole (OE with the option integrator), and remove no linear trend"
+    text += "; --assume settling, if it settles" * bool(decided.reason)
     return finding("integrator", text, good=True)
 
 
