@@ -23,6 +23,7 @@ from armrig.models.structure_table import OFFERED, OFFERED_NAMES, OfferedName
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
 from armrig.validation.advice.data_advice import Tested, doubts, tested
+from armrig.validation.data_parts import estimation_and_validation
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.residuals import residuals
 from armrig.validation.search_result import Candidate, Scored, SearchResult
@@ -74,7 +75,8 @@ def search(
         Data to estimate from.
     validation : Dataset, optional
         Data to rank the models on; by default the second half of `data`. Then only the first half
-        is used for estimation.
+        is used for estimation. If u rests in one half, `data` are cut at another sample, so that u
+        moves in both parts.
     families : sequence of str, optional
         Names of structures, such as "oe"; by default all but "ararx" and "pem". In closed loop the
         default contains only structures whose noise model prevents a bias by feedback.
@@ -112,7 +114,8 @@ def search(
     Raises
     ------
     ValueError
-        No model could be estimated, or an argument is out of range.
+        No model could be estimated, an argument is out of range, or u moves in one part of `data`
+        only and `validation` is not given.
 
     References
     ----------
@@ -130,7 +133,7 @@ def search(
     orders = several("orders", orders)
     halved = validation is None
     if validation is None:
-        data, validation = data.split(2)
+        data, validation = estimation_and_validation(data)
     known = tested(data, integrator)
     if nk is None:
         nk = _likely_delays(known)

@@ -197,7 +197,7 @@ class SearchResult:
         >>> import armrig
         >>> data = armrig.example_recording().dataset("alpha")
         >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).table())
-        4 models, simulated, ranked by their error on the second half of the data; the first ...
+        4 models, simulated, ranked by their error on the second part of the data; the first ...
           model      parameters   rms [rad]  excess mean square ± se [rad²]
           OE[3 3 1]           6   0.0035...                                  <- chosen
           OE[2 2 1]           4     0.0341...               0.0011... ± 0.00011
@@ -205,7 +205,7 @@ class SearchResult:
         """
         what = "simulated" if self.horizon is None else f"predicted {_ahead(self.horizon)}"
         count = len(self.ranked) + len(self.failed)
-        where = "second half of the data; the first" if self.halved else "validation data"
+        where = "second part of the data; the first" if self.halved else "validation data"
         lines = [f"{count} models, {what}, ranked by their error on the {where}"]
         if self.halved:
             lines = [f"{lines[0]} estimated them"]

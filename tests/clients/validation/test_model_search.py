@@ -297,7 +297,7 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     assert {j.fit.nk for j in found.ranked if j.fit is not None} == {4}
     assert found.chosen.candidate.order <= 3
     assert found.halved
-    assert "the second half of the data" in found.table()
+    assert "the second part of the data" in found.table()
 
 
 @pytest.mark.exhaustive

@@ -100,7 +100,7 @@ def test_a_search_is_a_table_with_a_mark() -> None:
     failed = (scored("arx", 9, reason="too few samples"),)
     short = result(halved=True, horizon=1, failed=failed, unit="").table(most=1).splitlines()
     assert short[0] == (
-        "5 models, predicted 1 sample ahead, ranked by their error on the second half of the data; "
+        "5 models, predicted 1 sample ahead, ranked by their error on the second part of the data; "
         "the first estimated them"
     )
     assert [line.split()[0] for line in short[2:]] == ["OE[3", "OE[2", "…"]
@@ -616,7 +616,7 @@ def test_a_search_of_several_signals_is_told() -> None:
     assert [line.endswith("  chosen") for line in lines[1:4]] == [False, True, False]
     assert lines[4:] == [
         "n4sid of order 7 too few samples",
-        "oe of order 4, simulated, has the least error on the second half of the data.",
+        "oe of order 4, simulated, has the least error on the second part of the data.",
         "oe of order 2 has fewer parameters (6 instead of 12), and its error exceeds the least by "
         "no more than the standard error of the difference.",
     ]

@@ -18,6 +18,7 @@ from armrig.models.multivariable.fit import MultivariableFit, require_same_chann
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
 from armrig.numerics.polynomial import Array
+from armrig.validation.data_parts import estimation_and_validation
 
 SearchedName = Literal["ss", "n4sid", "oe"]
 FAMILIES: tuple[SearchedName, ...] = get_args(SearchedName)
@@ -65,7 +66,7 @@ class SignalsSearch:
     chosen_index: int
     """Index of the simplest candidate that is as good as the best."""
     halved: bool
-    """True if the second half of the data was used for validation."""
+    """True if the second part of the data was used for validation."""
     horizon: int | None
     """Number of samples predicted ahead; None for simulation."""
     nk: int
@@ -87,7 +88,7 @@ class SignalsSearch:
     def explain(self) -> str:
         """Return the reasons for the choice, one sentence per line."""
         best, chosen = self.ranked[0], self.chosen
-        where = "the second half of the data" if self.halved else "the validation data"
+        where = "the second part of the data" if self.halved else "the validation data"
         how = "simulated" if self.horizon is None else f"predicted {self.horizon} ahead"
         lines = [f"{best.name}, {how}, has the least error on {where}."]
         if chosen is not best:
@@ -135,7 +136,8 @@ def search(
     data : Signals
         Data to estimate from.
     validation : Signals, optional
-        Data to rank the models on; by default the second half of `data`.
+        Data to rank the models on; by default the second half of `data`, or
+        a second part in which each input moves.
     families : sequence of {"ss", "n4sid", "oe"}
         Structures to try. "oe" has a shared denominator. If samples are missing, "ss" has no K.
     orders : iterable of int
@@ -164,7 +166,7 @@ def search(
     orders = several("orders", orders)
     halved = validation is None
     if validation is None:
-        data, validation = data.split(2)
+        data, validation = estimation_and_validation(data)
     families = several_of("families", families, FAMILIES)
     if any(integrating_outputs(integrator, data)):
         families = ["oe"]
