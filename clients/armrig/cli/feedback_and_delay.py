@@ -14,6 +14,7 @@ from armrig.cli.chosen_recording import DataFile
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import chassis, kind_of, say_next, typed
 from armrig.cli.options import (
+    Assume,
     CalibrationFile,
     DataTs,
     Detrend,
@@ -59,6 +60,7 @@ def check(
     reading: ReadingOptions = AS_IT_STANDS,
     detrend: Detrend = False,
     hampel: Hampel = False,
+    assume: Assume = None,
     output: NoOutput = None,
     level: Annotated[
         float, typer.Option("--level", help="Significance level of the test for feedback.")
@@ -85,13 +87,17 @@ def check(
         reading=reading,
         detrend=detrend,
         hampel=hampel,
+        assume=assume,
         calibration=calibration,
         start=start,
         stop=stop,
     )
     data = signals.of(file)
-    with spinner("testing"):
-        loop, late = _tested(partial(open_loop, level=level), data), _tested(delay, data)
+    integrates, taken = signals.choice(data)
+    integrator = signals.integrator if json else integrates  # the remarks then contain the reason
+    with spinner("testing") as progress:
+        loop = _tested(partial(open_loop, level=level), data)
+        late = _tested(partial(delay, integrator=integrator, progress=progress), data)
     if isinstance(loop, str) and isinstance(late, str):
         raise InputError(loop)
     drawn = {"open_loop": loop, "delay": late}
@@ -103,6 +109,8 @@ def check(
         )
         return
     of_rig = from_recording(data)
+    for line in taken:
+        say(line)
     for which, number, found in (("open loop", "3.7", loop), ("delay", "3.8", late)):
         where = f"{which} (handout {number})" if of_rig else which
         if isinstance(found, str):

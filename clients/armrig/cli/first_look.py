@@ -12,6 +12,7 @@ from armrig.cli.chosen_recording import DataFile, File
 from armrig.cli.figures import FIGURE_HELP, Plot, check_plot, figure_path, write_plot
 from armrig.cli.next_step import AFTER, kind_of, say_next, step_again, typed, validation_beside
 from armrig.cli.options import (
+    Assume,
     CalibrationFile,
     DataTs,
     Detrend,
@@ -33,7 +34,6 @@ from armrig.cli.recorded_data import SignalChoice, from_recording, loaded, sourc
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
-    from armrig.data.finding import Finding
     from armrig.estimation.nonparametric.sampling_time import SamplingTime
     from armrig.estimation.nonparametric.step_analysis import StepAnalysis
     from armrig.validation.structure_hints import StructureHints
@@ -82,6 +82,7 @@ def sampling(
     Ts: DataTs = None,
     reading: ReadingOptions = AS_IT_STANDS,
     detrend: Detrend = False,
+    assume: Assume = None,
     calibration: CalibrationFile = None,
     start: From = None,
     stop: To = None,
@@ -105,14 +106,17 @@ def sampling(
         Ts=Ts,
         reading=reading,
         detrend=detrend,
+        assume=assume,
         calibration=calibration,
         start=start,
         stop=stop,
     )
     data = signals.of(file)
+    integrates, taken = signals.choice(data)
+    integrator = signals.integrator if json else integrates  # the notes then contain the reason
     with spinner("estimating the response"):
-        choice = sampling_time(data)
-        steps = _steps(data) if choice.from_step else None
+        choice = sampling_time(data, integrator=integrator)
+        steps = _steps(data, integrator) if choice.from_step else None
     if steps is not None:  # print a warning that both results contain only once
         said = set(choice.notes)
         steps = replace(steps, warnings=tuple(w for w in steps.warnings if w not in said))
@@ -121,6 +125,8 @@ def sampling(
     if json:
         print_json(source_facts(data) | _sampling_facts(choice) | _step_facts(steps))
         return
+    if taken:
+        say("\n".join(taken))
     if verbose:
         say_answer("\n".join(map(repr, reversed(shown.values()))))
     else:
@@ -134,12 +140,12 @@ def sampling(
         say_next("sampling other", file=typed(file), given=signals.options())
 
 
-def _steps(data: Dataset) -> StepAnalysis | None:
+def _steps(data: Dataset, integrator: bool | None) -> StepAnalysis | None:
     """Return the analysis of the steps; None if the levels are not held long enough."""
     from armrig.estimation.nonparametric.step_analysis import step_analysis
 
     try:
-        return step_analysis(data)
+        return step_analysis(data, integrator=integrator)
     except ValueError:
         return None
 
@@ -174,6 +180,7 @@ def hints(
     Ts: DataTs = None,
     reading: ReadingOptions = AS_IT_STANDS,
     detrend: Detrend = False,
+    assume: Assume = None,
     calibration: CalibrationFile = None,
     start: From = None,
     stop: To = None,
@@ -186,6 +193,7 @@ def hints(
     response, the spectra and the Hankel matrix, which assume no structure.
     """
     from armrig.cli.spinner import spinner
+    from armrig.validation.advice.data_advice import data_doubts
     from armrig.validation.structure_hints import structure_hints
 
     check_plot(plot, [file])
@@ -196,18 +204,22 @@ def hints(
         Ts=Ts,
         reading=reading,
         detrend=detrend,
+        assume=assume,
         calibration=calibration,
         start=start,
         stop=stop,
     )
     data = signals.of(file)
     with spinner("estimating without a structure"):
-        found = structure_hints(data)
-        doubts = _doubts(data, found)
+        found = structure_hints(data, integrator=signals.integrator)
+        doubts = data_doubts(data)
     _draw_hints(found, data, plot)
     if json:
         print_json(source_facts(data) | _hint_facts(found) | {"doubts": [d.text for d in doubts]})
         return
+    _, taken = signals.choice(data, found.integrator)
+    if taken:
+        say("\n".join(taken))
     say_answer("\n".join([repr(found), *(f"! {d.about}: {d.text}" for d in doubts)]))
     if any(d.about == "feedback" for d in doubts):
         say_next("identify check", file=typed(file), given=signals.options())
@@ -216,15 +228,6 @@ def hints(
     validate = f" --validate {validation}" if validation else ""
     options = f"{_options(found)}{signals.options()}"
     say_next("hints", file=typed(file), options=options, validate=validate)
-
-
-def _doubts(data: Dataset, found: StructureHints) -> list[Finding]:
-    """Return the findings that make all the hints doubtful: feedback, or a poor input."""
-    from armrig.validation.advice import data_advice
-
-    known = data_advice.tested(data, found.integrator)
-    every = data_advice.doubts(data, known)
-    return [d for d in every if d.about in {"feedback", "excitation"}]
 
 
 def _options(found: StructureHints) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +22,7 @@ from armrig.cli.model_structures import (
 )
 from armrig.cli.next_step import say_next, typed, validation_beside
 from armrig.cli.options import (
+    Assume,
     CalibrationFile,
     DataTs,
     Detrend,
@@ -109,6 +110,7 @@ def identify(
     shared: Shared = False,
     detrend: Detrend = False,
     hampel: Hampel = False,
+    assume: Assume = None,
     output: NoOutput = None,
     calibration: CalibrationFile = None,
     start: From = None,
@@ -138,10 +140,13 @@ def identify(
         detrend=detrend,
         offset=given["offset"] if given["structure"] in (None, *users("offset")) else None,
         hampel=hampel,
+        assume=assume,
         calibration=calibration,
         start=start,
         stop=stop,
     )
+    if assume == "settling" and given["integrator"]:
+        raise typer.BadParameter("--assume settling contradicts --integrator: leave one out")
     if signals.several or shared:
         _identify_several(
             file,
@@ -169,10 +174,16 @@ def identify(
     other = None if validate is None else signals.of(validate)
     if given["integrator"]:
         _warn_of_integrator(data)
-    found = _found(wanted, data, other)
+    taken: list[str] = []
+    integrator = signals.integrator
+    if (assume or isinstance(wanted, _Search)) and not (given["integrator"] or json):
+        integrator, taken = signals.choice(data)
+    found = _found(wanted, data, other, integrator)
     if json:
         _print_json(found, data)
     else:
+        for line in taken:
+            say(line)
         _print_lines(found, validate, verbose=verbose)
     if save is not None:
         found.fit.save(save)
@@ -197,6 +208,10 @@ def _identify_several(
     if jobs > 1:
         raise typer.BadParameter(
             f"--jobs {jobs}: a search of several signals uses one process; leave --jobs out"
+        )
+    if signals.assume is not None:
+        raise typer.BadParameter(
+            f"--assume {signals.assume} is for one output and one input: leave it out"
         )
     _check_files(file, to.validate, plot=to.figure, save=to.save)
     identify_several(file, given, signals, to, most=most, shared=shared)
@@ -257,18 +272,20 @@ def _check_files(
             raise InputError(f"{msg}; to write a figure, use -o")
 
 
-def _found(wanted: _Search | Request, data: Dataset, other: Dataset | None) -> _Found:
+def _found(
+    wanted: _Search | Request, data: Dataset, other: Dataset | None, integrator: bool | None
+) -> _Found:
     """Estimate or search for a model; if there are validation data, validate the model."""
     searched = None
     if isinstance(wanted, _Search):
-        searched = _searched(wanted, data, other)
+        searched = _searched(wanted, data, other, integrator)
         fit = searched.fit
         again = Request(structure=searched.chosen.candidate.family, orders={})
     else:
         fit = estimated(data, wanted)
         again = wanted
     validation = None if other is None else _validated(fit, other)
-    doubts = _doubts(fit, data) if searched is None else searched.doubts
+    doubts = _doubts(fit, data, integrator) if searched is None else searched.doubts
     return _Found(
         fit=fit,
         request=again.of_fit(fit),
@@ -278,15 +295,17 @@ def _found(wanted: _Search | Request, data: Dataset, other: Dataset | None) -> _
     )
 
 
-def _doubts(fit: Fit, data: Dataset) -> tuple[Finding, ...]:
+def _doubts(fit: Fit, data: Dataset, integrator: bool | None) -> tuple[Finding, ...]:
     from armrig.cli.spinner import spinner
     from armrig.validation.advice.data_advice import examine_fit_of
 
     with spinner("testing the data"):
-        return tuple(examine_fit_of(data, fit))
+        return tuple(examine_fit_of(data, fit, integrator))
 
 
-def _searched(wanted: _Search, data: Dataset, other: Dataset | None) -> SearchResult:
+def _searched(
+    wanted: _Search, data: Dataset, other: Dataset | None, integrator: bool | None
+) -> SearchResult:
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext
 
@@ -301,7 +320,7 @@ def _searched(wanted: _Search, data: Dataset, other: Dataset | None) -> SearchRe
             orders=range(1, wanted.most + 1),
             executor=executor,
             progress=progress,
-            **wanted.fixed,
+            **({"integrator": integrator} | wanted.fixed),
         )
 
 
@@ -384,6 +403,7 @@ def _say_next(
 
     fit, given = found.fit, signals.options()
     about = model_output.to_act_on(fit, found.doubts) - ({"outliers"} if signals.hampel else set())
+    about -= {"integrator"} if signals.integrator is False else set()
     options = options_after(
         fit, found.request, about, searched=found.search is not None, detrended=signals.detrend
     )
@@ -404,7 +424,8 @@ def _say_next(
     elif validate is not None and signals.read and fit.output == THETA_1:
         say_next("validate", **(values | {"estimation": typed(file), "file": validation}))
     elif validation:
-        say_next("identify --save", **values)
+        # `armrig validate` has no option --assume.
+        say_next("identify --save", **values | {"given": replace(signals, assume=None).options()})
     else:
         after = "identify alone" if signals.read else "identify check"
         say_next(after, **(values | {"given": given}))

@@ -7,7 +7,7 @@ import sys
 import textwrap
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, Literal, TextIO
 
 import typer
 from armrig_core.errors import OperationError
@@ -108,6 +108,15 @@ DataTs = Annotated[
     typer.Option("--Ts", help="Sampling time of other data, in s.", show_default="by the times"),
 ]
 
+Assumption = Literal["integrating", "settling"]
+Assume = Annotated[
+    Assumption | None,
+    typer.Option(
+        "--assume",
+        help="Take the output as the integral of its rate, or as an output that settles.",
+        show_default="a test of the data decides",
+    ),
+]
 Detrend = Annotated[
     bool, typer.Option("--detrend", help="Subtract the mean of each signal of each file.")
 ]

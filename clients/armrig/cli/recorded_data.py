@@ -27,7 +27,7 @@ from armrig.cli.column_notes import (
     tell_of_signals,
 )
 from armrig.cli.figures import name_runs
-from armrig.cli.options import inform, tell, warned
+from armrig.cli.options import Assumption, inform, tell, warned
 from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions
 from armrig.data.files.suffixes import OTHER_DATA
 
@@ -91,6 +91,8 @@ class SignalChoice:
     """True if a constant level of y is also estimated; None if the command has no such option."""
     hampel: bool = False
     """Mark single outliers of the output as missing, before the means are subtracted."""
+    assume: Assumption | None = None
+    """Assumption about the output; None if a test of the data decides."""
     calibration: Path | None = None
     """Calibration file for recordings."""
     start: float | None = None
@@ -121,10 +123,33 @@ class SignalChoice:
             "--from": None if self.start is None else f"{self.start:g}",
             "--to": None if self.stop is None else f"{self.stop:g}",
         }
+        given["--assume"] = self.assume
         given["--calibration"] = None if self.calibration is None else str(self.calibration)
         typed = [f" {name} {shlex.quote(value)}" for name, value in given.items() if value]
         typed.append(self.reading.typed())
         return "".join(typed) + " --detrend" * self.detrend + " --hampel" * self.hampel
+
+    @property
+    def integrator(self) -> bool | None:
+        """True or False if --assume decides whether the output integrates, otherwise None."""
+        return None if self.assume is None else self.assume == "integrating"
+
+    def choice(self, data: Dataset, integrates: bool | None = None) -> tuple[bool, list[str]]:
+        """Return whether the output is taken as integrating, and a line that names the choice.
+
+        `integrates` is the choice of a command with a test of its own. For a recording, there is a
+        line only if --assume or the test of the data decided.
+        """
+        from armrig.data.treatment.integrating import integration
+
+        decided = integration(data, self.integrator if integrates is None else integrates)
+        kinds: tuple[Assumption, Assumption] = ("settling", "integrating")
+        reason = f"{decided.reason}:" if decided.reason else f"{data.output} is"
+        taken = f"{reason} taken as {kinds[decided.integrates]}"
+        if self.assume is not None:
+            return decided.integrates, [f"{taken}, as --assume says"]
+        line = f"{taken}; --assume {kinds[not decided.integrates]} changes this"
+        return decided.integrates, [line] if decided.reason or not from_recording(data) else []
 
     def of(self, file: Path, model: Model | None = None) -> Dataset:
         """Return the data of a file, and print its defects; the default output is the model's."""

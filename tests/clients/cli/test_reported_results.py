@@ -195,7 +195,7 @@ class _Hints(SimpleNamespace):
         (True, "", ""),
         (False, "excitation", " --signal alpha --from 0.5"),
         (True, "feedback", " --from 0.5"),
-        (False, "outliers", ""),
+        (False, "", ""),
     ],
 )
 def test_the_line_after_the_hints_has_their_orders_or_tests_for_feedback(
@@ -209,9 +209,8 @@ def test_the_line_after_the_hints_has_their_orders_or_tests_for_feedback(
     found = _Hints(**HINTS, integrator=integrator, singular_values=np.array([1.0, 0.5]))
     doubts = [SimpleNamespace(about=doubtful, text="a doubt")] if doubtful else []
     hints, advice = "armrig.validation.structure_hints", "armrig.validation.advice.data_advice"
-    monkeypatch.setattr(f"{hints}.structure_hints", lambda _: found)
-    monkeypatch.setattr(f"{advice}.tested", lambda _, integrates: integrates)
-    monkeypatch.setattr(f"{advice}.doubts", lambda *_: doubts)
+    monkeypatch.setattr(f"{hints}.structure_hints", lambda _, integrator: found)
+    monkeypatch.setattr(f"{advice}.data_doubts", lambda _: doubts)
     path = written(tmp_path, of_the_arm(armrig.telegraph(200, 0.1, seed=1)))
     typed = ["hints", str(path), *given.split()]
 
@@ -220,7 +219,7 @@ def test_the_line_after_the_hints_has_their_orders_or_tests_for_feedback(
     assert main([*typed, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
 
-    is_doubted = doubtful in ("feedback", "excitation")
+    is_doubted = bool(doubtful)
     lines = [f"! {doubtful}: a doubt"] if is_doubted else []
     assert said.out.splitlines() == ["hints of a test", *lines]
     options = f"--structure oe --nb 3 --nf 5 --nk 2{' --integrator' * integrator}{given}"

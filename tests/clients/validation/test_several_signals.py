@@ -297,6 +297,15 @@ def test_a_search_that_cannot_be_is_refused() -> None:
         armrig.search(plant(0)[:20], orders=[9])
 
 
+def test_a_search_needs_every_input_to_move_in_both_parts() -> None:
+    data = plant(0)
+    u = np.column_stack([data.u[:, 0], np.where(np.arange(data.N) < 9, 0.0, 1.0), data.u[:, 1:]])
+    rests = Signals(u=u, y=data.y, Ts=1.0)
+
+    with pytest.raises(InputError, match="u moves in one part of the data only"):
+        armrig.search(rests, families=["oe"], orders=[1])
+
+
 def test_each_output_has_its_orders() -> None:
     rng = np.random.default_rng(6)
     u = rng.standard_normal((N, 2))

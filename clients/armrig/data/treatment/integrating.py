@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from armrig_core import telemetry
 from armrig_core.telemetry import THETA_1
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Vector
 from armrig.data.finding import Finding, warning
 from armrig.data.treatment.channelwise import channelwise
 from armrig.data.trend import Trend
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import complete, past
+from armrig.numerics.stretches import Mask, constant
 
 # Outputs that integrate by construction, whatever the result of a test on a short record.
 INTEGRATING_OUTPUTS = frozenset({THETA_1})
@@ -24,6 +26,9 @@ _TEST_LAGS = 5
 # The test must be able to detect a return to the trend line by this share of the distance per
 # sample. Otherwise the data are too few for the test.
 MIN_SEEN_PULL = 0.2
+_MIN_HOLD_SAMPLES = 8  # least length of a hold of u before and after a step
+_MIN_END_SAMPLES = 4  # least number of known samples at the end of a hold
+_MAX_REST_SHARE = 0.25  # of an integrator's change of level, at least 0.4 is in the last third
 
 
 class IntegratingOutputWarning(UserWarning):
@@ -44,7 +49,8 @@ def integrating(data: Dataset) -> Finding | None:
 
     If the data are too few for this test, the result is None. The data are too few if fewer than 10
     degrees of freedom remain, or if g = -0.2 would not be significant. With g = -0.2, the distance
-    of the output from its trend line decreases by 20 % per sample.
+    of the output from its trend line decreases by 20 % per sample. The result is also None if the
+    output rests at different values of u (`_rests`).
 
     References
     ----------
@@ -70,10 +76,43 @@ def integrating(data: Dataset) -> Finding | None:
     variance = float(np.sum(basis.without(target) ** 2)) / degrees
     g, std = basis.coefficients(target)[0], np.sqrt(variance * np.sum(basis.W[0] ** 2))
     limit = DICKEY_FULLER_TREND_5_PERCENT * std
-    if g < limit or limit < -MIN_SEEN_PULL:
+    if g < limit or limit < -MIN_SEEN_PULL or _rests(data):
         return None
     text = f"{data.output} behaves as an integrating output (no return to a trend line is visible)"
     return warning("integrator", text, pull=float(g), std=float(std))
+
+
+def _rests(data: Dataset) -> bool:
+    """Return whether y moves from rest to rest at the long steps of u, which refutes an integrator.
+
+    The change of y in the last third of a hold of u is compared with the change of y's level from
+    hold to hold. For an integrator, the ratio is 0.4 or more. One standard deviation is added to
+    each change, and the ratio is computed from the sums over all steps.
+    """
+    steps = []
+    for part in data.experiments():
+        for holds in pairwise(constant(part.u)):
+            ends = [_end_of_hold(part.y[s], part.valid[s]) for s in holds]
+            length = min(s.stop - s.start for s in holds)
+            if length >= _MIN_HOLD_SAMPLES:
+                steps.append((length, abs(ends[1][0] - ends[0][0]), ends[0][1] + ends[1][1]))
+    longest = max((n for n, _, _ in steps), default=0)
+    used = [(moved, drifted) for n, moved, drifted in steps if 2 * n >= longest]
+    moved, drifted = np.sum(used, axis=0) if used else (0.0, np.inf)
+    return bool(drifted < _MAX_REST_SHARE * moved)
+
+
+def _end_of_hold(y: Vector, valid: Mask) -> tuple[float, float]:
+    """Return the level of the last third of a hold, and the likely change of y there."""
+    n = max(y.size // 3, _MIN_END_SAMPLES)
+    known = np.flatnonzero(valid[-n:])
+    if known.size < _MIN_END_SAMPLES:
+        return 0.0, np.inf
+    y = y[-n:][known]
+    x = (known - known.mean()) / n
+    slope = float(x @ y) / float(x @ x)
+    std = float(np.std(y - slope * x, ddof=2)) / float(np.linalg.norm(x))
+    return float(y.mean()), abs(slope) + std
 
 
 # Rate of an output, such as an angle's velocity.
@@ -142,7 +181,7 @@ class Integration:
         """Notes for the result, with the evidence from the test; () without evidence."""
         if not self.reason:
             return ()
-        what = "taken as integrating (in Python integrator=False prevents this)"
+        what = "taken as integrating (--assume settling, in Python integrator=False, changes this)"
         return (f"{self.reason}: {what}",)
 
 

@@ -78,3 +78,42 @@ def test_a_slow_output_that_is_pulled_back_is_not_taken_as_integrating() -> None
 
     assert not found.integrates
     assert found.notes == ()
+
+
+def stepped() -> Dataset:
+    """Return a step of 2 at sample 9 to a lag of 14.6 s, gain 0.985 and dead time 10 s."""
+    rng = np.random.default_rng(5)
+    u = np.where(np.arange(100) < 9, 0.0, 2.0)
+    pole = np.exp(-1 / 14.6)
+    y = filtered([*np.zeros(11), 0.985 * (1 - pole)], [1.0, -pole], u)
+    return Dataset(u=u, y=y + 0.01 * rng.standard_normal(100), Ts=1.0)
+
+
+def test_an_output_that_rests_after_a_step_settles() -> None:
+    """The unit root test alone found an integrator, although five time constants are recorded."""
+    data = stepped()
+
+    found = sampling_time(data)
+
+    assert not integration(data, None).integrates
+    assert found.tau == pytest.approx(14.6, abs=0.5)
+
+
+@pytest.mark.parametrize("holds", [(30, 30, 60), (20, 60, 0)], ids=["pulse", "step"])
+def test_an_integrator_that_rests_at_one_input_is_not_taken_as_settling(
+    holds: tuple[int, int, int],
+) -> None:
+    """The output rests at u = 0, but moves at u = 1."""
+    u = np.repeat([0.0, 1.0, 0.0], holds)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(u.size)
+
+    found = integration(Dataset(u=u, y=filtered([0.0, 0.1], [1.0, -1.0], u) + noise, Ts=1.0), None)
+
+    assert found.integrates
+
+
+def test_missing_samples_at_the_end_of_a_hold_leave_the_test_without_a_verdict() -> None:
+    data = stepped()
+    valid = np.arange(100) < 65
+
+    assert integration(data.replaced(valid=valid, step=None), None).integrates

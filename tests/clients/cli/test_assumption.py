@@ -1,0 +1,217 @@
+"""Data of which a test must not decide more than the data show, from the command line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig.cli import main
+from armrig.data.dataset import Dataset
+from armrig.numerics.polynomial import filtered
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+COLUMNS = ["--input", "heater", "--signal", "temp"]
+
+
+def written(path: Path, u: Vector, y: Vector) -> str:
+    """Write a table of u and y; return its name."""
+    table = np.column_stack([np.arange(u.size), u, y])
+    np.savetxt(path, table, "%.6g", ",", header="time,heater,temp", comments="")
+    return str(path)
+
+
+def lag(u: Vector, seed: int = 1, *, pole: float = 0.95, noise: float = 0.02) -> Vector:
+    """Return the response of a lag of gain 1 with noise."""
+    rng = np.random.default_rng(seed)
+    return filtered([0.0, 1 - pole], [1.0, -pole], u) + noise * rng.standard_normal(u.size)
+
+
+@pytest.fixture
+def telegraph(tmp_path: Path) -> str:
+    """Give a table of a lag under a telegraph."""
+    u = armrig.telegraph(400, 0.1, 0.0, 4.0, seed=3)
+    return written(tmp_path / "telegraph.csv", u, lag(u))
+
+
+@pytest.fixture
+def constant(tmp_path: Path) -> str:
+    """Give a table of a lag that warms up from 22.5 under a constant input."""
+    u = np.full(300, 50.0)
+    return written(tmp_path / "constant.csv", u, 22.5 + lag(0.8 * u, pole=0.98, noise=0.1))
+
+
+def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    """Return exit code, output and errors of a command."""
+    code = main([*arguments, *COLUMNS])
+    out, err = capsys.readouterr()
+    assert "Traceback" not in err
+    return code, out, err
+
+
+@pytest.mark.parametrize(
+    "command", ["check", "hints", "identify --search --structure oe --max-order 1"]
+)
+def test_the_first_line_names_the_choice_and_assume_changes_it(
+    command: str, telegraph: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name, *options = command.split()
+    line = [name, telegraph, *options]
+
+    _, settles, after = said(line, capsys)
+    _, assumed, then = said([*line, "--assume", "integrating"], capsys)
+    facts = [
+        said([*line, "--json", *more], capsys)[1] for more in ([], ["--assume", "integrating"])
+    ]
+
+    assert settles.startswith("temp is taken as settling; --assume integrating changes this\n")
+    assert assumed.startswith("temp is taken as integrating, as --assume says\n")
+    found = [json.loads(text) for text in facts]
+    assert [one.get("delay", one)["integrator"] for one in found] == [False, True]
+    assert "--assume" not in after
+    assert "next: " in then
+    assert "--assume integrating" in then
+
+
+def test_a_sampling_time_of_an_assumed_integrator_is_for_the_rate(
+    telegraph: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, settles, _ = said(["sampling", telegraph], capsys)
+    code, assumed, err = said(["sampling", telegraph, "--assume", "integrating"], capsys)
+
+    assert settles.startswith("temp is taken as settling; --assume integrating changes this\n")
+    assert (code, assumed) == (1, "")
+    assert "the step response returns to about 0" in err
+
+
+def test_an_assumption_reaches_the_tests_of_a_given_structure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    u = armrig.telegraph(400, 0.1, 0.0, 4.0, seed=3)
+    y = filtered([0.0, 0.1], [1.0, -1.0], u - 2) + 0.02 * np.random.default_rng(1).standard_normal(
+        400
+    )
+    line = [
+        "identify",
+        written(tmp_path / "level.csv", u - 2, y),
+        "--structure",
+        "n4sid",
+        "--order",
+        "1",
+    ]
+
+    _, decided, _ = said(line, capsys)
+    _, assumed, after = said([*line, "--assume", "settling"], capsys)
+
+    assert "! integrator: temp behaves as an integrating output" in decided
+    assert "if it settles" in decided
+    assert "behaves as an integrating output" not in assumed
+    assert assumed.startswith("temp is taken as settling, as --assume says\n")
+    assert "--integrator" not in after
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["--integrator"], "--assume settling contradicts --integrator"),
+        (["--signal", "temp,heater"], "--assume settling is for one output and one input"),
+    ],
+)
+def test_an_assumption_that_cannot_hold_is_refused(
+    options: list[str], why: str, telegraph: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = [
+        "identify",
+        telegraph,
+        "--structure",
+        "oe",
+        "--nb",
+        "1",
+        "--nf",
+        "1",
+        "--input",
+        "heater",
+    ]
+
+    code = main([*line, "--assume", "settling", *options])
+
+    assert code != 0
+    assert why in capsys.readouterr().err
+
+
+def test_a_constant_input_does_not_show_a_level(
+    constant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The level seemed to be 9 standard deviations from 0, and --offset found a gain of -1e11."""
+    line = ["identify", constant, "--structure", "oe", "--nb", "1", "--nf", "1"]
+
+    code, out, after = said(line, capsys)
+
+    assert code == 0
+    assert out.count("u is constant: gain and level cannot be distinguished") == 1
+    assert "standard deviations from 0" not in out
+    assert "--offset" not in after
+    for option in ("--offset", "--detrend", "--search"):
+        code, out, err = said(
+            [*line[:2], option] if option == "--search" else [*line, option], capsys
+        )
+        assert (code, out.count("fits")) == (1, 0)
+        assert "u is constant: gain and level cannot be distinguished" in err
+    code, _, err = said(
+        ["identify", constant, "--structure", "arx", "--na", "1", "--nb", "1", "--detrend"], capsys
+    )
+    assert code == 1
+    assert "u is constant: gain and level cannot be distinguished" in err
+
+
+def test_a_search_needs_an_input_that_moves_in_both_parts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a response in the second half, the search chose a double integrator."""
+    step = np.repeat([0.0, 2.0], [30, 270])
+    table = written(tmp_path / "step.csv", step, lag(step, pole=0.98))
+
+    code, _, err = said(["identify", table, "--search", "--max-order", "2", "--detrend"], capsys)
+
+    assert code == 1
+    assert "u moves in one part of the data only" in err
+    assert "--validate" in err
+    other = written(tmp_path / "other.csv", step, lag(step, 2, pole=0.98))
+    line = ["identify", table, "--search", "--structure", "oe", "--max-order", "1", "--json"]
+    assert main([*line, *COLUMNS, "--validate", other]) == 0
+    assert json.loads(capsys.readouterr().out)["parameters"]["f1"]["value"] == pytest.approx(
+        -0.98, abs=0.01
+    )
+
+
+def test_a_search_is_cut_where_the_input_moves_in_both_parts() -> None:
+    """The pulses end at sample 160 of 400."""
+    u = np.append(np.tile(np.repeat([0.0, 2.0], 20), 4), np.zeros(240))
+
+    found = armrig.search(
+        Dataset(u=u, y=lag(u, noise=0.05), Ts=1.0), families=["oe"], orders=[1, 2]
+    )
+
+    assert 80 <= found.fit.N < 160
+    assert found.chosen.candidate.order == 1
+    assert found.fit.poles().values.real[0] == pytest.approx(0.95, abs=0.01)
+
+
+def test_a_check_shows_the_progress_of_a_slow_delay(
+    telegraph: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def slow(
+        data: Dataset, *, integrator: bool, progress: Callable[[int, int, str], object]
+    ) -> None:
+        progress(0, 3, "lag 1")
+        raise ValueError("the progress was reported")
+
+    monkeypatch.setattr("armrig.validation.feedback_and_delay.delay.delay", slow)
+
+    _, out, _ = said(["check", telegraph], capsys)
+
+    assert "delay: not known: the progress was reported" in out
