@@ -26,6 +26,7 @@ from armrig.cli.options import (
     fields_of,
     print_json,
     print_table,
+    say,
     say_answer,
     say_more,
 )

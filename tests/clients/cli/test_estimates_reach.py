@@ -242,26 +242,6 @@ def test_the_next_command_reads_the_same_data() -> None:
     assert not SignalChoice(signal="a", input="b").several
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "is_other"),
-    [
-        ("f.mcap", {}, False),
-        ("f.MCAP", {"Ts": 0.1}, False),
-        ("f.csv", {}, True),
-        ("f.CSV", {}, True),
-        ("f.log", {}, False),
-        ("f.log", {"input": "u"}, True),
-        ("f.log", {"time": "t"}, True),
-        ("f.log", {"Ts": 0.1}, True),
-        ("f.log", {"detrend": True}, False),
-    ],
-)
-def test_a_file_is_other_data_by_its_name_or_by_an_option(
-    name: str, options: dict[str, Any], is_other: bool
-) -> None:
-    assert SignalChoice(signal=None, **options)._is_other(Path(name)) is is_other
-
-
 def test_a_part_has_a_sample_and_says_how_long_the_data_last() -> None:
     data = Dataset(u=np.arange(50.0), y=np.zeros(50), Ts=0.1)
 
