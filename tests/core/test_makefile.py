@@ -25,7 +25,8 @@ def program(path: Path, text: str) -> str:
 def made(*arguments: str, path: str = os.environ["PATH"]) -> str:
     """Return the first line that a failing `make` prints to standard error."""
     done = subprocess.run(
-        ["/usr/bin/env", f"PATH={path}", "make", "-f", MAKEFILE, *arguments],
+        # Without the variables of a `make test PYTHON=…` that runs this test.
+        ["/usr/bin/env", "-i", f"PATH={path}", "make", "-f", MAKEFILE, *arguments],
         capture_output=True,
         text=True,
         check=False,

@@ -258,8 +258,8 @@ def free_name() -> str:
 def for_the_report() -> str:
     """Return the names of the recordings for the handout's report, with a blank before each name.
 
-    The report uses four complete recordings with the same calibration: step, estimation,
-    validation, chassis. The function chooses the calibration with which most of these four
+    The report uses four complete recordings: step, estimation, validation, chassis. The first three
+    have the same calibration. The function chooses the calibration with which most of these four
     recordings were made. Of each kind, it takes the newest recording that has a name of the user.
     If no recording of this kind has a name, it takes the newest one. The result is "" if there is
     no recording.
@@ -275,7 +275,10 @@ def for_the_report() -> str:
 def _of_calibration(hash_: str, every: Sequence[RecordingSummary]) -> list[RecordingSummary]:
     """Return the existing step, estimation, validation and chassis recordings of a calibration."""
     known = [s for s in every if s.calibration_sha256 == hash_]
-    step, chassis = (_newest(s for s in known if s.kind == kind) for kind in ("step", "greybox"))
+    step = _newest(s for s in known if s.kind == "step")
+    # A daemon for the chassis alone reads the same calibration from a file, with another hash.
+    either = (_newest(s for s in of if s.kind == "greybox") for of in (known, every))
+    chassis = next(filter(None, either), None)
     pairs = (s for s in known if s.kind == "blackbox" and s.is_validation)
     validation = _newest(s for s in pairs if _estimation(s))
     estimation = _estimation(validation) if validation else None
