@@ -90,12 +90,18 @@ def _input_range(recording: Recording) -> str:
     return f"{u.min():.2f} to {u.max():.2f} V" if u.size else ""
 
 
+def _listed(value: object) -> str:
+    """Return a fact as text, a list without brackets."""
+    return " and ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
 def shared_facts(study: Study) -> list[str]:
     """Return sentences on the device, the host and the versions of the estimation data."""
     manifest = study.recording_of(study.estimation.source).manifest
     said = []
     for what, facts in (("Device", manifest.device), ("Host", manifest.host)):
-        text = ", ".join(f"{k} {v}" for k, v in facts.items() if v not in ("", None, [], {}))
+        known = {k: v for k, v in facts.items() if v not in ("", None, [], {})}
+        text = ", ".join(f"{k} {_listed(v)}" for k, v in known.items())
         if text:
             said.append(f"{what}: {text}.")
     said.append(f"Recorded by armrig {manifest.armrig}, protocol {manifest.protocol}.")
