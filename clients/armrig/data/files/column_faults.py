@@ -12,7 +12,13 @@ from armrig.data.files.table import Vector
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 
-_MODULI = (*(2.0**n for n in range(8, 17)), 2.0**24, 2.0**32, 360.0, tau)
+_LINES = (1.0, 2.0, 2.4, 2.5, 3.6, 4.0, 5.0)  # of encoders, with a power of ten
+_MODULI = (
+    *(2.0**n for n in range(8, 17)),
+    *(2.0**24, 2.0**32, 360.0, tau),
+    *(x * 10.0**n for x in _LINES for n in range(2, 5)),
+)
+_SAME = 0.005  # relative difference of a modulus from the jumps
 _MIN_RAIL_RUN = 3  # samples
 _MIN_RAIL_SAMPLES = 5
 _MIN_ENTRY = 3.0  # smallest step onto a rail, in steps of the last digit: a level is reached slowly
@@ -37,43 +43,53 @@ def rails(y: Vector) -> tuple[NDArray[np.bool_], list[float]]:
         return found, []
     digit = float(steps[steps > 0].min())
     for value in (float(known.min()), float(known.max())):
-        there = known == value
-        begins = np.flatnonzero(there & ~np.append(False, there[:-1]))
-        runs = np.diff(np.append(begins, known.size)) if begins.size else np.array([])
-        lengths = [int(np.argmin(np.append(there[a:], False))) for a in begins]
-        entries = [steps[a - 1] for a, n in zip(begins, lengths, strict=True) if a and n > 1]
-        several = runs.size and max(lengths, default=0) >= _MIN_RAIL_RUN
-        alike = np.mean(steps[~(there[1:] & there[:-1])] == 0)
+        there = np.concatenate(([False], known == value, [False]))
+        begins = np.flatnonzero(there[1:] & ~there[:-1])
+        lengths = np.flatnonzero(there[:-1] & ~there[1:]) - begins
+        entries = steps[begins[(begins > 0) & (lengths > 1)] - 1]
+        alike = np.mean(steps[~(there[2:-1] & there[1:-2])] == 0)
         if (
-            several
-            and there.sum() >= _MIN_RAIL_SAMPLES
-            and entries
+            lengths.max() >= _MIN_RAIL_RUN
+            and lengths.sum() >= _MIN_RAIL_SAMPLES
+            and entries.size
             and np.median(entries) >= _MIN_ENTRY * digit
-            and alike < 0.5
+            and alike < 0.5  # elsewhere y moves from sample to sample
         ):
             found |= y == value
             values.append(value)
     return found, values
 
 
-def modulus_of(y: Vector) -> float | None:
-    """Return the range of a counter or an angle that wraps, such as 65536 or 360; else None."""
+def modulus_of(y: Vector) -> tuple[float, bool] | None:
+    """Return the range of a counter or an angle that wraps, and whether it is a usual one.
+
+    The range is a usual one, such as 65536 or 360, if it agrees with the jumps and their neighbours
+    within their scatter. Otherwise it is an estimate. The result is None if y does not wrap.
+    """
     known = y[np.isfinite(y)]
     d = np.diff(known)
     if d.size < _MIN_STEPS:
         return None
-    for modulus in _MODULI:
-        jumps = np.abs(d) > _MIN_JUMP * modulus
-        rest = np.abs(d - modulus * np.rint(d / modulus))
-        if (
-            0 < np.count_nonzero(jumps) <= _MAX_JUMP_SHARE * d.size
-            and _MIN_RANGE * modulus <= np.ptp(known) <= modulus * (1 + 1e-9)
-            and rest.max() < _MAX_REST * modulus
-            and np.quantile(rest, 0.9) < _MAX_USUAL_STEP * modulus
-            and rest[jumps].max() <= 2 * max(float(rest[~jumps].max()), modulus / 1000)
-        ):
-            return modulus
-    return None
+    span = float(np.ptp(known))
+    at = np.flatnonzero(np.abs(d) > _MIN_JUMP * span)
+    inside = at[(at > 0) & (at < d.size - 1)]
+    inside = inside[~np.isin(inside - 1, at) & ~np.isin(inside + 1, at)]
+    if not inside.size or at.size > _MAX_JUMP_SHARE * d.size:
+        return None
+    rest = np.abs(np.delete(d, at))
+    sizes = np.abs(d[inside] - (d[inside - 1] + d[inside + 1]) / 2)
+    found, scatter = float(np.median(sizes)), float(np.ptp(sizes)) / np.sqrt(inside.size)
+    if (
+        found < span * (1 - 1e-9)
+        or found > span / _MIN_RANGE
+        or rest.max() >= _MAX_REST * found
+        or np.quantile(rest, 0.9) >= _MAX_USUAL_STEP * found
+        or np.ptp(sizes) > 2 * rest.max() + _SAME * found
+    ):
+        return None
+    nearest = min(_MODULI, key=lambda m: abs(m - found))
+    is_usual = span * (1 - 1e-9) <= nearest and abs(nearest - found) <= scatter + _SAME * found
+    return (float(nearest), True) if is_usual else (float(f"{found:.3g}"), False)
 
 
 def unwrapped(y: Vector, modulus: float) -> Vector:
@@ -88,6 +104,11 @@ def unwrapped(y: Vector, modulus: float) -> Vector:
         raise FileError(f"--unwrap {modulus:g}: must be the positive range of the counter")
     known = np.isfinite(y)
     d = np.diff(y[known])
+    if np.mean(np.abs(d) > _MIN_JUMP * modulus) > _MAX_REST:
+        raise FileError(
+            f"--unwrap {modulus:g}: more than a quarter of the steps are longer than half of it; "
+            "give the range of the counter"
+        )
     result = y.copy()
     result[known] -= modulus * np.append(0.0, np.cumsum(np.rint(d / modulus)))
     return result
@@ -102,12 +123,14 @@ def treated(
         before, y = y, unwrapped(y, unwrap)
         jumps = int(np.count_nonzero(np.diff(np.rint((before - y) / unwrap)[np.isfinite(y)])))
         notes.append(f"unwrapped {name} at {plural(jumps, 'jump')} of {unwrap:.6g}")
-    elif modulus := modulus_of(y):
+    elif wrap := modulus_of(y):
+        modulus, is_usual = wrap
         known = y[np.isfinite(y)]
         jumps = int(np.count_nonzero(np.abs(np.diff(known)) > _MIN_JUMP * modulus))
+        way = f"{modulus:.6g}" if is_usual else "with the range of the counter"
         text = (
-            f"{name} jumps by {modulus:.6g} at {plural(jumps, 'place')}, as a counter that wraps: "
-            f"give --unwrap {modulus:.6g}"
+            f"{name} jumps by {'' if is_usual else 'about '}{modulus:.6g} at "
+            f"{plural(jumps, 'place')}, as a counter that wraps: give --unwrap {way}"
         )
         notes.append(Step(text, DOUBT))
         return y, notes

@@ -71,6 +71,13 @@ def mark_of(column: Sequence[str], others: Iterable[Sequence[str]], *, mixed: bo
     return None if whole and _LARGE <= max(whole) < 10**_GROUP else "."
 
 
+def contradicts(column: Sequence[str], mark: str) -> int | None:
+    """Return the index of the first cell that proves another decimal mark; None if none does."""
+    other = {"," if mark == "." else "."}
+    found = (k for k, cell in enumerate(column) if _proved([plain(cell)]) == other)
+    return next(found, None)
+
+
 def two_readings(cell: str) -> str:
     """Return the two numbers that a cell may mean, for a message."""
     text = plain(cell)

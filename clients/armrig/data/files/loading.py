@@ -39,6 +39,7 @@ SOURCE = "data"
 _MIN_KNOWN_INPUTS = 0.5  # share of the rows
 _MAX_HELD = 3  # rows that a file leaves out in which u is held, if it is the same on both sides
 _ONE_PAIR = 2
+_MIN_TS = 1e-12  # in s
 
 
 @checked_call
@@ -434,6 +435,8 @@ def _chosen(table: Table, columns: dict[str, str], *, has_times: bool) -> dict[s
 
 def _grid(table: Table, taken: set[int], N: int, how: Reading) -> Grid:
     """Return the grid of the rows, from a column of times, the Ts of the file, or the given Ts."""
+    if how.Ts is not None and not _MIN_TS <= how.Ts <= 1 / _MIN_TS:
+        raise FileError(f"Ts = {how.Ts:g} s must be from {_MIN_TS:g} to {1 / _MIN_TS:g} s (--Ts)")
     if how.time is not None:
         at = [chosen(table, how.time, "time")]
     elif how.Ts is None and table.Ts is not None:

@@ -29,6 +29,8 @@ _MAX_LEFT_OUT = 20  # rows that are put in at one place; a longer gap begins an 
 _MAX_CAUGHT_UP = 10  # intervals within which late rows catch up
 _MAX_INTERPOLATED = 3.0  # usual intervals; y is missing inside a longer one
 _MIN_SHARE = 1e-6
+_MAX_GAP = 1e9  # usual intervals
+_MAX_FINER = 100.0  # samples for each row
 _MAX_DIGITS = 12
 
 
@@ -201,7 +203,8 @@ def _of_times(times: Times, name: str, place: Callable[[int], str]) -> Grid:
 
 def _steps(d: Vector, Ts: float, tolerance: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Return the number of instants from row to row, and the intervals around late rows."""
-    steps, late = np.rint(d / Ts).astype(np.int64), np.zeros(d.size, np.bool_)
+    steps = np.rint(np.clip(d / Ts, -1, _MAX_GAP)).astype(np.int64)
+    late = np.zeros(d.size, np.bool_)
     irregular = np.abs(d - Ts) > tolerance
     for a in map(int, np.flatnonzero(irregular & (steps <= _MAX_CAUGHT_UP))):
         if late[a]:
@@ -294,16 +297,22 @@ def _resampled(times: Times, given: float | None) -> Grid:
     t = times.t[rows]
     usual = _usual(t)
     Ts = given or float(f"{usual:.3g}")
+    if np.abs(np.diff(t)).max() / usual > _MAX_GAP or usual / Ts > _MAX_FINER:
+        raise FileError(
+            f"--resample at {Ts:g} s: the rows are {usual:.6g} s apart; give a larger --Ts, or cut "
+            "the file at its gaps"
+        )
     begins = np.flatnonzero((np.diff(t) < 0) | (np.diff(t) > _MAX_LEFT_OUT * usual)) + 1
     # The parts one after the other, so that the times increase.
     shift = np.zeros(t.size)
-    for k in begins:
-        shift[k:] += (t[k - 1] - t[k]) + 2 * Ts
-    whole, parts, breaks = t + shift, list[Vector](), list[int]()
-    for a, b in pairwise([0, *map(int, begins), t.size]):
-        breaks += [sum(part.size for part in parts)] if a else []
-        parts.append(np.arange(whole[a], whole[b - 1] + 1e-9 * Ts, Ts))
+    shift[begins] = t[begins - 1] - t[begins] + 2 * Ts
+    whole = t + np.cumsum(shift)
+    parts = [
+        np.arange(whole[a], whole[b - 1] + 1e-9 * Ts, Ts)
+        for a, b in pairwise([0, *map(int, begins), t.size])
+    ]
     wanted = np.concatenate(parts)
+    breaks = np.cumsum([part.size for part in parts])[:-1].tolist()
     note = (
         f"resampled {times.t.size} rows to {wanted.size} samples, {Ts:g} s apart: y on straight "
         "lines between the rows, u held; this smooths the noise of y, so residuals may be coloured"
@@ -313,6 +322,6 @@ def _resampled(times: Times, given: float | None) -> Grid:
         at=rows,
         size=wanted.size,
         breaks=tuple(breaks),
-        notes=(*times.notes, note),
+        notes=(*times.notes, note, *_gap_notes(t, begins, lambda k: f"row {k + 1}")),
         times=(whole, wanted),
     )

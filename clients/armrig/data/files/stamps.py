@@ -42,6 +42,9 @@ _TIME_OF_DAY = re.compile(
 _DATE = re.compile(r"(?P<a>\d{1,2})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<year>\d{4}|\d\d)")
 _MATLAB = ("%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M:%S.%f")
 _TIMER_BITS = (16, 32)  # Arduino's micros() begins again after 71 min
+_EXCEL = (3.6e4, 5.5e4)  # Excel's days since 1900, from 1998 to 2050
+_MAX_NAME = 80  # characters in which a unit is looked for
+_MAX_SPAN_S = 1e11
 _DAY_S = 86400.0
 _HOUR_S = 3600.0
 _MAX_DIGITS = 9
@@ -68,7 +71,7 @@ def time_columns(table: Table) -> list[int]:
 
 def _base(column: Column) -> str:
     """Return the name of a column of times without a unit at its end, such as t for t_ms."""
-    name = column.name.casefold()
+    name = column.name.casefold()[:_MAX_NAME]
     found = _WITH_UNIT.fullmatch(name)
     return name if name in _TIME_NAMES or found is None else (found["base"] or "t")
 
@@ -89,7 +92,7 @@ def unit_of(column: Column) -> float | None:
                 "in s (--Ts)"
             )
         return _SECONDS[unit]
-    found = _WITH_UNIT.fullmatch(column.name.casefold())
+    found = _WITH_UNIT.fullmatch(column.name.casefold()[:_MAX_NAME])
     return _SECONDS[found["unit"]] if found else None
 
 
@@ -127,6 +130,10 @@ def times_of(table: Table, i: int) -> Times:
         elif _DATENUM[0] <= middle < _DATENUM[1] and 0 < usual < 0.5:
             unit = _DAY_S
             notes.append(f"read {_named(column)} as days (MATLAB's datenum)")
+        elif _EXCEL[0] <= middle < _EXCEL[1] and 0 < usual < 0.05:
+            unit = _DAY_S
+            text = f"read {_named(column)} as days (Excel's dates); give --Ts if they are in s"
+            notes.append(Step(text, DOUBT))
         elif usual >= 1.0:
             notes.append(Step(f"{_named(column)} have no unit: read as s", DOUBT))
     for bits in _TIMER_BITS:
@@ -135,6 +142,8 @@ def times_of(table: Table, i: int) -> Times:
         if wraps.any():
             t = t + 2.0**bits * np.append(0, np.cumsum(wraps))
             notes.append(f"{_named(column)} begin again after {2**bits}: joined, as of a timer")
+    if not np.ptp(t) * unit < _MAX_SPAN_S:
+        raise FileError(f"{_named(column)} span more than {_MAX_SPAN_S:g} s; give Ts in s (--Ts)")
     # The difference first: the unit of an epoch in ns would round times of 1e18.
     return Times(t=(t - t[:1]) * unit, resolution=_last_digit(t) * unit, notes=tuple(notes))
 
@@ -158,7 +167,9 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str]) -> Times:
     if _TIME_OF_DAY.fullmatch(cells[0].strip()) and dates and dates[0] != i:
         days = table.texts(dates[0]) or ()
         cells = [f"{day.strip()} {cell.strip()}" for day, cell in zip(days, cells, strict=True)]
-    read = _reader(cells)
+    read, notes = _reader(cells), list[str]()
+    if table.columns[i].unit == "" and re.fullmatch(r"\d{1,3}:\d\d", cells[0].strip()):
+        notes.append(Step(f"times such as {cells[0].strip()} are read as hours:minutes", DOUBT))
     t, is_local = np.empty(len(cells)), True
     for k, cell in enumerate(cells):
         try:
@@ -169,12 +180,12 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str]) -> Times:
                 f"{table.place(k)}: '{shown(cell.strip())}' is not a time; write a number, or a "
                 "time such as 2024-03-31T01:59:00 or 01:59:00.25, or give Ts in s (--Ts)"
             ) from None
-    notes: list[str] = []
     if _TIME_OF_DAY.fullmatch(cells[0].strip()):
         t += _DAY_S * np.cumsum(np.diff(t, prepend=t[:1]) < -_DAY_S / 2)  # midnight
     t -= t[:1]
     if is_local:
-        t, notes = _without_clock_changes(t, table.place)
+        t, changes = _without_clock_changes(t, table.place)
+        notes += changes
     return Times(t=t, resolution=_last_digit(t), notes=tuple(notes))
 
 
@@ -185,11 +196,15 @@ def _reader(cells: Sequence[str]) -> Callable[[str], tuple[float, bool]]:
     if not _DATE.match(cells[0].strip()):
         return _iso
     parts = [_DATE.match(cell.strip()) for cell in cells]
-    # 3/31/2024 is American, 31.3.2024 is not; 3/4/2024 may be both and is as its slashes are.
+    # 3/31/2024 is American, 31.3.2024 is not. If both orders are possible, the times lie closer
+    # together in the right one.
     first = max((int(part["a"]) for part in parts if part), default=0)
     second = max((int(part["b"]) for part in parts if part), default=0)
-    slashes = any(part["mark"] == "/" for part in parts if part)
-    month_first = second > 12 or (slashes and first <= 12)
+    days = [[31 * int(p[m]) + int(p[d]) for p in parts if p] for m, d in ("ab", "ba")]
+    jumps = [max(np.abs(np.diff(x)), default=0) for x in days]
+    month_first = second > 12 or (first <= 12 and jumps[0] <= jumps[1])
+    if first <= 12 and jumps[0] == jumps[1]:
+        month_first = any(part["mark"] == "/" for part in parts if part)
 
     def read(text: str) -> tuple[float, bool]:
         found = _DATE.match(text)
@@ -234,14 +249,17 @@ def _without_clock_changes(t: Vector, place: Callable[[int], str]) -> tuple[Vect
     usual = float(np.median(intervals)) if intervals.size else 0.0
     if not 0 < usual < _HOUR_S / 6:
         return t, []
-    notes, moved = [], np.zeros(t.size)
+    notes, moved = list[str](), np.zeros(t.size)
     for hours in (1, -1):
         jumps = np.abs(intervals - usual - hours * _HOUR_S) <= max(usual / 2, 1.0)
+        if np.count_nonzero(jumps) > 1:
+            continue
         for k in np.flatnonzero(jumps) + 1:
             moved[k:] += hours * _HOUR_S
             way = "forward" if hours > 0 else "back"
-            notes.append(
+            text = (
                 f"{place(int(k))}: the clock goes {way} by 1 h, as at a change of summer time; "
                 "this hour was removed from the times"
             )
+            notes.append(Step(text, DOUBT))
     return t - moved, notes

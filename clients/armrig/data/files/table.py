@@ -122,7 +122,8 @@ def listed(table: Table, what: str) -> str:
     """Return the remedy for a message: the option to give, with a list of the columns."""
     count = len(table.columns)
     if not count:
-        held = "; ".join(f"{shown(name)} {why}" for name, why in table.refused.items())
+        refused = list(table.refused.items())[:_MAX_LISTED_COLUMNS]
+        held = "; ".join(f"{shown(name)} {why}" for name, why in refused)
         return "there is no column of numbers" + (f" ({held})" if held else "")
     if not any(column.name for column in table.columns):
         numbers = " or ".join(str(i + 1) for i in range(count))

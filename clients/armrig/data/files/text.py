@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from armrig_core.errors import FileError
 
-from armrig.data.files.decimal_marks import doubtful_cell, mark_of, number, refused
+from armrig.data.files.decimal_marks import contradicts, doubtful_cell, mark_of, number, refused
 from armrig.data.files.table import Column, Vector, shown, titled
 
 _REMARK_MARKS = ("#", "%")
@@ -54,6 +54,12 @@ class TextTable:
         """
         cells = self.texts(i)
         mark = self.decimal or self._mark(i, cells)
+        if self.decimal and (k := contradicts(cells, self.decimal)) is not None:
+            name = shown(self.columns[i].name) or str(i + 1)
+            raise FileError(
+                f"{self.place(k)}, column {name}: '{shown(cells[k].strip())}' has another decimal "
+                f"mark than --decimal {self.decimal}"
+            )
         values = np.empty(len(cells))
         for k, cell in enumerate(cells):
             value = number(cell, mark) if mark else number(cell.replace(",", "."), ".")
@@ -105,8 +111,8 @@ def table_of(text: str, decimal: str | None = None) -> TextTable:
         for number, line in enumerate(text.splitlines(), start=1)
         if line.strip() and not line.lstrip().startswith(_REMARK_MARKS)
     ]
-    declared = numbered[0][1].strip() if numbered else ""
-    if declared.casefold().startswith("sep=") and len(declared) == len("sep=") + 1:
+    declared = numbered[0][1].strip('" \r') if numbered else ""
+    if declared.casefold() in {f"sep={mark}" for mark in _SEPARATORS}:
         del numbered[0]  # Excel's line
     else:
         declared = ""

@@ -103,6 +103,7 @@ def stamps(text: str, step_s: float = 1.0, jump: int = 0) -> list[str]:
         ("%d-%b-%Y %H:%M:%S", 1, 0, ""),
         ("%Y%m%dT%H%M%S", 1, 0, ""),
         ("%Y/%m/%d %H:%M:%S", 1, 0, ""),
+        ("%H:%M", 60, 0, "times such as 01:59 are read as hours:minutes"),
         ("%M:%S.%f", 0.1, 0, ""),
         ("%H:%M:%S.%f", 0.1, 0, ""),
         ("%H:%M:%S", 600, 0, ""),
@@ -249,7 +250,7 @@ def test_the_separator_is_the_one_that_splits_the_lines(
     good(armrig.load_data(path), 200, 0.1)
 
 
-@pytest.mark.parametrize("modulus", [256.0, 4096.0, 65536.0, 360.0])
+@pytest.mark.parametrize("modulus", [256.0, 1000.0, 2000.0, 4096.0, 65536.0, 360.0])
 def test_a_counter_that_wraps_is_named_and_unwrapped(modulus: float, tmp_path: Path) -> None:
     u, rate = plant(400)
     counts = np.cumsum(rate - 10) * modulus / 150
@@ -260,6 +261,38 @@ def test_a_counter_that_wraps_is_named_and_unwrapped(modulus: float, tmp_path: P
 
     assert f"y jumps by {modulus:g} at " in found.history[0]
     np.testing.assert_allclose(np.diff(mended.y), np.diff(counts), atol=1e-6 * modulus)
+
+
+def test_a_range_that_is_not_a_usual_one_is_not_guessed(tmp_path: Path) -> None:
+    u, rate = plant(400)
+    counts = np.cumsum(rate - 10) * 9
+    table = np.column_stack([0.1 * np.arange(400), u, np.floor(counts % 1337)])
+    np.savetxt(tmp_path / "a.csv", table, "%.1f", ",", header="t,u,y", comments="")
+
+    (note,) = armrig.load_data(tmp_path / "a.csv").history
+
+    assert "y jumps by about 13" in note
+    assert note.endswith("give --unwrap with the range of the counter")
+
+
+@pytest.mark.parametrize(
+    ("text", "how", "said"),
+    [
+        ("t,u,y\n0,1,0.5\n1,1,0.25\n", {"decimal": ","}, "'0.5' has another decimal mark than"),
+        ("t,u,y\n0,1,1\n1,1,2\n2,1,3\n", {"resample": True, "Ts": 1e-6}, "give a larger --Ts"),
+        ("t,u,y\n0,1,1\n1,1,2\n", {"Ts": -1.0}, "Ts = -1 s must be from 1e-12"),
+        ("t,u,y\n0,1,1\n1,1,9\n2,1,3\n", {"unwrap": 1e-9}, "give the range of the counter"),
+        ("t,u,y\n0,1,1\n1,1,9\n2e300,1,3\n", {}, "span more than 1e\\+11 s; give Ts in s"),
+        ("sep=.\nt,u,y\n0,1,1\n1,1,9\n", {}, "line 2 has 3 cells"),
+    ],
+)
+def test_what_contradicts_the_file_is_refused(
+    text: str, how: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "a.csv").write_text(text)
+
+    with pytest.raises(FileError, match=said):
+        armrig.load_data(tmp_path / "a.csv", **how)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1023), (-5, 5), (20.8, 100)])
