@@ -32,6 +32,7 @@ from mcap.records import Channel, Schema
 from armrig.data.files.arrays import MOST_BYTES, ArrayTable
 from armrig.data.files.table import Column, Vector, shown
 from armrig.data.optional_packages import MissingPackageError, imported
+from armrig.data.step import DOUBT, Step
 
 _DECODERS = {"protobuf": "mcap_protobuf.decoder", "cdr": "mcap_ros2.decoder"}
 _STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
@@ -148,7 +149,8 @@ def _messages(
                     schema, body = schemas.get(channel.schema_id), body[MESSAGE_HEAD.size :]
                     yield channel.topic, log_time, partial(_read, decoders, channel, schema, body)
     except (DamageError, *UNREADABLE) as err:
-        notes.append(f"only the messages before a damage are read ({err or type(err).__name__})")
+        text = f"only the messages before a damage are read ({err or type(err).__name__})"
+        notes.append(Step(text, DOUBT))
 
 
 def _records(data: bytes) -> Iterator[tuple[int, bytes]]:

@@ -32,13 +32,16 @@ def read_parquet(data: bytes) -> ArrayTable:
     try:
         file = parquet.ParquetFile(BytesIO(data))
         kinds = {field.name: str(field.type) for field in file.schema_arrow}
+        is_double = len(kinds) < len(file.schema_arrow)
         # Texts are not read: in a small file, a text may be repeated a million times.
         names = [name for name, kind in kinds.items() if kind.startswith((*_NUMBERS, *_TIMES))]
-        is_large = 8 * file.metadata.num_rows * len(names) > MOST_BYTES
+        is_large = is_double or 8 * file.metadata.num_rows * len(names) > MOST_BYTES
         values = [] if is_large else [_values(x) for x in file.read(columns=names).columns]
     except Exception as err:  # a damaged file can raise any exception in its reader
         msg = f"is a damaged Parquet file ({type(err).__name__}); write it again"
         raise FileError(msg) from err
+    if is_double:
+        raise FileError("two of its columns have the same name; rename one of them")
     if is_large:
         raise FileError(f"unpacked it has more than {MOST_BYTES >> 20} MiB; cut it into files")
     columns = [

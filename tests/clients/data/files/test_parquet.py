@@ -57,6 +57,11 @@ def test_what_cannot_be_read_is_refused_with_the_way_out(
 
     with pytest.raises(FileError, match=r"cut\.parquet: is a damaged Parquet file"):
         load_data(tmp_path / "cut.parquet", Ts=1)
+    parquet.write_table(
+        pyarrow.table([U, U, Y], names=["u", "u", "y"]), tmp_path / "double.parquet"
+    )
+    with pytest.raises(FileError, match="two of its columns have the same name"):
+        load_data(tmp_path / "double.parquet", Ts=1)
     monkeypatch.setattr(reader, "MOST_BYTES", 8 * 2 * 30 - 1)
     with pytest.raises(FileError, match="unpacked it has more than"):
         load_data(path, Ts=1)
