@@ -259,6 +259,8 @@ def test_an_input_that_does_not_excite_is_refused() -> None:
     y = np.random.default_rng(0).standard_normal(50)
 
     with pytest.raises(ValueError, match=r"u determines only . of 2 numerator.*richer input"):
+        oe(Dataset(u=(-1.0) ** np.arange(50), y=y, Ts=1), nb=2, nf=1)
+    with pytest.raises(ValueError, match="u is constant: gain and level cannot be distinguished"):
         oe(Dataset(u=np.zeros(50), y=y, Ts=1), nb=2, nf=1)
 
 
