@@ -436,7 +436,8 @@ def _chosen(table: Table, columns: dict[str, str], *, has_times: bool) -> dict[s
 def _grid(table: Table, taken: set[int], N: int, how: Reading) -> Grid:
     """Return the grid of the rows, from a column of times, the Ts of the file, or the given Ts."""
     if how.Ts is not None and not _MIN_TS <= how.Ts <= 1 / _MIN_TS:
-        raise FileError(f"Ts = {how.Ts:g} s must be from {_MIN_TS:g} to {1 / _MIN_TS:g} s (--Ts)")
+        allowed = f"and from {_MIN_TS:g} to {1 / _MIN_TS:g}" if 0 < how.Ts < np.inf else "and > 0"
+        raise FileError(f"Ts={how.Ts} must be finite {allowed}, in s")
     if how.time is not None:
         at = [chosen(table, how.time, "time")]
     elif how.Ts is None and table.Ts is not None:

@@ -280,7 +280,7 @@ def test_a_range_that_is_not_a_usual_one_is_not_guessed(tmp_path: Path) -> None:
     [
         ("t,u,y\n0,1,0.5\n1,1,0.25\n", {"decimal": ","}, "'0.5' has another decimal mark than"),
         ("t,u,y\n0,1,1\n1,1,2\n2,1,3\n", {"resample": True, "Ts": 1e-6}, "give a larger --Ts"),
-        ("t,u,y\n0,1,1\n1,1,2\n", {"Ts": -1.0}, "Ts = -1 s must be from 1e-12"),
+        ("t,u,y\n0,1,1\n1,1,2\n", {"Ts": -1.0}, "Ts=-1.0 must be finite and > 0, in s"),
         ("t,u,y\n0,1,1\n1,1,9\n2,1,3\n", {"unwrap": 1e-9}, "give the range of the counter"),
         ("t,u,y\n0,1,1\n1,1,9\n2e300,1,3\n", {}, "span more than 1e\\+11 s; give Ts in s"),
         ("sep=.\nt,u,y\n0,1,1\n1,1,9\n", {}, "line 2 has 3 cells"),
