@@ -540,7 +540,7 @@ def test_a_figure_and_its_unit_are_on_one_line(browser: Any, client: Client, ser
     with opened(browser, client.url, PHONE) as page:
         page.click("#tab-recordings")
         cells = "#table td.n"
-        page.locator(cells).nth(3).wait_for()  # the fourth comes with the end of the recording
+        page.locator(cells).nth(1).wait_for(state="attached")  # the second is of the same row
         for size in (PHONE, WIDE):
             page.set_viewport_size(size)
             assert page.eval_on_selector_all(cells, _LINES) == []
