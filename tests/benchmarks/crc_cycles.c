@@ -1,5 +1,7 @@
 // What a CRC-32 costs an AVR, in cycles: by the core's table of 256 entries, and by one of 16.
-// docs/benchmarks/firmware.md says how it is built and run.
+// Build: avr-gcc -mmcu=atmega328p -std=gnu11 -Os -Ifirmware_protocol/firmware/core -o /tmp/crc.elf
+//   tests/benchmarks/crc_cycles.c firmware_protocol/firmware/core/rig_crc.c
+// Run: simavr -m atmega328p -f 16000000 /tmp/crc.elf
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <avr/sleep.h>

@@ -9,7 +9,7 @@ project's environment::
 
     python -m tests.benchmarks.delay [bank | inputs | arm | read] [seed [plants]]
 
-The method was chosen with seeds 1, 2 and 3 in view; see docs/benchmarks/delay.md for the others.
+The method was chosen with seeds 1, 2 and 3 in view; see docs/benchmarks.md for the others.
 """
 
 from __future__ import annotations

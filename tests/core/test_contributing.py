@@ -82,9 +82,11 @@ def test_a_name_that_is_gone_is_found(text: str) -> None:
     assert len(lacking(text)) == 1
 
 
-def test_decisions_are_numbered_without_a_hole() -> None:
-    files = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
-
-    assert [int(file.name[:4]) for file in files] == list(range(1, len(files) + 1))
+def test_the_name_of_a_decision_is_its_heading() -> None:
+    files = sorted((ROOT / "docs" / "decisions").glob("*-*.md"))
     titles = [file.read_text(encoding="utf-8").partition("\n")[0] for file in files]
-    assert [int(title.split()[1].rstrip(".")) for title in titles] == list(range(1, len(files) + 1))
+
+    assert files
+    assert [file.stem for file in files] == [
+        "-".join(re.findall(r"\w+", title.lower())) for title in titles
+    ]

@@ -1,4 +1,4 @@
-"""The table of docs/benchmarks.md agrees with the pages and the scripts that it names."""
+"""The commands of docs/benchmarks.md exist, and each subject of the page names a command."""
 
 from __future__ import annotations
 
@@ -7,37 +7,23 @@ from pathlib import Path
 
 import pytest
 
+from tests.core.test_contributing import lacking
+
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "benchmarks.md"
-ROWS = [
-    [cell.strip() for cell in line.split(" | ")]
-    for line in PAGE.read_text(encoding="utf-8").splitlines()
-    if "](benchmarks/" in line
-]
-_NUMBER = re.compile(r"\d+(?: \d{3})*(?:\.\d+)?")
+PAGE = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+SUBJECTS = PAGE.split("\n## ")[2:]  # after the introduction and the machine
+_SCRIPT = re.compile(r"`(\w+\.\w+)[^`]*`")
 
 
-def _linked(row: list[str]) -> Path:
-    (name,) = re.findall(r"\]\((.*?)\)", row[2])
-    return PAGE.parent / name
+@pytest.mark.parametrize("subject", SUBJECTS, ids=lambda text: text.partition("\n")[0])
+def test_each_subject_names_a_command(subject: str) -> None:
+    assert _SCRIPT.search(subject) or "`make " in subject
 
 
-def test_each_page_of_the_folder_has_a_result() -> None:
-    assert {_linked(row) for row in ROWS} == set((ROOT / "docs" / "benchmarks").glob("*.md"))
+def test_the_commands_of_the_page_exist() -> None:
+    scripts = {name for name in _SCRIPT.findall(PAGE) if name.endswith((".py", ".c"))}
 
-
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0].lstrip("| "))
-def test_the_numbers_of_a_result_occur_on_its_page(row: list[str]) -> None:
-    numbers = set(_NUMBER.findall(row[1]))
-
-    assert numbers
-    assert numbers - set(_NUMBER.findall(_linked(row).read_text(encoding="utf-8"))) == set()
-
-
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0].lstrip("| "))
-def test_the_way_to_a_result_is_a_script_or_a_target(row: list[str]) -> None:
-    commands = re.findall(r"`([^`\s]+)[^`]*`", row[3])
-
-    assert commands
-    for command in commands:
-        assert command == "make" or (ROOT / "tests" / "benchmarks" / command).is_file()
+    assert {
+        name for name in scripts if not (ROOT / "tests" / "benchmarks" / name).is_file()
+    } == set()
+    assert lacking(PAGE) == set()

@@ -14,7 +14,7 @@ CLEAR_NS: Final = 3_400 * MS
 END_NS: Final = CLEAR_NS + 700 * MS
 """Time at which sampling must be back, in ns: boards that boot in 50 ms have a third of T1.
 
-It is short, so that faults meet each other (docs/decisions/0021).
+It is short, so that faults meet each other.
 """
 
 WAYS: Final = ("to_device", "from_device")

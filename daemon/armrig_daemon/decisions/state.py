@@ -256,7 +256,7 @@ class Clock(msgspec.Struct, frozen=True, gc=False):
 
 
 class State(msgspec.Struct, frozen=True, gc=False):
-    """Complete state of the core; a struct, because a struct is fast (docs/decisions/0003)."""
+    """Complete state of the core; replacing fields of a struct is fast (docs/decisions)."""
 
     rules: Rules
     phase: Phase = Phase.INIT

@@ -38,7 +38,7 @@ NO_PORT = 2
 REOPEN_NS = 500_000_000
 _READ = 65536
 # After the long sleep in `wait` the processor's caches are cold; after a short second sleep they
-# are not. docs/benchmarks/timing.md states the gain and the cost.
+# are not.
 _MARGIN_NS = 90_000
 
 

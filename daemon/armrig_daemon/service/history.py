@@ -1,6 +1,7 @@
 """Recently published messages, kept in bounded memory for clients that missed messages.
 
-zenoh's own cache (its advanced publisher) is not used: see docs/decisions/0016.
+zenoh's own cache (its advanced publisher) is not used: see
+docs/decisions/missed-messages-are-requested-from-the-daemon.md.
 """
 
 from __future__ import annotations
