@@ -8,6 +8,8 @@ from contextlib import suppress
 
 MOST_FILES = 16_384
 """Limit on open files, as LimitNOFILE= in the unit; 1024 are too few for 1000 connections."""
+_SPARE = 8
+"""Free entries of the table that a new connection, or a recording with its checks, needs."""
 
 
 def raise_limit() -> None:
@@ -26,3 +28,27 @@ def count() -> int:
             return sum(1 for _ in entries)
     except OSError:
         return resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+
+
+class FullTable:
+    """Watch over the table of open files; call `look` once a second."""
+
+    _is_full = False
+
+    def look(self) -> tuple[str, str] | None:
+        """Return a log line and its level when the table becomes full, and when it has room again.
+
+        A process with a full table accepts no client and begins no recording; the clients that are
+        connected, and a recording that has begun, continue.
+        """
+        found, (most, _) = count(), resource.getrlimit(resource.RLIMIT_NOFILE)
+        is_full = most != resource.RLIM_INFINITY and found > most - _SPARE
+        if is_full == self._is_full:
+            return None
+        self._is_full = is_full
+        if not is_full:
+            return "info", f"{found} of {most} files are open: new clients can connect again"
+        return "error", (
+            f"{found} of {most} files are open: new clients cannot connect, and no recording can "
+            "begin; close clients (`ss -xp` shows them), or raise LimitNOFILE= or `ulimit -n`"
+        )
