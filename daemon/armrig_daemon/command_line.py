@@ -19,8 +19,8 @@ import typer
 from armrig_core.emulator_stall import held_up
 from armrig_core.endpoint import endpoint, require_trusted, socket_directory
 from armrig_core.errors import InputError, OperationError
+from armrig_core.open_files import require
 from armrig_core.printable import brief, printable
-from armrig_core.process_limits import require
 from armrig_core.signal_pipe import held_back
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS

@@ -144,8 +144,8 @@ for _command, _example in (
 # Commands that connect to a rig, or measure the host of a rig; they do not exist on Windows.
 _WITH_A_RIG = ("fcntl", "grp", "pty", "pwd", "resource", "termios", "tty", "zenoh")
 _DEBUG = "--debug"
-# Address space, in MiB, and open files of the commands that open a session: twice what was measured,
-# but less for `dashboard`. `lab` passes its limits on to a daemon.
+# Address space, in MiB, and open files of the commands that open a session; with less than 250 MiB
+# or 18 files, zenoh aborts or blocks. The daemon of `lab` inherits the limits.
 _NEEDS = dict.fromkeys([*_HEADINGS["Rig"].split(), "collect", "record", "router"], (512, 32))
 _NEEDS |= {"dashboard": (1024, 64), "lab": (2048, 64)}
 _SIGPIPE = 13  # the module `signal` of Windows does not define this name
@@ -268,15 +268,15 @@ def _require_limits(given: Sequence[str]) -> None:
     """Refuse a command for which the limits of this process are too low; `stop` is always tried."""
     name = next((word for word in given if not word.startswith("-")), "")
     if name in _NEEDS and sys.platform != "win32" and not {"-h", "--help"} & {*given}:
-        from armrig_core.process_limits import require
+        from armrig_core.open_files import require
 
-        memory_mib, files = _NEEDS[name]
         try:
-            require(f"armrig {name}", memory_mib=memory_mib, files=files)
+            require(f"armrig {name}", memory_mib=_NEEDS[name][0], files=_NEEDS[name][1])
         except OperationError as err:
             if name != "stop":
                 raise
-            tell_error(f"{err}; trying: if the motor turns on, end the daemon or cut the power")
+            way_out = "`kill` the daemon, or use the emergency switch"
+            tell_error(f"{err}; the stop is tried; if the motor still turns, {way_out}")
 
 
 def _internal(err: Exception, given: Sequence[str]) -> int:
