@@ -144,8 +144,9 @@ for _command, _example in (
 # Commands that connect to a rig, or measure the host of a rig; they do not exist on Windows.
 _WITH_A_RIG = ("fcntl", "grp", "pty", "pwd", "resource", "termios", "tty", "zenoh")
 _DEBUG = "--debug"
-# Address space, in MiB, and open files of the commands that open a session. 0.7 to 0.9 GiB and 18 to
-# 26 files were measured; with less, zenoh aborts or blocks. The daemon of `lab` inherits the limits.
+# Address space, in MiB, and open files of the commands that open a session: 0.7 to 0.9 GiB and
+# 18 to 26 files were measured. With less, zenoh aborts or blocks. `lab` passes its limits to a
+# daemon.
 _NEEDS = dict.fromkeys([*_HEADINGS["Rig"].split(), "collect", "record", "router"], (1024, 32))
 _NEEDS |= dict.fromkeys(["dashboard", "lab"], (2048, 64))
 _SIGPIPE = 13  # the module `signal` of Windows does not define this name
