@@ -1,4 +1,4 @@
-"""Number of files that this process has open, and the limit of this number."""
+"""Limits of this process on open files and on its address space."""
 
 from __future__ import annotations
 
@@ -6,17 +6,46 @@ import os
 import resource
 from contextlib import suppress
 
+from armrig_core.errors import OperationError
+
 MOST_FILES = 16_384
 """Limit on open files, as LimitNOFILE= in the unit; 1024 are too few for 1000 connections."""
+_SPARE = 8  # free entries that a recording and its checks need
 
 
-def raise_limit() -> None:
-    """Raise the limit to `MOST_FILES`, or as far as the system permits."""
+def raise_limit(most: int = MOST_FILES) -> None:
+    """Raise the limit on open files to `most`, or as far as the system permits."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = MOST_FILES if hard == resource.RLIM_INFINITY else min(MOST_FILES, hard)
+    wanted = most if hard == resource.RLIM_INFINITY else min(most, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
         with suppress(OSError, ValueError):  # forbidden in a sandbox, whose unit sets the limit
             resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+def require(program: str, *, memory_mib: int, files: int) -> None:
+    """Raise OperationError if this process may have too little address space or too few files.
+
+    Must be called before the import of zenoh and numpy, which abort or block with too little
+    memory. The soft limit on open files is raised to `files`.
+
+    Parameters
+    ----------
+    memory_mib : int
+        Necessary address space, in MiB; each thread reserves 64 MiB.
+    """
+    space = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if space != resource.RLIM_INFINITY and space < memory_mib << 20:
+        raise OperationError(
+            f"the address space is limited to {space >> 20} MiB, {program} needs {memory_mib} MiB: "
+            "begin in a shell without `ulimit -v`, or remove LimitAS= from the unit"
+        )
+    raise_limit(files)
+    found = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if found != resource.RLIM_INFINITY and found < files:
+        raise OperationError(
+            f"open files are limited to {found}, {program} needs {files}: begin in a shell with "
+            f"`ulimit -n {files}` or more, or set LimitNOFILE= in the unit"
+        )
 
 
 def count() -> int:
@@ -26,3 +55,24 @@ def count() -> int:
             return sum(1 for _ in entries)
     except OSError:
         return resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+
+
+class FullTable:
+    """Watch over the table of open files; a full table admits no client and no recording."""
+
+    _is_full = False
+
+    def look(self) -> tuple[str, str] | None:
+        """Return a log line and its level if the table became full or has room again."""
+        found, most = count(), resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        is_full = most != resource.RLIM_INFINITY and found > most - _SPARE
+        if is_full == self._is_full:
+            return None
+        self._is_full = is_full
+        files = f"{found} of {most} files are open: new clients"
+        if not is_full:
+            return "info", f"{files} can connect again"
+        return "error", (
+            f"{files} cannot connect, and no recording can begin; close clients (`ss -xp` shows "
+            "them), or raise LimitNOFILE= or `ulimit -n`"
+        )

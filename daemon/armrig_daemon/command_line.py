@@ -19,6 +19,7 @@ import typer
 from armrig_core.emulator_stall import held_up
 from armrig_core.endpoint import endpoint, require_trusted, socket_directory
 from armrig_core.errors import InputError, OperationError
+from armrig_core.open_files import require
 from armrig_core.printable import brief, printable
 from armrig_core.signal_pipe import held_back
 from armrig_core.volts import U_MAX_V
@@ -99,6 +100,11 @@ def run(
 
     When the daemon has ended, the motor is at 0 V.
     """
+    try:
+        # With less, the daemon would start, and die when numpy is loaded during the first arming.
+        require("armrigd run", memory_mib=2048, files=64)
+    except OperationError as err:
+        _refuse(str(err), EX_CONFIG)
     with held_back():  # Python may ignore an exception during an import
         from armrig_daemon import config as configuration
         from armrig_daemon.loop.realtime import end_with_parent
@@ -250,11 +256,12 @@ def emulate(
     parent: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Emulate a rig at a pseudo-terminal or a socket until SIGTERM or Ctrl-C."""
-    from armrig_daemon.emulator.device import Device
-    from armrig_daemon.emulator.real_time import emulate as run_emulator
-    from armrig_daemon.emulator.settings import EmulatorSettings, load
-
     try:
+        require("armrigd emulate", memory_mib=512, files=16)
+        from armrig_daemon.emulator.device import Device
+        from armrig_daemon.emulator.real_time import emulate as run_emulator
+        from armrig_daemon.emulator.settings import EmulatorSettings, load
+
         if settings is not None:  # from `armrigd run --emulate`; the emulator ends with it
             from armrig_daemon.loop.realtime import end_with_parent
 

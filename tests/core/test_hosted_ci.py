@@ -55,14 +55,24 @@ def test_each_python_and_both_processors_run_the_tests() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     matrix = WORKFLOW["jobs"]["everyday"]["strategy"]["matrix"]
 
-    assert f">={matrix['python'][0]}" == project["requires-python"]
+    assert f">={matrix['python'][0].rpartition('.')[0]}" == project["requires-python"]
     assert matrix["runner"] == ["ubuntu-24.04", "ubuntu-24.04-arm"]
 
 
-def test_the_jobs_may_only_read_and_name_a_version_of_each_action() -> None:
+def test_the_jobs_may_only_read_and_name_the_commit_of_each_action() -> None:
     jobs = WORKFLOW["jobs"].values()
     actions = [step["uses"] for job in jobs for step in job["steps"] if "uses" in step]
 
     assert WORKFLOW["permissions"] == {"contents": "read"}
     assert [job for job in jobs if "permissions" in job] == []
-    assert [action for action in actions if not re.fullmatch(r"actions/\w+@v\d+", action)] == []
+    assert actions
+    assert [x for x in actions if not re.fullmatch(r"actions/\w+@[0-9a-f]{40}", x)] == []
+
+
+def test_an_image_is_named_by_the_full_version_of_its_python() -> None:
+    jobs = WORKFLOW["jobs"]
+    versions = jobs["everyday"]["strategy"]["matrix"]["python"]
+    images = [job["container"]["image"] for job in jobs.values()]
+    named = [image.replace("${{ matrix.python }}", x) for image in images for x in versions]
+
+    assert [x for x in named if not re.fullmatch(r"python:3\.\d+\.\d+-bookworm", x)] == []

@@ -11,7 +11,12 @@ import pytest
 
 requirements = pytest.importorskip("packaging.requirements")
 ROOT = Path(__file__).parents[2]
-LOCKS = {"application": ROOT / "requirements.lock", "dev": ROOT / "tests" / "requirements.lock"}
+LOCKS = {
+    "application": ROOT / "requirements.lock",
+    "dev": ROOT / "tests" / "requirements.lock",
+    "build": ROOT / "requirements.build.lock",
+}
+BUILD = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
 _PINNED = re.compile(
     r"^([a-z0-9.-]+)(\[[a-z0-9,-]+\])?==(\S+)(?: ; (.+?))? \\\n"
     r"((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)",
@@ -38,16 +43,18 @@ def asked_for(*extras: str) -> list[str]:
 def test_every_line_is_a_version_with_hashes(lock: str) -> None:
     text = LOCKS[lock].read_text()
     assert _PINNED.sub("", text).strip() == ""
-    assert len(pinned(LOCKS[lock])) > 30
+    assert len(pinned(LOCKS[lock])) > (4 if lock == "build" else 30)
 
 
-@pytest.mark.parametrize(("lock", "extras"), [("application", ()), ("dev", ("dev",))])
+@pytest.mark.parametrize(
+    ("lock", "extras"), [("application", ()), ("dev", ("dev",)), ("build", None)]
+)
 def test_all_that_is_asked_for_is_in_it_within_its_bounds(
-    lock: str, extras: tuple[str, ...]
+    lock: str, extras: tuple[str, ...] | None
 ) -> None:
     """`make lock` was run after the last change of a dependency."""
     versions = pinned(LOCKS[lock])
-    for text in asked_for(*extras):
+    for text in BUILD if extras is None else asked_for(*extras):
         asked = requirements.Requirement(text)
         name = asked.name.lower().replace("_", "-")
         assert name in versions, f"{name}: make lock"
@@ -74,5 +81,6 @@ def test_an_extra_that_a_locked_package_requires_is_locked_with_its_version() ->
 
 
 def test_tests_run_with_the_versions_of_an_installation() -> None:
-    application, dev = pinned(LOCKS["application"]), pinned(LOCKS["dev"])
-    assert {name: dev.get(name) for name in application} == application
+    application, dev, build = (pinned(LOCKS[lock]) for lock in ("application", "dev", "build"))
+    for locked in (application, build):
+        assert {name: dev.get(name) for name in locked} == locked

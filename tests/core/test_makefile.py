@@ -1,13 +1,17 @@
-"""`make` names a Python or a compiler that armrig cannot use."""
+"""`make` names a Python or a compiler that armrig cannot use, and installs only what has a hash."""
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from tests import audit
 from tests.tools import needs
 
 pytestmark = needs("make")
@@ -73,7 +77,12 @@ def environment(folder: Path) -> None:
     (folder / ".venv").mkdir()
     program(folder / ".venv/bin/pip", "")
     program(folder / ".venv/bin/python", "echo Python 3.11.2")
-    for name in ("pyproject.toml", "requirements.lock", "tests/requirements.lock"):
+    for name in (
+        "pyproject.toml",
+        "requirements.lock",
+        "requirements.build.lock",
+        "tests/requirements.lock",
+    ):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).touch()
 
@@ -97,3 +106,41 @@ def test_the_tests_name_a_missing_compiler(tmp_path: Path) -> None:
     said = made("-C", str(tmp_path), ".venv/dev", path=str(commands))
 
     assert said.startswith("no C compiler (cc), which the tests need; on Debian: apt install gcc")
+
+
+def test_each_installation_compares_hashes_or_downloads_nothing() -> None:
+    trust = MAKEFILE.parent / "docs/trust.md"
+    for text in (MAKEFILE.read_text(), trust.read_text()):
+        lines = re.findall(r"^(?:\t\$\(PIP\)|pip install) (.*)$", text, re.MULTILINE)
+
+        assert len(lines) > 1
+        for line in lines:
+            assert re.match(r"--require-hashes -r |--no-deps --no-build-isolation ", line), line
+
+
+SKIPPED = {"name": "b", "skip_reason": "not found"}
+CLEAN = {"name": "a", "version": "1", "vulns": []}
+KNOWN = {"name": "c", "version": "2", "vulns": [{"id": "CVE-1", "fix_versions": ["3"]}]}
+
+
+@pytest.mark.parametrize(
+    ("packages", "code", "exits", "said"),
+    [
+        ([SKIPPED, SKIPPED], 0, 3, "nothing was audited: the index knows none of 2 packages\n"),
+        ([SKIPPED, CLEAN], 0, 0, "1 of 2 packages were audited\n"),
+        ([KNOWN, CLEAN], 1, 1, "c 2: CVE-1, fixed in 3\n2 of 2 packages were audited\n"),
+    ],
+)
+def test_an_audit_in_which_every_package_was_skipped_is_no_success(
+    packages: list[object], code: int, exits: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = json.dumps({"dependencies": packages})
+    program = [sys.executable, "-c", f"print({text!r}); raise SystemExit({code})"]
+
+    assert audit.main(program) == exits
+    assert capsys.readouterr().out == said
+
+
+def test_an_audit_that_fails_is_no_success() -> None:
+    assert audit.main([sys.executable, "-c", "raise SystemExit(2)"]) == 2
+    assert audit.main([sys.executable, "-c", ""]) == 1

@@ -50,3 +50,22 @@ def test_the_open_files_are_counted_and_too_many_to_count_are_the_limit(
     monkeypatch.setattr(resource, "getrlimit", lambda _: (77, 99))
     monkeypatch.setattr(os, "scandir", refuse)
     assert open_files.count() == 77
+
+
+def test_a_full_table_is_reported_once_and_so_is_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (64, 64))
+    found = iter([56, 57, 64, 56, 10])
+    monkeypatch.setattr(open_files, "count", lambda: next(found))
+    table = open_files.FullTable()
+
+    lines = [table.look() for _ in range(5)]
+
+    assert [line and line[0] for line in lines] == [None, "error", None, "info", None]
+    assert lines[1] is not None
+    assert lines[1][1].startswith("57 of 64 files are open: new clients cannot connect")
+
+
+def test_a_table_without_a_limit_is_never_full(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (INFINITE, INFINITE))
+
+    assert open_files.FullTable().look() is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.loading import end_at_ctrl_c
 from armrig_core.signal_pipe import SignalPipe, until_signal
 
 from armrig.cli.options import Connect, Json, RigId, echo, inform, print_json
@@ -50,6 +51,11 @@ def dashboard(
     """
     if not json:
         inform("starting the dashboard …", dim=True)
+    # `until_signal` only notes the first Ctrl-C, and the imports take seconds on a busy machine.
+    has_loaded = end_at_ctrl_c("armrig")
+    import armrig.dashboard.serving  # noqa: F401 - used by `_serve`
+
+    has_loaded()
     with until_signal() as ended:
         _serve(
             *(ended, rig, connect, port),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import resource
 import secrets
 import socket
 import threading
@@ -17,6 +16,7 @@ from typing import Any
 
 import uvicorn
 from armrig_core.commands import StatusReport
+from armrig_core.open_files import raise_limit
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -38,7 +38,6 @@ from armrig.rig.telemetry_stream import decoded
 
 HOST = "127.0.0.1"
 PORT = 8807
-_FILES = 16_384
 _ONCE_S = 60.0  # time within which the browser must open the page
 _START_S = 20.0
 _ENDS_S = 2
@@ -104,7 +103,7 @@ def dashboard(settings: Settings) -> Iterator[Served]:
     MissingPackageError
         The package for the certificate of `share` is not installed.
     """
-    _allow_many_files()
+    raise_limit()  # above the limit of connections, so that a stop can be sent
     feed = Feed()
     driver = Driver(rig=settings.rig, connect=settings.connect)
     audience: list[Viewers] = []
@@ -180,14 +179,6 @@ class _Door:
 
     async def _tell_token(self, _: Request) -> Response:
         return value({"token": self._token})
-
-
-def _allow_many_files() -> None:
-    """Raise the limit of open files above the limit of connections, so that a stop can be sent."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = _FILES if hard == resource.RLIM_INFINITY else min(_FILES, hard)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 def _listening(host: str, usual: int, port: int | None) -> socket.socket:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from io import BytesIO
+from math import inf
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -67,6 +68,7 @@ class Retention:
     """Function that is called between two records; it may wait."""
     _reported: set[tuple[Path, float]] = field(default_factory=set)
     """Last file and end time of each run whose failed removal was reported."""
+    _keeps_old: bool = False
     _rigs: dict[tuple[Path, float], str] = field(default_factory=dict)
     """Rig of each run, by the run's first file and end time; "" if the file is no recording."""
 
@@ -78,7 +80,8 @@ class Retention:
     def apply(self, now_s: float) -> Iterator[Removal]:
         """Remove the runs outside the limits; yield a result for each removal and each failure.
 
-        The newest run stays, however large it is. A run with an unfinished file stays, too.
+        The newest run stays, however large it is. A run with an unfinished file stays, too. If the
+        newest run is older than `keep_days`, the clock may be wrong, and the age removes no run.
 
         Parameters
         ----------
@@ -87,15 +90,23 @@ class Retention:
         """
         found = self._runs()
         total = sum(run.size for run in found)
+        until_s = now_s - self.keep_days * DAY_S if self.keep_days else -inf
+        if found and found[-1].ended_s < until_s:
+            if found[1:] and not self._keeps_old:
+                why = f"the newest recording is older than {self.keep_days:g} days"
+                yield Removal(
+                    False, f"{self.folder}: {why}, so none is removed by its age: check `date`"
+                )
+            self._keeps_old, until_s = True, -inf
         for run in found[:-1]:
-            if why := self._reason(run, total, now_s):
+            if why := self._reason(run, total, until_s):
                 # Subtract the size even if the removal fails, so that no other run is removed.
                 total -= run.size
                 if (done := self._removed(run, why)) is not None:
                     yield done
 
-    def _reason(self, run: _Run, total: int, now_s: float) -> str:
-        if self.keep_days and now_s - run.ended_s > self.keep_days * DAY_S:
+    def _reason(self, run: _Run, total: int, until_s: float) -> str:
+        if run.ended_s < until_s:
             return f"older than {self.keep_days:g} days"
         if self.keep_gb and total > self.keep_gb * GB:
             return f"the recordings of rig {self.rig} take more than {self.keep_gb:g} GB"

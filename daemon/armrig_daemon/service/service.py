@@ -120,6 +120,7 @@ class Service:
         self._runs = Runs(config, directory, wake)
         self._left_over = StartupRecovery(directory, config.rig.id, wake, config.recording)
         self._thinning = Thinning()
+        self._files = open_files.FullTable()
         self._quitting = False
         self._kill_at = float("inf")
         self._anchor_clock()
@@ -398,6 +399,8 @@ class Service:
     def _each_second(self) -> None:
         self._loop.order(Alive())
         self._commands.refuse_overdue()
+        if line := self._files.look():
+            self._say(*line)
         if self._guard is not None:
             line = self._guard.look(time.monotonic(), is_busy=self._is_busy)
             if line is not None:

@@ -91,6 +91,22 @@ def test_the_newest_run_stays_whatever_its_age_and_size(tmp_path: Path) -> None:
     assert _names(tmp_path) == {"1-b.mcap"}
 
 
+def test_nothing_goes_by_its_age_if_the_newest_run_is_old_too(tmp_path: Path) -> None:
+    """The clock of this machine may be set days ahead."""
+    for name, days in (("a", 90), ("b", 61)):
+        _run(tmp_path, f"1-{name}.mcap", days)
+    retention = _retention(tmp_path)
+
+    (said,) = retention.apply(NOW_S)
+
+    assert not said.is_removed
+    assert "the newest recording is older than 30 days, so none is removed by its age" in said.text
+    assert [*retention.apply(NOW_S)] == []
+    assert _names(tmp_path) == {"1-a.mcap", "1-b.mcap"}
+    _run(tmp_path, "1-c.mcap", 0)
+    assert [removal.is_removed for removal in retention.apply(NOW_S)] == [True, True]
+
+
 def test_a_long_run_goes_as_a_whole(tmp_path: Path) -> None:
     parts = [
         _run(tmp_path, f"1-a.part-000{n}.mcap", days, outcome=outcome)

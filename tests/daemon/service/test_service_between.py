@@ -415,6 +415,17 @@ def test_what_is_due_each_second_is_done_once_a_second(
     assert between.loop.orders() == [Alive()] * 5
 
 
+def test_a_full_table_of_open_files_is_an_error_in_the_log(
+    between: Between, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("armrig_core.open_files.count", lambda: 1 << 30)
+
+    between.service._each_second()
+    between.service._each_second()
+
+    assert capsys.readouterr().err.count("files are open: new clients cannot connect") == 1
+
+
 def test_a_command_that_fails_by_our_own_fault_is_refused_and_reported(
     between: Between, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

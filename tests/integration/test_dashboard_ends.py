@@ -1,0 +1,38 @@
+"""Ctrl-C ends `armrig dashboard` at once while its modules are loaded."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+from tests.integration.processes import WITHIN_S
+
+# The import of the server waits until the standard input is closed.
+PROGRAM = """
+import sys
+class Slow:
+    def find_spec(self, name, *_):
+        if name == "armrig.dashboard.serving":
+            print("loading", flush=True)
+            sys.stdin.read()
+sys.meta_path.insert(0, Slow())
+from armrig.__main__ import main
+sys.argv = ["armrig", "dashboard", "--json"]
+sys.exit(main())
+"""
+
+
+def test_ctrl_c_does_not_wait_for_the_modules() -> None:
+    pipe = subprocess.PIPE
+    command = [sys.executable, "-c", PROGRAM]
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as loading:
+        try:
+            assert loading.stdout is not None
+            assert loading.stdout.readline() == "loading\n"
+            loading.send_signal(signal.SIGINT)
+            code = loading.wait(WITHIN_S)
+            assert loading.stderr is not None
+            assert (code, loading.stderr.read()) == (130, "armrig: interrupted\n")
+        finally:
+            loading.kill()
