@@ -10,8 +10,10 @@ from armrig_core.loading import end_at_ctrl_c
 def main() -> int:
     """Load the command line, run it, and return the exit code."""
     has_loaded = end_at_ctrl_c("armrig")
+    from armrig.cli import load
     from armrig.cli import main as run
 
+    load(sys.argv[1:])
     has_loaded()
     try:
         return run()

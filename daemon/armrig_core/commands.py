@@ -11,8 +11,8 @@ from armrig_core import version_1
 from armrig_core.calibration import Calibration
 from armrig_core.codes import OutcomeCode, RefusalCode
 from armrig_core.errors import InputError
+from armrig_core.predicted_motion import Rehearsal
 from armrig_core.printable import printable
-from armrig_core.rehearsal import Rehearsal
 from armrig_core.volts import U_MAX_V
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V, description="V")]

@@ -10,7 +10,7 @@ import msgspec
 from armrig_core import version_1
 from armrig_core.emulated import is_emulated
 from armrig_core.errors import InputError
-from armrig_core.rehearsal import Rehearsal
+from armrig_core.predicted_motion import Rehearsal
 
 RUN = "armrig.run"
 """Name of the metadata record that is written before the first sample."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from math import ceil, degrees, sqrt, tau
+from math import ceil, sqrt, tau
 from typing import TYPE_CHECKING
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armrig_core.errors import InputError
+from armrig_core.predicted_motion import Rehearsal
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
@@ -20,19 +20,6 @@ MOST_POINTS = 20_000_000
 """Largest number of points in time of one rehearsal; they take half a second to compute."""
 _BLOCK_SAMPLES = 64  # samples that one matrix product advances
 _STEP_PHASE_RAD = 0.2  # phase of the oscillation between points: 0.5 % error at a peak
-
-
-class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):
-    """Response of the model to an input, from standstill."""
-
-    revolutions: float
-    """Largest rotation of the chassis from its start, in either direction, in turns."""
-    alpha_rad: float
-    """Largest deflection of the arm, in either direction, in rad."""
-    turned_rad: float
-    """Rotation of the chassis at the end, from its start, in rad."""
-    theta_1_rad: float | None = None
-    """Angle of the chassis at the end, turns included, in rad; None if the start is unknown."""
 
 
 def rehearse(
@@ -108,15 +95,6 @@ def rehearse(
         alpha_rad=float(peaks[:, 1].max()),
         turned_rad=turned,
         theta_1_rad=None if theta_1_rad is None else theta_1_rad + turned,
-    )
-
-
-def sentence(rehearsal: Rehearsal) -> str:
-    """Return the result as a line for a person."""
-    return (
-        f"rehearsed on the model: the chassis turns {rehearsal.revolutions:.1f} times and ends "
-        f"{degrees(rehearsal.turned_rad):.0f}° from its start; "
-        f"the arm deflects by up to {degrees(rehearsal.alpha_rad):.1f}°"
     )
 
 

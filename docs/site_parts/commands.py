@@ -15,7 +15,7 @@ from site_parts.pages import GENERATED, table, write_page
 
 def commands() -> Iterator[tuple[str, Any]]:
     """Yield the name and the click object of each command; a group precedes its members."""
-    for program, typed in (("armrig", armrig), ("armrigd", armrigd)):
+    for program, typed in (("armrig", armrig()), ("armrigd", armrigd)):
         yield from _below(program, typer.main.get_command(typed))
 
 

@@ -12,7 +12,7 @@ import zenoh
 from armrig.rig.collection import Plan
 from armrig_core import commands, topics
 from armrig_core.commands import LastRun, StatusReport
-from armrig_core.rehearsal import Rehearsal
+from armrig_core.predicted_motion import Rehearsal
 
 
 def step_plan(owner: str, seconds: float = 1.0) -> Plan:

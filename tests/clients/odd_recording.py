@@ -16,7 +16,7 @@ from armrig_core import protobuf
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Driver, Made, Potentiometer
 from armrig_core.manifest import Manifest, Outcome
-from armrig_core.rehearsal import Rehearsal
+from armrig_core.predicted_motion import Rehearsal
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
 from msgspec.structs import replace

@@ -41,8 +41,8 @@ def test_every_assignment_is_there() -> None:
 
 def test_every_command_of_the_table_exists() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    known = {c.callback.__name__ for c in app.registered_commands if c.callback}
-    known |= {group.name for group in app.registered_groups}
+    known = {c.callback.__name__ for c in app().registered_commands if c.callback}
+    known |= {group.name for group in app().registered_groups}
 
     named = set(re.findall(r"`armrig ([a-z]+)", text))
     assert {"sampling", "hints", "identify"} <= named <= known

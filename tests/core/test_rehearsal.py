@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from armrig_core.arm import ArmParameters
 from armrig_core.errors import InputError
-from armrig_core.rehearsal import rehearse, sentence
+from armrig_core.predicted_motion import sentence
+from armrig_core.rehearsal import rehearse
 from armrig_daemon.emulator.plant import REST, advance, build
 from numpy.typing import NDArray
 

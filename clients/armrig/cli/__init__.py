@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from traceback import format_exception
@@ -20,51 +21,60 @@ import typer.core
 from armrig_core.errors import ArmrigError, OperationError, ParameterError
 from armrig_core.loading import is_interrupt, use_one_thread
 
-from armrig.cli import (
-    batch,
-    calibrate,
-    collect,
-    comparison,
-    dashboard,
-    evidence,
-    feedback_and_delay,
-    first_look,
-    flash,
-    glossary,
-    host,
-    identification,
-    integrators,
-    lab,
-    listing,
-    physical_step,
-    physics,
-    pki,
-    play,
-    record,
-    recording_info,
-    recovery,
-    reporting,
-    rig,
-    router,
-    service,
-    validation,
-)
 from armrig.cli.options import tell_error
-from armrig.cli.usage_errors import usage_error
 
 _HELP = {"help_option_names": ["-h", "--help"]}
 _HELP_INDENT = 6
 """Number of columns around the name of a command in the help."""
+
 _HEADINGS = {
-    "Rig": "lab status watch stop reset note dashboard calibrate",
-    "Runs": "collect record play demo",
-    "Recordings": "ls info plot verify export recover replay",
-    "Identify": "sampling hints identify batch",
-    "Validate": "validate compare check report",
-    "Physics": "model simulate greybox split integrate",
-    "Administration": "doctor glossary flash conformance service pki router",
+    "Rig": "lab.lab rig.status rig.watch rig.stop rig.reset "
+    "rig.note dashboard.dashboard calibrate.calibrate",
+    "Runs": "collect.collect record.record play.play host.demo",
+    "Recordings": "listing.ls recording_info.info first_look.plot evidence.verify "
+    "evidence.export recovery.recover recording_info.replay",
+    "Identify": "first_look.sampling first_look.hints identification.identify batch.batch",
+    "Validate": "validation.validate comparison.compare feedback_and_delay.check reporting.report",
+    "Physics": "physical_step.model physics.simulate physics.greybox "
+    "physics.split integrators.integrate",
+    "Administration": "host.doctor glossary.glossary flash.flash host.conformance "
+    "service.service pki.pki router.router",
 }
-"""Commands under each heading of `armrig --help`."""
+"""Commands under each heading of `armrig --help`, as MODULE.COMMAND."""
+_MODULES = {
+    name: module
+    for places in _HEADINGS.values()
+    for module, name in (place.split(".") for place in places.split())
+}
+_EXAMPLES = {
+    "note": '"the arm was touched"',
+    "dashboard": "--open",
+    "record": "--from unixsock-stream//run/armrig/1.sock -o monday.mcap",
+    "play": "@last --speed 10",
+    "demo": "--directory demo",
+    "info": "@last",
+    "plot": "@last -o data.png",
+    "verify": "@last",
+    "export": "@last data.mat",
+    "replay": "@last",
+    "sampling": "@step",
+    "hints": "@blackbox -o hints.png",
+    "identify": "@blackbox --structure oe --integrator --validate @blackbox/validation",
+    "validate": "@blackbox/validation --model model.json",
+    "compare": "@blackbox @blackbox/validation",
+    "check": "@blackbox",
+    "report": "@blackbox @blackbox/validation -o report.pdf",
+    "model": "--set J_2=0.005 -o step.png",
+    "simulate": "@last --model model.json",
+    "greybox": "@greybox",
+    "split": "@greybox --parts 1,2,4",
+    "integrate": "--method heun --h 0.01",
+    "glossary": '"velocity fit"',
+    "flash": "--port /dev/ttyACM0 --dry-run",
+    "conformance": "--device /dev/ttyACM0",
+    "router": "--certificate pki/router.pem --names pki/access.toml",
+}
+"""Arguments in the example at the end of a command's help."""
 
 
 class _UnderHeadings(typer.core.TyperGroup):
@@ -72,74 +82,18 @@ class _UnderHeadings(typer.core.TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of the commands, in the order of the help."""
-        return " ".join(_HEADINGS.values()).split()
+        return list(_MODULES)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands under their headings; all names have the same width."""
         width = max(map(len, self.commands))
         limit = formatter.width - width - _HELP_INDENT
-        for heading, names in _HEADINGS.items():
-            rows = [(x, self.commands[x].get_short_help_str(limit)) for x in names.split()]
+        for heading, places in _HEADINGS.items():
+            names = [place.partition(".")[2] for place in places.split()]
+            rows = [(x, self.commands[x].get_short_help_str(limit)) for x in names]
             with formatter.section(heading):
                 formatter.write_dl([(f"{name:{width}}", text) for name, text in rows])
 
-
-app = typer.Typer(
-    cls=_UnderHeadings,
-    context_settings=_HELP | {"max_content_width": 100},
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
-# Each command is followed by an example of its arguments, each group of commands by its name.
-for _command, _example in (
-    (lab.lab, ""),
-    (rig.status, ""),
-    (rig.watch, ""),
-    (rig.stop, ""),
-    (rig.reset, ""),
-    (rig.note, '"the arm was touched"'),
-    (dashboard.dashboard, "--open"),
-    (calibrate.calibrate, ""),
-    (collect.app, "collect"),
-    (listing.ls, ""),
-    (recording_info.info, "@last"),
-    (physical_step.model, "--set J_2=0.005 -o step.png"),
-    (first_look.plot, "@last -o data.png"),
-    (first_look.sampling, "@step"),
-    (first_look.hints, "@blackbox -o hints.png"),
-    (
-        identification.identify,
-        "@blackbox --structure oe --integrator --validate @blackbox/validation",
-    ),
-    (validation.validate, "@blackbox/validation --model model.json"),
-    (comparison.compare, "@blackbox @blackbox/validation"),
-    (physics.simulate, "@last --model model.json"),
-    (feedback_and_delay.check, "@blackbox"),
-    (physics.greybox, "@greybox"),
-    (physics.split, "@greybox --parts 1,2,4"),
-    (integrators.integrate, "--method heun --h 0.01"),
-    (reporting.report, "@blackbox @blackbox/validation -o report.pdf"),
-    (evidence.verify, "@last"),
-    (evidence.export, "@last data.mat"),
-    (batch.app, "batch"),
-    (recovery.recover, ""),
-    (play.play, "@last --speed 10"),
-    (record.record, "--from unixsock-stream//run/armrig/1.sock -o monday.mcap"),
-    (recording_info.replay, "@last"),
-    (host.demo, "--directory demo"),
-    (host.doctor, ""),
-    (glossary.glossary, '"velocity fit"'),
-    (flash.flash, "--port /dev/ttyACM0 --dry-run"),
-    (host.conformance, "--device /dev/ttyACM0"),
-    (service.app, "service"),
-    (pki.app, "pki"),
-    (router.router, "--certificate pki/router.pem --names pki/access.toml"),
-):
-    if isinstance(_command, typer.Typer):
-        app.add_typer(_command, name=_example, context_settings=_HELP)
-    else:
-        _line = f"Example: armrig {_command.__name__} {_example}".rstrip()
-        app.command(epilog=_line, context_settings=_HELP)(_command)
 
 # Commands that connect to a rig, or measure the host of a rig; they do not exist on Windows.
 _WITH_A_RIG = ("fcntl", "grp", "pty", "pwd", "resource", "termios", "tty", "zenoh")
@@ -147,7 +101,8 @@ _DEBUG = "--debug"
 # Address space, in MiB, and open files of the commands that open a session: 0.7 to 0.9 GiB and
 # 18 to 26 files were measured. With less, zenoh aborts or blocks. `lab` passes its limits to a
 # daemon.
-_NEEDS = dict.fromkeys([*_HEADINGS["Rig"].split(), "collect", "record", "router"], (1024, 32))
+_OF_RIG = [place.partition(".")[2] for place in _HEADINGS["Rig"].split()]
+_NEEDS = dict.fromkeys([*_OF_RIG, "collect", "record", "router"], (1024, 32))
 _NEEDS |= dict.fromkeys(["dashboard", "lab"], (2048, 64))
 _SIGPIPE = 13  # the module `signal` of Windows does not define this name
 
@@ -161,7 +116,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(help="Record, identify and validate models of a control laboratory's rig.")
 def _options(
     print_version: Annotated[
         bool,
@@ -174,6 +128,40 @@ def _options(
     ] = False,
 ) -> None:
     """Define the options that precede the command; `_internal` reads `debug` from the arguments."""
+
+
+def app(*names: str) -> typer.Typer:
+    """Return the command line with the named commands; without a name, with all commands.
+
+    Only the modules of these commands are imported, so that a stop is sent without delay.
+    """
+    found = typer.Typer(
+        cls=_UnderHeadings,
+        context_settings=_HELP | {"max_content_width": 100},
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+    )
+    found.callback(help="Record, identify and validate models of a control laboratory's rig.")(
+        _options
+    )
+    for name in names or _MODULES:
+        module = import_module(f"armrig.cli.{_MODULES[name]}")
+        if hasattr(module, "app"):
+            found.add_typer(module.app, name=name, context_settings=_HELP)
+        else:
+            line = f"Example: armrig {name} {_EXAMPLES.get(name, '')}".rstrip()
+            found.command(epilog=line, context_settings=_HELP)(getattr(module, name))
+    return found
+
+
+def load(arguments: Sequence[str]) -> Any:
+    """Import the modules of the command in `arguments`, and return the command line."""
+    return _command_line(*(name for name in arguments[:1] if name in _MODULES))
+
+
+@cache
+def _command_line(*names: str) -> Any:
+    return typer.main.get_command(app(*names))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -219,16 +207,10 @@ def _signals() -> Iterator[list[signal.Signals]]:
             signal.signal(number, handler)
 
 
-@cache
-def _command_line() -> Any:
-    """Return all commands with their options; their creation takes 25 ms."""
-    return typer.main.get_command(app)
-
-
 def _run(arguments: Sequence[str] | None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        command = _command_line()
+        command = load(given)
         if "_ARMRIG_COMPLETE" in os.environ:  # the shell requests completions
             command.main([], prog_name="armrig")
         # Not command.main(), which has other exit codes for Ctrl-C and for a broken pipe.
@@ -238,6 +220,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except typer.Exit as err:
         return int(err.exit_code) if given else 2  # without a command, help is printed
     except _UsageError as err:
+        from armrig.cli.usage_errors import usage_error
+
         if type(err).__name__ == "NoArgsIsHelpError":  # its message is the help, in many lines
             typer.echo(err.format_message())
             return 2

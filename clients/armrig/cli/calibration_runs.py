@@ -160,8 +160,7 @@ def take_into_use(
         The daemon refuses the calibration, or does not answer although `wanted` is True.
     """
     from armrig.rig.client import Rig
-    from armrig.rig.collection import refusal_sentence, reset_command
-    from armrig.rig.replies import RefusedError
+    from armrig.rig.replies import RefusedError, refusal_sentence, reset_command
     from armrig.rig.session import NoReplyError, RigError
 
     named, is_used = "", False

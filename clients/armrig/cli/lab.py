@@ -148,7 +148,7 @@ def _sentence(status: StatusReport, lab: _Lab, after: str) -> str:
             f"in a second terminal:\n{after}"
         )
     if status.reason:
-        from armrig.rig.collection import reset_command
+        from armrig.rig.replies import reset_command
 
         return f"{status.reason}; {status.remedy}, then {reset_command(status.rig, None)}"
     return f"not ready: {status.line}; Ctrl-C ends the lab" if status.line else ""

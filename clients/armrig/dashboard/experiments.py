@@ -12,7 +12,8 @@ import numpy as np
 from armrig_core.arm import ArmParameters
 from armrig_core.commands import StatusReport
 from armrig_core.errors import InputError
-from armrig_core.rehearsal import rehearse, sentence
+from armrig_core.predicted_motion import sentence
+from armrig_core.rehearsal import rehearse
 from msgspec import Meta
 from numpy.typing import NDArray
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import msgspec
 from armrig_core import commands, version_1
-from armrig_core.codes import OutcomeCode
+from armrig_core.codes import OutcomeCode, RefusalCode
 from armrig_core.errors import MalformedReplyError
 from msgspec.structs import replace
 
@@ -113,6 +113,23 @@ def refused(refusal: commands.Refused) -> RefusedError:
     """Return the exception for a refusal."""
     kind = BusyError if refusal.passes else RefusedError
     return kind(refusal.error, refusal.code, refusal.parameters)
+
+
+def refusal_sentence(err: RigError, way_out: str) -> str:
+    """Return the reason for the refusal of a command; for a latched fault, also the remedy."""
+    if isinstance(err, RefusedError) and err.code == RefusalCode.IN_FAULT:
+        return f"in fault ({err.parameters.get('reason', '')}): repair it, then {way_out}"
+    return str(err)
+
+
+def reset_command(rig: str, connect: str | None) -> str:
+    """Return the command that resets this rig."""
+    words = ["armrig", "reset"]
+    if rig != "1":
+        words += ["--rig", rig]
+    if connect:
+        words += ["--connect", connect]
+    return f"`{' '.join(words)}`"
 
 
 def complete_recording(last: commands.LastRun, asked: int) -> Path:

@@ -24,9 +24,10 @@ from armrig_core.commands import (
     refused,
 )
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, Manifest
+from armrig_core.predicted_motion import Rehearsal
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
-from armrig_core.rehearsal import Rehearsal, rehearse
+from armrig_core.rehearsal import rehearse
 from armrig_core.volts import codes_of
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
 

@@ -199,6 +199,26 @@ def test_nothing_heavy_is_imported_before_it_is_needed(program: str) -> None:
     assert done.stdout.decode().strip() == "[]"
 
 
+def test_a_stop_imports_only_what_it_needs(daemon: FakeDaemon, where: str) -> None:
+    program = (
+        "import sys; from armrig.__main__ import main; code = main(); "
+        f"print(code, sorted({{*{HEAVY!r}, 'google.protobuf', 'typer'}} & set(sys.modules))); "
+        "print(*(name for name in sys.modules if name.startswith('armrig.')))"
+    )
+
+    arguments = [sys.executable, "-c", program, "stop", "--connect", where]
+    done = subprocess.run(arguments, capture_output=True, check=True, text=True)
+
+    said, heavy, own = done.stdout.splitlines()
+    assert daemon.names() == ["stop"]
+    assert said.startswith("rig 1, motor: ")
+    assert heavy == "0 ['typer', 'zenoh']"
+    assert {name.split(".")[1] for name in own.split()} == {"__main__", "cli", "data", "rig"}
+    assert {name for name in own.split() if ".cli." in name} == {
+        *("armrig.cli.options", "armrig.cli.rig")
+    }
+
+
 def test_every_public_name_is_there() -> None:
     assert all(getattr(armrig, name) is not None for name in armrig.__all__)
     assert armrig.__version__ == VERSION
@@ -266,7 +286,7 @@ def test_ctrl_c_while_a_command_is_loaded_is_no_error(program: str, tmp_path: Pa
 def test_a_signal_while_the_options_are_made_ends_the_command_in_order(
     number: signal.Signals, code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("armrig.cli._command_line", lambda: signal.raise_signal(number))
+    monkeypatch.setattr("armrig.cli.load", lambda given: signal.raise_signal(number))
 
     assert main(["ls"]) == code
 

@@ -96,12 +96,13 @@ def test_a_mistyped_command_is_answered_with_the_nearest(
 
 
 def test_each_command_is_under_one_heading(capsys: pytest.CaptureFixture[str]) -> None:
-    names = [name for line in _HEADINGS.values() for name in line.split()]
+    places = [place for line in _HEADINGS.values() for place in line.split()]
+    names = [place.partition(".")[2] for place in places]
 
     assert main(["-h"]) == 0
 
     shown = capsys.readouterr().out
-    assert sorted(names) == sorted(get_command(armrig_app).commands)
+    assert sorted(names) == sorted(get_command(armrig_app()).commands)
     assert re.findall(r"^(\w+):$", shown, re.MULTILINE) == ["Options", *_HEADINGS]
     assert re.findall(r"^  (\w+) ", shown.partition("\nRig:")[2], re.MULTILINE) == names
     assert "..." not in shown.partition("\nRig:")[2]

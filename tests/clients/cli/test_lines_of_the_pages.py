@@ -17,7 +17,7 @@ from armrig_daemon.command_line import app as armrigd
 ROOT = Path(__file__).parents[3]
 # A decision may speak of a command that was not made.
 PAGES = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted(ROOT.glob("docs/*.md"))]
-PROGRAMS = {"armrig": armrig, "armrigd": armrigd}
+PROGRAMS = {"armrig": armrig(), "armrigd": armrigd}
 _BLOCK = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
 _SPAN = re.compile(r"(?<!`)`(armrigd? [^`\n]+)`")
 _END = {"|", ">", "2>", "&&", ";", "&", "||"}

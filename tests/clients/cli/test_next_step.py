@@ -46,7 +46,7 @@ VALUES: dict[str, Any] = {
 
 @cache
 def _command_line() -> Any:
-    return typer.main.get_command(app)
+    return typer.main.get_command(app())
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ WHOLE = {"report", "calibrate"}
 
 def _commands() -> dict[str, set[str]]:
     """Return the options of every command that reads recordings, by its name."""
-    group: Any = typer.main.get_command(app)
+    group: Any = typer.main.get_command(app())
     options = {
         name: {option for p in command.params for option in p.opts}
         for name, command in group.commands.items()

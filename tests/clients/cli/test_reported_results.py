@@ -339,7 +339,7 @@ def test_the_first_of_two_signals_ends_the_command_and_the_second_does_not_distu
 ) -> None:
     stopped: list[str] = []
 
-    def command() -> None:
+    def command(given: list[str]) -> None:
         try:
             signal.raise_signal(signal.SIGTERM)
         finally:
@@ -347,7 +347,7 @@ def test_the_first_of_two_signals_ends_the_command_and_the_second_does_not_distu
             stopped.append("the rig")
 
     before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGHUP)
-    monkeypatch.setattr("armrig.cli._command_line", command)
+    monkeypatch.setattr("armrig.cli.load", command)
 
     assert main(["ls"]) == 128 + signal.SIGTERM
 

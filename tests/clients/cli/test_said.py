@@ -219,6 +219,6 @@ def test_a_command_says_what_it_said(
 def test_every_command_is_in_a_file() -> None:
     text = "".join(file.read_text(encoding="utf-8") for file in FILES)
 
-    for program, app in (("armrig", armrig_app), ("armrigd", armrigd_app)):
+    for program, app in (("armrig", armrig_app()), ("armrigd", armrigd_app)):
         for name in get_command(app).commands.keys() - OF_A_HOST:
             assert f"$ {program} {name}" in text

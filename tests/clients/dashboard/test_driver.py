@@ -12,7 +12,7 @@ import pytest
 from armrig.dashboard.driver import BusyDriverError, Driver
 from armrig.rig.session import NoReplyError
 from armrig_core import commands
-from armrig_core.rehearsal import Rehearsal
+from armrig_core.predicted_motion import Rehearsal
 
 from tests.clients.fake_daemon import FakeDaemon, step_plan
 

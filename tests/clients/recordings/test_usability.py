@@ -26,7 +26,7 @@ from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig_core.manifest import Outcome
-from armrig_core.rehearsal import Rehearsal
+from armrig_core.predicted_motion import Rehearsal
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
