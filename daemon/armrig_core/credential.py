@@ -11,6 +11,7 @@ import os
 import re
 import ssl
 import stat
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -39,6 +40,7 @@ _BLOCK = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----.*?-----END \1-----\n?", re.D
 _NAME = re.compile(r"[a-z0-9-]{1,40}")
 # X509_V_ERR_… of OpenSSL, x509_vfy.h
 _NOT_YET, _EXPIRED, _PURPOSE = 9, 10, 26
+_NO_CHECK_TIME = 0x200000  # X509_V_FLAG_NO_CHECK_TIME
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +49,8 @@ class Credential:
 
     name: str
     """Common name of the certificate."""
+    begins: datetime
+    """Time from which the certificate is valid."""
     expires: datetime
     """Time at which the certificate or its authority's certificate expires, whichever is first."""
     key: bytes
@@ -57,7 +61,8 @@ class Credential:
     def tls(self, side: Literal["listen", "connect"]) -> dict[str, Any]:
         """Return zenoh's `transport/link/tls`, which requires a certificate at both ends of a link.
 
-        A link ends when the certificate of the other side expires.
+        zenoh ends a link when the certificate of the other side expires. A client that connects
+        again in the last second of its certificate can keep this link.
         """
         return {
             "root_ca_certificate_base64": _base64(self.authority),
@@ -138,13 +143,19 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
         shown = _shown(path, authority, purpose)
         authorities = _contents(authority)
     except (ssl.SSLError, ValueError) as err:
-        raise FileError(f"{path}: {_what_is_wrong(err, purpose)}") from err
-    ends = (_end(certificate) for certificate in (shown, *authorities))
+        wrong = _what_is_wrong(err, purpose)
+        if getattr(err, "verify_code", 0) == _NOT_YET:
+            with suppress(ssl.SSLError):  # another part of the certificate is wrong, too
+                begins = _time(_shown(path, authority, purpose, _NO_CHECK_TIME), "notBefore")
+                wrong = f"the certificate is not valid before {utc(begins)}: check the clock"
+        raise FileError(f"{path}: {wrong}") from err
+    ends = (_time(certificate, "notAfter") for certificate in (shown, *authorities))
     name = _common_name(path, shown)
     if purpose == "client" and name.startswith(RIG_PREFIX):  # a rig's certificate, for a router
         raise FileError(f"{path}: {_other_purpose(purpose)}")
     return Credential(
         name=name,
+        begins=_time(shown, "notBefore"),
         expires=min(ends),
         key=keys[0],
         certificate=b"".join(certificates[:-1]),
@@ -164,7 +175,7 @@ def _read(path: Path, purpose: Purpose) -> bytes:
         raise FileError(f"{path}: {err.strerror}; choose a file that this user may read") from err
 
 
-def _shown(path: Path, authority: bytes, purpose: Purpose) -> dict[str, Any]:
+def _shown(path: Path, authority: bytes, purpose: Purpose, flags: int = 0) -> dict[str, Any]:
     """Return the contents of the certificate after a handshake in memory.
 
     The standard library verifies a certificate only during a handshake.
@@ -179,6 +190,7 @@ def _shown(path: Path, authority: bytes, purpose: Purpose) -> dict[str, Any]:
     judge = client if purpose in _SERVER_PURPOSES else server
     judge.load_verify_locations(cadata=authority.decode("ascii"))
     judge.verify_mode = ssl.CERT_REQUIRED
+    judge.verify_flags |= flags
     there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
     ends = {
         server: server.wrap_bio(there, back, server_side=True),
@@ -198,8 +210,13 @@ def _contents(authority: bytes) -> list[dict[str, Any]]:
     return list(context.get_ca_certs())
 
 
-def _end(certificate: dict[str, Any]) -> datetime:
-    return datetime.fromtimestamp(ssl.cert_time_to_seconds(certificate["notAfter"]), UTC)
+def _time(certificate: dict[str, Any], field: str) -> datetime:
+    return datetime.fromtimestamp(ssl.cert_time_to_seconds(certificate[field]), UTC)
+
+
+def utc(time: datetime) -> str:
+    """Return a time in UTC, as text for a person."""
+    return f"{time:%Y-%m-%d %H:%M} UTC"
 
 
 def _common_name(path: Path, certificate: dict[str, Any]) -> str:
@@ -213,8 +230,8 @@ def _common_name(path: Path, certificate: dict[str, Any]) -> str:
 def _what_is_wrong(err: ssl.SSLError | ValueError, purpose: Purpose) -> str:
     if isinstance(err, ssl.SSLCertVerificationError):
         return {
-            _EXPIRED: "the certificate has expired: `armrig pki renew` makes a new one",
             _NOT_YET: "the certificate is not valid yet: check the clock of this machine",
+            _EXPIRED: "the certificate has expired: `armrig pki renew` makes a new one",
             _PURPOSE: _other_purpose(purpose),
         }.get(err.verify_code, f"not signed by the authority in the file ({err.verify_message})")
     if isinstance(err, ssl.SSLError) and err.reason == "KEY_VALUES_MISMATCH":

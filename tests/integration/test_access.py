@@ -382,9 +382,9 @@ def _chained(lab: Laboratory, name: str) -> dict[str, Any]:
     )
     now = datetime.now(UTC)
     shown = b"".join(chain[:-1])
-    return Credential(name=name, expires=now, key=key, certificate=shown, authority=chain[-1]).tls(
-        "connect"
-    )
+    return Credential(
+        name=name, begins=now, expires=now, key=key, certificate=shown, authority=chain[-1]
+    ).tls("connect")
 
 
 def test_an_observer_cannot_become_an_operator(lab: Laboratory) -> None:
