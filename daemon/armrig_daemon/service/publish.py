@@ -20,10 +20,13 @@ from armrig_daemon.service import admission
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.history import History
 from armrig_daemon.service.listener import Command, Listener
+from armrig_daemon.service.sentences import endpoint_error
 from armrig_daemon.service.uplink import Uplink
 
 TOO_MANY = refused(RefusalCode.TOO_MANY, "too many commands are waiting: try again")
 """Refusal of a command whose queue is full."""
+MAX_DELETED = 8
+"""Largest number of deleted sockets whose sessions stay open for the connected clients."""
 MAX_WAITING = 64  # most unread commands of one kind; further commands are refused
 
 
@@ -87,8 +90,9 @@ class Session:
         }
         self._wake = wake
         self._history = History(secrets.token_bytes(16))
-        self._rig, self._network = rig, network
+        self._endpoint, self._rig, self._network = endpoint, rig, network
         self._listeners = [Listener(endpoint, rig, self._admit, self._past)]
+        self._deleted: list[Listener] = []  # their sockets are deleted, their clients are connected
         if network is not None:
             try:
                 self.open_network()
@@ -107,10 +111,22 @@ class Session:
 
     def __exit__(self, *_: object) -> None:
         """Close the listeners."""
-        for listener in self._listeners:
+        for listener in (*self._listeners, *self._deleted):
             listener.close()
         if self.uplink is not None:
             self.uplink.close()
+
+    def open_socket(self) -> str:
+        """Listen at the deleted Unix socket again; return why it failed, or ""."""
+        if len(self._deleted) == MAX_DELETED:
+            return f"for the {MAX_DELETED + 1}th time"
+        try:
+            again = Listener(self._endpoint, self._rig, self._admit, self._past)
+        except zenoh.ZError as err:
+            return endpoint_error(self._endpoint, self._rig, err)
+        self._deleted.append(self._listeners[0])
+        self._listeners[0] = again
+        return ""
 
     def open_network(self) -> None:
         """Listen also at the endpoint of the network.
@@ -137,7 +153,7 @@ class Session:
 
     def put(self, stream: str, data: bytes) -> None:
         """Publish a message, which zenoh drops for a slow subscriber; keep it in the history."""
-        for listener in self._listeners:
+        for listener in (*self._listeners, *self._deleted):
             listener.put(stream, data)
         if self.uplink is not None:
             self.uplink.put(stream, data)

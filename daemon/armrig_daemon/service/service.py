@@ -20,11 +20,13 @@ from pathlib import Path
 import zenoh
 from armrig_core import commands, open_files
 from armrig_core.codes import Ending, OutcomeCode
+from armrig_core.daemon_lock import DaemonFacts
 from armrig_core.emulator_stall import held_up
 from armrig_core.errors import InputError
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import RecordingError
 from armrig_core.signal_pipe import SignalPipe
+from armrig_core.standstill import Standstill
 from armrig_core.telemetry import Sample, decode_sample
 from msgspec.structs import replace
 
@@ -65,6 +67,7 @@ from armrig_daemon.service.sentences import (
     state_sentence,
     unreachable,
 )
+from armrig_daemon.service.socket_file import SocketFile
 from armrig_daemon.service.startup_recovery import StartupRecovery
 from armrig_daemon.service.systemd import Notifier
 from armrig_daemon.service.thinning import Thinning
@@ -187,6 +190,11 @@ class Service:
         if listen := self._config.access.listen:
             open_again = partial(_open_network, session, listen)
             self._guard = NetworkGuard(open_files.count, session.shut_network, open_again)
+        device = self._config.device
+        facts = DaemonFacts(pid=os.getpid(), port=device.port, baud=device.baud)
+        path = Path(self._endpoint.partition("/")[2])
+        self._socket_file = SocketFile(path, facts, session.open_socket)
+        self._sleep, self._slept = Standstill(), ""
         self._commands = Commands(
             self._config, self._rig, self._runs, session, loop, self._say, self._note
         )
@@ -262,7 +270,8 @@ class Service:
                     self._runs.add(batch)
                     batch = []
                     ended = Ending(record.outcome_code, record.outcome)
-                    self._runs.end(pressure.with_load(ended, self._rig.state, pressure.load()))
+                    load = self._standstill() or pressure.load()
+                    self._runs.end(pressure.with_load(ended, self._rig.state, load))
                 case Answer():
                     self._commands.answer(record)
                 case Host():
@@ -335,8 +344,16 @@ class Service:
         ]
         self._runs.add(self._published(logs))
 
+    def _standstill(self) -> str:
+        """Report a sleep of this computer; return the sentence on a sleep in the current run."""
+        if slept := self._sleep.look():
+            self._slept = slept
+            self._say("warning", slept)
+        return self._slept
+
     def _begin_run(self, started: RunStarted) -> None:
         self._anchor_clock()
+        self._slept = ""
         self._left_over.rest()
         try:
             path = self._runs.begin(started, self._rig.state, self._rig.host, self._offset_ns)
@@ -398,6 +415,7 @@ class Service:
 
     def _each_second(self) -> None:
         self._loop.order(Alive())
+        self._standstill()
         self._commands.refuse_overdue()
         if line := self._files.look():
             self._say(*line)
@@ -405,6 +423,8 @@ class Service:
             line = self._guard.look(time.monotonic(), is_busy=self._is_busy)
             if line is not None:
                 self._say(*line)
+        if changed := self._socket_file.look():
+            self._say("error", changed)
         if self._session.uplink is not None and (line := self._session.uplink.look()):
             self._say(*line)
         if self._runs.is_idle:

@@ -1092,3 +1092,18 @@ def test_what_other_threads_report_is_in_the_log_with_its_level(
     assert "stopped by anna, 0 samples, 0 missing" in finished[1]
     assert fields == {"run": run_id, "cause": "stopped by anna"}
     assert others == [(line, {}) for line in lines]
+
+
+def test_a_sleep_of_the_computer_is_reported_and_is_the_cause_of_a_late_stop(
+    between: Between, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    between.begin_run()
+    slept = iter(["this computer slept for 30 s", "", ""])
+    monkeypatch.setattr(between.service._sleep, "look", lambda: next(slept))
+    between.service._each_second()
+    causes = [between.service._standstill()]
+    between.service._begin_run(RunStarted(run_id="next", k_first=0, count=3, t_host_ns=0))
+    causes.append(between.service._standstill())
+
+    assert causes == ["this computer slept for 30 s", ""]
+    assert "warning: this computer slept for 30 s" in capsys.readouterr().err

@@ -1,0 +1,43 @@
+"""The lock file of a rig's daemon, while the daemon lives and after its death."""
+
+from __future__ import annotations
+
+import fcntl
+from pathlib import Path
+
+import pytest
+from armrig_core.daemon_lock import DaemonFacts, lock_path, read_facts, write_facts
+from msgspec.structs import replace
+
+FACTS = DaemonFacts(pid=4711, port="/dev/ttyACM0", baud=500_000)
+
+
+@pytest.fixture
+def socket(tmp_path: Path) -> Path:
+    """Give the path of a socket."""
+    return tmp_path / "1.sock"
+
+
+def test_the_file_tells_whether_its_daemon_lives(socket: Path) -> None:
+    write_facts(socket, FACTS)
+    with lock_path(socket).open() as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        living = read_facts(socket)
+    dead = read_facts(socket)
+
+    assert (living, dead) == (FACTS, replace(FACTS, is_alive=False))
+    assert lock_path(socket).name == "1.sock.lock"
+
+
+def test_a_group_may_read_the_facts_and_nobody_else(socket: Path) -> None:
+    write_facts(socket, FACTS)
+
+    assert lock_path(socket).stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[" * 5000, '{"pid": "1", "port": "", "baud": 1}'])
+def test_a_file_without_facts_tells_nothing(text: str, socket: Path) -> None:
+    missing = read_facts(socket)
+    lock_path(socket).write_text(text)
+
+    assert (missing, read_facts(socket)) == (None, None)
