@@ -175,12 +175,13 @@ def estop(
     if after_failure and not _has_failed(os.environ):
         return
     try:
-        device = _configuration(config, port, rig, {}, system=system)().device
+        loaded = _configuration(config, port, rig, {}, system=system)()
+        device = loaded.device
         stopped = send_estop(device.port, device.baud)
     except InputError as err:
         _refuse(f"estop: nothing sent: {err}", EX_CONFIG)
     except TakenPortError as err:
-        _refuse(f"estop: nothing sent: {err}; `armrig stop` stops the motor of a running daemon")
+        _refuse(f"estop: nothing sent: {_holder(loaded, err)}")
     except LinkError as err:
         _refuse(f"estop: nothing sent: {err}; without a host, a device stops the motor by itself")
     if not stopped:
@@ -190,6 +191,18 @@ def estop(
         )
     begin = log_prefix("info", fd=1) or "armrigd: "
     typer.echo(f"{begin}estop: {device.port} is in ESTOP, 0 V; `armrig reset` ends ESTOP")
+
+
+def _holder(config: Config, err: Exception) -> str:
+    """Return a sentence on the holder of the device's port, and on the way to stop the motor."""
+    from armrig_core.daemon_lock import read_facts
+
+    where = socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir())
+    facts = read_facts(Path(where, f"{config.rig.id}.sock"))
+    if facts is None or not facts.is_alive or facts.port != config.device.port:
+        return f"{err}; `armrig stop` stops the motor of a running daemon"
+    who = f"the daemon of rig {config.rig.id} (process {facts.pid})"
+    return f"{who} has opened {facts.port}: `armrig stop` or `kill {facts.pid}` stops the motor"
 
 
 def _has_failed(environ: Mapping[str, str]) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -10,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from armrig.cli.next_step import naming, say_next
 from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_table, say
 
 if TYPE_CHECKING:
     from armrig.rig.client import Rig
+    from armrig.rig.session import NoReplyError
 
 _DRIVEN = frozenset({"armed", "active"})
 """Phases in which an input may drive the motor."""
@@ -43,8 +45,7 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         return
     print_table(*status_rows(report))
     if report.phase == "safe" and not report.line:
-        after = "status chassis" if report.arm_removed else "status"
-        say_next(after, rig=naming(rig, connect))
+        _say_next("status chassis" if report.arm_removed else "status", rig, connect)
 
 
 def watch(
@@ -86,15 +87,22 @@ def stop(rig: RigId = "1", connect: Connect = None, by: By = "", json: Json = Fa
 
     The command prints the state of the motor after the stop, as the device reports it.
 
-    With --json the command prints {"rig": "1", "stopped": true}. If no daemon answers, the exit
-    code is 1: run `armrigd estop` to stop the device without a daemon.
+    With --json the command prints {"rig": "1", "stopped": true}. If the daemon of this machine is
+    dead, the command runs `armrigd estop` instead, which stops the device itself. If nobody answers
+    or the device does not confirm the stop, the exit code is 1.
     """
-    with _opened(rig, connect) as opened:
-        opened.stop(by)
-        if json:
-            print_json({"rig": rig, "stopped": True})
-        else:
-            say(f"rig {rig}, motor: {_motor_after_stop(opened)}", bold=True)
+    from armrig.rig.session import NoReplyError
+
+    try:
+        with _opened(rig, connect) as opened:
+            opened.stop(by)
+            motor = "" if json else _motor_after_stop(opened)
+    except NoReplyError as err:
+        motor = _stop_without_daemon(rig, connect, err)
+    if json:
+        print_json({"rig": rig, "stopped": True})
+    else:
+        say(f"rig {rig}, motor: {motor}", bold=True)
 
 
 def _motor_after_stop(rig: Rig) -> str:
@@ -108,6 +116,29 @@ def _motor_after_stop(rig: Rig) -> str:
             time.sleep(_STATUS_INTERVAL_S)
             status = rig.status()
     return (status and status.motor) or "stop sent"
+
+
+def _stop_without_daemon(rig: str, connect: str | None, err: NoReplyError) -> str:
+    """Stop the device of a dead daemon, and return the state of the motor; raise if that fails."""
+    from armrig.rig.session import NoReplyError, configured_endpoint
+    from armrig.rig.silent_daemon import daemon_at
+
+    facts = daemon_at(connect or configured_endpoint(rig))
+    if facts is None:
+        way_out = "whether the motor turns is unknown here; if it does, use the emergency switch"
+        raise NoReplyError(f"{err}; {way_out}") from err
+    if facts.is_alive:
+        raise err
+    dead = f"its daemon (process {facts.pid}) is dead"
+    done = subprocess.run(
+        [sys.executable, "-m", "armrig_daemon", "estop", "--rig", rig, "--port", facts.port],
+        env={**os.environ, "ARMRIG_DEVICE_BAUD": str(facts.baud)},
+        capture_output=True,
+        text=True,
+    )
+    if done.returncode:
+        raise NoReplyError(f"rig {rig}: {dead}; {done.stderr.strip()}") from err
+    return f"at 0 V by `armrigd estop`; {dead}; start it again, then `armrig reset`"
 
 
 def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
@@ -127,7 +158,7 @@ def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None
         echo(f"rig {rig} was reset")
     else:
         echo(f"rig {rig}: no fault is latched")
-    say_next("reset", rig=naming(rig, connect))
+    _say_next("reset", rig, connect)
 
 
 def note(
@@ -162,12 +193,17 @@ def note(
         echo(f"rig {rig}: no run is being recorded, so the note is not in a recording")
 
 
+def _say_next(after: str, rig: str, connect: str | None) -> None:
+    from armrig.cli.next_step import naming, say_next
+
+    say_next(after, rig=naming(rig, connect))
+
+
 @contextmanager
 def _opened(rig: str, connect: str | None) -> Iterator[Any]:
     """Yield the rig; if the daemon refuses a request, the error names the command to type next."""
     from armrig.rig.client import Rig
-    from armrig.rig.collection import refusal_sentence, reset_command
-    from armrig.rig.replies import RefusedError
+    from armrig.rig.replies import RefusedError, refusal_sentence, reset_command
 
     with Rig(rig, connect=connect) as opened:
         try:

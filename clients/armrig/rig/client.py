@@ -6,16 +6,16 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 import msgspec
-import numpy as np
 import zenoh
 from armrig_core import commands, topics
 from armrig_core.calibration_file import raw_samples, read_calibration
+from armrig_core.endpoint import network_address
 from armrig_core.errors import InputError, MalformedReplyError
+from armrig_core.standstill import Standstill
 from armrig_core.volts import U_MAX_V
-from numpy.typing import ArrayLike, NDArray
 
 from armrig.rig.replies import (
     BusyError,
@@ -28,6 +28,8 @@ from armrig.rig.replies import (
     this_user,
 )
 from armrig.rig.session import (
+    LostLinkError,
+    NoReplyError,
     RigError,
     ServiceStoppedError,
     configured_endpoint,
@@ -37,7 +39,11 @@ from armrig.rig.session import (
     open_connection,
     service_has_stopped,
 )
-from armrig.rig.telemetry_stream import arrivals, listen
+from armrig.rig.silent_daemon import living_daemon
+
+if TYPE_CHECKING:  # a stop waits for all imports of this module
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
 REPLY_S = 5.0  # longest wait for a reply
 _REPLY_PER_SAMPLE_S = 5e-6  # added: before its reply the daemon checks and rehearses all samples
@@ -197,6 +203,7 @@ class Rig:
         dead_man: float | None = None,
         accepted: Callable[[commands.RunAccepted], None] | None = None,
         progress: Progress | None = None,
+        tell: Callable[[str], None] | None = None,
     ) -> Path:
         """Play `u`, wait until the run is recorded, and return the recording's path.
 
@@ -226,6 +233,10 @@ class Rig:
         progress : callable, optional
             Called about ten times a second with two arguments: the number of samples taken so far,
             and the number of samples of the run.
+        tell : callable, optional
+            Called with a sentence if this computer slept, if a run with a `dead_man` loses its
+            link, and when the rig answers again. Until the dead-man's time is over, the client
+            tries to reach the rig.
 
         Returns
         -------
@@ -237,6 +248,8 @@ class Rig:
         ------
         RunEndedError
             The run ended before its last sample; the recording contains the samples until then.
+        LostLinkError
+            The link was lost and did not return within `dead_man`.
         RefusedError
             The rig is not armed, a value is not allowed, or the rehearsal exceeds the limits.
         ValueError
@@ -271,7 +284,8 @@ class Rig:
             run = self._ask(request, commands.RunAccepted)
             if accepted is not None:
                 accepted(run)
-            last = self._finished(request, run, progress or (lambda done, total: None))
+            progress, tell = progress or (lambda done, total: None), tell or (lambda sentence: None)
+            last = self._finished(request, run, progress, tell)
             self.last_run = last
         except BaseException as err:
             if run is None and isinstance(err, RefusedError):
@@ -284,14 +298,20 @@ class Rig:
         return complete_recording(last, voltage.size)
 
     def _finished(
-        self, request: commands.Run, run: commands.RunAccepted, progress: Progress
+        self,
+        request: commands.Run,
+        run: commands.RunAccepted,
+        progress: Progress,
+        tell: Callable[[str], None],
     ) -> commands.LastRun:
+        done, until_s = 0, time.monotonic() + (request.dead_man or 0.0)
         while True:
             wait_s = _REPEAT_INTERVAL_S
             # If other clients send many commands, the daemon may refuse this request. The run
             # continues. The next sign of life must not wait, so each request is sent only once.
             with suppress(BusyError):
-                status = self._ask(commands.Status(), commands.StatusReport)
+                what = f"rig {self.rig}: link lost after {done} or more of {len(request.u)} samples"
+                status = self._status_over_link(what, until_s, tell)
                 wait_s = _POLL_INTERVAL_S
                 last = status.last_run
                 if last is None or last.run_id != run.run_id:
@@ -303,14 +323,49 @@ class Rig:
                     )
                 # A complete run may have missing samples: `last.samples` may be less than `total`.
                 total = len(request.u)
-                progress(total if last.is_complete else last.samples, total)
+                done = total if last.is_complete else last.samples
+                progress(done, total)
                 if last.finished and status.phase != "active":
                     return last
             if request.dead_man is not None:
                 # This loop sends the sign of life; a thread would send it even if the client hung.
-                with suppress(RefusedError):  # the run has just ended
+                # Refused: the run has just ended. Without an answer, the status has none either.
+                with suppress(RefusedError, NoReplyError):
                     self._ask(commands.Renew(**self._stamp()), commands.Done)
+                until_s = time.monotonic() + request.dead_man
+            sleep = Standstill()
             time.sleep(wait_s)
+            if slept := sleep.look():
+                tell(slept)
+                if request.dead_man is not None:  # the sleep may have closed the link
+                    until_s = max(until_s, time.monotonic() + REPLY_S)
+
+    def _status_over_link(
+        self, lost: str, until_s: float, tell: Callable[[str], None]
+    ) -> commands.StatusReport:
+        """Return the status; wait for a lost link, if it can return, at most until `until_s`."""
+        until = ""
+        while True:
+            try:
+                status = self._ask(commands.Status(), commands.StatusReport)
+            except NoReplyError as err:
+                left_s = until_s - time.monotonic()
+                may_return = network_address(self.endpoint) or living_daemon(self.endpoint)
+                if not until and (left_s < 0 or not may_return):
+                    raise
+                if left_s < 0:
+                    raise LostLinkError(
+                        f"{lost}, and did not return; by its dead-man the rig stopped the motor at "
+                        f"{until} at the latest; `armrig ls` on its machine lists the recording"
+                    ) from err
+                if not until:
+                    until = time.strftime("%H:%M:%S", time.localtime(time.time() + left_s))
+                    tell(f"{lost}; the motor may turn until {until} ({left_s:.0f} s); trying again")
+            else:
+                if until:
+                    tell(f"rig {self.rig} answers again: waiting for the end of the run")
+                return status
+            time.sleep(_POLL_INTERVAL_S)
 
     def set(self, u: float) -> None:
         """Hold a voltage until the next `set`, for at most the time `period_s` that `arm` returned.
@@ -522,6 +577,8 @@ class Rig:
         >>> second.k - first.k
         1
         """
+        from armrig.rig.telemetry_stream import listen
+
         return listen(self._connected(), topics.stream_key(self.rig, name), self.endpoint)
 
     def arrivals(self, name: str) -> AbstractContextManager[Callable[[], list[Any]]]:
@@ -539,10 +596,14 @@ class Rig:
         >>> len(samples) > 10
         True
         """
+        from armrig.rig.telemetry_stream import arrivals
+
         return arrivals(self._connected(), topics.stream_key(self.rig, name))
 
     def _allowed(self, u: ArrayLike) -> NDArray[np.float64]:
         """Return the voltages (N,); raise ValueError if a voltage is outside the limits."""
+        import numpy as np
+
         volts = np.asarray(u, dtype=np.float64)
         if volts.ndim != 1 or volts.size == 0:
             raise InputError(

@@ -14,13 +14,12 @@ from typing import Any, Literal, NamedTuple
 
 import zenoh
 from armrig_core import protobuf
-from armrig_core.codes import RefusalCode
 from armrig_core.commands import MOST_SAMPLES, LastRun, RunAccepted, StatusReport
 from armrig_core.errors import ParameterError
 from armrig_core.group_socket import group_may_open
 from armrig_core.owned_session import owned_session
+from armrig_core.predicted_motion import Rehearsal, sentence
 from armrig_core.recording_file.part_names import part_paths
-from armrig_core.rehearsal import Rehearsal, sentence
 from armrig_core.topics import STREAMS, alive_key, schema_key, stream_key
 from numpy.typing import NDArray
 
@@ -29,8 +28,14 @@ from armrig.recordings.published import Published, PublishedRun
 from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig.rig.client import Rig
 from armrig.rig.progress import bar, timing_note
-from armrig.rig.replies import Progress, RefusedError, RunEndedError
-from armrig.rig.session import NoReplyError, RigError, ServiceStoppedError, service_has_stopped
+from armrig.rig.replies import Progress, RunEndedError, refusal_sentence, reset_command
+from armrig.rig.session import (
+    LostLinkError,
+    NoReplyError,
+    RigError,
+    ServiceStoppedError,
+    service_has_stopped,
+)
 
 Shown = Callable[[Rig, str, int], AbstractContextManager[Progress]]
 """Function of rig, kind of experiment and N.
@@ -231,9 +236,11 @@ def _played(
                 dead_man=plan.dead_man,
                 accepted=accepted,
                 progress=counted,
+                tell=tell,
             )
         except NoReplyError as err:
-            if not run_id or service_has_stopped(rig.rig, rig.endpoint):
+            is_told = isinstance(err, LostLinkError) or service_has_stopped(rig.rig, rig.endpoint)
+            if not run_id or is_told:
                 raise
             msg = f"the run was cut off after {taken} or more of {u.size} samples: {err}; what was "
             msg += "recorded is in `armrig ls`; start the rig with the options that it had before, "
@@ -270,23 +277,6 @@ def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray
             f"{u.size} samples are played, {u.size * Ts:g} s"
         )
     return u
-
-
-def refusal_sentence(err: RigError, way_out: str) -> str:
-    """Return the reason for the refusal of a command; for a latched fault, also the remedy."""
-    if isinstance(err, RefusedError) and err.code == RefusalCode.IN_FAULT:
-        return f"in fault ({err.parameters.get('reason', '')}): repair it, then {way_out}"
-    return str(err)
-
-
-def reset_command(rig: str, connect: str | None) -> str:
-    """Return the command that resets this rig."""
-    words = ["armrig", "reset"]
-    if rig != "1":
-        words += ["--rig", rig]
-    if connect:
-        words += ["--connect", connect]
-    return f"`{' '.join(words)}`"
 
 
 def _reason(rig: Rig, err: RigError, way_out: str) -> str:

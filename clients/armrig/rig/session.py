@@ -8,14 +8,13 @@ import socket
 import ssl
 import tempfile
 from collections.abc import Callable, Collection
-from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 import zenoh
 from armrig_core.client_settings import ClientSettings, client_settings
-from armrig_core.credential import Credential, read_credential
+from armrig_core.credential import Credential, read_credential, utc
 from armrig_core.endpoint import (
     SERVICE_USER,
     SERVICES,
@@ -30,15 +29,18 @@ from armrig_core.printable import printable
 from armrig_core.recording_directory import installed, of_rig
 from armrig_core.topics import PLAYED, check_rig_id, is_rig_id
 
+from armrig.rig import silent_daemon
+
 UNIT = Path("/etc/systemd/system/armrigd@.service")
 """Path of the systemd unit of the rigs' services; the file exists if a service is installed."""
 MOST_RECEIVED = 16 << 20
 """Longest received message, in B; a longer message ends the connection."""
 LONGEST_S = 3.0
 """Longest time of each step of a test connection, in s."""
+_RETRY_MS = 500
 _ANSWER_TIMEOUT_S = 1.0  # in TLS 1.3, a refusal of the certificate follows after the handshake
 # X509_V_ERR_… of OpenSSL, x509_vfy.h
-_EXPIRED, _OTHER_HOST = 10, (62, 64)
+_NOT_YET, _EXPIRED, _OTHER_HOST = 9, 10, (62, 64)
 _SILENT = "no answer: check that the host is on, and that no firewall blocks the connection"
 
 
@@ -63,6 +65,10 @@ class RigError(OperationError):
 
 class NoReplyError(RigError):
     """The daemon does not reply."""
+
+
+class LostLinkError(NoReplyError):
+    """The link to a rig was lost during a run, and did not return in time."""
 
 
 class ServiceStoppedError(RigError):
@@ -193,7 +199,10 @@ def open_connection(
             return Connection(zenoh.open(_config(way)), way.endpoint, way.name)
         except zenoh.ZError:
             continue
-    if not (where or rig.startswith(PLAYED)) and ways[0].endpoint == default_endpoint(rig):
+    is_local = not (
+        where or rig.startswith(PLAYED) or silent_daemon.living_daemon(ways[0].endpoint)
+    )
+    if is_local and ways[0].endpoint == default_endpoint(rig):
         named = ("", "") if rig == "1" else (f" {rig}", f" --rig {rig}")
         msg = "no rig{} runs here; in another terminal: `armrig lab{}`; "
         msg += "a rig elsewhere needs --connect ENDPOINT"
@@ -210,6 +219,8 @@ def _config(way: _Way) -> zenoh.Config:
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
         ("transport/shared_memory/enabled", False),
+        # A client connects again to a router that was away, within a second of its return.
+        ("connect/retry", {"period_init_ms": _RETRY_MS, "period_max_ms": _RETRY_MS}),
         # All messages of a daemon are shorter. The limit is needed because another program may
         # listen at the endpoint.
         ("transport/link/rx/max_message_size", MOST_RECEIVED),
@@ -245,7 +256,8 @@ def _way(where: str, certificate: str | Path | None, settings: ClientSettings) -
                     f"{settings.password} has {1 + len(others)} users: keep only your own line"
                 )
             proof = ("transport/auth/usrpwd", {"user": user, "password": password})
-            return _Way(where, user, (proof,))
+            fault = partial(_why_not_accepted, where, user, settings.password)
+            return _Way(where, user, (proof,), fault)
     except FileError as err:
         raise RigError(str(err)) from err
     return _Way(where)
@@ -280,7 +292,7 @@ def _local_ways(rig: str) -> list[_Way]:
     ways = []
     for directory, above, owners in (
         (own, None, {os.getuid()}),
-        (services / check_rig_id(rig), services, _service_owners()),
+        (services / check_rig_id(rig), services, silent_daemon.service_owners()),
     ):
         where = endpoint(rig, PurePosixPath(directory))
         if directory.is_symlink() or directory.exists():
@@ -291,7 +303,7 @@ def _local_ways(rig: str) -> list[_Way]:
                     f"{directory}: only the group {SERVICE_USER} may operate rig {rig}: "
                     f"`sudo usermod -aG {SERVICE_USER} $USER`, then log in again"
                 )
-            if (directory / f"{rig}.sock").exists():
+            if silent_daemon.has_socket(where):
                 ways.append(_Way(where))
     return ways or [_Way(_service_endpoint(rig) if is_served(rig) else default_endpoint(rig))]
 
@@ -303,15 +315,6 @@ def _service_endpoint(rig: str) -> str:
 def is_served(rig: str) -> bool:
     """Return whether a service of this machine is configured for a rig."""
     return UNIT.exists() and of_rig(rig).exists()
-
-
-def _service_owners() -> set[int]:
-    """Return the allowed owners of a service's folder: root, and the user of the service."""
-    from pwd import getpwnam
-
-    with suppress(KeyError):  # the user does not exist
-        return {0, getpwnam(SERVICE_USER).pw_uid}
-    return {0}
 
 
 def _socket_directory() -> PurePosixPath:
@@ -347,6 +350,13 @@ def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
         return NoReplyError(
             f"no reply from {rig} at {where}: a played recording takes no commands; "
             f"start it with `armrig play F`, watch it with `armrig watch --rig {rig}`"
+        )
+    if pid := silent_daemon.living_daemon(where):
+        unit = f"`sudo systemctl stop armrigd@{rig}`"
+        return NoReplyError(
+            f"rig {rig} at {where}: its daemon (process {pid}) runs, but does not answer: "
+            f"{unit if where == _service_endpoint(rig) else f'`kill {pid}`'} ends it, then the "
+            "device stops the motor; or use the emergency switch"
         )
     if service_has_stopped(rig, where):
         return NoReplyError(stopped_sentence(rig))
@@ -392,17 +402,9 @@ def why_not_connected(host: str, port: int, credential: Credential, path: Path) 
     path : Path
         File of the credential.
     """
-    try:
-        line = socket.create_connection((host, port), timeout=LONGEST_S)
-    except socket.gaierror:
-        return f"there is no host {host}: check its spelling"
-    except ConnectionRefusedError:
-        listener = "armrigd runs, with [access], or `armrig router`"
-        return f"nobody listens at port {port} of {host}: check that {listener}"
-    except TimeoutError:
-        return _SILENT
-    except OSError as err:
-        return f"{err.strerror or err}: check that {host} can be reached from here"
+    line = _connected(host, port)
+    if isinstance(line, str):
+        return line
     with line:
         try:
             connected = _context(credential, path).wrap_socket(line, server_hostname=host)
@@ -412,6 +414,30 @@ def why_not_connected(host: str, port: int, credential: Credential, path: Path) 
             return "the listener does not speak TLS 1.3: check that its [access] listen is tls/"
         with connected:
             return _answer_to_ours(connected, credential)
+
+
+def _connected(host: str, port: int) -> socket.socket | str:
+    """Return a connection, or the reason why there is none."""
+    try:
+        return socket.create_connection((host, port), timeout=LONGEST_S)
+    except socket.gaierror:
+        return f"there is no host {host}: check its spelling"
+    except ConnectionRefusedError:
+        listener = "armrigd runs, with [access], or `armrig router`"
+        return f"nobody listens at port {port} of {host}: check that {listener}"
+    except TimeoutError:
+        return _SILENT
+    except OSError as err:
+        return f"{err.strerror or err}: check that {host} can be reached from here"
+
+
+def _why_not_accepted(where: str, user: str, file: str) -> str:
+    """Return why a listener does not accept a user and a password; "" if it is unknown."""
+    line = _connected(*(network_address(where) or ("", 0)))
+    if isinstance(line, str):
+        return line
+    line.close()
+    return f"the listener does not accept user {user}: check the name and the password in {file}"
 
 
 def _context(credential: Credential, path: Path) -> ssl.SSLContext:
@@ -431,6 +457,12 @@ def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
         return ""
     except ssl.SSLError as err:
         alert = (err.reason or "").rpartition("ALERT_")[2].replace("_", " ").lower()
+        if "expired" in alert:  # zenoh also sends this alert before the time of a certificate
+            begins, expires = utc(credential.begins), utc(credential.expires)
+            return (
+                f"by its clock, the listener refuses the certificate of {credential.name}, which "
+                f"is not valid before {begins} and after {expires}: check the listener's clock"
+            )
         return (
             f"the listener refuses the certificate of {credential.name} ({alert}): check that both "
             "certificates are of one authority, and that the clock of the listener's machine is set"
@@ -446,6 +478,8 @@ def _of_its_certificate(err: ssl.SSLCertVerificationError, host: str) -> str:
             f"the listener's certificate is not for {host}: use a name in it, or make "
             f"another certificate by `armrig pki rig ID --host {host}`"
         )
+    if err.verify_code == _NOT_YET:
+        return "the listener's certificate is not valid yet: check the clocks of both machines"
     if err.verify_code == _EXPIRED:
         return "the listener's certificate has expired: `armrig pki renew` makes a new one"
     return (

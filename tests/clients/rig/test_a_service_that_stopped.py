@@ -16,7 +16,7 @@ import zenoh
 from armrig.cli import main
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.serving import Listener
-from armrig.rig import client, remote_recording, session, telemetry_stream
+from armrig.rig import client, remote_recording, session, silent_daemon, telemetry_stream
 from armrig.rig.client import Rig
 from armrig.rig.collection import collect
 from armrig.rig.remote_recording import STARTED_ANEW, RemoteRecorder, RemoteRecording
@@ -91,7 +91,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
         monkeypatch.setattr(session, "SERVICES", PurePosixPath(services))
         monkeypatch.setattr(session, "UNIT", etc / "armrigd@.service")
         monkeypatch.setattr(session, "of_rig", lambda rig: etc / f"{rig}.toml")
-        monkeypatch.setattr(session, "_service_owners", lambda: {os.getuid()})
+        monkeypatch.setattr(silent_daemon, "service_owners", lambda: {os.getuid()})
         (services / "1").mkdir(parents=True)
         services.chmod(0o755)
         (services / "1").chmod(0o750)

@@ -24,7 +24,7 @@ from armrig.rig.session import NoReplyError, RigError, open_session
 from armrig.rig.telemetry_stream import decoded, stream
 from armrig_core import commands, protobuf, telemetry
 from armrig_core.endpoint import endpoint, socket_directory
-from armrig_core.rehearsal import Rehearsal
+from armrig_core.predicted_motion import Rehearsal
 
 from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import sample
@@ -93,6 +93,19 @@ def test_a_run_is_sent_whole_and_waited_for(daemon: FakeDaemon, where: str) -> N
     )
     assert seen == [(1, 3), (2, 3), (3, 3)]
     assert daemon.names() == ["arm", "run"]
+
+
+def test_a_sleep_during_a_run_is_reported_once(
+    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slept, told = iter(["this computer slept for 30 s"]), list[str]()
+    monkeypatch.setattr("armrig.rig.client.Standstill.look", lambda _: next(slept, ""))
+
+    with Rig("1", connect=where) as rig:
+        rig.arm("ada")
+        rig.run([1.0, 2.0], dead_man=2.0, tell=told.append)
+
+    assert told == ["this computer slept for 30 s"]
 
 
 def test_a_run_with_a_dead_man_gives_signs_while_it_is_waited_for(

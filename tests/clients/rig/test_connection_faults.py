@@ -17,7 +17,7 @@ from armrig.lab import pki
 from armrig.rig import session
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError, RigError, why_not_connected
-from armrig_core.credential import read_credential
+from armrig_core.credential import read_credential, utc
 
 
 @pytest.fixture
@@ -87,21 +87,69 @@ def test_another_authority_s_rig_is_no_rig_of_ours(made: Path, tmp_path: Path) -
         assert "your certificate did not sign the listener's certificate" in _told(made, port)
 
 
-def test_a_rig_s_expired_certificate_is_reported(
-    made: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("tolerance", "days", "wrong"),
+    [
+        (10, -1, "the listener's certificate has expired: "),
+        (-10, 20, "the listener's certificate is not valid yet: "),
+    ],
+)
+def test_a_rig_s_certificate_outside_its_time_is_reported(
+    tolerance: int, days: int, wrong: str, made: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     good = (made / "rig-1.pem").read_bytes()
-    monkeypatch.setattr(pki, "_CLOCK_TOLERANCE", timedelta(days=10))
-    old = pki.issue_to_rig(made, "1", ["localhost"], days=-1, force=True).path.read_bytes()
+    monkeypatch.setattr(pki, "_CLOCK_TOLERANCE", timedelta(days=tolerance))
+    other = pki.issue_to_rig(made, "1", ["localhost"], days=days, force=True).path.read_bytes()
     (made / "rig-1.pem").write_bytes(good)
-    key, certificate, _ = re.findall(rb"-----BEGIN.*?-----END [^-]+-----\n", old, re.DOTALL)
+    key, certificate, _ = re.findall(rb"-----BEGIN.*?-----END [^-]+-----\n", other, re.DOTALL)
     parts = {"listen_private_key": key, "listen_certificate": certificate}
     files = {name: made / name for name in parts}
     for name, path in files.items():
         path.write_bytes(parts[name])
     none = {f"{name}_base64": None for name in parts}
     with _listening(made / "rig-1.pem", **none, **{n: str(p) for n, p in files.items()}) as port:
-        assert _told(made, port).startswith("the listener's certificate has expired: ")
+        assert _told(made, port).startswith(wrong)
+
+
+def test_a_client_s_certificate_before_its_time_is_not_called_expired(
+    made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alice = read_credential(made / "alice.pem", "client")
+    monkeypatch.setattr(pki, "_CLOCK_TOLERANCE", timedelta(days=-1))
+    early = pki.issue_to_person(made, "bob", "operators").path
+    with _listening(made / "rig-1.pem") as port:
+        told = why_not_connected("localhost", port, alice, early)
+
+    assert told == (
+        "by its clock, the listener refuses the certificate of alice, which is not valid before "
+        f"{utc(alice.begins)} and after {utc(alice.expires)}: check the listener's clock"
+    )
+
+
+def test_a_wrong_password_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "password"
+    file.write_text("ada:a long enough password\n")
+    file.chmod(0o600)
+    monkeypatch.setenv("ARMRIG_CLIENT_PASSWORD", str(file))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        where = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+        monkeypatch.setattr(session.zenoh, "open", _refused)
+        told = _told_over(where)
+
+    assert (
+        told == f"the listener does not accept user ada: check the name and the password in {file}"
+    )
+    assert _told_over(where).startswith("nobody listens at port ")
+
+
+def _refused(_: object) -> None:
+    raise zenoh.ZError("refused")
+
+
+def _told_over(where: str) -> str:
+    with pytest.raises(NoReplyError) as refused:
+        Rig("1", connect=where).__enter__()
+    return str(refused.value).removeprefix(f"no reply from rig 1 at {where}: ")
 
 
 def test_a_rig_that_refuses_our_certificate_is_reported(made: Path, tmp_path: Path) -> None:

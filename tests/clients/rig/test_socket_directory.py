@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import armrig
 import pytest
 from armrig.cli import main
-from armrig.rig import session
+from armrig.rig import session, silent_daemon
 from armrig.rig.client import Rig
 from armrig.rig.live_rigs import live_rigs
 from armrig.rig.session import NoReplyError, RigError
@@ -128,7 +128,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
         monkeypatch.setenv("XDG_RUNTIME_DIR", login)
         monkeypatch.setattr(session, "SERVICES", PurePosixPath(temporary) / "armrig")
-        monkeypatch.setattr(session, "_service_owners", lambda: {0, SERVICE_UID})
+        monkeypatch.setattr(silent_daemon, "service_owners", lambda: {0, SERVICE_UID})
         found = Path(temporary) / "armrig" / "1"
         found.mkdir(mode=0o750, parents=True)
         os.chown(found, SERVICE_UID, SERVICE_UID)
@@ -174,8 +174,8 @@ def test_a_service_s_folder_that_may_be_a_stranger_s_is_refused(
 
 
 def test_the_service_s_user_is_looked_up() -> None:
-    assert session._service_owners() >= {0}
-    assert len(session._service_owners()) <= 2
+    assert silent_daemon.service_owners() >= {0}
+    assert len(silent_daemon.service_owners()) <= 2
 
 
 def test_root_and_the_service_s_user_own_a_service_s_folder(
@@ -187,10 +187,10 @@ def test_root_and_the_service_s_user_own_a_service_s_folder(
         return SimpleNamespace(pw_uid=977)
 
     monkeypatch.setattr(pwd, "getpwnam", user)
-    there = session._service_owners()
-    monkeypatch.setattr(session, "SERVICE_USER", "nobody-here")
+    there = silent_daemon.service_owners()
+    monkeypatch.setattr(silent_daemon, "SERVICE_USER", "nobody-here")
 
-    assert (there, session._service_owners()) == ({0, 977}, {0})
+    assert (there, silent_daemon.service_owners()) == ({0, 977}, {0})
 
 
 def test_a_user_outside_the_group_gets_the_reason(
