@@ -24,7 +24,7 @@ pytestmark = pytest.mark.timed
 LATE_S = 1.0
 """Threshold between a stop and a late stop on a busy machine; measured: some milliseconds."""
 ASKED = [("cmd/stop", 5000), ("cmd/status", 0), ("history", 0)]  # 5000 B: refused unparsed
-_STOPS = 5
+_STOPS, _PAUSE_S = 8, 0.3  # a deaf client holds up the others only now and then
 
 
 @contextmanager
@@ -61,6 +61,7 @@ def slowest_stop_s(connected: Rig, other: Callable[[], Rig]) -> float:
         with other() as rig:
             rig.stop()
         took.append(time.monotonic() - begun)
+        time.sleep(_PAUSE_S)
     return max(took)
 
 
@@ -110,7 +111,7 @@ def test_observers_at_a_router_that_never_read_delay_no_stop_and_cost_no_sample(
     with (
         alice() as rig,
         bench.rig() as local,
-        deaf(5, where, "history", credential=lab.made / "bob.pem"),
+        deaf(8, where, "history", credential=lab.made / "bob.pem"),
         rig.arrivals("sample") as heard,
     ):
         assert slowest_stop_s(rig, alice) < LATE_S
