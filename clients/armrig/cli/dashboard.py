@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.loading import end_at_ctrl_c
 from armrig_core.signal_pipe import SignalPipe, until_signal
 
 from armrig.cli.options import Connect, Json, RigId, echo, inform, print_json
@@ -50,6 +52,9 @@ def dashboard(
     """
     if not json:
         inform("starting the dashboard …", dim=True)
+    has_loaded = end_at_ctrl_c("armrig")  # these imports take seconds on a busy machine
+    import_module("armrig.dashboard.serving")
+    has_loaded()
     with until_signal() as ended:
         _serve(
             *(ended, rig, connect, port),
