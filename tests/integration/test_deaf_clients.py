@@ -78,7 +78,7 @@ def test_observers_that_never_read_delay_no_stop(bench: Bench) -> None:
     bench.emulate()
     daemon = bench.serve()
     with lab.rig("alice") as alice, bench.rig() as local, ExitStack() as observers:
-        for key in ("cmd/status/bob", "history"):
+        for key in ("cmd/status/bob", "history", "cmd/stop/bob"):  # the last is forbidden
             where = lab.endpoint.removeprefix("tls/")
             observers.enter_context(deaf(2, where, key, credential=lab.made / "bob.pem"))
 
