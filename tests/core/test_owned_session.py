@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from armrig_core.history import REPLY_LIMIT
 from armrig_core.owned_session import (
     LANES,
     listening,
@@ -29,6 +30,13 @@ def test_a_client_that_does_not_read_is_waited_for_20_ms_at_most() -> None:
         "drop": {"wait_before_drop": 0},
         "block": {"wait_before_close": 20_000},
     }
+
+
+def test_the_queue_of_long_answers_holds_fifteen() -> None:
+    """zenoh drops an answer of several batches whose last batch has no room."""
+    sizes = transport(5)["link"]["tx"]["queue"]["size"]
+
+    assert sizes["data_low"] * 65_535 >= 15 * REPLY_LIMIT
 
 
 def test_every_query_is_answered_in_a_queue_that_drops() -> None:
