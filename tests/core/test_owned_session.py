@@ -33,7 +33,7 @@ def test_a_client_that_does_not_read_is_waited_for_20_ms_at_most() -> None:
 
 
 def test_the_queue_of_long_answers_holds_fifteen() -> None:
-    """zenoh drops an answer of several batches whose last batch has no room."""
+    """Zenoh drops an answer of several batches whose last batch has no room."""
     sizes = transport(5)["link"]["tx"]["queue"]["size"]
 
     assert sizes["data_low"] * 65_535 >= 15 * REPLY_LIMIT
