@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from armrig_core.commands import Stop
+from armrig_core.topics import EVERY_RIG, command_key, history_key, schema_key
+
 _OS_ERROR = re.compile(r"os error (\d+)")
 
 
@@ -52,47 +55,82 @@ NOT_FOUND: dict[str, Any] = {
 """Configuration of a session that nobody discovers and that publishes nothing about itself."""
 
 
-_ACCEPT_MS = 3000  # time for a client's authentication; zenoh allows 10 s for each step
-
-
 def listening(endpoint: str) -> dict[str, Any]:
     """Return the configuration of a listener, with a short time limit on a TLS handshake."""
     hurried = f"#tls_handshake_timeout_ms={_ACCEPT_MS}" if endpoint.startswith("tls/") else ""
     return {"listen": {"endpoints": [f"{endpoint}{hurried}"]}}
 
 
+_ACCEPT_MS = 3000
+"""Time for a client's authentication, in ms; zenoh allows 10 s for each step.
+
+If this time ends in the last step, the client is connected, but zenoh never reads its messages. The
+time must therefore be longer than any delay of a busy machine.
+"""
+_MAX_SILENT = 4096  # unauthenticated connections; zenoh refuses new clients above 100
+MOST_LOCAL_LINKS = 1000
+"""Largest number of simultaneous links over a Unix socket."""
+
+
 def strangers(most_links: int) -> dict[str, Any]:
     """Return zenoh's `transport/unicast` of a listener, with limits on unauthenticated clients."""
-    return {"accept_timeout": _ACCEPT_MS, "max_sessions": most_links}
+    return {
+        "accept_timeout": _ACCEPT_MS,
+        "accept_pending": _MAX_SILENT,
+        "max_sessions": most_links,
+    }
 
 
-ROUTED_US = 1_000_000
-"""Longest time for which a client that does not read may block a router, in µs.
+_HELD_US = 20_000
+"""Longest time for which a client that does not read may hold a thread of zenoh, in µs.
 
-After this time, the client's link is closed. zenoh's default of 5 s is longer than the time for
-which a loop runs without its service.
+After this time zenoh closes the client's link. Only messages about declarations wait so long, and
+the ends of forbidden queries: `LANES` lets no answer wait.
 """
+LANES: dict[str, Any] = {
+    "network": [
+        {
+            "id": what,
+            "flows": ["ingress"],
+            "messages": ["query"],
+            "key_exprs": keys,
+            "overwrite": {"congestion_control": "drop", "priority": lane},
+        }
+        for what, keys, lane in (
+            ("queries", ["**"], "interactive_low"),
+            ("long answers", [history_key(EVERY_RIG), schema_key(EVERY_RIG, "**")], "data_low"),
+            (
+                "stops",
+                [command_key(EVERY_RIG, Stop.name), command_key(EVERY_RIG, Stop.name, "*")],
+                "real_time",
+            ),
+        )
+    ]
+}
+"""Queues of a link for the answers to its client's queries; zenoh answers as the query came in.
+
+A client that does not read fills its own queues. zenoh then drops the client's answers at once, and
+no thread waits for the client. Samples, long answers and stops have separate queues, because a
+thread that waits for one queue of a link holds all senders to this queue. zenoh sends the end of a
+link by the queue `background`, which therefore stays empty.
+"""
+_LONG_BATCHES = 16  # of 64 KiB: fifteen long answers; a longer answer would be dropped, not split
 
 
-def transport(most_received: int, answer_us: int | None = None) -> dict[str, Any]:
-    """Return zenoh's `transport` settings of a session that never waits for a subscriber.
+def transport(most_received: int) -> dict[str, Any]:
+    """Return zenoh's `transport` settings of a session that never waits for a client.
 
     Parameters
     ----------
     most_received : int
         Longest received message, in B.
-    answer_us : int, optional
-        Time for which an answer or a query may wait for a client that does not read, in µs; the
-        default is zenoh's own limit.
     """
-    control: dict[str, Any] = {"drop": {"wait_before_drop": 0}}
-    if answer_us is not None:
-        control["block"] = {"wait_before_close": answer_us}
+    control = {"drop": {"wait_before_drop": 0}, "block": {"wait_before_close": _HELD_US}}
     return {
         "shared_memory": {"enabled": False},
         "link": {
             "rx": {"max_message_size": most_received},
-            "tx": {"queue": {"congestion_control": control}},
+            "tx": {"queue": {"congestion_control": control, "size": {"data_low": _LONG_BATCHES}}},
         },
     }
 
@@ -110,7 +148,8 @@ def owned_session(endpoint: str, *, most_received: int) -> dict[str, Any]:
         "listen": {"endpoints": [endpoint]},
         **NOT_FOUND,
         "access_control": _ACCESS_CONTROL,
-        "transport": transport(most_received),
+        "qos": LANES,
+        "transport": transport(most_received) | {"unicast": strangers(MOST_LOCAL_LINKS)},
     }
 
 

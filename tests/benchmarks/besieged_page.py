@@ -31,7 +31,7 @@ from armrig.dashboard.serving import Settings, dashboard
 from tests.integration.processes import Bench, burning
 from tests.integration.watching import Client, endpoint
 
-SIEGES = ("nobody", "stay 60", "stay 200", "again 60", "again 200", "bodies 300")
+SIEGES = ("nobody", "stay 60", "stay 200", "again 60", "again 200", "bodies 300", "idle 1000")
 _LET_IN_S = 2.0  # before the first stop
 
 
@@ -74,6 +74,8 @@ async def _connection(door: Client, kind: str) -> None:
     ask = f"GET /api/stream HTTP/1.1\r\n{head}\r\n"
     if kind == "bodies":
         ask = f"POST /api/stop HTTP/1.1\r\n{head}Content-Length: 1000\r\n\r\n{{"
+    if kind == "idle":
+        ask = ""
     trusting = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     trusting.check_hostname, trusting.verify_mode = False, ssl.CERT_NONE
     while True:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from armrig_core.history import REPLY_LIMIT
 from armrig_core.owned_session import (
+    LANES,
     listening,
     os_error_number,
     owned_session,
@@ -17,21 +19,38 @@ def test_a_stranger_s_handshake_over_tls_has_three_seconds() -> None:
         "listen": {"endpoints": ["tls/h:1#tls_handshake_timeout_ms=3000"]}
     }
     assert listening("tcp/127.0.0.1:1") == {"listen": {"endpoints": ["tcp/127.0.0.1:1"]}}
-    assert strangers(7) == {"accept_timeout": 3000, "max_sessions": 7}
+    assert strangers(7) == {"accept_timeout": 3000, "accept_pending": 4096, "max_sessions": 7}
 
 
-def test_a_subscriber_that_does_not_read_is_not_waited_for() -> None:
-    patient, hurried = transport(5), transport(6, answer_us=9)
-    of_patient, of_hurried = (made["link"]["tx"]["queue"] for made in (patient, hurried))
+def test_a_client_that_does_not_read_is_waited_for_20_ms_at_most() -> None:
+    made = transport(5)["link"]
 
-    assert of_patient == {"congestion_control": {"drop": {"wait_before_drop": 0}}}
-    assert of_hurried == {
-        "congestion_control": {
-            "drop": {"wait_before_drop": 0},
-            "block": {"wait_before_close": 9},
-        }
+    assert made["rx"]["max_message_size"] == 5
+    assert made["tx"]["queue"]["congestion_control"] == {
+        "drop": {"wait_before_drop": 0},
+        "block": {"wait_before_close": 20_000},
     }
-    assert [made["link"]["rx"]["max_message_size"] for made in (patient, hurried)] == [5, 6]
+
+
+def test_the_queue_of_long_answers_holds_fifteen() -> None:
+    """Zenoh drops an answer of several batches whose last batch has no room."""
+    sizes = transport(5)["link"]["tx"]["queue"]["size"]
+
+    assert sizes["data_low"] * 65_535 >= 15 * REPLY_LIMIT
+
+
+def test_every_query_is_answered_in_a_queue_that_drops() -> None:
+    [first, *others] = LANES["network"]
+
+    assert first["key_exprs"] == ["**"]
+    assert first["overwrite"]["congestion_control"] == "drop"
+    for rule in LANES["network"]:
+        assert (rule["messages"], rule["flows"]) == (["query"], ["ingress"])
+    lanes = [rule["overwrite"]["priority"] for rule in LANES["network"]]
+    assert len({*lanes, "data", "background"}) == len(lanes) + 2  # data: the samples
+    assert {key for rule in others for key in rule["key_exprs"]} == {
+        *("rig/*/history", "rig/*/schema/**", "rig/*/cmd/stop", "rig/*/cmd/stop/*"),
+    }
 
 
 def test_others_neither_publish_nor_answer_nor_find_the_session() -> None:
@@ -47,7 +66,8 @@ def test_others_neither_publish_nor_answer_nor_find_the_session() -> None:
     }
     asks = ("put", "delete", "declare_queryable", "reply", "liveliness_token")
     assert denied == {*(("ingress", message) for message in asks), ("egress", "query")}
-    assert config["transport"] == transport(8)
+    assert config["qos"] == LANES
+    assert config["transport"] == {**transport(8), "unicast": strangers(1000)}
 
 
 @pytest.mark.parametrize(

@@ -39,9 +39,9 @@ class Connections:
         """
         self._open[address] = protocol
         if len(self._open) > MOST:
-            others = [(a, p) for a, p in self._open.items() if a != address]
-            idle = (a for a, p in others if not p.is_asked)
-            unread = (a for a, p in others if p.is_unread)
+            # Generators: with a flood of connections, the first is usually the one to close.
+            idle = (a for a, p in self._open.items() if a != address and not p.is_asked)
+            unread = (a for a, p in self._open.items() if a != address and p.is_unread)
             self.abort(next(chain(idle, unread), address))
 
     def remove(self, address: Address) -> None:

@@ -7,6 +7,7 @@ import contextlib
 import logging
 import secrets
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -40,6 +41,8 @@ HOST = "127.0.0.1"
 PORT = 8807
 _ONCE_S = 60.0  # time within which the browser must open the page
 _START_S = 20.0
+_MAX_QUEUED = 4096  # above the limit, a client sends its first packet again only after 1 s
+_SWITCH_S = 0.0005  # longest time for which a thread holds the interpreter while a stop waits
 _ENDS_S = 2
 QUIET: dict[str, Any] = {
     "log_config": None,
@@ -53,6 +56,7 @@ QUIET: dict[str, Any] = {
     "timeout_graceful_shutdown": _ENDS_S,
     "timeout_keep_alive": 30,
     "h11_max_incomplete_event_size": 16_384,
+    "backlog": 16,  # connections that asyncio accepts before it serves the others
 }
 """Settings of uvicorn: no output, no server header, and a short wait at the end."""
 _LOOK_S = 0.025
@@ -104,6 +108,7 @@ def dashboard(settings: Settings) -> Iterator[Served]:
         The package for the certificate of `share` is not installed.
     """
     raise_limit()  # above the limit of connections, so that a stop can be sent
+    sys.setswitchinterval(_SWITCH_S)
     feed = Feed()
     driver = Driver(rig=settings.rig, connect=settings.connect)
     audience: list[Viewers] = []
@@ -212,6 +217,10 @@ class Server(uvicorn.Server):
         """Capture no signals, because the command line ends the server."""
         yield
 
+    def accept_many(self) -> None:
+        """Let the kernel queue many connections; asyncio has set its own, short limit."""
+        self._listening.listen(_MAX_QUEUED)
+
     async def run_here(self) -> None:
         """Serve until `should_exit` is True."""
         await self.serve([self._listening])
@@ -235,6 +244,7 @@ class ServerThread:
         pause = threading.Event()
         for _ in range(int(_START_S / 0.01)):
             if self._server.started:
+                self._server.accept_many()
                 return
             pause.wait(0.01)
         raise RigError("the server does not start")

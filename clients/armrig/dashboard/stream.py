@@ -18,11 +18,14 @@ from msgspec.structs import replace
 from armrig.dashboard.bins import Rows, as_lists
 from armrig.dashboard.driver import Driver
 from armrig.dashboard.feed import LATE_US, Feed, News, Timing
-from armrig.dashboard.viewers import Viewer, Viewers
+from armrig.dashboard.viewers import MOST_VIEWERS, TooManyViewersError, Viewer, Viewers
 from armrig.rig.status_rows import status_rows
 
 PERIOD_S = 1 / 30
 _TIMING_S = 1.0
+OPEN_S = 1 / 50
+"""Shortest time in s between two new viewers. Viewers that connect again and again would otherwise
+delay a stop, because a single thread serves all requests."""
 PAUSE_S = 0.25
 """Shortest time in s between two encodings of the history, even if clients connect often."""
 _PIECE = 500  # rows in a message
@@ -54,6 +57,8 @@ class Stream:
         self.viewers = Viewers()
         audience.append(self.viewers)
         self._told: dict[str, bytes] = {}
+        self._turn = asyncio.Lock()
+        self._queued = 0  # new viewers that wait for their turn
 
     async def fill(self) -> None:
         """Send new data 30 times a second until the task is cancelled; missed times are skipped."""
@@ -78,6 +83,7 @@ class Stream:
         TooManyViewersError
             The largest number of viewers is reached.
         """
+        await self._wait_for_turn()
         # All viewers receive the newest state first, so that they all know the same state. A later
         # change of the state is then sent to all of them.
         self._send_changed()
@@ -94,6 +100,16 @@ class Stream:
         finally:
             past.cancel()
             self.viewers.remove(viewer)
+
+    async def _wait_for_turn(self) -> None:
+        if self._queued >= MOST_VIEWERS:
+            raise TooManyViewersError("many pages connect at this moment: try again")
+        self._queued += 1
+        try:
+            async with self._turn:
+                await asyncio.sleep(OPEN_S)
+        finally:
+            self._queued -= 1
 
     async def _offer_past(self, viewer: Viewer) -> None:
         for message in await self._history.messages():

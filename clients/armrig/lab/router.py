@@ -18,8 +18,8 @@ from armrig_core.credential import Credential, read_credential
 from armrig_core.endpoint import check_listen
 from armrig_core.errors import InputError, OperationError
 from armrig_core.owned_session import (
+    LANES,
     NOT_FOUND,
-    ROUTED_US,
     listening,
     os_error_number,
     strangers,
@@ -43,7 +43,7 @@ def router_config(endpoint: str, credential: Credential, people: AccessList) -> 
     people : AccessList
         Access list: the rigs, and the rights of people.
     """
-    way = transport(access_control.MOST_MESSAGE_BYTES, answer_us=ROUTED_US)
+    way = transport(access_control.MOST_MESSAGE_BYTES)
     way["link"]["tls"] = credential.tls("listen")
     way["unicast"] = strangers(MOST_LINKS)
     return {
@@ -52,6 +52,7 @@ def router_config(endpoint: str, credential: Credential, people: AccessList) -> 
         **NOT_FOUND,
         "access_control": access_control.of_router(people),
         "low_pass_filter": access_control.size_limits(EVERY_RIG),
+        "qos": LANES,
         "transport": way,
     }
 

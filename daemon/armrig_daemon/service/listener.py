@@ -21,8 +21,8 @@ from armrig_core.commands import REQUESTS, Refused, Renew, Stop, json_schema, re
 from armrig_core.group_socket import group_may_open
 from armrig_core.history import HistoryRequest
 from armrig_core.owned_session import (
+    LANES,
     NOT_FOUND,
-    ROUTED_US,
     listening,
     owned_session,
     strangers,
@@ -75,7 +75,8 @@ def _router_config(network: Network) -> dict[str, Any]:
         **NOT_FOUND,
         "access_control": network.access_control,
         "low_pass_filter": network.low_pass_filter,
-        "transport": transport(access_control.MOST_MESSAGE_BYTES, answer_us=ROUTED_US),
+        "qos": LANES,
+        "transport": transport(access_control.MOST_MESSAGE_BYTES),
     }
     config["transport"]["link"] |= network.transport["link"]
     return config

@@ -233,16 +233,23 @@ def test_the_module_is_the_command() -> None:
     assert done.stderr == b"armrig: /nothing: No such file or directory\n"
 
 
-@pytest.mark.parametrize(("module", "name"), [("armrig", "armrig"), ("armrig_daemon", "armrigd")])
+@pytest.mark.parametrize(
+    ("module", "name", "loaded", "command"),
+    [
+        ("armrig", "armrig", "typer", ["ls"]),
+        ("armrig", "armrig", "uvicorn", ["dashboard", "--json"]),
+        ("armrig_daemon", "armrigd", "typer", ["ls"]),
+    ],
+)
 def test_ctrl_c_while_the_command_is_loaded_is_reported_in_one_line(
-    module: str, name: str, tmp_path: Path
+    module: str, name: str, loaded: str, command: list[str], tmp_path: Path
 ) -> None:
     """Loading takes seconds on a busy machine."""
     pressed = "import signal\ntry:\n    signal.raise_signal(2)\nexcept BaseException as err:\n"
-    (tmp_path / "typer.py").write_text(pressed + "    raise RuntimeError from err\n")
+    (tmp_path / f"{loaded}.py").write_text(pressed + "    raise RuntimeError from err\n")
     beside = {**os.environ, "PYTHONPATH": str(tmp_path)}
 
-    done = subprocess.run([sys.executable, "-m", module, "ls"], capture_output=True, env=beside)
+    done = subprocess.run([sys.executable, "-m", module, *command], capture_output=True, env=beside)
 
     assert (done.returncode, done.stderr) == (130, f"{name}: interrupted\n".encode())
 

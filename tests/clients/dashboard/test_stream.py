@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import time
 from collections.abc import AsyncIterator
 from contextlib import suppress
 
@@ -13,7 +14,7 @@ import pytest
 from armrig.dashboard.bins import COLUMNS, Rows
 from armrig.dashboard.driver import Driver, RunState
 from armrig.dashboard.feed import LATE_US, Feed
-from armrig.dashboard.stream import History, Stream, encoded, event, status_facts
+from armrig.dashboard.stream import OPEN_S, History, Stream, encoded, event, status_facts
 from armrig.dashboard.viewers import MOST_VIEWERS, TooManyViewersError, Viewer, Viewers
 from armrig_core.emulated import EMULATOR_UID
 from armrig_daemon.decisions.faults import REMEDIES, Id
@@ -117,13 +118,48 @@ def test_the_viewers_of_all_doors_are_counted() -> None:
     async def counted() -> list[int]:
         driver, audience = Driver(rig="1", connect=None), list[Viewers]()
         streams = [Stream(Feed(), driver, audience, may_command=c) for c in (True, False)]
-        found = []
+        found, open_streams = [], []
         for stream in streams * 2:
-            messages = await _until("timing", stream.messages(Viewer(lambda: None)))
+            open_streams.append(stream.messages(Viewer(lambda: None)))
+            messages = await _until("timing", open_streams[-1])
             found.append(json.loads(messages[-1].partition(b"data: ")[2])["viewers"])
         return found
 
     assert asyncio.run(counted()) == [1, 2, 3, 4]
+
+
+def test_viewers_that_come_at_once_are_let_in_one_after_the_other() -> None:
+    async def times_s() -> list[float]:
+        stream = Stream(Feed(), Driver(rig="1", connect=None), [], may_command=True)
+
+        async def let_in_s() -> float:
+            await anext(stream.messages(Viewer(lambda: None)))
+            return time.monotonic()
+
+        return await asyncio.gather(*(let_in_s() for _ in range(5)))
+
+    times = asyncio.run(times_s())
+
+    assert min(np.diff(times)) > 0.9 * OPEN_S
+
+
+def test_only_so_many_viewers_wait_to_be_let_in() -> None:
+    async def tried() -> None:
+        stream = Stream(Feed(), Driver(rig="1", connect=None), [], may_command=True)
+        first = [
+            asyncio.create_task(anext(stream.messages(Viewer(lambda: None))))  # type: ignore[arg-type]
+            for _ in range(MOST_VIEWERS)
+        ]
+        await asyncio.sleep(0)
+        with pytest.raises(TooManyViewersError, match="try again"):
+            await anext(stream.messages(Viewer(lambda: None)))
+        assert not any(task.done() for task in first)
+        for task in first:
+            task.cancel()
+        await asyncio.wait(first)
+        await anext(stream.messages(Viewer(lambda: None)))
+
+    asyncio.run(tried())
 
 
 def test_visitors_keep_no_operator_out() -> None:

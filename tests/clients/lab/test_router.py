@@ -11,6 +11,7 @@ from armrig_core import access_control
 from armrig_core.access_list import read_access_list
 from armrig_core.credential import read_credential
 from armrig_core.errors import InputError
+from armrig_core.owned_session import LANES
 from armrig_core.topics import EVERY_RIG
 
 
@@ -39,6 +40,7 @@ def test_a_router_limits_its_links_and_messages_and_asks_the_access_list(made: P
     assert config["transport"]["link"]["tls"] == credential.tls("listen")
     assert config["access_control"] == access_control.of_router(people)
     assert config["low_pass_filter"] == access_control.size_limits(EVERY_RIG)
+    assert config["qos"] == LANES
     assert not config["scouting"]["multicast"]["enabled"]
 
 

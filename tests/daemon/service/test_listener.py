@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig_core.owned_session import owned_session, strangers
+from armrig_core.owned_session import LANES, owned_session, strangers, transport
 from armrig_daemon.service import listener
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.listener import Listener, session_config
@@ -44,21 +44,8 @@ def test_a_lost_router_is_looked_for_each_second() -> None:
         "adminspace": {"enabled": False},
         "access_control": {"rules": ["ours"]},
         "low_pass_filter": ["short"],
-        "transport": {
-            "shared_memory": {"enabled": False},
-            "link": {
-                "rx": {"max_message_size": 8 << 20},
-                "tx": {
-                    "queue": {
-                        "congestion_control": {
-                            "drop": {"wait_before_drop": 0},
-                            "block": {"wait_before_close": 1_000_000},
-                        }
-                    }
-                },
-                **TLS["link"],
-            },
-        },
+        "qos": LANES,
+        "transport": {**(plain := transport(8 << 20)), "link": {**plain["link"], **TLS["link"]}},
     }
 
 
