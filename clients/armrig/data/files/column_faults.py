@@ -6,11 +6,11 @@ from math import tau
 
 import numpy as np
 from armrig_core.errors import FileError
-from numpy.typing import NDArray
 
 from armrig.data.files.table import Vector
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
+from armrig.numerics.stretches import Mask, stretches
 
 _LINES = (1.0, 2.0, 2.4, 2.5, 3.6, 4.0, 5.0)  # of encoders, with a power of ten
 _MODULI = (
@@ -22,6 +22,7 @@ _SAME = 0.005  # relative difference of a modulus from the jumps
 _MIN_RAIL_RUN = 3  # samples
 _MIN_RAIL_SAMPLES = 5
 _MIN_ENTRY = 3.0  # smallest step onto a rail, in steps of the last digit: a level is reached slowly
+_MAX_RESTS = 0.5  # share of steps without a change elsewhere
 _MIN_STEPS = 20
 _MIN_JUMP = 0.5  # of the modulus
 _MAX_JUMP_SHARE = 0.25  # of the steps
@@ -30,8 +31,43 @@ _MAX_REST = 0.25  # largest step of a counter that wraps, as a share of its modu
 _MAX_USUAL_STEP = 0.125  # of the modulus, for nine of ten steps: noise has larger ones
 
 
-def rails(y: Vector) -> tuple[NDArray[np.bool_], list[float]]:
-    """Return the samples on a rail, and the values of the rails.
+def treated(
+    y: Vector, name: str, *, mask_rails: bool, unwrap: float | None
+) -> tuple[Vector, list[str]]:
+    """Return a column without the faults that the options name, and notes on all its faults."""
+    known = y[np.isfinite(y)]
+    wrap = _modulus_of(known) if unwrap is None else None
+    if wrap is not None:
+        modulus, is_usual = wrap
+        jumps = int(np.count_nonzero(np.abs(np.diff(known)) > _MIN_JUMP * modulus))
+        way = f"{modulus:.6g}" if is_usual else "with the range of the counter"
+        text = (
+            f"{name} jumps by {'' if is_usual else 'about '}{modulus:.6g} at "
+            f"{plural(jumps, 'place')}, as a counter that wraps: give --unwrap {way}"
+        )
+        return y, [Step(text, DOUBT)]
+    notes = []
+    if unwrap is not None:
+        turns = _turns(known, unwrap)
+        y = y.copy()
+        y[np.isfinite(y)] -= unwrap * turns
+        jumps = int(np.count_nonzero(np.diff(turns)))
+        notes.append(f"unwrapped {name} at {plural(jumps, 'jump')} of {unwrap:.6g}")
+    at, where = _rails(y)
+    share = f"{np.count_nonzero(at)} of {y.size} samples"
+    if where and mask_rails:
+        notes.append(f"masked {share} of {name} at the rail {where}")
+        return np.where(at, np.nan, y), notes
+    if where:
+        text = f"{share} of {name} are exactly {where}, as at the rail of a converter: "
+        notes.append(Step(f"{text}give --mask-rails to mark them as missing", DOUBT))
+    elif mask_rails:
+        notes.append(f"{name} has no samples at a rail")
+    return y, notes
+
+
+def _rails(y: Vector) -> tuple[Mask, str]:
+    """Return the samples on a rail, and the values of the rails as text.
 
     A rail is the largest or smallest value, if y reaches it by jumps and keeps it for several
     samples. If y settles at a level instead, its last steps before the level are small.
@@ -39,34 +75,30 @@ def rails(y: Vector) -> tuple[NDArray[np.bool_], list[float]]:
     found, values = np.zeros(y.size, np.bool_), []
     known = y[np.isfinite(y)]
     steps = np.abs(np.diff(known))
-    if not np.any(steps > 0):
-        return found, []
-    digit = float(steps[steps > 0].min())
-    for value in (float(known.min()), float(known.max())):
-        there = np.concatenate(([False], known == value, [False]))
-        begins = np.flatnonzero(there[1:] & ~there[:-1])
-        lengths = np.flatnonzero(there[:-1] & ~there[1:]) - begins
-        entries = steps[begins[(begins > 0) & (lengths > 1)] - 1]
-        alike = np.mean(steps[~(there[2:-1] & there[1:-2])] == 0)
+    digit = float(steps[steps > 0].min(initial=np.inf))
+    for value in (known.min(), known.max()) if np.isfinite(digit) else ():
+        there = known == value
+        stays = stretches(there)
+        lengths = [s.stop - s.start for s in stays]
+        entries = [steps[s.start - 1] for s in stays if s.start and s.stop - s.start > 1]
         if (
-            lengths.max() >= _MIN_RAIL_RUN
-            and lengths.sum() >= _MIN_RAIL_SAMPLES
-            and entries.size
+            max(lengths) >= _MIN_RAIL_RUN
+            and sum(lengths) >= _MIN_RAIL_SAMPLES
+            and entries
             and np.median(entries) >= _MIN_ENTRY * digit
-            and alike < 0.5  # elsewhere y moves from sample to sample
+            and np.mean(steps[~(there[1:] & there[:-1])] == 0) < _MAX_RESTS
         ):
             found |= y == value
-            values.append(value)
-    return found, values
+            values.append(f"{value:g}")
+    return found, " or ".join(values)
 
 
-def modulus_of(y: Vector) -> tuple[float, bool] | None:
+def _modulus_of(known: Vector) -> tuple[float, bool] | None:
     """Return the range of a counter or an angle that wraps, and whether it is a usual one.
 
     The range is a usual one, such as 65536 or 360, if it agrees with the jumps and their neighbours
     within their scatter. Otherwise it is an estimate. The result is None if y does not wrap.
     """
-    known = y[np.isfinite(y)]
     d = np.diff(known)
     if d.size < _MIN_STEPS:
         return None
@@ -80,8 +112,7 @@ def modulus_of(y: Vector) -> tuple[float, bool] | None:
     sizes = np.abs(d[inside] - (d[inside - 1] + d[inside + 1]) / 2)
     found, scatter = float(np.median(sizes)), float(np.ptp(sizes)) / np.sqrt(inside.size)
     if (
-        found < span * (1 - 1e-9)
-        or found > span / _MIN_RANGE
+        not span * (1 - 1e-9) <= found <= span / _MIN_RANGE
         or rest.max() >= _MAX_REST * found
         or np.quantile(rest, 0.9) >= _MAX_USUAL_STEP * found
         or np.ptp(sizes) > 2 * rest.max() + _SAME * found
@@ -92,61 +123,20 @@ def modulus_of(y: Vector) -> tuple[float, bool] | None:
     return (float(nearest), True) if is_usual else (float(f"{found:.3g}"), False)
 
 
-def unwrapped(y: Vector, modulus: float) -> Vector:
-    """Return y without its jumps of `modulus`; the steps of the result are at most half of it.
+def _turns(known: Vector, modulus: float) -> Vector:
+    """Return how often a counter has wrapped; a step is at most half of its range.
 
     Raises
     ------
     FileError
-        The modulus is not a positive number.
+        The modulus is not a positive number, or many steps are longer than half of it.
     """
     if not (np.isfinite(modulus) and modulus > 0):
         raise FileError(f"--unwrap {modulus:g}: must be the positive range of the counter")
-    known = np.isfinite(y)
-    d = np.diff(y[known])
+    d = np.diff(known)
     if np.mean(np.abs(d) > _MIN_JUMP * modulus) > _MAX_REST:
         raise FileError(
             f"--unwrap {modulus:g}: more than a quarter of the steps are longer than half of it; "
             "give the range of the counter"
         )
-    result = y.copy()
-    result[known] -= modulus * np.append(0.0, np.cumsum(np.rint(d / modulus)))
-    return result
-
-
-def treated(
-    y: Vector, name: str, *, mask_rails: bool, unwrap: float | None
-) -> tuple[Vector, list[str]]:
-    """Return a column without the faults that the options name, and notes on all its faults."""
-    notes = []
-    if unwrap is not None:
-        before, y = y, unwrapped(y, unwrap)
-        jumps = int(np.count_nonzero(np.diff(np.rint((before - y) / unwrap)[np.isfinite(y)])))
-        notes.append(f"unwrapped {name} at {plural(jumps, 'jump')} of {unwrap:.6g}")
-    elif wrap := modulus_of(y):
-        modulus, is_usual = wrap
-        known = y[np.isfinite(y)]
-        jumps = int(np.count_nonzero(np.abs(np.diff(known)) > _MIN_JUMP * modulus))
-        way = f"{modulus:.6g}" if is_usual else "with the range of the counter"
-        text = (
-            f"{name} jumps by {'' if is_usual else 'about '}{modulus:.6g} at "
-            f"{plural(jumps, 'place')}, as a counter that wraps: give --unwrap {way}"
-        )
-        notes.append(Step(text, DOUBT))
-        return y, notes
-    at, values = rails(y)
-    if values:
-        where = " or ".join(f"{value:g}" for value in values)
-        share = f"{np.count_nonzero(at)} of {y.size} samples"
-        if mask_rails:
-            y = np.where(at, np.nan, y)
-            notes.append(f"masked {share} of {name} at the rail {where}")
-        else:
-            text = (
-                f"{share} of {name} are exactly {where}, as at the rail of a converter: give "
-                "--mask-rails to mark them as missing"
-            )
-            notes.append(Step(text, DOUBT))
-    elif mask_rails:
-        notes.append(f"{name} has no samples at a rail")
-    return y, notes
+    return np.append(0.0, np.cumsum(np.rint(d / modulus)))
