@@ -110,7 +110,7 @@ def compare(
                 f"{model[0] if model else file}: models of several signals are compared with each "
                 "other only, on one recording F"
             )
-        signals = SignalChoice(signal=None, calibration=calibration, start=start, stop=stop)
+        signals = SignalChoice(calibration=calibration, start=start, stop=stop)
         compare_several(several, file, signals, horizon, plot=plot, json=json)
         return
     recordings = loaded(files, calibration, start, stop)

@@ -12,15 +12,9 @@ from armrig.cli.chosen_recording import DataFile, File
 from armrig.cli.figures import FIGURE_HELP, Plot, check_plot, figure_path, write_plot
 from armrig.cli.next_step import AFTER, kind_of, say_next, step_again, typed, validation_beside
 from armrig.cli.options import (
-    Assume,
     CalibrationFile,
-    DataTs,
-    Detrend,
     From,
-    Input,
     Json,
-    Signal,
-    TimeColumn,
     To,
     Verbose,
     fields_of,
@@ -30,8 +24,7 @@ from armrig.cli.options import (
     say_answer,
     say_more,
 )
-from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
-from armrig.cli.recorded_data import SignalChoice, from_recording, loaded, source_facts
+from armrig.cli.recorded_data import SignalChoice, from_recording, loaded, reads_data, source_facts
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -74,19 +67,10 @@ def plot(
     say_next(after if after in AFTER else "plot", file=typed(file))
 
 
-@reads_tables
+@reads_data("hampel")
 def sampling(
     file: DataFile,
-    input: Input = None,
-    signal: Signal = None,
-    time: TimeColumn = None,
-    Ts: DataTs = None,
-    reading: ReadingOptions = AS_IT_STANDS,
-    detrend: Detrend = False,
-    assume: Assume = None,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
+    signals: SignalChoice,
     plot: Plot = None,
     json: Json = False,
     verbose: Verbose = False,
@@ -100,18 +84,6 @@ def sampling(
     from armrig.estimation.nonparametric.sampling_time import sampling_time
 
     check_plot(plot, [file])
-    signals = SignalChoice(
-        signal=signal,
-        input=input,
-        time=time,
-        Ts=Ts,
-        reading=reading,
-        detrend=detrend,
-        assume=assume,
-        calibration=calibration,
-        start=start,
-        stop=stop,
-    )
     data = signals.of(file)
     integrates, taken = signals.choice(data)
     integrator = signals.integrator if json else integrates  # the notes then contain the reason
@@ -172,19 +144,10 @@ def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
     return {"step": {name: getattr(steps, name) for name in names}}
 
 
-@reads_tables
+@reads_data("hampel")
 def hints(
     file: DataFile,
-    input: Input = None,
-    signal: Signal = None,
-    time: TimeColumn = None,
-    Ts: DataTs = None,
-    reading: ReadingOptions = AS_IT_STANDS,
-    detrend: Detrend = False,
-    assume: Assume = None,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
+    signals: SignalChoice,
     plot: Plot = None,
     json: Json = False,
 ) -> None:
@@ -198,18 +161,6 @@ def hints(
     from armrig.validation.structure_hints import structure_hints
 
     check_plot(plot, [file])
-    signals = SignalChoice(
-        signal=signal,
-        input=input,
-        time=time,
-        Ts=Ts,
-        reading=reading,
-        detrend=detrend,
-        assume=assume,
-        calibration=calibration,
-        start=start,
-        stop=stop,
-    )
     data = signals.of(file)
     with spinner("estimating without a structure"):
         found = structure_hints(data, integrator=signals.integrator)

@@ -7,7 +7,7 @@ import sys
 import textwrap
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal, TextIO
+from typing import Annotated, Any, TextIO
 
 import typer
 from armrig_core.errors import OperationError
@@ -55,73 +55,8 @@ To = Annotated[
         show_default="its end",
     ),
 ]
-Signal = Annotated[
-    str | None,
-    typer.Option(
-        "--signal",
-        metavar="NAME",
-        help="Output: theta_1, alpha or velocity; in other data, the column's name, or its "
-        "number from 1.",
-        show_default="theta_1; y of other data",
-    ),
-]
-Signals = Annotated[
-    str | None,
-    typer.Option(
-        "--signal",
-        metavar="NAMES",
-        help="Output: theta_1, alpha or velocity; in other data, the column's name, or its "
-        "number from 1. Several outputs have commas between their names.",
-        show_default="theta_1; y of other data",
-    ),
-]
-Input = Annotated[
-    str | None,
-    typer.Option(
-        "--input",
-        metavar="NAME",
-        help="Column of the input in other data: its name, or its number from 1.",
-        show_default="u",
-    ),
-]
-Inputs = Annotated[
-    str | None,
-    typer.Option(
-        "--input",
-        metavar="NAMES",
-        help="Column of the input in other data: its name, or its number from 1. Several inputs "
-        "have commas between their names.",
-        show_default="u",
-    ),
-]
-TimeColumn = Annotated[
-    str | None,
-    typer.Option(
-        "--time",
-        metavar="NAME",
-        help="Column of the times in other data.",
-        show_default="t or time, if there is one",
-    ),
-]
-DataTs = Annotated[
-    float | None,
-    typer.Option("--Ts", help="Sampling time of other data, in s.", show_default="by the times"),
-]
-
-Assumption = Literal["integrating", "settling"]
-Assume = Annotated[
-    Assumption | None,
-    typer.Option(
-        "--assume",
-        help="Take the output as the integral of its rate, or as an output that settles.",
-        show_default="a test of the data decides",
-    ),
-]
 Detrend = Annotated[
     bool, typer.Option("--detrend", help="Subtract the mean of each signal of each file.")
-]
-Hampel = Annotated[
-    bool, typer.Option("--hampel", help="Mark single outliers of the output as missing.")
 ]
 
 

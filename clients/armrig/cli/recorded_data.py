@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
@@ -27,8 +26,8 @@ from armrig.cli.column_notes import (
     tell_of_signals,
 )
 from armrig.cli.figures import name_runs
-from armrig.cli.options import Assumption, inform, tell, warned
-from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions
+from armrig.cli.options import inform, tell, warned
+from armrig.cli.reading_options import READING, Assumption, DataOptions, data_options, grouped
 from armrig.data.files.suffixes import OTHER_DATA
 
 if TYPE_CHECKING:
@@ -72,33 +71,11 @@ def loaded(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SignalChoice:
+class SignalChoice(DataOptions):
     """Signals to read from files: recordings, or other data."""
 
-    signal: str | None
-    """Output, or outputs with commas; None means theta_1 of a recording, or y of other data."""
-    input: str | None = None
-    """Column of the input in other data, or several columns with commas; None means u."""
-    time: str | None = None
-    """Column of the times in other data."""
-    Ts: float | None = None
-    """Sampling time of other data, in s."""
-    reading: ReadingOptions = AS_IT_STANDS
-    """Options of reading other data."""
-    detrend: bool = False
-    """Subtract the mean of each signal of each file."""
     offset: bool | None = None
     """True if a constant level of y is also estimated; None if the command has no such option."""
-    hampel: bool = False
-    """Mark single outliers of the output as missing, before the means are subtracted."""
-    assume: Assumption | None = None
-    """Assumption about the output; None if a test of the data decides."""
-    calibration: Path | None = None
-    """Calibration file for recordings."""
-    start: float | None = None
-    """Start of the samples to use, in s from the first sample."""
-    stop: float | None = None
-    """End of the samples to use, in s from the first sample."""
     read: list[Recording] = field(default_factory=list)
     """Recordings read so far; the first recording is for estimation."""
 
@@ -115,19 +92,7 @@ class SignalChoice:
         signal = self.signal
         if signal is None and data is not None and data.output not in (*_UNNAMED, THETA_1):
             signal = data.output
-        given = {
-            "--input": self.input,
-            "--signal": signal,
-            "--time": self.time,
-            "--Ts": None if self.Ts is None else f"{self.Ts:g}",
-            "--from": None if self.start is None else f"{self.start:g}",
-            "--to": None if self.stop is None else f"{self.stop:g}",
-        }
-        given["--assume"] = self.assume
-        given["--calibration"] = None if self.calibration is None else str(self.calibration)
-        typed = [f" {name} {shlex.quote(value)}" for name, value in given.items() if value]
-        typed.append(self.reading.typed())
-        return "".join(typed) + " --detrend" * self.detrend + " --hampel" * self.hampel
+        return "".join(f" {typed}" for typed in replace(self, signal=signal).given())
 
     @property
     def integrator(self) -> bool | None:
@@ -223,7 +188,7 @@ class SignalChoice:
 
     def _options(self, columns: Mapping[str, Any]) -> dict[str, Any]:
         """Return the arguments of `load_data` or `load_signals`."""
-        return {**columns, "time": self.time, "Ts": self.Ts, **asdict(self.reading)}
+        return {**columns, **{name: getattr(self, name) for name in READING}}
 
     def _tell_of_means(self, model: Model | MultivariableFit | None) -> None:
         if _without_means(model) and not self.detrend:
@@ -267,16 +232,12 @@ class SignalChoice:
         """Return True if --topic or the content shows that the file is not a recording."""
         from armrig.recordings.recording_summary import is_recording
 
-        return self.reading.topic is not None or not is_recording(file)
+        return self.topic is not None or not is_recording(file)
 
     def _recording(self, file: Path) -> Recording:
         """Return a recording; refuse options that apply to other data."""
-        given = {"--input": self.input, "--time": self.time, "--Ts": self.Ts}
-        given |= self.reading.given()
-        for name, value in given.items():
-            if value is not None:
-                typed = f"{name} {value}".rstrip()
-                raise typer.BadParameter(f"{typed} applies to {OTHER_DATA}; {file} is a recording")
+        for typed in self.given("input", *READING):
+            raise typer.BadParameter(f"{typed} applies to {OTHER_DATA}; {file} is a recording")
         recording = loaded([file], self.calibration, self.start, self.stop)[0]
         self._tell_of_pair(recording)
         return recording
@@ -297,12 +258,18 @@ class SignalChoice:
         self.read.append(recording)
 
 
+def reads_data(
+    *without: str, several: bool = False
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that replaces the argument `signals` of a command by options of data."""
+    return grouped("signals", data_options(without, several=several), SignalChoice)
+
+
 def options_of(
     data: Dataset, calibration: Path | None, start: float | None, stop: float | None
 ) -> str:
     """Return the options with which another command reads the same part of a recording."""
-    signals = SignalChoice(signal=None, calibration=calibration, start=start, stop=stop)
-    return signals.options(data)
+    return SignalChoice(calibration=calibration, start=start, stop=stop).options(data)
 
 
 def between(data: Data, start: float | None, stop: float | None) -> Data:
