@@ -6,6 +6,7 @@ import os
 import sys
 import textwrap
 from contextlib import suppress
+from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, TextIO
 
@@ -36,10 +37,19 @@ CalibrationFile = Annotated[
         help="Calibration to use in place of the calibration attached to a recording.",
     ),
 ]
+
+
+def _not_nan(seconds: float | None) -> float | None:
+    if seconds is not None and isnan(seconds):
+        raise typer.BadParameter("nan is not a time; give a number of seconds")
+    return seconds
+
+
 From = Annotated[
     float | None,
     typer.Option(
         "--from",
+        callback=_not_nan,
         metavar="S",
         help="Start of the samples to use, in s from the first sample of the file.",
         show_default="its start",
@@ -49,6 +59,7 @@ To = Annotated[
     float | None,
     typer.Option(
         "--to",
+        callback=_not_nan,
         metavar="S",
         help="End of the samples to use, in s from the first sample of the file; a sample at this "
         "time is left out.",

@@ -6,6 +6,7 @@ from math import tau
 
 import numpy as np
 from armrig_core.errors import FileError
+from numpy.typing import NDArray
 
 from armrig.data.files.table import Vector
 from armrig.data.step import DOUBT, Step
@@ -21,8 +22,12 @@ _MODULI = (
 _SAME = 0.005  # relative difference of a modulus from the jumps
 _MIN_RAIL_RUN = 3  # samples
 _MIN_RAIL_SAMPLES = 5
-_MIN_ENTRY = 3.0  # smallest step onto a rail, in steps of the last digit: a level is reached slowly
+_NEAR = 2.5  # steps of the last digit; y passes these values quickly, but settles at a level slowly
 _MAX_RESTS = 0.5  # share of steps without a change elsewhere
+_MAX_HELD = 10  # rows with each value, of a column that is read less often than the others
+_MIN_HELD_VALUES = 10
+_MIN_STUCK = 20  # rows
+_MIN_STUCK_RATIO = 4  # of the longest to the second longest sequence of one value
 _MIN_STEPS = 20
 _MIN_JUMP = 0.5  # of the modulus
 _MAX_JUMP_SHARE = 0.25  # of the steps
@@ -66,11 +71,39 @@ def treated(
     return y, notes
 
 
+def held(x: Vector, name: str) -> list[str]:
+    """Return a note if every value stays for the same number of rows, or a multiple of it."""
+    at, lengths = _runs(x)
+    rows = int(np.gcd.reduce(lengths[1:-1], initial=0))
+    if not 1 < rows <= _MAX_HELD or np.unique(x[at]).size <= _MIN_HELD_VALUES:
+        return []
+    text = f"each value of {name} is in {rows} rows, as if the rows were written more often than "
+    return [Step(f"{text}{name} was read: keep one row of {rows}", DOUBT)]
+
+
+def stuck(y: Vector, name: str, u: NDArray[np.float64]) -> list[str]:
+    """Return a note if y is the same in many rows in which the inputs u (N, nu) change."""
+    at, lengths = _runs(y)
+    k = int(np.argmax(lengths))
+    rows, other = int(lengths[k]), int(np.delete(lengths, k).max(initial=0))
+    moved = np.ptp(u[at[k] : at[k] + rows // 2], axis=0) if rows > _MIN_STUCK else np.zeros(1)
+    if not moved.any() or rows == y.size or rows < _MIN_STUCK_RATIO * other:
+        return []
+    text = f"{name} is {y[at[k]]:g} in {rows} rows in sequence while the input changes"
+    return [Step(f"{text}, as of a sensor that is stuck: cut these rows out", DOUBT)]
+
+
+def _runs(x: Vector) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first row of each sequence of one value, and its number of rows."""
+    edges = np.flatnonzero(np.diff(x, prepend=np.nan, append=np.nan) != 0)
+    return edges[:-1], np.diff(edges)
+
+
 def _rails(y: Vector) -> tuple[Mask, str]:
     """Return the samples on a rail, and the values of the rails as text.
 
-    A rail is the largest or smallest value, if y reaches it by jumps and keeps it for several
-    samples. If y settles at a level instead, its last steps before the level are small.
+    A rail is the largest or smallest value, if y keeps it for several samples, and has the values
+    next to it only on its way. If y settles at a level instead, its last steps are small.
     """
     found, values = np.zeros(y.size, np.bool_), []
     known = y[np.isfinite(y)]
@@ -80,12 +113,13 @@ def _rails(y: Vector) -> tuple[Mask, str]:
         there = known == value
         stays = stretches(there)
         lengths = [s.stop - s.start for s in stays]
-        entries = [steps[s.start - 1] for s in stays if s.start and s.stop - s.start > 1]
+        entries = [s for s in stays if s.start and s.stop - s.start > 1]
+        beside = (known != value) & (np.abs(known - value) < _NEAR * digit)
         if (
             max(lengths) >= _MIN_RAIL_RUN
             and sum(lengths) >= _MIN_RAIL_SAMPLES
             and entries
-            and np.median(entries) >= _MIN_ENTRY * digit
+            and np.count_nonzero(beside) <= 2 * len(entries)
             and np.mean(steps[~(there[1:] & there[:-1])] == 0) < _MAX_RESTS
         ):
             found |= y == value

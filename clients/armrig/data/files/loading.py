@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, require_size
 from armrig.data.files.arrays import read_mat, read_npz, read_parquet
-from armrig.data.files.column_faults import treated
+from armrig.data.files.column_faults import held, stuck, treated
 from armrig.data.files.mat_variables import DamageError
 from armrig.data.files.messages import read_mcap
 from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
@@ -260,10 +260,12 @@ def _samples(
         )
     grid = _grid(table, {*of_u, *of_y}, sizes.pop(), how)
     history = [*table.notes, *grid.notes]
+    for x, column in zip(given, named_u, strict=True):
+        history += held(x, column.name or "u")
     for k, column in enumerate(named_y):
-        measured[k], notes = treated(
-            measured[k], column.name or "y", mask_rails=how.mask_rails, unwrap=how.unwrap
-        )
+        y, name = measured[k], column.name or "y"
+        history += held(y, name) or stuck(y, name, np.column_stack(given))
+        measured[k], notes = treated(y, name, mask_rails=how.mask_rails, unwrap=how.unwrap)
         history += notes
     u, y = (
         np.column_stack([grid.placed(x, held=held) for x in columns])

@@ -23,6 +23,8 @@ _MAX_SHIFT = 0.25  # of an interval, from the next multiple
 _MAX_LONGER = 0.4  # of an interval: a longer one that no later interval makes up is a break
 _MAX_UNUSUAL_SHARE = 0.2  # share of intervals above which whole steps of the last digit are jitter
 _MIN_COARSE = 10  # intervals that show the mean of coarse times
+_MIN_ROUNDED = 3  # of them longer or shorter than the others
+_MAX_ROUNDING = 1.1  # range of the deviations of even times, in steps of the last digit
 _MAX_LEFT_OUT = 20  # rows that are put in at one place; a longer gap begins an experiment
 _MAX_CAUGHT_UP = 10  # intervals within which late rows catch up
 _MAX_INTERPOLATED = 3.0  # usual intervals; y is missing inside a longer one
@@ -218,10 +220,11 @@ def _coarse(times: Times) -> Grid | None:
     d, usual = np.diff(t), _usual(t)
     if d.size < _MIN_COARSE or np.any(d < 0) or times.resolution <= _MAX_SHIFT * usual:
         return None
-    if np.mean(np.abs(d - usual) > _MAX_SHIFT * usual) <= _MAX_UNUSUAL_SHARE:
-        return None
-    slope, start = np.polyfit(k, t, 1)
-    if slope <= 0 or np.abs(t - start - slope * k).max() > times.resolution:
+    count = int(np.count_nonzero(np.abs(d - usual) > _MAX_SHIFT * usual))
+    slope = float(np.polyfit(k, t, 1)[0])
+    # A few longer intervals may be rows left out; those of the last digit are evenly distributed.
+    width = 2.0 if count > _MAX_UNUSUAL_SHARE * d.size else _MAX_ROUNDING
+    if count < _MIN_ROUNDED or slope <= 0 or np.ptp(t - slope * k) > width * times.resolution:
         return None
     note = f"{times.name} have a last digit of {times.resolution:g} s; Ts is their mean interval"
     return Grid(Ts=_roundest(t, k), at=k, size=t.size, notes=[note])

@@ -140,6 +140,11 @@ def _of_numbers(table: Table, i: int, named: str) -> tuple[Vector, float, list[s
                 break
         else:
             unit = 1.0
+            if (k := _carry(t)) is not None:
+                raise FileError(
+                    f"{table.place(k)}: {named} go from {t[k - 1]:.16g} to {t[k]:.16g}, as digits "
+                    "of a clock: write them as 09:59:59, or give Ts in s (--Ts)"
+                )
             if usual >= _DOUBTFUL_S:
                 notes.append(Step(f"{named} have no unit: read as s", DOUBT))
     for bits in _TIMER_BITS:
@@ -156,6 +161,16 @@ def _of_numbers(table: Table, i: int, named: str) -> tuple[Vector, float, list[s
         )
     # The difference first: the unit of an epoch in ns would round times of 1e18.
     return (t - t[:1]) * unit, _last_digit(t) * unit, notes
+
+
+def _carry(t: Vector) -> int | None:
+    """Return the first row at which digits of a clock, such as 95959 or 9.59, go from 59 to 100."""
+    digits = np.rint(t if np.all(t == np.rint(t)) else 100 * t)
+    d = np.diff(digits)
+    carries = np.flatnonzero(np.diff(digits // 100) == 1)
+    usual = d[d > 0].min(initial=np.inf)
+    is_clock = np.all(digits % 100 < 60) and carries.size and np.median(d[carries]) == usual + 40
+    return int(carries[0]) + 1 if is_clock else None
 
 
 def _last_digit(t: Vector) -> float:

@@ -223,6 +223,19 @@ def test_a_number_that_is_cut_within_is_damage(tmp_path: Path) -> None:
         load_data(path, Ts=1)
 
 
+@pytest.mark.parametrize("kind", [1, 2, 6])
+def test_an_array_without_values_is_named(kind: int, tmp_path: Path) -> None:
+    """A shape may be larger than any of numpy, and a structure may have no fields."""
+    head = element(6, struct.pack("<II", kind, 0))
+    head += element(5, struct.pack("<3i", 1 << 30, 1 << 30, 0))
+    rest = {1: b"", 2: element(5, struct.pack("<i", 8)) + element(1, b""), 6: element(9, b"")}
+    path = tmp_path / "data.mat"
+    path.write_bytes(mat5(element(14, head + element(1, b"u") + rest[kind])))
+
+    with pytest.raises(FileError, match=r"input u.*: (is|there are no)"):
+        load_data(path, Ts=1)
+
+
 def test_a_shape_below_nothing_is_damage(tmp_path: Path) -> None:
     """-2 times -3 equals the count of numbers in the file."""
     head = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<3i", -2, -3, 1))
