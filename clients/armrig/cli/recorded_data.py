@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
 from pathlib import Path
@@ -22,8 +22,7 @@ from armrig.cli.channels import (
 from armrig.cli.column_notes import (
     check_varies,
     hint_at_means,
-    tell_of_columns,
-    tell_of_signals,
+    tell_of_reading,
 )
 from armrig.cli.figures import name_runs
 from armrig.cli.options import inform, tell, warned
@@ -118,8 +117,6 @@ class SignalChoice(DataOptions):
 
     def of(self, file: Path, model: Model | None = None) -> Dataset:
         """Return the data of a file, and print its defects; the default output is the model's."""
-        from armrig.data.treatment import detrend, hampel
-
         if self.several:
             raise typer.BadParameter(
                 f"{self.options().strip()}: this command takes one output and one input; "
@@ -131,16 +128,10 @@ class SignalChoice(DataOptions):
             check_varies(file, data.output, data.y[data.valid])
         else:
             data = self._recorded(file, model)
-        self._tell_of_means(model)
-        if self.hampel:
-            data = hampel(data)
-            inform(f"{file}: {data.history[-1]}", dim=True)
-        return detrend(data) if self.detrend else data
+        return self._treated(file, data, model)
 
     def signals_of(self, file: Path, model: MultivariableFit | None = None) -> Signals:
         """Return signals of a file, and print its defects; the default signals are the model's."""
-        from armrig.data.treatment import detrend, hampel
-
         outputs, inputs = names("--signal", self.signal), names("--input", self.input)
         if self._is_other(file):
             signals = between(self._table(file, inputs, outputs, model), self.start, self.stop)
@@ -148,11 +139,18 @@ class SignalChoice(DataOptions):
             signals = self.recorded_signals(file, model)
         else:
             signals = self._recording(file).signals(recorded_outputs(outputs or (THETA_1,)))
-        self._tell_of_means(model)
+        return self._treated(file, signals, model)
+
+    def _treated(self, file: Path, data: Data, model: Model | MultivariableFit | None) -> Data:
+        """Return the data after --hampel and --detrend."""
+        from armrig.data.treatment import detrend, hampel
+
+        if _without_means(model) and not self.detrend:
+            tell("the model was estimated from data minus their means: validate it with --detrend")
         if self.hampel:
-            signals = hampel(signals)
-            inform(f"{file}: {signals.history[-1]}", dim=True)
-        return detrend(signals) if self.detrend else signals
+            data = hampel(data)
+            inform(f"{file}: {data.history[-1]}", dim=True)
+        return detrend(data) if self.detrend else data
 
     def recorded_signals(self, file: Path, model: MultivariableFit) -> Signals:
         """Return the signals of a model from a recording."""
@@ -166,17 +164,15 @@ class SignalChoice(DataOptions):
         outputs: Sequence[str],
         model: MultivariableFit | None,
     ) -> Signals:
-        from armrig.cli.spinner import spinner
         from armrig.data.files.loading import load_signals
 
-        self._refuse_calibration(file)
         if model is not None:
             require_as_many(model, outputs, inputs)
             inputs, outputs = inputs or model.inputs, outputs or model.outputs
-        columns = {"inputs": inputs or ("u",), "outputs": outputs or ("y",)}
-        with spinner("reading"):
-            signals = load_signals(file, **self._options(columns))
-        tell_of_signals(file, signals)
+        inputs, outputs = inputs or ("u",), outputs or ("y",)
+        signals = self._read(load_signals, file, inputs=inputs, outputs=outputs)
+        read = [f"outputs {', '.join(signals.outputs)}", f"inputs {', '.join(signals.inputs)}"]
+        tell_of_reading(file, signals, read, "values are missing")
         every = [
             (name, signals.y[signals.valid[:, i], i]) for i, name in enumerate(signals.outputs)
         ]
@@ -186,37 +182,37 @@ class SignalChoice(DataOptions):
             hint_at_means(every, [(name, signals.u[:, j]) for j, name in enumerate(signals.inputs)])
         return signals if model is None else as_modelled(file, signals, model)
 
-    def _options(self, columns: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the arguments of `load_data` or `load_signals`."""
-        return {**columns, **{name: getattr(self, name) for name in READING}}
+    def _read(self, load: Callable[..., Data], file: Path, **columns: Any) -> Data:
+        """Return the data that `load_data` or `load_signals` reads."""
+        from armrig.cli.spinner import spinner
 
-    def _tell_of_means(self, model: Model | MultivariableFit | None) -> None:
-        if _without_means(model) and not self.detrend:
-            tell("the model was estimated from data minus their means: validate it with --detrend")
-
-    def _refuse_calibration(self, file: Path) -> None:
         if self.calibration is not None:
             raise typer.BadParameter(
                 f"--calibration applies to recordings; {file} has no readings of the rig's sensors"
             )
+        with spinner("reading"):
+            return load(file, **columns, **{name: getattr(self, name) for name in READING})
 
     def _other(self, file: Path, model: Model | None) -> Dataset:
-        self._refuse_calibration(file)
-        from armrig.cli.spinner import spinner
         from armrig.data.files.loading import load_data
+        from armrig.data.treatment import INTEGRATING_OUTPUTS
         from armrig.estimation.data_faults import swapped
 
         columns = {
             "input": self.input or "u",
             "signal": self.signal or (model.output if model else None) or "y",
         }
-        with spinner("reading"):
-            data = load_data(file, **self._options(columns))
+        data = self._read(load_data, file, **columns)
         if model is not None and self.signal is not None and model.output not in _UNNAMED:
-            data = data.replaced(
-                step=None, output=model.output
-            )  # the user named the column, which is thus the model's output
-        tell_of_columns(file, data, columns)
+            # The user named the column, which is thus the model's output.
+            data = data.replaced(step=None, output=model.output)
+        read = [f"the {what} is column {name}" for what, name in columns.items()]
+        tell_of_reading(file, data, read, f"samples without {data.output}")
+        if data.output in INTEGRATING_OUTPUTS:
+            tell(
+                f"{data.output} is assumed to be the rig's angle, which integrates its input; if "
+                "it is another signal, rename the column"
+            )
         for finding in swapped(data):
             tell(f"{file}: {finding.text} (--input, --signal)")
         known = self.detrend or self.offset or _without_means(model) or _with_level(model)
@@ -238,8 +234,12 @@ class SignalChoice(DataOptions):
         """Return a recording; refuse options that apply to other data."""
         for typed in self.given("input", *READING):
             raise typer.BadParameter(f"{typed} applies to {OTHER_DATA}; {file} is a recording")
+        from armrig.recordings.usability import doubts_of_pair
+
         recording = loaded([file], self.calibration, self.start, self.stop)[0]
-        self._tell_of_pair(recording)
+        for text in doubts_of_pair(self.read[0], recording) if self.read else ():
+            tell(text)
+        self.read.append(recording)
         return recording
 
     def _recorded(self, file: Path, model: Model | None) -> Dataset:
@@ -249,13 +249,6 @@ class SignalChoice(DataOptions):
         if self.signal is None:
             return recording.dataset()
         return recording.dataset(recorded_outputs((self.signal,))[0])
-
-    def _tell_of_pair(self, recording: Recording) -> None:
-        from armrig.recordings.usability import doubts_of_pair
-
-        for text in doubts_of_pair(self.read[0], recording) if self.read else ():
-            tell(text)
-        self.read.append(recording)
 
 
 def reads_data(

@@ -7,7 +7,7 @@ import errno
 import hashlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -118,17 +118,14 @@ def load_data(
     """
     how = Reading(time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic)
     with _naming(Path(path)):
-        found = _samples(Path(path), input, signal, how)
-        (of_u,), (of_y,), y = found.inputs, found.outputs, found.y[:, 0]
-        return Dataset(
-            u=found.u[:, 0],
-            y=y,
-            valid=~np.isnan(y),
-            output=of_y.name or "y",
-            unit=of_y.unit,
-            input_unit=of_u.unit,
-            **found.common,
-        )
+        (of_u,), (of_y,), found = _samples(Path(path), input, signal, how)
+        u, y = found.pop("u")[:, 0], found.pop("y")[:, 0]
+        names: dict[str, Any] = {
+            "output": of_y.name or "y",
+            "unit": of_y.unit,
+            "input_unit": of_u.unit,
+        }
+        return Dataset(u=u, y=y, valid=~np.isnan(y), **names, **found)
 
 
 @checked_call
@@ -185,15 +182,13 @@ def load_signals(
     how = Reading(time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic)
     inputs, outputs = ([x] if isinstance(x, str) else list(x) for x in (inputs, outputs))
     with _naming(Path(path)):
-        found = _samples(Path(path), inputs, outputs, how)
+        of_u, of_y, found = _samples(Path(path), inputs, outputs, how)
         return Signals(
-            u=found.u,
-            y=found.y,
-            inputs=_names(found.inputs, "u", found.outputs),
-            outputs=_names(found.outputs, "y", found.inputs),
-            input_units=[column.unit for column in found.inputs],
-            units=[column.unit for column in found.outputs],
-            **found.common,
+            inputs=_names(of_u, "u", of_y),
+            outputs=_names(of_y, "y", of_u),
+            input_units=[column.unit for column in of_u],
+            units=[column.unit for column in of_y],
+            **found,
         )
 
 
@@ -224,26 +219,10 @@ def _naming(path: Path) -> Iterator[None]:
         raise FileError(msg) from err
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Samples:
-    """Samples that have a value of each input."""
-
-    u: Array
-    """Inputs (N, nu)."""
-    y: Array
-    """Outputs (N, ny), NaN where missing."""
-    inputs: Sequence[Column]
-    """Names and units of the inputs."""
-    outputs: Sequence[Column]
-    """Names and units of the outputs."""
-    common: dict[str, Any]
-    """Sampling time, starts, source and history, as arguments of `Dataset` and `Signals`."""
-
-
 def _samples(
     path: Path, inputs: str | list[str], outputs: str | list[str], how: Reading
-) -> _Samples:
-    """Return the samples of the columns in a file, on their grid of times.
+) -> tuple[list[Column], list[Column], dict[str, Any]]:
+    """Return the columns of the inputs and outputs, and the arguments of `Signals` without names.
 
     In a list, the name of a matrix gives all columns of the matrix.
     """
@@ -287,18 +266,15 @@ def _samples(
             f"the input is not known in {plural(count, 'row')} that the file leaves out; a new "
             "experiment begins after each such gap (--hold-input holds it instead)"
         )
-    return _Samples(
-        u=u[known],
-        y=y[known],
-        inputs=named_u,
-        outputs=named_y,
-        common={
-            "Ts": grid.Ts,
-            "starts": np.flatnonzero(np.diff(part[known], prepend=-1)).tolist(),
-            "source": f"{SOURCE}:{hashlib.sha256(data).hexdigest()}",
-            "history": history,
-        },
-    )
+    found = {
+        "u": u[known],
+        "y": y[known],
+        "Ts": grid.Ts,
+        "starts": np.flatnonzero(np.diff(part[known], prepend=-1)).tolist(),
+        "source": f"{SOURCE}:{hashlib.sha256(data).hexdigest()}",
+        "history": history,
+    }
+    return named_u, named_y, found
 
 
 def _columns(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime
 
 import numpy as np
 from armrig_core.errors import FileError
@@ -42,7 +43,7 @@ _TIME_OF_DAY = re.compile(
 _DATE = re.compile(r"(?P<a>\d{1,2})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<year>\d{4}|\d\d)")
 _HOURS_AND_MINUTES = re.compile(r"\d{1,3}:\d\d")
 _MATLAB = ("%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M:%S.%f")
-_BEGIN = datetime(2000, 1, 1)  # of dates as numbers
+_BEGIN = (datetime(2000, 1, 1), datetime(2000, 1, 1, tzinfo=UTC))  # of dates as numbers
 _TICKS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 _EXCEL = "days (Excel's dates); give --Ts if they are in s"
 _TIMER_BITS = (16, 32)  # Arduino's micros() begins again after 71 min
@@ -169,7 +170,8 @@ def _carry(t: Vector) -> int | None:
     d = np.diff(digits)
     carries = np.flatnonzero(np.diff(digits // 100) == 1)
     usual = d[d > 0].min(initial=np.inf)
-    is_clock = np.all(digits % 100 < 60) and carries.size and np.median(d[carries]) == usual + 40
+    is_clock = usual < 60 and np.all(digits % 100 < 60)
+    is_clock &= carries.size > 0 and np.median(d[carries]) == usual + 40
     return int(carries[0]) + 1 if is_clock else None
 
 
@@ -216,9 +218,9 @@ def _month_first(cells: Sequence[str]) -> bool:
 
     If both orders are possible, the times lie closer together in the right one.
     """
-    parts = [part for cell in cells if (part := _DATE.match(cell.strip()))]
-    if not parts:
+    if not _DATE.match(cells[0].strip()):
         return False
+    parts = [part for cell in cells if (part := _DATE.match(cell.strip()))]
     firsts, seconds = ([int(part[m]) for part in parts] for m in "ab")
     if max(firsts) > 12 or max(seconds) > 12:
         return max(firsts) <= 12
@@ -233,22 +235,22 @@ def _month_first(cells: Sequence[str]) -> bool:
 
 def _moment(text: str, month_first: bool) -> tuple[float, bool]:
     """Return the seconds of a date or a time of day, and whether its zone is written."""
+    with suppress(ValueError):  # first, because it is fast
+        moment = datetime.fromisoformat(text)
+        return (moment - _BEGIN[moment.tzinfo is not None]).total_seconds(), bool(moment.tzinfo)
     if _TIME_OF_DAY.fullmatch(text):
         return _time_of_day(text), False
     if found := _DATE.match(text):
         a, b, year = int(found["a"]), int(found["b"]), int(found["year"])
         month, day = (a, b) if month_first else (b, a)
-        begin = datetime(year + 2000 * (year < 100), month, day) - _BEGIN
+        begin = datetime(year + 2000 * (year < 100), month, day) - _BEGIN[0]
         rest = text[found.end() :].strip(" T,") or "0:00:00"
         return begin.total_seconds() + _time_of_day(rest), False
-    text = text.replace(",", ".").replace("/", "-")
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        moment = datetime.strptime(text, _MATLAB["." in text])
-    zone = moment.utcoffset() or timedelta()
-    since = moment.replace(tzinfo=None) - zone - _BEGIN
-    return since.total_seconds(), moment.tzinfo is not None
+    plain = text.replace(",", ".").replace("/", "-")
+    if plain != text:
+        return _moment(plain, month_first)
+    moment = datetime.strptime(text, _MATLAB["." in text])
+    return (moment - _BEGIN[0]).total_seconds(), False
 
 
 def _time_of_day(text: str) -> float:
