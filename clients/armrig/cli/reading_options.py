@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, fields
 from functools import wraps
 from shlex import quote
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 import typer
 
@@ -17,27 +18,8 @@ Assumption = Literal["integrating", "settling"]
 READING = ("time", "Ts", "topic", "decimal", "resample", "hold_input", "mask_rails", "unwrap")
 """Options of reading a table, which are arguments of `load_data`."""
 _FLAGS = {"start": "--from", "stop": "--to"}
-_OF_OTHER = "in other data: its name, or its number from 1."
 _DIGITS = 12  # of a number in a command line
-Inputs = Annotated[
-    str | None,
-    typer.Option(
-        "--input",
-        metavar="NAMES",
-        help=f"Column of the input {_OF_OTHER} Several inputs have commas between their names.",
-        show_default="u",
-    ),
-]
-Signals = Annotated[
-    str | None,
-    typer.Option(
-        "--signal",
-        metavar="NAMES",
-        help="Output: theta_1, alpha or velocity; in other data, the column's name, or its "
-        "number from 1. Several outputs have commas between their names.",
-        show_default="theta_1; y of other data",
-    ),
-]
+_SEVERAL = {"input": "inputs", "signal": "outputs"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +31,7 @@ class DataOptions:
         typer.Option(
             "--input",
             metavar="NAME",
-            help=f"Column of the input {_OF_OTHER}",
+            help="Column of the input in other data: its name, or its number from 1.",
             show_default="u",
         ),
     ] = None
@@ -178,7 +160,12 @@ def data_options(without: Sequence[str], *, several: bool) -> list[inspect.Param
         Whether the command takes several inputs and outputs.
     """
     kinds = get_type_hints(DataOptions, include_extras=True)
-    kinds |= {"input": Inputs, "signal": Signals} if several else {}
+    for name, plural in _SEVERAL.items() if several else ():
+        kind, option = get_args(kinds[name])
+        option = copy(option)
+        option.metavar = "NAMES"
+        option.help += f" Several {plural} have commas between their names."
+        kinds[name] = Annotated[kind, option]
     return [
         inspect.Parameter(
             field.name,

@@ -82,8 +82,8 @@ def read_mcap(data: bytes, topic: str | None) -> Table:
 def _joined(series: Mapping[str, _Series]) -> dict[str, Vector]:
     """Return the times of the last topic, from 0 on, and the values of all topics at these times.
 
-    With several topics, names begin with the topic; so does a field t or time, because the column
-    of the log times is recognised by its name.
+    With several topics, each name begins with the topic. The name of a field t or time also begins
+    with it, because the column of the log times is recognised by its name.
     """
     *_, (last, _) = series.values()
     times_ns = np.sort(np.array(last, dtype=np.uint64))
