@@ -12,10 +12,7 @@ from armrig.cli.chosen_recording import DataFile, File
 from armrig.cli.figures import FIGURE_HELP, Plot, check_plot, figure_path, write_plot
 from armrig.cli.next_step import AFTER, kind_of, say_next, step_again, typed, validation_beside
 from armrig.cli.options import (
-    CalibrationFile,
-    From,
     Json,
-    To,
     Verbose,
     fields_of,
     print_json,
@@ -24,7 +21,13 @@ from armrig.cli.options import (
     say_answer,
     say_more,
 )
-from armrig.cli.recorded_data import SignalChoice, from_recording, loaded, reads_data, source_facts
+from armrig.cli.recorded_data import (
+    SignalChoice,
+    from_recording,
+    reads_data,
+    reads_part,
+    source_facts,
+)
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -38,11 +41,10 @@ Drawing = Annotated[
 ]
 
 
+@reads_part
 def plot(
     file: File,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
+    part: SignalChoice,
     figure: Drawing = Path("plot.png"),
     json: Json = False,
 ) -> None:
@@ -55,7 +57,7 @@ def plot(
     from armrig.recordings.overview import overview
 
     check_plot(figure, [file])
-    [recording] = loaded([file], calibration, start, stop)
+    [recording] = part.recordings(file)
     with spinner("looking for outliers and drift"):
         found = overview(recording)
     [written] = write_plot(figure, signals=lambda ax: found.plot(ax=ax), height=7.0)

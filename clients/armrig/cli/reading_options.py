@@ -17,6 +17,8 @@ from armrig.cli.options import CalibrationFile, Detrend, From, To
 Assumption = Literal["integrating", "settling"]
 READING = ("time", "Ts", "topic", "decimal", "resample", "hold_input", "mask_rails", "unwrap")
 """Options of reading a table, which are arguments of `load_data`."""
+PART = ("calibration", "start", "stop")
+"""Options of reading a recording."""
 _FLAGS = {"start": "--from", "stop": "--to"}
 _DIGITS = 12  # of a number in a command line
 _SEVERAL = {"input": "inputs", "signal": "outputs"}
@@ -110,7 +112,7 @@ class DataOptions:
     def given(self, *names: str) -> list[str]:
         """Return the options that differ from their defaults, as a user types them."""
         typed = []
-        for name in names or [field.name for field in fields(DataOptions)]:
+        for name in names or OPTIONS:
             value = getattr(self, name)
             if value in (None, False):
                 continue
@@ -118,6 +120,10 @@ class DataOptions:
             flag = _FLAGS.get(name, f"--{name.replace('_', '-')}")
             typed.append(flag if value is True else f"{flag} {text}")
         return typed
+
+
+OPTIONS = tuple(field.name for field in fields(DataOptions))
+"""Names of all options."""
 
 
 def grouped(
@@ -149,13 +155,13 @@ def grouped(
     return decorated
 
 
-def data_options(without: Sequence[str], *, several: bool) -> list[inspect.Parameter]:
-    """Return the options of `DataOptions` as parameters of a command.
+def data_options(names: Sequence[str], *, several: bool) -> list[inspect.Parameter]:
+    """Return options of `DataOptions` as parameters of a command.
 
     Parameters
     ----------
-    without : sequence of str
-        Options that the command does not have.
+    names : sequence of str
+        Names of the options.
     several : bool
         Whether the command takes several inputs and outputs.
     """
@@ -174,5 +180,5 @@ def data_options(without: Sequence[str], *, several: bool) -> list[inspect.Param
             annotation=kinds[field.name],
         )
         for field in fields(DataOptions)
-        if field.name not in without
+        if field.name in names
     ]

@@ -26,7 +26,15 @@ from armrig.cli.column_notes import (
 )
 from armrig.cli.figures import name_runs
 from armrig.cli.options import inform, tell, warned
-from armrig.cli.reading_options import READING, Assumption, DataOptions, data_options, grouped
+from armrig.cli.reading_options import (
+    OPTIONS,
+    PART,
+    READING,
+    Assumption,
+    DataOptions,
+    data_options,
+    grouped,
+)
 from armrig.data.files.suffixes import OTHER_DATA
 
 if TYPE_CHECKING:
@@ -236,11 +244,15 @@ class SignalChoice(DataOptions):
             raise typer.BadParameter(f"{typed} applies to {OTHER_DATA}; {file} is a recording")
         from armrig.recordings.usability import doubts_of_pair
 
-        recording = loaded([file], self.calibration, self.start, self.stop)[0]
+        [recording] = self.recordings(file)
         for text in doubts_of_pair(self.read[0], recording) if self.read else ():
             tell(text)
         self.read.append(recording)
         return recording
+
+    def recordings(self, *files: Path) -> list[Recording]:
+        """Return the chosen part of recordings."""
+        return loaded(files, self.calibration, self.start, self.stop)
 
     def _recorded(self, file: Path, model: Model | None) -> Dataset:
         recording = self._recording(file)
@@ -255,14 +267,13 @@ def reads_data(
     *without: str, several: bool = False
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that replaces the argument `signals` of a command by options of data."""
-    return grouped("signals", data_options(without, several=several), SignalChoice)
+    names = [name for name in OPTIONS if name not in without]
+    return grouped("signals", data_options(names, several=several), SignalChoice)
 
 
-def options_of(
-    data: Dataset, calibration: Path | None, start: float | None, stop: float | None
-) -> str:
-    """Return the options with which another command reads the same part of a recording."""
-    return SignalChoice(calibration=calibration, start=start, stop=stop).options(data)
+def reads_part(command: Callable[..., None]) -> Callable[..., None]:
+    """Replace the argument `part` of a command by --calibration, --from and --to."""
+    return grouped("part", data_options(PART, several=False), SignalChoice)(command)
 
 
 def between(data: Data, start: float | None, stop: float | None) -> Data:
