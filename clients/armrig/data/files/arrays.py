@@ -127,9 +127,10 @@ def read_npz(data: bytes) -> Table:
     with np.load(BytesIO(data), allow_pickle=False) as archive:
         members = [m for m in archive.zip.infolist() if m.filename.endswith(".npy")]
         require_room(sum(member.file_size for member in members), len(data))
-        for name in (member.filename.removesuffix(".npy") for member in members):
+        for member in members:
+            name = member.filename.removesuffix(".npy")
             try:
-                arrays[name] = archive[name]
+                arrays[name] = archive[member.filename]
             except ValueError as err:
                 if "allow_pickle" not in str(err):
                     raise
