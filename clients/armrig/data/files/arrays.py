@@ -11,7 +11,7 @@ from armrig_core.errors import FileError, InputError
 
 from armrig.data.files.mat_variables import EMPTY, StructureArray, Unread, variables
 from armrig.data.files.table import NO_NUMBERS, Column, Table, Vector, require_room, titled
-from armrig.data.optional_packages import MissingPackageError, imported
+from armrig.data.optional_packages import imported
 
 _MAX_DIMENSIONS = 2
 _TIME_NAMES = ("t", "time")
@@ -144,12 +144,7 @@ def read_npz(data: bytes) -> Table:
 
 def read_parquet(data: bytes) -> Table:
     """Return the columns of a Parquet file; time stamps are in s from the first time."""
-    try:
-        parquet = imported("pyarrow.parquet", "parquet")
-    except MissingPackageError as err:
-        msg = "is Parquet: to read it, pip install 'armrig[parquet]', or save it as CSV"
-        raise FileError(msg) from err
-    file = parquet.ParquetFile(BytesIO(data))
+    file = imported("pyarrow.parquet", "parquet").ParquetFile(BytesIO(data))
     kinds = {field.name: str(field.type) for field in file.schema_arrow}
     if len(kinds) < len(file.schema_arrow):
         raise FileError("two of its columns have the same name; rename one of them")

@@ -459,7 +459,7 @@ def table_of(
         if data.startswith(beginning) or (is_old and read is read_mat):
             try:
                 return read(data)
-            except FileError:
+            except InputError:
                 raise
             except Exception as err:  # a damaged file can raise any exception in its reader
                 why = err if isinstance(err, DamageError) else type(err).__name__

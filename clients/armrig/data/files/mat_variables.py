@@ -15,7 +15,6 @@ from math import prod
 from typing import Any
 
 import numpy as np
-from armrig_core.errors import InputError
 
 from armrig.data.files.table import require_room, room
 
@@ -54,7 +53,7 @@ class Unread:
     why: str
 
 
-class DamageError(InputError):
+class DamageError(Exception):
     """The bytes of the file are not a valid MAT-file."""
 
 
