@@ -15,8 +15,6 @@ from armrig_core.errors import OperationError
 from armrig_core.journal import log_prefix
 from armrig_core.printable import brief, json_printable, printable
 
-from armrig.data.finding import OWN_DATA
-
 RigId = Annotated[str, typer.Option("--rig", help="Id of the rig.")]
 Connect = Annotated[
     str | None,
@@ -87,8 +85,6 @@ Nk = Annotated[int, typer.Option("--nk", help="Delay from u to y, in samples.")]
 
 _ANSWER_WIDTH = 16  # characters for the default and the answer after a question
 _NO_BREAK_SPACE = "\u00a0"
-
-SAME_DATA = OWN_DATA
 
 
 def tell(message: str) -> None:

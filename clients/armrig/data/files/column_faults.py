@@ -77,8 +77,8 @@ def held(x: Vector, name: str) -> list[str]:
     rows = int(np.gcd.reduce(lengths[1:-1], initial=0))
     if not 1 < rows <= _MAX_HELD or np.unique(x[at]).size <= _MIN_HELD_VALUES:
         return []
-    text = f"each value of {name} is in {rows} rows, as if the rows were written more often than "
-    return [Step(f"{text}{name} was read: keep one row of {rows}", DOUBT)]
+    text = f"each value of {name} is in {rows} rows: if {name} was read less often than the rows "
+    return [Step(f"{text}were written, keep one row of {rows}", DOUBT)]
 
 
 def stuck(y: Vector, name: str, u: NDArray[np.float64]) -> list[str]:
@@ -87,7 +87,7 @@ def stuck(y: Vector, name: str, u: NDArray[np.float64]) -> list[str]:
     k = int(np.argmax(lengths))
     rows, other = int(lengths[k]), int(np.delete(lengths, k).max(initial=0))
     moved = np.ptp(u[at[k] : at[k] + rows // 2], axis=0) if rows > _MIN_STUCK else np.zeros(1)
-    if not moved.any() or rows == y.size or rows < _MIN_STUCK_RATIO * other:
+    if not (moved > 0).any() or rows == y.size or rows < _MIN_STUCK_RATIO * other:
         return []
     text = f"{name} is {y[at[k]]:g} in {rows} rows in sequence while the input changes"
     return [Step(f"{text}, as of a sensor that is stuck: cut these rows out", DOUBT)]
