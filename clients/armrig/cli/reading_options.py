@@ -114,7 +114,7 @@ class DataOptions:
         typed = []
         for name in names or OPTIONS:
             value = getattr(self, name)
-            if value in (None, False):
+            if value is None or value is False:  # not 0.0
                 continue
             text = f"{value:.{_DIGITS}g}" if isinstance(value, float) else quote(str(value))
             flag = _FLAGS.get(name, f"--{name.replace('_', '-')}")
