@@ -100,11 +100,7 @@ def _runs(x: Vector) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _rails(y: Vector) -> tuple[Mask, str]:
-    """Return the samples on a rail, and the values of the rails as text.
-
-    A rail is the largest or smallest value, if y keeps it for several samples, and has the values
-    next to it only on its way. If y settles at a level instead, its last steps are small.
-    """
+    """Return the samples on a rail, which y keeps but does not settle at, and the rails as text."""
     found, values = np.zeros(y.size, np.bool_), []
     known = y[np.isfinite(y)]
     steps = np.abs(np.diff(known))
@@ -128,11 +124,7 @@ def _rails(y: Vector) -> tuple[Mask, str]:
 
 
 def _modulus_of(known: Vector) -> tuple[float, bool] | None:
-    """Return the range of a counter or an angle that wraps, and whether it is a usual one.
-
-    The range is a usual one, such as 65536 or 360, if it agrees with the jumps and their neighbours
-    within their scatter. Otherwise it is an estimate. The result is None if y does not wrap.
-    """
+    """Return the range of a counter that wraps, or None, and whether the range is a usual one."""
     d = np.diff(known)
     if d.size < _MIN_STEPS:
         return None
@@ -158,13 +150,7 @@ def _modulus_of(known: Vector) -> tuple[float, bool] | None:
 
 
 def _turns(known: Vector, modulus: float) -> Vector:
-    """Return how often a counter has wrapped; a step is at most half of its range.
-
-    Raises
-    ------
-    FileError
-        The modulus is not a positive number, or many steps are longer than half of it.
-    """
+    """Return how often a counter has wrapped; a step is at most half of its range."""
     if not (np.isfinite(modulus) and modulus > 0):
         raise FileError(f"--unwrap {modulus:g}: must be the positive range of the counter")
     d = np.diff(known)

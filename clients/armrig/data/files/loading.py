@@ -321,10 +321,7 @@ def _matrix(table: Table, name: str) -> list[int]:
 
 
 def _names(columns: Sequence[Column], letter: str, others: Sequence[Column]) -> list[str]:
-    """Return a name for each column, such as u1 for `u:1` and for a first input without a name.
-
-    The name of a field is its last part if no other column has the same last part.
-    """
+    """Return a name for each column: the last part of a field, u1 for `u:1`, or u1 for no name."""
     lasts = [column.name.rpartition(".")[2] for column in (*columns, *others)]
     names = [
         column.name if last and lasts.count(last) > 1 else last.replace(":", "")
@@ -334,16 +331,12 @@ def _names(columns: Sequence[Column], letter: str, others: Sequence[Column]) -> 
 
 
 def _hold(u: Array, put_in: Mask, names: Sequence[str], how: Reading) -> list[str]:
-    """Hold inputs where they are missing, and return history steps.
-
-    Without `hold_input`, an input is held only in a few rows that the file leaves out, if it is the
-    same on both sides. A file without most of the inputs is refused, because the data without these
-    rows would be distorted.
-    """
+    """Hold missing inputs, everywhere or in short gaps of the file; return history steps."""
     unknown = np.isnan(u) & ~put_in[:, np.newaxis]
     for x, missing, name in zip(u.T, unknown.T, names, strict=True):
         rows = x.size - np.count_nonzero(put_in)
         known = int(rows - np.count_nonzero(missing))
+        # Without most of the rows the data would be distorted.
         if not how.hold_input and known < _MIN_KNOWN_INPUTS * rows:
             raise FileError(
                 f"{shown(name)} has a value in {known} of {rows} rows; if it is written only where "

@@ -80,11 +80,7 @@ def read_mcap(data: bytes, topic: str | None) -> Table:
 
 
 def _joined(series: Mapping[str, _Series]) -> dict[str, Vector]:
-    """Return the times of the last topic, from 0 on, and the values of all topics at these times.
-
-    With several topics, each name begins with the topic. The name of a field t or time also begins
-    with it, because the column of the log times is recognised by its name.
-    """
+    """Return the times of the last topic, from 0 on, and the values of all topics at them."""
     *_, (last, _) = series.values()
     times_ns = np.sort(np.array(last, dtype=np.uint64))
     found: dict[str, Vector] = {"time": (times_ns - times_ns[0]) / 1e9}
@@ -96,6 +92,7 @@ def _joined(series: Mapping[str, _Series]) -> dict[str, Vector]:
             at = np.arange(1, times_ns.size + 1)  # messages with the same log time stay apart
         for name, column in columns.items():
             values = np.append(column, [nan] * (len(times) - len(column)))[order]
+            # The column of the log times is recognised by its name.
             is_ambiguous = len(series) > 1 or name.casefold() in ("t", "time")
             found[f"{topic}.{name}" if is_ambiguous else name] = np.append(nan, values)[at]
     return found
@@ -127,10 +124,7 @@ def _listed(data: bytes) -> str:
 def _messages(
     data: bytes, wanted: Collection[str] | None, notes: list[str]
 ) -> Iterator[tuple[str, int, Callable[[], dict[str, float]]]]:
-    """Yield topic, log time in ns, and a function that returns the numeric fields, of messages.
-
-    None selects the messages of all topics. A damage ends the iteration, and adds a note.
-    """
+    """Yield topic, log time in ns, and a function that returns the numeric fields, of messages."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     decoders: _Decoders = {}

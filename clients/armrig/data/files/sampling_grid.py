@@ -212,10 +212,7 @@ def _steps(d: Vector, Ts: float, tolerance: float) -> tuple[NDArray[np.int64], M
 
 
 def _coarse(times: Times) -> Grid | None:
-    """Return the grid of evenly sampled rows whose times have few digits; None if they are not.
-
-    An example is ten rows in each second with times in whole seconds.
-    """
+    """Return the grid of even rows whose times have few digits, such as ten rows in each second."""
     t, k = times.t, np.arange(times.t.size)
     d, usual = np.diff(t), _usual(t)
     if d.size < _MIN_COARSE or np.any(d < 0) or times.resolution <= _MAX_SHIFT * usual:

@@ -214,16 +214,14 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str]) -> tuple[Vector, floa
 
 
 def _month_first(cells: Sequence[str]) -> bool:
-    """Return whether dates are written as 3/31/2024, not as 31.3.2024.
-
-    If both orders are possible, the times lie closer together in the right one.
-    """
+    """Return whether dates are written as 3/31/2024, not as 31.3.2024."""
     if not _DATE.match(cells[0].strip()):
         return False
     parts = [part for cell in cells if (part := _DATE.match(cell.strip()))]
     firsts, seconds = ([int(part[m]) for part in parts] for m in "ab")
     if max(firsts) > 12 or max(seconds) > 12:
         return max(firsts) <= 12
+    # The times lie closer together in the right order.
     american, other = (
         max(np.abs(np.diff(31 * np.array(months) + days)), default=0)
         for months, days in ((firsts, seconds), (seconds, firsts))
