@@ -45,14 +45,13 @@ _HOURS_AND_MINUTES = re.compile(r"\d{1,3}:\d\d")
 _MATLAB = ("%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M:%S.%f")
 _BEGIN = (datetime(2000, 1, 1), datetime(2000, 1, 1, tzinfo=UTC))  # of dates as numbers
 _TICKS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
-_EXCEL = "days (Excel's dates); give --Ts if they are in s"
 _TIMER_BITS = (16, 32)  # Arduino's micros() begins again after 71 min
 _BY_SIZE = (
-    *((_EPOCH_S[0] / s, _EPOCH_S[1] / s, np.inf, s, f"{name} since 1970") for s, name in _TICKS),
-    (7e5, 8e5, 0.5, _DAY_S, "days (MATLAB's datenum)"),  # 1916 to 2190
-    (3.6e4, 5.5e4, 0.05, _DAY_S, _EXCEL),  # 1998 to 2050
+    *((_EPOCH_S[0] / s, _EPOCH_S[1] / s, np.inf, s, f"{x} since 1970", False) for s, x in _TICKS),
+    (7e5, 8e5, 0.5, _DAY_S, "days (MATLAB's datenum)", False),  # 1916 to 2190
+    (3.6e4, 5.5e4, 0.05, _DAY_S, "days (Excel's dates); give --Ts if they are in s", True),
 )
-"""Range of the times, their largest usual interval, the unit in s, and its name."""
+"""Range of the times, largest usual interval, unit in s, its name, and whether it is doubtful."""
 _MAX_NAME = 80  # characters in which a unit is looked for
 _SPAN_S = (1e-9, 1e11)
 _HOUR_S = 3600.0
@@ -134,10 +133,10 @@ def _of_numbers(table: Table, i: int, named: str) -> tuple[Vector, float, list[s
     middle = float(np.median(t)) if t.size else 0.0
     usual = float(np.median(np.diff(t))) if t.size > 1 else 0.0
     if unit is None:
-        for least, most, largest, size, name in _BY_SIZE:
+        for least, most, largest, size, name, is_doubtful in _BY_SIZE:
             if least <= middle < most and usual < largest:
                 unit, text = size, f"read {named} as {name}"
-                notes.append(Step(text, DOUBT) if name is _EXCEL else text)
+                notes.append(Step(text, DOUBT) if is_doubtful else text)
                 break
         else:
             unit = 1.0
