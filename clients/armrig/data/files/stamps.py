@@ -13,7 +13,7 @@ from armrig_core.errors import FileError
 
 from armrig.data.files.decimal_marks import number
 from armrig.data.files.table import Column, Table, Vector, shown
-from armrig.data.step import DOUBT, Step
+from armrig.data.step import DOUBT, Step, codes_of
 
 _UNITS = {
     1.0: "s sec secs second seconds",
@@ -47,11 +47,17 @@ _BEGIN = (datetime(2000, 1, 1), datetime(2000, 1, 1, tzinfo=UTC))  # of dates as
 _TICKS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 _TIMER_BITS = (16, 32)  # Arduino's micros() begins again after 71 min
 _BY_SIZE = (
-    *((_EPOCH_S[0] / s, _EPOCH_S[1] / s, np.inf, s, f"{x} since 1970", False) for s, x in _TICKS),
-    (7e5, 8e5, 0.5, _DAY_S, "days (MATLAB's datenum)", False),  # 1916 to 2190
-    (3.6e4, 5.5e4, 0.05, _DAY_S, "days (Excel's dates); give --Ts if they are in s", True),
+    *((_EPOCH_S[0] / unit, _EPOCH_S[1] / unit, np.inf, unit) for unit, _ in _TICKS),
+    (7e5, 8e5, 0.5, _DAY_S),  # MATLAB's days since year 0, from 1916 to 2190
+    (3.6e4, 5.5e4, 0.05, _DAY_S),  # Excel's days since 1900, from 1998 to 2050
 )
-"""Range of the times, largest usual interval, unit in s, its name, and whether it is doubtful."""
+"""Range of the times, their largest usual interval, and the unit in s."""
+_NAMES = (
+    *(f"{name} since 1970" for _, name in _TICKS),
+    "days (MATLAB's datenum)",
+    Step("days (Excel's dates); give --Ts if they are in s", DOUBT),
+)
+"""Names of these units."""
 _MAX_NAME = 80  # characters in which a unit is looked for
 _SPAN_S = (1e-9, 1e11)
 _HOUR_S = 3600.0
@@ -133,10 +139,10 @@ def _of_numbers(table: Table, i: int, named: str) -> tuple[Vector, float, list[s
     middle = float(np.median(t)) if t.size else 0.0
     usual = float(np.median(np.diff(t))) if t.size > 1 else 0.0
     if unit is None:
-        for least, most, largest, size, name, is_doubtful in _BY_SIZE:
+        for name, (least, most, largest, size) in zip(_NAMES, _BY_SIZE, strict=True):
             if least <= middle < most and usual < largest:
-                unit, text = size, f"read {named} as {name}"
-                notes.append(Step(text, DOUBT) if is_doubtful else text)
+                unit = size
+                notes.append(Step(f"read {named} as {name}", *codes_of([name])))
                 break
         else:
             unit = 1.0
