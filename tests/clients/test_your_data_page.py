@@ -75,6 +75,8 @@ _SUMMER = [f"2024-03-31T0{1 + 2 * (k > 59)}:{k % 60:02}:00,{u},1.{k}" for k, u i
 _RAILS = [f"{0.1 * k:.1f},{u},{min(1023, round(65 * y))}" for k, u, y in _SAMPLES]
 _TURNS = [f"{0.1 * k:.1f},{u},{3000 * sum(_U[:k]) % 65536}" for k, u in enumerate(_U)]
 _LEVEL = [f"{0.1 * k:.1f},{u},{50 + y:.2f}" for k, u, y in _SAMPLES]
+_CLOCK = [f"{9 + k // 3600:02}{k // 60 % 60:02}{k % 60:02},{u},{y:.2f}" for k, u, y in _SAMPLES]
+_STUCK = [f"{0.1 * k:.1f},{u},{2.2 if 30 <= k < 110 else y:.2f}" for k, u, y in _SAMPLES]
 _WRONG = [*_rows()[:60], "6.00,1,99.00", "6.10,1,77.00", *_rows()[62:]]
 
 _CASES: dict[str, tuple[str | bytes, list[str], list[str] | None]] = {
@@ -105,6 +107,7 @@ _CASES: dict[str, tuple[str | bytes, list[str], list[str] | None]] = {
         [*_NAMED[2:], "--hold-input"],
     ),
     "is not a time": (_text([f"no {row}" for row in _rows()]), _NAMED, [*_NAMED, "--Ts", "0.01"]),
+    "as digits of a clock": (_text(_CLOCK), _NAMED, [*_NAMED, "--Ts", "1"]),
     "… intervals are not the usual …": (_text(_UNEVEN), _NAMED, [*_NAMED, "--resample"]),
     "version 7.3": (b"MATLAB 7.3 MAT-file", [], None),
     "only MATLAB reads": (b"MATLAB 7.3 MAT-file", [], None),
@@ -120,6 +123,7 @@ _CASES: dict[str, tuple[str | bytes, list[str], list[str] | None]] = {
     "jumps by 65536": (_text(_TURNS), _NAMED, [*_NAMED, "--unwrap", "65536"]),
     "is not 0 at u = 0": (_text(_LEVEL), _NAMED, [*_NAMED, "--detrend"]),
     "is taken as …": (_text(_rows()), _NAMED, None),
+    "in sequence": (_text(_STUCK), _NAMED, None),
     "look wrong": (_text(_WRONG), _NAMED, [*_NAMED, "--hampel"]),
 }
 """File, options with which armrig prints the message, and options of the remedy, by message."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,39 +60,17 @@ def far_from_zero(every: Sequence[Vector]) -> bool:
     return any(abs(x.mean()) > 2 * x.std() for x in every)
 
 
-def tell_of_columns(file: Path, data: Dataset, columns: Mapping[str, str]) -> None:
-    """Print the columns that were read from a file of data."""
-    from armrig.data.treatment import INTEGRATING_OUTPUTS
-
-    parts = [f"{data.N} samples, {data.Ts:g} s apart"]
-    parts += [f"the {what} is column {name}" for what, name in columns.items()]
-    parts += [f"{data.missing} samples without {data.output}"] if data.missing else []
-    _tell_of_reading(file, parts, data.history)
-    if data.output in INTEGRATING_OUTPUTS:
-        tell(
-            f"{data.output} is assumed to be the rig's angle, which integrates its input; if "
-            "it is another signal, rename the column"
-        )
-
-
-def tell_of_signals(file: Path, signals: Signals) -> None:
-    """Print the channels that were read from a file of data."""
-    parts = [
-        f"{signals.N} samples, {signals.equidistant():g} s apart",
-        f"outputs {', '.join(signals.outputs)}",
-        f"inputs {', '.join(signals.inputs)}",
-        *([f"{signals.missing} values are missing"] if signals.missing else []),
-    ]
-    _tell_of_reading(file, parts, signals.history)
-
-
-def _tell_of_reading(file: Path, parts: Sequence[str], history: Sequence[str]) -> None:
+def tell_of_reading(
+    file: Path, data: Dataset | Signals, columns: Sequence[str], missing: str
+) -> None:
     """Print first the doubts about the reading of a file, then its other facts."""
     from armrig.data.step import DOUBT, codes_of
 
-    steps = list(zip(history, codes_of(history), strict=True))
+    steps = list(zip(data.history, codes_of(data.history), strict=True))
     for text, code in steps:
         if code == DOUBT:
             tell(f"{file}: {text}")
     facts = [text for text, code in steps if code != DOUBT]
+    parts = [f"{data.N} samples, {data.Ts:g} s apart", *columns]
+    parts += [f"{data.missing} {missing}"] if data.missing else []
     inform(f"{file}: {'; '.join([*parts, *facts])}", dim=True)

@@ -13,14 +13,11 @@ from armrig.cli.chosen_recording import File, OtherFile
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
-    CalibrationFile,
-    From,
     Json,
     Na,
     Nb,
     Nf,
     Nk,
-    To,
     Verbose,
     echo,
     fields_of,
@@ -33,8 +30,7 @@ from armrig.cli.parameters import Given, physics_beside
 from armrig.cli.recorded_data import (
     SignalChoice,
     dataset_of,
-    loaded,
-    options_of,
+    reads_part,
     spectral_beside,
     warn_of_estimation_data,
 )
@@ -72,7 +68,9 @@ Horizon = Annotated[
 ]
 
 
+@reads_part
 def compare(
+    *,
     file: File,
     other: OtherFile = None,
     na: Na = 4,
@@ -82,9 +80,7 @@ def compare(
     model: Models = None,
     horizon: Horizon = None,
     given: Given = None,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
+    part: SignalChoice,
     plot: Plot = None,
     json: Json = False,
     verbose: Verbose = False,
@@ -110,10 +106,9 @@ def compare(
                 f"{model[0] if model else file}: models of several signals are compared with each "
                 "other only, on one recording F"
             )
-        signals = SignalChoice(signal=None, calibration=calibration, start=start, stop=stop)
-        compare_several(several, file, signals, horizon, plot=plot, json=json)
+        compare_several(several, file, part, horizon, plot=plot, json=json)
         return
-    recordings = loaded(files, calibration, start, stop)
+    recordings = part.recordings(*files)
     if other is None:
         data = dataset_of(recordings[0], saved[0][1])
         compared = _Compared(models=saved, data=data, where=typed(file))
@@ -134,8 +129,7 @@ def compare(
         print_comparison(table, f"on {compared.where}", verbose=verbose)
         for text in emulation(recordings):
             say(text, dim=True)
-        options = options_of(compared.data, calibration, start, stop)
-        say_next("compare", file=typed(file), given=options)
+        say_next("compare", file=typed(file), given=part.options(compared.data))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

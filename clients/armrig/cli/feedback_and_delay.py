@@ -14,18 +14,8 @@ from armrig.cli.chosen_recording import DataFile
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import chassis, kind_of, say_next, typed
 from armrig.cli.options import (
-    Assume,
-    CalibrationFile,
-    DataTs,
-    Detrend,
-    From,
-    Hampel,
-    Input,
     Json,
     NoOutput,
-    Signal,
-    TimeColumn,
-    To,
     Verbose,
     fields_of,
     inform,
@@ -33,8 +23,7 @@ from armrig.cli.options import (
     say,
     say_answer,
 )
-from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
-from armrig.cli.recorded_data import SignalChoice, from_recording, source_facts
+from armrig.cli.recorded_data import SignalChoice, from_recording, reads_data, source_facts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,24 +39,14 @@ _CHASSIS = (
 )
 
 
-@reads_tables
+@reads_data()
 def check(
     file: DataFile,
-    input: Input = None,
-    signal: Signal = None,
-    time: TimeColumn = None,
-    Ts: DataTs = None,
-    reading: ReadingOptions = AS_IT_STANDS,
-    detrend: Detrend = False,
-    hampel: Hampel = False,
-    assume: Assume = None,
+    signals: SignalChoice,
     output: NoOutput = None,
     level: Annotated[
         float, typer.Option("--level", help="Significance level of the test for feedback.")
     ] = 0.05,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
     json: Json = False,
     verbose: Verbose = False,
     plot: Plot = None,
@@ -79,19 +58,6 @@ def check(
 
     check_plot(plot, [file])
     require_level(level)
-    signals = SignalChoice(
-        signal=signal,
-        input=input,
-        time=time,
-        Ts=Ts,
-        reading=reading,
-        detrend=detrend,
-        hampel=hampel,
-        assume=assume,
-        calibration=calibration,
-        start=start,
-        stop=stop,
-    )
     data = signals.of(file)
     integrates, taken = signals.choice(data)
     integrator = signals.integrator if json else integrates  # the remarks then contain the reason

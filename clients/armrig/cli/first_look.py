@@ -12,16 +12,7 @@ from armrig.cli.chosen_recording import DataFile, File
 from armrig.cli.figures import FIGURE_HELP, Plot, check_plot, figure_path, write_plot
 from armrig.cli.next_step import AFTER, kind_of, say_next, step_again, typed, validation_beside
 from armrig.cli.options import (
-    Assume,
-    CalibrationFile,
-    DataTs,
-    Detrend,
-    From,
-    Input,
     Json,
-    Signal,
-    TimeColumn,
-    To,
     Verbose,
     fields_of,
     print_json,
@@ -30,8 +21,13 @@ from armrig.cli.options import (
     say_answer,
     say_more,
 )
-from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
-from armrig.cli.recorded_data import SignalChoice, from_recording, loaded, source_facts
+from armrig.cli.recorded_data import (
+    SignalChoice,
+    from_recording,
+    reads_data,
+    reads_part,
+    source_facts,
+)
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -45,11 +41,10 @@ Drawing = Annotated[
 ]
 
 
+@reads_part
 def plot(
     file: File,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
+    part: SignalChoice,
     figure: Drawing = Path("plot.png"),
     json: Json = False,
 ) -> None:
@@ -62,7 +57,7 @@ def plot(
     from armrig.recordings.overview import overview
 
     check_plot(figure, [file])
-    [recording] = loaded([file], calibration, start, stop)
+    [recording] = part.recordings(file)
     with spinner("looking for outliers and drift"):
         found = overview(recording)
     [written] = write_plot(figure, signals=lambda ax: found.plot(ax=ax), height=7.0)
@@ -74,19 +69,10 @@ def plot(
     say_next(after if after in AFTER else "plot", file=typed(file))
 
 
-@reads_tables
+@reads_data("hampel")
 def sampling(
     file: DataFile,
-    input: Input = None,
-    signal: Signal = None,
-    time: TimeColumn = None,
-    Ts: DataTs = None,
-    reading: ReadingOptions = AS_IT_STANDS,
-    detrend: Detrend = False,
-    assume: Assume = None,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
+    signals: SignalChoice,
     plot: Plot = None,
     json: Json = False,
     verbose: Verbose = False,
@@ -100,18 +86,6 @@ def sampling(
     from armrig.estimation.nonparametric.sampling_time import sampling_time
 
     check_plot(plot, [file])
-    signals = SignalChoice(
-        signal=signal,
-        input=input,
-        time=time,
-        Ts=Ts,
-        reading=reading,
-        detrend=detrend,
-        assume=assume,
-        calibration=calibration,
-        start=start,
-        stop=stop,
-    )
     data = signals.of(file)
     integrates, taken = signals.choice(data)
     integrator = signals.integrator if json else integrates  # the notes then contain the reason
@@ -172,19 +146,10 @@ def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
     return {"step": {name: getattr(steps, name) for name in names}}
 
 
-@reads_tables
+@reads_data("hampel")
 def hints(
     file: DataFile,
-    input: Input = None,
-    signal: Signal = None,
-    time: TimeColumn = None,
-    Ts: DataTs = None,
-    reading: ReadingOptions = AS_IT_STANDS,
-    detrend: Detrend = False,
-    assume: Assume = None,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
+    signals: SignalChoice,
     plot: Plot = None,
     json: Json = False,
 ) -> None:
@@ -198,18 +163,6 @@ def hints(
     from armrig.validation.structure_hints import structure_hints
 
     check_plot(plot, [file])
-    signals = SignalChoice(
-        signal=signal,
-        input=input,
-        time=time,
-        Ts=Ts,
-        reading=reading,
-        detrend=detrend,
-        assume=assume,
-        calibration=calibration,
-        start=start,
-        stop=stop,
-    )
     data = signals.of(file)
     with spinner("estimating without a structure"):
         found = structure_hints(data, integrator=signals.integrator)

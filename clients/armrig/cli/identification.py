@@ -22,28 +22,18 @@ from armrig.cli.model_structures import (
 )
 from armrig.cli.next_step import say_next, typed, validation_beside
 from armrig.cli.options import (
-    Assume,
-    CalibrationFile,
-    DataTs,
-    Detrend,
-    From,
-    Hampel,
-    Inputs,
     Json,
     NoOutput,
-    Signals,
-    TimeColumn,
-    To,
     Verbose,
     print_json,
     say,
     say_answer,
     tell,
 )
-from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import (
     SignalChoice,
     from_recording,
+    reads_data,
     source_facts,
     warn_of_estimation_data,
 )
@@ -94,27 +84,18 @@ Save = Annotated[Path | None, typer.Option("--save", metavar="JSON", help="Model
 
 
 @estimation_options(without_nk="1; estimated with --search of one input and one output")
-@reads_tables
+@reads_data(several=True)
 def identify(
     file: DataFile,
+    *,
     given: Given,
     search: Search = False,
     most: MaxOrder = 5,
     jobs: Jobs = 1,
     validate: ValidationFile = None,
-    input: Inputs = None,
-    signal: Signals = None,
-    time: TimeColumn = None,
-    Ts: DataTs = None,
-    reading: ReadingOptions = AS_IT_STANDS,
+    signals: SignalChoice,
     shared: Shared = False,
-    detrend: Detrend = False,
-    hampel: Hampel = False,
-    assume: Assume = None,
     output: NoOutput = None,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
     save: Save = None,
     plot: Plot = None,
     json: Json = False,
@@ -131,21 +112,9 @@ def identify(
     zeros with 95 % regions. With --search, the figure also shows the errors of the models. With
     several signals, it shows the simulated outputs, and a Bode diagram for each pair.
     """
-    signals = SignalChoice(
-        signal=signal,
-        input=input,
-        time=time,
-        Ts=Ts,
-        reading=reading,
-        detrend=detrend,
-        offset=given["offset"] if given["structure"] in (None, *users("offset")) else None,
-        hampel=hampel,
-        assume=assume,
-        calibration=calibration,
-        start=start,
-        stop=stop,
-    )
-    if assume == "settling" and given["integrator"]:
+    if given["structure"] in (None, *users("offset")):
+        signals = replace(signals, offset=given["offset"])
+    if signals.assume == "settling" and given["integrator"]:
         raise typer.BadParameter("--assume settling contradicts --integrator: leave one out")
     if signals.several or shared:
         _identify_several(
@@ -176,7 +145,7 @@ def identify(
         _warn_of_integrator(data)
     taken: list[str] = []
     integrator = signals.integrator
-    if (assume or isinstance(wanted, _Search)) and not (given["integrator"] or json):
+    if (signals.assume or isinstance(wanted, _Search)) and not (given["integrator"] or json):
         integrator, taken = signals.choice(data)
     found = _found(wanted, data, other, integrator)
     if json:

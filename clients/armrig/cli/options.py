@@ -6,15 +6,14 @@ import os
 import sys
 import textwrap
 from contextlib import suppress
+from math import isnan
 from pathlib import Path
-from typing import Annotated, Any, Literal, TextIO
+from typing import Annotated, Any, TextIO
 
 import typer
 from armrig_core.errors import OperationError
 from armrig_core.journal import log_prefix
 from armrig_core.printable import brief, json_printable, printable
-
-from armrig.data.finding import OWN_DATA
 
 RigId = Annotated[str, typer.Option("--rig", help="Id of the rig.")]
 Connect = Annotated[
@@ -36,10 +35,19 @@ CalibrationFile = Annotated[
         help="Calibration to use in place of the calibration attached to a recording.",
     ),
 ]
+
+
+def _not_nan(seconds: float | None) -> float | None:
+    if seconds is not None and isnan(seconds):
+        raise typer.BadParameter("nan is not a time; give a number of seconds")
+    return seconds
+
+
 From = Annotated[
     float | None,
     typer.Option(
         "--from",
+        callback=_not_nan,
         metavar="S",
         help="Start of the samples to use, in s from the first sample of the file.",
         show_default="its start",
@@ -49,79 +57,15 @@ To = Annotated[
     float | None,
     typer.Option(
         "--to",
+        callback=_not_nan,
         metavar="S",
         help="End of the samples to use, in s from the first sample of the file; a sample at this "
         "time is left out.",
         show_default="its end",
     ),
 ]
-Signal = Annotated[
-    str | None,
-    typer.Option(
-        "--signal",
-        metavar="NAME",
-        help="Output: theta_1, alpha or velocity; in other data, the column's name, or its "
-        "number from 1.",
-        show_default="theta_1; y of other data",
-    ),
-]
-Signals = Annotated[
-    str | None,
-    typer.Option(
-        "--signal",
-        metavar="NAMES",
-        help="Output: theta_1, alpha or velocity; in other data, the column's name, or its "
-        "number from 1. Several outputs have commas between their names.",
-        show_default="theta_1; y of other data",
-    ),
-]
-Input = Annotated[
-    str | None,
-    typer.Option(
-        "--input",
-        metavar="NAME",
-        help="Column of the input in other data: its name, or its number from 1.",
-        show_default="u",
-    ),
-]
-Inputs = Annotated[
-    str | None,
-    typer.Option(
-        "--input",
-        metavar="NAMES",
-        help="Column of the input in other data: its name, or its number from 1. Several inputs "
-        "have commas between their names.",
-        show_default="u",
-    ),
-]
-TimeColumn = Annotated[
-    str | None,
-    typer.Option(
-        "--time",
-        metavar="NAME",
-        help="Column of the times in other data.",
-        show_default="t or time, if there is one",
-    ),
-]
-DataTs = Annotated[
-    float | None,
-    typer.Option("--Ts", help="Sampling time of other data, in s.", show_default="by the times"),
-]
-
-Assumption = Literal["integrating", "settling"]
-Assume = Annotated[
-    Assumption | None,
-    typer.Option(
-        "--assume",
-        help="Take the output as the integral of its rate, or as an output that settles.",
-        show_default="a test of the data decides",
-    ),
-]
 Detrend = Annotated[
     bool, typer.Option("--detrend", help="Subtract the mean of each signal of each file.")
-]
-Hampel = Annotated[
-    bool, typer.Option("--hampel", help="Mark single outliers of the output as missing.")
 ]
 
 
@@ -141,8 +85,6 @@ Nk = Annotated[int, typer.Option("--nk", help="Delay from u to y, in samples.")]
 
 _ANSWER_WIDTH = 16  # characters for the default and the answer after a question
 _NO_BREAK_SPACE = "\u00a0"
-
-SAME_DATA = OWN_DATA
 
 
 def tell(message: str) -> None:

@@ -14,11 +14,8 @@ from armrig.cli.comparison import print_comparison, row_facts
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
-    CalibrationFile,
-    From,
     Json,
     NoOutput,
-    To,
     Verbose,
     echo,
     fields_of,
@@ -28,7 +25,7 @@ from armrig.cli.options import (
     say_more,
 )
 from armrig.cli.parameters import PARAMETERS, Given, cases, parameters, physics_beside
-from armrig.cli.recorded_data import loaded, options_of
+from armrig.cli.recorded_data import SignalChoice, reads_part
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
@@ -79,7 +76,9 @@ Friction = Annotated[
 ]
 
 
+@reads_part
 def greybox(
+    *,
     file: File,
     model: Rig = None,
     free: Free = None,
@@ -87,9 +86,7 @@ def greybox(
     given: Given = None,
     signal: GreySignals = THETA_1,
     output: NoOutput = None,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
+    part: SignalChoice,
     json: Json = False,
     verbose: Verbose = False,
     plot: Plot = None,
@@ -104,7 +101,7 @@ def greybox(
 
     check_plot(plot, [file])
     fixed = parameters(given)
-    [recording] = loaded([file], calibration, start, stop)
+    [recording] = part.recordings(file)
     model = _rig(recording, model)
     shown: ChannelName = THETA_1 if signal == "theta_1,alpha" else signal
     data = recording.dataset(shown)
@@ -125,8 +122,7 @@ def greybox(
         say(repr(fit).partition("\n")[0])
     for text in emulation([recording]):
         say(text, dim=True)
-    given_options = options_of(data, calibration, start, stop)
-    say_next("greybox", file=typed(file), given=given_options)
+    say_next("greybox", file=typed(file), given=part.options(data))
 
 
 def _grey_facts(fit: GreyFit) -> dict[str, Any]:
@@ -152,7 +148,9 @@ def _grey_facts(fit: GreyFit) -> dict[str, Any]:
     }
 
 
+@reads_part
 def split(
+    *,
     file: File,
     parts: Annotated[
         str,
@@ -165,9 +163,7 @@ def split(
     given: Given = None,
     signal: GreySignal = THETA_1,
     output: NoOutput = None,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
+    part: SignalChoice,
     json: Json = False,
     verbose: Verbose = False,
     plot: Plot = None,
@@ -183,7 +179,7 @@ def split(
 
     check_plot(plot, [file])
     cuts, fixed = _cuts(parts), parameters(given)
-    [recording] = loaded([file], calibration, start, stop)
+    [recording] = part.recordings(file)
     model = _rig(recording, model)
     data = recording.dataset(signal)
     rig = _model(model)
@@ -219,7 +215,9 @@ def _split_facts(study: SplitStudy) -> dict[str, Any]:
     return {"parameter": study.parameter, "splits": splits, "exponent": study.exponent}
 
 
+@reads_part
 def simulate(
+    *,
     file: Annotated[
         Path | None,
         typer.Argument(
@@ -233,9 +231,7 @@ def simulate(
         ),
     ] = None,
     given: Given = None,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
+    part: SignalChoice,
     json: Json = False,
     plot: Plot = None,
     verbose: Verbose = False,
@@ -248,9 +244,8 @@ def simulate(
     physics = physics_beside(given)
     check_plot(plot, [f for f in (file, *(model or ())) if f is not None])
     if file is None:
-        given_for_file: dict[str, Any] = {"--model": model, "--calibration": calibration}
-        given_for_file |= {"--from": start, "--to": stop}
-        for option in (name for name, value in given_for_file.items() if value not in (None, [])):
+        for given_option in ["--model"] * bool(model) + part.given():
+            option = given_option.partition(" ")[0]
             raise typer.BadParameter(
                 f"{option} needs a recording F: armrig simulate F simulates the response to its "
                 "input"
@@ -264,7 +259,7 @@ def simulate(
     from armrig.validation.comparison import compare
     from armrig.validation.figures import plot_compare
 
-    data = loaded([file], calibration, start, stop)[0].dataset()
+    data = part.recordings(file)[0].dataset()
     saved = map(load_fit, model or ())
     fits: list[Model] = [fit if isinstance(fit, Fit) else fit[data.output] for fit in saved]
     fits += [physical_model(p, data) for p in physics.values()]
@@ -279,8 +274,7 @@ def simulate(
         return
     how = f"; {table.note}" if verbose else ""
     print_comparison(table, f"on {typed(file)}{how}", verbose=verbose)
-    options = options_of(data, calibration, start, stop)
-    say_next("simulate F", file=typed(file), given=options)
+    say_next("simulate F", file=typed(file), given=part.options(data))
 
 
 def _step(

@@ -1,21 +1,67 @@
-"""Options of the commands that read tables, and decorators that give options to a command."""
+"""Options that choose the data of a command, and decorators that give options to a command."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, fields
 from functools import wraps
 from shlex import quote
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 import typer
 
+from armrig.cli.options import CalibrationFile, Detrend, From, To
+
+Assumption = Literal["integrating", "settling"]
+READING = ("time", "Ts", "topic", "decimal", "resample", "hold_input", "mask_rails", "unwrap")
+"""Options of reading a table, which are arguments of `load_data`."""
+PART = ("calibration", "start", "stop")
+"""Options of reading a recording."""
+_FLAGS = {"start": "--from", "stop": "--to"}
+_DIGITS = 12  # of a number in a command line
+_SEVERAL = {"input": "inputs", "signal": "outputs"}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReadingOptions:
-    """Options of reading a table; the fields are arguments of `load_data`."""
+class DataOptions:
+    """Options that choose and treat the data of a command."""
 
+    input: Annotated[
+        str | None,
+        typer.Option(
+            "--input",
+            metavar="NAME",
+            help="Column of the input in other data: its name, or its number from 1.",
+            show_default="u",
+        ),
+    ] = None
+    signal: Annotated[
+        str | None,
+        typer.Option(
+            "--signal",
+            metavar="NAME",
+            help="Output: theta_1, alpha or velocity; in other data, the column's name, or its "
+            "number from 1.",
+            show_default="theta_1; y of other data",
+        ),
+    ] = None
+    time: Annotated[
+        str | None,
+        typer.Option(
+            "--time",
+            metavar="NAME",
+            help="Column of the times in other data.",
+            show_default="t or time, if there is one",
+        ),
+    ] = None
+    Ts: Annotated[
+        float | None,
+        typer.Option(
+            "--Ts", help="Sampling time of other data, in s.", show_default="by the times"
+        ),
+    ] = None
     topic: Annotated[
         str | None,
         typer.Option(
@@ -47,21 +93,37 @@ class ReadingOptions:
             help="Remove the jumps of a counter or angle that wraps, such as 65536 or 360.",
         ),
     ] = None
+    detrend: Detrend = False
+    hampel: Annotated[
+        bool, typer.Option("--hampel", help="Mark single outliers of the output as missing.")
+    ] = False
+    assume: Annotated[
+        Assumption | None,
+        typer.Option(
+            "--assume",
+            help="Take the output as the integral of its rate, or as an output that settles.",
+            show_default="a test of the data decides",
+        ),
+    ] = None
+    calibration: CalibrationFile = None
+    start: From = None
+    stop: To = None
 
-    def given(self) -> dict[str, str | float]:
-        """Return the values of the options that differ from their defaults; "" for a switch."""
-        values = {f"--{f.name.replace('_', '-')}": getattr(self, f.name) for f in fields(self)}
-        given = {name: value for name, value in values.items() if value not in (None, False)}
-        return {name: "" if value is True else value for name, value in given.items()}
+    def given(self, *names: str) -> list[str]:
+        """Return the options that differ from their defaults, as a user types them."""
+        typed = []
+        for name in names or OPTIONS:
+            value = getattr(self, name)
+            if value is None or value is False:  # not 0.0
+                continue
+            text = f"{value:.{_DIGITS}g}" if isinstance(value, float) else quote(str(value))
+            flag = _FLAGS.get(name, f"--{name.replace('_', '-')}")
+            typed.append(flag if value is True else f"{flag} {text}")
+        return typed
 
-    def typed(self) -> str:
-        """Return the options as a user types them, for the next command; "" for the defaults."""
-        given = self.given().items()
-        return "".join(f" {name} {value and quote(str(value))}".rstrip() for name, value in given)
 
-
-AS_IT_STANDS = ReadingOptions()
-"""The defaults."""
+OPTIONS = tuple(field.name for field in fields(DataOptions))
+"""Names of all options."""
 
 
 def grouped(
@@ -93,18 +155,30 @@ def grouped(
     return decorated
 
 
-_KINDS = get_type_hints(ReadingOptions, include_extras=True)
-reads_tables = grouped(
-    "reading",
-    [
+def data_options(names: Sequence[str], *, several: bool) -> list[inspect.Parameter]:
+    """Return options of `DataOptions` as parameters of a command.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the options.
+    several : bool
+        Whether the command takes several inputs and outputs.
+    """
+    kinds = get_type_hints(DataOptions, include_extras=True)
+    for name, plural in _SEVERAL.items() if several else ():
+        kind, option = get_args(kinds[name])
+        option = copy(option)
+        option.metavar = "NAMES"
+        option.help += f" Several {plural} have commas between their names."
+        kinds[name] = Annotated[kind, option]
+    return [
         inspect.Parameter(
             field.name,
             inspect.Parameter.KEYWORD_ONLY,
             default=field.default,
-            annotation=_KINDS[field.name],
+            annotation=kinds[field.name],
         )
-        for field in fields(ReadingOptions)
-    ],
-    ReadingOptions,
-)
-"""Decorator that replaces the argument `reading` of a command by the options."""
+        for field in fields(DataOptions)
+        if field.name in names
+    ]

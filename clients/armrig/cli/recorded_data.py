@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
@@ -23,12 +22,19 @@ from armrig.cli.channels import (
 from armrig.cli.column_notes import (
     check_varies,
     hint_at_means,
-    tell_of_columns,
-    tell_of_signals,
+    tell_of_reading,
 )
 from armrig.cli.figures import name_runs
-from armrig.cli.options import Assumption, inform, tell, warned
-from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions
+from armrig.cli.options import inform, tell, warned
+from armrig.cli.reading_options import (
+    OPTIONS,
+    PART,
+    READING,
+    Assumption,
+    DataOptions,
+    data_options,
+    grouped,
+)
 from armrig.data.files.suffixes import OTHER_DATA
 
 if TYPE_CHECKING:
@@ -72,33 +78,11 @@ def loaded(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SignalChoice:
+class SignalChoice(DataOptions):
     """Signals to read from files: recordings, or other data."""
 
-    signal: str | None
-    """Output, or outputs with commas; None means theta_1 of a recording, or y of other data."""
-    input: str | None = None
-    """Column of the input in other data, or several columns with commas; None means u."""
-    time: str | None = None
-    """Column of the times in other data."""
-    Ts: float | None = None
-    """Sampling time of other data, in s."""
-    reading: ReadingOptions = AS_IT_STANDS
-    """Options of reading other data."""
-    detrend: bool = False
-    """Subtract the mean of each signal of each file."""
     offset: bool | None = None
     """True if a constant level of y is also estimated; None if the command has no such option."""
-    hampel: bool = False
-    """Mark single outliers of the output as missing, before the means are subtracted."""
-    assume: Assumption | None = None
-    """Assumption about the output; None if a test of the data decides."""
-    calibration: Path | None = None
-    """Calibration file for recordings."""
-    start: float | None = None
-    """Start of the samples to use, in s from the first sample."""
-    stop: float | None = None
-    """End of the samples to use, in s from the first sample."""
     read: list[Recording] = field(default_factory=list)
     """Recordings read so far; the first recording is for estimation."""
 
@@ -115,19 +99,7 @@ class SignalChoice:
         signal = self.signal
         if signal is None and data is not None and data.output not in (*_UNNAMED, THETA_1):
             signal = data.output
-        given = {
-            "--input": self.input,
-            "--signal": signal,
-            "--time": self.time,
-            "--Ts": None if self.Ts is None else f"{self.Ts:g}",
-            "--from": None if self.start is None else f"{self.start:g}",
-            "--to": None if self.stop is None else f"{self.stop:g}",
-        }
-        given["--assume"] = self.assume
-        given["--calibration"] = None if self.calibration is None else str(self.calibration)
-        typed = [f" {name} {shlex.quote(value)}" for name, value in given.items() if value]
-        typed.append(self.reading.typed())
-        return "".join(typed) + " --detrend" * self.detrend + " --hampel" * self.hampel
+        return "".join(f" {typed}" for typed in replace(self, signal=signal).given())
 
     @property
     def integrator(self) -> bool | None:
@@ -153,8 +125,6 @@ class SignalChoice:
 
     def of(self, file: Path, model: Model | None = None) -> Dataset:
         """Return the data of a file, and print its defects; the default output is the model's."""
-        from armrig.data.treatment import detrend, hampel
-
         if self.several:
             raise typer.BadParameter(
                 f"{self.options().strip()}: this command takes one output and one input; "
@@ -166,16 +136,10 @@ class SignalChoice:
             check_varies(file, data.output, data.y[data.valid])
         else:
             data = self._recorded(file, model)
-        self._tell_of_means(model)
-        if self.hampel:
-            data = hampel(data)
-            inform(f"{file}: {data.history[-1]}", dim=True)
-        return detrend(data) if self.detrend else data
+        return self._treated(file, data, model)
 
     def signals_of(self, file: Path, model: MultivariableFit | None = None) -> Signals:
         """Return signals of a file, and print its defects; the default signals are the model's."""
-        from armrig.data.treatment import detrend, hampel
-
         outputs, inputs = names("--signal", self.signal), names("--input", self.input)
         if self._is_other(file):
             signals = between(self._table(file, inputs, outputs, model), self.start, self.stop)
@@ -183,11 +147,18 @@ class SignalChoice:
             signals = self.recorded_signals(file, model)
         else:
             signals = self._recording(file).signals(recorded_outputs(outputs or (THETA_1,)))
-        self._tell_of_means(model)
+        return self._treated(file, signals, model)
+
+    def _treated(self, file: Path, data: Data, model: Model | MultivariableFit | None) -> Data:
+        """Return the data after --hampel and --detrend."""
+        from armrig.data.treatment import detrend, hampel
+
+        if _without_means(model) and not self.detrend:
+            tell("the model was estimated from data minus their means: validate it with --detrend")
         if self.hampel:
-            signals = hampel(signals)
-            inform(f"{file}: {signals.history[-1]}", dim=True)
-        return detrend(signals) if self.detrend else signals
+            data = hampel(data)
+            inform(f"{file}: {data.history[-1]}", dim=True)
+        return detrend(data) if self.detrend else data
 
     def recorded_signals(self, file: Path, model: MultivariableFit) -> Signals:
         """Return the signals of a model from a recording."""
@@ -201,17 +172,15 @@ class SignalChoice:
         outputs: Sequence[str],
         model: MultivariableFit | None,
     ) -> Signals:
-        from armrig.cli.spinner import spinner
         from armrig.data.files.loading import load_signals
 
-        self._refuse_calibration(file)
         if model is not None:
             require_as_many(model, outputs, inputs)
             inputs, outputs = inputs or model.inputs, outputs or model.outputs
-        columns = {"inputs": inputs or ("u",), "outputs": outputs or ("y",)}
-        with spinner("reading"):
-            signals = load_signals(file, **self._options(columns))
-        tell_of_signals(file, signals)
+        inputs, outputs = inputs or ("u",), outputs or ("y",)
+        signals = self._read(load_signals, file, inputs=inputs, outputs=outputs)
+        read = [f"outputs {', '.join(signals.outputs)}", f"inputs {', '.join(signals.inputs)}"]
+        tell_of_reading(file, signals, read, "values are missing")
         every = [
             (name, signals.y[signals.valid[:, i], i]) for i, name in enumerate(signals.outputs)
         ]
@@ -221,37 +190,37 @@ class SignalChoice:
             hint_at_means(every, [(name, signals.u[:, j]) for j, name in enumerate(signals.inputs)])
         return signals if model is None else as_modelled(file, signals, model)
 
-    def _options(self, columns: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the arguments of `load_data` or `load_signals`."""
-        return {**columns, "time": self.time, "Ts": self.Ts, **asdict(self.reading)}
+    def _read(self, load: Callable[..., Data], file: Path, **columns: Any) -> Data:
+        """Return the data that `load_data` or `load_signals` reads."""
+        from armrig.cli.spinner import spinner
 
-    def _tell_of_means(self, model: Model | MultivariableFit | None) -> None:
-        if _without_means(model) and not self.detrend:
-            tell("the model was estimated from data minus their means: validate it with --detrend")
-
-    def _refuse_calibration(self, file: Path) -> None:
         if self.calibration is not None:
             raise typer.BadParameter(
                 f"--calibration applies to recordings; {file} has no readings of the rig's sensors"
             )
+        with spinner("reading"):
+            return load(file, **columns, **{name: getattr(self, name) for name in READING})
 
     def _other(self, file: Path, model: Model | None) -> Dataset:
-        self._refuse_calibration(file)
-        from armrig.cli.spinner import spinner
         from armrig.data.files.loading import load_data
+        from armrig.data.treatment import INTEGRATING_OUTPUTS
         from armrig.estimation.data_faults import swapped
 
         columns = {
             "input": self.input or "u",
             "signal": self.signal or (model.output if model else None) or "y",
         }
-        with spinner("reading"):
-            data = load_data(file, **self._options(columns))
+        data = self._read(load_data, file, **columns)
         if model is not None and self.signal is not None and model.output not in _UNNAMED:
-            data = data.replaced(
-                step=None, output=model.output
-            )  # the user named the column, which is thus the model's output
-        tell_of_columns(file, data, columns)
+            # The user named the column, which is thus the model's output.
+            data = data.replaced(step=None, output=model.output)
+        read = [f"the {what} is column {name}" for what, name in columns.items()]
+        tell_of_reading(file, data, read, f"samples without {data.output}")
+        if data.output in INTEGRATING_OUTPUTS:
+            tell(
+                f"{data.output} is assumed to be the rig's angle, which integrates its input; if "
+                "it is another signal, rename the column"
+            )
         for finding in swapped(data):
             tell(f"{file}: {finding.text} (--input, --signal)")
         known = self.detrend or self.offset or _without_means(model) or _with_level(model)
@@ -267,19 +236,23 @@ class SignalChoice:
         """Return True if --topic or the content shows that the file is not a recording."""
         from armrig.recordings.recording_summary import is_recording
 
-        return self.reading.topic is not None or not is_recording(file)
+        return self.topic is not None or not is_recording(file)
 
     def _recording(self, file: Path) -> Recording:
         """Return a recording; refuse options that apply to other data."""
-        given = {"--input": self.input, "--time": self.time, "--Ts": self.Ts}
-        given |= self.reading.given()
-        for name, value in given.items():
-            if value is not None:
-                typed = f"{name} {value}".rstrip()
-                raise typer.BadParameter(f"{typed} applies to {OTHER_DATA}; {file} is a recording")
-        recording = loaded([file], self.calibration, self.start, self.stop)[0]
-        self._tell_of_pair(recording)
+        for typed in self.given("input", *READING):
+            raise typer.BadParameter(f"{typed} applies to {OTHER_DATA}; {file} is a recording")
+        from armrig.recordings.usability import doubts_of_pair
+
+        [recording] = self.recordings(file)
+        for text in doubts_of_pair(self.read[0], recording) if self.read else ():
+            tell(text)
+        self.read.append(recording)
         return recording
+
+    def recordings(self, *files: Path) -> list[Recording]:
+        """Return the chosen part of recordings."""
+        return loaded(files, self.calibration, self.start, self.stop)
 
     def _recorded(self, file: Path, model: Model | None) -> Dataset:
         recording = self._recording(file)
@@ -289,20 +262,18 @@ class SignalChoice:
             return recording.dataset()
         return recording.dataset(recorded_outputs((self.signal,))[0])
 
-    def _tell_of_pair(self, recording: Recording) -> None:
-        from armrig.recordings.usability import doubts_of_pair
 
-        for text in doubts_of_pair(self.read[0], recording) if self.read else ():
-            tell(text)
-        self.read.append(recording)
+def reads_data(
+    *without: str, several: bool = False
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that replaces the argument `signals` of a command by options of data."""
+    names = [name for name in OPTIONS if name not in without]
+    return grouped("signals", data_options(names, several=several), SignalChoice)
 
 
-def options_of(
-    data: Dataset, calibration: Path | None, start: float | None, stop: float | None
-) -> str:
-    """Return the options with which another command reads the same part of a recording."""
-    signals = SignalChoice(signal=None, calibration=calibration, start=start, stop=stop)
-    return signals.options(data)
+def reads_part(command: Callable[..., None]) -> Callable[..., None]:
+    """Replace the argument `part` of a command by --calibration, --from and --to."""
+    return grouped("part", data_options(PART, several=False), SignalChoice)(command)
 
 
 def between(data: Data, start: float | None, stop: float | None) -> Data:

@@ -17,7 +17,6 @@ from armrig.cli.chosen_recording import recording_path
 from armrig.cli.figures import check_output
 from armrig.cli.next_step import REASONS, for_the_report, free_name, opener, say_next
 from armrig.cli.options import (
-    SAME_DATA,
     CalibrationFile,
     Json,
     Na,
@@ -37,6 +36,7 @@ from armrig.cli.parameters import (
     of_changes,
     of_omega,
 )
+from armrig.data.finding import OWN_DATA
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
@@ -279,8 +279,8 @@ def _report_study(
         done = study(recordings, orders=orders, outputs=outputs)
     remarks = []
     if done.validation.digest == done.estimation.digest:
-        tell(SAME_DATA)
-        remarks.append(f"{SAME_DATA[0].upper()}{SAME_DATA[1:]}.")
+        tell(OWN_DATA)
+        remarks.append(f"{OWN_DATA[0].upper()}{OWN_DATA[1:]}.")
     with spinner("typesetting"):
         typeset(done, output, remarks=remarks, source=source)
     return recordings

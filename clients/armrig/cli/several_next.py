@@ -106,9 +106,7 @@ def after_validate(
 ) -> None:
     """Print the next command: a comparison with the physical model, or a test of one channel."""
     if from_recording(data) and THETA_1 in fit.outputs:
-        part = SignalChoice(
-            signal=None, calibration=signals.calibration, start=signals.start, stop=signals.stop
-        )
+        part = SignalChoice(calibration=signals.calibration, start=signals.start, stop=signals.stop)
         say_next("validate several", file=typed(file), model=quote(str(model)), part=part.options())
     else:
         output, input = tests.poorest_pair

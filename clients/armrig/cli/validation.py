@@ -15,26 +15,17 @@ from armrig.cli.chosen_recording import DataFile
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import estimation_of, say_next, typed
 from armrig.cli.options import (
-    CalibrationFile,
-    DataTs,
-    Detrend,
-    From,
-    Hampel,
-    Inputs,
     Json,
     NoOutput,
-    Signals,
-    TimeColumn,
-    To,
     Verbose,
     print_json,
     say,
     say_answer,
 )
-from armrig.cli.reading_options import AS_IT_STANDS, ReadingOptions, reads_tables
 from armrig.cli.recorded_data import (
     SignalChoice,
     from_recording,
+    reads_data,
     spectral_beside,
     warn_of_estimation_data,
 )
@@ -68,23 +59,14 @@ Lags = Annotated[
 _HORIZONS = (1, 10)
 
 
-@reads_tables
+@reads_data("assume", several=True)
 def validate(
     file: DataFile,
     model: ModelFile,
-    input: Inputs = None,
-    signal: Signals = None,
-    time: TimeColumn = None,
-    Ts: DataTs = None,
-    reading: ReadingOptions = AS_IT_STANDS,
-    detrend: Detrend = False,
-    hampel: Hampel = False,
+    signals: SignalChoice,
     output: NoOutput = None,
     horizon: Horizons = None,
     lags: Lags = None,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
     plot: Plot = None,
     json: Json = False,
     verbose: Verbose = False,
@@ -98,18 +80,6 @@ def validate(
 
     check_plot(plot, [file, model])
     fit = load_fit(model)
-    signals = SignalChoice(
-        signal=signal,
-        input=input,
-        time=time,
-        Ts=Ts,
-        reading=reading,
-        detrend=detrend,
-        hampel=hampel,
-        calibration=calibration,
-        start=start,
-        stop=stop,
-    )
     if isinstance(fit, MultivariableFit):
         to = ValidationOutputs(model=model, figure=plot, json=json, verbose=verbose)
         validate_several(fit, file, signals, horizon or _HORIZONS, lags, to)

@@ -17,7 +17,7 @@ from armrig.cli.channels import (
     recorded_outputs,
     require_as_many,
 )
-from armrig.cli.column_notes import check_varies, far_from_zero, hint_at_means, tell_of_signals
+from armrig.cli.column_notes import check_varies, far_from_zero, hint_at_means, tell_of_reading
 from armrig_core.errors import InputError
 
 MODEL: Any = SimpleNamespace(outputs=("y1", "y2"), inputs=("a", "b", "c"))
@@ -138,7 +138,7 @@ def test_the_signals_of_a_table_are_listed_with_what_is_missing(
     y[2, 1] = y[3] = np.nan
     signals = Signals(u=np.zeros((6, 1)), y=y, Ts=0.25, outputs=("p", "q"), inputs=("v",))
 
-    tell_of_signals(Path("f.csv"), signals)
+    tell_of_reading(Path("f.csv"), signals, ["outputs p, q", "inputs v"], "values are missing")
 
     assert capsys.readouterr().err == (
         "f.csv: 6 samples, 0.25 s apart; outputs p, q; inputs v; 3 values are missing\n"

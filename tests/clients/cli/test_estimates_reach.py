@@ -229,8 +229,8 @@ def test_the_next_command_reads_the_same_data() -> None:
     data: Any = SimpleNamespace(output="alpha")
 
     assert every.options(data) == (
-        " --input 2 --signal 'y 1' --time t_s --Ts 0.05 --from 0 --to 2.5 --calibration c.toml"
-        " --detrend --hampel"
+        " --input 2 --signal 'y 1' --time t_s --Ts 0.05 --detrend --hampel --calibration c.toml"
+        " --from 0 --to 2.5"
     )
     nothing = SignalChoice(signal=None)
     assert nothing.options() == ""

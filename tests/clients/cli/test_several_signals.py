@@ -273,8 +273,8 @@ def test_a_model_that_a_search_chose_is_estimated_again_by_its_request(
     ("source", "outputs", "wanted"),
     [
         ("", ("alpha", "theta_1"), "simulate F --model m.json --from 1 --to 9 -o simulate.png"),
-        ("", ("alpha", "velocity"), "check F --signal alpha --from 1 --to 9 --detrend"),
-        ("csv:12", ("y", "z"), "check F --input w --signal alpha --from 1 --to 9 --detrend"),
+        ("", ("alpha", "velocity"), "check F --signal alpha --detrend --from 1 --to 9"),
+        ("csv:12", ("y", "z"), "check F --input w --signal alpha --detrend --from 1 --to 9"),
     ],
 )
 def test_a_validation_leads_to_the_physics_or_to_the_poorest_channel(

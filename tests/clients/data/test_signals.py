@@ -451,11 +451,20 @@ def test_an_iddata_saved_as_a_structure(tmp_path: Path) -> None:
     ("asked", "said"),
     [
         ({"inputs": ["u9"], "outputs": ["y1"]}, "input u9: there is no such column"),
-        ({"inputs": ["u1"], "outputs": ["u1"]}, "a column is an input and an output; give --sig"),
-        ({"inputs": ["u1", "2"], "outputs": ["t"]}, "a column is given twice; give --input"),
-        ({"inputs": ["t"], "outputs": ["u1", "u1"]}, "a column is given twice; give --signal"),
+        (
+            {"inputs": ["u1"], "outputs": ["u1"]},
+            "input and signal are both column 2; give --s",
+        ),
+        (
+            {"inputs": ["u1", "2"], "outputs": ["t"]},
+            "input and input are both column 2; give --i",
+        ),
+        (
+            {"inputs": ["t"], "outputs": ["u1", "u1"]},
+            "signal and signal are both column 2; give --s",
+        ),
         ({"inputs": [], "outputs": ["y1"]}, "give at least one input; give --input"),
-        ({"inputs": ["u1"], "outputs": []}, "give at least one output; give --signal"),
+        ({"inputs": ["u1"], "outputs": []}, "give at least one signal; give --signal"),
     ],
 )
 def test_wrong_columns_are_refused_with_the_way_out(

@@ -1,96 +1,45 @@
-"""Columns of numbers from the named arrays of MAT-files and .npz files."""
+"""Columns of numbers from the named arrays of MAT-files, .npz files and Parquet files."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from io import BytesIO
-from math import prod
-from typing import IO, Any
-from zipfile import ZipFile
+from typing import Any
 
 import numpy as np
 from armrig_core.errors import FileError, InputError
 
-from armrig.data.files.mat_variables import (
-    EMPTY,
-    DamageError,
-    StructureArray,
-    TooLongError,
-    Unread,
-    variables,
-)
-from armrig.data.files.table import Column, Vector
+from armrig.data.files.mat_variables import EMPTY, StructureArray, Unread, variables
+from armrig.data.files.table import NO_NUMBERS, Column, Table, Vector, require_room, titled
+from armrig.data.optional_packages import imported
 
-MOST_BYTES = 1 << 28
-"""Largest unpacked size of a file, in B; in an .npz, a number counts as at least 8 B."""
-NO_NUMBERS = "contains no numbers; save it as a vector of real numbers"
-"""Reason why a variable is not a column, and the remedy."""
-_MIN_LIMIT_BYTES = 1 << 26
-_MAX_RATIO = 100  # packing shrinks measured data by a factor of 5 to 20, zeros by 1000
+_MAX_DIMENSIONS = 2
+_TIME_NAMES = ("t", "time")
+_NAME_OF_FIELD = {"OutputData": "y", "InputData": "u"}  # fields of iddata
+_PICKLED = "contains pickled Python objects, which can run code and are not loaded; save numbers"
+_NUMBERS = ("int", "uint", "float", "double", "halffloat", "decimal", "bool")  # of Parquet
+_TIMES = ("timestamp", "duration")
+_PER_SECOND = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}
 
 
-def most_unpacked(packed: int) -> int:
-    """Return the largest allowed unpacked size, in B, of a file of `packed` B."""
-    return min(MOST_BYTES, max(_MIN_LIMIT_BYTES, _MAX_RATIO * packed))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArrayTable:
-    """Columns whose values are already numbers."""
-
-    columns: tuple[Column, ...]
-    """Names of the columns; the columns of a matrix X are named `X:1`, `X:2` …"""
-    values: Sequence[Any]
-    """An array (N,) of any real type for each column."""
-    refused: Mapping[str, str]
-    """Reason why a variable is not a column of numbers, by the name of the variable."""
-    Ts: float | None
-    """Sampling time in s, from a number named Ts."""
-    notes: Sequence[str] = ()
-    """Notes on how the columns were read."""
-
-    def numbers(self, i: int) -> Vector:
-        """Return the values of column i, counted from 0; NaN where a value is missing."""
-        with np.errstate(invalid="ignore"):  # a signalling NaN is NaN, too
-            return np.array(self.values[i], dtype=np.float64)
-
-    def texts(self, i: int) -> None:
-        """Return None: the columns are numbers."""
-
-    def place(self, k: int) -> str:
-        """Return the row of instant k as text; rows count from 1."""
-        return f"row {k + 1}"
-
-
-def table_of(arrays: Mapping[str, Any], refused: Mapping[str, str]) -> ArrayTable:
-    """Return the columns of arrays as a table; time runs along the longer side of a matrix.
-
-    Parameters
-    ----------
-    arrays : mapping of str to ndarray
-        Vectors, matrices and numbers; the number named Ts is the sampling time in s.
-    refused : mapping of str to str
-        Reason why each unread variable is not an array, by the name of the variable.
-    """
-    columns: list[Column] = []
-    values: list[Any] = []
-    others = dict(refused)
-    Ts = None
+def _table_of(arrays: Mapping[str, Any], refused: Mapping[str, str], packed: int) -> Table:
+    """Return the columns of arrays; time runs along the longer side, a number named Ts is Ts."""
+    require_room(8 * sum(array.size for array in arrays.values()), packed)
+    columns: dict[str, Any] = {}
+    others, Ts = dict(refused), None
     for name, array in arrays.items():
         try:
             found = _columns(array)
         except InputError as err:
             others[name] = str(err)
             continue
-        if array.size == 1:
-            if name.rpartition(".")[2].casefold() == "ts":
-                Ts = float(array.reshape(-1)[0])
-            continue
-        numbered = [name] if len(found) == 1 else [f"{name}:{i + 1}" for i in range(len(found))]
-        columns += [Column(name=each) for each in numbered]
-        values += found
-    return ArrayTable(columns=tuple(columns), values=values, refused=others, Ts=Ts)
+        if array.size > 1:
+            several = len(found) > 1
+            columns |= {f"{name}:{i}" if several else name: x for i, x in enumerate(found, 1)}
+        elif name.rpartition(".")[2].casefold() == "ts":
+            Ts = float(array.reshape(-1)[0])
+    names = [Column(name=name) for name in columns]
+    return Table(columns=names, values=[*columns.values()], refused=others, Ts=Ts)
 
 
 def _columns(array: Any) -> list[Any]:
@@ -101,68 +50,45 @@ def _columns(array: Any) -> list[Any]:
         raise InputError(NO_NUMBERS)
     if array.size == 0:
         raise InputError(EMPTY)
-    if array.ndim > 2:
+    if array.ndim > _MAX_DIMENSIONS:
         raise InputError(
             f"has {array.ndim} dimensions; save it as a vector, or a matrix of columns"
         )
-    if array.ndim < 2:
+    if array.ndim < _MAX_DIMENSIONS:
         return [array]
-    rows = array.T if array.shape[0] >= array.shape[1] else array
-    return list(rows)
+    return list(array.T if array.shape[0] >= array.shape[1] else array)
 
 
-# The columns of a MAT-file: vectors, matrices, structures with these, structures with time of
-# Simulink, and old iddata objects.
+# MAT-files: vectors, matrices, structures with these, structures with time of Simulink, and old
+# iddata objects.
 
 
-_NAME_OF_FIELD = {"OutputData": "y", "InputData": "u"}  # fields of iddata
-_SAVE_IN_MATLAB = "save it in MATLAB as save('data.mat', 'u', 'y', 'Ts', '-v7')"
-
-
-def read_mat(data: bytes) -> ArrayTable:
-    """Return the columns of a MAT-file of version 4 to 7.
-
-    Raises
-    ------
-    FileError
-        The file is damaged, or its unpacked size is too large.
-    """
+def read_mat(data: bytes) -> Table:
+    """Return the columns of a MAT-file of version 4 to 7."""
     arrays: dict[str, Any] = {}
     refused: dict[str, str] = {}
-    most = most_unpacked(len(data))
-    try:
-        for name, value in variables(data, most):
-            _sort(name, value, arrays, refused)
-    except DamageError as err:
-        raise FileError(f"is a damaged MAT-file ({err}); {_SAVE_IN_MATLAB}") from err
-    except TooLongError as err:
-        raise FileError(f"unpacked it has more than {most >> 20} MiB; {_SAVE_IN_MATLAB}") from err
-    _add_common_time(arrays)
-    return table_of(arrays, refused)
-
-
-def _add_common_time(arrays: dict[str, Any]) -> None:
-    """Add the array `time` if no array has this name, and all fields `time` are equal."""
-    every = [np.ravel(x) for name, x in arrays.items() if name.endswith(".time")]
-    is_same = every and all(np.array_equal(every[0], x) for x in every)
-    if is_same and not any(name.casefold() in ("t", "time") for name in arrays):
-        arrays["time"] = every[0]
+    for name, value in variables(data):
+        _sort(name, value, arrays, refused)
+    times = [np.ravel(x) for name, x in arrays.items() if name.endswith(".time")]
+    has_time = any(name.casefold() in _TIME_NAMES for name in arrays)
+    if times and not has_time and all(np.array_equal(times[0], x) for x in times):
+        arrays["time"] = times[0]
+    return _table_of(arrays, refused, len(data))
 
 
 def _sort(name: str, value: Any, arrays: dict[str, Any], refused: dict[str, str]) -> None:
     """Add a variable, or the fields of a structure, to the arrays or to the refused names."""
     while isinstance(value, list) and len(value) == 1:
         value = value[0]  # a cell array that contains one experiment
-    if isinstance(value, dict) and {"time", "signals"} <= value.keys():
-        value = _logged(value)
     if isinstance(value, dict):
-        for field, inner in value.items():
+        fields = _logged(value) if {"time", "signals"} <= value.keys() else value
+        for field, inner in fields.items():
             path = f"{name}.{_NAME_OF_FIELD.get(field, field)}".rstrip(".")
             _sort(path, inner, arrays, refused)
     elif isinstance(value, list):
-        what = "an array" if isinstance(value, StructureArray) else "a cell"
-        of = "structures" if isinstance(value, StructureArray) else "values"
-        refused[name] = f"is {what} of {len(value)} {of}; save one of them"
+        are = isinstance(value, StructureArray)
+        what = f"an array of {len(value)} structures" if are else f"a cell of {len(value)} values"
+        refused[name] = f"is {what}; save one of them"
     elif isinstance(value, str):
         refused[name] = NO_NUMBERS
     elif isinstance(value, Unread):
@@ -194,67 +120,55 @@ def _logged(structure: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-# The arrays of a file of numpy.savez.
-
-
-_PICKLED = "contains pickled Python objects, which can run code and are not loaded; save numbers"
-
-
-def read_npz(data: bytes) -> ArrayTable:
-    """Return the columns of an .npz; pickled objects are not loaded.
-
-    Raises
-    ------
-    FileError
-        The file is a ZIP archive without arrays, it is damaged, or its unpacked size is too large.
-    """
+def read_npz(data: bytes) -> Table:
+    """Return the columns of an .npz; pickled objects are not loaded."""
     arrays: dict[str, Any] = {}
     refused: dict[str, str] = {}
-    try:
-        with ZipFile(BytesIO(data)) as archive:
-            members = [m.filename for m in archive.infolist() if m.filename.endswith(".npy")]
-            most = most_unpacked(len(data))
-            if sum(_size(archive, member) for member in members) > most:
-                msg = f"unpacked it has more than {most >> 20} MiB; save only input and "
-                raise FileError(msg + "output")
-            for member in members:
-                with archive.open(member) as file:
-                    array = _array(file)
-                name = member.removesuffix(".npy")
-                if array is None:
-                    refused[name] = _PICKLED
-                else:
-                    arrays[name] = array
-    except FileError:
-        raise
-    except Exception as err:  # a damaged archive can raise any exception in its reader
-        raise FileError(
-            f"is a damaged .npz: {type(err).__name__}; save it again with numpy.savez"
-        ) from err
+    with np.load(BytesIO(data), allow_pickle=False) as archive:
+        members = [m for m in archive.zip.infolist() if m.filename.endswith(".npy")]
+        require_room(sum(member.file_size for member in members), len(data))
+        for member in members:
+            name = member.filename.removesuffix(".npy")
+            try:
+                arrays[name] = archive[member.filename]
+            except ValueError as err:
+                if "allow_pickle" not in str(err):
+                    raise
+                refused[name] = _PICKLED
     if not (arrays or refused):
         raise FileError(
             "is a ZIP archive without arrays, such as an Excel workbook; save its sheet as CSV"
         )
-    return table_of(arrays, refused)
+    return _table_of(arrays, refused, len(data))
 
 
-def _size(archive: ZipFile, member: str) -> int:
-    """Return the size of an array in B, from its header; each number is counted as at least 8 B."""
-    with archive.open(member) as file:
-        is_first = np.lib.format.read_magic(file) == (1, 0)
-        # Version 3 has the form of version 2, with names in UTF-8.
-        head = (
-            np.lib.format.read_array_header_1_0 if is_first else np.lib.format.read_array_header_2_0
-        )
-        shape, _, kind = head(file)
-    return prod(shape) * max(8, kind.itemsize)
+def read_parquet(data: bytes) -> Table:
+    """Return the columns of a Parquet file; time stamps are in s from the first time."""
+    file = imported("pyarrow.parquet", "parquet").ParquetFile(BytesIO(data))
+    kinds = {field.name: str(field.type) for field in file.schema_arrow}
+    if len(kinds) < len(file.schema_arrow):
+        raise FileError("two of its columns have the same name; rename one of them")
+    # Texts are not read: in a small file, a text may be repeated a million times.
+    names = [name for name, kind in kinds.items() if kind.startswith((*_NUMBERS, *_TIMES))]
+    require_room(8 * file.metadata.num_rows * len(names), len(data))
+    return Table(
+        columns=[
+            Column(name=name, unit="s") if kinds[name].startswith(_TIMES) else titled(name)
+            for name in names
+        ],
+        values=[_numbers(column) for column in file.read(columns=names).columns],
+        refused=dict.fromkeys(kinds.keys() - names, NO_NUMBERS),
+    )
 
 
-def _array(file: IO[bytes]) -> Any:
-    """Return the array of an .npy; None if it is pickled."""
-    try:
-        return np.lib.format.read_array(file, allow_pickle=False)
-    except ValueError as err:
-        if "allow_pickle" in str(err):
-            return None
-        raise
+def _numbers(column: Any) -> Vector:
+    """Return the values of a column of Parquet; NaN where a value is missing."""
+    kind, per_second = str(column.type), 1
+    if kind == "bool":
+        column = column.cast("int8")
+    elif kind.startswith(_TIMES):
+        compute = imported("pyarrow.compute", "parquet")
+        ticks, per_second = column.cast("int64"), _PER_SECOND[column.type.unit]
+        column = compute.subtract(ticks, compute.min(ticks))  # exact
+    values: Vector = column.cast("float64", safe=False).to_numpy()
+    return values / per_second

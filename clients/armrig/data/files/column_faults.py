@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from armrig.data.files.table import Vector
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
+from armrig.numerics.stretches import Mask, stretches
 
 _LINES = (1.0, 2.0, 2.4, 2.5, 3.6, 4.0, 5.0)  # of encoders, with a power of ten
 _MODULI = (
@@ -21,7 +22,12 @@ _MODULI = (
 _SAME = 0.005  # relative difference of a modulus from the jumps
 _MIN_RAIL_RUN = 3  # samples
 _MIN_RAIL_SAMPLES = 5
-_MIN_ENTRY = 3.0  # smallest step onto a rail, in steps of the last digit: a level is reached slowly
+_NEAR = 2.5  # steps of the last digit; y passes these values quickly, but settles at a level slowly
+_MAX_RESTS = 0.5  # share of steps without a change elsewhere
+_MAX_HELD = 10  # rows with each value, of a column that is read less often than the others
+_MIN_HELD_VALUES = 10
+_MIN_STUCK = 20  # rows
+_MIN_STUCK_RATIO = 4  # of the longest to the second longest sequence of one value
 _MIN_STEPS = 20
 _MIN_JUMP = 0.5  # of the modulus
 _MAX_JUMP_SHARE = 0.25  # of the steps
@@ -30,43 +36,95 @@ _MAX_REST = 0.25  # largest step of a counter that wraps, as a share of its modu
 _MAX_USUAL_STEP = 0.125  # of the modulus, for nine of ten steps: noise has larger ones
 
 
-def rails(y: Vector) -> tuple[NDArray[np.bool_], list[float]]:
-    """Return the samples on a rail, and the values of the rails.
+def treated(
+    y: Vector, name: str, *, mask_rails: bool, unwrap: float | None
+) -> tuple[Vector, list[str]]:
+    """Return a column without the faults that the options name, and notes on all its faults."""
+    known = y[np.isfinite(y)]
+    wrap = _modulus_of(known) if unwrap is None else None
+    if wrap is not None:
+        modulus, is_usual = wrap
+        jumps = int(np.count_nonzero(np.abs(np.diff(known)) > _MIN_JUMP * modulus))
+        way = f"{modulus:.6g}" if is_usual else "with the range of the counter"
+        text = (
+            f"{name} jumps by {'' if is_usual else 'about '}{modulus:.6g} at "
+            f"{plural(jumps, 'place')}, as a counter that wraps: give --unwrap {way}"
+        )
+        return y, [Step(text, DOUBT)]
+    notes = []
+    if unwrap is not None:
+        turns = _turns(known, unwrap)
+        y = y.copy()
+        y[np.isfinite(y)] -= unwrap * turns
+        jumps = int(np.count_nonzero(np.diff(turns)))
+        notes.append(f"unwrapped {name} at {plural(jumps, 'jump')} of {unwrap:.6g}")
+    at, where = _rails(y)
+    share = f"{np.count_nonzero(at)} of {y.size} samples"
+    if where and mask_rails:
+        notes.append(f"masked {share} of {name} at the rail {where}")
+        return np.where(at, np.nan, y), notes
+    if where:
+        text = f"{share} of {name} are exactly {where}, as at the rail of a converter: "
+        notes.append(Step(f"{text}give --mask-rails to mark them as missing", DOUBT))
+    elif mask_rails:
+        notes.append(f"{name} has no samples at a rail")
+    return y, notes
 
-    A rail is the largest or smallest value, if y reaches it by jumps and keeps it for several
-    samples. If y settles at a level instead, its last steps before the level are small.
-    """
+
+def held(x: Vector, name: str) -> list[str]:
+    """Return a note if every value stays for the same number of rows, or a multiple of it."""
+    at, lengths = _runs(x)
+    rows = int(np.gcd.reduce(lengths[1:-1], initial=0))
+    if not 1 < rows <= _MAX_HELD or np.unique(x[at]).size <= _MIN_HELD_VALUES:
+        return []
+    text = f"each value of {name} is in {rows} rows: if {name} was read less often than the rows "
+    return [Step(f"{text}were written, keep one row of {rows}", DOUBT)]
+
+
+def stuck(y: Vector, name: str, u: NDArray[np.float64]) -> list[str]:
+    """Return a note if y is the same in many rows in which the inputs u (N, nu) change."""
+    at, lengths = _runs(y)
+    k = int(np.argmax(lengths))
+    rows, other = int(lengths[k]), int(np.delete(lengths, k).max(initial=0))
+    moved = np.ptp(u[at[k] : at[k] + rows // 2], axis=0) if rows > _MIN_STUCK else np.zeros(1)
+    if not (moved > 0).any() or rows == y.size or rows < _MIN_STUCK_RATIO * other:
+        return []
+    text = f"{name} is {y[at[k]]:g} in {rows} rows in sequence while the input changes"
+    return [Step(f"{text}, as of a sensor that is stuck: cut these rows out", DOUBT)]
+
+
+def _runs(x: Vector) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first row of each sequence of one value, and its number of rows."""
+    edges = np.flatnonzero(np.diff(x, prepend=np.nan, append=np.nan) != 0)
+    return edges[:-1], np.diff(edges)
+
+
+def _rails(y: Vector) -> tuple[Mask, str]:
+    """Return the samples on a rail, which y keeps but does not settle at, and the rails as text."""
     found, values = np.zeros(y.size, np.bool_), []
     known = y[np.isfinite(y)]
     steps = np.abs(np.diff(known))
-    if not np.any(steps > 0):
-        return found, []
-    digit = float(steps[steps > 0].min())
-    for value in (float(known.min()), float(known.max())):
-        there = np.concatenate(([False], known == value, [False]))
-        begins = np.flatnonzero(there[1:] & ~there[:-1])
-        lengths = np.flatnonzero(there[:-1] & ~there[1:]) - begins
-        entries = steps[begins[(begins > 0) & (lengths > 1)] - 1]
-        alike = np.mean(steps[~(there[2:-1] & there[1:-2])] == 0)
+    digit = float(steps[steps > 0].min(initial=np.inf))
+    for value in (known.min(), known.max()) if np.isfinite(digit) else ():
+        there = known == value
+        stays = stretches(there)
+        lengths = [s.stop - s.start for s in stays]
+        entries = [s for s in stays if s.start and s.stop - s.start > 1]
+        beside = (known != value) & (np.abs(known - value) < _NEAR * digit)
         if (
-            lengths.max() >= _MIN_RAIL_RUN
-            and lengths.sum() >= _MIN_RAIL_SAMPLES
-            and entries.size
-            and np.median(entries) >= _MIN_ENTRY * digit
-            and alike < 0.5  # elsewhere y moves from sample to sample
+            max(lengths) >= _MIN_RAIL_RUN
+            and sum(lengths) >= _MIN_RAIL_SAMPLES
+            and entries
+            and np.count_nonzero(beside) <= 2 * len(entries)
+            and np.mean(steps[~(there[1:] & there[:-1])] == 0) < _MAX_RESTS
         ):
             found |= y == value
-            values.append(value)
-    return found, values
+            values.append(f"{value:g}")
+    return found, " or ".join(values)
 
 
-def modulus_of(y: Vector) -> tuple[float, bool] | None:
-    """Return the range of a counter or an angle that wraps, and whether it is a usual one.
-
-    The range is a usual one, such as 65536 or 360, if it agrees with the jumps and their neighbours
-    within their scatter. Otherwise it is an estimate. The result is None if y does not wrap.
-    """
-    known = y[np.isfinite(y)]
+def _modulus_of(known: Vector) -> tuple[float, bool] | None:
+    """Return the range of a counter that wraps, or None, and whether the range is a usual one."""
     d = np.diff(known)
     if d.size < _MIN_STEPS:
         return None
@@ -80,8 +138,7 @@ def modulus_of(y: Vector) -> tuple[float, bool] | None:
     sizes = np.abs(d[inside] - (d[inside - 1] + d[inside + 1]) / 2)
     found, scatter = float(np.median(sizes)), float(np.ptp(sizes)) / np.sqrt(inside.size)
     if (
-        found < span * (1 - 1e-9)
-        or found > span / _MIN_RANGE
+        not span * (1 - 1e-9) <= found <= span / _MIN_RANGE
         or rest.max() >= _MAX_REST * found
         or np.quantile(rest, 0.9) >= _MAX_USUAL_STEP * found
         or np.ptp(sizes) > 2 * rest.max() + _SAME * found
@@ -92,61 +149,14 @@ def modulus_of(y: Vector) -> tuple[float, bool] | None:
     return (float(nearest), True) if is_usual else (float(f"{found:.3g}"), False)
 
 
-def unwrapped(y: Vector, modulus: float) -> Vector:
-    """Return y without its jumps of `modulus`; the steps of the result are at most half of it.
-
-    Raises
-    ------
-    FileError
-        The modulus is not a positive number.
-    """
+def _turns(known: Vector, modulus: float) -> Vector:
+    """Return how often a counter has wrapped; a step is at most half of its range."""
     if not (np.isfinite(modulus) and modulus > 0):
         raise FileError(f"--unwrap {modulus:g}: must be the positive range of the counter")
-    known = np.isfinite(y)
-    d = np.diff(y[known])
+    d = np.diff(known)
     if np.mean(np.abs(d) > _MIN_JUMP * modulus) > _MAX_REST:
         raise FileError(
             f"--unwrap {modulus:g}: more than a quarter of the steps are longer than half of it; "
             "give the range of the counter"
         )
-    result = y.copy()
-    result[known] -= modulus * np.append(0.0, np.cumsum(np.rint(d / modulus)))
-    return result
-
-
-def treated(
-    y: Vector, name: str, *, mask_rails: bool, unwrap: float | None
-) -> tuple[Vector, list[str]]:
-    """Return a column without the faults that the options name, and notes on all its faults."""
-    notes = []
-    if unwrap is not None:
-        before, y = y, unwrapped(y, unwrap)
-        jumps = int(np.count_nonzero(np.diff(np.rint((before - y) / unwrap)[np.isfinite(y)])))
-        notes.append(f"unwrapped {name} at {plural(jumps, 'jump')} of {unwrap:.6g}")
-    elif wrap := modulus_of(y):
-        modulus, is_usual = wrap
-        known = y[np.isfinite(y)]
-        jumps = int(np.count_nonzero(np.abs(np.diff(known)) > _MIN_JUMP * modulus))
-        way = f"{modulus:.6g}" if is_usual else "with the range of the counter"
-        text = (
-            f"{name} jumps by {'' if is_usual else 'about '}{modulus:.6g} at "
-            f"{plural(jumps, 'place')}, as a counter that wraps: give --unwrap {way}"
-        )
-        notes.append(Step(text, DOUBT))
-        return y, notes
-    at, values = rails(y)
-    if values:
-        where = " or ".join(f"{value:g}" for value in values)
-        share = f"{np.count_nonzero(at)} of {y.size} samples"
-        if mask_rails:
-            y = np.where(at, np.nan, y)
-            notes.append(f"masked {share} of {name} at the rail {where}")
-        else:
-            text = (
-                f"{share} of {name} are exactly {where}, as at the rail of a converter: give "
-                "--mask-rails to mark them as missing"
-            )
-            notes.append(Step(text, DOUBT))
-    elif mask_rails:
-        notes.append(f"{name} has no samples at a rail")
-    return y, notes
+    return np.append(0.0, np.cumsum(np.rint(d / modulus)))

@@ -1,15 +1,16 @@
-"""Loading of a `Dataset` from a file: recognition of the file's kind, and choice of the columns."""
+"""Loading of data from a file: recognition of the file's kind, and choice of the columns."""
 
 from __future__ import annotations
 
 import codecs
 import errno
 import hashlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from armrig_core.bounded import decoded, read_bounded
@@ -19,18 +20,20 @@ from armrig_core.recording_file.file_records import MAGIC
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, require_size
-from armrig.data.files import arrays, messages, text
-from armrig.data.files.column_faults import treated
-from armrig.data.files.parquet import read_parquet
+from armrig.data.files.arrays import read_mat, read_npz, read_parquet
+from armrig.data.files.column_faults import held, stuck, treated
+from armrig.data.files.mat_variables import DamageError
+from armrig.data.files.messages import read_mcap
 from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
 from armrig.data.files.stamps import time_columns, times_of
 from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
-from armrig.data.signals import Mask, Signals
+from armrig.data.files.text import read_text
+from armrig.data.signals import Signals
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
+from armrig.numerics.stretches import Mask, stretches
 
 Array = NDArray[np.float64]
-Data = TypeVar("Data")
 
 MOST_BYTES = 1 << 27
 """Largest size of a file, in B; a text of a million rows of eight numbers each is smaller."""
@@ -38,7 +41,6 @@ SOURCE = "data"
 """Prefix of the hash in `source` if the file is not a recording."""
 _MIN_KNOWN_INPUTS = 0.5  # share of the rows
 _MAX_HELD = 3  # rows that a file leaves out in which u is held, if it is the same on both sides
-_ONE_PAIR = 2
 _MIN_TS = 1e-12  # in s
 
 
@@ -114,11 +116,16 @@ def load_data(
     >>> armrig.load_data("mine.csv", signal="alpha")
     <Dataset: 3 samples at 0.01 s; output alpha [rad]; 1 missing (33.3 %)>
     """
-    columns = {"input": input, "signal": signal}
-    how = Reading(time, Ts, resample, hold_input, mask_rails, unwrap)
-    return _loaded(
-        path, decimal, topic, lambda table, source: _dataset(table, columns, how, source)
-    )
+    how = Reading(time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic)
+    with _naming(Path(path)):
+        (of_u,), (of_y,), found = _samples(Path(path), input, signal, how)
+        u, y = found.pop("u")[:, 0], found.pop("y")[:, 0]
+        names: dict[str, Any] = {
+            "output": of_y.name or "y",
+            "unit": of_y.unit,
+            "input_unit": of_u.unit,
+        }
+        return Dataset(u=u, y=y, valid=~np.isnan(y), **names, **found)
 
 
 @checked_call
@@ -172,293 +179,209 @@ def load_signals(
     >>> armrig.load_signals("plant.csv", inputs=["u1", "u2"], outputs="y1")
     <Signals: 50 samples at 0.1 s; outputs y1; inputs u1, u2>
     """
-    how = Reading(time, Ts, resample, hold_input, mask_rails, unwrap)
-    return _loaded(
-        path, decimal, topic, lambda table, source: _signals(table, inputs, outputs, how, source)
-    )
-
-
-def _loaded(
-    path: str | PathLike[str],
-    decimal: str | None,
-    topic: str | None,
-    made: Callable[[Table, str], Data],
-) -> Data:
-    """Call `made` with the table in a file and the hash of the file, and return the result."""
-    path = Path(path)
-    try:
-        data = read_bounded(path, MOST_BYTES)
-        source = f"{SOURCE}:{hashlib.sha256(data).hexdigest()}"
-        return made(table_of(data, path.suffix.lower(), decimal, topic), source)
-    except FileError as err:
-        raise FileError(f"{path}: {err}") from err
-    except OSError as err:
-        if err.errno != errno.EFBIG:
-            raise
-        raise FileError(
-            f"{path}: has more than {MOST_BYTES >> 20} MiB; cut it into several files"
-        ) from err
-
-
-def _signals(
-    table: Table,
-    inputs: str | Sequence[str],
-    outputs: str | Sequence[str],
-    how: Reading,
-    source: str,
-) -> Signals:
-    of_u, of_y = _columns_of(table, inputs, "input"), _columns_of(table, outputs, "signal")
-    for what, option, of in (("input", "input", of_u), ("output", "signal", of_y)):
-        if not of:
-            raise FileError(f"give at least one {what}; {listed(table, option)}")
-        if len(set(of)) < len(of):
-            raise FileError(f"a column is given twice; {listed(table, option)}")
-    taken = {*of_u, *of_y}
-    if len(taken) < len(of_u) + len(of_y):
-        raise FileError(f"a column is an input and an output; {listed(table, 'signal')}")
-    rows = _rows(table, of_u, of_y, how)
-    if not rows.u.size:
-        raise FileError("no row has a value of each input; leave an input out, or fill it in")
-    named_u, named_y = ([table.columns[i] for i in of] for of in (of_u, of_y))
-    try:
+    how = Reading(time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic)
+    inputs, outputs = ([x] if isinstance(x, str) else list(x) for x in (inputs, outputs))
+    with _naming(Path(path)):
+        of_u, of_y, found = _samples(Path(path), inputs, outputs, how)
         return Signals(
-            u=rows.u,
-            y=rows.y,
-            Ts=rows.Ts,
-            starts=rows.starts,
-            inputs=_names(named_u, "u", named_y),
-            outputs=_names(named_y, "y", named_u),
-            input_units=[c.unit for c in named_u],
-            units=[c.unit for c in named_y],
-            source=source,
-            history=rows.notes,
+            inputs=_names(of_u, "u", of_y),
+            outputs=_names(of_y, "y", of_u),
+            input_units=[column.unit for column in of_u],
+            units=[column.unit for column in of_y],
+            **found,
         )
-    except InputError as err:
-        raise FileError(str(err)) from err
 
 
-def _columns_of(table: Table, wanted: str | Sequence[str], what: str) -> list[int]:
-    """Return the indices of the columns; the name of a matrix gives all columns of the matrix."""
-    found: list[int] = []
-    for name in [wanted] if isinstance(wanted, str) else wanted:
-        parts = [
-            i
-            for i, column in enumerate(table.columns)
-            if column.name.rpartition(":")[0].rpartition(".")[2] == name.rpartition(".")[2] != ""
-        ]
-        found += parts or [chosen(table, name, what)]
-    return found
-
-
-def _names(columns: Sequence[Column], letter: str, others: Sequence[Column]) -> list[str]:
-    """Return a name for each column, such as u1 for `u:1` and for a first input without a name.
-
-    The name of a field is its last part if no other column has the same last part.
-    """
-    last_parts = [column.name.rpartition(".")[2] for column in (*columns, *others)]
-    parts = [
-        column.name if last and last_parts.count(last) > 1 else last.replace(":", "")
-        for column, last in zip(columns, last_parts, strict=False)
-    ]
-    return [name or f"{letter}{k}" for k, name in enumerate(parts, 1)]
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """Options of reading a table; the fields are arguments of `load_data`."""
+class Reading(NamedTuple):
+    """Options of reading a file; the fields are arguments of `load_data`."""
 
     time: str | None
     Ts: float | None
+    decimal: str | None
     resample: bool
     hold_input: bool
     mask_rails: bool
     unwrap: float | None
+    topic: str | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rows:
-    """Samples that have a value of each input."""
-
-    u: Array
-    """Inputs (N, nu)."""
-    y: Array
-    """Outputs (N, ny), NaN where missing."""
-    Ts: float
-    """Sampling time in s."""
-    starts: list[int]
-    """First sample of each experiment."""
-    notes: list[str]
-    """History steps: what was done to the rows, and which faults remain."""
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Begin the message of an error with the path of the file."""
+    try:
+        yield
+    except InputError as err:
+        raise FileError(f"{path}: {err}") from err
+    except OSError as err:
+        if err.errno != errno.EFBIG:
+            raise
+        msg = f"{path}: has more than {MOST_BYTES >> 20} MiB; cut it into several files"
+        raise FileError(msg) from err
 
 
-def _rows(table: Table, of_u: Sequence[int], of_y: Sequence[int], how: Reading) -> Rows:
-    """Return the samples of these columns on their grid of times."""
-    columns = [_values(table, i, "input") for i in of_u] + [
-        _values(table, i, "signal") for i in of_y
-    ]
-    sizes = [x.size for x in columns]
-    if len(set(sizes)) > 1:
-        if len(sizes) == _ONE_PAIR:
-            raise FileError(
-                f"the input has {sizes[0]} samples and the signal {sizes[1]}; both need the same "
-                "number"
-            )
+def _samples(
+    path: Path, inputs: str | list[str], outputs: str | list[str], how: Reading
+) -> tuple[list[Column], list[Column], dict[str, Any]]:
+    """Return the columns of the inputs and outputs, and the arguments of `Signals` without names.
+
+    In a list, the name of a matrix gives all columns of the matrix.
+    """
+    data = read_bounded(path, MOST_BYTES)
+    table = table_of(data, path.suffix.lower(), how.decimal, how.topic)
+    of_u, of_y = _columns(table, {"input": inputs, "signal": outputs}, how)
+    named_u, named_y = ([table.columns[i] for i in of] for of in (of_u, of_y))
+    given = [_values(table, i, "input") for i in of_u]
+    measured = [_values(table, i, "signal") for i in of_y]
+    sizes = {x.size for x in (*given, *measured)}
+    if len(sizes) > 1:
         raise FileError(
             f"the columns have {min(sizes)} to {max(sizes)} samples; all need the same number"
         )
-    grid = _grid(table, {*of_u, *of_y}, sizes[0], how)
-    notes = [*table.notes, *grid.notes]
-    for k, i in enumerate(of_y, len(of_u)):
-        name = table.columns[i].name or "y"
-        columns[k], said = treated(columns[k], name, mask_rails=how.mask_rails, unwrap=how.unwrap)
-        notes += said
-    given = np.column_stack(columns[: len(of_u)])
-    if not how.hold_input:
-        _check_inputs(given, [table.columns[i].name or "u" for i in of_u])
-    u = np.column_stack([grid.placed(x, held=True) for x in given.T])
-    y = np.column_stack([grid.placed(x, held=False) for x in columns[len(of_u) :]])
+    grid = _grid(table, {*of_u, *of_y}, sizes.pop(), how)
+    history = [*table.notes, *grid.notes]
+    for x, column in zip(given, named_u, strict=True):
+        history += held(x, column.name or "u")
+    for k, column in enumerate(named_y):
+        y, name = measured[k], column.name or "y"
+        history += held(y, name) or stuck(y, name, np.column_stack(given))
+        measured[k], notes = treated(y, name, mask_rails=how.mask_rails, unwrap=how.unwrap)
+        history += notes
+    u, y = (
+        np.column_stack([grid.placed(x, held=held) for x in columns])
+        for columns, held in ((given, True), (measured, False))
+    )
     put_in = np.ones(grid.size, np.bool_)
     put_in[grid.at if grid.times is None else slice(None)] = False
-    held = _held(u, put_in, everywhere=how.hold_input)
-    if how.hold_input and (count := int(np.isnan(given).any(axis=1).sum())):
-        notes.append(f"held the input in {plural(count, 'row')} without a value of it")
-    known = np.array(np.isfinite(held).all(axis=1))
-    starts, left_out = _between_gaps(known, put_in, grid.breaks)
-    return Rows(u=held[known], y=y[known], Ts=grid.Ts, starts=starts, notes=[*notes, *left_out])
-
-
-def _check_inputs(u: Array, names: Sequence[str]) -> None:
-    """Refuse an input that most rows lack: without these rows the data would be distorted."""
-    known = np.isfinite(u).sum(axis=0)
-    i = int(np.argmin(known))
-    if 0 < known[i] < _MIN_KNOWN_INPUTS * u.shape[0]:
-        raise FileError(
-            f"{shown(names[i])} has a value in {known[i]} of {u.shape[0]} rows; if it is written "
-            "only where it changes, give --hold-input"
-        )
-
-
-def _held(u: Array, put_in: Mask, *, everywhere: bool) -> Array:
-    """Return u with its last value where it is missing.
-
-    Without `everywhere`, only in a few rows that the file leaves out, with one u on both sides.
-    """
-    held = u.copy()
-    for column in held.T:
-        known = np.isfinite(column)
-        last = np.maximum.accumulate(np.where(known, np.arange(column.size), -1))
-        after = np.minimum.accumulate(np.where(known, np.arange(column.size), column.size)[::-1])[
-            ::-1
-        ]
-        fill = ~known & (last >= 0)
-        if not everywhere:
-            inside = fill & (after < column.size)
-            same = column[last] == column[np.minimum(after, column.size - 1)]
-            fill = inside & put_in & same & (after - last <= _MAX_HELD + 1)
-        column[fill] = column[last[fill]]
-    return held
-
-
-def _between_gaps(known: Mask, put_in: Mask, breaks: Sequence[int]) -> tuple[list[int], list[str]]:
-    """Return the first row of each experiment, counted in the known rows, and history steps."""
-    begins = known & ~np.append(False, known[:-1])
-    for k in breaks:
-        after = np.flatnonzero(known[k:])
-        begins[k + after[:1]] = True
-    steps = []
-    if left_out := int(np.count_nonzero(~known & ~put_in)):
-        steps.append(
-            f"left out {plural(left_out, 'sample')} without an input; a new experiment begins "
-            "after each gap"
-        )
-    if unknown := int(np.count_nonzero(~known & put_in)):
-        steps.append(
-            f"the input is not known in {plural(unknown, 'row')} that the file leaves out; a new "
+    history += _hold(u, put_in, [column.name or "u" for column in named_u], how)
+    known = np.isfinite(u).all(axis=1)
+    if not known.any():
+        raise FileError("no row has a value of each input; leave an input out, or fill it in")
+    # Each row without an input, and each break of the times, begins a new experiment.
+    part = np.cumsum(~known) + np.searchsorted(grid.breaks, np.arange(grid.size), side="right")
+    if count := int(np.count_nonzero(~known & ~put_in)):
+        left_out = f"left out {plural(count, 'sample')} without an input"
+        history.append(f"{left_out}; a new experiment begins after each gap")
+    if count := int(np.count_nonzero(~known & put_in)):
+        history.append(
+            f"the input is not known in {plural(count, 'row')} that the file leaves out; a new "
             "experiment begins after each such gap (--hold-input holds it instead)"
         )
-    return np.flatnonzero(begins[known]).tolist(), steps
+    found = {
+        "u": u[known],
+        "y": y[known],
+        "Ts": grid.Ts,
+        "starts": np.flatnonzero(np.diff(part[known], prepend=-1)).tolist(),
+        "source": f"{SOURCE}:{hashlib.sha256(data).hexdigest()}",
+        "history": history,
+    }
+    return named_u, named_y, found
 
 
-def _dataset(
-    table: Table,
-    columns: dict[str, str],
-    how: Reading,
-    source: str,
-) -> Dataset:
-    has_times = how.time or how.Ts is not None or table.Ts is not None or time_columns(table)
-    at = _chosen(table, columns, has_times=bool(has_times))
-    if at["input"] == at["signal"]:
-        raise FileError(
-            f"input and signal are both column {at['input'] + 1}; {listed(table, 'signal')}"
-        )
-    rows = _rows(table, [at["input"]], [at["signal"]], how)
-    u, y = rows.u[:, 0], rows.y[:, 0]
-    for name, x in (("input", u), ("signal", y)):
-        try:
-            require_size(name, x[~np.isnan(x)])
-        except ValueError as err:
-            raise FileError(str(err)) from err
-    of_u, of_y = (table.columns[i] for i in at.values())
-    return Dataset(
-        u=u,
-        y=y,
-        Ts=rows.Ts,
-        valid=~np.isnan(y),
-        starts=rows.starts,
-        output=of_y.name or "y",
-        unit=of_y.unit,
-        input_unit=of_u.unit,
-        source=source,
-        history=rows.notes,
-    )
-
-
-def _chosen(table: Table, columns: dict[str, str], *, has_times: bool) -> dict[str, int]:
-    """Return the index of each requested column; an error names all columns that do not exist."""
-    at: dict[str, int] = {}
-    missing: dict[str, NoColumnError] = {}
+def _columns(
+    table: Table, columns: dict[str, str | list[str]], how: Reading
+) -> tuple[list[int], list[int]]:
+    """Return the indices of the inputs and of the outputs; an error names all missing columns."""
+    found: dict[str, list[int]] = {what: [] for what in columns}
+    missing: list[tuple[str, str, NoColumnError]] = []
     for what, wanted in columns.items():
-        try:
-            at[what] = chosen(table, wanted, what)
-        except NoColumnError as err:
-            missing[what] = err
+        for name in [wanted] if isinstance(wanted, str) else wanted:
+            try:
+                of_matrix = [] if isinstance(wanted, str) else _matrix(table, name)
+                found[what] += of_matrix or [chosen(table, name, what)]
+            except NoColumnError as err:
+                missing.append((what, name, err))
+    has_times = how.time or how.Ts is not None or table.Ts is not None or time_columns(table)
     if len(missing) + (not has_times) > 1:
-        said = " and ".join(f"{what} {shown(columns[what])}" for what in missing)
+        said = " and ".join(f"{what} {shown(name)}" for what, name, _ in missing)
         said += ": there are no such columns" if len(missing) > 1 else ": there is no such column"
         said += "" if has_times else ", and the sampling time is not known (or give --Ts, in s)"
-        options = " and --".join([*missing, *(() if has_times else ("time",))])
-        raise FileError(f"{said}; {listed(table, options)}")
-    for refused in missing.values():
-        raise refused
-    return at
+        options = dict.fromkeys([*(what for what, *_ in missing), *([] if has_times else ["time"])])
+        raise FileError(f"{said}; {listed(table, ' and --'.join(options))}")
+    if missing:
+        raise missing[0][-1]
+    owners: dict[int, list[str]] = {}
+    for what, of in found.items():
+        if not of:
+            raise FileError(f"give at least one {what}; {listed(table, what)}")
+        for i in of:
+            owners.setdefault(i, []).append(what)
+    for i, whats in owners.items():
+        if whats[1:]:
+            raise FileError(
+                f"{' and '.join(whats)} are both column {i + 1}; {listed(table, whats[-1])}"
+            )
+    return found["input"], found["signal"]
+
+
+def _matrix(table: Table, name: str) -> list[int]:
+    """Return the indices of the columns of a matrix."""
+    last = name.rpartition(".")[2]
+    heads = [column.name.rpartition(":")[0].rpartition(".")[2] for column in table.columns]
+    return [i for i, head in enumerate(heads) if head == last != ""]
+
+
+def _names(columns: Sequence[Column], letter: str, others: Sequence[Column]) -> list[str]:
+    """Return a name for each column: the last part of a field, u1 for `u:1`, or u1 for no name."""
+    lasts = [column.name.rpartition(".")[2] for column in (*columns, *others)]
+    names = [
+        column.name if last and lasts.count(last) > 1 else last.replace(":", "")
+        for column, last in zip(columns, lasts, strict=False)
+    ]
+    return [name or f"{letter}{k}" for k, name in enumerate(names, 1)]
+
+
+def _hold(u: Array, put_in: Mask, names: Sequence[str], how: Reading) -> list[str]:
+    """Hold missing inputs, everywhere or in short gaps of the file; return history steps."""
+    unknown = np.isnan(u) & ~put_in[:, np.newaxis]
+    for x, missing, name in zip(u.T, unknown.T, names, strict=True):
+        rows = x.size - np.count_nonzero(put_in)
+        known = int(rows - np.count_nonzero(missing))
+        # Without most of the rows the data would be distorted.
+        if not how.hold_input and known < _MIN_KNOWN_INPUTS * rows:
+            raise FileError(
+                f"{shown(name)} has a value in {known} of {rows} rows; if it is written only where "
+                "it changes, give --hold-input"
+            )
+        for gap in stretches(np.isnan(x)):
+            if gap.start and (how.hold_input or _is_short(x, gap, put_in)):
+                x[gap] = x[gap.start - 1]
+    count = int(np.count_nonzero(unknown.any(axis=1)))
+    if not (how.hold_input and count):
+        return []
+    return [f"held the input in {plural(count, 'row')} without a value of it"]
+
+
+def _is_short(x: Vector, gap: slice, put_in: Mask) -> bool:
+    """Return whether the file leaves out these few rows, with one value of x on both sides."""
+    same = gap.stop < x.size and x[gap.start - 1] == x[gap.stop]
+    return bool(same and put_in[gap].all() and gap.stop - gap.start <= _MAX_HELD)
 
 
 def _grid(table: Table, taken: set[int], N: int, how: Reading) -> Grid:
     """Return the grid of the rows, from a column of times, the Ts of the file, or the given Ts."""
-    if how.Ts is not None and not _MIN_TS <= how.Ts <= 1 / _MIN_TS:
-        allowed = f"and from {_MIN_TS:g} to {1 / _MIN_TS:g}" if 0 < how.Ts < np.inf else "and > 0"
-        raise FileError(f"Ts={how.Ts} must be finite {allowed}, in s")
+    Ts = how.Ts
+    if Ts is not None and not _MIN_TS <= Ts <= 1 / _MIN_TS:
+        allowed = f"and from {_MIN_TS:g} to {1 / _MIN_TS:g}" if 0 < Ts < np.inf else "and > 0"
+        raise FileError(f"Ts={Ts} must be finite {allowed}, in s")
     if how.time is not None:
         at = [chosen(table, how.time, "time")]
-    elif how.Ts is None and table.Ts is not None:
+    elif Ts is None and table.Ts is not None:
         return unit_grid(N, table.Ts)
     else:
         at = [i for i in time_columns(table) if i not in taken]
     if len(at) == 1:
-        name = table.columns[at[0]].name
-        named = f"the times in column {shown(name)}" if name else "the times"
         try:
             times = times_of(table, at[0])
             if times.t.size != N:
-                raise FileError(f"{named} are {times.t.size}, for {plural(N, 'sample')}")
-            return grid_of(times, named, table.place, Ts=how.Ts, resample=how.resample)
+                raise FileError(f"{times.name} are {times.t.size}, for {plural(N, 'sample')}")
+            return grid_of(times, Ts=Ts, resample=how.resample)
         except FileError as err:
-            if how.Ts is None or how.resample:
+            if Ts is None or how.resample:
                 raise
-            text = f"used the given Ts = {how.Ts:g} s, because the times cannot be used: {err}"
-            return replace(unit_grid(N, how.Ts), notes=(Step(text, DOUBT),))
-    if how.Ts is not None and not how.resample:
-        return unit_grid(N, how.Ts)
+            text = f"used the given Ts = {Ts:g} s, because the times cannot be used: {err}"
+            return replace(unit_grid(N, Ts), notes=[Step(text, DOUBT)])
+    if Ts is not None and not how.resample:
+        return unit_grid(N, Ts)
     msg = "the sampling time is not known: give it in s (--Ts)"
     if len(table.columns) > len(taken):
         msg += f", or the column of times: {listed(table, 'time')}"
@@ -478,14 +401,14 @@ def _values(table: Table, i: int, what: str) -> Vector:
     if np.isnan(values).all():
         msg = f"the {what}, column {i + 1}, has no value in any of {values.size} rows; "
         raise FileError(msg + listed(table, what))
+    require_size(what, values[~np.isnan(values)])
     return values
 
 
 # Recognition of a file's kind by its first bytes.
 
 
-_KNOWN_KINDS = "armrig reads tables of text, .mat (to -v7), .npz, Parquet and MCAP"
-_SAVE_IN_MATLAB = "save it in MATLAB with save('data.mat', 'u', 'y', '-v7')"
+_SAVE_IN_MATLAB = "save it in MATLAB with save('data.mat', 'u', 'y', 'Ts', '-v7')"
 _UTF_16 = 'is saved as UTF-16, like Excel\'s "Unicode text"; save it as "CSV UTF-8"'
 _REFUSED_KINDS = (
     (b"MATLAB 7.3", f"is a MAT-file of version 7.3, which only MATLAB reads; {_SAVE_IN_MATLAB}"),
@@ -497,6 +420,12 @@ _REFUSED_KINDS = (
     (codecs.BOM_UTF16_LE, _UTF_16),
     (codecs.BOM_UTF16_BE, _UTF_16),
 )
+_KINDS = (
+    (b"PAR1", read_parquet, "a damaged Parquet file", "write it again"),
+    (b"PK\x03\x04", read_npz, "a damaged .npz", "save it again with numpy.savez"),
+    (b"MATLAB 5.0", read_mat, "a damaged MAT-file", _SAVE_IN_MATLAB),
+)
+"""First bytes, reader, name and remedy of a kind."""
 
 
 def table_of(
@@ -505,8 +434,6 @@ def table_of(
     """Return the table in a file, whose kind is recognised by its first bytes.
 
     Only a MAT-file of version 4 is recognised by its suffix, because it begins with numbers.
-    `decimal` is the decimal mark of a text, or None if the text itself shows it. `topic` chooses
-    the messages of an MCAP file.
 
     Raises
     ------
@@ -517,19 +444,26 @@ def table_of(
         if data.startswith(beginning):
             raise FileError(what)
     if data.startswith(MAGIC):
-        return messages.table_of(data, topic)
+        return read_mcap(data, topic)
     if topic is not None:
         raise FileError(f"topic {topic}: only MCAP files have topics; leave out --topic")
-    if data.startswith(b"PAR1"):
-        return read_parquet(data)
-    if data.startswith(b"PK\x03\x04"):
-        return arrays.read_npz(data)
-    if data.startswith(b"MATLAB 5.0") or (suffix == ".mat" and b"\0" in data[:128]):
-        return arrays.read_mat(data)
+    is_old = suffix == ".mat" and b"\0" in data[:128]
+    for beginning, read, kind, remedy in _KINDS:
+        if data.startswith(beginning) or (is_old and read is read_mat):
+            try:
+                return read(data)
+            except InputError:
+                raise
+            except Exception as err:  # a damaged file can raise any exception in its reader
+                why = err if isinstance(err, DamageError) else type(err).__name__
+                raise FileError(f"is {kind} ({why}); {remedy}") from err
     if b"\0" in data:
-        raise FileError(f"is not text, and not of another known kind; {_KNOWN_KINDS}")
+        raise FileError(
+            "is not text, and not of another known kind; armrig reads tables of text, .mat (to "
+            "-v7), .npz, Parquet and MCAP"
+        )
     try:
         content = decoded(data)
     except FileError as err:
         raise FileError(f'{err} (in Excel: "CSV UTF-8")') from err
-    return text.table_of(content, decimal)
+    return read_text(content, decimal)

@@ -15,7 +15,8 @@ from math import prod
 from typing import Any
 
 import numpy as np
-from armrig_core.errors import FileError
+
+from armrig.data.files.table import require_room, room
 
 _HEADER_BYTES = 128  # before the first element of version 5
 _MAX_DEPTH = 8  # of nested structures; iddata has three levels
@@ -35,6 +36,8 @@ _OPAQUE = (
     "save('data.mat', 'u', 'y', 'Ts', '-v7')"
 )
 
+Elements = Iterator[tuple[int, memoryview]]
+"""Kind and bytes of each element."""
 Value = Any
 """An array, a text, a list (cell array), a dict with the fields of a structure, or `Unread`."""
 
@@ -45,35 +48,26 @@ class StructureArray(list[Value]):
 
 @dataclass(frozen=True, slots=True)
 class Unread:
-    """A variable that is not an array of real numbers."""
+    """Reason why a variable is not an array of real numbers, and the remedy."""
 
     why: str
-    """Reason, and the remedy."""
 
 
-class DamageError(FileError):
+class DamageError(Exception):
     """The bytes of the file are not a valid MAT-file."""
 
 
-class TooLongError(FileError):
-    """The unpacked file is larger than the limit."""
-
-
-def variables(data: bytes, most: int) -> Iterator[tuple[str, Value]]:
+def variables(data: bytes) -> Iterator[tuple[str, Value]]:
     """Iterate over the names and values of a MAT-file of version 4 to 7.
-
-    Parameters
-    ----------
-    most : int
-        Limit of the unpacked size, in B.
 
     Raises
     ------
-    DamageError
-        An element is damaged.
-    TooLongError
+    FileError
         The unpacked size exceeds the limit.
+    DamageError, or another exception
+        An element is damaged.
     """
+    unpacked = 0
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None:
         yield from _old_variables(memoryview(data))
@@ -82,23 +76,15 @@ def variables(data: bytes, most: int) -> Iterator[tuple[str, Value]]:
         if kind == _MATRIX:
             yield _matrix(body, order)
         elif kind == _COMPRESSED:
-            unpacking = zlib.decompressobj()
-            try:
-                plain = unpacking.decompress(body, most + 1)
-            except zlib.error as err:
-                raise DamageError(str(err)) from err
-            most -= len(plain)
-            if most < 0:
-                raise TooLongError
+            plain = zlib.decompressobj().decompress(body, room(len(data)) + 1 - unpacked)
+            unpacked += len(plain)
+            require_room(unpacked, len(data))
             for inner, matrix in _elements(memoryview(plain), order):
                 if inner == _MATRIX:
                     yield _matrix(matrix, order)
 
 
-def _elements(
-    data: memoryview, order: str, *, padded: bool = True
-) -> Iterator[tuple[int, memoryview]]:
-    """Iterate over the elements: the kind and the bytes of each."""
+def _elements(data: memoryview, order: str, *, padded: bool = True) -> Elements:
     at = 0
     while at + 8 <= len(data):
         kind, length = struct.unpack_from(f"{order}II", data, at)
@@ -127,7 +113,7 @@ def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
     shape = tuple(_numbers(parts, order).tolist())
     name = _name(parts)
     if kind == _CELL:
-        return name, [_matrix(inner, order, depth + 1)[1] for inner in _matrices(parts)]
+        return name, _inner(parts, order, depth)
     if kind in (_STRUCTURE, _OBJECT):
         if kind == _OBJECT:
             _name(parts)  # skips the name of the class
@@ -141,50 +127,50 @@ def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
     return name, _shaped(_numbers(parts, order), shape)
 
 
-def _structure(
-    parts: Iterator[tuple[int, memoryview]], shape: tuple[int, ...], order: str, depth: int
-) -> Value:
-    """Return the fields of a structure."""
+def _structure(parts: Elements, shape: tuple[int, ...], order: str, depth: int) -> Value:
     width = _numbers(parts, order)
-    _, names = next(parts, (0, memoryview(b"")))
+    _, names = _next(parts)
     if width.size != 1 or not 0 < int(width[0]) <= _MAX_NAME_BYTES:
         raise DamageError("a structure without names")
     size = int(width[0])
     fields = [_text(names[i : i + size]) for i in range(0, len(names), size)]
-    # MATLAB writes a field that was never assigned as a matrix of 0 B.
-    values = [
-        _matrix(inner, order, depth + 1)[1] if len(inner) else Unread(EMPTY)
-        for kind, inner in parts
-        if kind == _MATRIX
-    ]
-    if prod(shape) == 1:
-        return dict(zip(fields, values, strict=False))
-    every = range(0, len(values), len(fields))
-    return StructureArray(dict(zip(fields, values[i:], strict=False)) for i in every)
+    values = _inner(parts, order, depth)
+    every = range(0, len(values), len(fields) or 1)
+    structures = StructureArray(dict(zip(fields, values[i:], strict=False)) for i in every)
+    return dict(zip(fields, values, strict=False)) if prod(shape) == 1 else structures
 
 
-def _characters(parts: Iterator[tuple[int, memoryview]], order: str) -> str:
+def _characters(parts: Elements, order: str) -> str:
     """Return the next element as a text."""
-    kind, body = next(parts, (0, memoryview(b"")))
+    kind, body = _next(parts)
     utf_16 = "utf-16-le" if order == "<" else "utf-16-be"
     encoding = utf_16 if kind in _TWO_BYTE_CHARACTERS else "utf-8"
     return bytes(body[:_MAX_NAME_BYTES]).decode(encoding, "replace")
 
 
-def _matrices(parts: Iterator[tuple[int, memoryview]]) -> Iterator[memoryview]:
-    return (body for kind, body in parts if kind == _MATRIX and len(body))
+def _inner(parts: Elements, order: str, depth: int) -> list[Value]:
+    """Return the values of nested arrays; MATLAB writes a field never assigned as 0 B."""
+    return [
+        _matrix(body, order, depth + 1)[1] if len(body) else Unread(EMPTY)
+        for kind, body in parts
+        if kind == _MATRIX
+    ]
 
 
-def _numbers(parts: Iterator[tuple[int, memoryview]], order: str) -> Any:
+def _numbers(parts: Elements, order: str) -> Any:
     """Return the next element as a vector; the element states its numeric type."""
-    kind, body = next(parts, (0, memoryview(b"")))
+    kind, body = _next(parts)
     if kind not in _NUMBERS or len(body) % int(_NUMBERS[kind][1]):
         raise DamageError(f"an element of kind {kind} instead of numbers")
     return np.frombuffer(body, dtype=order + _NUMBERS[kind])
 
 
-def _name(parts: Iterator[tuple[int, memoryview]]) -> str:
-    return _text(next(parts, (0, memoryview(b"")))[1])
+def _next(parts: Elements) -> tuple[int, memoryview]:
+    return next(parts, (0, memoryview(b"")))
+
+
+def _name(parts: Elements) -> str:
+    return _text(_next(parts)[1])
 
 
 def _text(data: memoryview) -> str:
@@ -195,7 +181,8 @@ def _shaped(values: Any, shape: tuple[int, ...]) -> Any:
     """Return values, stored column by column, as an array of the given shape."""
     if len(shape) < 2 or any(n < 0 for n in shape) or prod(shape) != values.size:
         raise DamageError(f"{values.size} numbers in a shape of {shape}")
-    return values.reshape(shape, order="F")
+    # A shape with a 0 and numbers above 2^60 is not a shape of numpy.
+    return values.reshape(shape if values.size else 0, order="F")
 
 
 def _old_variables(data: memoryview) -> Iterator[tuple[str, Value]]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr
 from functools import partial
 from io import BytesIO, StringIO
+from itertools import chain
 from math import nan
 from types import SimpleNamespace
 from typing import Any
@@ -29,8 +30,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from armrig.data.files.arrays import MOST_BYTES, ArrayTable
-from armrig.data.files.table import Column, Vector, shown
+from armrig.data.files.table import Column, Table, Vector, require_room, shown
 from armrig.data.optional_packages import MissingPackageError, imported
 from armrig.data.step import DOUBT, Step
 
@@ -43,7 +43,7 @@ _Series = tuple[list[int], dict[str, "array[float]"]]
 """Log times of the messages of a topic, in ns, and their numeric fields by name."""
 
 
-def table_of(data: bytes, topic: str | None) -> ArrayTable:
+def read_mcap(data: bytes, topic: str | None) -> Table:
     """Return the numeric fields of a topic's messages as columns, and their log times as `time`.
 
     The name of a column is the path of the field, such as `twist.linear.x`, or `position:2` for the
@@ -67,8 +67,7 @@ def table_of(data: bytes, topic: str | None) -> ArrayTable:
             column.extend([nan] * (len(times) - len(column)))
             column.append(value)
         times.append(log_time)
-        if 8 * len(columns) * len(times) > MOST_BYTES:
-            raise FileError(f"{shown(name)} has more than {MOST_BYTES >> 20} MiB of numbers")
+        require_room(8 * len(columns) * len(times), len(data))
     missing = [shown(name) for name, (times, _) in series.items() if not times]
     if missing or not names:
         raise FileError("".join(f"topic {n}: no such topic; " for n in missing) + _listed(data))
@@ -76,16 +75,12 @@ def table_of(data: bytes, topic: str | None) -> ArrayTable:
         others = " and ".join(map(shown, names[:-1]))
         notes.append(f"held the newest value of {others} at the times of {shown(names[-1])}")
     found = _joined(series)
-    named = tuple(Column(name=name, unit="s" if name == "time" else "") for name in found)
-    return ArrayTable(columns=named, values=[*found.values()], refused={}, Ts=None, notes=notes)
+    named = [Column(name=name, unit="s" if name == "time" else "") for name in found]
+    return Table(columns=named, values=[*found.values()], notes=notes)
 
 
 def _joined(series: Mapping[str, _Series]) -> dict[str, Vector]:
-    """Return the times of the last topic, from 0 on, and the values of all topics at these times.
-
-    The names begin with the topic if there are several topics. The name of a field t or time also
-    begins with the topic, because the column of the log times is recognised by its name.
-    """
+    """Return the times of the last topic, from 0 on, and the values of all topics at them."""
     *_, (last, _) = series.values()
     times_ns = np.sort(np.array(last, dtype=np.uint64))
     found: dict[str, Vector] = {"time": (times_ns - times_ns[0]) / 1e9}
@@ -97,6 +92,7 @@ def _joined(series: Mapping[str, _Series]) -> dict[str, Vector]:
             at = np.arange(1, times_ns.size + 1)  # messages with the same log time stay apart
         for name, column in columns.items():
             values = np.append(column, [nan] * (len(times) - len(column)))[order]
+            # The column of the log times is recognised by its name.
             is_ambiguous = len(series) > 1 or name.casefold() in ("t", "time")
             found[f"{topic}.{name}" if is_ambiguous else name] = np.append(nan, values)[at]
     return found
@@ -116,26 +112,30 @@ def _listed(data: bytes) -> str:
                 topics[topic] = ", ".join(names[:_MAX_LISTED]) + more or "no numeric field"
             except FileError as err:
                 topics[topic] = str(err)
-    said = "another program wrote this MCAP file"
     if not topics:
-        return f"{said}, and it has no messages" + "".join(f"; {note}" for note in notes)
+        return "; ".join(["another program wrote this MCAP file, and it has no messages", *notes])
     listed = "; ".join(f"{shown(topic)} ({fields})" for topic, fields in topics.items())
-    two = " (or A,B)" if len(topics) > 1 else ""
-    return f"{said}; give --topic NAME{two}, --input FIELD and --signal FIELD of: {listed}"
+    return (
+        f"another program wrote this MCAP file; give --topic NAME{' (or A,B)' * (len(topics) > 1)},"
+        f" --input FIELD and --signal FIELD of: {listed}"
+    )
 
 
 def _messages(
     data: bytes, wanted: Collection[str] | None, notes: list[str]
 ) -> Iterator[tuple[str, int, Callable[[], dict[str, float]]]]:
-    """Yield topic, log time in ns, and a function that returns the numeric fields, of messages.
-
-    None selects the messages of all topics. A damage ends the iteration, and adds a note.
-    """
+    """Yield topic, log time in ns, and a function that returns the numeric fields, of messages."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     decoders: _Decoders = {}
+    budget = Budget(len(data))
+    chunks, spend = Unpacker(budget), partial(budget.spend, WORK)
+    source = ByteSource(BytesIO(data), len(data))
+    source.skip(len(MAGIC))
+    records = file_records(source, Wanted(attachment=0), spend)
     try:
-        for opcode, body in _records(data):
+        for opcode, body in chain.from_iterable(map(chunks.parts, records)):
+            spend(1)
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(ReadDataStream(BytesIO(body)))
                 schemas[schema.id] = schema
@@ -151,18 +151,6 @@ def _messages(
     except (DamageError, *UNREADABLE) as err:
         text = f"only the messages before a damage are read ({err or type(err).__name__})"
         notes.append(Step(text, DOUBT))
-
-
-def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the opcodes and the contents of a file's records, with the records in its chunks."""
-    budget = Budget(len(data))
-    chunks, spend = Unpacker(budget), partial(budget.spend, WORK)
-    source = ByteSource(BytesIO(data), len(data))
-    source.skip(len(MAGIC))
-    for record in file_records(source, Wanted(attachment=0), spend):
-        for part in chunks.parts(record):
-            spend(1)
-            yield part
 
 
 _Decoders = dict[int, Callable[[bytes], Any]]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import isclose
 
@@ -15,16 +15,16 @@ from armrig.data.files.stamps import Times
 from armrig.data.files.table import Vector
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
+from armrig.numerics.stretches import Mask, pieces
 
-MAX_INTERVAL_DEVIATION = 0.05
-"""Largest deviation of a regular interval from the usual interval, as a share of it."""
-MAX_TS_DEVIATION = 0.05
-"""Largest relative deviation of a given Ts from the interval of the times without a note."""
+_MAX_DEVIATION = 0.05  # relative, of a regular interval, and of a given Ts without a note
 _MAX_IRREGULAR_SHARE = 0.1  # share of irregular intervals above which times are uneven
 _MAX_SHIFT = 0.25  # of an interval, from the next multiple
 _MAX_LONGER = 0.4  # of an interval: a longer one that no later interval makes up is a break
 _MAX_UNUSUAL_SHARE = 0.2  # share of intervals above which whole steps of the last digit are jitter
 _MIN_COARSE = 10  # intervals that show the mean of coarse times
+_MIN_ROUNDED = 3  # of them longer or shorter than the others
+_MAX_ROUNDING = 1.1  # range of the deviations of even times, in steps of the last digit
 _MAX_LEFT_OUT = 20  # rows that are put in at one place; a longer gap begins an experiment
 _MAX_CAUGHT_UP = 10  # intervals within which late rows catch up
 _MAX_INTERPOLATED = 3.0  # usual intervals; y is missing inside a longer one
@@ -48,9 +48,9 @@ class Grid:
     """Instant of each row of the file, shape (N,), from 0."""
     size: int
     """Number of instants; those without a row are missing."""
-    breaks: tuple[int, ...] = ()
+    breaks: Sequence[int] = ()
     """Instants at which a new experiment begins."""
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str] = ()
     """Notes about late rows, rows that were put in, and gaps."""
     times: tuple[Vector, Vector] | None = None
     """Times in s of the rows and of the instants, if the rows must be resampled."""
@@ -83,14 +83,7 @@ def unit_grid(N: int, Ts: float) -> Grid:
     return Grid(Ts=Ts, at=np.arange(N), size=N)
 
 
-def grid_of(
-    times: Times,
-    name: str,
-    place: Callable[[int], str],
-    *,
-    Ts: float | None = None,
-    resample: bool = False,
-) -> Grid:
+def grid_of(times: Times, *, Ts: float | None = None, resample: bool = False) -> Grid:
     """Return the grid of rows at these times.
 
     The usual interval is the median. An interval of several usual intervals leaves out rows, which
@@ -101,12 +94,6 @@ def grid_of(
 
     Parameters
     ----------
-    times : Times
-        Times of the rows, in s.
-    name : str
-        Name of the times in messages.
-    place : callable
-        Function that returns the place of row k in the file.
     Ts : float, optional
         Sampling time in s that is used instead of the interval of the times.
     resample : bool
@@ -121,34 +108,32 @@ def grid_of(
         and the last digit of the times.
     """
     t = times.t
-    if t.size < 2 and Ts is not None:
-        return unit_grid(t.size, Ts)
     if t.size < 2:
-        raise FileError(
-            f"{name}: a sampling time needs at least 2 times, got {t.size}; give Ts in s (--Ts)"
-        )
+        if Ts is not None:
+            return unit_grid(t.size, Ts)
+        msg = f"{times.name}: a sampling time needs at least 2 times, got {t.size}"
+        raise FileError(f"{msg}; give Ts in s (--Ts)")
     if not np.any(np.diff(t) > 0):
-        raise FileError(
-            f"{place(1)}: {name} do not increase; give Ts in s (--Ts) if the times are wrong"
-        )
+        msg = f"{times.place(1)}: {times.name} do not increase"
+        raise FileError(f"{msg}; give Ts in s (--Ts) if the times are wrong")
     if resample:
         return _resampled(times, Ts)
-    if Ts is None:
-        return _of_times(times, name, place)
     try:
-        grid = _of_times(times, name, place)
-        usual = grid.Ts
+        grid = _coarse(times) or _of_times(times)
     except UnevenTimesError as err:
-        usual = _usual(t)
-        breaks = np.flatnonzero((np.diff(t) < 0) | (np.diff(t) > _MAX_LEFT_OUT * usual)) + 1
+        if Ts is None:
+            raise
+        begins = _gaps(t)
         doubt = Step(f"used each row as one sample although {err}", DOUBT)
-        notes = (doubt, *_gap_notes(t, breaks, place))
-        grid = Grid(Ts=Ts, at=np.arange(t.size), size=t.size, breaks=tuple(breaks), notes=notes)
-    notes = grid.notes
-    if not isclose(usual, Ts, rel_tol=MAX_TS_DEVIATION):
-        text = f"used the given Ts = {Ts:g} s, although the times are {usual:g} s apart"
-        notes = (Step(text, DOUBT), *notes)
-    return Grid(Ts=Ts, at=grid.at, size=grid.size, breaks=grid.breaks, notes=notes)
+        notes = [doubt, *_gap_notes(times, begins)]
+        grid = replace(unit_grid(t.size, _usual(t)), breaks=begins.tolist(), notes=notes)
+    if Ts is None:
+        return replace(grid, notes=[*times.notes, *grid.notes])
+    notes = [*times.notes, *grid.notes]
+    if not isclose(grid.Ts, Ts, rel_tol=_MAX_DEVIATION):
+        text = f"used the given Ts = {Ts:g} s, although the times are {grid.Ts:g} s apart"
+        notes.insert(0, Step(text, DOUBT))
+    return replace(grid, Ts=Ts, notes=notes)
 
 
 def _usual(t: Vector) -> float:
@@ -156,20 +141,19 @@ def _usual(t: Vector) -> float:
     return float(np.median(intervals[intervals > 0]))
 
 
-def _of_times(times: Times, name: str, place: Callable[[int], str]) -> Grid:
+def _gaps(t: Vector) -> NDArray[np.intp]:
+    """Return the rows after long gaps, and after times that go back."""
+    d = np.diff(t)
+    return np.flatnonzero((d < 0) | (d > _MAX_LEFT_OUT * _usual(t))) + 1
+
+
+def _of_times(times: Times) -> Grid:
     t = times.t
     d, usual = np.diff(t), _usual(t)
-    digit = min(times.resolution, _MAX_SHIFT * usual)
-    unusual = float(np.mean(np.abs(d - usual) > digit))
-    is_coarse = digit < times.resolution and d.size >= _MIN_COARSE
-    if is_coarse and np.all(d >= 0) and unusual > _MAX_UNUSUAL_SHARE:
-        grid = _coarse(times, name)
-        if grid is not None:
-            return grid
-    tolerance = MAX_INTERVAL_DEVIATION * usual + digit + 1e-9 * usual
+    tolerance = _MAX_DEVIATION * usual + min(times.resolution, _MAX_SHIFT * usual) + 1e-9 * usual
     regular = np.abs(d - usual) <= tolerance
     if not regular.any():
-        raise _uneven(t, ~regular, usual, name, place)
+        raise _uneven(times, ~regular, usual)
     Ts = float(d[regular].mean())
     steps, late = _steps(d, Ts, tolerance)
     deviation = d - steps * Ts
@@ -178,30 +162,40 @@ def _of_times(times: Times, name: str, place: Callable[[int], str]) -> Grid:
     moved = irregular & ~late
     lost = moved & ~gaps & (np.abs(deviation) > _MAX_LONGER * Ts)
     if np.mean(irregular) > _MAX_IRREGULAR_SHARE or np.any(~back & (steps < 1)):
-        raise _uneven(t, irregular | (steps < 1), usual, name, place)
+        raise _uneven(times, irregular | (steps < 1), usual)
     long = gaps & ((steps > _MAX_LEFT_OUT + 1) | (np.abs(deviation) > _MAX_SHIFT * Ts + tolerance))
     breaks = back | long | lost
     steps[breaks] = 1
-    at = np.concatenate(([0], np.cumsum(steps)))
-    notes = _late_note(irregular & ~breaks & ~gaps, d, Ts)
+    at = np.append(0, np.cumsum(steps))
+    notes = []
+    if count := int(np.count_nonzero(shifted := irregular & ~breaks & ~gaps)):
+        most = float(np.abs(d[shifted] - Ts).max())
+        notes.append(
+            f"{count} of {d.size} intervals differ{'s' * (count == 1)} from {Ts:.4g} s by more "
+            f"than 5 %, at most by {most:.3g} s ({100 * most / Ts:.0f} %): read as late rows of "
+            "the same grid"
+        )
     if put_in := int(at[-1] + 1 - at.size):
-        notes += (
+        notes.append(
             f"put in {plural(put_in, 'missing row')} that the file leaves out, in "
-            f"{plural(int(np.count_nonzero(steps > 1)), 'place')}",
+            f"{plural(int(np.count_nonzero(steps > 1)), 'place')}"
         )
     begins = np.flatnonzero(breaks) + 1
-    notes += _gap_notes(t, begins, place)
+    # Ts is that of the longest part, without the intervals that really were longer or shorter.
+    part = max(pieces(breaks), key=lambda part: part.stop - part.start)
+    if part.stop - part.start < 2:
+        part = slice(None)
+    even = t - np.append(0, np.cumsum(deviation * moved))
     return Grid(
-        # Without the intervals that really were longer or shorter.
-        Ts=_roundest(*_longest(t - np.append(0, np.cumsum(deviation * moved)), at, begins)),
+        Ts=_roundest(even[part], at[part]),
         at=at,
         size=int(at[-1]) + 1,
-        breaks=tuple(int(at[k]) for k in begins),
-        notes=(*times.notes, *notes),
+        breaks=at[begins].tolist(),
+        notes=[*notes, *_gap_notes(times, begins)],
     )
 
 
-def _steps(d: Vector, Ts: float, tolerance: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _steps(d: Vector, Ts: float, tolerance: float) -> tuple[NDArray[np.int64], Mask]:
     """Return the number of instants from row to row, and the intervals around late rows."""
     steps = np.rint(np.clip(d / Ts, -1, _MAX_GAP)).astype(np.int64)
     late = np.zeros(d.size, np.bool_)
@@ -217,83 +211,55 @@ def _steps(d: Vector, Ts: float, tolerance: float) -> tuple[NDArray[np.int64], N
     return steps, late
 
 
-def _coarse(times: Times, name: str) -> Grid | None:
-    """Return the grid of evenly sampled rows whose times have few digits; None if they are not.
-
-    An example is ten rows in each second with times in whole seconds.
-    """
+def _coarse(times: Times) -> Grid | None:
+    """Return the grid of even rows whose times have few digits, such as ten rows in each second."""
     t, k = times.t, np.arange(times.t.size)
-    slope, start = np.polyfit(k, t, 1)
-    if slope <= 0 or np.abs(t - start - slope * k).max() > times.resolution:
+    d, usual = np.diff(t), _usual(t)
+    if d.size < _MIN_COARSE or np.any(d < 0) or times.resolution <= _MAX_SHIFT * usual:
         return None
-    note = f"{name} have a last digit of {times.resolution:g} s; Ts is their mean interval"
-    return Grid(Ts=_roundest(t, k), at=k, size=t.size, notes=(*times.notes, note))
+    count = int(np.count_nonzero(np.abs(d - usual) > _MAX_SHIFT * usual))
+    slope = float(np.polyfit(k, t, 1)[0])
+    # A few longer intervals may be rows left out; those of the last digit are evenly distributed.
+    width = 2.0 if count > _MAX_UNUSUAL_SHARE * d.size else _MAX_ROUNDING
+    if count < _MIN_ROUNDED or slope <= 0 or np.ptp(t - slope * k) > width * times.resolution:
+        return None
+    note = f"{times.name} have a last digit of {times.resolution:g} s; Ts is their mean interval"
+    return Grid(Ts=_roundest(t, k), at=k, size=t.size, notes=[note])
 
 
-def _late_note(irregular: NDArray[np.bool_], d: Vector, Ts: float) -> tuple[str, ...]:
-    count = int(np.count_nonzero(irregular))
-    if not count:
-        return ()
-    most = float(np.abs(d[irregular] - Ts).max())
-    verb = "differs" if count == 1 else "differ"
-    return (
-        f"{count} of {d.size} intervals {verb} from {Ts:.4g} s by more than 5 %, at most by "
-        f"{most:.3g} s ({100 * most / Ts:.0f} %): read as late rows of the same grid",
-    )
-
-
-def _gap_notes(t: Vector, begins: NDArray[np.intp], place: Callable[[int], str]) -> tuple[str, ...]:
+def _gap_notes(times: Times, begins: NDArray[np.intp]) -> list[str]:
     """Return a note that names the first of the breaks."""
-    if not len(begins):
-        return ()
+    if not begins.size:
+        return []
     k = int(begins[0])
-    step = t[k] - t[k - 1]
+    step = times.t[k] - times.t[k - 1]
     what = f"a gap of {step:.4g} s" if step > 0 else f"the time goes back by {-step:.4g} s"
-    more = f", and {len(begins) - 1} more such places" if len(begins) > 1 else ""
-    return (f"{place(k)}: {what}{more}; a new experiment begins there",)
+    more = f", and {begins.size - 1} more such places" if begins.size > 1 else ""
+    return [f"{times.place(k)}: {what}{more}; a new experiment begins there"]
 
 
-def _uneven(
-    t: Vector,
-    irregular: NDArray[np.bool_],
-    usual: float,
-    name: str,
-    place: Callable[[int], str],
-) -> UnevenTimesError:
-    k = int(np.argmax(irregular)) + 1
+def _uneven(times: Times, irregular: Mask, usual: float) -> UnevenTimesError:
+    t, k = times.t, int(np.argmax(irregular)) + 1
     count = int(np.count_nonzero(irregular))
-    verb = "is" if count == 1 else "are"
     return UnevenTimesError(
-        f"{place(k)}: {name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, and {count} of "
-        f"{t.size - 1} intervals {verb} not the usual {usual:.6g} s. Give --resample to "
-        "interpolate, another column (--time), or Ts in s (--Ts) if the times are wrong"
+        f"{times.place(k)}: {times.name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, and {count} of "
+        f"{t.size - 1} intervals {'is' if count == 1 else 'are'} not the usual {usual:.6g} s. Give "
+        "--resample to interpolate, another column (--time), or Ts in s (--Ts) if the times are "
+        "wrong"
     )
-
-
-def _longest(
-    t: Vector, at: NDArray[np.int64], begins: NDArray[np.intp]
-) -> tuple[Vector, NDArray[np.int64]]:
-    """Return the times and the instants of the part between two breaks with the most rows."""
-    ends = [0, *map(int, begins), t.size]
-    a, b = max(pairwise(ends), key=lambda part: part[1] - part[0])
-    return (t[a:b], at[a:b]) if b - a > 1 else (t, at)
 
 
 def _roundest(t: Vector, k: NDArray[np.int64]) -> float:
     """Return the mean interval, rounded to the fewest digits that still fit the times."""
     mean = float(t[-1] - t[0]) / float(k[-1] - k[0])
     apart = 1.1 * float(np.ptp(t - mean * k)) + 1e-9 * mean
-    for digits in range(1, _MAX_DIGITS):
-        rounded = float(f"{mean:.{digits}g}")
-        if float(np.ptp(t - rounded * k)) <= apart:
-            return rounded
-    return mean
+    rounded = (float(f"{mean:.{digits}g}") for digits in range(1, _MAX_DIGITS))
+    return next((Ts for Ts in rounded if float(np.ptp(t - Ts * k)) <= apart), mean)
 
 
 def _resampled(times: Times, given: float | None) -> Grid:
     """Return a grid between the times; each gap, and each time that goes back, begins a part."""
-    keep = np.append(True, np.diff(times.t) != 0)  # of equal times the first
-    rows = np.flatnonzero(keep)
+    rows = np.flatnonzero(np.append(True, np.diff(times.t) != 0))  # of equal times the first
     t = times.t[rows]
     usual = _usual(t)
     Ts = given or float(f"{usual:.3g}")
@@ -302,17 +268,16 @@ def _resampled(times: Times, given: float | None) -> Grid:
             f"--resample at {Ts:g} s: the rows are {usual:.6g} s apart; give a larger --Ts, or cut "
             "the file at its gaps"
         )
-    begins = np.flatnonzero((np.diff(t) < 0) | (np.diff(t) > _MAX_LEFT_OUT * usual)) + 1
+    begins = _gaps(t)
     # The parts one after the other, so that the times increase.
     shift = np.zeros(t.size)
     shift[begins] = t[begins - 1] - t[begins] + 2 * Ts
     whole = t + np.cumsum(shift)
     parts = [
         np.arange(whole[a], whole[b - 1] + 1e-9 * Ts, Ts)
-        for a, b in pairwise([0, *map(int, begins), t.size])
+        for a, b in pairwise([0, *begins.tolist(), t.size])
     ]
     wanted = np.concatenate(parts)
-    breaks = np.cumsum([part.size for part in parts])[:-1].tolist()
     note = (
         f"resampled {times.t.size} rows to {wanted.size} samples, {Ts:g} s apart: y on straight "
         "lines between the rows, u held; this smooths the noise of y, so residuals may be coloured"
@@ -321,7 +286,7 @@ def _resampled(times: Times, given: float | None) -> Grid:
         Ts=Ts,
         at=rows,
         size=wanted.size,
-        breaks=tuple(breaks),
-        notes=(*times.notes, note, *_gap_notes(t, begins, lambda k: f"row {k + 1}")),
+        breaks=np.cumsum([part.size for part in parts])[:-1].tolist(),
+        notes=[*times.notes, note, *_gap_notes(times, rows[begins])],
         times=(whole, wanted),
     )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from armrig_core.errors import FileError
@@ -14,6 +14,11 @@ from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
 
+NO_NUMBERS = "contains no numbers; save it as a vector of real numbers"
+"""Reason why a variable is not a column, and the remedy."""
+_MOST_BYTES = 1 << 28  # of an unpacked file, with at least 8 B for each number
+_MIN_LIMIT_BYTES = 1 << 26
+_MAX_RATIO = 100  # packing shrinks measured data by a factor of 5 to 20, zeros by 1000
 _MAX_LISTED_COLUMNS = 12
 _MAX_SHOWN_CHARACTERS = 40  # of a text of the file that a message quotes
 _MAX_NUMBER_DIGITS = 9  # of a number that chooses a column
@@ -36,39 +41,47 @@ class Column:
     """Unit, from a header such as `u [V]` or `u (V)`."""
 
 
-class Table(Protocol):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
     """Columns of equal length, with a value or a missing value at each instant."""
 
-    @property
-    def columns(self) -> Sequence[Column]:
-        """Names and units, in the file's order."""
-
-    @property
-    def refused(self) -> Mapping[str, str]:
-        """Reason why a variable is not a column of numbers, by the name of the variable."""
-
-    @property
-    def Ts(self) -> float | None:
-        """Sampling time in s, if the file states it outside the columns."""
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """Notes on lines that contain no values, such as a line of units."""
+    columns: Sequence[Column]
+    """Names and units, in the file's order; the columns of a matrix X are named `X:1`, `X:2` …"""
+    values: Sequence[Any] = ()
+    """An array (N,) of any real type for each column."""
+    refused: Mapping[str, str] = field(default_factory=dict)
+    """Reason why a variable is not a column of numbers, by the name of the variable."""
+    Ts: float | None = None
+    """Sampling time in s, if the file states it outside the columns."""
+    notes: Sequence[str] = ()
+    """Notes on how the columns were read."""
 
     def numbers(self, i: int) -> Vector:
-        """Return the values of column i, counted from 0; NaN where a value is missing.
+        """Return the values of column i, counted from 0; NaN where a value is missing."""
+        with np.errstate(invalid="ignore"):  # a signalling NaN is NaN, too
+            return np.array(self.values[i], dtype=np.float64)
 
-        Raises
-        ------
-        FileError
-            A value is not a number; the message names the place of the first such value.
-        """
-
-    def texts(self, i: int) -> Sequence[str] | None:
-        """Return the cells of column i as text; None if the file contains numbers."""
+    def texts(self, i: int) -> Sequence[str]:
+        """Return the cells of column i as text; () if the file contains numbers."""
+        return ()
 
     def place(self, k: int) -> str:
         """Return the place of instant k in the file as text, such as `line 4`."""
+        return f"row {k + 1}"
+
+
+def room(packed: int) -> int:
+    """Return the largest allowed unpacked size, in B, of a file of `packed` B."""
+    return min(_MOST_BYTES, max(_MIN_LIMIT_BYTES, _MAX_RATIO * packed))
+
+
+def require_room(unpacked: int, packed: int) -> None:
+    """Refuse a file whose unpacked size exceeds `room`."""
+    if unpacked > (most := room(packed)):
+        raise FileError(
+            f"unpacked it has more than {most >> 20} MiB; save only input and output, or cut it "
+            "into several files"
+        )
 
 
 def titled(heading: str) -> Column:
@@ -76,10 +89,8 @@ def titled(heading: str) -> Column:
     found = _UNIT.fullmatch(heading)
     if found is None:
         return Column(name=heading)
-    return Column(
-        name=found["name"].strip(),
-        unit=(found["unit"] or found["other"] or found["glued"] or "").strip(),
-    )
+    unit = found["unit"] or found["other"] or found["glued"] or ""
+    return Column(name=found["name"].strip(), unit=unit.strip())
 
 
 def chosen(table: Table, wanted: str, what: str) -> int:
@@ -88,8 +99,9 @@ def chosen(table: Table, wanted: str, what: str) -> int:
     Parameters
     ----------
     wanted : str
-        Name of the column, with or without its unit. Lower and upper case are distinguished only if
-        both exist. A number is the position of a column, unless a column has this name.
+        Name of the column, with or without its unit; of a field of a structure, also its last part.
+        Lower and upper case are distinguished only if both exist. A number is the position of a
+        column, unless a column has this name.
     what : str
         Purpose of the column for the message: input, signal or time.
 
@@ -101,8 +113,14 @@ def chosen(table: Table, wanted: str, what: str) -> int:
         Several columns have the name.
     """
     wanted = wanted.strip()
-    for same in (_same, _same_but_for_case, _same_last_part):
-        found = [i for i, column in enumerate(table.columns) if same(column, wanted)]
+    title = titled(wanted)
+    named = [(i, column) for i, column in enumerate(table.columns) if column.name]
+    folded = title.name.casefold()
+    for found in (
+        [i for i, column in named if wanted == column.name or title == column],
+        [i for i, column in named if folded == column.name.casefold()],
+        [i for i, column in named if wanted == column.name.rpartition(".")[2]],
+    ):
         if len(found) == 1:
             return found[0]
         if found:
@@ -140,16 +158,3 @@ def shown(text: str) -> str:
     """Return text of the file in printable form, shortened for a message."""
     short = len(text) <= _MAX_SHOWN_CHARACTERS
     return printable(text if short else f"{text[: _MAX_SHOWN_CHARACTERS - 1]}…")
-
-
-def _same(column: Column, wanted: str) -> bool:
-    return wanted == column.name != "" or titled(wanted) == column
-
-
-def _same_but_for_case(column: Column, wanted: str) -> bool:
-    return column.name.casefold() == titled(wanted).name.casefold() != ""
-
-
-def _same_last_part(column: Column, wanted: str) -> bool:
-    """Return whether the column is the named field of a structure, such as `u` for `data.u`."""
-    return "." in column.name and column.name.rpartition(".")[2] == wanted

@@ -8,12 +8,12 @@ import zlib
 from io import BytesIO
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_DEFLATED, ZipFile
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
 from armrig import FileError, load_data, load_signals
-from armrig.data.files.arrays import most_unpacked
+from armrig.data.files import table
 from scipy.io import savemat
 from scipy.io.matlab import MatlabObject
 
@@ -152,37 +152,16 @@ def test_an_archive_that_unpacks_without_end_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type
 ) -> None:
     """The declared length decides, before anything is unpacked."""
-    from armrig.data.files import arrays
-
-    monkeypatch.setattr(arrays, "most_unpacked", lambda _: 1 << 20)
+    monkeypatch.setattr(table, "room", lambda _: 1 << 20)
     n = (1 << 20) // 8
     whole, bomb = tmp_path / "whole.npz", tmp_path / "bomb.npz"
-    np.savez_compressed(whole, u=np.arange(n - 50.0).astype(kind), y=np.ones(50, kind))
+    np.savez_compressed(whole, u=np.arange(n - 100.0).astype(kind), y=np.ones(50, kind))
     np.savez_compressed(bomb, u=np.zeros(n - 50, kind), y=np.ones(51, kind))
 
     with pytest.raises(FileError, match="unpacked it has more than 1 MiB; save only input"):
         load_data(bomb, Ts=1)
-    with pytest.raises(
-        FileError, match="both need the same number"
-    ):  # unequal lengths: it was read
+    with pytest.raises(FileError, match="all need the same number"):  # it was read
         load_data(whole, Ts=1)
-
-
-def test_an_array_that_lies_of_its_length_costs_no_more(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The header declares four numbers; a gigabyte follows."""
-    from armrig.data.files import arrays
-
-    monkeypatch.setattr(arrays, "most_unpacked", lambda _: 1 << 20)
-    path = tmp_path / "liar.npz"
-    honest = BytesIO()
-    np.save(honest, np.arange(4.0))
-    with ZipFile(path, "w", ZIP_DEFLATED) as archive:
-        for name in ("u.npy", "y.npy"):
-            archive.writestr(name, honest.getvalue() + bytes(1 << 21))
-
-    assert load_data(path, Ts=1).y.tolist() == [0.0, 1.0, 2.0, 3.0]
 
 
 def element(kind: int, values: bytes, order: str = "<") -> bytes:
@@ -225,6 +204,19 @@ def test_a_number_that_is_cut_within_is_damage(tmp_path: Path) -> None:
     path.write_bytes(mat5(element(14, head + element(1, b"u") + element(9, b"\1" * 7))))
 
     with pytest.raises(FileError, match="an element of kind 9 instead of numbers"):
+        load_data(path, Ts=1)
+
+
+@pytest.mark.parametrize("kind", [1, 2, 6])
+def test_an_array_without_values_is_named(kind: int, tmp_path: Path) -> None:
+    """A shape may be larger than any of numpy, and a structure may have no fields."""
+    head = element(6, struct.pack("<II", kind, 0))
+    head += element(5, struct.pack("<3i", 1 << 30, 1 << 30, 0))
+    rest = {1: b"", 2: element(5, struct.pack("<i", 8)) + element(1, b""), 6: element(9, b"")}
+    path = tmp_path / "data.mat"
+    path.write_bytes(mat5(element(14, head + element(1, b"u") + rest[kind])))
+
+    with pytest.raises(FileError, match=r"input u.*: (is|there are no)"):
         load_data(path, Ts=1)
 
 
@@ -280,9 +272,7 @@ def test_cells_inside_each_other_without_end_are_refused(tmp_path: Path) -> None
 def test_a_mat_file_that_unpacks_without_end_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from armrig.data.files import arrays
-
-    monkeypatch.setattr(arrays, "most_unpacked", lambda _: 1 << 20)
+    monkeypatch.setattr(table, "room", lambda _: 1 << 20)
     packed = zlib.compress(bytes(1 << 22))
     path = tmp_path / "bomb.mat"
     path.write_bytes(mat5(struct.pack("<II", 15, len(packed)) + packed))
@@ -300,7 +290,7 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(
         ({"u": U, "y": np.zeros((3, 3, 3))}, "signal y: has 3 dimensions; save it as a vector"),
         (
             {"u": U, "y": Y[1:]},
-            "the input has 30 samples and the signal 29; both need the same number",
+            "the columns have 29 to 30 samples; all need the same number",
         ),
         (
             {"u": U, "z": Y},
@@ -422,9 +412,9 @@ def test_an_archive_of_other_things_is_reported(tmp_path: Path) -> None:
 
 def test_a_small_file_holds_little() -> None:
     """Measured data do not compress a hundredfold."""
-    assert most_unpacked(500_000) == most_unpacked(0) == 1 << 26
-    assert most_unpacked(1_000_000) == 100_000_000
-    assert most_unpacked(100_000_000) == 1 << 28
+    assert table.room(500_000) == table.room(0) == 1 << 26
+    assert table.room(1_000_000) == 100_000_000
+    assert table.room(100_000_000) == 1 << 28
 
 
 def logged(time: Any, *signals: tuple[Any, str]) -> dict[str, Any]:

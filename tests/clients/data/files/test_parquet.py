@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow
 import pytest
 from armrig import FileError, load_data
-from armrig.data.files import parquet as reader
+from armrig.data.files import table
 from pyarrow import parquet
 
 U, Y = np.random.default_rng(1).standard_normal((2, 30))
@@ -62,9 +62,9 @@ def test_what_cannot_be_read_is_refused_with_the_way_out(
     )
     with pytest.raises(FileError, match="two of its columns have the same name"):
         load_data(tmp_path / "double.parquet", Ts=1)
-    monkeypatch.setattr(reader, "MOST_BYTES", 8 * 2 * 30 - 1)
+    monkeypatch.setattr(table, "room", lambda _: 8 * 2 * 30 - 1)
     with pytest.raises(FileError, match="unpacked it has more than"):
         load_data(path, Ts=1)
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(FileError, match=r"is Parquet: to read it, pip install 'armrig\[parquet\]'"):
+    with pytest.raises(FileError, match=r"pyarrow is not installed: .* 'armrig\[parquet\]'"):
         load_data(path, Ts=1)

@@ -121,6 +121,17 @@ def test_dates_and_times_of_day_are_read(
     assert bool(note) == bool(data.history)
 
 
+@pytest.mark.parametrize("step_s", [1, 5, 20, 30, 60, 900])
+@pytest.mark.parametrize("text", ["%H%M%S", "%Y%m%d%H%M%S", "%H.%M"])
+def test_digits_of_a_clock_are_not_seconds(text: str, step_s: int, tmp_path: Path) -> None:
+    if (text == "%H.%M") != (step_s >= 60):
+        return
+    path = log(tmp_path / "a.csv", stamps(text, step_s))
+
+    with pytest.raises(FileError, match=r"go from .* to .*, as digits of a clock: write them"):
+        armrig.load_data(path)
+
+
 def test_a_date_in_a_column_of_its_own_counts(tmp_path: Path) -> None:
     times = [f"2024-03-{1 + k // 24:02.0f},{k % 24:02.0f}:00:00" for k in K]
     path = log(tmp_path / "a.csv", times, header="date,time,u,y")
@@ -143,9 +154,11 @@ def shifted(t: Vector, where: Sequence[int], by: float) -> list[str]:
         (shifted(0.1 * K, range(40, 200), 60.0), 0.1, (0, 40), "line 42: a gap of 60.1 s"),
         (shifted(0.1 * K, range(40, 200), -4.0), 0.1, (0, 40), "the time goes back by 3.9 s"),
         ([f"{0.1 * k:.0f}" for k in K], 0.1, (0,), "have a last digit of 1 s"),
+        ([f"{1.04 * k // 1:.0f}" for k in K], 1.04, (0,), "have a last digit of 1 s"),
+        ([f"{0.9 * k // 1:.0f}" for k in K], 0.9, (0,), "have a last digit of 1 s"),
         ([f"{k * 0.01 + k // 7 * 0.001:.3f}" for k in K], 0.010141, (0,), ""),
     ],
-    ids=["late", "longer", "gap", "again", "whole seconds", "millis"],
+    ids=["late", "longer", "gap", "again", "whole seconds", "1.04 s", "0.9 s", "millis"],
 )
 def test_a_row_lies_on_the_grid_of_all_rows(
     times: list[str], Ts: float, starts: tuple[int, ...], note: str, tmp_path: Path
@@ -200,12 +213,13 @@ def test_uneven_times_are_resampled_only_if_asked(tmp_path: Path) -> None:
         ("298 1,493.5 12", None, [298, 1493.5, 12]),
         ("298 1.493,5 1.493", None, [298, 1493.5, 1493]),
         ("1,234,567 1,493 7", None, [1234567, 1493, 7]),
-        ("1.493 1.250 2.000", None, [1.493, 1.25, 2]),
+        ("1.493 1.250 2.000", ".", [1.493, 1.25, 2]),
         ("0 1.125 2", None, [0, 1.125, 2]),
         ("0,125 1,125 2,000", None, [0.125, 1.125, 2]),
         ("298 1'493 12", None, [298, 1493, 12]),
         ("298 1,493 640", None, None),
         ("298 1.493 640", None, None),
+        ("1.493 1.250 2.000", None, None),
         ("298 1,493 640", ",", [298, 1.493, 640]),
         ("298 1,493 640", ".", [298, 1493, 640]),
     ],
@@ -282,7 +296,12 @@ def test_a_range_that_is_not_a_usual_one_is_not_guessed(tmp_path: Path) -> None:
         ("t,u,y\n0,1,1\n1,1,2\n2,1,3\n", {"resample": True, "Ts": 1e-6}, "give a larger --Ts"),
         ("t,u,y\n0,1,1\n1,1,2\n", {"Ts": -1.0}, "Ts=-1.0 must be finite and > 0, in s"),
         ("t,u,y\n0,1,1\n1,1,9\n2,1,3\n", {"unwrap": 1e-9}, "give the range of the counter"),
-        ("t,u,y\n0,1,1\n1,1,9\n2e300,1,3\n", {}, "span more than 1e\\+11 s; give Ts in s"),
+        (
+            "t,u,y\n0,1,1\n1,1,9\n2e300,1,3\n",
+            {},
+            "span 2e\\+300 s, allowed are 1e-09 to 1e\\+11",
+        ),
+        ("t,u,y\n0,1,1\n1e-300,1,9\n2e-300,1,3\n", {}, "span 2e-300 s, allowed are 1e-09 to"),
         ("sep=.\nt,u,y\n0,1,1\n1,1,9\n", {}, "line 2 has 3 cells"),
     ],
 )
@@ -308,6 +327,41 @@ def test_samples_at_a_rail_are_named_and_masked(low: float, high: float, tmp_pat
 
     assert f"{rails} of 400 samples of y are exactly " in found.history[0]
     assert (found.missing, masked.missing) == (0, rails)
+
+
+def test_a_slow_signal_at_a_rail_is_named(tmp_path: Path) -> None:
+    u, y = plant(400)
+    counts = np.clip(np.rint(20 * (y - y.mean())), None, 5)
+    table = np.column_stack([0.1 * np.arange(400), u, counts])
+    np.savetxt(tmp_path / "a.csv", table, "%.1f", ",", header="t,u,y", comments="")
+
+    (note,) = armrig.load_data(tmp_path / "a.csv").history
+
+    assert f"{np.count_nonzero(counts == 5)} of 400 samples of y are exactly 5" in note
+
+
+@pytest.mark.parametrize("rows", [2, 4])
+@pytest.mark.parametrize("name", ["u", "y"])
+def test_values_that_are_read_less_often_than_written_are_named(
+    name: str, rows: int, tmp_path: Path
+) -> None:
+    table = {"u": np.random.default_rng(1).standard_normal(400), "y": plant(400)[1]}
+    table[name] = np.repeat(table[name], rows)[:400]
+    np.savez(tmp_path / "a.npz", Ts=1.0, **table)
+
+    (note,) = armrig.load_data(tmp_path / "a.npz").history
+
+    assert note.startswith(f"each value of {name} is in {rows} rows")
+
+
+def test_a_sensor_that_is_stuck_is_named(tmp_path: Path) -> None:
+    u, y = plant(400)
+    y[100:160] = y[100]
+    np.savez(tmp_path / "a.npz", u=u, y=y, Ts=1.0)
+
+    (note,) = armrig.load_data(tmp_path / "a.npz").history
+
+    assert "in 60 rows in sequence while the input changes" in note
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])

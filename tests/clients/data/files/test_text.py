@@ -129,7 +129,7 @@ def test_every_number_comes_back() -> None:
     rows = values[np.isfinite(values).all(axis=1)]
 
     for separator in (",", ";", "\t", " "):
-        read = text.table_of("".join(f"{u!r}{separator}{y!r}\n" for u, y in rows.tolist()))
+        read = text.read_text("".join(f"{u!r}{separator}{y!r}\n" for u, y in rows.tolist()))
 
         np.testing.assert_array_equal(np.column_stack([read.numbers(0), read.numbers(1)]), rows)
     assert len(rows) > 1900
