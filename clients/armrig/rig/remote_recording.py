@@ -130,6 +130,8 @@ class RemoteRecording:
         # Wait: a full queue of the file would drop messages, but the daemon keeps later messages.
         while file.behind > _MAX_PENDING_PIECES and not file.error:
             time.sleep(_DISK_INTERVAL_S)
+            file.look()
+        file.look()
         if file.error:
             raise DiskError(file.error)
 
@@ -230,7 +232,7 @@ class RemoteRecording:
             return
         file.add(waiting)
         file.finish(ended)
-        file.join(_FINISH_TIMEOUT_S)
+        file.close(_FINISH_TIMEOUT_S)
         if not file.kept.name.endswith(ACTIVE):  # the file is complete
             how = "its recording ended early" if file.error else ended.text
             self.done.append(

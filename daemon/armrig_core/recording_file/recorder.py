@@ -1,16 +1,17 @@
 """Recording of a run into MCAP files; if the process dies, all flushed messages remain.
 
-The file is `NAME.mcap.active` until it is complete. A separate thread writes the files, so that the
-caller never waits for the disk.
+The file is `NAME.mcap.active` until it is complete. A thread writes the files and a second thread
+syncs them, so that the caller never waits for the disk, and no flush waits for a sync.
 """
 
 from __future__ import annotations
 
-import os
 import queue
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,10 +22,14 @@ from armrig_core.errors import ArmrigError
 from armrig_core.manifest import INPUT, Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import ACTIVE, part_path
-from armrig_core.recording_file.recording_part import EndsHereError, Part, RemovedError
+from armrig_core.recording_file.recording_part import CutShortError, EndsHereError, Part
+from armrig_core.recording_file.syncing import Syncer
 
 FLUSH_S = 0.1
 SYNC_S = 1.0
+STALL_S = 30.0
+"""Time without an answer of the disk after which the recording is given up."""
+_LOOK_S = 1.0
 QUEUE = 10_000  # in batches; further messages are discarded, counted and reported
 
 
@@ -75,8 +80,6 @@ class Recording:
         self.path = path
         self.samples = 0
         """Number of samples passed to `add`."""
-        self.synced = 0
-        """Number of samples that are safely on the disk."""
         self.missing = 0
         """Number of missing samples in the gaps of the finished parts."""
         self.dropped = 0
@@ -92,6 +95,8 @@ class Recording:
         self._changed = changed
         self._parts: list[Part] = []
         self._written = self._flushed = 0  # samples
+        self._busy_since_s = inf  # inf: the writer waits for messages, not for the disk
+        self._call_s, self._looked_s, self._stalled_s = inf, time.monotonic(), 0.0
         self._queue: queue.SimpleQueue[list[Outgoing] | Ending] = queue.SimpleQueue()
         if limits is not None:
             manifest = replace(manifest, part=1, part_k_first=manifest.k_first)
@@ -103,8 +108,19 @@ class Recording:
             if isinstance(err, FileExistsError):
                 where, way_out = err.filename, "set [recording] directory to another"
             raise RecordingError(f"{where}: {err.strerror}; {way_out}") from err
+        self._syncer = Syncer()
         self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
+
+    @property
+    def synced(self) -> int:
+        """Number of samples that are safely on the disk."""
+        return self._syncer.synced
+
+    @property
+    def lost(self) -> int:
+        """Largest number of samples that are lost if the computer fails now."""
+        return self.samples + self.dropped - self.synced
 
     @property
     def kept(self) -> Path:
@@ -140,6 +156,33 @@ class Recording:
         """Wait until the file is complete, but at most for `timeout` s."""
         self._thread.join(timeout)
 
+    def close(self, timeout: float) -> None:
+        """Wait until the file is complete; after `timeout` s or `STALL_S` give it up."""
+        until_s = time.monotonic() + timeout
+        while not self.done and (left_s := until_s - time.monotonic()) > 0:
+            self.join(min(left_s, _LOOK_S))
+            self.look()
+        if not self.done:
+            self._abandon(timeout)
+
+    def look(self) -> None:
+        """Give the recording up if the disk has not answered for `STALL_S`; call it each second."""
+        now_s = time.monotonic()
+        # A process that was stopped for a while has not waited for the disk.
+        step_s, self._looked_s = min(now_s - self._looked_s, _LOOK_S), now_s
+        before_s, self._call_s = self._call_s, min(self._busy_since_s, self._syncer.begun_s)
+        is_waiting = before_s == self._call_s < inf
+        self._stalled_s = self._stalled_s + step_s if is_waiting else 0.0
+        if self._stalled_s >= STALL_S and not self.done:
+            self._abandon(STALL_S)
+
+    def _abandon(self, waited_s: float) -> None:
+        """Report the samples that may be lost; the threads end as soon as the disk answers."""
+        msg = f"{self.kept}: the disk did not answer for {waited_s:g} s; up to {self.lost} of "
+        msg += f"{self.samples + self.dropped} samples are lost; `armrig recover` saves the others"
+        self.error = self.error or msg
+        self.done = True
+
     def _write(self) -> None:
         """Write the queued messages, and complete the file; report any failure in `error`."""
         try:
@@ -147,6 +190,8 @@ class Recording:
         except Exception as err:
             self._give_up(err)
         finally:
+            with suppress(Exception):
+                self._syncer.join()
             self.done = True
             self._changed()
 
@@ -161,28 +206,42 @@ class Recording:
             self._wait_for_the_end()
         else:
             self._part.missing += self.dropped
-            self._end_part(ended)
-            self._follow()
-            self._part.compact()
+            self._end_run(ended)
+            self._part.compact(self._note_progress)
             self._part.name()
+        with suppress(Exception):  # a failure is reported already
+            self._syncer.join()
         for part in self._parts:
-            part.compact()
+            part.compact(self._note_progress)
 
     def _wait_for_the_end(self) -> None:
         """Report the error, and discard the remaining messages of the run."""
         self._changed()
-        while isinstance(self._queue.get(), list):
+        while isinstance(self._next(), list):
             pass
+
+    def _next(self, timeout: float | None = None) -> list[Outgoing] | Ending:
+        """Return the next batch, or the end of the run; after `timeout` s an empty batch."""
+        self._busy_since_s = inf
+        try:
+            return self._queue.get(timeout=timeout)
+        except queue.Empty:
+            return []
+        finally:
+            self._note_progress()
+
+    def _note_progress(self) -> None:
+        self._busy_since_s = time.monotonic()
 
     def _write_until_the_end(self) -> Ending:
         """Write the queued messages; flush at 10 Hz, and sync at 1 Hz from the first flush on."""
         flushed = time.monotonic()
-        synced = flushed - SYNC_S
         while True:
-            try:
-                batch = self._queue.get(timeout=FLUSH_S)
-            except queue.Empty:
-                batch = []
+            batch = self._next(max(0.0, flushed + FLUSH_S - time.monotonic()))
+            if self._syncer.error is not None:
+                raise self._syncer.error
+            if self.error:
+                raise RecordingError(self.error)
             if not isinstance(batch, list):
                 return batch
             for message in batch:
@@ -191,9 +250,8 @@ class Recording:
             if now - flushed >= FLUSH_S or self._part.is_behind:
                 self._flush()
                 flushed = now
-            if now - synced >= SYNC_S:
-                self._part.sync()
-                self.synced, synced = self._flushed, now
+            if self._syncer.is_idle and now - self._syncer.ended_s >= SYNC_S:
+                self._syncer.request(self._part, self._flushed)
 
     def _add(self, message: Outgoing) -> None:
         self._part.add(message)
@@ -219,10 +277,10 @@ class Recording:
             raise EndsHereError(f"{err.strerror}; part {number} cannot begin") from err
         try:
             self._end_part(CONTINUED)
-            ended.name()
         except BaseException:
             part.discard()
             raise
+        self._syncer.request(ended, self._written, settle=True)
         self._parts.append(ended)
         self._part = part
 
@@ -232,14 +290,22 @@ class Recording:
             outcome=ended.text, samples=part.samples, missing=part.missing, code=ended.code
         )
         part.finish(outcome)
-        self.synced = self._written
+        self._flushed = self._written
         self.missing += part.missing
+
+    def _end_run(self, ended: Ending) -> None:
+        """Complete the last part, and sync all parts."""
+        self._syncer.join()
+        self._note_progress()
+        self._end_part(ended)
+        self._part.sync_all()
+        self._syncer.synced = self._written
+        self._follow()
 
     def _end_early(self, err: EndsHereError) -> None:
         """Complete the file before the end of the run; `_write_run` compacts the file later."""
         try:
-            self._end_part(Ending(OutcomeCode.RECORDING, f"its recording ended: {err}"))
-            self._follow()
+            self._end_run(Ending(OutcomeCode.RECORDING, f"its recording ended: {err}"))
             self._part.name()
         except Exception as worse:
             self._give_up(worse)
@@ -261,8 +327,10 @@ class Recording:
     def _give_up(self, err: Exception) -> None:
         """Cut the file at its last flush, and close it: later data would follow a hidden gap."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
-        # Another file may have taken the name, but RemovedError proves that this file is removed.
-        there = not isinstance(err, RemovedError) and os.access(self.kept, os.F_OK)
-        left = "the flushed samples are kept there" if there else "its samples are lost"
-        self.error = f"{self.kept}: {reason}; {left}"
+        left = "the flushed samples are kept there"
+        if isinstance(err, CutShortError):
+            left = "the samples before the cut are kept there"
+        elif not self._part.exists():
+            left = "its samples are lost"
+        self.error = self.error or f"{self.kept}: {reason}; {left}"
         self._part.give_up()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, cast
@@ -38,6 +39,10 @@ class RemovedError(OSError):
     """The file was removed from its folder, so that all data written to it are lost."""
 
 
+class CutShortError(OSError):
+    """Another program has cut the file short while it was written."""
+
+
 class Part:
     """One open file; its name is NAME.mcap.active until it is complete."""
 
@@ -60,6 +65,7 @@ class Part:
         """Size of the file up to the last flush, in B."""
         self.is_named = False
         """True if the file is complete and has its final name."""
+        self._is_rewritten = False  # if True, the open file has lost its name to the copy
         self._chunks = 0
         self._offset_ns = manifest.clock_offset_ns
         self._sample_ns = t_first_ns
@@ -165,7 +171,7 @@ class Part:
         getattr(os, "fdatasync", os.fsync)(self._file.fileno())
 
     def finish(self, outcome: Outcome) -> None:
-        """Complete the file and sync it to the disk; raise OSError as `flush` does."""
+        """Complete the file, which is not synced yet; raise OSError as `flush` does."""
         with suppress(EndsHereError):
             self.flush()  # the outcome must follow the last sample
         self._writer.add_metadata(OUTCOME, outcome.metadata())
@@ -173,10 +179,20 @@ class Part:
         with suppress(EndsHereError):
             self._commit()
         self._reserve.release()
+
+    def sync_all(self) -> None:
+        """Sync the complete file to the disk, with all its metadata."""
         os.fsync(self._file.fileno())
 
+    def settle(self) -> None:
+        """Sync and name the complete file; raise OSError as `name` does."""
+        self.sync_all()
+        self.follow()
+        self.name()
+
     def name(self) -> None:
-        """Rename and close the complete file; raise OSError if the name exists."""
+        """Rename and close the complete file; raise OSError if it is cut, or if the name exists."""
+        self._check_size(self.active)
         _check_free(self.path)
         if sys.platform == "win32":  # Windows cannot rename an open file
             self._file.close()
@@ -185,19 +201,21 @@ class Part:
         self._file.close()
         sync_directory(self.path.parent)
 
-    def compact(self) -> None:
+    def compact(self, progress: Callable[[], None] = lambda: None) -> None:
         """Rewrite the finished file in full chunks; the file keeps its active or final name.
 
         If the disk has no space for the rewritten copy, the original file, which is complete,
-        stays.
+        stays. After each record `progress` is called.
         """
         written = self.path if self.is_named else self.active
         if sys.platform == "win32":
             self._file.close()
         copy = self.path.with_name(self.path.name + COPY)
         try:
-            compact(written, copy)
+            compact(written, copy, progress)
+            size = copy.stat().st_size
             copy.replace(written)
+            self.size, self._is_rewritten = size, True
         except (OSError, DamageError):
             if not (self.is_named or self._file.closed):
                 self.follow()
@@ -225,6 +243,22 @@ class Part:
         self.active = moved
         self.path = moved.with_name(moved.name.removesuffix(ACTIVE))
         return True
+
+    def exists(self) -> bool:
+        """Return whether the file still has a name; a folder without permissions keeps it."""
+        if not (self._is_rewritten or self._file.closed):
+            return os.fstat(self._file.fileno()).st_nlink > 0
+        try:
+            os.lstat(self.path if self.is_named else self.active)
+        except OSError as err:
+            return err.errno not in (errno.ENOENT, errno.ENOTDIR)
+        return True
+
+    def _check_size(self, file: int | Path) -> None:
+        size = os.stat(file).st_size
+        if size < self.size:
+            msg = f"another program cut the file short, from {self.size} B to {size} B"
+            raise CutShortError(errno.EIO, msg)
 
     def _is_at(self, path: Path) -> bool:
         """Return whether `path` is the open file."""
@@ -262,6 +296,7 @@ class Part:
             raise EndsHereError(err.strerror) from err
 
     def _write_pending(self) -> None:
+        self._check_size(self._file.fileno())
         data = memoryview(self._pending.taken())
         self._file.seek(self.size)
         while data:
@@ -270,7 +305,8 @@ class Part:
 
     def _cut(self) -> None:
         """Cut the file at the end of its last flush, so that the file has no incomplete record."""
-        os.ftruncate(self._file.fileno(), self.size)
+        fd = self._file.fileno()
+        os.ftruncate(fd, min(self.size, os.fstat(fd).st_size))
 
 
 def _check_free(path: Path) -> None:

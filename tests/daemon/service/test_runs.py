@@ -117,7 +117,8 @@ def test_the_state_of_the_current_recording_is_reported(
     config = Config(recording=RecordingConfig(stop_when_full=stop_when_full))
     runs = Runs(config, tmp_path, lambda: None)
     recording: Any = SimpleNamespace(
-        kept=tmp_path / "a.mcap.active", samples=9, synced=4, error=error, moved=moved
+        **{"kept": tmp_path / "a.mcap.active", "samples": 9, "synced": 4, "error": error},
+        **{"moved": moved, "look": lambda: None},
     )
     runs._recording = recording
     runs._last = LastRun(run_id="r", recording="", finished=False, samples=0, outcome="")
