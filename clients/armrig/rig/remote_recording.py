@@ -232,7 +232,7 @@ class RemoteRecording:
             return
         file.add(waiting)
         file.finish(ended)
-        file.close(_FINISH_TIMEOUT_S)
+        file.join(_FINISH_TIMEOUT_S)
         if not file.kept.name.endswith(ACTIVE):  # the file is complete
             how = "its recording ended early" if file.error else ended.text
             self.done.append(

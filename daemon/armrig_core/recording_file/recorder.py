@@ -22,14 +22,14 @@ from armrig_core.errors import ArmrigError
 from armrig_core.manifest import INPUT, Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import ACTIVE, part_path
-from armrig_core.recording_file.recording_part import CutShortError, EndsHereError, Part
+from armrig_core.recording_file.recording_part import ChangedError, EndsHereError, Part
 from armrig_core.recording_file.syncing import Syncer
 
 FLUSH_S = 0.1
 SYNC_S = 1.0
 STALL_S = 30.0
 """Time without an answer of the disk after which the recording is given up."""
-_LOOK_S = 1.0
+_LOOK_S, _REWRITE_S = 1.0, 300.0  # the rewriting of a long recording takes a while
 QUEUE = 10_000  # in batches; further messages are discarded, counted and reported
 
 
@@ -96,7 +96,6 @@ class Recording:
         self._parts: list[Part] = []
         self._written = self._flushed = 0  # samples
         self._busy_since_s = inf  # inf: the writer waits for messages, not for the disk
-        self._call_s, self._looked_s, self._stalled_s = inf, time.monotonic(), 0.0
         self._queue: queue.SimpleQueue[list[Outgoing] | Ending] = queue.SimpleQueue()
         if limits is not None:
             manifest = replace(manifest, part=1, part_k_first=manifest.k_first)
@@ -116,11 +115,6 @@ class Recording:
     def synced(self) -> int:
         """Number of samples that are safely on the disk."""
         return self._syncer.synced
-
-    @property
-    def lost(self) -> int:
-        """Largest number of samples that are lost if the computer fails now."""
-        return self.samples + self.dropped - self.synced
 
     @property
     def kept(self) -> Path:
@@ -152,34 +146,22 @@ class Recording:
         """Complete and rename the file in the writer's thread; `done` then becomes True."""
         self._queue.put(ended)
 
-    def join(self, timeout: float | None = None) -> None:
-        """Wait until the file is complete, but at most for `timeout` s."""
-        self._thread.join(timeout)
-
-    def close(self, timeout: float) -> None:
+    def join(self, timeout: float) -> None:
         """Wait until the file is complete; after `timeout` s or `STALL_S` give it up."""
         until_s = time.monotonic() + timeout
-        while not self.done and (left_s := until_s - time.monotonic()) > 0:
-            self.join(min(left_s, _LOOK_S))
+        while not self.done and time.monotonic() < until_s:
+            self._thread.join(_LOOK_S)
             self.look()
-        if not self.done:
-            self._abandon(timeout)
+        self.look(0.0)
 
-    def look(self) -> None:
-        """Give the recording up if the disk has not answered for `STALL_S`; call it each second."""
-        now_s = time.monotonic()
-        # A process that was stopped for a while has not waited for the disk.
-        step_s, self._looked_s = min(now_s - self._looked_s, _LOOK_S), now_s
-        before_s, self._call_s = self._call_s, min(self._busy_since_s, self._syncer.begun_s)
-        is_waiting = before_s == self._call_s < inf
-        self._stalled_s = self._stalled_s + step_s if is_waiting else 0.0
-        if self._stalled_s >= STALL_S and not self.done:
-            self._abandon(STALL_S)
-
-    def _abandon(self, waited_s: float) -> None:
-        """Report the samples that may be lost; the threads end as soon as the disk answers."""
-        msg = f"{self.kept}: the disk did not answer for {waited_s:g} s; up to {self.lost} of "
-        msg += f"{self.samples + self.dropped} samples are lost; `armrig recover` saves the others"
+    def look(self, limit_s: float = STALL_S) -> None:
+        """Give the recording up if the disk has not answered for `limit_s`; call it each second."""
+        waited_s = time.monotonic() - min(self._busy_since_s, self._syncer.begun_s)
+        if waited_s < limit_s or self.done:
+            return
+        came = self.samples + self.dropped
+        msg = f"{self.kept}: the disk did not answer for {waited_s:.0f} s; up to "
+        msg += f"{came - self.synced} of {came} samples are lost; `armrig recover` the others"
         self.error = self.error or msg
         self.done = True
 
@@ -190,8 +172,11 @@ class Recording:
         except Exception as err:
             self._give_up(err)
         finally:
-            with suppress(Exception):
+            self._busy_since_s = time.monotonic() + _REWRITE_S
+            with suppress(Exception):  # `error` has the first failure
                 self._syncer.join()
+                for part in self._parts:
+                    part.compact()
             self.done = True
             self._changed()
 
@@ -207,50 +192,37 @@ class Recording:
         else:
             self._part.missing += self.dropped
             self._end_run(ended)
-            self._part.compact(self._note_progress)
+            self._part.compact()
             self._part.name()
-        with suppress(Exception):  # a failure is reported already
-            self._syncer.join()
-        for part in self._parts:
-            part.compact(self._note_progress)
 
     def _wait_for_the_end(self) -> None:
         """Report the error, and discard the remaining messages of the run."""
         self._changed()
-        while isinstance(self._next(), list):
-            pass
-
-    def _next(self, timeout: float | None = None) -> list[Outgoing] | Ending:
-        """Return the next batch, or the end of the run; after `timeout` s an empty batch."""
         self._busy_since_s = inf
-        try:
-            return self._queue.get(timeout=timeout)
-        except queue.Empty:
-            return []
-        finally:
-            self._note_progress()
-
-    def _note_progress(self) -> None:
-        self._busy_since_s = time.monotonic()
+        while isinstance(self._queue.get(), list):
+            pass
 
     def _write_until_the_end(self) -> Ending:
         """Write the queued messages; flush at 10 Hz, and sync at 1 Hz from the first flush on."""
         flushed = time.monotonic()
         while True:
-            batch = self._next(max(0.0, flushed + FLUSH_S - time.monotonic()))
-            if self._syncer.error is not None:
-                raise self._syncer.error
-            if self.error:
-                raise RecordingError(self.error)
+            self._busy_since_s = inf
+            try:
+                batch = self._queue.get(timeout=max(0.0, flushed + FLUSH_S - time.monotonic()))
+            except queue.Empty:
+                batch = []
+            self._busy_since_s = time.monotonic()
             if not isinstance(batch, list):
                 return batch
+            if self.error or self._syncer.error is not None:
+                raise self._syncer.error or RecordingError(self.error)
             for message in batch:
                 self._add(message)
             now = time.monotonic()
             if now - flushed >= FLUSH_S or self._part.is_behind:
                 self._flush()
                 flushed = now
-            if self._syncer.is_idle and now - self._syncer.ended_s >= SYNC_S:
+            if now - self._syncer.ended_s >= SYNC_S:
                 self._syncer.request(self._part, self._flushed)
 
     def _add(self, message: Outgoing) -> None:
@@ -280,7 +252,7 @@ class Recording:
         except BaseException:
             part.discard()
             raise
-        self._syncer.request(ended, self._written, settle=True)
+        self._syncer.request(ended, self._written, is_complete=True)
         self._parts.append(ended)
         self._part = part
 
@@ -295,15 +267,15 @@ class Recording:
 
     def _end_run(self, ended: Ending) -> None:
         """Complete the last part, and sync all parts."""
+        self._end_part(ended)  # first: all samples then survive the death of the process
         self._syncer.join()
-        self._note_progress()
-        self._end_part(ended)
         self._part.sync_all()
         self._syncer.synced = self._written
+        self._busy_since_s = time.monotonic() + _REWRITE_S
         self._follow()
 
     def _end_early(self, err: EndsHereError) -> None:
-        """Complete the file before the end of the run; `_write_run` compacts the file later."""
+        """Complete the file before the end of the run; `_write` compacts the file later."""
         try:
             self._end_run(Ending(OutcomeCode.RECORDING, f"its recording ended: {err}"))
             self._part.name()
@@ -327,10 +299,7 @@ class Recording:
     def _give_up(self, err: Exception) -> None:
         """Cut the file at its last flush, and close it: later data would follow a hidden gap."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
-        left = "the flushed samples are kept there"
-        if isinstance(err, CutShortError):
-            left = "the samples before the cut are kept there"
-        elif not self._part.exists():
-            left = "its samples are lost"
-        self.error = self.error or f"{self.kept}: {reason}; {left}"
+        if not isinstance(err, ChangedError | FileNotFoundError):
+            reason = f"{reason}; the flushed samples are kept there"
+        self.error = self.error or f"{self.kept}: {reason}"
         self._part.give_up()

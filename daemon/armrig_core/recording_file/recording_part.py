@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, cast
@@ -35,12 +34,8 @@ class EndsHereError(Exception):
     """The file cannot grow. It contains all messages so far and must be completed."""
 
 
-class RemovedError(OSError):
-    """The file was removed from its folder, so that all data written to it are lost."""
-
-
-class CutShortError(OSError):
-    """Another program has cut the file short while it was written."""
+class ChangedError(OSError):
+    """Another program has removed the file, or cut it short; the message says what is lost."""
 
 
 class Part:
@@ -65,7 +60,6 @@ class Part:
         """Size of the file up to the last flush, in B."""
         self.is_named = False
         """True if the file is complete and has its final name."""
-        self._is_rewritten = False  # if True, the open file has lost its name to the copy
         self._chunks = 0
         self._offset_ns = manifest.clock_offset_ns
         self._sample_ns = t_first_ns
@@ -184,15 +178,9 @@ class Part:
         """Sync the complete file to the disk, with all its metadata."""
         os.fsync(self._file.fileno())
 
-    def settle(self) -> None:
-        """Sync and name the complete file; raise OSError as `name` does."""
-        self.sync_all()
-        self.follow()
-        self.name()
-
     def name(self) -> None:
         """Rename and close the complete file; raise OSError if it is cut, or if the name exists."""
-        self._check_size(self.active)
+        self._check_size(self.active.stat().st_size)
         _check_free(self.path)
         if sys.platform == "win32":  # Windows cannot rename an open file
             self._file.close()
@@ -201,21 +189,21 @@ class Part:
         self._file.close()
         sync_directory(self.path.parent)
 
-    def compact(self, progress: Callable[[], None] = lambda: None) -> None:
+    def compact(self) -> None:
         """Rewrite the finished file in full chunks; the file keeps its active or final name.
 
         If the disk has no space for the rewritten copy, the original file, which is complete,
-        stays. After each record `progress` is called.
+        stays.
         """
         written = self.path if self.is_named else self.active
         if sys.platform == "win32":
             self._file.close()
         copy = self.path.with_name(self.path.name + COPY)
         try:
-            compact(written, copy, progress)
+            compact(written, copy)
             size = copy.stat().st_size
             copy.replace(written)
-            self.size, self._is_rewritten = size, True
+            self.size = size
         except (OSError, DamageError):
             if not (self.is_named or self._file.closed):
                 self.follow()
@@ -232,33 +220,23 @@ class Part:
 
         Raises
         ------
-        RemovedError
+        ChangedError
             The file was deleted.
         """
         if self._is_at(self.active):
             return False
         moved = Path(f"/proc/self/fd/{self._file.fileno()}").readlink()
         if not self._is_at(moved):
-            raise RemovedError(errno.ENOENT, "the file was removed during the recording")
+            msg = "the file was removed during the recording; its samples are lost"
+            raise ChangedError(errno.ENOENT, msg)
         self.active = moved
         self.path = moved.with_name(moved.name.removesuffix(ACTIVE))
         return True
 
-    def exists(self) -> bool:
-        """Return whether the file still has a name; a folder without permissions keeps it."""
-        if not (self._is_rewritten or self._file.closed):
-            return os.fstat(self._file.fileno()).st_nlink > 0
-        try:
-            os.lstat(self.path if self.is_named else self.active)
-        except OSError as err:
-            return err.errno not in (errno.ENOENT, errno.ENOTDIR)
-        return True
-
-    def _check_size(self, file: int | Path) -> None:
-        size = os.stat(file).st_size
+    def _check_size(self, size: int) -> None:
         if size < self.size:
-            msg = f"another program cut the file short, from {self.size} B to {size} B"
-            raise CutShortError(errno.EIO, msg)
+            msg = f"another program cut the file to {size} of {self.size} B; the rest is lost"
+            raise ChangedError(errno.EIO, msg)
 
     def _is_at(self, path: Path) -> bool:
         """Return whether `path` is the open file."""
@@ -296,7 +274,7 @@ class Part:
             raise EndsHereError(err.strerror) from err
 
     def _write_pending(self) -> None:
-        self._check_size(self._file.fileno())
+        self._check_size(os.fstat(self._file.fileno()).st_size)
         data = memoryview(self._pending.taken())
         self._file.seek(self.size)
         while data:

@@ -22,24 +22,15 @@ class Syncer:
         self.begun_s = inf
         """Monotonic time at which the current sync began; inf between two syncs."""
         self.ended_s = -inf
-        """Monotonic time at which the last sync ended."""
-        self._requested = self._ended = 0  # each has one writer: the caller, and the thread
+        """Monotonic time at which the last sync ended; inf after a request."""
         self._requests: queue.SimpleQueue[tuple[Part, int, bool] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._sync_all, name="sync", daemon=True)
+        self._thread = threading.Thread(target=self._sync, name="sync", daemon=True)
         self._thread.start()
 
-    @property
-    def is_idle(self) -> bool:
-        """True if no sync is requested or in progress."""
-        return self._requested == self._ended
-
-    def request(self, part: Part, samples: int, *, settle: bool = False) -> None:
-        """Request a sync, which makes `samples` samples of the run safe.
-
-        If `settle` is True, the part is complete, and gets its final name after the sync.
-        """
-        self._requested += 1
-        self._requests.put((part, samples, settle))
+    def request(self, part: Part, samples: int, *, is_complete: bool = False) -> None:
+        """Request the sync of the first `samples` samples; a complete part is then named."""
+        self.ended_s = inf
+        self._requests.put((part, samples, is_complete))
 
     def join(self) -> None:
         """End the thread after the requested syncs; raise the first failure."""
@@ -48,18 +39,21 @@ class Syncer:
         if self.error is not None:
             raise self.error
 
-    def _sync_all(self) -> None:
+    def _sync(self) -> None:
         while (request := self._requests.get()) is not None:
-            part, samples, settle = request
+            part, samples, is_complete = request
             self.begun_s = time.monotonic()
             try:
                 if self.error is None:
-                    part.settle() if settle else part.sync()
+                    if is_complete:
+                        part.sync_all()
+                        part.follow()
+                        part.name()
+                    else:
+                        part.sync()
                     self.synced = samples
             except Exception as err:
                 self.error = err
-            if settle and self.error is not None:
+            if self.error is not None and is_complete:
                 part.give_up()
-            # The next sync is due a while after the end: a slow disk is not synced all the time.
             self.begun_s, self.ended_s = inf, time.monotonic()
-            self._ended += 1

@@ -316,7 +316,7 @@ class Runs:
         if recording is None or self._last is None:
             return "", ""
         if timeout:
-            recording.close(timeout)
+            recording.join(timeout)
         recording.look()
         if not recording.done:
             return "", ""
@@ -332,7 +332,7 @@ class Runs:
             code=OutcomeCode.RECORDING if recording.error else self._last.code,
         )
         if recording.error:
-            self.has_lost = self.has_lost or recording.lost > 0
+            self.has_lost = self.has_lost or recording.synced < recording.samples
             return "error", recording.error
         text = f"recorded {recording.kept}: {outcome}, {recording.synced} samples, "
         return "info", f"{text}{recording.missing} missing"

@@ -360,17 +360,13 @@ class Service:
             self._restart(self._check_configuration)
         if signals:
             self._quit("the service received a signal to end")
-        self._look_at_recording()
-        for level, text in self._left_over.lines():
-            self._say(level, text)
-
-    def _look_at_recording(self) -> None:
-        """Stop a run whose recording failed, and report the end of a recording."""
         if ended := self._runs.disturbed():
             self._loop.order(Stop(reason=ended.text, outcome_code=ended.code))
         self._say_finished()
         if unrecorded := self._runs.unrecorded():
             self._say("error", unrecorded)
+        for level, text in self._left_over.lines():
+            self._say(level, text)
 
     def _restart(self, check_configuration: Callable[[], Config]) -> None:
         """End the unused service, so that systemd restarts it with the new configuration.
@@ -400,7 +396,7 @@ class Service:
 
     def _each_second(self) -> None:
         self._loop.order(Alive())
-        self._look_at_recording()  # a disk that does not answer wakes nobody
+        self._woken()  # a disk that does not answer wakes nobody
         self._commands.refuse_overdue()
         if self._guard is not None:
             line = self._guard.look(time.monotonic(), is_busy=self._is_busy)

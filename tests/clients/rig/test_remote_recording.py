@@ -339,13 +339,13 @@ def test_a_slow_disk_is_waited_for(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goes = threading.Event()
-    sync = recording_part.Part.sync
+    flush = recording_part.Part.flush
 
     def slow(part: recording_part.Part) -> None:
         goes.wait(30)
-        sync(part)
+        flush(part)
 
-    monkeypatch.setattr(recording_part.Part, "sync", slow)
+    monkeypatch.setattr(recording_part.Part, "flush", slow)
 
     def fill() -> None:
         recording.add(piece(state()))

@@ -194,7 +194,7 @@ def test_a_full_disk_is_reported_before_the_file_is_written_again(
     changed, go_on = threading.Event(), threading.Event()
     compact = recording_part.compact
 
-    def slow(source: Path, target: Path, _: object) -> None:
+    def slow(source: Path, target: Path) -> None:
         assert go_on.wait(30)
         compact(source, target)
 

@@ -195,7 +195,7 @@ def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
     directory, elsewhere = tmp_path / "recordings", tmp_path / "elsewhere"
     directory.mkdir()
 
-    def moved(source: Path, target: Path, _: object) -> None:
+    def moved(source: Path, target: Path) -> None:
         compact(source, target)
         directory.rename(elsewhere)
 
@@ -247,7 +247,7 @@ def test_a_disk_that_is_full_at_the_very_end_is_reported_too(
 def test_whatever_fails_in_the_writer_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(source: Path, target: Path, _: object) -> None:
+    def broken(source: Path, target: Path) -> None:
         raise RuntimeError("unexpected")
 
     monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", broken)
@@ -353,6 +353,10 @@ def test_a_sample_that_was_not_flushed_is_not_acknowledged(
     monkeypatch.setattr(Part, "sync", synced)
     recording = _recording(tmp_path / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
+    until_s = time.monotonic() + 30
+    while not seen:
+        assert time.monotonic() < until_s
+        threading.Event().wait(0.01)
     recording.finish(COMPLETE)
     recording.join(30)
 
@@ -449,7 +453,7 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
 def test_no_room_for_the_compact_copy_keeps_the_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, err: Exception
 ) -> None:
-    def full(source: Path, target: Path, _: object) -> None:
+    def full(source: Path, target: Path) -> None:
         target.write_bytes(source.read_bytes()[:100])
         raise err
 
