@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import IO
@@ -124,10 +124,8 @@ class Rewriter:
         self._writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
 
 
-def compact(source: Path, target: Path, progress: Callable[[], None] = lambda: None) -> None:
+def compact(source: Path, target: Path) -> None:
     """Copy all records of the complete recording `source` to `target`, and sync `target`.
-
-    After each record `progress` is called.
 
     Raises
     ------
@@ -145,7 +143,6 @@ def compact(source: Path, target: Path, progress: Callable[[], None] = lambda: N
             for record in all_records(read):
                 for _ in rewriter.add(record):
                     pass
-                progress()
         except UNREADABLE as err:
             raise DamageError(f"a record cannot be read ({err or type(err).__name__})") from err
         if rewriter.left_out:
