@@ -39,7 +39,7 @@ def test_a_folder_is_recovered_but_for_what_is_being_written(
     ]
     assert main(["info", str(tmp_path / "1-a.mcap")]) == 0
     info = capsys.readouterr().out
-    assert "cut off: its daemon died" in info
+    assert "cut off: its recorder died or could not write" in info
     assert "B were kept" in info
 
 
