@@ -139,7 +139,7 @@ def read(
             pass
         content, sha256 = reader.content, source.sha256() if digest else ""
         if reader.end:
-            again = _read_by_index(source, content, streams)
+            again = _read_by_index(source, reader)
             content = max(content, again, key=lambda c: (c.samples.size, len(c.metadata)))
     content.sha256 = sha256
     return content
@@ -180,10 +180,10 @@ def _walked(source: ByteSource, reader: _Reader, part: Part | None) -> Iterator[
     yield
 
 
-def _read_by_index(source: ByteSource, first: Content, streams: Collection[str]) -> Content:
-    """Read all undamaged records that the file's index names; without an index return `first`."""
-    content, left_out = Content(size=first.size), 0
-    reader = _Reader(content, streams)
+def _read_by_index(source: ByteSource, first: _Reader) -> Content:
+    """Read the undamaged records that the file's index names, if any, as another reader did."""
+    content, left_out = Content(size=first.content.size), 0
+    reader = _Reader(content, first.kept)
     try:
         for record in indexed_records(source.stream, content.size, INPUT):
             reader.spend_work(1)
@@ -193,10 +193,12 @@ def _read_by_index(source: ByteSource, first: Content, streams: Collection[str])
             except _DAMAGES:
                 left_out += 1
     except _DAMAGES:
-        return first
+        return first.content
     reader.finish()
-    content.damage = f"{first.damage}; the other records were found by the file's index, "
-    content.damage += f"{plural(left_out, 'record')} left out"
+    found = (
+        f"the other records were found by the file's index, {plural(left_out, 'record')} left out"
+    )
+    content.damage = "; ".join([*reader.left_out, first.end, found])
     return content
 
 

@@ -281,10 +281,8 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
 
 def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {}
-    for kind, entry in index_records(stream, size):
-        if kind != Opcode.METADATA_INDEX:
-            continue
-        index = MetadataIndex.read(_bytes(entry))
+    entries = (body for kind, body in index_records(stream, size) if kind == Opcode.METADATA_INDEX)
+    for index in map(MetadataIndex.read, map(_bytes, entries)):
         # Only the first record of each name is read, as in a read of the whole file. An index of a
         # hundred thousand entries must not cause a hundred thousand reads.
         if index.name in (RUN, OUTCOME) and index.name not in found:
@@ -322,10 +320,7 @@ def indexed_records(stream: IO[bytes], size: int, left: str) -> Iterator[Record]
 def index_records(stream: IO[bytes], size: int) -> Iterator[tuple[int, bytes]]:
     """Yield opcode and content of each record of a file's index, which precedes the footer.
 
-    Raises
-    ------
-    DamageError, struct.error
-        The file has no index, or the index is damaged.
+    Raises DamageError or struct.error if the file has no index, or if the index is damaged.
     """
     end = size - _FOOTER.size - len(MAGIC)
     if end < len(MAGIC):

@@ -201,9 +201,8 @@ class Part:
         copy = self.path.with_name(self.path.name + COPY)
         try:
             compact(written, copy)
-            size = copy.stat().st_size
+            self.size = copy.stat().st_size
             copy.replace(written)
-            self.size = size
         except (OSError, DamageError):
             if not (self.is_named or self._file.closed):
                 self.follow()

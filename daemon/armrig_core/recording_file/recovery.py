@@ -132,8 +132,8 @@ class Recovery:
             rewriter, tally = Rewriter(target, size), _Tally()
             damage = self._walked(path, source, rewriter, tally)
             rest = size - source.whole
-            # Damage before the index of a complete file is no torn end: records follow it. The
-            # footer, which precedes the final magic, contains the place of the index.
+            # The last 28 B of a complete file begin with the place of the index: records may lie
+            # between a damage and the index.
             stream.seek(max(size - 28, 0))
             end = stream.read(28)
             is_torn = not end.endswith(MAGIC) or source.at >= int.from_bytes(end[:8], "little")

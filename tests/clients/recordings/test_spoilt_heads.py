@@ -37,7 +37,7 @@ BITS = list(product(_heads(), range(8 * _HEAD.size)))
 
 @pytest.mark.parametrize("part", sampled(range(8)))
 def test_no_bit_of_a_head_costs_a_sample(tmp_path: Path, part: int) -> None:
-    """Of all heads: header, schemas, channels, metadata, attachments, chunks and their indexes."""
+    """Each record before the index: header, metadata, attachments, chunks and their indexes."""
     for at, bit in BITS[part::8]:
         spoilt = bytearray(DATA)
         spoilt[at + bit // 8] ^= 1 << bit % 8

@@ -18,7 +18,6 @@ import numpy as np
 from armrig_core.errors import FileError
 
 _HEADER_BYTES = 128  # before the first element of version 5
-_MAX_DIMENSIONS = 32  # of every release of numpy
 _MAX_DEPTH = 8  # of nested structures; iddata has three levels
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
@@ -126,7 +125,7 @@ def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
     if not 1 <= kind <= _LAST_NUMBER:
         return _name(parts), Unread(_OPAQUE)
     shape = tuple(_numbers(parts, order).tolist())
-    if len(shape) > _MAX_DIMENSIONS:
+    if len(shape) > 32:  # the limit of numpy 1
         raise DamageError(f"an array of {len(shape)} dimensions; at most 32 are allowed")
     name = _name(parts)
     if kind == _CELL:
