@@ -370,7 +370,7 @@ def test_a_slow_disk_is_waited_for(
 def test_a_disk_that_does_not_answer_ends_the_recorder(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While it waits for the disk, and while nothing is behind."""
+    """Also if only the sync waits, and no message."""
     goes = threading.Event()
     monkeypatch.setattr(recording_part.Part, "sync", lambda _: goes.wait(60))
     recording.add(piece(state()))
