@@ -19,7 +19,6 @@ import typer
 from armrig_core.emulator_stall import held_up
 from armrig_core.endpoint import endpoint, require_trusted, socket_directory
 from armrig_core.errors import InputError, OperationError
-from armrig_core.open_files import require
 from armrig_core.printable import brief, printable
 from armrig_core.signal_pipe import held_back
 from armrig_core.volts import U_MAX_V
@@ -101,6 +100,8 @@ def run(
     When the daemon has ended, the motor is at 0 V.
     """
     try:
+        from armrig_core.open_files import require
+
         # With less, the daemon would start, and die when numpy is loaded during the first arming.
         require("armrigd run", memory_mib=2048, files=64)
     except OperationError as err:
@@ -270,6 +271,8 @@ def emulate(
 ) -> None:
     """Emulate a rig at a pseudo-terminal or a socket until SIGTERM or Ctrl-C."""
     try:
+        from armrig_core.open_files import require
+
         require("armrigd emulate", memory_mib=512, files=16)
         from armrig_daemon.emulator.device import Device
         from armrig_daemon.emulator.real_time import emulate as run_emulator

@@ -1,7 +1,8 @@
-"""Content of an MCAP file, read from the beginning up to the first damage.
+"""Content of an MCAP file, without its damaged records.
 
 All files are read record by record, because they may be truncated or forged. Reading stops at the
-first damage, and the place of the damage is reported. All records before the damage are returned.
+first damage, and the place of the damage is reported. If the file has an index, the records are
+then read by the index, so that one damaged record does not cost the other records.
 """
 
 from __future__ import annotations
@@ -46,11 +47,11 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
-from armrig.recordings.sample_rows import (
-    ROW_LENGTH,
-    SAMPLE_DTYPE,
-    SampleRows,
-)
+from armrig.numerics.quantities import plural
+from armrig.recordings.recording_summary import indexed_records
+from armrig.recordings.sample_rows import ROW_LENGTH, SAMPLE_DTYPE, SampleRows
+
+_DAMAGES = (DamageError, *UNREADABLE)
 
 _IDS = Struct("<HH")  # a channel and its schema, or a schema
 _MESSAGE = Struct("<BQH")  # opcode and length of a record, and the channel if it is a message
@@ -136,9 +137,12 @@ def read(
         reader = _Reader(Content(size=source.at + source.left), streams)
         for _ in _walked(source, reader, part):
             pass
-        if digest:
-            reader.content.sha256 = source.sha256()
-    return reader.content
+        content, sha256 = reader.content, source.sha256() if digest else ""
+        if reader.end:
+            again = _read_by_index(source, reader)
+            content = max(content, again, key=lambda c: (c.samples.size, len(c.metadata)))
+    content.sha256 = sha256
+    return content
 
 
 def streamed(path: Path, stream: str) -> Iterator[Any]:
@@ -168,23 +172,39 @@ def _walked(source: ByteSource, reader: _Reader, part: Part | None) -> Iterator[
         for record in file_records(source, wanted, reader.spend_work):
             reader.add(record)
             yield
-    except DamageError as damage:
-        reader.end, content.cut_off = str(damage), isinstance(damage, CutOffError)
-    except UNREADABLE as err:
-        reader.end = _unreadable(err)
+    except _DAMAGES as err:
+        reader.end, content.cut_off = _reason(err), isinstance(err, CutOffError)
     content.read = source.whole
-    try:
-        reader.rows.pack()
-    except DamageError as damage:
-        reader.end = reader.end or str(damage)
-    except UNREADABLE as err:
-        reader.end = reader.end or _unreadable(err)
+    reader.finish()
     content.damage = "; ".join(filter(None, [*reader.left_out, reader.end]))
-    content.samples = reader.rows.finish()
     yield
 
 
-def _unreadable(err: Exception) -> str:
+def _read_by_index(source: ByteSource, first: _Reader) -> Content:
+    """Read the undamaged records that the file's index names, if any, as another reader did."""
+    content, left_out = Content(size=first.content.size), 0
+    reader = _Reader(content, first.kept)
+    try:
+        for record in indexed_records(source.stream, content.size, INPUT):
+            reader.spend_work(1)
+            try:
+                reader.add(record)
+                content.read += RECORD_HEAD.size + record.place.length
+            except _DAMAGES:
+                left_out += 1
+    except _DAMAGES:
+        return first.content
+    reader.finish()
+    found = (
+        f"the other records were found by the file's index, {plural(left_out, 'record')} left out"
+    )
+    content.damage = "; ".join([*reader.left_out, first.end, found])
+    return content
+
+
+def _reason(err: Exception) -> str:
+    if isinstance(err, DamageError):
+        return str(err)
     return f"a record cannot be read ({err or type(err).__name__})"
 
 
@@ -202,6 +222,14 @@ class _Reader:
         self._chunks_at = 0  # place of the first chunk in the file
         self.left_out: list[str] = []  # attachments
         self.end = ""  # reason why reading ended early
+
+    def finish(self) -> None:
+        """Store the samples in the content."""
+        try:
+            self.rows.pack()
+        except _DAMAGES as err:
+            self.end = self.end or _reason(err)
+        self.content.samples = self.rows.finish()
 
     def spend_work(self, cost: int) -> None:
         """Charge the work of reading records to the budget."""

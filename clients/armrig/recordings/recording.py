@@ -66,7 +66,7 @@ class Recording:
     outcome: Outcome | None
     """Outcome of the run; None if the file contains no outcome."""
     recovered: Recovered | None
-    """Record of the file's recovery after its daemon died; None if no recovery was needed."""
+    """Record of the file's recovery after its recorder died; None if no recovery was needed."""
     calibration: Calibration | None
     """Conversion of counts to angles and of codes to volts; None if missing.
 

@@ -23,7 +23,14 @@ from armrig_core.manifest import (
     outcome_of,
 )
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.file_records import MAGIC, RECORD_HEAD, RECORD_LIMIT, CutOffError
+from armrig_core.recording_file.file_records import (
+    MAGIC,
+    RECORD_HEAD,
+    RECORD_LIMIT,
+    CutOffError,
+    Place,
+    Record,
+)
 from armrig_core.recording_file.opening import byte_source, regular_file
 from armrig_core.recording_file.part_names import part_paths
 from mcap.data_stream import ReadDataStream
@@ -47,6 +54,13 @@ _EXPERIMENT = re.compile(rf"({'|'.join(KINDS)})(-validation)?(?:-(.+))?")
 _HEAD_BYTES = 64  # a recording's header, with the profile and the library
 _FOOTER = Struct("<BQQQI")  # opcode, length, start of the summary, start of the offsets, CRC
 _FOOTER_BODY = 8 + 8 + 4
+_PLACE = Struct("<QQ")  # offset and length of a record, in its index
+# By opcode of an index record: opcode of the record that it names, and position of the place.
+_INDEXED: dict[int, tuple[int, int]] = {
+    Opcode.CHUNK_INDEX: (Opcode.CHUNK, 16),
+    Opcode.METADATA_INDEX: (Opcode.METADATA, 0),
+    Opcode.ATTACHMENT_INDEX: (Opcode.ATTACHMENT, 0),
+}
 
 
 class ForeignError(DamageError):
@@ -267,7 +281,8 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
 
 def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {}
-    for index in _indexes(stream, size):
+    entries = (body for kind, body in index_records(stream, size) if kind == Opcode.METADATA_INDEX)
+    for index in map(MetadataIndex.read, map(_bytes, entries)):
         # Only the first record of each name is read, as in a read of the whole file. An index of a
         # hundred thousand entries must not cause a hundred thousand reads.
         if index.name in (RUN, OUTCOME) and index.name not in found:
@@ -278,8 +293,35 @@ def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
     return found
 
 
-def _indexes(stream: IO[bytes], size: int) -> Iterator[MetadataIndex]:
-    """Yield the indexes of the metadata records, from the summary between data and footer."""
+def indexed_records(stream: IO[bytes], size: int, left: str) -> Iterator[Record]:
+    """Yield the schemas and channels of a file's index, and the records that the index names.
+
+    The index contains the length of each record, so that a damaged head of a record costs nothing.
+    The content of the attachment `left` is not read. Raises the exceptions of `index_records`.
+    """
+    found = []
+    for opcode, entry in index_records(stream, size):
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            yield Record(opcode, entry, Place(0, 0))
+        elif opcode in _INDEXED:
+            kind, place_at = _INDEXED[opcode]
+            found.append((*_PLACE.unpack_from(entry, place_at), kind, left.encode() in entry))
+    end = len(MAGIC)
+    for begin, length, opcode, is_left in sorted(found):
+        place = Place(begin + RECORD_HEAD.size, length - RECORD_HEAD.size)
+        # No byte is read twice: a forged index could name the same record again and again.
+        is_short = is_left or place.length <= RECORD_LIMIT
+        if end <= begin and 0 <= place.length <= size - place.at and is_short:
+            end = begin + length
+            stream.seek(place.at)
+            yield Record(opcode, b"" if is_left else stream.read(place.length), place)
+
+
+def index_records(stream: IO[bytes], size: int) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of each record of a file's index, which precedes the footer.
+
+    Raises DamageError or struct.error if the file has no index, or if the index is damaged.
+    """
     end = size - _FOOTER.size - len(MAGIC)
     if end < len(MAGIC):
         raise CutOffError("it ends without its footer")
@@ -295,8 +337,7 @@ def _indexes(stream: IO[bytes], size: int) -> Iterator[MetadataIndex]:
     while at + RECORD_HEAD.size <= len(summary):
         opcode, length = RECORD_HEAD.unpack_from(summary, at)
         at += RECORD_HEAD.size
-        if opcode == Opcode.METADATA_INDEX:
-            yield MetadataIndex.read(_bytes(summary[at : at + length]))
+        yield opcode, summary[at : at + length]
         at += length
 
 

@@ -139,6 +139,8 @@ def check_file(r: Recording) -> Check:
 
 def check_samples(r: Recording) -> Check:
     """Check that each missing sample is in a gap record."""
+    if not r.N and r.recovered is not None:
+        return _failed("samples", "the file was cut off before its first sample")
     if not r.N:
         return _not_checked("samples", "no sample was due")
     # Gaps may overlap. The cumulative sum of `change` is the number of gaps that contain a row.

@@ -130,6 +130,8 @@ class RemoteRecording:
         # Wait: a full queue of the file would drop messages, but the daemon keeps later messages.
         while file.behind > _MAX_PENDING_PIECES and not file.error:
             time.sleep(_DISK_INTERVAL_S)
+            file.look()
+        file.look()
         if file.error:
             raise DiskError(file.error)
 

@@ -1,16 +1,17 @@
 """Recording of a run into MCAP files; if the process dies, all flushed messages remain.
 
-The file is `NAME.mcap.active` until it is complete. A separate thread writes the files, so that the
-caller never waits for the disk.
+The file is `NAME.mcap.active` until it is complete. A thread writes the files and a second thread
+syncs them, so that the caller never waits for the disk, and no flush waits for a sync.
 """
 
 from __future__ import annotations
 
-import os
 import queue
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,10 +22,14 @@ from armrig_core.errors import ArmrigError
 from armrig_core.manifest import INPUT, Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import ACTIVE, part_path
-from armrig_core.recording_file.recording_part import EndsHereError, Part, RemovedError
+from armrig_core.recording_file.recording_part import ChangedError, EndsHereError, Part
+from armrig_core.recording_file.syncing import Syncer
 
 FLUSH_S = 0.1
 SYNC_S = 1.0
+STALL_S = 30.0
+"""Time without an answer of the disk after which the recording is given up."""
+_LOOK_S, _REWRITE_S = 1.0, 300.0  # the rewriting of a long recording takes a while
 QUEUE = 10_000  # in batches; further messages are discarded, counted and reported
 
 
@@ -75,8 +80,6 @@ class Recording:
         self.path = path
         self.samples = 0
         """Number of samples passed to `add`."""
-        self.synced = 0
-        """Number of samples that are safely on the disk."""
         self.missing = 0
         """Number of missing samples in the gaps of the finished parts."""
         self.dropped = 0
@@ -92,6 +95,7 @@ class Recording:
         self._changed = changed
         self._parts: list[Part] = []
         self._written = self._flushed = 0  # samples
+        self._busy_since_s = inf  # inf: the writer waits for messages, not for the disk
         self._queue: queue.SimpleQueue[list[Outgoing] | Ending] = queue.SimpleQueue()
         if limits is not None:
             manifest = replace(manifest, part=1, part_k_first=manifest.k_first)
@@ -103,8 +107,14 @@ class Recording:
             if isinstance(err, FileExistsError):
                 where, way_out = err.filename, "set [recording] directory to another"
             raise RecordingError(f"{where}: {err.strerror}; {way_out}") from err
+        self._syncer = Syncer()
         self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
+
+    @property
+    def synced(self) -> int:
+        """Number of samples that are safely on the disk."""
+        return self._syncer.synced
 
     @property
     def kept(self) -> Path:
@@ -136,9 +146,24 @@ class Recording:
         """Complete and rename the file in the writer's thread; `done` then becomes True."""
         self._queue.put(ended)
 
-    def join(self, timeout: float | None = None) -> None:
-        """Wait until the file is complete, but at most for `timeout` s."""
-        self._thread.join(timeout)
+    def join(self, timeout: float) -> None:
+        """Wait until the file is complete; after `timeout` s or `STALL_S` give it up."""
+        until_s = time.monotonic() + timeout
+        while not self.done and time.monotonic() < until_s:
+            self._thread.join(_LOOK_S)
+            self.look()
+        self.look(0.0)
+
+    def look(self, limit_s: float = STALL_S) -> None:
+        """Give the recording up if the disk has not answered for `limit_s`; call it each second."""
+        waited_s = time.monotonic() - min(self._busy_since_s, self._syncer.begun_s)
+        if waited_s < limit_s or self.done:
+            return
+        came = self.samples + self.dropped
+        msg = f"{self.kept}: the disk did not answer for {waited_s:.0f} s; up to "
+        msg += f"{came - self.synced} of {came} samples are lost; `armrig recover` the others"
+        self.error = self.error or msg
+        self.done = True
 
     def _write(self) -> None:
         """Write the queued messages, and complete the file; report any failure in `error`."""
@@ -147,6 +172,11 @@ class Recording:
         except Exception as err:
             self._give_up(err)
         finally:
+            self._busy_since_s = time.monotonic() + _REWRITE_S
+            with suppress(Exception):  # `error` has the first failure
+                self._syncer.join()
+                for part in self._parts:
+                    part.compact()
             self.done = True
             self._changed()
 
@@ -161,39 +191,39 @@ class Recording:
             self._wait_for_the_end()
         else:
             self._part.missing += self.dropped
-            self._end_part(ended)
-            self._follow()
+            self._end_run(ended)
             self._part.compact()
             self._part.name()
-        for part in self._parts:
-            part.compact()
 
     def _wait_for_the_end(self) -> None:
         """Report the error, and discard the remaining messages of the run."""
         self._changed()
+        self._busy_since_s = inf
         while isinstance(self._queue.get(), list):
             pass
 
     def _write_until_the_end(self) -> Ending:
         """Write the queued messages; flush at 10 Hz, and sync at 1 Hz from the first flush on."""
         flushed = time.monotonic()
-        synced = flushed - SYNC_S
         while True:
+            self._busy_since_s = inf
             try:
-                batch = self._queue.get(timeout=FLUSH_S)
+                batch = self._queue.get(timeout=max(0.0, flushed + FLUSH_S - time.monotonic()))
             except queue.Empty:
                 batch = []
+            self._busy_since_s = time.monotonic()
             if not isinstance(batch, list):
                 return batch
+            if self.error or self._syncer.error is not None:
+                raise self._syncer.error or RecordingError(self.error)
             for message in batch:
                 self._add(message)
             now = time.monotonic()
             if now - flushed >= FLUSH_S or self._part.is_behind:
                 self._flush()
                 flushed = now
-            if now - synced >= SYNC_S:
-                self._part.sync()
-                self.synced, synced = self._flushed, now
+            if now - self._syncer.ended_s >= SYNC_S:
+                self._syncer.request(self._part, self._flushed)
 
     def _add(self, message: Outgoing) -> None:
         self._part.add(message)
@@ -219,10 +249,10 @@ class Recording:
             raise EndsHereError(f"{err.strerror}; part {number} cannot begin") from err
         try:
             self._end_part(CONTINUED)
-            ended.name()
         except BaseException:
             part.discard()
             raise
+        self._syncer.request(ended, self._written, is_complete=True)
         self._parts.append(ended)
         self._part = part
 
@@ -232,14 +262,22 @@ class Recording:
             outcome=ended.text, samples=part.samples, missing=part.missing, code=ended.code
         )
         part.finish(outcome)
-        self.synced = self._written
+        self._flushed = self._written
         self.missing += part.missing
 
+    def _end_run(self, ended: Ending) -> None:
+        """Complete the last part, and sync all parts."""
+        self._end_part(ended)  # first: all samples then survive the death of the process
+        self._syncer.join()
+        self._part.sync_all()
+        self._syncer.synced = self._written
+        self._busy_since_s = time.monotonic() + _REWRITE_S
+        self._follow()
+
     def _end_early(self, err: EndsHereError) -> None:
-        """Complete the file before the end of the run; `_write_run` compacts the file later."""
+        """Complete the file before the end of the run; `_write` compacts the file later."""
         try:
-            self._end_part(Ending(OutcomeCode.RECORDING, f"its recording ended: {err}"))
-            self._follow()
+            self._end_run(Ending(OutcomeCode.RECORDING, f"its recording ended: {err}"))
             self._part.name()
         except Exception as worse:
             self._give_up(worse)
@@ -261,8 +299,7 @@ class Recording:
     def _give_up(self, err: Exception) -> None:
         """Cut the file at its last flush, and close it: later data would follow a hidden gap."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
-        # Another file may have taken the name, but RemovedError proves that this file is removed.
-        there = not isinstance(err, RemovedError) and os.access(self.kept, os.F_OK)
-        left = "the flushed samples are kept there" if there else "its samples are lost"
-        self.error = f"{self.kept}: {reason}; {left}"
+        if not isinstance(err, ChangedError | FileNotFoundError):
+            reason = f"{reason}; the flushed samples are kept there"
+        self.error = self.error or f"{self.kept}: {reason}"
         self._part.give_up()

@@ -34,8 +34,8 @@ class EndsHereError(Exception):
     """The file cannot grow. It contains all messages so far and must be completed."""
 
 
-class RemovedError(OSError):
-    """The file was removed from its folder, so that all data written to it are lost."""
+class ChangedError(OSError):
+    """Another program has removed the file, or cut it short; the message says what is lost."""
 
 
 class Part:
@@ -165,7 +165,7 @@ class Part:
         getattr(os, "fdatasync", os.fsync)(self._file.fileno())
 
     def finish(self, outcome: Outcome) -> None:
-        """Complete the file and sync it to the disk; raise OSError as `flush` does."""
+        """Complete the file, which is not synced yet; raise OSError as `flush` does."""
         with suppress(EndsHereError):
             self.flush()  # the outcome must follow the last sample
         self._writer.add_metadata(OUTCOME, outcome.metadata())
@@ -173,10 +173,14 @@ class Part:
         with suppress(EndsHereError):
             self._commit()
         self._reserve.release()
+
+    def sync_all(self) -> None:
+        """Sync the complete file to the disk, with all its metadata."""
         os.fsync(self._file.fileno())
 
     def name(self) -> None:
-        """Rename and close the complete file; raise OSError if the name exists."""
+        """Rename and close the complete file; raise OSError if it is cut, or if the name exists."""
+        self._check_size(self.active.stat().st_size)
         _check_free(self.path)
         if sys.platform == "win32":  # Windows cannot rename an open file
             self._file.close()
@@ -197,6 +201,7 @@ class Part:
         copy = self.path.with_name(self.path.name + COPY)
         try:
             compact(written, copy)
+            self.size = copy.stat().st_size
             copy.replace(written)
         except (OSError, DamageError):
             if not (self.is_named or self._file.closed):
@@ -214,17 +219,23 @@ class Part:
 
         Raises
         ------
-        RemovedError
+        ChangedError
             The file was deleted.
         """
         if self._is_at(self.active):
             return False
         moved = Path(f"/proc/self/fd/{self._file.fileno()}").readlink()
         if not self._is_at(moved):
-            raise RemovedError(errno.ENOENT, "the file was removed during the recording")
+            msg = "the file was removed during the recording; its samples are lost"
+            raise ChangedError(errno.ENOENT, msg)
         self.active = moved
         self.path = moved.with_name(moved.name.removesuffix(ACTIVE))
         return True
+
+    def _check_size(self, size: int) -> None:
+        if size < self.size:
+            msg = f"another program cut the file to {size} of {self.size} B; the rest is lost"
+            raise ChangedError(errno.EIO, msg)
 
     def _is_at(self, path: Path) -> bool:
         """Return whether `path` is the open file."""
@@ -262,6 +273,7 @@ class Part:
             raise EndsHereError(err.strerror) from err
 
     def _write_pending(self) -> None:
+        self._check_size(os.fstat(self._file.fileno()).st_size)
         data = memoryview(self._pending.taken())
         self._file.seek(self.size)
         while data:
@@ -270,7 +282,8 @@ class Part:
 
     def _cut(self) -> None:
         """Cut the file at the end of its last flush, so that the file has no incomplete record."""
-        os.ftruncate(self._file.fileno(), self.size)
+        fd = self._file.fileno()
+        os.ftruncate(fd, min(self.size, os.fstat(fd).st_size))
 
 
 def _check_free(path: Path) -> None:

@@ -39,7 +39,7 @@ from armrig_core.recording_file.rewriting import Rewriter, all_records, sync_dir
 from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, held
 from armrig_core.topics import stream_of
 
-CUT_OFF = "cut off: its daemon died"
+CUT_OFF = "cut off: its recorder died or could not write"
 """Outcome of a run whose recording contains no outcome."""
 MOST_CUT_OFF = 1 << 20
 """Size of the largest damaged end that a recovery cuts off, in B.
@@ -132,7 +132,12 @@ class Recovery:
             rewriter, tally = Rewriter(target, size), _Tally()
             damage = self._walked(path, source, rewriter, tally)
             rest = size - source.whole
-            if damage and rest > MOST_CUT_OFF:
+            # The last 28 B of a complete file begin with the place of the index: records may lie
+            # between a damage and the index.
+            stream.seek(max(size - 28, 0))
+            end = stream.read(28)
+            is_torn = not end.endswith(MAGIC) or source.at >= int.from_bytes(end[:8], "little")
+            if damage and (rest > MOST_CUT_OFF or not is_torn):
                 msg = f"{path}: {damage}, and {rest} B follow; the file stays as it is; "
                 raise RecoveryError(msg + "`armrig info` reads the undamaged data")
             manifest = _manifest(path, rewriter, self.rig)
@@ -219,8 +224,8 @@ def sentence(done: RecoveredFile) -> str:
     """Return the result of a recovery as a sentence."""
     manifest, outcome = done.manifest, done.outcome
     seconds = (outcome.samples + outcome.missing) * manifest.Ts
-    text = f"{done.path}: recovered, {outcome.samples} samples, {seconds:g} s of "
-    text += f"{manifest.samples * manifest.Ts:g} s"
+    text = f"{done.path}: recovered, {outcome.samples} samples, {seconds:g} s"
+    text += f" of {manifest.samples * manifest.Ts:g} s" if manifest.samples else ""
     if done.recovered.cut_off_bytes:
         text += f"; the last {done.recovered.cut_off_bytes} B were incomplete and were cut off"
     return text

@@ -33,6 +33,8 @@ from armrig_core.recording_file.file_records import (
 from armrig_core.recording_file.opening import byte_source
 
 CHUNK_BYTES = 1 << 20
+CHUNK_NS = 10_000_000_000
+"""Longest time in a chunk, in ns: a damaged chunk costs no more."""
 
 
 class Rewriter:
@@ -52,6 +54,7 @@ class Rewriter:
         self._chunks = Unpacker(Budget(size))
         self._schemas = {0: 0}
         self._channels: dict[int, int] = {}
+        self._chunk_end_ns = 0
 
     def add(self, record: Record) -> Iterator[tuple[int, bytes]]:
         """Write a record of a file; yield channel and payload of each message in it."""
@@ -75,6 +78,9 @@ class Rewriter:
                 data = body[MESSAGE_HEAD.size :]
                 if channel not in self._channels:
                     return  # an unknown channel: no reader can decode the message
+                if log_ns >= self._chunk_end_ns:
+                    writer.flush()
+                    self._chunk_end_ns = log_ns + CHUNK_NS
                 writer.add_message(self._channels[channel], log_ns, data, publish_ns, sequence)
                 yield channel, data
             case Opcode.HEADER:

@@ -76,6 +76,8 @@ class Runs:
         self._finishing: Recording | None = None
         self._first = self._end = 0
         self._last: LastRun | None = None
+        self.has_lost = False
+        """True if a recording failed before all its samples were on the disk."""
         self._presence: ClientWatchdog | None = None
         self._reported_error = ""
         self._early_notes: list[Outgoing] = []  # of a run that was requested and has not begun
@@ -290,6 +292,7 @@ class Runs:
         recording = self._recording
         if recording is None:
             return None
+        recording.look()
         if recording.error and self._config.recording.stop_when_full:
             return Ending(OutcomeCode.RECORDING, recording.error)
         return Ending(OutcomeCode.MOVED, recording.moved) if recording.moved else None
@@ -308,13 +311,14 @@ class Runs:
         Parameters
         ----------
         timeout : float
-            Longest time to wait for the recording, in s.
+            Longest time to wait for the recording, in s; the recording is then given up.
         """
         recording = self._finishing
         if recording is None or self._last is None:
             return "", ""
         if timeout:
             recording.join(timeout)
+        recording.look()
         if not recording.done:
             return "", ""
         self._finishing = None
@@ -329,6 +333,7 @@ class Runs:
             code=OutcomeCode.RECORDING if recording.error else self._last.code,
         )
         if recording.error:
+            self.has_lost = self.has_lost or recording.synced < recording.samples
             return "error", recording.error
         text = f"recorded {recording.kept}: {outcome}, {recording.synced} samples, "
         return "info", f"{text}{recording.missing} missing"

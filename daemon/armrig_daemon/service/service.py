@@ -181,7 +181,7 @@ class Service:
             )
         if code == 0 and self._restarts:
             return EX_TEMPFAIL
-        return 0 if self._quitting and code == 0 else 1
+        return 0 if self._quitting and code == 0 and not self._runs.has_lost else 1
 
     def _connect(self, loop: child.LoopChild, session: Session) -> None:
         """Connect a loop and a session."""
@@ -381,8 +381,7 @@ class Service:
         if ended := self._runs.disturbed():
             self._loop.order(Stop(reason=ended.text, outcome_code=ended.code))
         self._say_finished()
-        unrecorded = self._runs.unrecorded()
-        if unrecorded:
+        if unrecorded := self._runs.unrecorded():
             self._say("error", unrecorded)
         for level, text in self._left_over.lines():
             self._say(level, text)
@@ -416,6 +415,7 @@ class Service:
     def _each_second(self) -> None:
         self._loop.order(Alive())
         self._standstill()
+        self._woken()  # a disk that does not answer wakes nobody
         self._commands.refuse_overdue()
         if line := self._files.look():
             self._say(*line)

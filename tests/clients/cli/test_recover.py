@@ -39,7 +39,7 @@ def test_a_folder_is_recovered_but_for_what_is_being_written(
     ]
     assert main(["info", str(tmp_path / "1-a.mcap")]) == 0
     info = capsys.readouterr().out
-    assert "cut off: its daemon died" in info
+    assert "cut off: its recorder died or could not write" in info
     assert "B were kept" in info
 
 
@@ -54,6 +54,25 @@ def test_one_that_cannot_be_recovered_is_named_and_the_rest_is_done(
     assert "x.mcap: recovered" in out
     assert err == f"armrig: {bad}: 0 B: nothing was recorded; delete it\n"
     assert bad.exists()
+
+
+def test_the_recorder_of_another_machine_s_rig_has_no_length_and_no_daemon(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A killed `armrig record`: the run's length was not requested, and the daemon lives."""
+    for name, n in (("a", N), ("b", 0)):
+        data = recorded([sample(k) for k in range(n)], manifest=manifest(samples=0), outcome=None)[
+            :-100
+        ]
+        written(tmp_path, data, f"{name}.mcap.active")
+
+    assert main(["recover", str(tmp_path)]) == 0
+    out, _ = capsys.readouterr()
+    assert f"{tmp_path}/a.mcap: recovered, {N} samples, 0.3 s; the last " in out
+    assert f"{tmp_path}/b.mcap: recovered, 0 samples, 0 s; the last " in out
+    assert main(["verify", str(tmp_path / "b.mcap")]) == 1
+    out, _ = capsys.readouterr()
+    assert "samples        failed: the file was cut off before its first sample" in out
 
 
 def test_json_says_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

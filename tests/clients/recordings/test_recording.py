@@ -603,7 +603,9 @@ def test_a_flipped_bit_is_found_or_does_no_harm(data: st.DataObject) -> None:
     rec, _ = tried(path)
     if rec is None:
         return
-    np.testing.assert_array_equal(rec.samples["k"], np.arange(rec.samples.size))
+    if rec.samples["k"].tolist() != list(range(rec.samples.size)):
+        assert "1 record left out" in rec.damage
+        assert rec.samples.size == 20
     assert (rec.samples["u_applied_v"] == 1.0).all()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from functools import partialmethod
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from armrig.recordings.grid import MISSING_LIMIT
 from armrig.recordings.verification import verify
 from armrig.rig import remote_recording
 from armrig.rig.live_gaps import MOST_TOLD
-from armrig.rig.remote_recording import STARTED_ANEW, RecordedFile, RemoteRecording
+from armrig.rig.remote_recording import STARTED_ANEW, DiskError, RecordedFile, RemoteRecording
 from armrig.rig.remote_source import Piece
 from armrig.rig.session import RigError
 from armrig.rig.telemetry_stream import decoded
@@ -22,6 +23,8 @@ from armrig_core import protobuf
 from armrig_core.codes import COMPLETE, GapCode
 from armrig_core.history import Past
 from armrig_core.recording_file import recording_part
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recorder import Recording
 from armrig_core.telemetry import Sample, encode_sample
 from mcap.reader import make_reader
 
@@ -339,13 +342,13 @@ def test_a_slow_disk_is_waited_for(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goes = threading.Event()
-    sync = recording_part.Part.sync
+    add = recording_part.Part.add
 
-    def slow(part: recording_part.Part) -> None:
+    def slow(part: recording_part.Part, message: Outgoing) -> None:
         goes.wait(30)
-        sync(part)
+        add(part, message)
 
-    monkeypatch.setattr(recording_part.Part, "sync", slow)
+    monkeypatch.setattr(recording_part.Part, "add", slow)
 
     def fill() -> None:
         recording.add(piece(state()))
@@ -362,6 +365,25 @@ def test_a_slow_disk_is_waited_for(
     assert waits
     [found] = files(recording)
     assert ks(found) == list(range(40))
+
+
+def test_a_disk_that_does_not_answer_ends_the_recorder(
+    recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also if only the sync waits, and no message."""
+    goes = threading.Event()
+    monkeypatch.setattr(recording_part.Part, "sync", lambda _: goes.wait(60))
+    recording.add(piece(state()))
+    recording.add(piece(sample(0)))
+    monkeypatch.setattr(Recording, "look", partialmethod(Recording.look, 0.0))
+
+    def fill() -> None:
+        for k in range(1, 100_000):
+            recording.add(piece(sample(k)))
+
+    with pytest.raises(DiskError, match=r"up to \d+ of \d+ samples are lost; `armrig"):
+        fill()
+    goes.set()
 
 
 def test_a_file_that_a_full_disk_has_ended_is_whole_and_listed(

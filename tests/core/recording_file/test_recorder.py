@@ -353,6 +353,10 @@ def test_a_sample_that_was_not_flushed_is_not_acknowledged(
     monkeypatch.setattr(Part, "sync", synced)
     recording = _recording(tmp_path / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
+    until_s = time.monotonic() + 30
+    while not seen:
+        assert time.monotonic() < until_s
+        threading.Event().wait(0.01)
     recording.finish(COMPLETE)
     recording.join(30)
 

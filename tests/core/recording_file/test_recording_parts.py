@@ -172,37 +172,45 @@ def test_a_run_that_ends_with_a_full_part_has_no_empty_part(tmp_path: Path) -> N
     ]
 
 
-def test_a_part_is_complete_when_the_next_one_begins(
+def test_a_part_is_on_the_disk_before_it_is_named_and_no_flush_waits_for_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen, fsync, synced = [], os.fsync, []
+    """The next part is flushed meanwhile; its samples count as safe only after the first part."""
+    first, answers, fsync = tmp_path / "run.part-0001.mcap", threading.Event(), os.fsync
+    named: list[bool] = []
 
-    def noted(fd: int) -> None:
-        synced.append(Path(f"/proc/self/fd/{fd}").readlink().name)
+    def slow(fd: int) -> None:
+        if Path(f"/proc/self/fd/{fd}").readlink().name == "run.part-0001.mcap.active":
+            assert answers.wait(30)
+            named.append(first.exists())
         fsync(fd)
 
-    begin = Part.__init__
+    monkeypatch.setattr(os, "fsync", slow)
+    recording = Recording(
+        tmp_path / "run.mcap",
+        MANIFEST,
+        ATTACHED,
+        t_first_ns=FIRST * 10_000_000,
+        changed=lambda: None,
+        limits=PartLimits(60, 1 << 30),
+    )
+    recording.add(WHOLE)
+    second = tmp_path / "run.part-0002.mcap.active"
+    until_s = time.monotonic() + 30
+    while recording._flushed < N:
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
+    assert armrig.load(second).samples.size == N - 60
+    assert not armrig.load(first.with_name(f"{first.name}.active")).truncated
+    assert recording.synced <= 60
 
-    def watched(self: Part, path: Path, *args: object) -> None:
-        begin(self, path, *args)  # type: ignore[arg-type]
-        before = path.with_name("run.part-0001.mcap")
-        if path != before and not seen:
-            seen.append(before.with_name(before.name + ".active").exists())
+    answers.set()
+    recording.finish(COMPLETE)
+    recording.join(30)
 
-    add = Part.add
-
-    def adding(self: Part, message: Outgoing) -> None:
-        if self.manifest.part == 2 and len(seen) == 1:
-            seen.append(not armrig.load(tmp_path / "run.part-0001.mcap").truncated)
-            seen.append("run.part-0001.mcap.active" in synced)
-        add(self, message)
-
-    monkeypatch.setattr(os, "fsync", noted)
-    monkeypatch.setattr(Part, "__init__", watched)
-    monkeypatch.setattr(Part, "add", adding)
-    _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(60, 1 << 30))
-
-    assert seen == [True, True, True]
+    assert named[0] is False
+    assert (recording.synced, recording.error) == (N, "")
+    assert _ks(recording.kept) == list(range(FIRST, FIRST + N))
 
 
 def test_every_part_has_full_chunks_in_the_end(

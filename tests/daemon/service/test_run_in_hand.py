@@ -169,7 +169,9 @@ def test_a_recording_that_would_fill_the_disk_is_not_begun(
     runs: Runs, monkeypatch: pytest.MonkeyPatch, samples: int, fits: bool
 ) -> None:
     """200 B a sample and 1 MiB."""
-    monkeypatch.setattr("armrig_core.recording_file.recorder.os.statvfs", lambda _: NEARLY_FULL)
+    monkeypatch.setattr(
+        "armrig_core.recording_file.recording_part.os.statvfs", lambda _: NEARLY_FULL
+    )
     request = Run(lease="a" * 32, n=1, u=[0.0] * samples)
 
     if fits:

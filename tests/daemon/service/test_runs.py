@@ -117,7 +117,8 @@ def test_the_state_of_the_current_recording_is_reported(
     config = Config(recording=RecordingConfig(stop_when_full=stop_when_full))
     runs = Runs(config, tmp_path, lambda: None)
     recording: Any = SimpleNamespace(
-        kept=tmp_path / "a.mcap.active", samples=9, synced=4, error=error, moved=moved
+        **{"kept": tmp_path / "a.mcap.active", "samples": 9, "synced": 4, "error": error},
+        **{"moved": moved, "look": lambda: None},
     )
     runs._recording = recording
     runs._last = LastRun(run_id="r", recording="", finished=False, samples=0, outcome="")
@@ -132,3 +133,26 @@ def test_the_state_of_the_current_recording_is_reported(
     assert runs.last is not None
     assert (runs.last.samples, runs.last.synced) == (9, 4)
     assert runs.run_id == "r"
+
+
+@pytest.mark.parametrize(("synced", "has_lost"), [(9, False), (4, True)])
+def test_a_recording_that_lost_samples_is_remembered(
+    synced: int, has_lost: bool, tmp_path: Path
+) -> None:
+    """The exit code of the daemon reports it; a disk is looked at without a report of its own."""
+    runs = Runs(Config(), tmp_path, lambda: None)
+    recording: Any = SimpleNamespace(
+        **{"kept": tmp_path / "a.mcap.active", "samples": 9, "synced": synced},
+        **{"error": "", "done": False},
+    )
+
+    def look() -> None:
+        recording.error, recording.done = "the disk did not answer", True
+
+    recording.look = look
+    runs._finishing = recording
+    runs._last = LastRun(run_id="r", recording="", finished=False, samples=0, outcome="")
+
+    assert runs.finished() == ("error", "the disk did not answer")
+    assert runs.has_lost == has_lost
+    assert runs.is_idle

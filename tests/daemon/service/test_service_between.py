@@ -275,7 +275,7 @@ def test_a_disk_that_refuses_a_recording_stops_its_run(
     def full(_fd: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("armrig_core.recording_file.recorder.os.fdatasync", full)
+    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fdatasync", full)
     between.begin_run()
     between.service._handle([_sample(0)])
     assert select.select([between.service._signals.fd], [], [], 30)[0]

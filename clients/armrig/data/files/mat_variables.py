@@ -111,6 +111,8 @@ def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
     if not 1 <= kind <= _LAST_NUMBER:
         return _name(parts), Unread(_OPAQUE)
     shape = tuple(_numbers(parts, order).tolist())
+    if len(shape) > 32:  # the limit of numpy 1
+        raise DamageError(f"an array of {len(shape)} dimensions; at most 32 are allowed")
     name = _name(parts)
     if kind == _CELL:
         return name, _inner(parts, order, depth)

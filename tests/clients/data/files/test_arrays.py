@@ -269,6 +269,16 @@ def test_cells_inside_each_other_without_end_are_refused(tmp_path: Path) -> None
         load_data(path, Ts=1)
 
 
+def test_an_array_of_too_many_dimensions_is_refused(tmp_path: Path) -> None:
+    shape = struct.pack("<100000i", *[1] * 100_000)
+    matrix = element(6, struct.pack("<II", 6, 0)) + element(5, shape) + element(1, b"u")
+    path = tmp_path / "wide.mat"
+    path.write_bytes(mat5(element(14, matrix + element(9, struct.pack("<d", 1.0)))))
+
+    with pytest.raises(FileError, match="an array of 100000 dimensions; at most 32 are allowed"):
+        load_data(path, Ts=1)
+
+
 def test_a_mat_file_that_unpacks_without_end_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,82 @@
+"""One bit in the head of any record: all samples are read, and the damage is reported."""
+
+from __future__ import annotations
+
+import struct
+from io import BytesIO
+from itertools import product
+from pathlib import Path
+
+import armrig
+import pytest
+from armrig.recordings.container import streamed
+from armrig.recordings.verification import verify
+from armrig_core.calibration import Calibration
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+
+from tests.clients.made_recordings import recorded, sample, timing, written
+from tests.sampling import sampled
+
+K = list(range(30))
+DATA = recorded([*(sample(k) for k in K), timing(1)], u=[1.0] * 30, flush_every=10)
+_HEAD = struct.Struct("<BQ")
+
+
+def _heads() -> list[int]:
+    """Return the places of the records before the index."""
+    at, places = 8, []
+    while DATA[at] != Opcode.DATA_END:
+        places.append(at)
+        at += _HEAD.size + _HEAD.unpack_from(DATA, at)[1]
+    return places
+
+
+BITS = list(product(_heads(), range(8 * _HEAD.size)))
+
+
+@pytest.mark.parametrize("part", sampled(range(8)))
+def test_no_bit_of_a_head_costs_a_sample(tmp_path: Path, part: int) -> None:
+    """Each record before the index: header, metadata, attachments, chunks and their indexes."""
+    for at, bit in BITS[part::8]:
+        spoilt = bytearray(DATA)
+        spoilt[at + bit // 8] ^= 1 << bit % 8
+
+        recording = armrig.load(written(tmp_path, bytes(spoilt)))
+
+        assert recording.samples["k"].tolist() == K, (at, bit)
+        assert recording.truncated, (at, bit)
+        assert recording.damage, (at, bit)
+
+
+def test_what_the_index_names_is_read_whole(tmp_path: Path) -> None:
+    spoilt = bytearray(DATA)
+    first = next(at for at in _heads() if DATA[at] == Opcode.ATTACHMENT)
+    spoilt[first] ^= 0x40
+
+    path = written(tmp_path, bytes(spoilt))
+    found = verify(path)
+
+    checks = {check.about: check for check in found.checks}
+    assert checks["file"].text.startswith(
+        "the data section contains a record of opcode 73; the other records were found by the "
+        "file's index, 0 records left out; saved: 30 samples, "
+    )
+    assert armrig.load(path).calibration == Calibration()
+    assert checks["input"].text != "no input is attached"
+    assert armrig.load(path, start=0.1, stop=0.2).samples.size == 10
+    assert len(list(streamed(path, "timing"))) == 0  # a replay needs the steps without a hole
+
+
+def test_a_forged_index_reads_no_byte_twice(tmp_path: Path) -> None:
+    spoilt = bytearray(DATA)
+    spoilt[9] ^= 0x40  # the head of the header
+    summary = make_reader(BytesIO(DATA)).get_summary()
+    assert summary is not None
+    first, second, *_ = (struct.pack("<Q", c.chunk_start_offset) for c in summary.chunk_indexes)
+    forged = bytes(spoilt).replace(second, first)  # the second chunk, at the place of the first
+
+    recording = armrig.load(written(tmp_path, forged))
+
+    assert recording.samples["k"].tolist() in (K[20:], [*K[:10], *K[20:]])
+    assert recording.truncated

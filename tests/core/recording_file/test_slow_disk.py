@@ -1,0 +1,207 @@
+"""A slow disk, a disk that does not answer, and a file that another program changes."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import armrig
+import pytest
+from armrig_core.codes import COMPLETE, Ending, OutcomeCode
+from armrig_core.recording_file import recorder, recording_part
+from armrig_core.recording_file.recorder import Recording
+from armrig_core.recording_file.syncing import Syncer
+from mcap.reader import make_reader
+
+from tests.core.recording_file.test_recorder import MANIFEST, _recording, _sample
+
+N = 1600
+
+
+def _until(is_true: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + 30
+    while not is_true():
+        assert time.monotonic() < until_s
+        threading.Event().wait(0.01)
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Return the event until which `fdatasync` does not return."""
+    answers = threading.Event()
+    name = "armrig_core.recording_file.recording_part.os.fdatasync"
+    monkeypatch.setattr(name, lambda _fd: answers.wait(60))
+    return answers
+
+
+def test_no_flush_waits_for_a_sync(
+    tmp_path: Path, answers: threading.Event, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """L1: batches of one sample are all in the file while the first sync waits."""
+    monkeypatch.setattr(recorder, "SYNC_S", 0.0)
+    recording = _recording(tmp_path / "run.mcap")
+    for k in range(N):
+        recording.add([_sample(k)])
+
+    _until(lambda: recording._flushed == N)
+    assert armrig.load(recording.active).samples.size == N
+    assert recording.synced == 0
+
+    answers.set()
+    recording.finish(COMPLETE)
+    recording.join(30)
+    assert (recording.synced, recording.error, recording.dropped) == (N, "", 0)
+
+
+def test_the_next_sync_is_due_after_the_end_of_the_last(tmp_path: Path) -> None:
+    asked, answers = threading.Event(), threading.Event()
+
+    class Slow:
+        def sync(self) -> None:
+            asked.set()
+            answers.wait(30)
+
+    syncer = Syncer()
+    syncer.request(Slow(), 3)  # type: ignore[arg-type]
+    assert asked.wait(30)
+    assert syncer.ended_s == float("inf")  # no sync is due
+    released_s = time.monotonic()
+    answers.set()
+    syncer.join()
+
+    assert released_s <= syncer.ended_s <= time.monotonic()
+    assert syncer.synced == 3
+
+
+def test_a_disk_that_does_not_answer_ends_the_recording_with_the_number_of_samples(
+    tmp_path: Path, answers: threading.Event
+) -> None:
+    recording = _recording(tmp_path / "run.mcap")
+    recording.add([_sample(k) for k in range(50)])
+    recording.finish(COMPLETE)
+    _until(lambda: recording._flushed == 50)
+
+    recording.look()
+    assert not recording.done  # 30 s are not over
+    recording.join(0.1)
+
+    assert recording.done
+    assert recording.error.startswith(f"{recording.active}: the disk did not answer for ")
+    assert recording.error.endswith(
+        "; up to 50 of 50 samples are lost; `armrig recover` the others"
+    )
+    assert not armrig.load(recording.active).truncated  # the kernel has all of them
+    answers.set()
+    _until(recording.path.exists)
+
+
+def test_a_recording_that_was_given_up_writes_nothing_more(
+    tmp_path: Path, answers: threading.Event
+) -> None:
+    recording = _recording(tmp_path / "run.mcap")
+    recording.add([_sample(k) for k in range(50)])
+    _until(lambda: recording._flushed == 50)
+
+    recording.look(0.0)
+    error = recording.error
+    _until(lambda: recording._part._file.closed)
+    recording.add([_sample(k) for k in range(50, 60)])
+    recording.finish(Ending(OutcomeCode.RECORDING, error))
+    answers.set()
+    recording._thread.join(30)
+
+    assert recording.error == error
+    assert armrig.load(recording.active).samples.size == 50
+
+
+def test_a_folder_without_permissions_does_not_lose_what_was_flushed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changed = threading.Event()
+    recording = _recording(tmp_path / "run.mcap", changed)
+    recording.add([_sample(k) for k in range(50)])
+    _until(lambda: recording._flushed == 50)
+
+    def forbidden(_path: Path) -> os.stat_result:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(recording_part.os, "lstat", forbidden)
+    assert changed.wait(30)
+    monkeypatch.undo()
+    recording.finish(COMPLETE)
+    recording.join(30)
+
+    assert recording.error == (
+        f"{recording.active}: Permission denied; the flushed samples are kept there"
+    )
+    assert armrig.load(recording.active).samples.size == 50
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_file_that_another_program_cuts_is_reported(tmp_path: Path, share: float) -> None:
+    changed = threading.Event()
+    recording = _recording(tmp_path / "run.mcap", changed)
+    recording.add([_sample(k) for k in range(50)])
+    _until(lambda: recording._flushed == 50)
+    size = recording.active.stat().st_size
+    left = int(share * size)
+
+    os.truncate(recording.active, left)
+    recording.add([_sample(50)])
+    assert changed.wait(30)
+    recording.finish(COMPLETE)
+    recording.join(30)
+
+    assert recording.error == (
+        f"{recording.active}: another program cut the file to {left} of {size} B; the rest is lost"
+    )
+    assert recording.active.stat().st_size == left  # no zeros take the place of the samples
+    assert not recording.path.exists()
+
+
+def test_a_file_that_is_cut_while_it_is_rewritten_is_not_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compact = recording_part.compact
+
+    def cut(source: Path, target: Path) -> None:
+        os.truncate(source, 1000)
+        compact(source, target)
+
+    monkeypatch.setattr(recording_part, "compact", cut)
+    recording = _recording(tmp_path / "run.mcap")
+    recording.add([_sample(k) for k in range(50)])
+    recording.finish(COMPLETE)
+    recording.join(30)
+
+    assert ": another program cut the file to 1000 of " in recording.error
+    assert not recording.path.exists()
+
+
+@pytest.mark.parametrize("damaged", [0, 1])
+def test_a_damaged_chunk_costs_10_s_at_most(tmp_path: Path, damaged: int) -> None:
+    """The first chunk contains the channels; the index contains them, too."""
+    path = tmp_path / "run.mcap"
+    recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=lambda: None)
+    recording.add([_sample(k) for k in range(2500)])
+    recording.finish(COMPLETE)
+    recording.join(30)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunks = summary.chunk_indexes
+    spans_s = [(c.message_end_time - c.message_start_time) / 1e9 for c in chunks]
+    assert spans_s == pytest.approx([9.99, 9.99, 4.99])
+
+    data = bytearray(path.read_bytes())
+    data[chunks[damaged].chunk_start_offset + 200] ^= 1
+    path.write_bytes(data)
+    loaded = armrig.load(path)
+
+    lost = range(1000 * damaged, 1000 * (damaged + 1))
+    assert loaded.samples["k"].tolist() == [k for k in range(2500) if k not in lost]
+    assert "the other records were found by the file's index, 1 record left out" in loaded.damage
+    assert loaded.truncated
