@@ -81,7 +81,7 @@ def record(
         ]
     )
     recording.finish(COMPLETE)
-    recording.join()
+    recording.join(30)
     return path
 
 

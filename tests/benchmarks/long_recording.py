@@ -86,7 +86,7 @@ def make(path: Path, seconds: int, pacing: str = "scheduled") -> int:
         ended = [record for record in records if isinstance(record, RunEnded)]
         if ended:
             recording.finish(Ending(ended[0].outcome_code, ended[0].outcome))
-            recording.join()
+            recording.join(30)
             if recording.error:
                 raise SystemExit(recording.error)
             return count

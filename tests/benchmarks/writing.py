@@ -92,7 +92,7 @@ def _handed_over(folder: Path, samples: list[Outgoing]) -> None:
         while recording._queue.qsize() > _QUEUED:
             time.sleep(0.001)
     recording.finish(COMPLETE)
-    recording.join()
+    recording.join(30)
     if recording.error or recording.dropped:
         raise SystemExit(recording.error or "messages were dropped")
 

@@ -61,7 +61,7 @@ def _record(seed: int, path: Path) -> Path:
         if s is not None and 0 <= s.k - started.k_first < N:
             recording.add([Outgoing("sample", s.t_host_ns, s.t_sched_ns, s.k, data)])
     recording.finish(COMPLETE)
-    recording.join()
+    recording.join(30)
     return path
 
 

@@ -213,7 +213,7 @@ def test_a_stop_imports_only_what_it_needs(daemon: FakeDaemon, where: str) -> No
     assert daemon.names() == ["stop"]
     assert said.startswith("rig 1, motor: ")
     assert heavy == "0 ['typer', 'zenoh']"
-    assert {name.split(".")[1] for name in own.split()} == {"__main__", "cli", "data", "rig"}
+    assert {name.split(".")[1] for name in own.split()} == {"__main__", "cli", "rig"}
     assert {name for name in own.split() if ".cli." in name} == {
         *("armrig.cli.options", "armrig.cli.rig")
     }
