@@ -56,10 +56,7 @@ class Grid:
     """Times in s of the rows and of the instants, if the rows must be resampled."""
 
     def placed(self, x: Vector, *, held: bool) -> Vector:
-        """Return the values of a column at the instants, NaN where missing.
-
-        Resampled values are interpolated on a straight line, or, if `held`, are the last values.
-        """
+        """Return the values of a column at the instants, NaN where missing; resampled if asked."""
         if self.times is None:
             placed = np.full(self.size, np.nan)
             placed[self.at] = x
@@ -90,22 +87,8 @@ def grid_of(times: Times, *, Ts: float | None = None, resample: bool = False) ->
     are put in as missing. A longer gap, or a time that goes back, begins a new experiment. A late
     row belongs to its own instant if the next rows catch up. The times are as exact as their last
     digit. Ts is the mean interval, rounded to the fewest digits with which its multiples still fit
-    the times.
-
-    Parameters
-    ----------
-    Ts : float, optional
-        Sampling time in s that is used instead of the interval of the times.
-    resample : bool
-        Interpolate rows at uneven times.
-
-    Raises
-    ------
-    FileError
-        There is only one time, or the times never advance.
-    UnevenTimesError
-        More than a tenth of the intervals differ from the usual interval by more than a twentieth
-        and the last digit of the times.
+    the times. Times are uneven if more than a tenth of the intervals differ from the usual interval
+    by more than a twentieth and the last digit of the times. A given Ts has priority.
     """
     t = times.t
     if t.size < 2:

@@ -111,11 +111,6 @@ def times_of(table: Table, i: int) -> Times:
     Numbers have the unit of the header. Without a unit, numbers as large as the seconds,
     milliseconds, microseconds or nanoseconds since 1970 are such times, and other numbers are
     seconds. A time of day may have its date in a column named date.
-
-    Raises
-    ------
-    FileError
-        The unit is unknown, or a time is missing, or a text is not a time.
     """
     column, cells = table.columns[i], table.texts(i)
     named = f"the times in column {shown(column.name)}" if column.name else "the times"

@@ -33,13 +33,7 @@ class TextTable(Table):
     """Decimal mark that the user gave, or None."""
 
     def numbers(self, i: int) -> Vector:
-        """Return the values of column i, counted from 0; NaN where a value is missing.
-
-        Raises
-        ------
-        FileError
-            A value is not a number, or its decimal mark is not clear; the message names its line.
-        """
+        """Return the values of column i, counted from 0; NaN where a value is missing."""
         cells = self.texts(i)
         mark = self._mark(i, cells)
         if mark == "." and not any("_" in cell for cell in cells):
@@ -94,11 +88,6 @@ def read_text(text: str, decimal: str | None = None) -> TextTable:
     lines, which must have an equal number of cells. The first line that is not a remark contains
     names if none of its cells is a number. The line after the names contains units if none of its
     cells is a number. The numbers show the decimal mark, or `decimal` gives it.
-
-    Raises
-    ------
-    FileError
-        There is no row of values, or the rows have different numbers of cells.
     """
     numbered = [
         (k, line)
