@@ -99,10 +99,14 @@ def grid_of(times: Times, *, Ts: float | None = None, resample: bool = False) ->
     if not np.any(np.diff(t) > 0):
         msg = f"{times.place(1)}: {times.name} do not increase"
         raise FileError(f"{msg}; give Ts in s (--Ts) if the times are wrong")
+    coarse = _coarse(times)
     if resample:
+        if coarse:
+            even = coarse.Ts * coarse.at.astype(np.float64)
+            times = replace(times, t=even, notes=[*times.notes, *coarse.notes])
         return _resampled(times, Ts)
     try:
-        grid = _coarse(times) or _of_times(times)
+        grid = coarse or _of_times(times)
     except UnevenTimesError as err:
         if Ts is None:
             raise
@@ -207,7 +211,9 @@ def _coarse(times: Times) -> Grid | None:
     if count < _MIN_ROUNDED or slope <= 0 or np.ptp(t - slope * k) > width * times.resolution:
         return None
     note = f"{times.name} have a last digit of {times.resolution:g} s; Ts is their mean interval"
-    return Grid(Ts=_roundest(t, k), at=k, size=t.size, notes=[note])
+    if times.resolution > _MAX_DEVIATION * (t[-1] - t[0]):
+        note = Step(f"{note}, which is inexact in a log so short: give --Ts if it is known", DOUBT)
+    return Grid(Ts=_roundest(t, k, slope), at=k, size=t.size, notes=[note])
 
 
 def _gap_notes(times: Times, begins: NDArray[np.intp]) -> list[str]:
@@ -232,9 +238,9 @@ def _uneven(times: Times, irregular: Mask, usual: float) -> UnevenTimesError:
     )
 
 
-def _roundest(t: Vector, k: NDArray[np.int64]) -> float:
+def _roundest(t: Vector, k: NDArray[np.int64], slope: float | None = None) -> float:
     """Return the mean interval, rounded to the fewest digits that still fit the times."""
-    mean = float(t[-1] - t[0]) / float(k[-1] - k[0])
+    mean = slope or float(t[-1] - t[0]) / float(k[-1] - k[0])
     apart = 1.1 * float(np.ptp(t - mean * k)) + 1e-9 * mean
     rounded = (float(f"{mean:.{digits}g}") for digits in range(1, _MAX_DIGITS))
     return next((Ts for Ts in rounded if float(np.ptp(t - Ts * k)) <= apart), mean)

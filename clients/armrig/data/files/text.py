@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,6 +17,7 @@ from armrig.numerics.quantities import plural
 _REMARK_MARKS = ("#", "%")
 _SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma", "": "blanks"}
 _MAX_UNIT_CHARACTERS = 16
+_QUANTITY = re.compile(r"[+-]?\d[\d.,]*\s*[^\d\s/^.,]")  # 2 s, but not the unit 1/s
 _PROBED_LINES = 20  # to find the separator
 
 
@@ -165,6 +167,7 @@ def _are_names(cells: Sequence[str]) -> bool:
 def _are_units(cells: Sequence[str], header: Sequence[str]) -> bool:
     """Return whether the cells can be units: short texts, not numbers, one for each name."""
     fits = all(len(cell.strip()) <= _MAX_UNIT_CHARACTERS for cell in cells)
+    fits &= not any(_QUANTITY.match(cell.strip()) for cell in cells)
     fits &= len(cells) == len(header)
     return fits and any(cell.strip() for cell in cells) and _are_names(cells)
 
