@@ -271,11 +271,15 @@ def _resampled(times: Times, given: float | None) -> Grid:
         f"resampled {times.t.size} rows to {wanted.size} samples, {Ts:g} s apart: y on straight "
         "lines between the rows, u held; this smooths the noise of y, so residuals may be coloured"
     )
+    notes = [*times.notes, note, *_gap_notes(times, rows[begins])]
+    if count := times.t.size - rows.size:
+        text = f"left out {plural(count, 'row')} with the time of the row before"
+        notes.append(Step(text, DOUBT))
     return Grid(
         Ts=Ts,
         at=rows,
         size=wanted.size,
         breaks=np.cumsum([part.size for part in parts])[:-1].tolist(),
-        notes=[*times.notes, note, *_gap_notes(times, rows[begins])],
+        notes=notes,
         times=(whole, wanted),
     )

@@ -138,6 +138,15 @@ def test_several_rows_in_each_minute_are_even(text: str, resample: bool, tmp_pat
     assert "last digit of 60 s; Ts is their mean interval" in "".join(data.history)
 
 
+def test_rows_that_a_resampling_leaves_out_are_counted(tmp_path: Path) -> None:
+    """After a gap, no mean interval fits the stamps of one minute."""
+    times = [f"{(60 * (k // 12) + 7200 * (k >= 96)):.0f}" for k in range(192)]
+    data = armrig.load_data(log(tmp_path / "a.csv", times, header="t,u,y"), resample=True)
+
+    assert "left out 176 rows with the time of the row before" in data.history
+    assert codes_of(data.history)[-1] == DOUBT
+
+
 def test_a_mean_interval_of_few_minutes_is_a_doubt(tmp_path: Path) -> None:
     short = armrig.load_data(log(tmp_path / "a.csv", stamps("%H:%M", 3)))
     long = armrig.load_data(log(tmp_path / "b.csv", stamps("%H:%M", 12)))
