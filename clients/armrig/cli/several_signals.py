@@ -31,20 +31,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outputs:
-    """Files that `identify` reads and writes, and the form of its output."""
+    """Files that `identify` or `validate` reads and writes, and the form of its output."""
 
-    validate: Path | None
-    save: Path | None
-    figure: Path | None
-    json: bool
-    verbose: bool
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ValidationOutputs:
-    """Files that `validate` reads and writes, and the form of its output."""
-
-    model: Path
+    validate: Path | None = None
+    save: Path | None = None
     figure: Path | None
     json: bool
     verbose: bool
@@ -202,7 +192,8 @@ def validate(
     signals: SignalChoice,
     horizons: Sequence[int],
     lags: int | None,
-    to: ValidationOutputs,
+    model: Path,
+    to: Outputs,
 ) -> None:
     """Validate a model of several signals: simulate it, predict with it, test its residuals."""
     from armrig.cli import several_output
@@ -235,7 +226,7 @@ def validate(
         say_answer(
             "\n".join(several_output.validation_lines(tables, tests, file, verbose=to.verbose))
         )
-        several_next.after_validate(fit, tests, data, file, to.model, signals)
+        several_next.after_validate(fit, tests, data, file, model, signals)
 
 
 def compare(

@@ -29,7 +29,7 @@ from armrig.cli.recorded_data import (
     spectral_beside,
     warn_of_estimation_data,
 )
-from armrig.cli.several_signals import ValidationOutputs
+from armrig.cli.several_signals import Outputs
 from armrig.cli.several_signals import validate as validate_several
 
 if TYPE_CHECKING:
@@ -81,8 +81,8 @@ def validate(
     check_plot(plot, [file, model])
     fit = load_fit(model)
     if isinstance(fit, MultivariableFit):
-        to = ValidationOutputs(model=model, figure=plot, json=json, verbose=verbose)
-        validate_several(fit, file, signals, horizon or _HORIZONS, lags, to)
+        to = Outputs(figure=plot, json=json, verbose=verbose)
+        validate_several(fit, file, signals, horizon or _HORIZONS, lags, model, to)
         return
     data = signals.of(file, fit)
     validated = _validated(fit, data, horizon or _HORIZONS, lags)

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
-from numbers import Integral
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from armrig_core.calls import checked_call
 from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.data.experiments import Experiments, merged
 from armrig.data.pandas_columns import plain, present
-from armrig.data.step import Step, codes_of, in_merged, took
 from armrig.data.trend import Trend
-from armrig.numerics.checks import column, require_integers
+from armrig.numerics.checks import column
 from armrig.numerics.stretches import Mask
 
 if TYPE_CHECKING:
@@ -29,23 +28,10 @@ Vector = NDArray[np.float64]
 
 _MAX_SIZE = 1e30  # products of fourth powers of data must be finite
 _MIN_SIZE = 1e-30  # powers of much smaller numbers underflow to 0
-_MAX_LISTED_LENGTHS = 8  # of merged parts, in a history
-
-
-class HasHistory(Protocol):
-    """Data with a number of samples and a history."""
-
-    @property
-    def N(self) -> int:
-        """Number of samples."""
-
-    @property
-    def history(self) -> tuple[str, ...]:
-        """Steps of the treatment, first to last."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, init=False, eq=False, repr=False)
-class Dataset:
+class Dataset(Experiments):
     """N equidistant samples of u and y, from one or several experiments.
 
     Parameters
@@ -137,8 +123,8 @@ class Dataset:
                 f"valid has shape {valid_.shape}, u and y have ({N},); give one bool per sample"
             )
         valid_ &= ~np.ma.getmaskarray(np.ma.asanyarray(y))
-        _require_finite("u", u_, "a model needs the input at each instant: cut these samples out")
-        _require_finite("y", y_, "mark them missing, valid=numpy.isfinite(y)", where=valid_)
+        require_finite("u", u_, "a model needs the input at each instant: cut these samples out")
+        require_finite("y", y_, "mark them missing, valid=numpy.isfinite(y)", where=valid_)
         for name, x in (("u", u_), ("y", y_[valid_])):
             require_size(name, x)
         _require_one_number(Ts)
@@ -171,19 +157,9 @@ class Dataset:
             )  # the only way to set a field of a frozen dataclass
 
     @property
-    def N(self) -> int:
-        """Number of instants, including missing samples."""
-        return int(self.u.size)
-
-    @property
     def t(self) -> Vector:
         """Time (N,) in s from the first sample, as if the experiments were consecutive."""
         return self.Ts * np.arange(self.N, dtype=np.float64)
-
-    @property
-    def missing(self) -> int:
-        """Number of samples without y."""
-        return int(self.N - np.count_nonzero(self.valid))
 
     @property
     def digest(self) -> str:
@@ -231,83 +207,14 @@ class Dataset:
             raise InputError(f"kind={kind!r} must be one of {', '.join(kinds)}")
         return figure_of(kinds[kind](self, ax=ax))
 
-    def __len__(self) -> int:
-        """Return the number of instants."""
-        return self.N
-
-    def __getitem__(self, part: slice) -> Dataset:
-        """Return the samples of a slice; the starts of experiments inside the slice are kept."""
-        if not isinstance(part, slice) or part.step not in (None, 1):
-            raise InputTypeError(
-                f"a Dataset is cut with data[a:b], got {part!r}; for a lower rate, resample"
-            )
-        if not all(x is None or isinstance(x, Integral) for x in (part.start, part.stop)):
-            raise InputTypeError(
-                f"data[{part.start}:{part.stop}] must have integers: sample numbers. The sample "
-                "at t s has the number round(t / data.Ts)"
-            )
-        a, b, _ = part.indices(self.N)
-        if b <= a:
-            raise InputError(f"data[{part.start}:{part.stop}] is empty: there are {self.N} samples")
-        if (a, b) == (0, self.N):
-            return self  # a Dataset is immutable
-        return self.replaced(
-            u=self.u[a:b],
-            y=self.y[a:b],
-            valid=self.valid[a:b],
-            starts=(0, *(s - a for s in self.starts if a < s < b)),
-            trends=self._trends_between(a, b),
-            step=took(f"took samples {a} to {b - 1} of {self.N}", a * self.Ts, b * self.Ts),
-        )
-
-    def _trends_between(self, a: int, b: int) -> tuple[Trend, ...]:
+    def _rest_between(self, a: int, b: int) -> dict[str, Any]:
         ends = (*self.starts[1:], self.N)
-        return tuple(
+        trends = (
             trend.later(max(a - start, 0) * self.Ts)
             for trend, start, end in zip(self.trends, self.starts, ends, strict=False)
             if end > a and start < b
         )
-
-    def split(self, k: int) -> tuple[Dataset, ...]:
-        """Return k consecutive parts, whose lengths differ by at most one sample.
-
-        Raises
-        ------
-        ValueError
-            There are fewer samples than parts, or `k` is less than 1.
-
-        Examples
-        --------
-        >>> import armrig
-        >>> first, second = armrig.example_recording().dataset("alpha").split(2)
-        >>> first.N, second.N
-        (1500, 1500)
-        >>> fit = armrig.oe(first, nb=3, nf=3)  # estimate from one half, validate with the other
-        >>> print(armrig.compare(second, fit))
-        simulation; initial state estimated from these data by least squares
-          OE[3 3 1]  fit   97.5... %  rms 0.0035... rad
-        """
-        require_integers(k=(k, 1))
-        if not 1 <= k <= self.N:
-            raise InputError(
-                f"{self.N} samples cannot be split into {k} parts: 1 to {self.N} are possible"
-            )
-        edges = [round(i * self.N / k) for i in range(k + 1)]
-        return tuple(self[a:b] for a, b in pairwise(edges))
-
-    def experiments(self) -> Iterator[Dataset]:
-        """Iterate over the experiments, each as a Dataset.
-
-        Examples
-        --------
-        >>> import armrig
-        >>> data = armrig.example_recording().dataset("alpha")
-        >>> both = armrig.merge(data.split(2))
-        >>> [experiment.N for experiment in both.experiments()]
-        [1500, 1500]
-        """
-        for a, b in zip(self.starts, (*self.starts[1:], self.N), strict=True):
-            yield self[a:b]
+        return {"trends": tuple(trends)}
 
     def select(self, *which: int) -> Dataset:
         """Return the experiments with the given numbers, counted from 0, in the given order.
@@ -334,51 +241,6 @@ class Dataset:
         step = f"selected experiments {', '.join(map(str, which))} of {len(parts)}"
         return merged_datasets(chosen).replaced(step=step, history=self.history)
 
-    def replaced(
-        self,
-        *,
-        step: str | None,
-        u: Vector | None = None,
-        y: Vector | None = None,
-        valid: Mask | None = None,
-        starts: tuple[int, ...] | None = None,
-        output: str | None = None,
-        unit: str | None = None,
-        Ts: float | None = None,
-        history: tuple[str, ...] | None = None,
-        trends: tuple[Trend, ...] | None = None,
-    ) -> Dataset:
-        """Return a copy with the given fields replaced, and with `step` added to its history.
-
-        Examples
-        --------
-        >>> import armrig, numpy as np
-        >>> data = armrig.example_recording().dataset("alpha")
-        >>> degrees = data.replaced(step="converted y to degrees", y=np.rad2deg(data.y), unit="deg")
-        >>> degrees
-        <Dataset: 3000 samples at 0.01 s; output alpha [deg]; history: converted y to degrees>
-        """
-        history = self.history if history is None else history
-        return Dataset(
-            u=self.u if u is None else u,
-            y=self.y if y is None else y,
-            valid=self.valid if valid is None else valid,
-            starts=self.starts if starts is None else starts,
-            output=self.output if output is None else output,
-            unit=self.unit if unit is None else unit,
-            Ts=self.Ts if Ts is None else Ts,
-            input_unit=self.input_unit,
-            source=self.source,
-            history=history if step is None else (*history, step),
-            trends=self.trends if trends is None else trends,
-        )
-
-    def _repr_html_(self) -> str:
-        """Return text and figure as HTML for a notebook."""
-        from armrig.plots.notebook import html
-
-        return html(self)
-
     def __repr__(self) -> str:
         """Describe the data in one line."""
         unit = f" [{self.unit}]" if self.unit else ""
@@ -394,50 +256,11 @@ class Dataset:
 
 def merged_datasets(parts: Sequence[Dataset]) -> Dataset:
     """Return several experiments as one Dataset; `armrig.merge` documents it."""
-    for name in ("Ts", "output", "unit", "input_unit"):
-        values = sorted({getattr(d, name) for d in parts})
-        if len(values) > 1:
-            raise InputError(
-                f"merge needs the same {name} in all data, got {values}; apply the same treatment "
-                "to all before merging"
-            )
-    offsets = np.cumsum([0, *(d.N for d in parts[:-1])])
     trends: list[Trend] = []
     if any(d.trends for d in parts):
         for d in parts:
             trends += d.trends or [Trend() for _ in d.starts]
-    return Dataset(
-        u=np.concatenate([d.u for d in parts]),
-        y=np.concatenate([d.y for d in parts]),
-        valid=np.concatenate([d.valid for d in parts]),
-        starts=tuple(int(o) + s for o, d in zip(offsets, parts, strict=True) for s in d.starts),
-        Ts=parts[0].Ts,
-        output=parts[0].output,
-        unit=parts[0].unit,
-        input_unit=parts[0].input_unit,
-        source="+".join(dict.fromkeys(d.source for d in parts if d.source)),
-        history=joined_history(parts),
-        trends=trends,
-    )
-
-
-def joined_history(parts: Sequence[HasHistory]) -> tuple[str, ...]:
-    """Return the history of merged data: common steps, then steps of each part, then the merge."""
-    if len(parts) == 1:
-        return parts[0].history
-    common: list[str] = []
-    for steps in zip(*(d.history for d in parts), strict=False):
-        if len(set(steps)) > 1:
-            break
-        common.append(steps[0])
-    own = [
-        Step(f"part {i}: {step}", in_merged(code))
-        for i, d in enumerate(parts, 1)
-        for step, code in list(zip(d.history, codes_of(d.history), strict=True))[len(common) :]
-    ]
-    lengths = ", ".join(str(d.N) for d in parts[:_MAX_LISTED_LENGTHS])
-    lengths += ", …" if len(parts) > _MAX_LISTED_LENGTHS else ""
-    return (*common, *own, f"merged {len(parts)} parts of {lengths} samples")
+    return merged(parts, trends=tuple(trends))
 
 
 def starts_of(starts: Sequence[int], N: int) -> tuple[int, ...]:
@@ -484,7 +307,8 @@ def require_visible(data: Dataset) -> None:
             )
 
 
-def _require_finite(name: str, x: Vector, way_out: str, where: Mask | None = None) -> None:
+def require_finite(name: str, x: Vector, way_out: str, where: Mask | None = None) -> None:
+    """Refuse values that are not finite, among those marked True in `where`."""
     bad = ~np.isfinite(x) if where is None else ~np.isfinite(x) & where
     if bad.any():
         first = int(np.argmax(bad))

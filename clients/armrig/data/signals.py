@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from armrig_core.calls import checked_call
-from armrig_core.errors import InputError, InputTypeError
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.data.dataset import Dataset, joined_history, require_size, starts_of
+from armrig.data.dataset import Dataset, require_finite, require_size, starts_of
+from armrig.data.experiments import Experiments, merged
 from armrig.data.pandas_columns import is_pandas, plain
-from armrig.data.step import Step, codes_of, took
-from armrig.numerics.checks import require_integers
+from armrig.data.step import Step, codes_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,10 +31,11 @@ Names = str | Sequence[str]
 _MAX_INTERVAL_DEVIATION = 1e-3
 """Largest deviation of an interval of equidistant times, as a share of the mean interval."""
 _MAX_SHOWN = 12  # names in a message
+_CUT_OUT = "a model needs each input at each instant: cut these samples out"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, init=False, eq=False, repr=False)
-class Signals:
+class Signals(Experiments):
     """N samples of nu inputs and ny outputs, from one or several experiments.
 
     A `Dataset` has one input and one output: `signals.dataset("alpha", "u")` returns the Dataset of
@@ -147,7 +147,7 @@ class Signals:
             )
         valid_ = np.isfinite(y_) & _validity(valid, y_.shape)
         for j, name in enumerate(inputs_):
-            _require_finite(name, u_[:, j])
+            require_finite(f"input {name}", u_[:, j], _CUT_OUT)
             require_size(name, u_[:, j])
         for i, name in enumerate(outputs_):
             if not valid_[:, i].any():
@@ -178,11 +178,6 @@ class Signals:
             object.__setattr__(self, name, value)  # the fields of a frozen dataclass
 
     @property
-    def N(self) -> int:
-        """Number of instants, including instants with missing outputs."""
-        return int(self.u.shape[0])
-
-    @property
     def nu(self) -> int:
         """Number of inputs."""
         return len(self.inputs)
@@ -198,11 +193,6 @@ class Signals:
         if self.times is not None:
             return self.times
         return self.equidistant() * np.arange(self.N, dtype=np.float64)
-
-    @property
-    def missing(self) -> int:
-        """Number of missing values of all outputs."""
-        return int(self.valid.size - np.count_nonzero(self.valid))
 
     @property
     def digest(self) -> str:
@@ -316,71 +306,8 @@ class Signals:
             intersample=tuple(self.intersample[j] for j in of_u),
         )
 
-    def __len__(self) -> int:
-        """Return the number of instants."""
-        return self.N
-
-    def __getitem__(self, part: slice) -> Signals:
-        """Return the samples of a slice; the starts of experiments inside the slice are kept."""
-        if not isinstance(part, slice) or part.step not in (None, 1):
-            raise InputTypeError(
-                f"Signals are cut with signals[a:b], got {part!r}; choose channels with "
-                "signals.channels(outputs, inputs)"
-            )
-        a, b, _ = part.indices(self.N)
-        if b <= a:
-            raise InputError(
-                f"signals[{part.start}:{part.stop}] is empty: there are {self.N} samples"
-            )
-        if (a, b) == (0, self.N):
-            return self  # Signals are immutable
-        begin = float(self.t[a] - self.t[0])
-        end = float(self.t[b - 1] - self.t[0]) + (self.Ts or 0.0)
-        return self.replaced(
-            u=self.u[a:b],
-            y=self.y[a:b],
-            valid=self.valid[a:b],
-            times=None if self.times is None else self.times[a:b],
-            starts=(0, *(s - a for s in self.starts if a < s < b)),
-            step=took(f"took samples {a} to {b - 1} of {self.N}", begin, end),
-        )
-
-    def split(self, k: int) -> tuple[Signals, ...]:
-        """Return k consecutive parts, whose lengths differ by at most one sample.
-
-        Raises
-        ------
-        ValueError
-            There are fewer samples than parts, or `k` is less than 1.
-
-        Examples
-        --------
-        >>> import armrig
-        >>> first, second = armrig.example_recording().signals().split(2)
-        >>> len(first.u), len(second.u)
-        (1500, 1500)
-        """
-        require_integers(k=(k, 1))
-        if k > self.N:
-            raise InputError(
-                f"{self.N} samples cannot be split into {k} parts: 1 to {self.N} are possible"
-            )
-        edges = [round(i * self.N / k) for i in range(k + 1)]
-        return tuple(self[a:b] for a, b in pairwise(edges))
-
-    def experiments(self) -> Iterator[Signals]:
-        """Iterate over the experiments, each as Signals.
-
-        Examples
-        --------
-        >>> import armrig
-        >>> first, second, third = armrig.example_recording().signals().split(3)
-        >>> both = armrig.merge([first, third])
-        >>> [len(experiment.u) for experiment in both.experiments()]
-        [1000, 1000]
-        """
-        for a, b in zip(self.starts, (*self.starts[1:], self.N), strict=True):
-            yield self[a:b]
+    def _rest_between(self, a: int, b: int) -> dict[str, Any]:
+        return {"times": None if self.times is None else self.times[a:b]}
 
     def treated(
         self, treatment: Callable[[Dataset], Dataset], channels: Names | None = None
@@ -459,23 +386,6 @@ class Signals:
             history=(*self.history, *dict.fromkeys(steps)),
         )
 
-    def replaced(self, *, step: str | None, **fields: Any) -> Signals:
-        """Return a copy with the given fields replaced, and with `step` added to its history.
-
-        Examples
-        --------
-        >>> import armrig
-        >>> signals = armrig.example_recording().signals()
-        >>> shifted = signals.replaced(step="subtracted 2.5 V from u", u=signals.u - 2.5)
-        >>> shifted.history
-        ('subtracted 2.5 V from u',)
-        """
-        values = {name: getattr(self, name) for name in self.__slots__} | fields
-        t = values.pop("times")
-        if step is not None:
-            values["history"] = (*values["history"], step)
-        return Signals(**values | ({} if t is None else {"t": t, "Ts": None}))
-
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of all outputs and inputs against time.
 
@@ -489,12 +399,6 @@ class Signals:
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_signals(self, ax=ax))
-
-    def _repr_html_(self) -> str:
-        """Return text and figure as HTML for a notebook."""
-        from armrig.plots.notebook import html
-
-        return html(self)
 
     def __repr__(self) -> str:
         """Describe the data in one line."""
@@ -516,33 +420,9 @@ class Signals:
 
 
 def merged_signals(parts: Sequence[Signals]) -> Signals:
-    """Return several experiments as one Signals object that keeps them separate.
-
-    Raises
-    ------
-    ValueError
-        The parts differ in sampling time, names, units or intersample behaviour.
-    """
-    for name in ("Ts", "inputs", "outputs", "input_units", "units", "intersample"):
-        values = list(dict.fromkeys(getattr(d, name) for d in parts))
-        if len(values) > 1:
-            raise InputError(
-                f"merge needs the same {name} in all data, got {values[0]} and {values[1]}; apply "
-                "the same treatment to all before merging"
-            )
-    first = parts[0]
-    offsets = np.cumsum([0, *(d.N for d in parts[:-1])])
+    """Return several experiments as one Signals object; `armrig.merge` documents it."""
     known = [d.times for d in parts if d.times is not None]
-    return first.replaced(
-        step=None,
-        history=joined_history(parts),
-        u=np.concatenate([d.u for d in parts]),
-        y=np.concatenate([d.y for d in parts]),
-        valid=np.concatenate([d.valid for d in parts]),
-        times=np.concatenate(known) if known else None,
-        starts=tuple(int(o) + s for o, d in zip(offsets, parts, strict=True) for s in d.starts),
-        source="+".join(dict.fromkeys(d.source for d in parts if d.source)),
-    )
+    return merged(parts, times=np.concatenate(known) if known else None)
 
 
 def _tuple(names: Names) -> tuple[str, ...]:
@@ -669,13 +549,3 @@ def _sampling(
     if np.max(np.abs(intervals - mean)) <= _MAX_INTERVAL_DEVIATION * mean:
         return mean, None
     return None, times
-
-
-def _require_finite(name: str, x: Vector) -> None:
-    bad = ~np.isfinite(x)
-    if bad.any():
-        first = int(np.argmax(bad))
-        raise InputError(
-            f"input {name} is not finite at {bad.sum()} samples, first {x[first]} at {first}; a "
-            "model needs each input at each instant: cut these samples out"
-        )

@@ -129,7 +129,7 @@ def test_slices_parts_and_experiments() -> None:
     assert signals[0:N] is signals
     assert len(signals[10:20]) == 10
     for wrong in (slice(0, 10, 2), 3):
-        with pytest.raises(InputTypeError, match=r"signals\[a:b\]"):
+        with pytest.raises(InputTypeError, match=r"data\[a:b\]"):
             signals[wrong]  # type: ignore[index]
     with pytest.raises(InputError, match="empty"):
         signals[5:5]
@@ -176,7 +176,7 @@ def test_merged_experiments_keep_their_boundaries() -> None:
     other = second.replaced(step=None, source="cd")
     assert armrig.merge([first, other, first]).source == f"{first.source}+cd"
     assert merged.digest != first.digest
-    with pytest.raises(InputError, match=r"the same outputs in all data, got .* and .*"):
+    with pytest.raises(InputError, match=r"the same outputs in all data, got \[.*, .*\]"):
         armrig.merge([first, first.channels(["level"])])
     with pytest.raises(InputTypeError, match="one list of Signals"):
         armrig.merge([first, first.dataset("level", "valve")])  # type: ignore[list-item]

@@ -17,13 +17,7 @@ _LARGE = 100.0  # whole numbers from here on, without a mark, may lie below grou
 
 
 def number(cell: str, mark: str) -> float | None:
-    """Return the number in a cell, NaN for a missing value, None for other text.
-
-    Parameters
-    ----------
-    mark : str
-        Decimal mark, or "" if both marks are decimal marks.
-    """
+    """Return the number in a cell, NaN if missing, None for other text; "" means both marks."""
     text = _plain(cell)
     if text.casefold() in _MISSING:
         return float("nan")
@@ -44,17 +38,8 @@ def mark_of(column: Iterable[str], others: Iterable[Iterable[str]], *, mixed: bo
     A cell such as 0,5 or 1,234.5 proves its mark; 1,493 may be thousands. The column decides, then
     the other columns of the file. If none proves a mark, a point is the mark, except in two cases:
     all numbers have a point before exactly three digits, or the other numbers are whole and have
-    three digits.
-
-    Parameters
-    ----------
-    column : iterable of str
-        Cells of the column.
-    others : iterable of iterables of str
-        Cells of the other columns.
-    mixed : bool
-        Whether a comma may be a decimal mark: it does not separate the cells. The column may then
-        contain both marks, as in a merged file; the result is "".
+    three digits. If `mixed`, a comma does not separate the cells, and a column may contain both
+    marks, as in a merged file; the result is then "".
     """
     cells = {_plain(cell) for cell in set(column)}
     found = {cell: _mark(cell) for cell in cells}

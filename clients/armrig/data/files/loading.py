@@ -143,9 +143,9 @@ def load_signals(
     unwrap: float | None = None,
     topic: str | None = None,
 ) -> Signals:
-    r"""Load several inputs and outputs of a file other than a recording.
+    r"""Load several inputs and outputs of a file, which is read as in `load_data`.
 
-    The file is read as in `load_data`. The name of a matrix, such as u of a saved iddata structure,
+    The name of a matrix, such as u of a saved iddata structure,
     chooses all columns of the matrix. If an input is missing at an instant, the instant is left
     out, and a new experiment begins after it. If an output is missing, the other outputs are kept.
 
@@ -166,10 +166,8 @@ def load_signals(
 
     Raises
     ------
-    FileError
-        The file cannot be read as data. The message names the problem and the remedy.
-    OSError
-        The file cannot be read.
+    FileError, OSError
+        As for `load_data`.
 
     Examples
     --------
@@ -434,11 +432,6 @@ def table_of(
     """Return the table in a file, whose kind is recognised by its first bytes.
 
     Only a MAT-file of version 4 is recognised by its suffix, because it begins with numbers.
-
-    Raises
-    ------
-    FileError
-        The file is of a kind that armrig does not read, or it is damaged.
     """
     for beginning, what in _REFUSED_KINDS:
         if data.startswith(beginning):

@@ -58,15 +58,7 @@ class DamageError(Exception):
 
 
 def variables(data: bytes) -> Iterator[tuple[str, Value]]:
-    """Iterate over the names and values of a MAT-file of version 4 to 7.
-
-    Raises
-    ------
-    FileError
-        The unpacked size exceeds the limit.
-    DamageError, or another exception
-        An element is damaged.
-    """
+    """Iterate over the names and values of a MAT-file; a damaged element raises any exception."""
     unpacked = 0
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None:

@@ -49,13 +49,7 @@ def read_mcap(data: bytes, topic: str | None) -> Table:
     The name of a column is the path of the field, such as `twist.linear.x`, or `position:2` for the
     second element of a list. A time in seconds and nanoseconds is one column, in s. If `topic`
     names several topics with commas, the last topic gives the times, and the newest values of the
-    other topics are held.
-
-    Raises
-    ------
-    FileError
-        There is no such topic, or no name is given: the message lists the topics and their fields.
-        The messages cannot be decoded, or the file is a recording of armrig.
+    other topics are held. Without a known topic, an error lists the topics and their fields.
     """
     names = [*dict.fromkeys(filter(None, map(str.strip, (topic or "").split(","))))]
     series: dict[str, _Series] = {name: ([], {}) for name in names}

@@ -56,10 +56,7 @@ class Grid:
     """Times in s of the rows and of the instants, if the rows must be resampled."""
 
     def placed(self, x: Vector, *, held: bool) -> Vector:
-        """Return the values of a column at the instants, NaN where missing.
-
-        Resampled values are interpolated on a straight line, or, if `held`, are the last values.
-        """
+        """Return the values of a column at the instants, NaN where missing; resampled if asked."""
         if self.times is None:
             placed = np.full(self.size, np.nan)
             placed[self.at] = x
@@ -90,22 +87,8 @@ def grid_of(times: Times, *, Ts: float | None = None, resample: bool = False) ->
     are put in as missing. A longer gap, or a time that goes back, begins a new experiment. A late
     row belongs to its own instant if the next rows catch up. The times are as exact as their last
     digit. Ts is the mean interval, rounded to the fewest digits with which its multiples still fit
-    the times.
-
-    Parameters
-    ----------
-    Ts : float, optional
-        Sampling time in s that is used instead of the interval of the times.
-    resample : bool
-        Interpolate rows at uneven times.
-
-    Raises
-    ------
-    FileError
-        There is only one time, or the times never advance.
-    UnevenTimesError
-        More than a tenth of the intervals differ from the usual interval by more than a twentieth
-        and the last digit of the times.
+    the times. Times are uneven if more than a tenth of the intervals differ from the usual interval
+    by more than a twentieth and the last digit of the times. A given Ts has priority.
     """
     t = times.t
     if t.size < 2:
@@ -116,10 +99,14 @@ def grid_of(times: Times, *, Ts: float | None = None, resample: bool = False) ->
     if not np.any(np.diff(t) > 0):
         msg = f"{times.place(1)}: {times.name} do not increase"
         raise FileError(f"{msg}; give Ts in s (--Ts) if the times are wrong")
+    coarse = _coarse(times)
     if resample:
+        if coarse:
+            even = coarse.Ts * coarse.at.astype(np.float64)
+            times = replace(times, t=even, notes=[*times.notes, *coarse.notes])
         return _resampled(times, Ts)
     try:
-        grid = _coarse(times) or _of_times(times)
+        grid = coarse or _of_times(times)
     except UnevenTimesError as err:
         if Ts is None:
             raise
@@ -224,7 +211,9 @@ def _coarse(times: Times) -> Grid | None:
     if count < _MIN_ROUNDED or slope <= 0 or np.ptp(t - slope * k) > width * times.resolution:
         return None
     note = f"{times.name} have a last digit of {times.resolution:g} s; Ts is their mean interval"
-    return Grid(Ts=_roundest(t, k), at=k, size=t.size, notes=[note])
+    if times.resolution > _MAX_DEVIATION * (t[-1] - t[0]):
+        note = Step(f"{note}, which is inexact in a log so short: give --Ts if it is known", DOUBT)
+    return Grid(Ts=_roundest(t, k, slope), at=k, size=t.size, notes=[note])
 
 
 def _gap_notes(times: Times, begins: NDArray[np.intp]) -> list[str]:
@@ -249,9 +238,9 @@ def _uneven(times: Times, irregular: Mask, usual: float) -> UnevenTimesError:
     )
 
 
-def _roundest(t: Vector, k: NDArray[np.int64]) -> float:
+def _roundest(t: Vector, k: NDArray[np.int64], slope: float | None = None) -> float:
     """Return the mean interval, rounded to the fewest digits that still fit the times."""
-    mean = float(t[-1] - t[0]) / float(k[-1] - k[0])
+    mean = slope or float(t[-1] - t[0]) / float(k[-1] - k[0])
     apart = 1.1 * float(np.ptp(t - mean * k)) + 1e-9 * mean
     rounded = (float(f"{mean:.{digits}g}") for digits in range(1, _MAX_DIGITS))
     return next((Ts for Ts in rounded if float(np.ptp(t - Ts * k)) <= apart), mean)
@@ -282,11 +271,15 @@ def _resampled(times: Times, given: float | None) -> Grid:
         f"resampled {times.t.size} rows to {wanted.size} samples, {Ts:g} s apart: y on straight "
         "lines between the rows, u held; this smooths the noise of y, so residuals may be coloured"
     )
+    notes = [*times.notes, note, *_gap_notes(times, rows[begins])]
+    if count := times.t.size - rows.size:
+        text = f"left out {plural(count, 'row')} with the time of the row before"
+        notes.append(Step(text, DOUBT))
     return Grid(
         Ts=Ts,
         at=rows,
         size=wanted.size,
         breaks=np.cumsum([part.size for part in parts])[:-1].tolist(),
-        notes=[*times.notes, note, *_gap_notes(times, rows[begins])],
+        notes=notes,
         times=(whole, wanted),
     )

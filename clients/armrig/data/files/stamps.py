@@ -32,7 +32,9 @@ _WITH_UNIT = re.compile(
 _TIME_NAMES = frozenset(
     {"t", "time", "times", "timestamp", "timestamps", "time_stamp", "datetime", "date_time"}
     | {"elapsed", "elapsed_time", "zeit", "uhrzeit", "tid", "temps", "tiempo", "millis", "micros"}
+    | {"tout", "x_value", "datum_zeit", "zeitstempel"}
 )
+_BETWEEN_WORDS = re.compile(r"[\s/_-]+")
 _DATE_NAMES = frozenset({"date", "datum", "day", "fecha"})
 _DAY_S = 86400.0
 _EPOCH_S = (9e8, 4.2e9)  # 1998 to 2103, in seconds since 1970, or since 1904
@@ -42,6 +44,7 @@ _TIME_OF_DAY = re.compile(
 )
 _DATE = re.compile(r"(?P<a>\d{1,2})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<year>\d{4}|\d\d)")
 _HOURS_AND_MINUTES = re.compile(r"\d{1,3}:\d\d")
+_SECONDS_WRITTEN = re.compile(r":\d\d[:.,]\d")
 _MATLAB = ("%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M:%S.%f")
 _BEGIN = (datetime(2000, 1, 1), datetime(2000, 1, 1, tzinfo=UTC))  # of dates as numbers
 _TICKS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
@@ -82,21 +85,26 @@ class Times:
 
 def time_columns(table: Table) -> list[int]:
     """Return the indices of the columns whose names mean the time; the plainest names first."""
-    names = [column.name.casefold()[:_MAX_NAME] for column in table.columns]
+    names = [_folded(column) for column in table.columns]
     plain = [i for i, name in enumerate(names) if name in ("t", "time")]
     return plain or [i for i, name in enumerate(names) if _base(name) in _TIME_NAMES]
 
 
+def _folded(column: Column) -> str:
+    """Return the name of a column in lower case, such as millis for `millis()`."""
+    return column.name.casefold()[:_MAX_NAME].removesuffix("()")
+
+
 def _base(name: str) -> str:
     """Return a name of times without a unit at its end, such as t for t_ms."""
-    found = _WITH_UNIT.fullmatch(name)
-    return name if name in _TIME_NAMES or found is None else (found["base"] or "t")
+    found, plain = _WITH_UNIT.fullmatch(name), _BETWEEN_WORDS.sub("_", name)
+    return plain if plain in _TIME_NAMES or found is None else (found["base"] or "t")
 
 
 def _unit_of(column: Column, named: str) -> float | None:
     """Return the unit of a column of times in s, from its header; None if the header has none."""
     if not column.unit:
-        found = _WITH_UNIT.fullmatch(column.name.casefold()[:_MAX_NAME])
+        found = _WITH_UNIT.fullmatch(_folded(column))
         return _SECONDS[found["unit"]] if found else None
     if (unit := column.unit.casefold().removesuffix(".")) not in _SECONDS:
         raise FileError(
@@ -111,11 +119,6 @@ def times_of(table: Table, i: int) -> Times:
     Numbers have the unit of the header. Without a unit, numbers as large as the seconds,
     milliseconds, microseconds or nanoseconds since 1970 are such times, and other numbers are
     seconds. A time of day may have its date in a column named date.
-
-    Raises
-    ------
-    FileError
-        The unit is unknown, or a time is missing, or a text is not a time.
     """
     column, cells = table.columns[i], table.texts(i)
     named = f"the times in column {shown(column.name)}" if column.name else "the times"
@@ -215,7 +218,8 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str]) -> tuple[Vector, floa
     if is_local:
         t, changes = _without_clock_changes(t, table.place)
         notes += changes
-    return t, _last_digit(t), notes
+    has_seconds = any(map(_SECONDS_WRITTEN.search, cells)) or ":" not in cells[0]
+    return t, _last_digit(t) if has_seconds else 60.0, notes
 
 
 def _month_first(cells: Sequence[str]) -> bool:

@@ -94,23 +94,10 @@ def titled(heading: str) -> Column:
 
 
 def chosen(table: Table, wanted: str, what: str) -> int:
-    """Return the index of a column, given by name or by number from 1.
+    """Return the index of a column, given by name or by number from 1, for an option `what`.
 
-    Parameters
-    ----------
-    wanted : str
-        Name of the column, with or without its unit; of a field of a structure, also its last part.
-        Lower and upper case are distinguished only if both exist. A number is the position of a
-        column, unless a column has this name.
-    what : str
-        Purpose of the column for the message: input, signal or time.
-
-    Raises
-    ------
-    NoColumnError
-        The column does not exist.
-    FileError
-        Several columns have the name.
+    The name may contain the unit; the name of a structure's field may be its last part. Lower and
+    upper case are distinguished only if both exist. A name has priority over a number.
     """
     wanted = wanted.strip()
     title = titled(wanted)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,6 +17,7 @@ from armrig.numerics.quantities import plural
 _REMARK_MARKS = ("#", "%")
 _SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma", "": "blanks"}
 _MAX_UNIT_CHARACTERS = 16
+_QUANTITY = re.compile(r"[+-]?\d[\d.,]*\s*[^\d\s/^.,]")  # 2 s, but not the unit 1/s
 _PROBED_LINES = 20  # to find the separator
 
 
@@ -33,13 +35,7 @@ class TextTable(Table):
     """Decimal mark that the user gave, or None."""
 
     def numbers(self, i: int) -> Vector:
-        """Return the values of column i, counted from 0; NaN where a value is missing.
-
-        Raises
-        ------
-        FileError
-            A value is not a number, or its decimal mark is not clear; the message names its line.
-        """
+        """Return the values of column i, counted from 0; NaN where a value is missing."""
         cells = self.texts(i)
         mark = self._mark(i, cells)
         if mark == "." and not any("_" in cell for cell in cells):
@@ -94,11 +90,6 @@ def read_text(text: str, decimal: str | None = None) -> TextTable:
     lines, which must have an equal number of cells. The first line that is not a remark contains
     names if none of its cells is a number. The line after the names contains units if none of its
     cells is a number. The numbers show the decimal mark, or `decimal` gives it.
-
-    Raises
-    ------
-    FileError
-        There is no row of values, or the rows have different numbers of cells.
     """
     numbered = [
         (k, line)
@@ -176,6 +167,7 @@ def _are_names(cells: Sequence[str]) -> bool:
 def _are_units(cells: Sequence[str], header: Sequence[str]) -> bool:
     """Return whether the cells can be units: short texts, not numbers, one for each name."""
     fits = all(len(cell.strip()) <= _MAX_UNIT_CHARACTERS for cell in cells)
+    fits &= not any(_QUANTITY.match(cell.strip()) for cell in cells)
     fits &= len(cells) == len(header)
     return fits and any(cell.strip() for cell in cells) and _are_names(cells)
 

@@ -10,6 +10,7 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
+from armrig.data.step import DOUBT, codes_of
 from armrig_core.errors import FileError
 from numpy.typing import NDArray
 
@@ -59,6 +60,12 @@ def good(data: armrig.Dataset, N: int, Ts: float, *, starts: Sequence[int] = (0,
         ("Time(ms),u,y", 10 * K),
         ("t/ms,u,y", 10 * K),
         ("millis,u,y", 10 * K),
+        ("millis(),u,y", 10 * K),
+        ("micros(),u,y", 10_000 * K),
+        ("tout,u,y", [f"{0.01 * k:.2f}" for k in K]),
+        ("X_Value,u,y", [f"{0.01 * k:.2f}" for k in K]),
+        ("Datum/Zeit,u,y", [f"{0.01 * k:.2f}" for k in K]),
+        ("Elapsed Time,u,y", [f"{0.01 * k:.2f}" for k in K]),
         ("t_us,u,y", 10_000 * K),
         ("Elapsed [ms],u,y", 10 * K),
         ("timestamp,u,y", 1_711_846_800_000 + 10 * K),
@@ -119,6 +126,33 @@ def test_dates_and_times_of_day_are_read(
     good(data, 200, Ts)
     assert note in "".join(data.history)
     assert bool(note) == bool(data.history)
+
+
+@pytest.mark.parametrize("resample", [False, True])
+@pytest.mark.parametrize("text", ["%H:%M", "%d.%m.%Y %H:%M", "%Y-%m-%dT%H:%M"])
+def test_several_rows_in_each_minute_are_even(text: str, resample: bool, tmp_path: Path) -> None:
+    """Times without seconds have a last digit of one minute; no row is left out."""
+    data = armrig.load_data(log(tmp_path / "a.csv", stamps(text, 7)), resample=resample)
+
+    good(data, 200, 7)
+    assert "last digit of 60 s; Ts is their mean interval" in "".join(data.history)
+
+
+def test_rows_that_a_resampling_leaves_out_are_counted(tmp_path: Path) -> None:
+    """After a gap, no mean interval fits the stamps of one minute."""
+    times = [f"{(60 * (k // 12) + 7200 * (k >= 96)):.0f}" for k in range(192)]
+    data = armrig.load_data(log(tmp_path / "a.csv", times, header="t,u,y"), resample=True)
+
+    assert "left out 176 rows with the time of the row before" in data.history
+    assert codes_of(data.history)[-1] == DOUBT
+
+
+def test_a_mean_interval_of_few_minutes_is_a_doubt(tmp_path: Path) -> None:
+    short = armrig.load_data(log(tmp_path / "a.csv", stamps("%H:%M", 3)))
+    long = armrig.load_data(log(tmp_path / "b.csv", stamps("%H:%M", 12)))
+
+    assert short.Ts == 3
+    assert [DOUBT in codes_of(data.history[-1:]) for data in (short, long)] == [True, False]
 
 
 @pytest.mark.parametrize("step_s", [1, 5, 20, 30, 60, 900])

@@ -385,6 +385,14 @@ def test_a_line_of_units_below_the_names_is_read_as_such(units: str, tmp_path: P
         load_data(path)
 
 
+@pytest.mark.parametrize("row", ["2 s;0 %;21 °C", "2s;0.5V;-3K"])
+def test_values_with_units_below_the_names_are_data(row: str, tmp_path: Path) -> None:
+    path = written(tmp_path, f"t;u;y\n{row}\n2;3;4\n3;5;6\n")
+
+    with pytest.raises(FileError, match=r"line 2, column u: '0.*' is not a number"):
+        load_data(path)
+
+
 def test_a_unit_in_the_header_has_precedence_over_one_below(tmp_path: Path) -> None:
     data = load_data(written(tmp_path, "t;u [mV];y\ns;V;K\n0;1;2\n1;3;4\n"))
 
