@@ -274,13 +274,14 @@ def test_a_recording_that_cannot_be_begun_leaves_nothing(tmp_path: Path) -> None
 def test_nobody_waits_for_a_disk_that_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked, answers = threading.Event(), threading.Event()
+    asked, answers, flush = threading.Event(), threading.Event(), Part.flush
 
-    def answer(_fd: int) -> None:
+    def answer(part: Part) -> None:
         asked.set()
         answers.wait()
+        flush(part)
 
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fdatasync", answer)
+    monkeypatch.setattr(Part, "flush", answer)
     monkeypatch.setattr("armrig_core.recording_file.recorder.QUEUE", 3)
     recording = _recording(tmp_path / "run.mcap")
     assert asked.wait(30)
