@@ -81,30 +81,31 @@ def strangers(most_links: int) -> dict[str, Any]:
     }
 
 
-_HELD_US = 20_000
+HELD_US = 20_000
 """Longest time for which a client that does not read may hold a thread of zenoh, in µs.
 
-After this time zenoh closes the client's link. Only messages about declarations wait so long, and
-the ends of forbidden queries: `LANES` lets no answer wait.
+After this time zenoh closes the client's link. Only messages about declarations wait so long, the
+ends of forbidden queries, and the answers to keys with an @, which no rule of zenoh finds.
 """
-LANES: dict[str, Any] = {
+
+
+def lane(what: str, keys: list[str], priority: str, control: str = "drop") -> dict[str, Any]:
+    """Return a rule of zenoh's `qos/network`: the queue of these queries and of their answers."""
+    return {
+        "id": what,
+        "flows": ["ingress"],
+        "messages": ["query"],
+        "key_exprs": keys,
+        "overwrite": {"congestion_control": control, "priority": priority},
+    }
+
+
+_STOPS = [command_key(EVERY_RIG, Stop.name), command_key(EVERY_RIG, Stop.name, "*")]
+LANES = {
     "network": [
-        {
-            "id": what,
-            "flows": ["ingress"],
-            "messages": ["query"],
-            "key_exprs": keys,
-            "overwrite": {"congestion_control": "drop", "priority": lane},
-        }
-        for what, keys, lane in (
-            ("queries", ["**"], "interactive_low"),
-            ("long answers", [history_key(EVERY_RIG), schema_key(EVERY_RIG, "**")], "data_low"),
-            (
-                "stops",
-                [command_key(EVERY_RIG, Stop.name), command_key(EVERY_RIG, Stop.name, "*")],
-                "real_time",
-            ),
-        )
+        lane("queries", ["**"], "interactive_low"),
+        lane("long answers", [history_key(EVERY_RIG), schema_key(EVERY_RIG, "**")], "data_low"),
+        lane("stops", _STOPS, "real_time"),
     ]
 }
 """Queues of a link for the answers to its client's queries; zenoh answers as the query came in.
@@ -117,15 +118,17 @@ link by the queue `background`, which therefore stays empty.
 _LONG_BATCHES = 16  # of 64 KiB: fifteen long answers; a longer answer would be dropped, not split
 
 
-def transport(most_received: int) -> dict[str, Any]:
+def transport(most_received: int, held_us: int = HELD_US) -> dict[str, Any]:
     """Return zenoh's `transport` settings of a session that never waits for a client.
 
     Parameters
     ----------
     most_received : int
         Longest received message, in B.
+    held_us : int, optional
+        Longest time for which a message that may not be dropped waits for a link, in µs.
     """
-    control = {"drop": {"wait_before_drop": 0}, "block": {"wait_before_close": _HELD_US}}
+    control = {"drop": {"wait_before_drop": 0}, "block": {"wait_before_close": held_us}}
     return {
         "shared_memory": {"enabled": False},
         "link": {

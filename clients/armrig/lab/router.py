@@ -14,21 +14,30 @@ from typing import Any
 import zenoh
 from armrig_core import access_control, open_files
 from armrig_core.access_list import AccessList, read_access_list
+from armrig_core.commands import Calibrate, Run
 from armrig_core.credential import Credential, read_credential
 from armrig_core.endpoint import check_listen
 from armrig_core.errors import InputError, OperationError
 from armrig_core.owned_session import (
     LANES,
     NOT_FOUND,
+    lane,
     listening,
     os_error_number,
     strangers,
     transport,
 )
-from armrig_core.topics import EVERY_RIG
+from armrig_core.topics import EVERY_RIG, command_key
 
 MOST_LINKS = 500
 """Largest number of connected rigs and people."""
+_UPLOADS = lane(
+    "uploads",
+    [command_key(EVERY_RIG, command.name, "*") for command in (Run, Calibrate)],
+    "data_low",
+    "block",  # a part of a long command must not be dropped
+)
+_HELD_US = 100_000  # a link to a rig then carries long commands at 0.7 MB/s or more
 
 
 def router_config(endpoint: str, credential: Credential, people: AccessList) -> dict[str, Any]:
@@ -43,7 +52,7 @@ def router_config(endpoint: str, credential: Credential, people: AccessList) -> 
     people : AccessList
         Access list: the rigs, and the rights of people.
     """
-    way = transport(access_control.MOST_MESSAGE_BYTES)
+    way = transport(access_control.MOST_MESSAGE_BYTES, held_us=_HELD_US)
     way["link"]["tls"] = credential.tls("listen")
     way["unicast"] = strangers(MOST_LINKS)
     return {
@@ -52,7 +61,7 @@ def router_config(endpoint: str, credential: Credential, people: AccessList) -> 
         **NOT_FOUND,
         "access_control": access_control.of_router(people),
         "low_pass_filter": access_control.size_limits(EVERY_RIG),
-        "qos": LANES,
+        "qos": {"network": [*LANES["network"], _UPLOADS]},
         "transport": way,
     }
 
