@@ -6,6 +6,7 @@ file without a lock; a daemon that ends in order removes the file.
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from pathlib import Path
 
@@ -31,6 +32,12 @@ def lock_path(socket: Path) -> Path:
     return socket.with_name(f"{socket.name}.lock")
 
 
+def absolute(port: str) -> str:
+    """Return a port that has the same meaning in every folder."""
+    kind = "unix:" if port.startswith("unix:") else ""
+    return f"{kind}{Path(port.removeprefix(kind)).absolute()}"
+
+
 def write_facts(socket: Path, facts: DaemonFacts) -> None:
     """Write the facts about this daemon into the lock file of its open socket."""
     path = lock_path(socket)
@@ -44,6 +51,7 @@ def read_facts(socket: Path) -> DaemonFacts | None:
     with suppress(OSError, msgspec.DecodeError):
         facts = msgspec.json.decode(read_bounded(path, CONFIGURATION_LIMIT), type=DaemonFacts)
         # Not flock: a daemon that starts at this moment would not get the lock.
-        is_held = f":{path.stat().st_ino} " in Path("/proc/locks").read_text(encoding="ascii")
-        return replace(facts, is_alive=is_held)
+        held = rf" WRITE +{facts.pid} \S+:{path.stat().st_ino} "
+        locks = Path("/proc/locks").read_text(encoding="ascii")
+        return replace(facts, is_alive=re.search(held, locks) is not None)
     return None

@@ -153,6 +153,7 @@ def estop(
     port: _Port = None,
     rig: _Rig = None,
     system: _System = False,
+    baud: Annotated[int, typer.Option(hidden=True)] = 0,
     after_failure: Annotated[
         bool,
         typer.Option(
@@ -176,34 +177,38 @@ def estop(
     if after_failure and not _has_failed(os.environ):
         return
     try:
-        loaded = _configuration(config, port, rig, {}, system=system)()
-        device = loaded.device
-        stopped = send_estop(device.port, device.baud)
+        # `armrig stop` knows port and speed: then no fault in a configuration prevents the stop.
+        if not (port and baud):
+            loaded = _configuration(config, port, rig, {}, system=system)()
+            rig, port, baud = loaded.rig.id, loaded.device.port, loaded.device.baud
+        stopped = send_estop(port, baud)
     except InputError as err:
         _refuse(f"estop: nothing sent: {err}", EX_CONFIG)
     except TakenPortError as err:
-        _refuse(f"estop: nothing sent: {_holder(loaded, err)}")
+        _refuse(f"estop: nothing sent: {_holder(rig or '1', port or '', err)}")
     except LinkError as err:
         _refuse(f"estop: nothing sent: {err}; without a host, a device stops the motor by itself")
     if not stopped:
         _refuse(
-            f"estop: sent to {device.port}, no answer: check that the motor stands still; "
+            f"estop: sent to {port}, no answer: check that the motor stands still; "
             "without a host, a device stops the motor by itself"
         )
     begin = log_prefix("info", fd=1) or "armrigd: "
-    typer.echo(f"{begin}estop: {device.port} is in ESTOP, 0 V; `armrig reset` ends ESTOP")
+    typer.echo(f"{begin}estop: {port} is in ESTOP, 0 V; `armrig reset` ends ESTOP")
 
 
-def _holder(config: Config, err: Exception) -> str:
+def _holder(rig: str, port: str, err: Exception) -> str:
     """Return a sentence on the holder of the device's port, and on the way to stop the motor."""
-    from armrig_core.daemon_lock import read_facts
+    from armrig_core.daemon_lock import absolute, read_facts
 
-    where = socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir())
-    facts = read_facts(Path(where, f"{config.rig.id}.sock"))
-    if facts is None or not facts.is_alive or facts.port != config.device.port:
-        return f"{err}; `armrig stop` stops the motor of a running daemon"
-    who = f"the daemon of rig {config.rig.id} (process {facts.pid})"
-    return f"{who} has opened {facts.port}: `armrig stop` or `kill {facts.pid}` stops the motor"
+    where = Path(socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir()))
+    with suppress(InputError, OSError):
+        require_trusted(where.lstat(), owners={os.getuid()})
+        facts = read_facts(where / f"{rig}.sock")
+        if facts is not None and facts.is_alive and facts.port == absolute(port):
+            ends = f"`armrig stop` or `kill {facts.pid}` stops the motor"
+            return f"the daemon of rig {rig} (process {facts.pid}) has opened {port}: {ends}"
+    return f"{err}; `armrig stop` stops the motor of a running daemon"
 
 
 def _has_failed(environ: Mapping[str, str]) -> bool:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import fcntl
+import os
 from pathlib import Path
 
+import msgspec
 import pytest
 from armrig_core.daemon_lock import DaemonFacts, lock_path, read_facts, write_facts
 from msgspec.structs import replace
 
-FACTS = DaemonFacts(pid=4711, port="/dev/ttyACM0", baud=500_000)
+FACTS = DaemonFacts(pid=os.getpid(), port="/dev/ttyACM0", baud=500_000)
 
 
 @pytest.fixture
@@ -27,6 +29,22 @@ def test_the_file_tells_whether_its_daemon_lives(socket: Path) -> None:
 
     assert (living, dead) == (FACTS, replace(FACTS, is_alive=False))
     assert lock_path(socket).name == "1.sock.lock"
+
+
+def test_a_lock_of_another_program_is_not_the_daemon_s(socket: Path) -> None:
+    """A member of the group, who may read the file, could hold a lock of it."""
+    write_facts(socket, FACTS)
+    with lock_path(socket).open() as file:
+        fcntl.flock(file, fcntl.LOCK_SH)
+        shared = read_facts(socket)
+        fcntl.flock(file, fcntl.LOCK_EX)
+        lock_path(socket).write_bytes(msgspec.json.encode(replace(FACTS, pid=1)))
+        other = read_facts(socket)
+
+    assert shared is not None
+    assert other is not None
+    assert not shared.is_alive
+    assert not other.is_alive
 
 
 def test_a_group_may_read_the_facts_and_nobody_else(socket: Path) -> None:

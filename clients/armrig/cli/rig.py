@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
@@ -98,7 +97,7 @@ def stop(rig: RigId = "1", connect: Connect = None, by: By = "", json: Json = Fa
             opened.stop(by)
             motor = "" if json else _motor_after_stop(opened)
     except NoReplyError as err:
-        motor = _stop_without_daemon(rig, connect, err)
+        motor = _stop_without_daemon(rig, err)
     if json:
         print_json({"rig": rig, "stopped": True})
     else:
@@ -118,21 +117,21 @@ def _motor_after_stop(rig: Rig) -> str:
     return (status and status.motor) or "stop sent"
 
 
-def _stop_without_daemon(rig: str, connect: str | None, err: NoReplyError) -> str:
+def _stop_without_daemon(rig: str, err: NoReplyError) -> str:
     """Stop the device of a dead daemon, and return the state of the motor; raise if that fails."""
-    from armrig.rig.session import NoReplyError, configured_endpoint
+    from armrig.rig.session import NoReplyError
     from armrig.rig.silent_daemon import daemon_at
 
-    facts = daemon_at(connect or configured_endpoint(rig))
+    facts = daemon_at(err.endpoint)
     if facts is None:
         way_out = "whether the motor turns is unknown here; if it does, use the emergency switch"
         raise NoReplyError(f"{err}; {way_out}") from err
     if facts.is_alive:
         raise err
     dead = f"its daemon (process {facts.pid}) is dead"
+    device = ("--port", facts.port, "--baud", str(facts.baud))
     done = subprocess.run(
-        [sys.executable, "-m", "armrig_daemon", "estop", "--rig", rig, "--port", facts.port],
-        env={**os.environ, "ARMRIG_DEVICE_BAUD": str(facts.baud)},
+        [sys.executable, "-m", "armrig_daemon", "estop", "--rig", rig, *device],
         capture_output=True,
         text=True,
     )

@@ -64,7 +64,11 @@ class RigError(OperationError):
 
 
 class NoReplyError(RigError):
-    """The daemon does not reply."""
+    """The daemon does not reply; `endpoint` is the place where it listens, if that is known."""
+
+    def __init__(self, message: str, endpoint: str = "") -> None:
+        super().__init__(message)
+        self.endpoint = endpoint
 
 
 class LostLinkError(NoReplyError):
@@ -199,15 +203,16 @@ def open_connection(
             return Connection(zenoh.open(_config(way)), way.endpoint, way.name)
         except zenoh.ZError:
             continue
-    is_local = not (
-        where or rig.startswith(PLAYED) or silent_daemon.living_daemon(ways[0].endpoint)
-    )
-    if is_local and ways[0].endpoint == default_endpoint(rig):
+    # A dead daemon of this user must not hide a living service.
+    alive = [way for way in ways if silent_daemon.living_daemon(way.endpoint)]
+    way = [*alive, *ways][0]
+    is_local = not (where or rig.startswith(PLAYED) or alive)
+    if is_local and way.endpoint == default_endpoint(rig):
         named = ("", "") if rig == "1" else (f" {rig}", f" --rig {rig}")
         msg = "no rig{} runs here; in another terminal: `armrig lab{}`; "
         msg += "a rig elsewhere needs --connect ENDPOINT"
-        raise NoReplyError(msg.format(*named))
-    raise no_reply(rig, ways[0].endpoint, ways[0].fault())
+        raise NoReplyError(msg.format(*named), way.endpoint)
+    raise no_reply(rig, way.endpoint, way.fault())
 
 
 def _config(way: _Way) -> zenoh.Config:
@@ -356,16 +361,15 @@ def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
         return NoReplyError(
             f"rig {rig} at {where}: its daemon (process {pid}) runs, but does not answer: "
             f"{unit if where == _service_endpoint(rig) else f'`kill {pid}`'} ends it, then the "
-            "device stops the motor; or use the emergency switch"
+            "device stops the motor; or use the emergency switch",
+            where,
         )
     if service_has_stopped(rig, where):
-        return NoReplyError(stopped_sentence(rig))
-    if fault:
-        return NoReplyError(f"no reply from rig {rig} at {where}: {fault}")
-    return NoReplyError(
-        f"no reply from rig {rig} at {where}: not running, or not permitted; "
-        "start it with `armrig lab` or `armrigd run`, or give its endpoint with --connect"
-    )
+        return NoReplyError(stopped_sentence(rig), where)
+    if not fault:
+        fault = "not running, or not permitted; start it with `armrig lab` or `armrigd run`, "
+        fault += "or give its endpoint with --connect"
+    return NoReplyError(f"no reply from rig {rig} at {where}: {fault}", where)
 
 
 def service_has_stopped(rig: str, where: str) -> bool:

@@ -20,7 +20,7 @@ from pathlib import Path
 import zenoh
 from armrig_core import commands, open_files
 from armrig_core.codes import Ending, OutcomeCode
-from armrig_core.daemon_lock import DaemonFacts
+from armrig_core.daemon_lock import DaemonFacts, absolute
 from armrig_core.emulator_stall import held_up
 from armrig_core.errors import InputError
 from armrig_core.recording_file.outgoing import Outgoing
@@ -191,7 +191,7 @@ class Service:
             open_again = partial(_open_network, session, listen)
             self._guard = NetworkGuard(open_files.count, session.shut_network, open_again)
         device = self._config.device
-        facts = DaemonFacts(pid=os.getpid(), port=device.port, baud=device.baud)
+        facts = DaemonFacts(pid=os.getpid(), port=absolute(device.port), baud=device.baud)
         path = Path(self._endpoint.partition("/")[2])
         self._socket_file = SocketFile(path, facts, session.open_socket)
         self._sleep, self._slept = Standstill(), ""

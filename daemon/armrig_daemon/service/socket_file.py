@@ -21,6 +21,7 @@ class SocketFile:
         """Write the facts; `open_again` opens the socket, and returns why it failed, or ""."""
         self._socket, self._facts, self._open_again = socket, facts, open_again
         self._files = self._noted()
+        self._has_failed = False
 
     def look(self) -> str:
         """Open a deleted socket again; return a line for the log if another program changed it."""
@@ -28,11 +29,14 @@ class SocketFile:
         if found == self._files:
             return ""
         if any(new and new != old for new, old in zip(found, self._files, strict=True)):
-            why = "and another program listens there: end that program"
+            self._files, why = found, "and another program listens there: end that program"
         elif not (why := self._failure()):
-            self._files = self._noted()
+            self._files, self._has_failed = self._noted(), False
             return f"{self._socket}: another program deleted this socket; it is open again"
-        self._files = self._find()
+        elif self._has_failed:  # tried again each second, and reported once
+            return ""
+        else:
+            self._has_failed = True
         return f"{self._socket}: deleted, {why}; no client can connect: restart armrigd"
 
     def _failure(self) -> str:

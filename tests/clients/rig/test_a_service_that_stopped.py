@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 import tempfile
@@ -24,6 +25,7 @@ from armrig.rig.remote_source import Piece
 from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.commands import StatusReport
+from armrig_core.daemon_lock import DaemonFacts, lock_path, write_facts
 from armrig_core.endpoint import endpoint
 from armrig_core.history import Past
 
@@ -244,3 +246,22 @@ def test_a_recorder_reports_each_long_silence_once_with_its_length(
         "rig 7 answers again, after 5.1 s",
     ]
     assert clock[0] == pytest.approx(15.1, abs=0.15)
+
+
+def test_a_dead_daemon_of_this_user_does_not_hide_a_silent_service(
+    service: Service, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """ESTOP would reach the device of the dead daemon, which is another one."""
+    monkeypatch.setattr("armrig.cli.rig.subprocess.run", None)
+    own = Path(os.environ["XDG_RUNTIME_DIR"]) / "armrig"
+    service.die()
+    for folder, pid in ((own, 1), (service.folder, os.getpid())):
+        folder.mkdir(mode=0o700)
+        (folder / "1.sock").touch()
+        write_facts(folder / "1.sock", DaemonFacts(pid=pid, port="/dev/other", baud=1))
+    with lock_path(service.folder / "1.sock").open() as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+
+        assert main(["stop"]) == 1
+
+    assert "`sudo systemctl stop armrigd@1` ends it" in capsys.readouterr().err

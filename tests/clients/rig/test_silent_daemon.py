@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +20,7 @@ from msgspec.structs import replace
 from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.told import told
 
-FACTS = DaemonFacts(pid=4711, port="/dev/rig", baud=115_200)
+FACTS = DaemonFacts(pid=os.getpid(), port="/dev/rig", baud=115_200)
 
 
 @pytest.fixture
@@ -52,9 +53,9 @@ def test_a_living_daemon_that_does_not_answer_is_named_with_what_stops_the_motor
     assert main([command]) == 1
 
     assert told(capsys) == (
-        f"armrig: rig 1 at {default_endpoint('1')}: its daemon (process 4711) runs, but does not "
-        "answer: `kill 4711` ends it, then the device stops the motor; or use the emergency "
-        "switch\n"
+        f"armrig: rig 1 at {default_endpoint('1')}: its daemon (process {FACTS.pid}) runs, but "
+        f"does not answer: `kill {FACTS.pid}` ends it, then the device stops the motor; or use the "
+        "emergency switch\n"
     )
 
 
@@ -108,20 +109,20 @@ def test_a_stop_without_its_daemon_is_sent_to_the_device(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     write_facts(socket, FACTS)
-    ran: list[tuple[list[str], str]] = []
+    ran: list[list[str]] = []
 
-    def run(command: list[str], *, env: dict[str, str], **_: object) -> SimpleNamespace:
-        ran.append((command[2:], env["ARMRIG_DEVICE_BAUD"]))
+    def run(command: list[str], **_: object) -> SimpleNamespace:
+        ran.append(command[2:])
         return SimpleNamespace(returncode=code, stderr="armrigd: estop: nothing sent\n")
 
     monkeypatch.setattr("armrig.cli.rig.subprocess.run", run)
 
     assert main(["stop", *json]) == code
 
-    sent = ["armrig_daemon", "estop", "--rig", "1", "--port", "/dev/rig"]
-    assert ran == [(sent, "115200")]
+    device = ["--port", "/dev/rig", "--baud", "115200"]
+    assert ran == [["armrig_daemon", "estop", "--rig", "1", *device]]
     said = capsys.readouterr()
-    dead = "its daemon (process 4711) is dead; "
+    dead = f"its daemon (process {FACTS.pid}) is dead; "
     if code:
         assert said.err == f"armrig: rig 1: {dead}armrigd: estop: nothing sent\n"
     elif json:
