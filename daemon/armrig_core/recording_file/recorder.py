@@ -301,5 +301,6 @@ class Recording:
         reason = err.strerror if isinstance(err, OSError) else repr(err)
         if not isinstance(err, ChangedError | FileNotFoundError):
             reason = f"{reason}; the flushed samples are kept there"
-        self.error = self.error or f"{self.kept}: {reason}"
+        where = self._syncer.failed if err is self._syncer.error else self.kept
+        self.error = self.error or f"{where}: {reason}"
         self._part.give_up()
