@@ -187,6 +187,9 @@ def _read_by_index(source: ByteSource, first: _Reader) -> Content:
     try:
         for record in indexed_records(source.stream, content.size, INPUT):
             reader.spend_work(1)
+            if record is None:
+                left_out += 1
+                continue
             try:
                 reader.add(record)
                 content.read += RECORD_HEAD.size + record.place.length
@@ -198,7 +201,7 @@ def _read_by_index(source: ByteSource, first: _Reader) -> Content:
     found = (
         f"the other records were found by the file's index, {plural(left_out, 'record')} left out"
     )
-    content.damage = "; ".join([*reader.left_out, first.end, found])
+    content.damage = "; ".join(filter(None, [*reader.left_out, first.end, found, reader.end]))
     return content
 
 

@@ -55,6 +55,7 @@ _HEAD_BYTES = 64  # a recording's header, with the profile and the library
 _FOOTER = Struct("<BQQQI")  # opcode, length, start of the summary, start of the offsets, CRC
 _FOOTER_BODY = 8 + 8 + 4
 _PLACE = Struct("<QQ")  # offset and length of a record, in its index
+_NAME_AT = 40  # place of the name in an attachment's index, after five numbers of 8 B
 # By opcode of an index record: opcode of the record that it names, and position of the place.
 _INDEXED: dict[int, tuple[int, int]] = {
     Opcode.CHUNK_INDEX: (Opcode.CHUNK, 16),
@@ -293,19 +294,21 @@ def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
     return found
 
 
-def indexed_records(stream: IO[bytes], size: int, left: str) -> Iterator[Record]:
+def indexed_records(stream: IO[bytes], size: int, left: str) -> Iterator[Record | None]:
     """Yield the schemas and channels of a file's index, and the records that the index names.
 
     The index contains the length of each record, so that a damaged head of a record costs nothing.
-    The content of the attachment `left` is not read. Raises the exceptions of `index_records`.
+    The content of the attachment `left` is not read. None means that a record is too long or
+    overlaps with the previous record. Raises the exceptions of `index_records`.
     """
-    found = []
+    found, left_name = [], len(left).to_bytes(4, "little") + left.encode()
     for opcode, entry in index_records(stream, size):
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             yield Record(opcode, entry, Place(0, 0))
         elif opcode in _INDEXED:
             kind, place_at = _INDEXED[opcode]
-            found.append((*_PLACE.unpack_from(entry, place_at), kind, left.encode() in entry))
+            is_left = kind == Opcode.ATTACHMENT and entry.startswith(left_name, _NAME_AT)
+            found.append((*_PLACE.unpack_from(entry, place_at), kind, is_left))
     end = len(MAGIC)
     for begin, length, opcode, is_left in sorted(found):
         place = Place(begin + RECORD_HEAD.size, length - RECORD_HEAD.size)
@@ -315,6 +318,8 @@ def indexed_records(stream: IO[bytes], size: int, left: str) -> Iterator[Record]
             end = begin + length
             stream.seek(place.at)
             yield Record(opcode, b"" if is_left else stream.read(place.length), place)
+        else:
+            yield None
 
 
 def index_records(stream: IO[bytes], size: int) -> Iterator[tuple[int, bytes]]:

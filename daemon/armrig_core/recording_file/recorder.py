@@ -152,7 +152,7 @@ class Recording:
         while not self.done and time.monotonic() < until_s:
             self._thread.join(_LOOK_S)
             self.look()
-        self.look(0.0)
+        self.look(-inf)
 
     def look(self, limit_s: float = STALL_S) -> None:
         """Give the recording up if the disk has not answered for `limit_s`; call it each second."""
@@ -160,9 +160,12 @@ class Recording:
         if waited_s < limit_s or self.done:
             return
         came = self.samples + self.dropped
-        msg = f"{self.kept}: the disk did not answer for {waited_s:.0f} s; up to "
-        msg += f"{came - self.synced} of {came} samples are lost; `armrig recover` the others"
-        self.error = self.error or msg
+        why = f"the disk did not answer for {waited_s:.0f} s" if waited_s > 0 else "not renamed"
+        what = f"all {came} samples are on the disk; `armrig recover` the file"
+        if lost := came - self.synced:
+            what = f"up to {lost} of {came} samples are lost; `armrig recover` the others"
+        if not self._part.is_named:  # a named file is complete; its chunks may still be short
+            self.error = self.error or f"{self.kept}: {why}; {what}"
         self.done = True
 
     def _write(self) -> None:
@@ -301,5 +304,6 @@ class Recording:
         reason = err.strerror if isinstance(err, OSError) else repr(err)
         if not isinstance(err, ChangedError | FileNotFoundError):
             reason = f"{reason}; the flushed samples are kept there"
-        self.error = self.error or f"{self.kept}: {reason}"
+        where = self._syncer.failed if err is self._syncer.error else self.kept
+        self.error = self.error or f"{where}: {reason}"
         self._part.give_up()

@@ -6,6 +6,7 @@ import queue
 import threading
 import time
 from math import inf
+from pathlib import Path
 
 from armrig_core.recording_file.recording_part import Part
 
@@ -19,6 +20,8 @@ class Syncer:
         """Number of samples that are safely on the disk."""
         self.error: Exception | None = None
         """First failure; nothing is synced after the failure."""
+        self.failed = Path()
+        """Path of the file of the first failure."""
         self.begun_s = inf
         """Monotonic time at which the current sync began; inf between two syncs."""
         self.ended_s = -inf
@@ -53,7 +56,7 @@ class Syncer:
                         part.sync()
                     self.synced = samples
             except Exception as err:
-                self.error = err
+                self.failed, self.error = part.path if part.is_named else part.active, err
             if self.error is not None and is_complete:
                 part.give_up()
             self.begun_s, self.ended_s = inf, time.monotonic()

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import armrig
 import pytest
-from armrig.recordings.container import streamed
+from armrig.numerics.quantities import plural
+from armrig.recordings.container import read, streamed
 from armrig.recordings.verification import verify
 from armrig_core.calibration import Calibration
+from armrig_core.manifest import CALIBRATION
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 
@@ -79,4 +81,29 @@ def test_a_forged_index_reads_no_byte_twice(tmp_path: Path) -> None:
     recording = armrig.load(written(tmp_path, forged))
 
     assert recording.samples["k"].tolist() in (K[20:], [*K[:10], *K[20:]])
+    assert f"{plural(3 - recording.samples.size // 10, 'record')} left out" in recording.damage
     assert recording.truncated
+
+
+def test_samples_without_order_are_reported_for_a_file_read_by_its_index(tmp_path: Path) -> None:
+    spoilt = bytearray(recorded([sample(k) for k in (0, 1, 2, 1, 3)]))
+    spoilt[8] ^= 0x40  # the head of the header
+
+    recording = armrig.load(written(tmp_path, bytes(spoilt)))
+
+    assert recording.samples["k"].tolist() == K[:3]
+    assert "0 records left out; sample 1 comes after sample 2: " in recording.damage
+
+
+def test_only_the_name_of_an_attachment_selects_the_input(tmp_path: Path) -> None:
+    spoilt = bytearray(DATA)
+    spoilt[8] ^= 0x40  # the head of the header
+    at = spoilt.rindex(b"application/json")  # in the index of the calibration
+    spoilt[at : at + 16] = b"csv of input.csv"
+
+    content = read(written(tmp_path, bytes(spoilt)))
+
+    assert content is not None
+    assert list(content.attachments) == [CALIBRATION]
+    assert content.input is not None
+    assert DATA[content.input.at :].index(b"input.csv") < content.input.length

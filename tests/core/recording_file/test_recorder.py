@@ -15,7 +15,7 @@ from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.recorder import Recording, RecordingError
+from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
 from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.rewriting import compact
 from armrig_core.telemetry import Sample, encode_sample
@@ -257,6 +257,52 @@ def test_whatever_fails_in_the_writer_is_reported(
 
     assert recording.done
     assert "unexpected" in recording.error
+
+
+@pytest.mark.parametrize("is_named", [False, True])
+def test_a_rewriting_that_takes_too_long_costs_no_sample(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_named: bool
+) -> None:
+    asked, answers = threading.Event(), threading.Event()
+
+    def slow(part: Part) -> None:
+        if part.is_named == is_named:
+            asked.set()
+            answers.wait(30)
+
+    monkeypatch.setattr(Part, "compact", slow)
+    recording = Recording(
+        tmp_path / "run.mcap",
+        replace(MANIFEST, k_first=0),
+        {},
+        t_first_ns=5,
+        changed=lambda: None,
+        limits=PartLimits(40, 1 << 30),
+    )
+    recording.add([_sample(k) for k in range(50)])
+    recording.finish(COMPLETE)
+    assert asked.wait(30)
+    recording.join(0.0)
+
+    late = f"{recording.active}: not renamed; all 50 samples are on the disk; "
+    assert (recording.done, recording.synced) == (True, 50)
+    assert recording.error == ("" if is_named else f"{late}`armrig recover` the file")
+    answers.set()
+    recording._thread.join(30)
+
+
+def test_a_writer_that_waits_for_messages_is_given_up_too(tmp_path: Path) -> None:
+    recording = _recording(tmp_path / "run.mcap")
+    recording.samples = 9  # no message of them ever comes
+    recording._busy_since_s = float("inf")
+    recording.join(0.0)
+
+    assert recording.done
+    assert recording.error.endswith(
+        "not renamed; up to 9 of 9 samples are lost; `armrig recover` the others"
+    )
+    recording.finish(COMPLETE)
+    recording._thread.join(30)
 
 
 def test_a_recording_that_cannot_be_begun_leaves_nothing(tmp_path: Path) -> None:

@@ -12,9 +12,10 @@ import armrig
 import pytest
 from armrig_core.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.recording_file import recorder, recording_part
-from armrig_core.recording_file.recorder import Recording
+from armrig_core.recording_file.recorder import PartLimits, Recording
 from armrig_core.recording_file.syncing import Syncer
 from mcap.reader import make_reader
+from msgspec.structs import replace
 
 from tests.core.recording_file.test_recorder import MANIFEST, _recording, _sample
 
@@ -115,6 +116,40 @@ def test_a_recording_that_was_given_up_writes_nothing_more(
 
     assert recording.error == error
     assert armrig.load(recording.active).samples.size == 50
+
+
+def test_a_removed_part_is_named_although_the_next_part_is_being_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changed, asked, answers = threading.Event(), threading.Event(), threading.Event()
+
+    def slow(_fd: int) -> None:
+        asked.set()
+        answers.wait(30)
+
+    monkeypatch.setattr(recording_part.os, "fsync", slow)
+    recording = Recording(
+        tmp_path / "run.mcap",
+        replace(MANIFEST, k_first=0),
+        {},
+        t_first_ns=5,
+        changed=changed.set,
+        limits=PartLimits(60, 1 << 30),
+    )
+    recording.add([_sample(k) for k in range(80)])
+    assert asked.wait(30)
+    _until(lambda: recording._flushed == 80)
+    first = tmp_path / "run.part-0001.mcap.active"
+    first.unlink()
+    answers.set()
+    assert changed.wait(30)
+    recording.finish(COMPLETE)
+    recording.join(30)
+
+    assert recording.error == (
+        f"{first}: the file was removed during the recording; its samples are lost"
+    )
+    assert armrig.load(recording.active).samples.size == 20
 
 
 def test_a_folder_without_permissions_does_not_lose_what_was_flushed(
