@@ -14,6 +14,7 @@ import msgspec
 from msgspec.structs import replace
 
 from armrig_core.bounded import CONFIGURATION_LIMIT, read_bounded
+from armrig_core.emulated import SOCKET_PREFIX
 
 _MODE = 0o640  # the group of a service may read which process serves a rig
 
@@ -34,7 +35,7 @@ def lock_path(socket: Path) -> Path:
 
 def absolute(port: str) -> str:
     """Return a port that has the same meaning in every folder."""
-    kind = "unix:" if port.startswith("unix:") else ""
+    kind = SOCKET_PREFIX if port.startswith(SOCKET_PREFIX) else ""
     return f"{kind}{Path(port.removeprefix(kind)).absolute()}"
 
 
