@@ -169,7 +169,7 @@ def test_a_service_that_was_stopped_in_a_run_is_named(rig: Rig, user: str) -> No
 def test_the_doctor_judges_the_service_for_any_caller(rig: Rig, user: str) -> None:
     rig.machine.run("useradd", "--no-create-home", "-G", "armrig", "learner", check=False)
 
-    said = rig.machine.run("armrig", "doctor", user=user, check=False).stdout
+    said = rig.machine.run("armrig", "doctor", "--verbose", user=user, check=False).stdout
 
     assert said.startswith(f"good  daemon: rig 1 at {rig.endpoint}\n")
     assert f"good  SCHED_FIFO: the daemon has priority {PRIORITY}\n" in said
