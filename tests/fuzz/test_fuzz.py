@@ -39,8 +39,8 @@ def test_any_file_gives_its_beginning_or_is_refused_in_a_line() -> None:
 def test_any_unfinished_file_is_recovered_or_stays_as_it_is() -> None:
     found = recoveries.fuzz(200, seed=1)
 
-    assert found["recovered"] > 100
-    assert found["refused"] > 5
+    assert found["recovered"] > 120
+    assert found["refused"] > 5  # also complete files: their samples are found by the index
 
 
 def test_any_file_of_data_gives_data_or_is_refused_in_a_line() -> None:
