@@ -53,12 +53,14 @@ stored: .venv/dev
 	WRITE_STORED=1 $(BIN)/pytest -q $$(grep -rlE "clients.said import|WRITE_STORED" tests --include="test_*.py")
 	$(BIN)/python -m tests.same_numbers --write
 
-# N generated bugs over all rooms, in proportion to their lines; a test must see each bug. The draw
-# resumes from mutants.jsonl. ROOMS="core wire" draws in these alone, SEED=… draws others, and
-# EVERYDAY=1 runs only the tests of `make test`. PART=1/2 and PART=2/2 may run at the same time.
-N ?= 400
-mutants: .venv/dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.mutation --n $(N) $(if $(SEED),--seed $(SEED)) $(if $(ROOMS),--rooms $(ROOMS)) $(if $(PART),--part $(PART)) $(if $(EVERYDAY),--everyday)
+# N mutants by Cosmic Ray; the tests of a mutant's room must see it. SEED=… draws others, and
+# ROOMS="core decisions" draws in these rooms only. mutants.jsonl has the results; a call resumes.
+N ?= 40
+mutants: .venv/dev .venv/mutants
+	.venv/mutants/bin/python -m tests.mutants --n $(N) $(if $(SEED),--seed $(SEED)) $(if $(ROOMS),--rooms $(ROOMS))
+.venv/mutants:
+	$(PYTHON) -m venv $@
+	$@/bin/pip install --quiet --disable-pip-version-check cosmic-ray
 
 # The bugs that people planted by hand (tests/mutation/planted.toml); a test must see each bug.
 # NAME=… selects the bugs whose name contains it.
