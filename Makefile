@@ -7,7 +7,7 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 # Hundreds of processes are started. Each would compile armrig again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all machine walk check coverage stored mutants planted shake bench timing fuzz simulate firmware simavr fil docs lock lowest audit release reproduce format clean
+.PHONY: demo test test-all machine walk check coverage stored mutants bench timing fuzz simulate firmware simavr fil docs lock lowest audit release reproduce format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
@@ -61,16 +61,6 @@ mutants: .venv/dev .venv/mutants
 .venv/mutants:
 	$(PYTHON) -m venv $@
 	$@/bin/pip install --quiet --disable-pip-version-check cosmic-ray
-
-# The bugs that people planted by hand (tests/mutation/planted.toml); a test must see each bug.
-# NAME=… selects the bugs whose name contains it.
-planted: .venv/dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.mutation.by_hand $(if $(NAME),"$(NAME)")
-
-# The suite under disturbance: each seed is a condition (tests/shake/conditions.py), 20 minutes at most.
-# PROOF=1: the runs that a release needs, each in a fresh clone, into shake.jsonl; it resumes.
-shake: .venv/dev
-	$(BIN)/python -m tests.shake $(if $(PROOF),--proof) $(if $(SEED),--seeds $(SEED))
 
 bench: .venv/dev
 	$(BIN)/python -m tests.benchmarks.one_kilohertz

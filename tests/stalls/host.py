@@ -9,8 +9,6 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-STOPS = "SHAKE_STOPS"
-"""Environment variable: file in which `make shake` writes each process that it stops, and when."""
 GAP_NS = 20_000_000
 """Two stalls with less between them are one: a loop does not catch up in so short a time."""
 _MONITOR = Path(__file__).with_name("monitor.py")
@@ -21,10 +19,6 @@ class Stall(NamedTuple):
 
     began_ns: int
     ended_ns: int
-
-    def overlaps(self, began_ns: int, ended_ns: int) -> bool:
-        """Return whether a part of the stall lies between two times."""
-        return self.began_ns < ended_ns and began_ns < self.ended_ns
 
 
 class Host:
@@ -47,8 +41,8 @@ class Host:
     def longest_ns(self, began_ns: int, ended_ns: int) -> int:
         """Return the longest stall that overlaps a time, in ns; 0 without any."""
         self._ask()
-        stalls = merged(self._stalls + stops_of(os.getpid(), os.environ.get(STOPS)))
-        overlapping = [stall for stall in stalls if stall.overlaps(began_ns, ended_ns)]
+        stalls = merged(self._stalls)
+        overlapping = [s for s in stalls if s.began_ns < ended_ns and began_ns < s.ended_ns]
         return max((stall.ended_ns - stall.began_ns for stall in overlapping), default=0)
 
     def end(self) -> None:
@@ -75,17 +69,3 @@ def merged(stalls: list[Stall]) -> list[Stall]:
         whole.append(stall)
     return whole
 
-
-def stops_of(pid: int, path: str | None) -> list[Stall]:
-    """Return when `make shake` stopped a process of ours.
-
-    Parameters
-    ----------
-    pid : int
-        Process of the tests; the stopped process is that one or descends from it.
-    path : str, optional
-        File of the stops. A line contains both times and the stopped process with its ancestors.
-    """
-    lines = Path(path).read_text().splitlines() if path else []
-    numbers = [[int(number) for number in line.split()] for line in lines]
-    return [Stall(began, ended) for began, ended, *pids in numbers if pid in pids]
