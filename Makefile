@@ -13,15 +13,16 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: .venv/run $(if $(FIRMWARE),fil)
 	$(BIN)/armrig demo $(if $(FIRMWARE),--firmware)
 
-# Three tests at a time, because a quarter of their time is waiting: five minutes on two cores.
-# `make test-all` runs the others.
+# Three tests at a time, because a quarter of their time is waiting. The order is drawn; ORDER=… (the
+# seed in the first lines of a run) repeats an order. `make test-all` runs the other tests.
+SEVERAL = $(BIN)/pytest -n 3 --dist worksteal -p randomly --randomly-dont-reset-seed $(if $(ORDER),--randomly-seed $(ORDER))
 test: .venv/dev
-	$(BIN)/pytest -m "not exhaustive and not timed and not machine" -n 3 --dist worksteal
+	$(SEVERAL) -m "not exhaustive and not timed and not machine"
 
 # The tests that `make test` leaves out: grids, long walks and slow tests, three at a time, because a
 # quarter of their time is waiting; as root, also those that an ordinary user skips. Then the timed tests run alone, also if an earlier test failed.
 test-all: .venv/dev
-	$(BIN)/pytest -m "(exhaustive or root) and not timed and not machine" -n 3 --dist worksteal; \
+	$(SEVERAL) -m "(exhaustive or root) and not timed and not machine"; \
 	  exhaustive=$$?; $(BIN)/pytest -m timed tests/integration && exit $$exhaustive
 
 # As root: the service under a systemd, and strangers on a network, each in a namespace of its own.
