@@ -7,23 +7,26 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 # Hundreds of processes are started. Each would compile armrig again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all machine walk check coverage stored mutants bench timing fuzz simulate firmware simavr fil docs lock lowest audit release reproduce format clean
+.PHONY: demo test test-all exhaustive timed machine walk check coverage stored mutants bench timing fuzz simulate firmware simavr fil docs lock lowest audit release reproduce format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
 	$(BIN)/armrig demo $(if $(FIRMWARE),--firmware)
 
 # Three tests at a time, because a quarter of their time is waiting. The order is drawn; ORDER=… (the
-# seed in the first lines of a run) repeats an order. `make test-all` runs the other tests.
+# seed in the first lines of a run) repeats an order. COVERAGE=1 does the work of `make coverage`, too.
 SEVERAL = $(BIN)/pytest -n 3 --dist worksteal -p randomly --randomly-dont-reset-seed $(if $(ORDER),--randomly-seed $(ORDER))
 test: .venv/dev
-	$(SEVERAL) -m "not exhaustive and not timed and not machine"
+	$(SEVERAL) -m "not exhaustive and not timed and not machine" $(if $(COVERAGE),--cov --cov-config=tests/coverage.toml)
 
-# The tests that `make test` leaves out: grids, long walks and slow tests, three at a time, because a
-# quarter of their time is waiting; as root, also those that an ordinary user skips. Then the timed tests run alone, also if an earlier test failed.
+# The tests that `make test` leaves out. The timed tests run alone, also if an earlier test failed.
 test-all: .venv/dev
-	$(SEVERAL) -m "(exhaustive or root) and not timed and not machine"; \
-	  exhaustive=$$?; $(BIN)/pytest -m timed tests/integration && exit $$exhaustive
+	$(MAKE) exhaustive; exhaustive=$$?; $(MAKE) timed && exit $$exhaustive
+# Grids, long walks and slow tests; as root, also those that an ordinary user skips.
+exhaustive: .venv/dev
+	$(SEVERAL) -m "(exhaustive or root) and not timed and not machine"
+timed: .venv/dev
+	$(BIN)/pytest -m timed tests/integration
 
 # As root: the service under a systemd, and strangers on a network, each in a namespace of its own.
 machine: .venv/dev
