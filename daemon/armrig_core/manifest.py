@@ -39,13 +39,10 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     owner: str = ""
     """Owner of the rig: the name that the client gave, and the verified identity in round brackets.
 
-    Example: `armrig collect (certificate alice)`; empty in recordings of earlier releases.
+    Example: `armrig collect (certificate alice)`.
     """
     owner_checked: str = ""
-    """Verified identity of the owner, such as `certificate alice`.
-
-    Empty if none was verified, and in recordings of earlier releases.
-    """
+    """Verified identity of the owner, such as `certificate alice`; empty if none was verified."""
     Ts: float
     """Sampling time, in s."""
     samples: int
@@ -73,7 +70,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     config_sha256: str = ""
     """Hash of the attached configuration."""
     calibration_sha256: str = ""
-    """Hash of the attached calibration; empty in recordings of earlier releases."""
+    """Hash of the attached calibration."""
     rehearsal: Rehearsal | None = None
     """Response of the rig's model to the input, computed before the run."""
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 import zenoh
@@ -144,10 +143,3 @@ def test_a_run_is_complete_by_its_code(code: str, outcome: str, is_complete: boo
     last = replace(NEW, code=code, outcome=outcome)
 
     assert last.is_complete == is_complete
-
-
-def test_a_client_of_yesterday_reads_a_run_of_today() -> None:
-    yesterday = msgspec.defstruct("LastRun", [("run_id", str), ("outcome", str)], frozen=True)
-    told = msgspec.json.encode(replace(NEW, code=OutcomeCode.COMPLETE, outcome="complete"))
-
-    assert msgspec.json.decode(told, type=yesterday) == yesterday("new", "complete")

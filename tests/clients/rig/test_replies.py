@@ -130,13 +130,6 @@ def test_what_passes_by_itself_is_what_the_daemon_says(
     assert str(refusal.value) == body.error
 
 
-def test_a_client_of_yesterday_reads_a_refusal_of_today() -> None:
-    yesterday = msgspec.defstruct("Refused", [("error", str)], frozen=True)
-    told = msgspec.json.encode(refused(RefusalCode.HELD, "Ada has the rig", owner="Ada"))
-
-    assert msgspec.json.decode(told, type=yesterday).error == "Ada has the rig"
-
-
 @pytest.mark.parametrize("command", ["status", "stop", "reset"])
 @pytest.mark.parametrize("body", GARBAGE.values(), ids=GARBAGE.keys())
 def test_garbage_is_answered_with_one_line(
