@@ -1,4 +1,4 @@
-"""Files of earlier releases are read, verified and decided again to the last bit."""
+"""Files of releases are read, verified and replayed to the last bit."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ METER_V = volts_of(applied_code(32768, 10))
 
 
 def _facts(folder: Path) -> dict[str, Any]:
-    told: dict[str, Any] = json.loads((folder / "facts.json").read_text())
-    return told
+    stored: dict[str, Any] = json.loads((folder / "facts.json").read_text())
+    return stored
 
 
 @FOLDERS
 @pytest.mark.parametrize("pacing", PACINGS)
-def test_a_recording_is_read_to_the_last_bit(folder: Path, pacing: str) -> None:
+def test_a_recording_of_a_release_has_the_stored_content(folder: Path, pacing: str) -> None:
     """Samples, gaps, events, times and angles, as the release of the file read them."""
     recording = armrig.load(folder / f"{pacing}.mcap")
 
@@ -64,7 +64,7 @@ def test_no_file_of_a_release_has_changed(folder: Path) -> None:
 
 @FOLDERS
 @pytest.mark.parametrize("pacing", PACINGS)
-def test_a_recording_is_verified(folder: Path, pacing: str) -> None:
+def test_a_recording_of_a_release_passes_all_checks(folder: Path, pacing: str) -> None:
     checks = {check.about: check for check in verify(folder / f"{pacing}.mcap").checks}
 
     assert {check.result for check in checks.values()} == {"passed"}, checks
@@ -73,7 +73,7 @@ def test_a_recording_is_verified(folder: Path, pacing: str) -> None:
 
 @FOLDERS
 @pytest.mark.parametrize("pacing", PACINGS)
-def test_a_recording_is_decided_again_to_the_last_bit(folder: Path, pacing: str) -> None:
+def test_a_replay_of_a_recording_makes_the_same_decisions(folder: Path, pacing: str) -> None:
     """Every frame to the device and every sample in the file, through lost frames, too."""
     path = folder / f"{pacing}.mcap"
 
@@ -86,20 +86,19 @@ def test_a_recording_is_decided_again_to_the_last_bit(folder: Path, pacing: str)
 
 @FOLDERS
 @pytest.mark.parametrize("pacing", PACINGS)
-def test_the_command_line_reports_the_content_of_a_recording(folder: Path, pacing: str) -> None:
+def test_the_command_info_reports_a_recording_of_a_release(folder: Path, pacing: str) -> None:
     command = [sys.executable, "-m", "armrig", "info", "--json", folder / f"{pacing}.mcap"]
 
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
-    told = json.loads(said)
-    assert (told["damage"], told["outcome"]["outcome"]) == ("", "complete")
-    assert told["sha256"] == _facts(folder)[pacing]["sha256"]
-    assert told["verdict"]["usable"]
-    assert told["remarks"] == []
+    assert (found["damage"], found["outcome"]["outcome"]) == ("", "complete")
+    assert found["sha256"] == _facts(folder)[pacing]["sha256"]
+    assert found["verdict"]["usable"]
+    assert found["remarks"] == []
 
 
 @FOLDERS
-def test_a_calibration_is_read_and_found_again_in_its_samples(folder: Path) -> None:
+def test_a_calibration_is_estimated_again_from_its_samples(folder: Path) -> None:
     path = folder / "calibration.toml"
 
     calibration = read_calibration(path)
@@ -127,7 +126,7 @@ def test_a_calibration_with_other_samples_is_refused(folder: Path, tmp_path: Pat
 
 @FOLDERS
 @pytest.mark.parametrize("pacing", PACINGS)
-def test_a_recording_carries_its_calibration(folder: Path, pacing: str) -> None:
+def test_a_recording_contains_its_calibration(folder: Path, pacing: str) -> None:
     path = folder / "calibration.toml"
     content = read(folder / f"{pacing}.mcap")
     assert content is not None
@@ -143,7 +142,9 @@ def test_a_recording_carries_its_calibration(folder: Path, pacing: str) -> None:
 
 @FOLDERS
 @pytest.mark.parametrize("name", MODELS)
-def test_a_model_is_read_and_says_what_it_said(folder: Path, name: str, tmp_path: Path) -> None:
+def test_a_model_gives_the_stored_answers_and_is_saved_unchanged(
+    folder: Path, name: str, tmp_path: Path
+) -> None:
     path = folder / f"{name}.json"
     recording = armrig.load(folder / "scheduled.mcap")
 
