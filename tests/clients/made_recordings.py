@@ -99,7 +99,7 @@ def timing(k: int) -> Any:
 
 
 def _code_of(outcome: str) -> OutcomeCode:
-    """Return the code that the daemon writes beside a sentence."""
+    """Return the code that belongs to the sentence of an outcome."""
     codes = (OutcomeCode.COMPLETE, OutcomeCode.CONTINUED, OutcomeCode.STOPPED, OutcomeCode.DISARMED)
     return next((code for code in codes if outcome.startswith(code)), OutcomeCode.UNKNOWN)
 
