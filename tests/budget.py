@@ -1,4 +1,4 @@
-"""Print the size of the tree beside its budget; exit 1 if a figure is over.
+"""Print the size of the tree with its budget; exit 1 if a figure is over.
 
 `python tests/budget.py`. The table `[tool.armrig.budget]` of pyproject.toml is the budget. A commit
 that raises a figure says what a user gets for it; a figure that is met falls to what stands.
