@@ -72,7 +72,9 @@ def quantities(plant: MultivariablePlant, fit: MultivariableFit) -> tuple[Array,
     G, G_std = (np.concatenate(x, axis=1) for x in zip(*answers, strict=True))
     theta, theta_std = (fit.theta, fit.std) if plant.theta.size else (np.zeros(0),) * 2
     values = [theta, found.values[at].real, found.values[at].imag, G.ravel()]
-    return np.concatenate(values), np.concatenate([theta_std, std[at, 0], std[at, 1], G_std.ravel()])
+    return np.concatenate(values), np.concatenate(
+        [theta_std, std[at, 0], std[at, 1], G_std.ravel()]
+    )
 
 
 def _parts_of_response(channel: Fit) -> tuple[Array, Array]:
