@@ -9,6 +9,7 @@ priority: its lateness is due to the kernel or the host, not to armrig.
 
 from __future__ import annotations
 
+import math
 import os
 import resource
 import shutil
@@ -21,18 +22,18 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from armrig.rig.client import Rig
 
 from tests.integration.driving import begin
-from tests.integration.processes import Bench, Burners, Process
+from tests.integration.processes import Bench, Burners
 from tests.integration.relay import Relay
 
 BUSY_PROGRAMS = 4
 DRIVEN_S = 0.5  # the device's queue is full by then
 FLUSH_S = 0.1
-MAX_TRIES = 5
+MAX_TRIES = 10
 CLIENT = """
 import sys, time
 from armrig.rig.client import Rig
@@ -66,9 +67,7 @@ class Setup(NamedTuple):
     """A driven rig and its processes."""
 
     bench: Bench
-    daemon: Process
-    loop: int
-    client: Any
+    pids: dict[str, int]
     rig: Rig
     """A second client."""
     line: Relay | None
@@ -85,32 +84,16 @@ class Event(NamedTuple):
     """A line that can fail connects daemon and device."""
 
 
-def to_service(number: signal.Signals) -> Callable[[Setup], object]:
-    """Return the event that sends a signal to the service."""
-    return lambda setup: setup.daemon.kill(number)
-
-
-def to_loop(number: signal.Signals) -> Callable[[Setup], object]:
-    """Return the event that sends a signal to the loop."""
-    return lambda setup: os.kill(setup.loop, number)
-
-
-def to_client(number: signal.Signals) -> Callable[[Setup], object]:
-    """Return the event that sends a signal to the client."""
-    return lambda setup: setup.client.send_signal(number)
-
-
-def kill_both(setup: Setup) -> None:
-    """Kill the loop and the service."""
-    os.kill(setup.loop, signal.SIGKILL)
-    setup.daemon.kill()
+def send(number: signal.Signals, *names: str) -> Callable[[Setup], object]:
+    """Return the event that sends a signal to processes."""
+    return lambda setup: [os.kill(setup.pids[name], number) for name in names]
 
 
 def fill_disk(setup: Setup) -> None:
     """Leave the service no space for its recording."""
     (active,) = setup.bench.recordings.glob("*.active")
     limits = (active.stat().st_size, resource.RLIM_INFINITY)
-    resource.prlimit(setup.daemon.popen.pid, resource.RLIMIT_FSIZE, limits)
+    resource.prlimit(setup.pids["service"], resource.RLIMIT_FSIZE, limits)
 
 
 def on_line(fault: str, mode: str = "scheduled", bound_ms: float = 110.0) -> Event:
@@ -121,22 +104,22 @@ def on_line(fault: str, mode: str = "scheduled", bound_ms: float = 110.0) -> Eve
 KILL, FREEZE = signal.SIGKILL, signal.SIGSTOP
 EVENTS = {
     "armrig stop": Event(5, lambda setup: setup.rig.stop()),
-    "SIGTERM": Event(5, to_service(signal.SIGTERM)),
-    "SIGINT": Event(5, to_service(signal.SIGINT)),
-    "SIGTERM, exchange": Event(5, to_service(signal.SIGTERM), "exchange"),
-    "kill service": Event(10, to_service(KILL)),
-    "kill loop": Event(110, to_loop(KILL)),
-    "kill loop, exchange": Event(110, to_loop(KILL), "exchange"),
-    "kill both": Event(110, kill_both),
-    "freeze loop": Event(110, to_loop(FREEZE)),
-    "freeze loop, exchange": Event(110, to_loop(FREEZE), "exchange"),
-    "freeze service": Event(3005, to_service(FREEZE)),
-    "kill client by hand": Event(210, to_client(KILL), "hand"),
-    "freeze client by hand": Event(210, to_client(FREEZE), "hand"),
-    "kill client with dead-man": Event(1005, to_client(KILL), "dead-man"),
-    "freeze client with dead-man": Event(1005, to_client(FREEZE), "dead-man"),
-    "disk full": Event(float("inf"), fill_disk),
-    "recordings removed": Event(float("inf"), lambda setup: shutil.rmtree(setup.bench.recordings)),
+    "SIGTERM": Event(5, send(signal.SIGTERM, "service")),
+    "SIGINT": Event(5, send(signal.SIGINT, "service")),
+    "SIGTERM, exchange": Event(5, send(signal.SIGTERM, "service"), "exchange"),
+    "kill service": Event(10, send(KILL, "service")),
+    "kill loop": Event(110, send(KILL, "loop")),
+    "kill loop, exchange": Event(110, send(KILL, "loop"), "exchange"),
+    "kill both": Event(110, send(KILL, "loop", "service")),
+    "freeze loop": Event(110, send(FREEZE, "loop")),
+    "freeze loop, exchange": Event(110, send(FREEZE, "loop"), "exchange"),
+    "freeze service": Event(3005, send(FREEZE, "service")),
+    "kill client by hand": Event(210, send(KILL, "client"), "hand"),
+    "freeze client by hand": Event(210, send(FREEZE, "client"), "hand"),
+    "kill client with dead-man": Event(1005, send(KILL, "client"), "dead-man"),
+    "freeze client with dead-man": Event(1005, send(FREEZE, "client"), "dead-man"),
+    "disk full": Event(math.inf, fill_disk),
+    "recordings removed": Event(math.inf, lambda setup: shutil.rmtree(setup.bench.recordings)),
     "unplug": on_line("unplug"),
     "unplug, exchange": on_line("unplug", "exchange"),
     "device does not read": on_line("stop_reading", "exchange"),
@@ -147,28 +130,26 @@ EVENTS = {
 
 @contextmanager
 def driven(event: Event) -> Iterator[Setup]:
-    """Drive a rig for half a second."""
+    """Have a client drive a rig."""
     with tempfile.TemporaryDirectory(prefix="armrig-bench-") as directory:
         bench = Bench(Path(directory), terminal=True)
         bench.configure(watchdog_ms=100)
-        line, pids = None, list[int]()
+        line, client, pids = None, None, dict[str, int]()
         try:
             bench.emulate()
             if event.has_line:
                 line, bench.port = Relay(bench.port, bench.folder / "line"), bench.folder / "line"
                 bench.configure(watchdog_ms=100)
-            daemon = bench.serve()
-            loop = bench.loop_pid(daemon)
+            service = bench.serve()
+            pids |= {"service": service.popen.pid, "loop": bench.loop_pid(service)}
             with bench.rig() as rig:
                 client = begin(bench, 1, CLIENT, event.mode)
-                pids += [loop, daemon.popen.pid, client.pid]
-                time.sleep(DRIVEN_S)
-                yield Setup(bench, daemon, loop, client, rig, line)
+                yield Setup(bench, pids | {"client": client.pid}, rig, line)
         finally:
-            for pid in pids:
+            for pid in pids.values():
                 with suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGCONT)
-            if pids:
+            if client is not None:
                 client.kill()
                 client.wait()
             if line is not None:
