@@ -1,9 +1,9 @@
 """Coverage and deviations of models with several inputs and outputs, in many simulated runs.
 
 The quantities are the coefficients (not of `ss` and `n4sid`), the real and imaginary parts of the
-poles, and those of G of each channel at five frequencies. For each of them the benchmark computes
-the coverage of 95 % intervals, the reported deviation divided by the scatter of the estimates, and
-the bias in deviations of the mean; it prints the least, the mean and the greatest. The cases are ::
+poles, and those of G of each channel at five frequencies. The benchmark prints the least, the mean
+and the greatest coverage of 95 % intervals and ratio of reported deviation to scatter. The bias is
+in deviations of the mean. The cases are ::
 
     arx     two outputs that affect each other, two inputs
     bj      one output, two inputs, noise C/D

@@ -73,7 +73,7 @@ class Target(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """Whether the target is met."""
+        """Return "met", "NOT MET", or "-" if the target is not judged."""
         return ("met" if self.value <= self.limit else "NOT MET") if self.judged else "-"
 
 
