@@ -2,7 +2,7 @@
 
 SQLite's way of testing: any call fails, once or from then on. The motor never has a voltage that
 was not commanded or is out of bounds, nothing hangs, and a file that loads or a message remains.
-These tests try every so many n; `tests/benchmarks/every_nth_call.py` tries all.
+These tests try each 37th n.
 
 References
 ----------

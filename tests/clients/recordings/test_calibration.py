@@ -42,8 +42,8 @@ MADE = Made(date="2026-11-01T00:00:00+00:00", rig="1", device_uid="0001", armrig
 def test_a_rig_that_nobody_has_seen_is_found_out(seed: int) -> None:
     """Offsets, gains, directions, dead band and friction are each within four of their deviations.
 
-    With four, hardly one of 26 true numbers in 600 fails. tests/benchmarks/calibration.py measures
-    the share within three.
+    With four, hardly one of 26 true numbers in 600 fails. docs/calibration.md has the share within
+    three.
     """
     rig = unknown_rig(seed)
 

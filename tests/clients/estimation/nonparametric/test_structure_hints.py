@@ -18,7 +18,7 @@ from armrig.validation.structure_hints import _extremes, structure_hints
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from tests.benchmarks.hints import drawn
+from tests.plants import delayed_plant
 from tests.same_numbers_calls import REAL, holed, of_a_system, switching
 from tests.sampling import sampled
 
@@ -265,21 +265,21 @@ def test_the_true_structure_is_recommended_in_coloured_noise() -> None:
 @pytest.mark.exhaustive
 def test_the_unit_of_y_does_not_change_the_recommended_structures() -> None:
     """Description lengths are compared on the same samples, at each delay that is tried."""
-    plant = drawn(2083)
+    plant = delayed_plant(2083)
     data = plant.data(40.0)
 
     found = structure_hints(data)
     scaled = structure_hints(data.replaced(step=None, y=1e4 * data.y))
 
     assert scaled.structures == found.structures
-    assert found.structures[0].nk == plant.nk
+    assert found.structures[0].nk == plant.structure[2]
 
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", [2067, 4033])
 def test_a_poor_minimum_of_a_wider_model_does_not_hide_the_true_structure(seed: int) -> None:
     """A model with more b's than are there ended in a poor minimum for each of these plants."""
-    plant = drawn(seed)
+    plant = delayed_plant(seed)
 
     found = structure_hints(plant.data(40.0))
 
@@ -312,7 +312,7 @@ def test_many_short_experiments_show_the_true_structure() -> None:
 @pytest.mark.exhaustive
 def test_few_samples_do_not_give_the_noise_a_high_order() -> None:
     """By AIC the noise of 300 samples, first order, was taken for one of order 35."""
-    plant = drawn(4018)
+    plant = delayed_plant(4018)
 
     found = structure_hints(plant.data(40.0))
 
