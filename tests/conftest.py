@@ -14,10 +14,9 @@ from typing import Any, Final
 
 import pytest
 from armrig_core.signal_pipe import ENDING
+from hypothesis import HealthCheck, settings
 
-from tests.progress import Progress
-
-pytest_plugins = ("tests.stalls.repeats", "tests.order", "tests.examples")
+pytest_plugins = ("tests.stalls.repeats",)
 
 # Before numpy is loaded: its threads only wait for each other on matrices as small as ours.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -26,18 +25,24 @@ os.environ.setdefault("MPLCONFIGDIR", str(Path(__file__).parents[1] / ".pytest_c
 # A shell's background job ignores them and its children with it, which some tests send them to.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+# No result depends on the speed of the machine or on an earlier run: each run tries the same
+# examples. `--hypothesis-profile drawn --hypothesis-seed SEED` tries others.
+settings.register_profile(
+    "drawn",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    database=None,
+    print_blob=True,
+)
+settings.register_profile("repeatable", settings.get_profile("drawn"), derandomize=True)
+settings.load_profile("repeatable")
 # Rare garbage collections: with Python's thresholds they took 3 % of the processor time.
 gc.set_threshold(100_000, 50, 50)
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_configure(config: pytest.Config) -> None:
-    """Show progress by room where a person or CI reads; the workers of xdist show nothing."""
-    # pytest has read these options. They are not for a pytest that a test starts.
+def pytest_configure() -> None:
+    """Forget the options of the environment: they are not for a pytest that a test starts."""
     os.environ.pop("PYTEST_ADDOPTS", None)
-    terminal = config.pluginmanager.get_plugin("terminalreporter")
-    if terminal is not None and not config.option.verbose:
-        config.pluginmanager.register(Progress(terminal))
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

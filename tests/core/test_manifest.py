@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 from armrig_core.manifest import (
     Manifest,
-    Outcome,
     Recovered,
     check_whole_numbers,
     manifest_of,
@@ -53,7 +52,6 @@ def test_a_manifest_is_read_as_it_was_written() -> None:
     assert not Manifest(**MADE, device={"uid": "17"}, host={"port": "/dev/a"}).emulated
     fixed = Recovered(when="w", armrig="0.2.0", kept_bytes=5, cut_off_bytes=7, damage="d")
     assert recovered_of(fixed.metadata()) == fixed
-    assert "code" not in Outcome(outcome="complete", samples=1, missing=0).metadata()
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from tests.simulator import campaign, story
 from tests.simulator.options import KINDS, draw
 from tests.simulator.rig import simulate
 
-# `.ci/run` tries 10 000; test_mutants.py shows that each planted bug is seen in 40.
+# `.ci/run` tries 1000; test_mutants.py shows that each planted bug is seen in 40.
 SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "50"))
 _HASH = "from tests.simulator.options import draw; from tests.simulator.rig import simulate\n"
 

@@ -57,7 +57,7 @@ class Estimate(Model):
     whiteness: float
     """p value of the whiteness test of the residuals on the estimation data."""
     whiteness_test: str = ""
-    """Name of the test of whiteness; "" in files of armrig 0.1."""
+    """Name of the test of whiteness."""
     converged: bool = True
     """True if the search for the minimum converged within its tolerance."""
     starts: tuple[Start, ...] = ()

@@ -350,17 +350,6 @@ def test_a_column_with_the_name_of_the_rigs_angle_is_reported(
     assert "theta_1 is assumed to be the rig's angle, which integrates its input; if it is" in said
 
 
-@pytest.mark.parametrize(
-    "command", ["identify F --structure arx", "check F", "greybox F", "split F"]
-)
-def test_output_is_no_signal_any_more(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*command.split(), "--output", "velocity"]) == 2
-
-    assert capsys.readouterr().err.startswith(
-        "armrig: --output: --signal velocity chooses the signal; -o names a figure"
-    )
-
-
 def test_a_signal_of_a_recording_is_chosen_by_name(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:

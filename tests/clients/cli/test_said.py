@@ -42,7 +42,7 @@ OF_A_HOST = {"lab", "doctor"}
 AGAIN = "If this is what the command is to say: make stored"
 SLOW = {"hints", "report", "batch", "host", "compare", "identify_noise"}
 FILES = sorted(SAID.rglob("*.txt"))
-DATA = Path(__file__).parents[2] / "data" / "0.1.0"
+DATA = Path(__file__).parents[2] / "data" / "0.2.0"
 
 
 @pytest.fixture(scope="session")

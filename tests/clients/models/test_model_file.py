@@ -13,7 +13,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.finding import warning
 from armrig.data.merging import merge
-from armrig.data.step import LINE, MEAN, Step, codes_of
+from armrig.data.step import MEAN, Step, codes_of
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
@@ -80,7 +80,7 @@ def test_the_keys_of_a_model_file_stay_as_they_are(fit: Fit, tmp_path: Path) -> 
         *("integrator", "offset", "covariance", "covariance_robust", "noise_variance", "loss"),
         *("N", "Ts", "fit_percent", "whiteness", "whiteness_test", "converged", "starts"),
         *("agreed", "curvature", "free"),
-        *("warnings", "output", "unit", "input_unit", "source", "history", "digest"),
+        *("output", "unit", "input_unit", "source", "history", "digest"),
         *("findings", "treatment"),
     }
 
@@ -94,18 +94,6 @@ def test_a_model_file_keeps_what_programs_decide_by(fit: Fit, tmp_path: Path) ->
 
     assert loaded.findings == (found,)
     assert loaded.warnings == ("a sentence",)
-    assert codes_of(loaded.history) == [MEAN]
-
-
-def test_a_model_file_of_armrig_0_1_has_sentences_alone(fit: Fit, tmp_path: Path) -> None:
-    """Each sentence of a treatment had one meaning in 0.1."""
-    content = json.loads(model_text(fit))
-    del content["findings"], content["treatment"]
-    content |= {"warnings": ["a sentence"], "history": ["part 2: removed the mean from u and y"]}
-
-    loaded = fit_of(json.dumps(content), "model.json")
-
-    assert loaded.findings == (warning("", "a sentence"),)
     assert codes_of(loaded.history) == [MEAN]
 
 
@@ -223,21 +211,9 @@ def test_each_finding_keeps_all_that_it_says(fit: Fit) -> None:
 
     assert fit_of(text, "m.json").findings == findings
     content = json.loads(text)
-    assert content["warnings"] == ["first", "second"]
+    assert [f["text"] for f in content["findings"]] == ["first", "second"]
     assert [f["asks"] for f in content["findings"]] == ["", "order"]
     assert content["findings"][0]["numbers"] == {"start": 1.5, "stop": "inf"}
-
-
-def test_each_sentence_of_armrig_0_1_has_its_code(fit: Fit) -> None:
-    content = json.loads(model_text(fit))
-    del content["treatment"]
-    content["history"] = [
-        "removed a straight line from y",
-        "part 2: removed the mean from u and y",
-        "marked 3 samples",
-    ]
-
-    assert codes_of(fit_of(json.dumps(content), "m.json").history) == [LINE, MEAN, ""]
 
 
 @pytest.mark.parametrize(

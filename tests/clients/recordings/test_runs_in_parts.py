@@ -157,7 +157,7 @@ def _record_in_parts(whole: Path, path: Path, *, samples: int) -> None:
 
 @pytest.mark.parametrize("pacing", ["exchange", "scheduled"])
 def test_a_run_in_parts_is_replayed_as_one(tmp_path: Path, pacing: str) -> None:
-    whole = Path(__file__).parents[2] / "data" / "0.1.0" / f"{pacing}.mcap"
+    whole = Path(__file__).parents[2] / "data" / "0.2.0" / f"{pacing}.mcap"
     _record_in_parts(whole, tmp_path / "run.mcap", samples=60)
 
     again = replay(tmp_path / "run.mcap")

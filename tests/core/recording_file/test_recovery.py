@@ -195,7 +195,7 @@ def test_a_long_input_is_kept(tmp_path: Path) -> None:
     assert kept.data.count(b"\n") == len(u) + 1
 
 
-@pytest.mark.parametrize("release", ["0.1.0"])
+@pytest.mark.parametrize("release", ["0.2.0"])
 @pytest.mark.parametrize("pacing", ["exchange", "scheduled"])
 def test_what_an_earlier_release_left_is_recovered_too(
     tmp_path: Path, release: str, pacing: str
