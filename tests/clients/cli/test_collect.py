@@ -27,44 +27,6 @@ from tests.sampling import sampled
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["blackbox", "--high", "5.5"], "high=5.5 V is outside the rig's 0 to 5 V"),
-        (["blackbox", "--low", "-1"], "low=-1.0 V is outside the rig's 0 to 5 V"),
-        (["blackbox", "--low", "nan"], "low=nan V is outside the rig's 0 to 5 V"),
-        (["blackbox", "--a", "2"], "a=2.0 is a probability, 0 <= a <= 1"),
-        (["step", "--high", "9"], "high=9.0 V is outside the rig's 0 to 5 V"),
-    ],
-)
-def test_a_voltage_outside_the_rigs_range_is_refused_before_a_rig_is_asked(
-    arguments: list[str],
-    said: str,
-    daemon: FakeDaemon,
-    where: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["collect", *arguments, "--connect", where]) == 1
-
-    assert told(capsys) == f"armrig: {said}\n"
-    assert daemon.asked == []
-
-
-def test_collect_plays_the_telegraph_that_was_asked_for(
-    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["collect", "blackbox", "--seconds", "2", "--seed", "7", "--connect", where]
-
-    assert main(arguments) == 0
-
-    assert capsys.readouterr().out == "/nowhere/run.mcap\n"
-    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
-    assert len(run.u) == 200
-    assert set(run.u) == {0.5, 4.5}
-    assert run.experiment == "blackbox"
-    assert run.details == {"input": "telegraph", "a": 0.05, "low": 0.5, "high": 4.5, "seed": 7}
-
-
-@pytest.mark.parametrize(
     ("arguments", "kinds", "own"),
     [
         (["blackbox", "--a", "0.3", "--seed", "5", "--validation"], 2, {"a": 0.3, "seed": 5}),
@@ -107,25 +69,6 @@ def test_every_option_of_a_collection_reaches_its_plan(
         assert made[1][0].details["seed"] == 6
     step = made[0][0].make(200, 0.02)
     assert arguments[0] != "step" or (step[:35].max(), step[35:].min()) == (1.25, 3.5)
-
-
-def test_collect_step_steps_when_it_was_asked_to(daemon: FakeDaemon, where: str) -> None:
-    arguments = ["collect", "step", "--seconds", "1", "--at", "0.4", "--Ts", "0.02", "--json"]
-
-    assert main([*arguments, "--connect", where]) == 0
-
-    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
-    assert run.u == [0.5] * 20 + [4.5] * 30
-
-
-def test_collect_greybox_plays_what_a_black_box_does(daemon: FakeDaemon, where: str) -> None:
-    daemon.arm_removed = True
-
-    assert main(["collect", "greybox", "--seconds", "2", "--connect", where]) == 0
-
-    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
-    assert run.experiment == "greybox"
-    assert run.details["input"] == "telegraph"
 
 
 def test_collect_greybox_refuses_a_rig_with_its_arm_on(
@@ -428,21 +371,6 @@ def test_what_nohup_ignores_stays_ignored() -> None:
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
-
-
-def test_a_program_gets_the_result_of_a_stop_in_json(
-    where: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with FakeDaemon(where):
-        assert main(["stop", "--connect", where, "--json"]) == 0
-        assert main(["reset", "--connect", where, "--json"]) == 0
-
-    said = capsys.readouterr()
-    assert [json.loads(line) for line in said.out.splitlines()] == [
-        {"rig": "1", "stopped": True},
-        {"rig": "1", "was_latched": True},
-    ]
-    assert said.err == ""
 
 
 @pytest.mark.parametrize(

@@ -42,24 +42,6 @@ def _walk(line: str, steps: int, capsys: pytest.CaptureFixture[str]) -> list[str
     return [*walked, " ".join(typed)]
 
 
-@pytest.mark.exhaustive
-def test_the_way_of_both_outputs_leads_to_the_physics(
-    three_recordings: tuple[Path, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    estimation, validation = three_recordings[1:]
-    line = f"identify {estimation} --structure arx --signal theta_1,alpha --validate {validation}"
-
-    *walked, last = _walk(line, 3, capsys)
-
-    assert walked == ["identify", "identify", "simulate"]
-    assert last == f"check {validation}"
-    assert armrig.load_fit(tmp_path / "model.json").form.integrators == (True, False)
-
-
 def test_the_way_of_other_data_subtracts_their_means_before_it_searches(
     plant: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -100,28 +82,6 @@ def test_a_state_space_of_data_with_gaps_has_a_model_of_the_noise(plant: Path) -
 
     _, _, _, _, K = armrig.load_fit("model.json").state_space()
     assert K.any()
-
-
-@pytest.mark.exhaustive
-def test_the_model_that_is_the_closest_is_named_for_each_output(
-    three_recordings: tuple[Path, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    signals = armrig.load(three_recordings[1]).signals()
-    best = {"integrator": "theta_1", "shared": "denominator"}
-    armrig.oe(signals, nb=[[4], [3]], nf=3, **best).save("good.json")
-    armrig.oe(signals, nb=[[2], [1]], nf=1, **best).save("poor.json")
-
-    validation = str(three_recordings[2])
-    assert main(["compare", validation, "--model", "poor.json", "--model", "good.json"]) == 0
-
-    said = capsys.readouterr()
-    first = said.out.splitlines()[0]
-    assert first == "Simulated, good has the least error of theta_1 and alpha."
-    assert said.err.splitlines()[-1].startswith("next: armrig check ")
 
 
 @pytest.mark.parametrize(
