@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig.recordings import recording_summary
 from armrig.recordings.recording_names import answering_among, short_name
 from armrig.recordings.recording_summary import summary_of
 from armrig_core.manifest import Outcome
@@ -172,25 +171,6 @@ def test_the_short_name_of_a_recording_means_no_other(folder: Path, tmp_path: Pa
     [monday] = [s for s in known if s.run_id == "0000000b"]
     assert short_name(monday, answering_among(known)) == "@monday"
     assert short_name(summary_of(alone), answering_among(known)) == str(alone)
-
-
-def test_a_name_reads_only_what_may_be_meant(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    opened: list[str] = []
-    whole = recording_summary.read_metadata
-
-    def counted(path: Path) -> dict[str, dict[str, str]]:
-        opened.append(path.name)
-        return whole(path)
-
-    monkeypatch.setattr("armrig.recordings.recording_summary.read_metadata", counted)
-
-    assert read("@step", capsys) == "0000000a"
-    assert opened == ["1-step-20261120T130000-0000000a.mcap"]
-    opened.clear()
-    read("@last", capsys)
-    assert len(opened) == 1
 
 
 def test_the_folder_is_that_of_the_configuration(

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig.cli.recording_info import _replay_verdict
-from armrig.cli.replay import Replay
 
 from tests.clients.made_recordings import manifest, note, recorded, sample, written
 
@@ -45,25 +43,3 @@ def test_info_of_a_cut_file_does_not_call_the_run_cut_short(
     assert re.search(r"samples +\d+ at 0.01 s, 0 missing", of_whole)
     assert "s of 0.4 s" in of_whole
     assert "the file is cut off before the outcome, or is still being written" in of_left
-
-
-@pytest.mark.parametrize(
-    ("difference", "until", "verdict"),
-    [
-        ("", "", "replay made the same decisions, to the last bit"),
-        (
-            "",
-            "cut off",
-            "replay made the same decisions, to the last bit, up to the end of the file: cut off",
-        ),
-        ("frame 7", "cut off", "DIFFERS: frame 7"),
-    ],
-)
-def test_a_replay_of_a_part_is_not_one_of_the_whole(
-    difference: str, until: str, verdict: str
-) -> None:
-    found = Replay(
-        steps=9, frames=9, samples=9, seconds=0.1, difference=difference, until=until, said=()
-    )
-
-    assert _replay_verdict(found) == verdict

@@ -250,22 +250,6 @@ def _unpaired(pair: Path) -> None:
     next(pair.glob("*-validation-*")).unlink()
 
 
-def test_no_line_records_a_pair_again_or_starts_a_second_lab(
-    pair: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rigs: list[str] = []
-    monkeypatch.setattr("armrig.rig.session.local_rigs", lambda: rigs)
-
-    collects = [next_line("sampling", Ts=Ts) for Ts in (0.01, 0.005)]
-    starts = next_line("simulate")
-    rigs.append("1")
-
-    assert collects[0] == "next: armrig plot @0000000a"
-    assert collects[1].startswith("next: armrig collect blackbox --Ts 0.005 ")
-    assert starts == "next: armrig lab"
-    assert next_line("simulate") == "next: " + AFTER["lab"].format(rig="")
-
-
 def test_a_report_leads_to_the_questions_and_these_to_the_answers(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

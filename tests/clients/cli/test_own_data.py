@@ -97,38 +97,6 @@ def _python(columns: str) -> dict[str, str]:
     return dict(zip([w.lstrip("-") for w in words[::2]], words[1::2], strict=True))
 
 
-def test_a_signal_that_is_given_is_what_the_model_is_of(
-    tmp_path: Path, three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in ("temp", "T2"):
-        path = write(tmp_path / f"{name}.csv", made(seed=len(name)))
-        path.write_text(path.read_text().replace("t;u;y", f"t;u;{name}"))
-    run("identify temp.csv --signal temp --structure arx --save temp.json", tmp_path, capsys)
-    armrig.arx(armrig.Dataset(u=made().u, y=made().y, Ts=0.01), na=2, nb=2).save(
-        tmp_path / "y.json"
-    )
-
-    without = run("validate T2.csv --model temp.json", tmp_path, capsys)
-    given = run("validate T2.csv --model temp.json --signal T2", tmp_path, capsys)
-    angle = main(["validate", str(three_recordings[1]), "--model", str(tmp_path / "y.json")])
-
-    assert without[0] == 1
-    assert "signal temp: there is no such column; give --signal a name or a number" in without[2]
-    assert given[0] == angle == 0
-
-
-def test_a_search_tries_a_direct_term_where_the_data_show_one(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    u = made().u
-    y = lfilter([1.0, 0.2], [1, -0.8], u) + 0.01 * np.random.default_rng(1).standard_normal(u.size)
-    write(folder / "direct.csv", armrig.Dataset(u=u, y=y, Ts=0.5))
-    line = "identify direct.csv --search --structure arx --max-order 2 --Ts 0.5"
-
-    assert facts(line, folder, capsys)["orders"]["nk"] == 0
-    assert facts(f"{line} --nk 1", folder, capsys)["orders"]["nk"] == 1
-
-
 def test_few_samples_may_determine_a_delay_and_no_feedback(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
