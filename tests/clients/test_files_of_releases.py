@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -82,20 +80,6 @@ def test_a_recording_is_decided_again_to_the_last_bit(folder: Path, pacing: str)
     assert (found.difference, found.until) == ("", "")
     assert found.samples == armrig.load(path).samples.size
     assert found.frames > (40 if pacing == "scheduled" else 140)
-
-
-@FOLDERS
-@pytest.mark.parametrize("pacing", PACINGS)
-def test_the_command_line_reports_the_content_of_a_recording(folder: Path, pacing: str) -> None:
-    command = [sys.executable, "-m", "armrig", "info", "--json", folder / f"{pacing}.mcap"]
-
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-
-    told = json.loads(said)
-    assert (told["damage"], told["outcome"]["outcome"]) == ("", "complete")
-    assert told["sha256"] == _facts(folder)[pacing]["sha256"]
-    assert told["verdict"]["usable"]
-    assert told["remarks"] == []
 
 
 @FOLDERS
