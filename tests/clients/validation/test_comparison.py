@@ -48,18 +48,6 @@ def test_the_fit_percent_is_the_textbook_s() -> None:
     assert not row.on_estimation_data
 
 
-def test_data_that_the_model_was_estimated_from_are_labelled() -> None:
-    """A percentage on such data is no validation."""
-    seen = data(1)
-    fit = oe(seen, nb=2, nf=2)
-
-    table = compare(seen, fit)
-
-    assert table[0].on_estimation_data
-    assert "(estimation data)" in repr(table)
-    assert "initial state estimated from these data by least squares" in repr(table)
-
-
 def test_missing_samples_do_not_count() -> None:
     fit, fresh = oe(data(1), nb=2, nf=2), data(2)
     valid = np.random.default_rng(0).random(fresh.N) > 0.2
@@ -246,18 +234,6 @@ def test_what_cannot_be_judged_is_refused() -> None:
         compare(data(1))
     with pytest.raises(ValueError, match="lags=400 must be 1 to 300"):
         residuals(oe(data(1), nb=2, nf=2), data(1), lags=400)
-
-
-@pytest.mark.parametrize(
-    ("p", "words"),
-    [(0.03, ["white", "no dynamics missing", "no feedback"]), (0.003, ["coloured", "a delay too"])],
-)
-def test_the_words_of_the_tests_are_those_of_the_report(p: float, words: list[str]) -> None:
-    tests = residuals(oe(data(1), nb=2, nf=2), data(2))
-
-    said = repr(replace(tests, whiteness=p, missing_dynamics=p, feedback=p))
-
-    assert all(word in said for word in words)
 
 
 @pytest.mark.parametrize("own", [True, False])

@@ -199,13 +199,6 @@ def test_the_time_that_quantisation_hides_is_separate(plant: HandoutPlant) -> No
     assert "Quantisation is no delay" in found.explain()
 
 
-def test_without_quantisation_there_is_no_hidden_time(plant: HandoutPlant) -> None:
-    found = armrig.delay(plant.dataset(1))
-
-    assert found.t_q is None
-    assert "Quantisation" not in found.explain()
-
-
 def test_an_input_that_follows_from_its_own_past_is_refused() -> None:
     """A constant, a sine, and twenty sines in a narrow band."""
     t, k = np.arange(1000), np.arange(1, 21)
@@ -234,14 +227,6 @@ def test_an_input_that_does_not_act_is_reported() -> None:
 
     with pytest.raises(ValueError, match="no response to u above the noise"):
         armrig.delay(data)
-
-
-def test_the_level_of_the_tests_is_reported(plant: HandoutPlant) -> None:
-    found = armrig.delay(plant.dataset(1, N=500))
-
-    assert found.level == 0.001
-    assert "level 0.1 %" in repr(found)
-    assert "a level of 0.1 %" in found.explain()
 
 
 def angle(u: Vector, Ts: float, finer: int = 1) -> Vector:

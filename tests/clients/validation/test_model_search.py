@@ -16,7 +16,6 @@ from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from armrig.validation.model_search import _ranked, search
 from armrig.validation.search_result import Candidate, OfferedName, Scored, SearchResult
-from matplotlib.figure import Figure
 
 from tests.sampling import sampled
 
@@ -222,27 +221,6 @@ def test_models_without_a_sample_in_common_are_not_compared() -> None:
 
     with pytest.raises(ValueError, match="no validation sample is predicted by all models"):
         _ranked(scored, Dataset(u=[0.0, 0.0], y=[1.0, 1.0], Ts=1.0))
-
-
-def test_a_search_shows_each_structure_and_rings_the_choice() -> None:
-    data = _data(1, [1.0], [1.0]), _data(2, [1.0], [1.0])
-    found = search(*data, families=("arx", "oe"), orders=(1, 2, 3))
-
-    ax = found.plot(ax=Figure().add_subplot()).axes[0]
-
-    legend = ax.get_legend()
-    assert legend is not None
-    names = [t.get_text() for t in legend.get_texts()]
-    assert names == ["ARX", "OE", f"chosen: {found.chosen.candidate.name}"]
-    [ring] = [line for line in ax.lines if line.get_markerfacecolor() == "none"]
-    assert ring.get_xdata() == [found.chosen.parameters]
-    assert ring.get_ydata() == [found.rms[found.chosen_index]]
-    best = next(line for line in ax.lines if line.get_label() == "OE")
-    x, y = (np.asarray(values) for values in best.get_data())
-    assert (np.diff(x) > 0).all()
-    assert y.min() == min(
-        r for r, s in zip(found.rms, found.ranked, strict=True) if s.candidate.family == "oe"
-    )
 
 
 @pytest.mark.exhaustive

@@ -193,14 +193,6 @@ def test_the_verdict_is_that_of_the_level_asked_for(plant: HandoutPlant) -> None
         assert found.feedback == (level > p)
 
 
-def test_an_explanation_says_what_was_found_and_its_limits(plant: HandoutPlant) -> None:
-    free, fed = armrig.open_loop(plant.dataset(2)), armrig.open_loop(under_feedback(2))
-
-    assert "the data do not contradict open loop" in free.explain()
-    assert "no proof" in free.explain()
-    assert "there is feedback" in fed.explain()
-
-
 def test_an_answer_within_the_sample_is_reported_to_look_like_feedback(plant: HandoutPlant) -> None:
     rng = np.random.default_rng(1)
     u = rng.standard_normal(1000)

@@ -13,7 +13,6 @@ from armrig import MultivariableFit, Signals
 from armrig.estimation.multivariable.oe import oe as oe_of_several
 from armrig.numerics.polynomial import filtered
 from armrig.validation.multivariable import feedback_and_delay
-from armrig.validation.multivariable.feedback_and_delay import ByChannel
 from armrig.validation.multivariable.projection import parts_of, projection
 from armrig.validation.multivariable.residuals import residuals as residuals_of_several
 from armrig_core.errors import InputError
@@ -196,14 +195,6 @@ def test_an_input_that_follows_an_output_shows_as_feedback() -> None:
     assert not armrig.open_loop(data)["y", "u1"].feedback  # type: ignore[index]
 
 
-def test_the_figure_has_a_panel_for_each_test() -> None:
-    found = armrig.residuals(estimated(0), plant(0))
-
-    assert len(found.plot().axes) == 2 * 3
-    assert found.on_estimation_data
-    assert "<pre>" in found._repr_html_()
-
-
 @pytest.mark.parametrize("lags", [0, N])
 def test_impossible_lags_are_refused(lags: int) -> None:
     with pytest.raises(InputError, match=rf"lags={lags} must be 1 to 200"):
@@ -267,6 +258,13 @@ def test_search_chooses_the_order_of_the_plant() -> None:
         "3 of 3 ",
     ]
     assert "  chosen" in repr(found)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.1])
+def test_a_state_space_has_no_k_if_samples_are_missing(missing: float) -> None:
+    found: Any = armrig.search(plant(2, missing=missing), families=["ss"], orders=[2])
+
+    assert found.fit.form.K.any() == (not missing)
 
 
 @pytest.mark.exhaustive
@@ -413,33 +411,6 @@ def test_sums_and_deviations_of_each_pair_are_those_of_its_signals() -> None:
         at = int(np.flatnonzero(found.cross_lags == k)[0])
         assert found.cross_correlation[i, j, at] == pytest.approx(expected, abs=1e-9)
     np.testing.assert_allclose(found.cross_std, 1 / np.sqrt(N), rtol=0.5)
-
-
-def test_channels_are_named_from_the_input_to_the_output() -> None:
-    found: Any = ByChannel(results={("a", "u"): 1, ("b", "u"): 2}, refused={("a", "v"): "why"})
-
-    assert repr(found).splitlines() == ["u to a: 1", "u to b: 2", "v to a: why"]
-    assert ([*found], len(found), found["b", "u"]) == ([("a", "u"), ("b", "u")], 2, 2)
-    with pytest.raises(InputError, match="v to a: why"):
-        found["a", "v"]
-    with pytest.raises(InputError, match=r"\('u', 'a'\): there is no such channel; there are"):
-        found["u", "a"]
-
-
-@pytest.mark.parametrize("integrator", [None, True, False])
-def test_several_inputs_are_tested_without_an_integrator(
-    integrator: bool | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[Any] = []
-    monkeypatch.setattr(
-        feedback_and_delay, "delay_of_one", lambda data, integrator: asked.append(integrator)
-    )
-    data = plant(1)
-
-    armrig.delay(data, integrator=integrator)
-    armrig.delay(data.channels(["y1", "y2"], ["u1"]), integrator=integrator)
-
-    assert asked == [False] * 4 + [integrator] * 2
 
 
 def test_given_weights_of_the_outputs_are_those_of_the_projection() -> None:
