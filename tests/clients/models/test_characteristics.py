@@ -127,34 +127,6 @@ def test_the_right_physics_differs_by_nothing(plant: HandoutPlant) -> None:
     assert "a small difference" in table.explain()
 
 
-def test_a_model_that_cannot_simulate_is_not_held_against_the_rig(plant: HandoutPlant) -> None:
-    data = plant.dataset(1)
-    models = armrig.arx(data, na=4, nb=4), physical_model(HANDOUT, data)
-
-    said = armrig.compare(plant.dataset(2), *models, labels=("ARX", "physics")).explain()
-
-    assert "which biases the ARX model: take OE" in said
-
-
-def test_the_table_has_a_column_for_each_model(plant: HandoutPlant) -> None:
-    data = plant.dataset(1)
-    table = armrig.compare(
-        data, armrig.arx(data, na=2, nb=2), physical_model(HANDOUT, data), labels=("mine", "theirs")
-    )
-    lines = table.table().splitlines()
-
-    assert lines[0].split()[-2:] == ["mine", "theirs"]
-    noted = [line for line in lines if "linearisation" in line or "summary()" in line]
-    assert len(lines) - len(noted) == 1 + len(SCALARS) + 4
-
-
-def test_labels_are_one_a_model(plant: HandoutPlant) -> None:
-    data = plant.dataset(1)
-
-    with pytest.raises(ValueError, match="2 labels for 1 models"):
-        armrig.compare(data, physical_model(HANDOUT, data), labels=("a", "b"))
-
-
 def _moved(fit: armrig.Fit, theta: np.ndarray) -> armrig.Fit:
     """Return a claim with other coefficients, b1 … b4 f1 … f4."""
     none = np.zeros((8, 8))

@@ -31,14 +31,3 @@ def test_typst_takes_the_equation(fits: tuple[Fit, ...], tmp_path: Path) -> None
     source.write_text("\n\n".join(fit.typst() for fit in fits), encoding="utf-8")
 
     assert typst.compile(str(source)).startswith(b"%PDF")
-
-
-def test_every_coefficient_is_in_it(fits: tuple[Fit, ...]) -> None:
-    whole, structure, *_ = fits
-    text = whole.typst()
-
-    assert "y(t) &= B(q)/F(q) thin u(t) + C(q)/D(q) thin e(t)" in text
-    assert text.count("plus.minus") == whole.theta.size
-    expected = f"F(q) &= 1 - ({-whole.F[1]:.5g} plus.minus {whole.std[4]:.2g}) thin q^(-1)"
-    assert expected in text
-    assert "A(q) thin y(t) &= B(q) thin u(t) + e(t)" in structure.typst()

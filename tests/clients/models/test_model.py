@@ -57,15 +57,6 @@ def test_nothing_in_a_model_is_uncertain(fit: armrig.Fit) -> None:
     assert fit.poles().std.any()
 
 
-def test_a_model_cannot_be_changed(fit: armrig.Fit) -> None:
-    model = claimed(fit)
-
-    with pytest.raises(AttributeError):
-        model.nk = 2  # type: ignore[misc]
-    with pytest.raises(ValueError, match="read-only"):
-        model.B[1] = 2.0
-
-
 def test_the_physics_is_no_fit_and_says_nothing_of_losses(plant: HandoutPlant) -> None:
     physics = physical_model(ArmParameters(), plant.dataset(1, N=200))
 
@@ -76,16 +67,6 @@ def test_the_physics_is_no_fit_and_says_nothing_of_losses(plant: HandoutPlant) -
     assert "y(t) = B(q)/F(q) u(t) + e(t)" in repr(physics)
     assert "nan" not in repr(physics)
     assert "±" not in repr(physics)
-
-
-def test_models_are_compared_under_their_own_names(fit: armrig.Fit, plant: HandoutPlant) -> None:
-    data = plant.dataset(2, N=400)
-    physics = physical_model(ArmParameters(), data)
-
-    table = armrig.compare(data, physics, fit)
-
-    assert [row.name for row in table.rows] == ["physics", "OE[4 4 1]"]
-    assert "OE[4 4 1] and physics: no characteristic differs" in table.explain()
 
 
 def test_the_physics_predicts_by_simulation(plant: HandoutPlant) -> None:

@@ -249,14 +249,3 @@ def test_a_complex_pair_that_cancels_is_framed_above_and_below() -> None:
     assert np.asarray(frame.get_xdata()) == pytest.approx([0.6, 0.6], abs=1e-6)
     assert np.sort(np.asarray(frame.get_ydata())) == pytest.approx([-0.4005, 0.4005], abs=1e-6)
     assert frame.get_label() == "cannot be distinguished"
-
-
-def test_the_region_of_a_real_pole_is_a_bar() -> None:
-    ax = plot_poles_zeros(lag(std=0.02), ax=Figure().add_subplot())
-
-    bars = [line for line in ax.lines if line.get_marker() == "|"]
-    assert np.asarray(bars[0].get_xdata()) == pytest.approx(
-        [0.8 - 1.96 * 0.004, 0.8 + 1.96 * 0.004], abs=1e-5
-    )
-    assert np.asarray(bars[0].get_ydata()).tolist() == [0.0, 0.0]
-    assert not [line for line in plot_poles_zeros(lag()).lines if line.get_marker() == "|"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +12,9 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.finding import warning
 from armrig.data.merging import merge
-from armrig.data.step import LINE, MEAN, Step, codes_of
+from armrig.data.step import LINE, MEAN, codes_of
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
-from armrig.estimation.oe import oe
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.model_file import fit_of, load_fit
@@ -85,18 +83,6 @@ def test_the_keys_of_a_model_file_stay_as_they_are(fit: Fit, tmp_path: Path) -> 
     }
 
 
-def test_a_model_file_keeps_what_programs_decide_by(fit: Fit, tmp_path: Path) -> None:
-    found = warning("unstable", "a sentence", "order", farthest=1.02)
-    treated = replace(fit, findings=(found,), history=(Step("another", MEAN),))
-
-    treated.save(tmp_path / "model.json")
-    loaded = load_fit(tmp_path / "model.json")
-
-    assert loaded.findings == (found,)
-    assert loaded.warnings == ("a sentence",)
-    assert codes_of(loaded.history) == [MEAN]
-
-
 def test_a_model_file_of_armrig_0_1_has_sentences_alone(fit: Fit, tmp_path: Path) -> None:
     """Each sentence of a treatment had one meaning in 0.1."""
     content = json.loads(model_text(fit))
@@ -140,33 +126,6 @@ def test_a_file_that_is_cut_off_is_refused(fit: Fit, tmp_path: Path) -> None:
 
         with pytest.raises(FileError):
             load_fit(path)
-
-
-def test_the_equation_is_typeset_with_its_deviations(fit: Fit) -> None:
-    text = fit.latex()
-
-    assert r"y(t) &= \frac{B(q)}{F(q)}\,u(t) + \frac{C(q)}{D(q)}\,e(t)" in text
-    assert text.count(r"\pm") == fit.theta.size
-    assert text.count("&=") == 5
-    assert text.count("{") == text.count("}")
-    assert rf"F(q) &= 1 - ({-fit.F[1]:.5g} \pm" in text
-    assert rf"B(q) &= ({fit.B[1]:.5g} \pm {fit.std[0]:.2g})\,q^{{-1}}" in text
-    assert r"A(q)\,y(t) &= B(q)\,u(t) + e(t)" in arx(data(1), na=1, nb=1).latex()
-    assert r"\cdot 10^{" in replace(fit, covariance=1e-20 * fit.covariance).latex()
-
-
-def test_a_notebook_shows_equation_table_and_verdict(fit: Fit) -> None:
-    warned = replace(oe(data(3), nb=1, nf=1), findings=(warning("gaps", "a < b"),))
-
-    for shown in (fit, warned):
-        text = shown._repr_html_()
-
-        assert shown.latex() in text
-        assert text.count("<tr>") == shown.theta.size + 1
-        tags = re.findall(r"<(/?)(\w+)>", text)
-        assert sum(1 if not end else -1 for end, _ in tags) == 0
-    assert "a &lt; b" in text
-    assert "trust std" in fit._repr_html_()
 
 
 def test_a_model_of_a_windows_editor_is_read(fit: Fit, tmp_path: Path) -> None:

@@ -459,20 +459,6 @@ def test_a_panel_for_each_output_has_the_fits_of_its_models() -> None:
     assert panels[1].get_xlim() == (0.0, 1.5)
 
 
-def test_models_that_cannot_be_compared_are_refused() -> None:
-    data, model = compared().data, Constant(1.0, 2.0)
-    one: Any = fit_of(apart())["a", "u"]
-
-    for models, labels, said in (
-        ((), None, "at least one model"),
-        ((one,), None, "a Fit has one output"),
-        ((model,), ("a", "b"), "give a name for each of 1 models"),
-        ((model, model), "ab", "labels='ab': give a name for each of 2 models"),
-    ):
-        with pytest.raises((InputError, TypeError), match=said):
-            compare(data, *models, labels=labels)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("name", FORMS)
 def test_a_file_keeps_each_field_of_each_form(name: str, tmp_path: Path) -> None:
     fit = fit_of(

@@ -16,7 +16,6 @@ from armrig.models.structure_table import (
     RegisteredStructure,
     StructureName,
     named,
-    with_article,
 )
 from armrig.numerics.polynomial import filtered
 
@@ -65,15 +64,3 @@ def test_a_fit_has_the_orders_and_the_label_of_its_row(kind: RegisteredStructure
     values = " ".join(str(n) for n in fit.orders.values())
     assert fit.label == f"{kind.name.upper()}[{values}]"
     assert repr(fit).startswith(f"{kind.name.upper()}({named(fit.orders)}): u ")
-
-
-def test_orders_and_articles_are_written_as_they_are_read() -> None:
-    assert named({"nb": 4, "nf": 3, "nk": 1}) == "nb=4, nf=3, nk=1"
-    assert named({"order": None, "nk": 2}) == "nk=2"
-    assert [with_article(name) for name in ("OE", "ARX", "BJ", "N4SID", "PEM")] == [
-        "an OE",
-        "an ARX",
-        "a BJ",
-        "an N4SID",
-        "a PEM",
-    ]
