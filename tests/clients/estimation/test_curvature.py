@@ -148,11 +148,3 @@ def test_a_pole_that_may_be_unstable_is_not_trusted() -> None:
     problem = PredictionErrorProblem(experiments=(prepared(data, n),), structure=n)
 
     assert curvature(problem, np.array([-0.9]), np.array([[0.01]]), 0.1) > 6
-
-
-def test_it_is_kept_in_the_file(tmp_path: object) -> None:
-    fit = armrig.oe(plant(0.605, std=0.5), nb=2, nf=2)
-    path = f"{tmp_path}/model.json"
-    fit.save(path)
-
-    assert armrig.load_fit(path).curvature == fit.curvature

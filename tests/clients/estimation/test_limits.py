@@ -56,7 +56,7 @@ def test_an_output_of_zeros_is_not_called_too_small() -> None:
     assert not still.y.any()
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e-3, 1e25, 1e-25])
+@pytest.mark.parametrize("factor", [1e25, 1e-25])
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_a_unit_changes_nothing_but_the_numbers(estimator: str, factor: float) -> None:
     estimate = getattr(armrig, estimator)
@@ -84,15 +84,3 @@ def test_a_noise_model_at_the_circle_says_so() -> None:
 def test_three_samples_are_counted_as_three() -> None:
     with pytest.raises(ValueError, match="needs at least 26 samples, got 3"):
         armrig.n4sid(armrig.Dataset(u=U[:3], y=Y[:3], Ts=1.0), order=2)
-
-
-def test_the_noise_model_is_a_transfer_function() -> None:
-    """H = C / (D A)."""
-    fit = armrig.armax(armrig.Dataset(u=U, y=Y, Ts=0.1), na=2, nb=2, nc=1)
-
-    H = fit.noise_to_control()
-
-    assert (H.dt, H.input_labels, H.output_labels) == (0.1, ["e"], ["y"])
-    z = np.exp(0.7j)
-    expected = np.polyval(np.append(fit.C, 0.0), z) / np.polyval(fit.A, z)
-    assert H(z) == pytest.approx(expected)

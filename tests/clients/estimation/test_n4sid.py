@@ -22,7 +22,6 @@ from armrig.models.structure_table import Focus, Weights
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.polynomial import filtered, impulse
 from armrig.validation.comparison import compare
-from armrig.validation.residuals import residuals
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
@@ -205,23 +204,6 @@ def test_gaps_and_several_experiments_cost_only_their_windows() -> None:
     np.testing.assert_allclose(fit.B, B, atol=5 * fit.std[2:4].max())
 
 
-def test_the_state_space_is_the_model() -> None:
-    fit = n4sid(_data(1), 2)
-
-    A, B_s, C_s, D, K = fit.state_space()
-
-    omega = np.array([0.1, 1.0, 3.0])
-    z = np.exp(1j * omega)
-    np.testing.assert_allclose(fit.to_control()(z), fit.frequency_response(omega).G, rtol=1e-9)
-    u, e = np.random.default_rng(1).standard_normal((2, 50))
-    x, y = np.zeros((2, 1)), []
-    for k in range(50):
-        y.append((C_s @ x + D * u[k]).item() + e[k])
-        x = A @ x + B_s * u[k] + K * e[k]
-    expected = filtered(fit.B, fit.A, u) + filtered(fit.C, fit.A, e)
-    np.testing.assert_allclose(y, expected, atol=1e-9)
-
-
 @pytest.mark.parametrize("integrator", [False, True])
 def test_poles_are_reflected_beside_an_integrator(integrator: bool) -> None:
     at_1 = np.array([1.0, -1.0]) if integrator else np.ones(1)
@@ -256,16 +238,6 @@ def test_noise_is_not_estimated_from_what_was_before_the_first_sample(missing: b
     found = _of_what_is_left(experiments, clean, np.array(F), 2)
 
     np.testing.assert_allclose(found, C, atol=0.15)
-
-
-def test_it_predicts_and_is_tested_as_every_model() -> None:
-    fit, other = n4sid(_data(1), 2), _data(2)
-
-    tests = residuals(fit, other)
-
-    assert compare(other, fit, horizon=1)[0].rms_error == pytest.approx(0.5, rel=0.05)
-    assert tests.whiteness > 0.01
-    assert tests.missing_dynamics > 0.01
 
 
 @pytest.mark.parametrize("seed", range(4))

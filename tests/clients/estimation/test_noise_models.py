@@ -247,18 +247,6 @@ def test_the_predictor_stays_stable() -> None:
     assert -1 < fit.C[1] < -0.9
 
 
-@pytest.mark.parametrize("k", [1, 2, 5])
-def test_a_prediction_errs_as_the_noise_model_says(k: int) -> None:
-    """Var(y - ŷ) at horizon k is lambda sum of h_i², i < k, with h = C/D's impulse response."""
-    seen = bj_data(10, N=20_000)
-    fit = bj(seen, nb=2, nc=1, nd=1, nf=2, starts="few")
-
-    error = seen.y - fit.predict(seen, horizon=k)
-
-    h = filtered(C, D, np.eye(k)[0])
-    assert np.mean(error**2) == pytest.approx(0.25 * np.sum(h**2), rel=0.05)
-
-
 @pytest.mark.parametrize(
     "options", [{"offset": True}, {"integrator": True, "initial": "zero"}], ids=["offset", "angle"]
 )
@@ -274,24 +262,6 @@ def test_a_prediction_without_c_finds_the_level_of_u(options: dict[str, Any]) ->
 
     assert abs(np.nanmean(error)) < 0.01
     assert np.nanstd(error) == pytest.approx(0.05, rel=0.1)
-
-
-@pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES[:2])
-def test_what_a_model_predicts_from_is_only_the_past(
-    estimate: Callable[..., Fit],
-    made: Callable[..., Dataset],
-    orders: dict[str, int],
-    truth: list[float],
-) -> None:
-    seen = made(11)
-    fit = estimate(seen, **orders)
-    y = seen.y.copy()
-    y[400] += 3.0
-
-    moved = fit.predict(Dataset(u=seen.u, y=y, Ts=0.1), horizon=3) - fit.predict(seen, horizon=3)
-
-    np.testing.assert_allclose(moved[100:403], 0, atol=1e-9)
-    assert abs(moved[403]) > 0.1
 
 
 def test_residuals_of_the_estimation_are_those_of_the_test() -> None:

@@ -210,18 +210,6 @@ def test_backcast_is_the_state_that_is_estimated() -> None:
     np.testing.assert_array_equal(fit.theta, oe(data, nb=2, nf=2).theta)
 
 
-def test_the_starts_are_reported() -> None:
-    rng = np.random.default_rng(8)
-    u = rng.standard_normal(500)
-    y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + 0.3 * rng.standard_normal(500)
-
-    fit = oe(Dataset(u=u, y=y, Ts=1), nb=2, nf=2)
-
-    assert {s.name for s in fit.starts} == {"ARX", "high-order ARX, Steiglitz-McBride"}
-    assert fit.agreed
-    assert "starts agree" in repr(fit)
-
-
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("std", [0.01, 0.3])
 def test_resonant_systems_are_found_from_their_data_alone(std: float) -> None:
@@ -262,18 +250,6 @@ def test_an_input_that_does_not_excite_is_refused() -> None:
         oe(Dataset(u=(-1.0) ** np.arange(50), y=y, Ts=1), nb=2, nf=1)
     with pytest.raises(ValueError, match="u is constant: gain and level cannot be distinguished"):
         oe(Dataset(u=np.zeros(50), y=y, Ts=1), nb=2, nf=1)
-
-
-def test_impossible_orders_are_refused() -> None:
-    """An integrator needs a denominator."""
-    data = Dataset(u=np.ones(9), y=np.ones(9), Ts=1)
-
-    with pytest.raises(ValueError, match="nf=0 must be an integer >= 1"):
-        oe(data, nb=1, nf=0, integrator=True)
-    with pytest.raises(
-        ValueError, match='initial=\'rest\' must be one of "estimate", "backcast", "zero"'
-    ):
-        oe(data, nb=1, nf=1, initial="rest")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("n", sampled([2, 4, 6]))

@@ -113,16 +113,7 @@ def test_every_input_can_be_described_and_shown(u: NDArray[np.float64]) -> None:
     d = describe_input(u, 0.01)
 
     assert f"input of {u.size} samples at 0.01 s" in repr(d)
-    figure = d.plot()
-    figure.canvas.draw()
-    plt.close(figure)
-
-
-def test_what_is_no_input_is_refused() -> None:
-    with pytest.raises(ValueError, match="u is not finite at 1"):
-        describe_input([1.0, np.nan], 0.01)
-    with pytest.raises(ValueError, match="Ts=0 must be finite"):
-        describe_input([1.0, 2.0], 0)
+    plt.close(d.plot())
 
 
 def test_half_of_the_power_is_told_by_its_frequency() -> None:

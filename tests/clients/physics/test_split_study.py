@@ -121,21 +121,6 @@ def test_black_box_models_can_be_split_too(make: Make) -> None:
         armrig.split_study(make(N=400), (1, 0))
 
 
-def test_the_words_report_the_trend_and_its_reason(make: Make) -> None:
-    study = armrig.split_study(make(), (1, 2, 4))
-    text = study.explain()
-
-    assert "half the data have half the information and twice the variance" in text
-    last, whole = study.splits[-1], study.splits[0]
-    value, std = last.pooled
-    assert f"the estimate of the 4 parts is {value:.6g} ± {std:.2g}; the estimate" in text
-    assert f"from all data is {whole.values[0]:.6g} ± {whole.std[0]:.2g}." in text
-    assert f"scatter by {last.scatter:.2g}" in text
-    assert f"the reported standard deviation is {np.sqrt(np.mean(last.std**2)):.2g}." in text
-    assert f"chi² {last.chi2:.2f} with 3 degrees of freedom" in text
-    assert "4 parts agree" in text
-
-
 def test_progress_is_reported_before_each_part_and_at_the_end() -> None:
     told: list[tuple[int, int, str]] = []
     rng = np.random.default_rng(1)

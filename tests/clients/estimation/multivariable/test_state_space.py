@@ -26,7 +26,7 @@ from armrig.estimation.multivariable.state_space_problem import (
 from armrig.estimation.multivariable.subspace import projected
 from armrig.estimation.multivariable.whitening import whitening
 from armrig.numerics.polynomial import Array, filtered
-from armrig.numerics.recursion import recursion, responses, varying_recursion
+from armrig.numerics.recursion import recursion, varying_recursion
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
@@ -189,21 +189,6 @@ def test_a_start_value_is_stable() -> None:
     inside = reflected_matrix(np.diag([1.5, 0.5]))
 
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(inside)), [0.5, 1 / 1.5])
-
-
-@pytest.mark.parametrize("Phi", [A, np.array([[0.9, 1.0], [0.0, 0.9]])], ids=["modes", "double"])
-def test_responses_are_those_of_the_recursion(Phi: Array) -> None:
-    n = Phi.shape[0]
-    signals = np.random.default_rng(1).normal(size=(50, 2))
-    c = np.random.default_rng(2).normal(size=(2, n))
-
-    found = responses(Phi, c, signals)
-
-    assert found.shape == (2, n, 2, 50)
-    for s in range(2):
-        for k in range(n):
-            x = recursion(Phi, np.outer(signals[:, s], np.eye(n)[k]), np.zeros(n))[:-1]
-            np.testing.assert_allclose(found[s, k].T, x @ c.T, atol=1e-9)
 
 
 def test_noise_free_data_give_back_the_plant() -> None:

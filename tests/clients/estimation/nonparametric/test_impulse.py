@@ -219,14 +219,6 @@ def test_the_dryer_answers_at_lag_3(
     assert found.first_lag(0.99) == 3
 
 
-def test_a_band_is_called_what_it_is(second: Any) -> None:
-    """Bayesian with a prior, of confidence without."""
-    data = second.dataset(np.random.default_rng(6), 300)
-
-    assert "Bayesian (credible)" in repr(impulse_response(data, integrator=False))
-    assert "confidence" in repr(impulse_response(data, kernel=None, integrator=False))
-
-
 @pytest.mark.parametrize("kernel", [None, "tc"])
 @pytest.mark.parametrize("p", [0.002, 0.3])
 @pytest.mark.parametrize(("last", "std"), [(0.019, 0), (-0.021, 0), (0.027, 0.01), (0.03, 0.01)])
@@ -242,15 +234,6 @@ def test_doubts_about_a_band_are_those_of_its_kind(
     assert [x == short for x in told] == [True] * (last in (-0.021, 0.03)) + [False] * (
         kernel == "tc" and p < 0.05
     )
-
-
-def test_a_response_cut_off_says_so(second: Any) -> None:
-    """Five lags are too few for this response."""
-    data = second.dataset(np.random.default_rng(7), 500, std=0.1)
-
-    found = impulse_response(data, 5, kernel=None, integrator=False)
-
-    assert any("not decayed" in w for w in found.warnings)
 
 
 def test_the_spectrum_of_a_response_carries_its_uncertainty(second: Any) -> None:

@@ -12,7 +12,6 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric import sampling_time as sampling_time_module
 from armrig.estimation.nonparametric.sampling_time import (
     DIFFERENCED,
-    SamplingTime,
     _bandwidth,
     _dead_time,
     _doubts,
@@ -202,57 +201,6 @@ def test_holds_are_steps_if_y_settles_in_each(
     steps = _settled_steps(Dataset(u=u, y=u, Ts=0.1), integrates=False)
 
     assert steps is (found if is_analysed else None)
-
-
-def _found(**of: Any) -> SamplingTime:
-    fields: dict[str, Any] = {
-        "Ts": 0.005, "tau": 0.0213, "omega_step": 46.9, "omega_first": 10.2, "omega_spectrum": 61.7,
-        "settling": 0.412, "settling_std": 0.031, "Ts_step": 0.0067, "Ts_spectrum": 0.0051,
-        "Ts_transient": (0.0412, 0.0589), "near_nyquist": 0.023, "beyond": 0.0007,
-        "from_step": True, "recorded_at": 0.002, "output": "the rate of theta_1", "t": np.zeros(2),
-        "response": np.zeros(2), "gain": 1.0, "omega": np.zeros(2), "power": np.zeros(2),
-        "spectrum": None, "source": "", "doubts": ("one",), "notes": ("one", "two"),
-    }  # fmt: skip
-    return SamplingTime(**(fields | of))
-
-
-def test_the_recommendation_is_told_line_by_line() -> None:
-    lines = repr(_found()).replace("\xa0", " ").splitlines()
-
-    assert lines == [
-        "sampling time: 5 ms recommended (from the rate of theta_1 at 2 ms, steps)",
-        "  step:      63 % time tau 21.3 ms, omega_B = 1/tau = 46.9 rad/s, omega_s = 20 omega_B: "
-        "Ts 6.7 ms",
-        "  spectrum:  -3 dB first at 10.2, last (omega_B) at 61.7 rad/s, omega_s = 20 omega_B: Ts "
-        "5.1 ms",
-        "  transient: 412 ± 31 ms to within 5 %, 10 to 7 samples in it: Ts 41.2 … 58.9 ms",
-        "  aliasing:  2.3 % of the power is above 0.8 of Nyquist; 0.07 % is above Nyquist at the "
-        "recommended Ts",
-        "  one",
-        "  two",
-    ]
-    assert _found().brief().replace("\xa0", " ").splitlines() == [*lines[:4], "  one"]
-
-
-@pytest.mark.parametrize(
-    ("of", "line", "text"),
-    [
-        ({"from_step": False}, 0, "at 2 ms, regularised impulse response)"),
-        ({"tau": 0.0019}, 1, "  step:      63 % time tau below a sample, 2 ms"),
-        ({"tau": 0.002}, 1, "63 % time tau 2 ms, omega_B = 1/tau = 46.9 rad/s"),
-        ({"omega_first": 61.72}, 2, "  spectrum:  -3 dB at 61.7 rad/s"),
-        ({"settling": 0.0019}, 3, "  transient: over within a sample"),
-        ({"settling_std": np.nan}, 3, "  transient: 412 ms to within 5 %"),
-        ({"settling": 1.23, "settling_std": 0.1}, 3, "  transient: 1.23 ± 0.10 s to within 5 %"),
-        (
-            {"beyond": np.nan},
-            4,
-            "of Nyquist; an unknown share is above Nyquist at the recommended Ts",
-        ),
-    ],
-)
-def test_what_is_not_known_is_told_so(of: dict[str, Any], line: int, text: str) -> None:
-    assert text in repr(_found(**of)).replace("\xa0", " ").splitlines()[line]
 
 
 NOTES: list[tuple[dict[str, Any], list[str]]] = [

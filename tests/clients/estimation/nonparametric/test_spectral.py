@@ -195,32 +195,12 @@ def test_missing_samples_and_several_experiments_give_the_same_response(second: 
     assert 1.1 < np.mean(b.std_magnitude / a.std_magnitude) < 1.35  # 1/sqrt(0.7) is 1.195
 
 
-def test_python_control_gets_the_same_response(second: Any) -> None:
-    found = spa(second.dataset(np.random.default_rng(4)), omega=OMEGA, integrator=False)
-
-    there = found.to_control()
-
-    np.testing.assert_allclose(there.complex.ravel(), found.G)
-    np.testing.assert_allclose(there.omega, OMEGA)
-    assert there.dt == 1.0
-
-
 def test_at_zero_and_nyquist_the_response_is_real(second: Any) -> None:
     """The whole uncertainty is in the magnitude."""
     found = spa(second.dataset(np.random.default_rng(5)), 30, [0.0, np.pi], integrator=False)
 
     np.testing.assert_allclose(found.G.imag, 0.0, atol=1e-9)
     np.testing.assert_allclose(found.std_phase, 0.0, atol=1e-6)
-
-
-def test_the_rate_of_a_response_is_its_difference(arm: Any) -> None:
-    """G (1 - exp(-i omega Ts))/Ts, with its unit."""
-    found = spa(arm.telegraph(N=1000))
-
-    rate = found.rate()
-
-    np.testing.assert_allclose(rate.G, found.G * (1 - np.exp(-1j * found.omega * 0.01)) / 0.01)
-    assert (rate.output, rate.unit) == ("velocity", "rad/s")
 
 
 @pytest.mark.parametrize(("N", "window"), [(100, 10), (1200, 120), (3500, 300)])

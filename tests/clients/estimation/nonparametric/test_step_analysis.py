@@ -11,7 +11,6 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.data.treatment.wrong_samples import quantum
-from armrig.estimation.nonparametric import step_analysis as step_analysis_module
 from armrig.estimation.nonparametric.step_analysis import (
     StepAnalysis,
     _alone,
@@ -27,6 +26,7 @@ from armrig.estimation.nonparametric.step_analysis import (
 from armrig.estimation.nonparametric.step_answer import DRAWS, Answer, _reached, _settled
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import with_std
+from armrig.numerics.step_times import lag_of_angle
 from armrig.recordings.example import example_recording
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
@@ -74,18 +74,16 @@ def test_a_first_order_system_is_read_off(down: bool) -> None:
     assert found.overshoot == pytest.approx(0.0, abs=1e-3)
 
 
-def test_dead_time_counts_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(step_analysis_module, "_lag", lambda *_, **__: (0.3, 0.0))
-        found = step_analysis(first_order(dead=8, std=0.01), integrator=False)
-    low, high = found.dead_time_interval
-    assert found.equivalent_time == pytest.approx(0.3 - found.dead_time)
-    assert found.equivalent_time_std == pytest.approx((high - low) / 4)
+def test_dead_time_counts_for_itself() -> None:
+    found = step_analysis(first_order(dead=8, std=0.01), integrator=False)
     unclaimed = step_analysis(first_order(dead=8, std=0.05), integrator=False)
 
     assert found.dead_time == pytest.approx(0.08, abs=0.015)
-    assert found.dead_time_interval[0] > 0
+    low, high = found.dead_time_interval
+    assert low > 0
     assert found.tau == pytest.approx(TAU, rel=0.1)
+    assert found.equivalent_time == pytest.approx(TAU, rel=0.1)
+    assert (high - low) / 4 < found.equivalent_time_std < (high - low) / 3
     assert unclaimed.dead_time in (0.0, pytest.approx(0.08, abs=0.03))
     assert abs(unclaimed.tau - TAU) < 2 * unclaimed.tau_std
 
@@ -200,19 +198,20 @@ def test_motion_before_the_step_counts_up_to_the_63_per_cent_time(
     assert left == pytest.approx(12 * slope, abs=5e-3)
 
 
-def test_the_rounding_of_an_angle_is_divided_by_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rounding_of_an_angle_is_divided_by_the_steps() -> None:
     """Steps of 3 and -4 weigh as one of 5."""
     u = np.repeat([1.0, 4.0, 0.0], [30, 30, 30])
     y = 0.02 * np.round(np.cumsum(u) / 7)
     data = Dataset(u=u, y=y, Ts=0.1)
-    given: dict[str, Any] = {}
-    monkeypatch.setattr(step_analysis_module, "lag_of_angle", lambda *_, **of: given.update(of))
     k = np.arange(-20, 30)
+    mean = 0.3 * k + 0.01 * np.cos(k)
 
-    _lag(np.zeros(50), k, data, _Steps([(0, 30), (0, 60)], 20, 30), (1.0, 0.1), integrates=True)
+    found = _lag(mean, k, data, _Steps([(0, 30), (0, 60)], 20, 30), (1.0, 0.1), integrates=True)
 
+    late = k >= 2 * 29 // 3
+    expected = lag_of_angle(0.1 * k[late], mean[late], before=(11, 1.1), rounding=0.02 / 5)
     assert quantum(data) == pytest.approx(0.02)
-    assert given == {"before": (11, pytest.approx(1.1)), "rounding": pytest.approx(0.02 / 5)}
+    assert found == pytest.approx(expected)
 
 
 def test_a_curve_crosses_and_settles_between_its_samples() -> None:

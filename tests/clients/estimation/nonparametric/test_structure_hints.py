@@ -175,15 +175,6 @@ def test_a_sign_is_no_delay() -> None:
 
 
 @pytest.mark.exhaustive
-def test_what_is_not_there_is_reported_in_words() -> None:
-    said = structure_hints(_first_order(2.0)).explain()
-
-    assert "resonance" not in said
-    assert "none rad/s" not in said
-    assert "like -" not in said
-
-
-@pytest.mark.exhaustive
 def test_a_pure_integrator_has_the_one_pole_at_1() -> None:
     rng = np.random.default_rng(4)
     u = rng.standard_normal(2000)
