@@ -309,12 +309,6 @@ def _mean_excess(fits: list[SubspaceFit]) -> float:
     return float(np.mean([_excess(fit, [1.0], [1.0]) for fit in fits]))
 
 
-def test_a_horizon_that_is_given_is_taken() -> None:
-    data, _ = _of_fourth_order(1, 500, C4, A4)
-
-    assert [n4sid(data, 4, horizon=h).horizon for h in (6, 13)] == [6, 13]
-
-
 @pytest.mark.parametrize("integrator", [False, True])
 def test_a_model_for_simulation_is_the_best_output_error_model(integrator: bool) -> None:
     """It has the same minimum as a search from other starts."""

@@ -289,12 +289,6 @@ def test_data_of_another_output_are_refused(make: Make) -> None:
             estimator(velocity)  # type: ignore[operator]
 
 
-def test_too_few_samples_are_refused(make: Make) -> None:
-    """One parameter, two states, an offset and one more sample."""
-    with pytest.raises(ValueError, match="4 samples are too few to estimate J_1"):
-        armrig.greybox(make(N=4))
-
-
 def test_a_model_of_one_s_own(make: Make) -> None:
     import control
 

@@ -53,26 +53,6 @@ def test_slow_data_are_advised_on_as_fast_ones(Ts: float) -> None:
     assert "ARX and OE" in dict(judged[0])
 
 
-def test_a_poor_input_is_reported(plant: HandoutPlant) -> None:
-    """A single step determines no dynamics of order four."""
-    u = np.where(np.arange(1000) < 100, 1.0, 4.0)
-    data = Dataset(u=u, y=plant.angle(u), Ts=0.01, output="theta_1", unit="rad")
-
-    assert "excitation" in told(armrig.advice(data))
-
-
-def test_outliers_are_reported_with_their_place(plant: HandoutPlant) -> None:
-    """One sample is 0.2 rad off."""
-    data = plant.dataset(1)
-    y = data.y.copy()
-    y[1234] += 0.2
-
-    found = armrig.advice(data.replaced(y=y, step=None))
-
-    assert "outliers" in told(found)
-    assert "1234" in repr(found)
-
-
 def test_a_drift_of_an_output_that_does_not_integrate_is_reported() -> None:
     rng = np.random.default_rng(1)
     u = rng.choice([-1.0, 1.0], 2000)
@@ -164,14 +144,6 @@ def test_a_sine_determines_neither_orders_nor_a_delay() -> None:
     data = of_second_order(np.sin(0.3 * np.arange(1500)))
 
     assert told(armrig.advice(data)) == {"excitation", "delay"}
-
-
-@pytest.mark.exhaustive
-def test_a_delay_is_reported_with_the_nk_to_take() -> None:
-    found = armrig.advice(of_second_order(switched(), nk=4))
-
-    assert "nk=4" in repr(found)
-    assert "delay" not in told(found)
 
 
 def test_an_output_that_does_not_answer_is_reported() -> None:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.data.merging import merge
 from armrig.data.treatment import difference
 from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx
@@ -133,16 +132,6 @@ def test_the_band_is_wider_where_residuals_and_input_are_both_coloured() -> None
     assert tested.autocorrelation[1] == pytest.approx(c, abs=0.05)
 
 
-def test_experiments_are_judged_each_from_its_own_state() -> None:
-    fit = oe(data(1), nb=2, nf=2)
-    parts = [data(2)[50:300], data(3)[70:400]]
-
-    together = residuals(fit, merge(parts))
-
-    apart = np.concatenate([residuals(fit, part).e for part in parts])
-    np.testing.assert_allclose(together.e, apart)
-
-
 def test_a_model_of_another_output_is_refused() -> None:
     angle = Dataset(u=data(1).u, y=np.cumsum(data(1).y), Ts=1, output="theta_1", unit="rad")
     fit = arx(difference(angle), na=1, nb=1)
@@ -151,32 +140,6 @@ def test_a_model_of_another_output_is_refused() -> None:
     for judged in (compare, lambda d, f: residuals(f, d), lambda d, f: f.predict(d)):
         with pytest.raises(ValueError, match=said):
             judged(angle, fit)
-
-
-def test_a_name_alone_identifies_another_output() -> None:
-    """Both angles are in rad."""
-    theta_1, alpha = (
-        Dataset(u=data(1).u, y=data(1).y, Ts=1, output=name, unit="rad")
-        for name in ("theta_1", "alpha")
-    )
-
-    with pytest.raises(ValueError, match=r"is theta_1 \[rad\] and the data contain alpha \[rad\]"):
-        residuals(oe(theta_1, nb=2, nf=2), alpha)
-
-
-def test_a_unit_alone_identifies_another_output() -> None:
-    in_degrees = Dataset(u=data(1).u, y=data(1).y, Ts=1, unit="°")
-
-    with pytest.raises(ValueError, match=r"is y \[V\] and the data contain y \[°\]"):
-        compare(in_degrees, oe(data(1), nb=2, nf=2))
-
-
-def test_a_name_that_was_not_given_is_no_other_output() -> None:
-    named = Dataset(u=data(1).u, y=data(1).y, Ts=1, output="theta_1", unit="V")
-
-    compared, plain = (compare(data(2), oe(seen, nb=2, nf=2))[0] for seen in (named, data(1)))
-
-    assert compared.fit_percent == plain.fit_percent
 
 
 def test_ljung_and_box_lessen_the_degrees_of_freedom_by_na_on_estimation_data() -> None:
@@ -227,13 +190,6 @@ def test_the_covariance_of_the_free_parameters_gives_back_the_whole_one(
     back = by_free @ free @ by_free.T
     np.testing.assert_allclose(back / scale, fit.covariance_robust / scale, atol=1e-6)
     assert np.linalg.matrix_rank(free / np.sqrt(np.outer(np.diag(free), np.diag(free)))) == 6
-
-
-def test_what_cannot_be_judged_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least one model"):
-        compare(data(1))
-    with pytest.raises(ValueError, match="lags=400 must be 1 to 300"):
-        residuals(oe(data(1), nb=2, nf=2), data(1), lags=400)
 
 
 @pytest.mark.parametrize("own", [True, False])

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import armrig
@@ -13,10 +11,9 @@ import numpy as np
 import pytest
 from armrig import Dataset, Signals
 from armrig.estimation.multivariable.ends import ranked
-from armrig.models.model_file import load_fit as load_single
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.numerics.polynomial import Array, filtered
-from armrig_core.errors import FileError, InputError
+from armrig_core.errors import InputError
 
 from tests.benchmarks.several_signals import Plant
 
@@ -251,23 +248,6 @@ def test_equal_regressors_make_weights_superfluous() -> None:
     np.testing.assert_allclose(fit.theta[: len(names)], [expected[n] for n in names], rtol=1e-8)
 
 
-def test_a_channel_of_a_coupled_model_is_its_transfer_function() -> None:
-    fit = armrig.arx(coupled(), **COUPLED)
-    omega = np.array([0.5, 3.0, 20.0])
-    system = fit.to_control()
-
-    response = fit.frequency_response(omega)
-
-    for k, w in enumerate(omega):
-        np.testing.assert_allclose(response.G[k], system(np.exp(1j * w * fit.Ts)), rtol=1e-9)
-    (A_aa, A_ab), (A_ba, A_bb) = fit.form.A
-    determinant = np.convolve(A_aa, A_bb) - np.convolve(A_ab, A_ba)
-    found = fit.poles().values
-    np.testing.assert_allclose(
-        np.sort_complex(found[np.abs(found) > 1e-9]), np.sort_complex(np.roots(determinant))
-    )
-
-
 @pytest.mark.exhaustive
 def test_the_covariance_of_a_channel_is_that_of_many_runs() -> None:
     """The gain from v to a of a coupled model, and its deviation, in 60 runs."""
@@ -307,20 +287,6 @@ def test_a_shared_denominator_gains_from_the_second_output() -> None:
     pair = [np.sqrt(np.trace(f.poles().covariance[0])) for f in (fit["theta_1"], alone)]
     assert pair[0] < pair[1]
     assert len(fit.poles()) == 4
-
-
-@pytest.mark.exhaustive
-def test_predictions_continue_over_missing_samples() -> None:
-    data = plant(missing=0.2, C=(1, 0.4), D=(1, -0.8))
-    whole = plant(C=(1, 0.4), D=(1, -0.8))
-    fit = fitted_bj(0.2)
-
-    y = fit.predict(data, 1)
-
-    assert np.isfinite(y[np.cumsum(data.valid, axis=0) > 0]).all()
-    error = np.std((whole.y - y)[50:], axis=0)
-    simulated = np.std((whole.y - fit.predict(data, None))[50:], axis=0)
-    assert (error < 0.9 * simulated).all()
 
 
 def test_compare_is_one_function() -> None:
@@ -399,66 +365,6 @@ def test_data_without_information_are_refused() -> None:
     ):
         with pytest.raises(InputError, match=message):
             armrig.arx(data, na=1, nb=1)
-
-
-def test_other_channels_are_refused() -> None:
-    fit = armrig.oe(plant(), **ORDERS)
-
-    with pytest.raises(InputError, match="the model's outputs are a, b and the data have b, a"):
-        fit.predict(plant().channels(["b", "a"]))
-    with pytest.raises(InputError, match="output 'c': there is no such output; the model has a, b"):
-        fit["c", "u"]
-    with pytest.raises(InputError, match="u has shape"):
-        fit.simulate(np.zeros((10, 3)))
-
-
-def fitted(kind: str) -> MultivariableFit:
-    """Return a model of each form."""
-    made: dict[str, Any] = {
-        "polynomials": lambda: armrig.bj(plant(), nc=1, nd=1, **ORDERS),
-        "coupled": lambda: armrig.arx(coupled(), **COUPLED),
-        "matrices": lambda: armrig.n4sid(coupled(), 3, replicates=3),
-    }
-    fit: MultivariableFit = made[kind]()
-    return fit
-
-
-@pytest.mark.parametrize("kind", ["polynomials", "coupled", "matrices"])
-def test_a_saved_model_is_the_same_to_the_last_digit(kind: str, tmp_path: Path) -> None:
-    fit = fitted(kind)
-    fit.save(tmp_path / "m.json")
-
-    back = armrig.load_fit(tmp_path / "m.json")
-
-    assert isinstance(back, MultivariableFit)
-    assert repr(back) == repr(fit)
-    np.testing.assert_array_equal(back.theta, fit.theta)
-    np.testing.assert_array_equal(back.covariance, fit.covariance)
-    assert back.digest == fit.digest
-    assert back.starts == fit.starts
-    np.testing.assert_array_equal(back["a", "u"].covariance, fit["a", "u"].covariance)
-    with pytest.raises(FileError, match="is a model of several signals"):
-        load_single(tmp_path / "m.json")
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"version": 9}, "has format version 9"),
-        ({"form": {"kind": "x"}}, "is a damaged model"),
-        ({"covariance": [[1.0]]}, "is a damaged model: ValueError: it has 8 parameters"),
-        ({"outputs": ["a"]}, "is a damaged model"),
-        ({"starts": 3}, "is a damaged model"),
-    ],
-)
-def test_a_damaged_file_is_refused(change: dict[str, Any], message: str, tmp_path: Path) -> None:
-    path = tmp_path / "m.json"
-    armrig.arx(coupled(), na=1, nb=1, nk={("a", "v"): 0}).save(path)
-    content = json.loads(path.read_text(encoding="utf-8"))
-    path.write_text(json.dumps(content | change), encoding="utf-8")
-
-    with pytest.raises(FileError, match=message):
-        armrig.load_fit(path)
 
 
 def test_ends_at_one_minimum_keep_their_order() -> None:
