@@ -25,19 +25,11 @@ from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
 from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
-from armrig.plots.captions import _fits, in_mathtext, legend, named, named_by_run, signature, symbol
+from armrig.plots.captions import _fits, in_mathtext, named, named_by_run, signature, symbol
 from armrig.plots.layout import (
-    COLOURS,
     decibels,
-    finish,
-    high_axes,
     logarithmic,
-    panels,
-    pens,
-    rows,
     save,
-    shade,
-    stems,
 )
 from armrig.recordings.figures import plot_overview
 from armrig.recordings.loading import load
@@ -45,7 +37,6 @@ from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
 from armrig.validation.comparison_figure import plot_comparison
-from armrig.validation.residuals import residuals
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -466,20 +457,6 @@ def letters(figure: Figure) -> dict[str, str]:
     return {mark: ax.get_ylabel() for ax, mark in marked if re.fullmatch(r"\([a-z]\)", mark)}
 
 
-def test_the_panels_of_a_result_have_letters(done: Study, recording: Recording) -> None:
-    tested = residuals(done.best.fit, done.validation)
-    figure = Figure()
-    mine, other = figure.subplots(1, 2)
-    tested.plot(ax=mine)
-    alone = plots.plot_step(done.best.fit, ax=Figure().add_subplot()).figure.figure
-    plots.letter(alone)
-
-    shown = letters(tested.plot(ax=Figure().add_subplot()))
-    assert shown == {"(a)": "$r_e$(lag)", "(b)": "$r_{eu}$(lag)"}
-    assert letters(figure) == letters(alone) == {}
-    assert other in figure.axes
-
-
 def test_the_letters_of_several_results_go_on_from_one_to_the_next(recording: Recording) -> None:
     figure = Figure()
     for ax, name in zip(figure.subplots(1, 2), ("theta_1", "alpha"), strict=True):
@@ -606,16 +583,6 @@ def test_symbols_and_powers_of_ten_are_in_mathtext() -> None:
     assert [named("theta_1", "rad"), named("flow", "")] == [r"$\theta_1$ [rad]", "flow [–]"]
 
 
-def test_many_curves_have_different_pens_and_two_times_as_many_begin_again() -> None:
-    many = pens(2 * len(COLOURS))
-
-    assert [pen["color"] for pen in many] == [*COLOURS, *COLOURS]
-    assert len({str(pen) for pen in many}) == len(COLOURS)
-    assert max(pen["lw"] for pen in many) == many[0]["lw"]
-    assert pens(1) == [{"color": plots.BLUE, "ls": "-", "lw": 1.4}]
-    assert pens(0) == []
-
-
 def test_a_magnitude_of_nothing_has_decibels() -> None:
     np.testing.assert_allclose(
         decibels(np.array([10.0, -0.1, 3j, 0.0])), [20, -20, 20 * np.log10(3), -300]
@@ -641,70 +608,3 @@ def test_a_logarithmic_axis_has_plain_numbers(way: str, high: float, ticks: list
     assert shown == pytest.approx(ticks)
     assert axis.get_major_formatter()(20.0) == "20"
     assert axis.get_minor_formatter()(20.0) == ""
-
-
-@pytest.mark.parametrize(("size", "beside"), [((9.0, 2.0), True), ((4.0, 4.0), False)])
-def test_panels_without_a_common_axis_are_side_by_side_in_a_wide_place(
-    size: tuple[float, float], beside: bool
-) -> None:
-    for sharex in (False, True):
-        ax, second = panels(Figure(figsize=size).add_subplot(), 0.25, sharex=sharex)
-
-        first, other = ax.get_position(), second.get_position()
-        if beside and not sharex:
-            assert first.x1 < other.x0
-            assert other.width == pytest.approx(first.width / 3)
-        else:
-            assert other.y1 < first.y0
-            assert other.height == pytest.approx(first.height / 3)
-        assert ax.get_shared_x_axes().joined(ax, second) == sharex
-        assert ax.xaxis.get_tick_params().get("labelbottom", True) != sharex
-
-
-def test_rows_are_of_equal_height_with_one_axis_of_time() -> None:
-    every = rows(high_axes(5), 5)
-
-    figure = every[0].figure.figure
-    assert figure.get_size_inches() == pytest.approx((6.4, 5.75))
-    assert high_axes(2).figure.figure.get_size_inches()[1] == pytest.approx(3.6)
-    heights = [ax.get_position().height for ax in every]
-    assert heights == pytest.approx([heights[0]] * 5)
-    shown = [ax.xaxis.get_tick_params().get("labelbottom", True) for ax in every]
-    assert shown == [False] * 4 + [True]
-    finish(*every, xlim=(1.0, 3.0))
-    assert {ax.get_xlim() for ax in every} == {(1.0, 3.0)}
-    spines = [side for side, spine in every[2].spines.items() if spine.get_visible()]
-    assert spines == ["left", "bottom"]
-
-
-def test_a_gap_is_shaded_half_a_sample_beyond_its_samples() -> None:
-    ax = Figure().add_subplot()
-
-    shade(ax, np.array([False, True, True, False, False, True]), 0.2, first=3.0)
-    stems(ax, np.array([1.0, 4.0]), np.array([-2.0, 0.5]), "#123456")
-
-    edges = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in ax.patches]  # type: ignore[attr-defined]
-    assert np.ravel(edges) == pytest.approx([2.9, 3.1, 3.5, 3.9])
-    assert ax.get_legend_handles_labels()[1] == ["dead band or missing sample"]
-    (lines,) = ax.collections
-    assert [path.vertices.tolist() for path in lines.get_paths()] == [  # type: ignore[union-attr]
-        [[1.0, 0.0], [1.0, -2.0]],
-        [[4.0, 0.0], [4.0, 0.5]],
-    ]
-
-
-def test_a_legend_takes_the_room_of_its_notes_and_of_what_is_below_it() -> None:
-    """Each further line is as high as the others; without names and notes there is none."""
-    heights = []
-    for notes in ((), ("one",), ("one", "two")):
-        ax = Figure().add_subplot()
-        ax.plot([0, 1], label="curve")
-        heights.append((legend(ax, *notes), legend(ax, *notes, lift=30.0)))
-
-    (none, lifted), (one, _), (two, _) = heights
-    assert lifted == pytest.approx(none + 30.0)
-    assert two - one == pytest.approx(one - none)
-    assert one > none + 10
-    empty = Figure().add_subplot()
-    assert legend(empty, lift=7.0) == 7.0
-    assert empty.get_legend() is None

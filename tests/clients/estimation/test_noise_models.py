@@ -273,22 +273,6 @@ def test_residuals_of_the_estimation_are_those_of_the_test() -> None:
         assert tested.on_estimation_data
 
 
-@pytest.mark.exhaustive
-def test_the_noise_spectrum_is_that_of_the_noise() -> None:
-    """Its integral is the variance of C/A e."""
-    omega = np.linspace(0, np.pi / 0.1, 2001)
-    fit = armax(armax_data(13, N=5000), na=2, nb=2, nc=1)
-    many = [armax(armax_data(seed), na=2, nb=2, nc=1, starts="few") for seed in range(100, 180)]
-
-    Phi = fit.noise_spectrum(omega).Phi
-    at = [f.noise_spectrum([1.0, 10.0]) for f in many]
-
-    variance = 0.25 * np.sum(filtered(C, A, np.eye(200)[0]) ** 2)
-    assert np.trapezoid(Phi, omega) / np.pi == pytest.approx(variance, rel=0.1)
-    scatter = np.std([s.Phi for s in at], axis=0)
-    np.testing.assert_allclose(np.mean([s.std for s in at], axis=0), scatter, rtol=0.3)
-
-
 def test_the_hair_dryer_has_a_coloured_noise(
     reference: Callable[[str], NDArray[np.float64]],
 ) -> None:

@@ -64,20 +64,6 @@ def fits(plant: HandoutPlant) -> list[Fit]:
     return [oe(plant.dataset(seed), nb=4, nf=4, integrator=True) for seed in range(2)]
 
 
-@pytest.mark.exhaustive
-def test_the_integrator_s_root_is_one_exactly(fits: list[Fit]) -> None:
-    """Its covariance is zero: the coefficients move only so that the root stays."""
-    fit = fits[1]
-
-    poles = fit.poles()
-
-    at_one = poles.values == 1.0
-    assert np.count_nonzero(at_one) == 1
-    assert poles.std[at_one] == 0
-    assert (poles.std[~at_one] > 1e-5).all()
-    assert abs(np.sum(fit.F)) < 1e-12
-
-
 def test_the_handout_s_plant_is_found_to_one_per_cent(plant: HandoutPlant, fits: list[Fit]) -> None:
     """5 mrad of white noise, 30 s: median error of the frequency response ≤ 0.01, worst ≤ 0.02."""
     errors = [plant.relative_error(OMEGA, fit.frequency_response(OMEGA).G) for fit in fits]

@@ -50,18 +50,6 @@ def test_without_forgetting_it_is_the_estimate_of_all_samples(na: int, nb: int, 
     np.testing.assert_array_equal(state.B[:nk], 0.0)
 
 
-def test_with_forgetting_it_is_the_weighted_least_squares_estimate() -> None:
-    """A sample k steps ago weighs lambda^k."""
-    data = _data(1, 200)
-
-    state = rarx(data, na=1, nb=1, forgetting=0.95).state
-
-    Phi = np.column_stack([-data.y[:-1], data.u[:-1]])
-    w = np.sqrt(0.95 ** np.arange(198, -1, -1))
-    expected = np.linalg.lstsq(Phi * w[:, None], data.y[1:] * w, rcond=None)[0]
-    np.testing.assert_allclose(state.theta, expected, rtol=1e-10)
-
-
 def test_a_row_with_a_hole_forgets_nothing() -> None:
     one = _data(1, 200)
     valid = np.ones(200, dtype=np.bool_)

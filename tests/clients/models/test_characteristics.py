@@ -100,33 +100,6 @@ def test_a_deviation_is_the_scatter_of_draws(plant: HandoutPlant, seed: int) -> 
         assert t.std[name] == pytest.approx(scatter, rel=0.2), name
 
 
-@pytest.mark.exhaustive
-def test_a_wrong_inertia_of_the_arm_is_reported_with_what_depends_on_it(
-    plant: HandoutPlant,
-) -> None:
-    """The gain does not depend on J_2."""
-    data = plant.dataset(1)
-    fit = armrig.oe(data, nb=4, nf=4, integrator=True)
-    wrong = physical_model(replace(HANDOUT, J_2=1.05 * HANDOUT.J_2), data)
-
-    said = armrig.compare(plant.dataset(2), fit, wrong, labels=("OE", "physics")).explain()
-
-    assert "anti-resonance: OE" in said
-    assert "sqrt(K_lin/J_2)" in said
-    assert "steady gain" not in said
-    assert said.startswith("OE is closest")
-
-
-@pytest.mark.exhaustive
-def test_the_right_physics_differs_by_nothing(plant: HandoutPlant) -> None:
-    data = plant.dataset(4)
-    fit = armrig.oe(data, nb=4, nf=4, integrator=True)
-    table = armrig.compare(plant.dataset(5), fit, physical_model(HANDOUT, data))
-
-    assert "no characteristic differs" in table.explain()
-    assert "a small difference" in table.explain()
-
-
 def _moved(fit: armrig.Fit, theta: np.ndarray) -> armrig.Fit:
     """Return a claim with other coefficients, b1 … b4 f1 … f4."""
     none = np.zeros((8, 8))

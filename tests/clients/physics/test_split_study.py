@@ -107,20 +107,6 @@ def test_the_parameter_that_was_asked_for_is_studied() -> None:
         assert "the factors would be 1.73 and 3.00" in study.verdict
 
 
-def test_black_box_models_can_be_split_too(make: Make) -> None:
-    study = armrig.split_study(
-        make(), (1, 2), lambda d: armrig.oe(d, nb=2, nf=2, integrator=True), parameter="f1"
-    )
-
-    assert study.parameter == "f1"
-    assert study.exponent == pytest.approx(-0.5, abs=0.15)
-    assert "f1" in repr(study)
-    with pytest.raises(ValueError, match="parameter='J_2' is none of J_1"):
-        armrig.split_study(make(N=400), (1,), parameter="J_2")
-    with pytest.raises(ValueError, match="parts=0 must be an integer >= 1"):
-        armrig.split_study(make(N=400), (1, 0))
-
-
 def test_progress_is_reported_before_each_part_and_at_the_end() -> None:
     told: list[tuple[int, int, str]] = []
     rng = np.random.default_rng(1)

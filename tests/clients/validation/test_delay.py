@@ -125,14 +125,6 @@ def test_data_without_noise_give_the_delay_exactly(integrates: bool) -> None:
         assert (found.nk, found.interval) == (4, (4, 4))
 
 
-def test_a_pure_delay_is_found_exactly() -> None:
-    u = np.random.default_rng(0).standard_normal(400)
-
-    found = armrig.delay(Dataset(u=u, y=np.append(np.zeros(3), u[:-3]), Ts=1.0))
-
-    assert (found.nk, found.interval) == (3, (3, 3))
-
-
 @pytest.mark.parametrize("Ts", sampled([0.02, 0.01, 0.005], 2))
 def test_an_unnamed_output_that_integrates_is_found_to(Ts: float) -> None:
     data = unnamed(arm(1, Ts=Ts, N=3000))

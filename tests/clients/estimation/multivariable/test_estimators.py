@@ -332,11 +332,7 @@ def test_an_armax_model_may_share_its_denominator() -> None:
 @pytest.mark.parametrize(
     ("orders", "message"),
     [
-        ({"nb": [[2, 1]], "nf": 1}, "nb is 2 × 2, got 1 × 2: a row for each output"),
-        ({"nb": [[2, 1], [1]], "nf": 1}, "nb is 2 × 2, got 2: a row for each output"),
-        ({"nb": {("a", "u"): 1}, "nf": 1}, r"nb: \('a', 'v'\) is not named"),
         ({"nb": 1, "nf": 1, "nk": {("a", "x"): 2}}, r"nk: there is no \('a', 'x'\)"),
-        ({"nb": 1.5, "nf": 1}, "nb: 1.5 must be an integer >= 0"),
         ({"nb": [[0, 0], [1, 1]], "nf": 1}, "nb is 0 for all inputs of a"),
         ({"nb": 1, "nf": 0, "integrator": True}, "nf must be at least 1 with an integrator"),
         ({"nb": 1, "nf": 1, "integrator": "c"}, "there is no output 'c'"),

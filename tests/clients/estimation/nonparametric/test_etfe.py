@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.data.merging import merge
 from armrig.estimation.nonparametric.etfe import etfe, period
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
@@ -111,15 +110,10 @@ def test_a_period_is_found_where_there_is_one(u: NDArray[np.float64], expected: 
     assert period(u) == expected
 
 
-def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
-    data = second.dataset(np.random.default_rng(4), 300, missing=0.1)
+def test_an_instant_without_a_value_and_a_constant_input_are_refused() -> None:
     periodic = noisy(1, 0.0)
     never = np.arange(periodic.N) % P != 7
 
-    with pytest.raises(ValueError, match="use spa, or cut"):
-        etfe(data, integrator=False)
-    with pytest.raises(ValueError, match="takes one experiment, got 2"):
-        etfe(merge([periodic, periodic]), integrator=False)
     with pytest.raises(ValueError, match="1 of the 200 instants"):
         etfe(Dataset(u=periodic.u, y=periodic.y, Ts=1.0, valid=never), integrator=False)
     with pytest.raises(ValueError, match="u is constant"):

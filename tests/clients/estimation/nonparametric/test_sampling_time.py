@@ -324,25 +324,3 @@ def test_one_crossing_of_the_level_is_one_number() -> None:
     assert found.omega_first == found.omega_spectrum == pytest.approx(1 / 0.8, rel=0.3)
     assert f"-3 dB at {found.omega_spectrum:.3g} rad/s" in repr(found)
     assert f"transient: {found.settling:.3g} s to within 5 %" in repr(found)
-
-
-@pytest.mark.exhaustive
-def test_the_band_is_drawn_over_the_gain_of_the_step(sampled: Callable[[float], Any]) -> None:
-    """|G| of the arm peaks at its gain."""
-    data = sampled(0.002).dataset(step(2500, at=500), 4e-3, 1)
-
-    found = sampling_time(data)
-    below = found.plot().axes[1]
-
-    assert found.gain == pytest.approx(1.862, rel=0.01)
-    curve = np.asarray(below.lines[0].get_ydata(), dtype=np.float64)
-    assert np.nanmax(curve) == pytest.approx(1.0, abs=0.15)
-    assert below.get_ylim()[1] > np.nanmax(curve)
-    assert below.get_ylim()[0] < np.nanmin(curve)
-    assert np.isnan(curve[-1])
-    assert found.omega_first == pytest.approx(9.6, rel=0.05)
-    assert f"last (omega_B) at {found.omega_spectrum:.3g} rad/s" in repr(found)
-    shortest = times(min(found.Ts_step, found.Ts_spectrum))
-    assert f"the shortest time decides, {shortest} by the " in repr(found)
-    assert f"rounded to {times(found.Ts)} (1, 2 or 5 times" in repr(found)
-    assert (found.t[0], found.response[0]) == (0.0, 0.0)

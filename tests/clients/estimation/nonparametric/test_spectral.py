@@ -294,11 +294,3 @@ def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
         spa(Dataset(u=np.ones(50), y=np.zeros(50), Ts=1.0), integrator=False)
     with pytest.raises(ValueError, match="no 50 samples in a row"):
         spa(holed, 50, method="welch", integrator=False)
-
-
-def test_a_delay_is_held_against_the_longest_experiment() -> None:
-    """For experiments of 30 and 50 samples the length is 50, not 80."""
-    parts = [Dataset(u=np.arange(float(N)), y=np.ones(N), Ts=1.0) for N in (30, 50)]
-
-    with pytest.raises(ValueError, match=r"delay=60 is too long; the longest .* 50 samples"):
-        spa(merge(parts), delay=60, integrator=False)

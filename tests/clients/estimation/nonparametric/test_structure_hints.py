@@ -130,15 +130,6 @@ def test_a_resonant_system_with_a_delay(delay: int) -> None:
 
 
 @pytest.mark.exhaustive
-def test_coefficients_too_small_to_see_are_no_delay(sampled: Callable[[float], Any]) -> None:
-    """At 5 ms g(1) is hardly visible."""
-    found = structure_hints(sampled(0.005).telegraph(N=3000))
-
-    assert found.nk == 1
-    assert "an input delay of" not in found.explain()
-
-
-@pytest.mark.exhaustive
 def test_the_dryer_has_no_integrator(reference: Callable[[str], NDArray[np.float64]]) -> None:
     u, y = reference("dryer.dat").T
 
@@ -157,21 +148,6 @@ def test_an_input_that_explains_nothing_is_refused() -> None:
             Dataset(u=rng.standard_normal(2000), y=rng.standard_normal(2000), Ts=1.0),
             integrator=False,
         )
-
-
-def _first_order(gain: float) -> Dataset:
-    rng = np.random.default_rng(3)
-    u = rng.standard_normal(2000)
-    y = filtered([0, 0.2 * gain], [1, -0.8], u) + 0.02 * gain * rng.standard_normal(2000)
-    return Dataset(u=u, y=y, Ts=0.05)
-
-
-@pytest.mark.exhaustive
-def test_a_sign_is_no_delay() -> None:
-    """The phase of a negative gain begins at 180°."""
-    up, down = (structure_hints(_first_order(gain)) for gain in (2.0, -2.0))
-
-    assert down.phase_delay == pytest.approx(up.phase_delay)
 
 
 @pytest.mark.exhaustive
