@@ -179,11 +179,8 @@ def test_an_oscillator_has_the_textbook_s_figures_whatever_its_gain(gain: float)
     assert not t.integrating
 
 
-def test_poles_are_in_the_order_of_their_speed_with_their_own_deviations(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_poles_are_in_the_order_of_their_speed_with_their_own_deviations() -> None:
     """The deviation of s = log(z)/Ts is that of z divided by |z| Ts."""
-    monkeypatch.setattr(characteristics, "DRAWS", 100)  # for the ranges, which are not looked at
     z = [0.5, 0.95, 0.9 * np.exp(0.3j), 0.9 * np.exp(-0.3j), -0.4]
     fit = made(F=np.real(np.poly(z)).tolist(), std=[0.001] * 6)
 
