@@ -123,22 +123,6 @@ def test_a_stable_model_is_left_as_it_is(name: str) -> None:
     assert not any("unstable" in w or "reflected" in w for w in free.warnings)
 
 
-def test_a_pole_that_may_be_an_integrator_is_reported() -> None:
-    rng = np.random.default_rng(1)
-    u, e = rng.standard_normal((2, 400))
-    A = [1.0, -1.0]
-    data = Dataset(u=u, y=filtered([0.0, 1.0], A, u) + filtered([1.0], A, e), Ts=1.0)
-
-    fits = arx(data, na=1, nb=1), armax(data, na=1, nb=1, nc=1)
-
-    assert all(f.A[1] < -1 for f in fits)
-    said = [next(w for w in f.warnings if "unstable" in w) for f in fits]
-    assert said[0].endswith(
-        "1 within its accuracy; if y integrates, use OE with the option integrator"
-    )
-    assert said[1].endswith("1 within its accuracy; if y integrates, set the option integrator")
-
-
 @pytest.mark.parametrize(
     ("poles", "of", "remedy"),
     [

@@ -87,14 +87,6 @@ def test_an_arx_model_of_the_angle_gets_advice_on_each_fault(plant: HandoutPlant
     assert {"residuals", "poles", "integrator", "structure"} <= told(found)
 
 
-@pytest.mark.exhaustive
-def test_a_first_coefficient_that_is_nothing_points_to_a_delay(plant: HandoutPlant) -> None:
-    """The chosen nk is too small."""
-    fit = armrig.oe(plant.dataset(1), nb=5, nf=4, nk=0, integrator=True)
-
-    assert "delay" in told(armrig.advice(fit))
-
-
 def test_what_is_neither_data_nor_a_model_is_refused() -> None:
     with pytest.raises(TypeError, match=r"data is a str: give a Dataset"):
         armrig.advice("run.mcap")  # type: ignore[arg-type]

@@ -278,17 +278,6 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     assert "the second part of the data" in found.table()
 
 
-@pytest.mark.exhaustive
-def test_a_level_that_u_does_not_make_is_estimated_along() -> None:
-    """Otherwise a pole and a zero at 1 would replace the level."""
-    found = search(_of_second_order(level=5.0), orders=(1, 2, 3))
-
-    assert found.chosen.candidate.order == 2
-    assert found.fit.offset
-    assert any("can estimate it" in note for note in found.notes)
-    assert not found.doubts
-
-
 def test_a_level_of_the_validation_data_alone_is_estimated_along() -> None:
     first, second = _of_second_order().split(2)
     second = Dataset(u=second.u, y=second.y + 5.0, Ts=second.Ts)

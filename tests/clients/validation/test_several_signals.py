@@ -305,38 +305,6 @@ def test_each_output_has_its_orders() -> None:
     assert repr(found).startswith("a:\n- chosen")
 
 
-def test_given_delays_of_each_channel_are_kept() -> None:
-    """Output b has the delays 2 and 4."""
-    rng = np.random.default_rng(7)
-    u = rng.standard_normal((N, 2))
-    y = np.column_stack(
-        [
-            filtered([0, 1.0], [1, -0.6], u[:, 0]) + filtered([0, 0.4], [1, -0.6], u[:, 1]),
-            filtered([0, 0, 1.0], [1, -0.7], u[:, 0])
-            + filtered([0, 0, 0, 0, 0.5], [1, -0.7], u[:, 1]),
-        ]
-    )
-    e = 0.2 * rng.standard_normal((N, 2))
-    y += np.column_stack([filtered([1], [1, -0.6], e[:, 0]), filtered([1], [1, -0.7], e[:, 1])])
-    data = Signals(u=u, y=y, Ts=0.1, outputs=["a", "b"])
-    nk: Any = {("b", "u1"): 2, ("b", "u2"): 4}
-
-    found: Any = armrig.select_orders(data, range(1, 4), range(1, 4), nk)
-
-    assert found.best("mdl") == {
-        "na": [[1, 0], [0, 1]],
-        "nb": [[1, 1], [1, 1]],
-        "nk": [[1, 1], [2, 4]],
-    }
-    fit: Any = armrig.arx(data, **found.best("mdl"))  # type: ignore[arg-type]
-    table = found["b"]
-    at = int(np.flatnonzero((table.na == 1) & (table.nb == 1))[0])
-    np.testing.assert_allclose(table.loss[at], fit.quality[1].loss, rtol=0.02)
-    assert "b: given delays 2, 4" in repr(found)
-    with pytest.raises(InputError, match="nk: there is no"):
-        armrig.select_orders(data, range(1, 4), range(1, 4), {("b", "u9"): 1})  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("seed", [1])
 def test_with_few_samples_one_output_has_the_whiteness_test_of_a_dataset(seed: int) -> None:
     """To the digits, on the estimation data and on others."""

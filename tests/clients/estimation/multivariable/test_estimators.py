@@ -289,23 +289,6 @@ def test_a_shared_denominator_gains_from_the_second_output() -> None:
     assert len(fit.poles()) == 4
 
 
-def test_compare_is_one_function() -> None:
-    data = plant()
-    fit = armrig.oe(data, **ORDERS)
-
-    table = armrig.compare(data, fit)
-
-    assert repr(table) == repr(fit.compare(data))
-    assert table[0].on_estimation_data
-    y = fit.simulate(data.u)
-    np.testing.assert_allclose(y[100:], table[0].y[100:], atol=1e-4)
-    expected = 100 * (1 - np.linalg.norm(data.y - table[0].y, axis=0) / np.linalg.norm(
-        data.y - data.y.mean(axis=0), axis=0
-    ))  # fmt: skip
-    np.testing.assert_allclose(table[0].fit_percent, expected)
-    assert len(table.plot().axes) == 2
-
-
 def test_an_armax_model_may_share_its_denominator() -> None:
     rng = np.random.default_rng(8)
     u = inputs(rng)
