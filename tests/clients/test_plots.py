@@ -331,7 +331,7 @@ def test_a_step_keeps_its_ramp(done: Study) -> None:
     np.testing.assert_array_equal(shown, step.theta_1)
 
 
-def test_a_jitter_of_nothing_is_no_histogram(recording: Recording) -> None:
+def test_a_constant_lateness_is_no_histogram(recording: Recording) -> None:
     samples = recording.samples.copy()
     samples["t_sched_ns"] = np.arange(samples.size) * 10_000_000
     samples["t_host_ns"] = samples["t_sched_ns"] + 824_000
@@ -345,7 +345,7 @@ def test_a_jitter_of_nothing_is_no_histogram(recording: Recording) -> None:
     ]
 
 
-def test_a_stretched_axis_says_so_and_its_numbers_do_not_overlap(done: Study) -> None:
+def test_a_logarithmic_scale_is_named_and_its_numbers_do_not_overlap(done: Study) -> None:
     figure = Figure(figsize=(6.4, 2.6), layout="constrained")
     models = _models(done)
     far = replace(done.best.fit, B=np.append(0.0, 2.0 * done.best.fit.B[1:]))
@@ -583,7 +583,7 @@ def test_symbols_and_powers_of_ten_are_in_mathtext() -> None:
     assert [named("theta_1", "rad"), named("flow", "")] == [r"$\theta_1$ [rad]", "flow [–]"]
 
 
-def test_a_magnitude_of_nothing_has_decibels() -> None:
+def test_a_magnitude_of_zero_has_minus_300_decibels() -> None:
     np.testing.assert_allclose(
         decibels(np.array([10.0, -0.1, 3j, 0.0])), [20, -20, 20 * np.log10(3), -300]
     )

@@ -168,7 +168,7 @@ def test_the_level_without_input_has_its_sign_its_unit_and_its_deviations(
     assert not level_without_input(data, least=1.1 * sigmas)
 
 
-def test_data_that_show_no_level_have_none() -> None:
+def test_data_without_a_level_have_no_finding() -> None:
     u = np.random.default_rng(9).standard_normal(200)
     data = Dataset(u=u, y=filtered([0, 1.0], [1, -0.5], u), Ts=1.0)
 

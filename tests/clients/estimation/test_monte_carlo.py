@@ -70,7 +70,7 @@ def test_standard_deviations_and_intervals_hold(
 
 
 @pytest.mark.exhaustive
-def test_coloured_noise_is_met_by_the_robust_form_only() -> None:
+def test_robust_deviations_hold_for_coloured_noise() -> None:
     """The classic form errs by a third for the noise 1/(1 - 0.8 q^-1) e."""
     fits = [oe(oe_data(seed, colour=0.8), nb=2, nf=2, starts="few") for seed in range(RUNS)]
     scatter = np.array([fit.theta for fit in fits]).std(axis=0, ddof=1)

@@ -61,7 +61,7 @@ def problem_of(data: Dataset, structure: Structure) -> PredictionErrorProblem:
 
 
 @pytest.mark.exhaustive
-def test_a_mode_that_settled_on_noise_is_moved_to_where_it_belongs() -> None:
+def test_a_mode_that_fits_noise_is_moved_to_the_lowest_minimum() -> None:
     """Every start ends 6 % above the loss of the truth; the lowest minimum is near."""
     data, truth = hard(11)
     lowest = problem_of(data, BJ).minimise(truth).cost / data.N
@@ -112,7 +112,7 @@ def test_a_search_by_a_part_of_the_data_ends_at_the_minimum_of_all_data() -> Non
 
 
 @pytest.mark.exhaustive
-def test_starts_that_lead_apart_on_a_part_are_all_followed() -> None:
+def test_all_minima_on_a_part_are_continued_on_all_data() -> None:
     """A part of the data may mislead; the whole decides."""
     data, _ = hard(87)
     whole = problem_of(data, BJ)

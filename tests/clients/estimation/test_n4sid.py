@@ -77,7 +77,7 @@ def test_a_model_without_a_steady_kalman_gain_says_so(focus: Focus) -> None:
 
 
 @pytest.mark.exhaustive
-def test_it_comes_close_to_what_a_search_attains() -> None:
+def test_n4sid_has_nearly_the_error_of_an_armax_search() -> None:
     """Root mean square error of A and B at most a quarter above that of ARMAX, 60 runs."""
     error: dict[str, list[float]] = {"n4sid": [], "armax": []}
     for seed in range(60):
@@ -119,7 +119,7 @@ def test_an_input_offset_does_not_matter_to_an_integrating_output(plant: Handout
     np.testing.assert_allclose(a.theta, b.theta, atol=1e-6)
 
 
-def test_an_integrating_angle_without_an_integrator_is_warned_of(plant: HandoutPlant) -> None:
+def test_an_integrating_angle_without_an_integrator_causes_a_warning(plant: HandoutPlant) -> None:
     """A pole whose distance from 1 is within its accuracy is an integrator, not unstable."""
     sides = set()
     for seed in (1, 2):
@@ -134,7 +134,7 @@ def test_an_integrating_angle_without_an_integrator_is_warned_of(plant: HandoutP
     assert not any("integrator" in w for w in n4sid(plant.dataset(1), 4, integrator=True).warnings)
 
 
-def test_an_integrator_that_only_the_data_show_is_warned_of() -> None:
+def test_an_integrator_that_only_the_data_show_causes_a_warning() -> None:
     rng = np.random.default_rng(3)
     u = np.repeat(rng.choice([-1.0, 1.0], 60), 10)
     v = filtered([1.0], [1.0, -0.9], rng.standard_normal(600))
@@ -164,7 +164,7 @@ def test_coloured_residuals_are_separated_from_a_wrong_order() -> None:
     assert [fit.white.coloured for fit in (low, enough)] == [True, False]
 
 
-def test_a_pole_that_is_surely_outside_is_called_unstable() -> None:
+def test_a_pole_significantly_outside_the_circle_is_reported_unstable() -> None:
     rng = np.random.default_rng(1)
     u = rng.standard_normal(400)
     y = filtered([0.0, 1.0], [1.0, -1.01], u) + 0.1 * rng.standard_normal(400)
@@ -205,7 +205,7 @@ def test_gaps_and_several_experiments_cost_only_their_windows() -> None:
 
 
 @pytest.mark.parametrize("integrator", [False, True])
-def test_poles_are_reflected_beside_an_integrator(integrator: bool) -> None:
+def test_poles_are_reflected_and_an_integrator_stays(integrator: bool) -> None:
     at_1 = np.array([1.0, -1.0]) if integrator else np.ones(1)
     outside, inside = np.array([1.0, -0.9, -0.52]), np.array([1.0, -0.9, 0.2])  # 1.3, -0.4
 
@@ -250,7 +250,7 @@ def test_the_order_is_suggested_by_the_states_errors(seed: int) -> None:
     assert "<- order" in fit.explain()
 
 
-def test_a_saved_model_comes_back_whole(tmp_path: Path) -> None:
+def test_a_saved_subspace_model_is_loaded_unchanged(tmp_path: Path) -> None:
     fit = n4sid(_data(1), 2)
     fit.save(tmp_path / "m.json")
 
@@ -358,7 +358,7 @@ def test_without_noise_a_model_for_simulation_is_the_true_system() -> None:
     np.testing.assert_allclose(fit.B, [0.0, 0.0, 1.0, 0.5], atol=1e-7)
 
 
-def test_what_cannot_be_estimated_is_refused() -> None:
+def test_orders_weights_and_horizons_out_of_range_are_refused() -> None:
     u = np.random.default_rng(1).standard_normal(300)
     clean = Dataset(u=u, y=filtered(B, F, u), Ts=1.0)
 

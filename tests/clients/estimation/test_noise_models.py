@@ -83,7 +83,7 @@ def test_the_true_system_is_found(
 
 
 @pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES)
-def test_gaps_and_pieces_do_not_bias_the_estimate(
+def test_gaps_and_several_experiments_do_not_bias_the_estimate(
     estimate: Callable[..., Fit],
     made: Callable[..., Dataset],
     orders: dict[str, int],
@@ -131,7 +131,7 @@ def test_without_a_noise_model_an_equation_error_is_that_of_arx(
     assert same.loss == pytest.approx(expected.loss, rel=1e-12)
 
 
-def test_the_state_before_the_first_sample_does_not_show(plant: HandoutPlant) -> None:
+def test_the_state_before_the_first_sample_does_not_bias_the_estimate(plant: HandoutPlant) -> None:
     """With almost no noise any initial state gives back the plant."""
     whole = plant.dataset(1, std=1e-5)
 
@@ -182,7 +182,7 @@ def test_a_model_of_equation_error_may_integrate_its_noise(
 
 
 @pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES)
-def test_an_input_offset_is_estimated_along(
+def test_an_input_offset_is_estimated_with_the_model(
     estimate: Callable[..., Fit],
     made: Callable[..., Dataset],
     orders: dict[str, int],

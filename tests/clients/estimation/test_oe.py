@@ -74,7 +74,7 @@ def test_the_handout_s_plant_is_found_to_one_per_cent(plant: HandoutPlant, fits:
 
 
 @pytest.mark.exhaustive
-def test_so_it_is_through_a_potentiometer_with_a_dead_band(plant: HandoutPlant) -> None:
+def test_the_plant_is_found_through_a_potentiometer_with_a_dead_band(plant: HandoutPlant) -> None:
     """10 bits over 352°, the dead band and 2 % of the samples missing."""
     seeds = range(20)
     recordings = [plant.through_potentiometer(plant.dataset(seed), seed) for seed in seeds]
@@ -147,7 +147,7 @@ def test_many_short_experiments_leave_the_residuals_white(plant: HandoutPlant) -
     assert np.count_nonzero(np.array(p) < 0.05) <= 2
 
 
-def test_rounding_noise_is_not_called_coloured(plant: HandoutPlant) -> None:
+def test_rounding_noise_is_not_reported_as_coloured(plant: HandoutPlant) -> None:
     fit = oe(plant.dataset(1, std=0.0), nb=4, nf=4, integrator=True)
 
     assert fit.converged
@@ -155,7 +155,7 @@ def test_rounding_noise_is_not_called_coloured(plant: HandoutPlant) -> None:
     assert fit.warnings == ()
 
 
-def test_a_rig_at_rest_may_be_taken_at_its_word() -> None:
+def test_an_initial_state_of_zero_lowers_the_deviations() -> None:
     """initial="zero" has no nuisance parameters, so its standard deviations are smaller."""
     rng = np.random.default_rng(7)
     u = rng.standard_normal(60)

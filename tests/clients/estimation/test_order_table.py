@@ -167,7 +167,7 @@ def test_the_published_dryer_is_chosen_from_many(
     assert dict(table.best("validation")) == {"na": 2, "nb": 2, "nk": 3}
 
 
-def test_what_cannot_be_asked_is_refused() -> None:
+def test_a_table_without_structures_or_samples_is_refused() -> None:
     with pytest.raises(ValueError, match="give select_orders the validation data"):
         select_orders(_data(1)).best("validation")
     with pytest.raises(ValueError, match="needs at least 26 samples, got 12"):

@@ -121,7 +121,7 @@ def test_a_step_leaves_the_state_before_it_as_it_was() -> None:
         np.testing.assert_array_equal(now, then)
 
 
-def test_nothing_is_claimed_before_the_samples_determine_it() -> None:
+def test_undetermined_parameters_have_infinite_deviations() -> None:
     state = rarx_start(na=1, nb=2)
     for _ in range(50):
         state = rarx_step(state, 0.0, 0.0)
@@ -167,6 +167,6 @@ def test_as_many_samples_as_parameters_show_no_noise() -> None:
     assert state.weight == 4
 
 
-def test_a_forgetting_that_is_none_is_refused() -> None:
+def test_a_forgetting_factor_above_1_is_refused() -> None:
     with pytest.raises(ValueError, match=r"forgetting=1.1 must be above 0 and at most 1"):
         rarx_start(na=1, nb=1, forgetting=1.1)

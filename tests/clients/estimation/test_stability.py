@@ -63,7 +63,7 @@ def _random_walk() -> Dataset:
     return Dataset(u=u, y=filtered(B, [1.0, -0.5], u) + noise, Ts=1.0)
 
 
-def test_a_pole_of_the_noise_counts_too() -> None:
+def test_an_unstable_pole_of_the_noise_is_reported_and_reflected() -> None:
     """A root of D outside the circle means noise without bound."""
     free = bj(_random_walk(), nb=2, nc=0, nd=1, nf=1)
     inside = bj(_random_walk(), nb=2, nc=0, nd=1, nf=1, stable=True)
@@ -76,7 +76,7 @@ def test_a_pole_of_the_noise_counts_too() -> None:
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_unstable_poles_are_reflected_on_request(name: str) -> None:
+def test_unstable_poles_are_reflected_with_the_option_stable(name: str) -> None:
     data = _growing()
 
     free, inside = ESTIMATORS[name](data), ESTIMATORS[name](data, stable=True)

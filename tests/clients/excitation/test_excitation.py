@@ -355,7 +355,7 @@ def test_a_file_that_may_mean_another_voltage_is_refused(
         from_csv(path, Ts=1.0)
 
 
-def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_fifo_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "u.csv")
 
     with pytest.raises(OSError, match="not a regular file"):

@@ -120,7 +120,9 @@ def test_a_coloured_noise_model_weighs_the_frequencies() -> None:
 
 @settings(max_examples=20)
 @given(st.floats(0.1, 10), st.floats(0.1, 1.0))
-def test_a_stronger_input_teaches_more_and_noise_less(noise: float, gain: float) -> None:
+def test_deviations_are_proportional_to_noise_and_inverse_to_input(
+    noise: float, gain: float
+) -> None:
     """The standard deviation is proportional to noise and inverse to the input's size."""
     u = telegraph(300, 0.3, 0.0, 5.0)
     one, other = (
@@ -180,7 +182,7 @@ def test_the_inertia_s_standard_deviation_is_predicted_from_physics() -> None:
     assert predicted.names == ("J_1",)
 
 
-def test_an_input_that_teaches_too_little_is_refused_beforehand() -> None:
+def test_an_input_with_too_little_information_is_refused() -> None:
     """A step at the first sample excites nothing if the initial state is unknown."""
     model, u = PlannedModel(B=B, F=A, noise_variance=1.0, Ts=1.0), telegraph(300, 0.1)
 
@@ -204,12 +206,12 @@ def test_an_input_that_teaches_too_little_is_refused_beforehand() -> None:
         ({"B": [0.0, 0.0]}, "all coefficients of B are 0"),
     ],
 )
-def test_a_model_that_cannot_be_is_refused(change: dict[str, Any], message: str) -> None:
+def test_an_impossible_planned_model_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         PlannedModel(**({"B": B, "F": A, "noise_variance": 1.0, "Ts": 1.0} | change))
 
 
-def test_what_cannot_be_planned_is_refused() -> None:
+def test_impossible_arguments_of_a_plan_are_refused() -> None:
     u = telegraph(300, 0.3)
     model = PlannedModel(B=B, A=A, noise_variance=1.0, Ts=1.0)
     gaps = Dataset(u=u, y=u, Ts=1.0, valid=np.arange(300) > 3)

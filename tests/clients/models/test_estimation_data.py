@@ -79,7 +79,7 @@ def test_the_same_data_have_a_code_of_their_own() -> None:
     assert finding.about == "own data"
 
 
-def test_beside_a_model_of_the_same_data_another_one_overlaps() -> None:
+def test_models_of_the_same_and_of_overlapping_data_have_their_own_findings() -> None:
     """Each overlap has its model's name and its own times; the end is that of the shorter."""
     data = dataset()
     own, first, last = (armrig.arx(part, na=1, nb=1) for part in (data, data[:50], data[390:]))

@@ -33,7 +33,7 @@ def fit() -> Fit:
     return oe(data(1), nb=2, nf=2, nk=2)
 
 
-def test_names_values_and_deviations_belong_together(fit: Fit) -> None:
+def test_names_values_and_deviations_have_the_same_order(fit: Fit) -> None:
     assert fit.names == ("b1", "b2", "f1", "f2")
     np.testing.assert_array_equal(fit.theta, [*fit.B[2:], *fit.F[1:]])
     np.testing.assert_array_equal(fit.B[:2], 0)
@@ -110,7 +110,7 @@ def test_an_oe_model_predicts_by_simulation_at_every_horizon(fit: Fit) -> None:
 
 @settings(max_examples=25)
 @given(st.integers(1, 6), st.integers(0, 1000))
-def test_an_arx_model_predicts_k_samples_from_what_it_knew(k: int, seed: int) -> None:
+def test_an_arx_model_predicts_k_samples_by_its_difference_equation(k: int, seed: int) -> None:
     """The reference iterates the difference equation by hand from the last k-th sample."""
     d = data(seed, N=60)
     fit = arx(d, na=2, nb=2, nk=1)

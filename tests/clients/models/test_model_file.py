@@ -108,7 +108,7 @@ def test_a_model_file_of_armrig_0_1_has_sentences_alone(fit: Fit) -> None:
         ({"starts": [{}]}, "is a damaged model"),
     ],
 )
-def test_what_is_no_model_is_refused(
+def test_a_damaged_model_file_is_refused(
     fit: Fit, tmp_path: Path, change: dict[str, Any], said: str
 ) -> None:
     path = tmp_path / "model.json"
@@ -144,7 +144,7 @@ def test_a_model_of_a_windows_editor_is_read(fit: Fit, tmp_path: Path) -> None:
         load_fit(path)
 
 
-def test_nothing_of_a_free_response_or_a_start_is_exchanged(fit: Fit) -> None:
+def test_free_responses_and_starts_are_loaded_unchanged(fit: Fit) -> None:
     changed = replace(
         fit,
         free=(

@@ -158,7 +158,7 @@ def test_the_noise_of_the_state_space_is_that_of_the_polynomials(form: Polynomia
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_theta_is_put_back_where_it_was_taken(name: str) -> None:
+def test_theta_is_replaced_at_its_own_places(name: str) -> None:
     form: Any = FORMS[name]()
     theta = np.arange(1.0, form.theta.size + 1)
 

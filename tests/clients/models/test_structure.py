@@ -65,7 +65,7 @@ def test_the_ramp_of_an_offset_gives_back_the_offset() -> None:
     ("degrees", "integrator", "n"),
     [((3, 2), False, 3), ((2, 4), False, 4), ((3, 2), True, 2), ((0, 0), True, 0)],
 )
-def test_a_state_has_a_pulse(degrees: tuple[int, int], integrator: bool, n: int) -> None:
+def test_each_state_has_a_transient(degrees: tuple[int, int], integrator: bool, n: int) -> None:
     numerator, denominator = degrees
     found = transient_count(
         numerator_degree=numerator, denominator_degree=denominator, integrator=integrator

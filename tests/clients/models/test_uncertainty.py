@@ -89,7 +89,7 @@ def test_the_chosen_region_holds_a_pair_that_the_ellipse_loses() -> None:
 
 
 @pytest.mark.exhaustive
-def test_where_it_is_good_the_linearisation_stays_and_holds() -> None:
+def test_a_good_linearisation_is_kept_and_has_its_confidence_level() -> None:
     """Pole, |G| and step response over 60 experiments: 95 % within three deviations."""
     omega, at = np.array([0.1, 0.5]), 20
     F = np.real(np.poly(PLAIN))

@@ -123,7 +123,7 @@ def test_friction_of_any_size_is_found(make: Make, scale: float) -> None:
         assert fit.std[name] < 0.05 * abs(getattr(truth, name))
 
 
-def test_a_search_that_ends_at_its_bound_says_so(make: Make) -> None:
+def test_a_search_that_ends_at_its_bound_is_reported(make: Make) -> None:
     """The start is 600 000 times too large."""
     fit = armrig.greybox(make(), fixed=ArmParameters(J_1=1e3))
 
@@ -224,7 +224,7 @@ def test_a_friction_that_is_not_there_is_zero_within_its_sd(make: Make) -> None:
     assert np.abs(values).max() < 4
 
 
-def test_a_reading_in_steps_is_noticed(make: Make) -> None:
+def test_quantised_readings_are_reported(make: Make) -> None:
     lsb = np.deg2rad(352) / 1024
     for noise, warned in ((0.1, True), (0.5, False)):
         data = make(std=noise * lsb)
@@ -257,7 +257,9 @@ def test_parameters_that_replace_each_other_are_refused(make: Make) -> None:
         ({"model": lambda p: arm(p).sample(0.1)}, "continuous time"),
     ],
 )
-def test_the_impossible_is_refused(make: Make, changes: dict[str, Any], message: str) -> None:
+def test_impossible_arguments_are_refused(
+    make: Make, changes: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         armrig.greybox(make(N=200), **changes)
 
@@ -329,7 +331,7 @@ def test_figures_of_a_fit_are_those_of_its_values_and_deviations(make: Make) -> 
     assert below_zero(other.values, {"J_1": 3.0, "b_1": np.inf}) == []
 
 
-def test_parameters_that_are_correlated_say_so(make: Make) -> None:
+def test_the_correlation_of_parameters_is_that_of_their_covariance(make: Make) -> None:
     fit = armrig.greybox(make(N=1000), free=("J_1", "K_m"))
 
     C, s = fit.covariance, fit.std

@@ -183,7 +183,7 @@ def test_a_kernel_that_is_longer_than_the_data_is_refused_before_it_is_made(
         armrig.inverse_dynamics(make(), width=width)
 
 
-def test_the_width_is_the_data_s(make: Make) -> None:
+def test_the_width_of_the_kernel_follows_the_noise(make: Make) -> None:
     quiet, loud = (armrig.inverse_dynamics(make(std=std)) for std in (2e-4, 2e-2))
 
     assert quiet.width <= loud.width

@@ -71,7 +71,7 @@ def test_the_scatter_of_few_parts_has_an_interval(make: Make) -> None:
     np.testing.assert_allclose(bar[:, 1] / bar[0, 1], [1.0, high / low])
 
 
-def test_a_rig_that_changes_half_way_is_noticed() -> None:
+def test_a_rig_that_changes_half_way_is_reported() -> None:
     """The chassis becomes 10 % heavier."""
     u = armrig.telegraph(4000, 0.02, seed=5)
     y = angle(u, ArmParameters())

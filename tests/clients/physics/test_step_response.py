@@ -46,7 +46,7 @@ def test_the_response_is_python_control_s() -> None:
 
 
 @pytest.mark.parametrize("name", ["J_1", "J_2", "N", "K_lin", "R_m", "K_m"])
-def test_one_per_cent_more_does_what_is_foretold(name: str) -> None:
+def test_sensitivities_are_the_differences_for_one_per_cent(name: str) -> None:
     """To first order: twice the second difference remains."""
     value = getattr(P, name)
     by = armrig.step_sensitivities(P, T, names=[name], u=2.0)[name]

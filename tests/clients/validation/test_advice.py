@@ -87,7 +87,7 @@ def test_an_arx_model_of_the_angle_gets_advice_on_each_fault(plant: HandoutPlant
     assert {"residuals", "poles", "integrator", "structure"} <= told(found)
 
 
-def test_what_is_neither_data_nor_a_model_is_refused() -> None:
+def test_an_argument_that_is_neither_data_nor_a_model_is_refused() -> None:
     with pytest.raises(TypeError, match=r"data is a str: give a Dataset"):
         armrig.advice("run.mcap")  # type: ignore[arg-type]
 
@@ -118,7 +118,7 @@ def switched(N: int = 1500) -> Vector:
     return armrig.telegraph(N, 0.1, 0.0, 5.0, seed=1) - 2.5
 
 
-def test_what_is_wrong_with_data_is_reported_alone() -> None:
+def test_a_single_fault_of_data_is_the_only_finding() -> None:
     wrong = of_second_order(switched())
     y = wrong.y.copy()
     y[[100, 400, 900]] += 5.0
@@ -138,7 +138,7 @@ def test_a_sine_determines_neither_orders_nor_a_delay() -> None:
     assert told(armrig.advice(data)) == {"excitation", "delay"}
 
 
-def test_an_output_that_does_not_answer_is_reported() -> None:
+def test_an_output_without_a_response_is_reported() -> None:
     data = Dataset(u=switched(), y=np.random.default_rng(1).standard_normal(1500), Ts=0.02)
 
     found = armrig.advice(data)
@@ -225,7 +225,7 @@ def test_a_pole_that_no_rig_has_is_reported_once(poles: list[complex], about: li
     assert all(finding.text.endswith(ways_out[finding.about]) for finding in findings)
 
 
-def test_a_name_with_a_colon_is_not_cut() -> None:
+def test_a_name_with_a_colon_is_complete_in_the_text() -> None:
     rng = np.random.default_rng(1)
     u = rng.choice([-1.0, 1.0], 600)
     y = np.cumsum(u + 0.1 * rng.standard_normal(600))

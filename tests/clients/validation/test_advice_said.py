@@ -373,7 +373,7 @@ def test_a_pair_is_named_if_its_p_value_is_below_1_percent_over_the_number_of_pa
         (float("nan"), float("nan"), float("nan"), False),
     ],
 )
-def test_one_joint_test_of_three_rejects(
+def test_a_model_is_rejected_by_any_joint_test_below_1_percent(
     white: float, dynamics: float, feedback: float, rejects: bool
 ) -> None:
     test = signals_test(

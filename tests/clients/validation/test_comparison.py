@@ -57,7 +57,7 @@ def test_missing_samples_do_not_count() -> None:
     assert residuals(fit, holed).whiteness > 0.01
 
 
-def test_the_angle_flatters_where_the_velocity_does_not(plant: HandoutPlant) -> None:
+def test_the_velocity_fit_shows_errors_that_the_angle_fit_hides(plant: HandoutPlant) -> None:
     """A first-order chassis without the arm: nearly 100 % on the angle, visibly bad on its rate."""
     poor = oe(plant.dataset(1), nb=2, nf=2, integrator=True)
     good = oe(plant.dataset(1), nb=4, nf=4, integrator=True)
@@ -72,7 +72,7 @@ def test_the_angle_flatters_where_the_velocity_does_not(plant: HandoutPlant) -> 
     assert "input offset" in repr(table)
 
 
-def test_a_model_that_cannot_be_simulated_is_said_to_fit_not_at_all(plant: HandoutPlant) -> None:
+def test_an_unbounded_simulation_has_a_fit_of_minus_infinity(plant: HandoutPlant) -> None:
     """The textbook's first choice on an integrating angle may be unstable."""
     unstable = arx(plant.dataset(1)[:400], na=6, nb=4)
     unstable_A = np.convolve(unstable.A, [1, -3.0])
@@ -174,7 +174,7 @@ def test_every_parameter_of_the_noise_model_lessens_the_degrees_of_freedom() -> 
         assert tested.ljung_box == pytest.approx(chi2.sf(Q, L - noise), rel=1e-2)
 
 
-def test_the_covariance_of_the_free_parameters_gives_back_the_whole_one(
+def test_the_covariance_of_the_free_parameters_determines_that_of_all_coefficients(
     plant: HandoutPlant,
 ) -> None:
     """With an integrator: through F = (1 - q^-1) F̃ it is the covariance of (b, f) again."""

@@ -126,7 +126,7 @@ def test_data_without_noise_give_the_delay_exactly(integrates: bool) -> None:
 
 
 @pytest.mark.parametrize("Ts", sampled([0.02, 0.01, 0.005], 2))
-def test_an_unnamed_output_that_integrates_is_found_to(Ts: float) -> None:
+def test_an_unnamed_output_that_integrates_is_recognised(Ts: float) -> None:
     data = unnamed(arm(1, Ts=Ts, N=3000))
 
     found = armrig.delay(data)
@@ -254,7 +254,7 @@ def test_at_a_short_sampling_time_the_shape_of_the_onset_decides(samples: int) -
 
 
 @pytest.mark.exhaustive
-def test_half_a_sample_is_neither_of_its_neighbours() -> None:
+def test_a_delay_of_half_a_sample_leaves_both_neighbours_possible() -> None:
     found = armrig.delay(arm(2, delayed=1.5))
 
     assert found.interval == (2, 3)

@@ -161,7 +161,7 @@ def test_the_bound_of_an_overlooked_coefficient_is_a_share_of_later_ones(first: 
     assert steep.predicted == pytest.approx(min(2 / 4, 2 / 2) / 0.2)
 
 
-def test_lags_are_ruled_out_one_by_one_from_the_first_significant_one() -> None:
+def test_lags_are_ruled_out_in_turn_below_the_first_significant_lag() -> None:
     p, g = [0.5, 0.4, 0.3, 1e-6], [0.0, 0.0, 0.0, 4.0, 4.0, 4.0]
 
     for std, least in (([0.01] * 4, 3), ([0.01, 0.01, 2.0, 0.1], 2), ([0.01, 2.0, 2.0, 0.1], 1)):

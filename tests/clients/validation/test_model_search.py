@@ -70,7 +70,7 @@ def test_the_arm_gets_its_integrator_and_the_reasons(plant: HandoutPlant) -> Non
 
 
 @pytest.mark.parametrize(("highest", "said"), [(2, True), (3, False)])
-def test_the_highest_order_that_was_tried_is_no_answer(highest: int, said: bool) -> None:
+def test_the_highest_order_that_was_tried_is_reported_if_chosen(highest: int, said: bool) -> None:
     found = search(
         _data(1, [1.0], [1.0]),
         _data(2, [1.0], [1.0]),
@@ -96,7 +96,7 @@ def test_a_direct_term_is_tried_where_the_data_show_one(direct: float, delays: s
     assert found.fit.nk == min(delays)
 
 
-def test_a_subspace_model_is_made_for_what_it_is_ranked_by() -> None:
+def test_a_subspace_model_is_estimated_for_the_horizon_of_the_ranking() -> None:
     """The best simulation model is the output-error model, but one step ahead it is not."""
     data, other = (_data(seed, [1.0], [1.0, -0.9], 600) for seed in (1, 2))
 
@@ -154,7 +154,7 @@ def test_a_pole_outside_the_circle_is_never_chosen(family: OfferedName) -> None:
     assert moved or family in ("oe", "bj", "n4sid")  # those look inside the circle only
 
 
-def test_a_pole_that_rounding_leaves_outside_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pole_that_rounding_leaves_outside_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four poles at 1 hardly move by the reflection."""
     data = _of_one_pole(1.004, 200, 1)
 
@@ -203,7 +203,7 @@ def test_a_structure_that_is_not_searched_by_default_is_searched_if_asked_for() 
     assert {j.candidate.name for j in asked.ranked} == {"ARARX[2 2 1 1]", "ARARX[2 2 2 1]"}
 
 
-def test_what_cannot_be_searched_is_refused() -> None:
+def test_unknown_families_and_impossible_orders_are_refused() -> None:
     data = _data(1, [1.0], [1.0], 80)
 
     with pytest.raises(ValueError, match="families has 'arimax'; each must be one of arx, armax"):

@@ -84,7 +84,7 @@ def test_feedback_is_found_and_its_open_replay_is_not(plant: HandoutPlant) -> No
     assert sum(replays) <= 4
 
 
-def test_input_of_long_ago_is_allowed_for(plant: HandoutPlant) -> None:
+def test_the_test_accounts_for_inputs_of_long_ago(plant: HandoutPlant) -> None:
     """A regulator's u has no mean power at 0 Hz, so later samples depend on u p samples ago.
 
     At 20 % 8 of 40 are expected; without the sums of old input there are twice as many.
@@ -193,7 +193,9 @@ def test_the_verdict_is_that_of_the_level_asked_for(plant: HandoutPlant) -> None
         assert found.feedback == (level > p)
 
 
-def test_an_answer_within_the_sample_is_reported_to_look_like_feedback(plant: HandoutPlant) -> None:
+def test_a_response_within_the_sample_is_reported_to_look_like_feedback(
+    plant: HandoutPlant,
+) -> None:
     rng = np.random.default_rng(1)
     u = rng.standard_normal(1000)
     direct = replayed(plant, u, rng, 0.05)

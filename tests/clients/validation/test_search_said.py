@@ -266,7 +266,7 @@ def recommendation(B: Any, F: Any, *, integrator: bool = False) -> Recommendatio
     )  # fmt: skip
 
 
-def test_a_slope_is_told_if_the_model_has_it_to_3_db_a_decade() -> None:
+def test_a_slope_is_reported_if_the_model_has_it_to_3_db_a_decade() -> None:
     """An integrator of Ts 0.01 s: -20 dB a decade at 1 to 3 rad/s."""
     best, omega = recommendation([0, 0.01], [1, -1]), np.array([1.0, 2.0, 3.0])
 
@@ -278,7 +278,7 @@ def test_a_slope_is_told_if_the_model_has_it_to_3_db_a_decade() -> None:
 
 
 @pytest.mark.parametrize("integrator", [False, True])
-def test_an_extreme_is_told_if_the_model_has_roots_within_12_percent(integrator: bool) -> None:
+def test_an_extreme_is_reported_if_the_model_has_roots_within_12_percent(integrator: bool) -> None:
     poles, zeros = (np.exp(w * 0.01 * 1j) * r for w, r in ((20.0, 0.99), (40.0, 0.995)))
     B = np.real(np.poly([zeros, zeros.conjugate()]))
     F = np.real(np.poly([poles, poles.conjugate(), *([1.0] if integrator else [])]))

@@ -135,7 +135,7 @@ def test_a_delay_too_long_is_shown_at_its_pair_alone() -> None:
         found["u2", "y1"]
 
 
-def test_noise_that_the_outputs_share_later_is_seen_jointly_only() -> None:
+def test_delayed_common_noise_is_rejected_by_the_joint_test_alone() -> None:
     """y2 contains the noise of y1 three samples later: each output alone is white."""
     data, other = plant(0), plant(100)
     rng = np.random.default_rng(5)
@@ -258,7 +258,7 @@ def test_every_family_of_a_search_has_all_orders_of_an_iterator() -> None:
     assert tried == {("n4sid", 1), ("n4sid", 2), ("oe", 1), ("oe", 2)}
 
 
-def test_a_search_that_cannot_be_is_refused() -> None:
+def test_unknown_families_and_too_high_orders_are_refused() -> None:
     with pytest.raises(InputError, match="families has 'arx'; each must be one of ss, n4sid, oe"):
         armrig.search(plant(0), families=["arx"])
     with pytest.raises(InputError, match="none of the models could be estimated"):

@@ -169,7 +169,7 @@ def test_an_armax_model_that_integrates_its_noise_is_that_of_the_dataset() -> No
     np.testing.assert_allclose(e[1:], (data.y[:, 0] - known.predict(data.dataset()))[1:], atol=1e-4)
 
 
-def test_an_integrator_of_one_output_is_fixed_and_the_rest_is_estimated() -> None:
+def test_an_armax_model_has_a_fixed_integrator_in_one_output() -> None:
     true = [-1.7, 0.7, 0.5, 0.2, 0.3, 0.5, -0.8, 1.0, 0.3]
 
     fit = armrig.armax(integrated(1), na=[2, 1], nb=[[2, 1], [1, 0]], nc=1, integrator="a")
@@ -234,7 +234,7 @@ def test_rows_are_weighted_by_the_covariance_of_their_noise() -> None:
     assert fit.std[0] < alone.std[0]
 
 
-def test_equal_regressors_make_weights_superfluous() -> None:
+def test_an_arx_model_with_equal_regressors_is_ordinary_least_squares() -> None:
     data = coupled()
     fit = armrig.arx(data, na=2, nb=2)
     past = [data.y[1:-1], data.y[:-2], data.u[1:-1], data.u[:-2]]
@@ -346,7 +346,7 @@ def test_data_without_information_are_refused() -> None:
             armrig.arx(data, na=1, nb=1)
 
 
-def test_ends_at_one_minimum_keep_their_order() -> None:
+def test_searches_that_end_at_one_minimum_keep_their_order() -> None:
     """A search may end lower than another by rounding only, differently on each processor."""
     ends = {"first": 2.0 + 1e-9, "higher": 2.1, "second": 2.0, "none": float("nan")}
 

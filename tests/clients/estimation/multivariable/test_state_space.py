@@ -219,7 +219,7 @@ def test_estimates_lie_within_their_deviations(seed: int, missing: float) -> Non
     assert all(not q.white.coloured for q in fit.quality)
 
 
-def test_the_unit_of_a_signal_decides_nothing() -> None:
+def test_units_of_signals_change_no_state_space_model() -> None:
     signals = data()
     other = Signals(u=signals.u * [1e3, 1.0], y=signals.y * [1.0, 1e-6], Ts=0.1)
 
@@ -291,7 +291,7 @@ def test_a_subspace_estimate_predicts_the_missing_outputs() -> None:
 
 
 @pytest.mark.exhaustive
-def test_weights_choose_the_output_that_a_simple_model_fits() -> None:
+def test_output_weights_choose_the_output_that_a_simple_model_fits() -> None:
     signals = data()
     by_noise = armrig.ss(signals, order=1)
     weighted = armrig.ss(signals, order=1, output_weights=[1, 100])
@@ -310,7 +310,7 @@ def test_weights_choose_the_output_that_a_simple_model_fits() -> None:
     )
 
 
-def test_weights_of_the_noise_change_nothing_but_the_digits(tmp_path: Path) -> None:
+def test_the_weight_of_a_single_output_changes_no_estimate(tmp_path: Path) -> None:
     alone = signals_of_one_output()
     weighted = armrig.ss(alone, order=3, output_weights=[7.0])
     by_noise = armrig.ss(alone, order=3)
@@ -388,7 +388,7 @@ def test_replicates_miss_what_the_data_miss(monkeypatch: pytest.MonkeyPatch) -> 
         np.testing.assert_array_equal(np.vstack(of_one), whole.valid)
 
 
-def test_a_worse_minimum_is_not_searched_to_its_end() -> None:
+def test_a_search_for_a_worse_minimum_ends_early() -> None:
     """The criterion of a better end is out of reach after a few rounds."""
     p = problem(noise=True, direct=False, missing=0.0)
     z = np.diag([0.1, -0.2, 0.3])
@@ -476,7 +476,7 @@ def test_the_order_is_suggested() -> None:
     assert orders.count(3) >= 4
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_arguments_that_do_not_match_the_data_are_refused() -> None:
     with pytest.raises(InputError, match="needs at least"):
         armrig.ss(data()[:30], order=8)
     with pytest.raises(InputError, match="2 delays are needed, one for each input"):

@@ -38,7 +38,7 @@ def test_whole_periods_without_noise_give_the_exact_response(second: Any) -> Non
     assert "periods of 200 samples" in found.method
 
 
-def test_the_arm_s_angle_is_exact_too(arm: Any) -> None:
+def test_the_response_of_the_arm_s_angle_is_exact(arm: Any) -> None:
     """The drift due to the mean of the input is no error.
 
     The transient after 2 s remains: exp(-8.05 * 2) of its beginning.
@@ -86,7 +86,7 @@ def test_an_instant_missing_in_one_period_is_taken_from_the_others(second: Any) 
     assert found.N == data.N - 40
 
 
-def test_without_a_period_it_says_so(second: Any) -> None:
+def test_an_etfe_of_an_input_without_a_period_reports_this(second: Any) -> None:
     data = second.dataset(np.random.default_rng(3), 4000, std=0.1)
 
     found = etfe(data, integrator=False)

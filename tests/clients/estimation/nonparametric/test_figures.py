@@ -69,7 +69,7 @@ def test_the_unit_of_a_gain_is_that_of_y_per_unit_of_u(
     assert _gain(SimpleNamespace(unit=unit, input_unit=input_unit), rate=rate) == text
 
 
-def test_no_line_crosses_a_gap() -> None:
+def test_lines_of_a_figure_are_interrupted_by_gaps() -> None:
     t, y = _with_gaps(np.array([0.0, 1.0, 2.0, 5.0, 6.0, 9.0]), np.arange(6.0))
 
     assert np.flatnonzero(np.isnan(y)).tolist() == [3, 6]

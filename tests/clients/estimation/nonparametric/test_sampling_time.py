@@ -37,7 +37,7 @@ def first_order(tau: float, Ts: float, u: Any, std: float = 0.01) -> Dataset:
 
 
 @pytest.mark.parametrize("stepped", [False, True])
-def test_a_first_order_system_gets_what_the_rules_say(stepped: bool) -> None:
+def test_a_first_order_system_has_the_sampling_times_of_the_rules(stepped: bool) -> None:
     """0.31 tau by both bandwidths, 0.3 to 0.43 tau by the transient: 0.2 s to one digit."""
     tau, Ts = 0.6, 0.03
     u = (
@@ -73,7 +73,7 @@ def test_the_arm_gets_5_ms(sampled: Callable[[float], Any], Ts: float) -> None:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", sampled([3, 1, 6, 9]))  # 3 once gave 0.2 ms
-def test_a_step_through_converter_and_dead_band_leads_to_the_same(
+def test_a_step_through_converter_and_dead_band_gives_the_sampling_time_of_the_arm(
     sampled: Callable[[float], Any], seed: int
 ) -> None:
     """At 2 ms the rate of a 10-bit angle is mostly noise."""
@@ -106,7 +106,7 @@ def test_a_telegraph_is_no_row_of_steps(sampled: Callable[[float], Any], Ts: flo
     assert 0.3 < found.settling < 0.5
 
 
-def test_missing_samples_and_steps_lead_to_the_same(arm: Any) -> None:
+def test_data_with_gaps_and_steps_give_the_sampling_time_of_the_arm(arm: Any) -> None:
     data = arm.telegraph()
     holed = data.replaced(step=None, valid=np.random.default_rng(1).random(data.N) > 0.1)
 
@@ -151,7 +151,7 @@ def test_power_near_nyquist_is_reported() -> None:
     assert quiet.beyond < 0.05
 
 
-def test_data_that_are_too_slow_say_so(sampled: Callable[[float], Any]) -> None:
+def test_data_sampled_too_slowly_are_reported(sampled: Callable[[float], Any]) -> None:
     """At 40 ms the arm's band reaches Nyquist."""
     found = sampling_time(sampled(0.04).telegraph(N=1500, std=1e-3))
 
@@ -287,7 +287,7 @@ def _telegraph(N: int = 1200) -> NDArray[np.float64]:
     return telegraph(N, 0.05, 1.0, 4.0, seed=3)
 
 
-def test_what_no_input_explains_has_no_sampling_time() -> None:
+def test_an_output_that_u_does_not_explain_has_no_sampling_time() -> None:
     noise = np.random.default_rng(1).standard_normal(1200)
 
     with pytest.raises(ValueError, match="u explains y at no frequency"):
@@ -296,7 +296,7 @@ def test_what_no_input_explains_has_no_sampling_time() -> None:
         sampling_time(Dataset(u=_telegraph()[:12] + np.arange(12) % 2, y=noise[:12], Ts=0.05))
 
 
-def test_an_answer_that_returns_to_0_has_no_time_constant() -> None:
+def test_a_response_that_returns_to_0_has_no_time_constant() -> None:
     """The final value of a differentiator is noise."""
     u = np.random.default_rng(2).standard_normal(1200)
     y = filtered([0, 1, -1], [1, -0.94], u) + 0.02 * np.random.default_rng(1).standard_normal(1200)
@@ -305,7 +305,7 @@ def test_an_answer_that_returns_to_0_has_no_time_constant() -> None:
         sampling_time(Dataset(u=u, y=y, Ts=0.05))
 
 
-def test_an_answer_within_one_sample_is_not_read_between_samples() -> None:
+def test_a_response_within_one_sample_is_not_read_between_samples() -> None:
     """The rate of a pure integrator arrives within one sample."""
     u = _telegraph()
     y = np.cumsum(np.append(0, 0.05 * u[:-1]))

@@ -90,7 +90,7 @@ def test_the_arm_s_angle_comes_through_its_rate(arm: Any) -> None:
     np.testing.assert_allclose(np.abs(found.G / arm.response(w)), 1.0, atol=0.06)
 
 
-def test_logarithmic_resolution_sees_both_ends(arm: Any) -> None:
+def test_logarithmic_windows_resolve_both_ends_of_the_band(arm: Any) -> None:
     """A single width is too wide for the arm's low end or too narrow for its high end."""
     found = spa(arm.telegraph(std=1e-3), "log")
     low, high = found.omega < 5, (found.omega > 40) & (found.omega < 100)
@@ -125,7 +125,7 @@ def resonant(seed: int, std: float = 0.3) -> Dataset:
     return Dataset(u=u, y=filtered([0, 1], F, u) + std * rng.standard_normal(3000), Ts=1.0)
 
 
-def test_a_window_that_blunts_a_resonance_says_so() -> None:
+def test_a_window_that_blunts_a_resonance_is_reported() -> None:
     data = resonant(1)
     truth = abs(1 / np.polyval([1, -2 * 0.98 * np.cos(0.5), 0.98**2], np.exp(0.5j)))
 
@@ -139,7 +139,7 @@ def test_a_window_that_blunts_a_resonance_says_so() -> None:
     assert not any("blunts" in note for note in sharp.notes)
 
 
-def test_a_window_that_blunts_nothing_says_nothing(second: Any) -> None:
+def test_a_window_that_blunts_no_resonance_is_not_reported(second: Any) -> None:
     """At most one of 100 runs reports a blunted resonance (smooth response, 128 frequencies)."""
     told = [
         spa(second.dataset(np.random.default_rng(seed), 1000), 60, integrator=False).notes
@@ -228,7 +228,7 @@ def test_the_reference_of_a_model_has_a_long_window(second: Any, N: int, window:
         ),
     ],
 )
-def test_frequencies_without_power_and_few_averages_are_told(
+def test_frequencies_without_power_and_few_averages_are_reported(
     power: list[float], averages: list[float], notes: list[str]
 ) -> None:
     u, one = np.array(power), np.ones(5)
@@ -282,7 +282,7 @@ def test_what_the_input_explains_is_a_range(coherence: Any, found: list[int] | s
         assert explained(spectrum).tolist() == found
 
 
-def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
+def test_windows_and_frequencies_out_of_range_are_refused(second: Any) -> None:
     data = second.dataset(np.random.default_rng(6), 200)
     holed = Dataset(u=data.u, y=data.y, Ts=1.0, valid=np.arange(200) % 10 > 0)
 

@@ -33,7 +33,7 @@ def through_potentiometer(data: Dataset, seed: int) -> Dataset:
 
 
 @pytest.mark.parametrize("output", sampled(["theta_1", "angle"]))
-def test_the_arm_is_seen_through(arm: Any, output: str) -> None:
+def test_hints_on_the_arm_are_its_four_poles_and_its_notch(arm: Any, output: str) -> None:
     """Four poles, one of them at 1; a notch near 15.7 rad/s; no delay."""
     data = arm.telegraph().replaced(step=None, output=output)
 
@@ -97,7 +97,7 @@ def test_a_response_longer_than_its_lags_has_no_other_resonances(
     assert (found.nf, found.nb) == (4, 4)
 
 
-def test_what_noise_makes_is_no_resonance() -> None:
+def test_noise_causes_no_resonance() -> None:
     """Unsmoothed noise makes about 14 false resonances per record of a first-order system."""
     found = 0
     for seed in range(12):
@@ -196,7 +196,7 @@ def test_dead_time_is_delay_and_not_poles() -> None:
 
 
 @pytest.mark.exhaustive
-def test_under_a_slow_telegraph_no_slope_and_no_delay_is_said_that_is_not_there() -> None:
+def test_a_slow_telegraph_causes_no_false_slope_or_delay() -> None:
     """Its power is at low frequency, and the leakage from there has another slope and phase."""
     said = []
     for seed in range(3):

@@ -100,7 +100,7 @@ def test_growth_without_bound_ends_in_no_warning() -> None:
         ({"A": [[0.0, np.nan], [0.0, 0.0]]}, "A contains a number that is not finite"),
     ],
 )
-def test_the_impossible_is_refused(changes: dict[str, Any], message: str) -> None:
+def test_impossible_arguments_are_refused(changes: dict[str, Any], message: str) -> None:
     given: dict[str, Any] = {"A": [[0.0, 1.0], [-1.0, -1.0]], "B": [0.0, 1.0]}
     given |= {"u": (lambda t: 1.0), "x0": [0.0, 0.0], "h": 0.1, "n": 3, "method": "heun"}
     one: Callable[..., Any] = integrate
