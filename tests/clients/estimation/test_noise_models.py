@@ -58,7 +58,6 @@ CASES: list[tuple[Callable[..., Fit], Callable[..., Dataset], dict[str, int], li
     (armax, armax_data, {"na": 2, "nb": 2, "nc": 1}, [-1.2, 0.6, 1, 0.5, 0.5]),
     (bj, bj_data, {"nb": 2, "nc": 1, "nd": 1, "nf": 2}, [1, 0.5, 0.5, -0.7, -1.2, 0.6]),
     (pem, bj_data, {"nb": 2, "nc": 1, "nd": 1, "nf": 2}, [1, 0.5, 0.5, -0.7, -1.2, 0.6]),
-    (pem, armax_data, {"na": 2, "nb": 2, "nc": 1}, [-1.2, 0.6, 1, 0.5, 0.5]),
     (ararx, ararx_data, {"na": 2, "nb": 2, "nd": 1}, [-1.2, 0.6, 1, 0.5, -0.7]),
 ]
 

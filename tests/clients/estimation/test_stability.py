@@ -40,9 +40,9 @@ def _growing(pole: float = 1.03, N: int = 200) -> Dataset:
 ESTIMATORS: dict[str, Estimator] = {
     "arx": lambda data, **more: arx(data, na=2, nb=2, **more),
     "iv4": lambda data, **more: iv4(data, na=2, nb=2, **more),
-    "armax": lambda data, **more: armax(data, na=2, nb=2, nc=1, **more),
+    "armax": lambda data, **more: armax(data, na=2, nb=2, nc=1, **more, starts="few"),
     "n4sid": lambda data, **more: n4sid(data, 2, **more),
-    "pem": lambda data, **more: pem(data, na=2, nb=2, **more),
+    "pem": lambda data, **more: pem(data, na=2, nb=2, **more, starts="few"),
 }
 
 

@@ -62,33 +62,10 @@ def test_the_deviations_of_the_slow_pair_of_real_poles_are_poor() -> None:
     assert (t.poles_sampled == (t.poles.imag == 0)).all()
 
 
-@pytest.mark.exhaustive
-def test_errors_are_as_large_as_the_deviations_reported(
-    plant: HandoutPlant, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Over 30 experiments the errors divided by their deviations have an effective value near 1.
-
-    Each experiment has deviations of its own: how well the gain shows depends on how far the
-    telegraph has wandered.
-    """
-    monkeypatch.setattr(characteristics, "DRAWS", 12)  # for the ranges, which are not looked at
-    truth = model_characteristics(physical_model(HANDOUT, plant.dataset(1)))
-    found = [
-        model_characteristics(
-            armrig.oe(plant.dataset(seed, N=1500), nb=4, nf=4, integrator=True, starts="few")
-        )
-        for seed in range(30)
-    ]
-
-    for name in SCALARS:
-        z = [(getattr(t, name) - getattr(truth, name)) / t.std[name] for t in found]
-        assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35, name
-
-
 @pytest.mark.parametrize("seed", sampled([0, 2]))
 def test_a_deviation_is_the_scatter_of_draws(plant: HandoutPlant, seed: int) -> None:
     """200 draws determine a deviation to 5 %, if the linearisation is good."""
-    fit = armrig.oe(plant.dataset(seed, N=1500), nb=4, nf=4, integrator=True)
+    fit = armrig.oe(plant.dataset(seed, N=1500), nb=4, nf=4, integrator=True, starts="few")
     t = model_characteristics(fit)
     assert t.draws is not None
     drawn = [model_characteristics(_moved(fit, theta)) for theta in t.draws.theta[:200]]
@@ -146,7 +123,7 @@ def test_the_times_of_a_model_are_those_of_the_step_analysis_whatever_Ts(Ts: flo
     F = np.convolve([1.0, -1.0], [1.0, -pole])
     u = np.repeat([0.0, 1.0], 200)
     data = armrig.Dataset(u=u, y=filtered(B, F, u), Ts=Ts, output="theta_1", unit="rad")
-    fit = armrig.oe(data, nb=2, nf=2, integrator=True)
+    fit = armrig.oe(data, nb=2, nf=2, integrator=True, starts="few")
     B_late = np.array([0.0, 0.0, 0.0, 1 - pole])
     late = replace(_any_fit(), B=B_late, nk=3, F=np.array([1.0, -pole]), Ts=Ts)
 

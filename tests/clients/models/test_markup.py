@@ -21,9 +21,15 @@ def fits() -> tuple[Fit, ...]:
     u, e = np.random.default_rng(0).standard_normal((2, 300))
     y = filtered([0, 1.0, 0.5], [1, -1.2, 0.6], u) + filtered([1], [1, -0.7], 0.3 * e)
     data = Dataset(u=u, y=y, Ts=1.0)
-    whole = bj(data, nb=2, nc=1, nd=1, nf=2)
+    whole = bj(data, nb=2, nc=1, nd=1, nf=2, starts="few")
     tiny, unknown = (replace(whole, covariance=x * np.eye(6)) for x in (1e-20, np.nan))
-    return whole, arx(data, na=2, nb=1), bj(data, nb=2, nc=0, nd=1, nf=2), tiny, unknown
+    return (
+        whole,
+        arx(data, na=2, nb=1),
+        bj(data, nb=2, nc=0, nd=1, nf=2, starts="few"),
+        tiny,
+        unknown,
+    )
 
 
 def test_typst_takes_the_equation(fits: tuple[Fit, ...], tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ Vector = NDArray[np.float64]
 @pytest.fixture(scope="module")
 def fit(plant: HandoutPlant) -> armrig.Fit:
     """Return an estimated model of the arm."""
-    return armrig.oe(plant.dataset(1, N=800), nb=4, nf=4, integrator=True)
+    return armrig.oe(plant.dataset(1, N=800), nb=4, nf=4, integrator=True, starts="few")
 
 
 def claimed(fit: armrig.Fit) -> Model:

@@ -36,7 +36,7 @@ def data(seed: int) -> Dataset:
 @pytest.fixture(scope="module")
 def fit() -> Fit:
     """Return a Box-Jenkins fit of two experiments."""
-    return bj(merge(data(1).split(2)), nb=2, nc=1, nd=1, nf=2)
+    return bj(merge(data(1).split(2)), nb=2, nc=1, nd=1, nf=2, starts="few")
 
 
 def test_a_saved_model_is_the_same_to_the_last_digit(fit: Fit, tmp_path: Path) -> None:

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.models.characteristics import overlapping
-from armrig.numerics.polynomial import filtered
 from armrig.validation.advice.advice import Advice
 from armrig.validation.advice.data_advice import examine_fit_of
 from armrig.validation.advice.model_advice import _about_integrator, _about_poles
 from numpy.typing import NDArray
 
+from tests.clients.validation.plants import of_second_order, switched, under_control
 from tests.sampling import sampled
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def test_a_drift_of_an_output_that_does_not_integrate_is_reported() -> None:
 
 
 def test_the_right_model_needs_no_advice(plant: HandoutPlant) -> None:
-    fit = armrig.oe(plant.dataset(1), nb=4, nf=4, integrator=True)
+    fit = armrig.oe(plant.dataset(1), nb=4, nf=4, integrator=True, starts="few")
 
     assert told(armrig.advice(fit)) == set()
 
@@ -90,32 +90,6 @@ def test_an_arx_model_of_the_angle_gets_advice_on_each_fault(plant: HandoutPlant
 def test_an_argument_that_is_neither_data_nor_a_model_is_refused() -> None:
     with pytest.raises(TypeError, match=r"data is a str: give a Dataset"):
         armrig.advice("run.mcap")  # type: ignore[arg-type]
-
-
-def of_second_order(u: Vector, *, nk: int = 1, level: float = 0.0) -> Dataset:
-    """Return 0.1 (1 + 0.5 q^-1)/(1 - 1.4 q^-1 + 0.5 q^-2) u(t - nk), a level and noise."""
-    y = filtered(np.append(np.zeros(nk), [0.1, 0.05]), [1.0, -1.4, 0.5], u)
-    e = 0.05 * np.random.default_rng(3).standard_normal(u.size)
-    return Dataset(u=u, y=y + level + e, Ts=0.02)
-
-
-def under_control(N: int = 1500) -> Dataset:
-    """Return the same plant under u = (r - y)/2, noise of a pole at 0.9, r a step every 50."""
-    rng = np.random.default_rng(5)
-    r = np.repeat(rng.uniform(-1, 1, N // 50), 50)
-    v = filtered([1.0], [1.0, -0.9], 0.1 * rng.standard_normal(N))
-    x, u, y = np.zeros(N), np.zeros(N), np.zeros(N)
-    for t in range(N):
-        if t > 1:
-            x[t] = 1.4 * x[t - 1] - 0.5 * x[t - 2] + 0.1 * u[t - 1] + 0.05 * u[t - 2]
-        y[t] = x[t] + v[t]
-        u[t] = 0.5 * (r[t] - y[t])
-    return Dataset(u=u, y=y, Ts=0.02)
-
-
-def switched(N: int = 1500) -> Vector:
-    """Return a telegraph of ±2.5."""
-    return armrig.telegraph(N, 0.1, 0.0, 5.0, seed=1) - 2.5
 
 
 def test_a_single_fault_of_data_is_the_only_finding() -> None:
@@ -149,7 +123,7 @@ def test_an_output_without_a_response_is_reported() -> None:
 
 def test_a_pole_and_a_zero_at_one_are_reported_as_a_level() -> None:
     """Such a model is the answer to an offset, not an integrator or too high an order."""
-    fit = armrig.oe(of_second_order(switched(), level=5.0), nb=3, nf=3)
+    fit = armrig.oe(of_second_order(switched(), level=5.0), nb=3, nf=3, starts="few")
 
     assert "level" in told(armrig.advice(fit))
     assert not {"integrator", "order"} & told(armrig.advice(fit))
@@ -165,7 +139,7 @@ def test_a_pole_and_a_zero_at_one_are_reported_as_a_level() -> None:
     ids=["sine", "delay", "feedback"],
 )
 def test_a_model_is_compared_with_its_data(data: Dataset, about: str, words: str) -> None:
-    fit = armrig.oe(data, nb=2, nf=2)
+    fit = armrig.oe(data, nb=2, nf=2, starts="few")
 
     texts = {f.about: f.text for f in examine_fit_of(data, fit)}
 
@@ -175,13 +149,13 @@ def test_a_model_is_compared_with_its_data(data: Dataset, about: str, words: str
 def test_a_good_model_of_good_data_is_not_doubted() -> None:
     data = of_second_order(switched())
 
-    assert not [*examine_fit_of(data, armrig.oe(data, nb=2, nf=2))]
+    assert not [*examine_fit_of(data, armrig.oe(data, nb=2, nf=2, starts="few"))]
 
 
 def test_a_doubtful_model_of_data_without_an_integrator_lacks_none() -> None:
     """Only data that integrate raise the question of the pole at 1."""
     data = of_second_order(switched())
-    doubtful = replace(armrig.oe(data, nb=2, nf=2), converged=False)
+    doubtful = replace(armrig.oe(data, nb=2, nf=2, starts="few"), converged=False)
 
     assert not [*examine_fit_of(data, doubtful)]
 

@@ -37,7 +37,7 @@ def data(seed: int, N: int = 600, noise: float = 0.3) -> Dataset:
 
 def test_the_fit_percent_is_the_textbook_s() -> None:
     """100 (1 - |y - ŷ| / |y - mean y|), with the initial state of the new data estimated."""
-    fit, fresh = oe(data(1), nb=2, nf=2), data(2)[100:]
+    fit, fresh = oe(data(1), nb=2, nf=2, starts="few"), data(2)[100:]
 
     row = compare(fresh, fit)[0]
 
@@ -48,7 +48,7 @@ def test_the_fit_percent_is_the_textbook_s() -> None:
 
 
 def test_missing_samples_do_not_count() -> None:
-    fit, fresh = oe(data(1), nb=2, nf=2), data(2)
+    fit, fresh = oe(data(1), nb=2, nf=2, starts="few"), data(2)
     valid = np.random.default_rng(0).random(fresh.N) > 0.2
     holed = Dataset(u=fresh.u, y=np.where(valid, fresh.y, 1e9), Ts=1, valid=valid)
 
@@ -59,8 +59,8 @@ def test_missing_samples_do_not_count() -> None:
 
 def test_the_velocity_fit_shows_errors_that_the_angle_fit_hides(plant: HandoutPlant) -> None:
     """A first-order chassis without the arm: nearly 100 % on the angle, visibly bad on its rate."""
-    poor = oe(plant.dataset(1), nb=2, nf=2, integrator=True)
-    good = oe(plant.dataset(1), nb=4, nf=4, integrator=True)
+    poor = oe(plant.dataset(1), nb=2, nf=2, integrator=True, starts="few")
+    good = oe(plant.dataset(1), nb=4, nf=4, integrator=True, starts="few")
 
     table = compare(plant.dataset(2), poor, good)
 
@@ -91,7 +91,7 @@ def test_an_unbounded_simulation_has_a_fit_of_minus_infinity(plant: HandoutPlant
 def test_a_delay_too_large_shows_as_correlation_with_the_input() -> None:
     seen = data(1)
 
-    right, wrong = (residuals(oe(seen, nb=2, nf=2, nk=nk), seen) for nk in (1, 2))
+    right, wrong = (residuals(oe(seen, nb=2, nf=2, nk=nk, starts="few"), seen) for nk in (1, 2))
 
     assert right.missing_dynamics > 0.01
     assert wrong.missing_dynamics < 1e-6
@@ -124,7 +124,7 @@ def test_the_band_is_wider_where_residuals_and_input_are_both_coloured() -> None
     rho = (1 - 2 * a) * c  # both correlations are geometric
     expected = 2.58 * np.sqrt((1 + rho) / (1 - rho) / N)
 
-    tested = residuals(oe(coloured, nb=2, nf=2), coloured)
+    tested = residuals(oe(coloured, nb=2, nf=2, starts="few"), coloured)
 
     assert tested.cross_band == pytest.approx(expected, rel=0.05)
     assert tested.autocorrelation_band == pytest.approx(2.58 / np.sqrt(N))
@@ -163,9 +163,9 @@ def test_every_parameter_of_the_noise_model_lessens_the_degrees_of_freedom() -> 
     u, e = rng.standard_normal((2, 800))
     seen = Dataset(u=u, y=filtered(B, F, u) + filtered([1, 0.5], [1, -0.7], e), Ts=1)
     for fit, noise in (
-        (bj(seen, nb=2, nc=1, nd=2, nf=2), 3),
-        (armax(seen, na=3, nb=3, nc=3), 6),
-        (armax(seen, na=2, nb=3, nc=3, integrator=True), 4),
+        (bj(seen, nb=2, nc=1, nd=2, nf=2, starts="few"), 3),
+        (armax(seen, na=3, nb=3, nc=3, starts="few"), 6),
+        (armax(seen, na=2, nb=3, nc=3, integrator=True, starts="few"), 4),
     ):
         tested = residuals(fit, seen, lags=L)
 
@@ -178,7 +178,7 @@ def test_the_covariance_of_the_free_parameters_determines_that_of_all_coefficien
     plant: HandoutPlant,
 ) -> None:
     """With an integrator: through F = (1 - q^-1) F̃ it is the covariance of (b, f) again."""
-    fit = oe(plant.dataset(1), nb=3, nf=4, integrator=True)
+    fit = oe(plant.dataset(1), nb=3, nf=4, integrator=True, starts="few")
     by_free = np.zeros((7, 6))
     by_free[:3, :3] = np.eye(3)
     for k in range(3):
@@ -196,7 +196,7 @@ def test_the_covariance_of_the_free_parameters_determines_that_of_all_coefficien
 def test_the_lagged_inputs_are_held_once(own: bool) -> None:
     """25 lags more to each side are 50 arrays more; held twice, they would be 100."""
     long = data(1, 100_000)
-    fit = oe(long[:2000], nb=2, nf=2)
+    fit = oe(long[:2000], nb=2, nf=2, starts="few")
     fit = replace(fit, digest=long.digest) if own else fit
 
     few, many = (_peak(partial(residuals, fit, long, lags=lags)) for lags in (25, 50))

@@ -17,6 +17,7 @@ from armrig.numerics.polynomial import filtered
 from armrig.validation.model_search import _ranked, search
 from armrig.validation.search_result import Candidate, OfferedName, Scored, SearchResult
 
+from tests.clients.validation.plants import of_second_order, switched, under_control
 from tests.sampling import sampled
 
 if TYPE_CHECKING:
@@ -194,7 +195,7 @@ def test_orders_one_to_five_are_tried_by_default() -> None:
 
 
 def test_a_structure_that_is_not_searched_by_default_is_searched_if_asked_for() -> None:
-    data = _of_second_order()
+    data = of_second_order(switched())
 
     usual = search(data, orders=(2,), nk=1)
     asked = search(data, families=("ararx",), orders=(2,), nk=1)
@@ -245,7 +246,7 @@ def test_progress_is_reported_before_each_candidate_and_at_the_end(
 
 @pytest.mark.exhaustive
 def test_in_closed_loop_the_controller_is_not_taken_for_the_rig() -> None:
-    found = search(_under_control(), orders=(1, 2))
+    found = search(under_control(), orders=(1, 2))
 
     assert {j.candidate.family for j in found.ranked} == {"arx", "armax", "bj"}
     assert {dict(j.candidate.orders)["nk"] for j in found.ranked} == {1}
@@ -254,23 +255,9 @@ def test_in_closed_loop_the_controller_is_not_taken_for_the_rig() -> None:
     assert "doubt about the data, feedback: u depends on y" in found.explain()
 
 
-def _under_control() -> Dataset:
-    """Return a plant of second order under u = (r - y)/2, with noise, r a step every 50."""
-    rng, N = np.random.default_rng(5), 1500
-    r, e = np.repeat(rng.uniform(-1, 1, N // 50), 50), 0.1 * rng.standard_normal(N)
-    x, v, u, y = np.zeros((4, N))
-    for t in range(N):
-        v[t] = 0.9 * v[t - 1] + e[t]
-        if t > 1:
-            x[t] = 1.4 * x[t - 1] - 0.5 * x[t - 2] + 0.1 * u[t - 1] + 0.05 * u[t - 2]
-        y[t] = x[t] + v[t]
-        u[t] = 0.5 * (r[t] - y[t])
-    return Dataset(u=u, y=y, Ts=0.02)
-
-
 def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     """The nk is four; another delay would need three more coefficients."""
-    found = search(_of_second_order(nk=4), families=("oe",), orders=(1, 2, 3))
+    found = search(of_second_order(switched(), nk=4), families=("oe",), orders=(1, 2, 3))
 
     assert {j.fit.nk for j in found.ranked if j.fit is not None} == {4}
     assert found.chosen.candidate.order <= 3
@@ -279,7 +266,7 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
 
 
 def test_a_level_of_the_validation_data_alone_is_estimated_along() -> None:
-    first, second = _of_second_order().split(2)
+    first, second = of_second_order(switched()).split(2)
     second = Dataset(u=second.u, y=second.y + 5.0, Ts=second.Ts)
 
     found = search(first, second, families=("arx", "oe"), orders=(1, 2, 3))
@@ -289,14 +276,8 @@ def test_a_level_of_the_validation_data_alone_is_estimated_along() -> None:
     assert any(note.startswith("in the validation data y is about") for note in found.notes)
 
 
-def _of_second_order(nk: int = 1, level: float = 0.0) -> Dataset:
-    u = telegraph(1500, 0.1, 0.0, 5.0, seed=1) - 2.5
-    y = filtered(np.append(np.zeros(nk), [0.1, 0.05]), [1.0, -1.4, 0.5], u) + level
-    return Dataset(u=u, y=y + 0.05 * np.random.default_rng(3).standard_normal(1500), Ts=0.02)
-
-
 def test_an_output_that_is_found_to_integrate_gets_its_integrator() -> None:
-    data = _of_second_order()
+    data = of_second_order(switched())
     found = search(
         Dataset(u=data.u, y=0.05 * np.cumsum(data.y), Ts=0.02), families=("oe",), orders=(3,)
     )

@@ -249,19 +249,6 @@ def test_an_arx_model_with_equal_regressors_is_ordinary_least_squares() -> None:
 
 
 @pytest.mark.exhaustive
-def test_the_covariance_of_a_channel_is_that_of_many_runs() -> None:
-    """The gain from v to a of a coupled model, and its deviation, in 60 runs."""
-    gains, deviations = [], []
-    for seed in range(60):
-        answer = armrig.arx(coupled(seed=100 + seed), **COUPLED).frequency_response([1.0])
-        gains.append(np.abs(answer.G[0]))
-        deviations.append(answer.std_magnitude[0])
-
-    ratio = np.mean(deviations, axis=0) / np.std(gains, axis=0, ddof=1)
-    assert np.abs(ratio - 1).max() < 0.35
-
-
-@pytest.mark.exhaustive
 def test_a_shared_denominator_gains_from_the_second_output() -> None:
     rng = np.random.default_rng(5)
     u = np.repeat(np.sign(rng.standard_normal(N // 5)), 5)

@@ -243,9 +243,12 @@ def test_the_unit_of_y_does_not_change_the_recommended_structures() -> None:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("seed", [2067, 4033])
-def test_a_poor_minimum_of_a_wider_model_does_not_hide_the_true_structure(seed: int) -> None:
-    """A model with more b's than are there ended in a poor minimum for each of these plants."""
+@pytest.mark.parametrize("seed", [2067, 4033, 4018])
+def test_the_structure_of_a_drawn_plant_is_recommended(seed: int) -> None:
+    """A model with more b's than are there ended in a poor minimum for the first two plants.
+
+    By AIC the noise of the last plant, 300 samples of first order, was taken for one of order 35.
+    """
     plant = drawn(seed)
 
     found = structure_hints(plant.data(40.0))
@@ -274,16 +277,6 @@ def test_many_short_experiments_show_the_true_structure() -> None:
 
     first = found.structures[0]
     assert (first.nb, first.nf, first.nk) == (2, 2, 1)
-
-
-@pytest.mark.exhaustive
-def test_few_samples_do_not_give_the_noise_a_high_order() -> None:
-    """By AIC the noise of 300 samples, first order, was taken for one of order 35."""
-    plant = drawn(4018)
-
-    found = structure_hints(plant.data(40.0))
-
-    assert plant.structure in [(s.nb, s.nf, s.nk) for s in found.structures]
 
 
 @pytest.mark.exhaustive
