@@ -36,7 +36,6 @@ from armrig.recordings.loading import load
 from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
-from armrig.validation.comparison_figure import plot_comparison
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -45,8 +44,6 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.text import Text
-
-from tests.clients.handout_plant import HandoutPlant
 
 
 def said(ax: Axes) -> list[str]:
@@ -331,20 +328,6 @@ def test_a_step_keeps_its_ramp(done: Study) -> None:
     np.testing.assert_array_equal(shown, step.theta_1)
 
 
-def test_a_constant_lateness_is_no_histogram(recording: Recording) -> None:
-    samples = recording.samples.copy()
-    samples["t_sched_ns"] = np.arange(samples.size) * 10_000_000
-    samples["t_host_ns"] = samples["t_sched_ns"] + 824_000
-    ax = plots.plot_timing(
-        replace(recording, samples=samples), quantity="lateness", ax=Figure().add_subplot()
-    )
-
-    assert not ax.patches
-    assert [t.get_text() for t in ax.texts] == [
-        f"{samples.size} samples, all\n824 µs, to the microsecond"
-    ]
-
-
 def test_a_logarithmic_scale_is_named_and_its_numbers_do_not_overlap(done: Study) -> None:
     figure = Figure(figsize=(6.4, 2.6), layout="constrained")
     models = _models(done)
@@ -376,27 +359,6 @@ def test_the_labels_of_a_comparison_do_not_overlap(done: Study) -> None:
 
     upper, lower = (ax.yaxis.label.get_window_extent() for ax in figure.axes)
     assert lower.y1 < upper.y0
-
-
-def test_the_numbers_of_a_stretched_axis_reach_near_its_end(plant: HandoutPlant) -> None:
-    """A number at 0.01 alone says nothing about an error of 0.08."""
-    ax = Figure().add_subplot()
-    data = plant.dataset(1, 600)
-    rows = [Line("near", 0.003, data.y + 0.003), Line("far", 0.08, data.y + 0.08)]
-
-    plot_comparison(data, rows, ax=ax)
-
-    ticks = ax.figure.axes[1].get_yticks()
-    assert float(np.max(ticks)) == pytest.approx(0.05)
-
-
-@dataclass(frozen=True)
-class Line:
-    """A model's output in a comparison."""
-
-    name: str
-    rms_error: float
-    y: np.ndarray
 
 
 def test_a_recording_and_its_data_show_themselves(recording: Recording) -> None:

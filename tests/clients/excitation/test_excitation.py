@@ -268,6 +268,7 @@ def test_a_file_is_read_as_people_write_them(tmp_path: Path, text: str) -> None:
         ("0,1\n0.01\n", "row 2: 1 columns"),
         ("0,1,2\n", "row 1: 3 columns"),
         ("0;1,5\n", "row 1: 3 columns.*with a point, not a comma"),
+        ("t\n0\n0.02\n0.04\n", "column t; name it u"),
         ("time,voltage\n0,1\n", "columns time, voltage; name them t and u"),
         ("", "no row of numbers"),
         ("# mine\n\nt,u\n0,1\n# a remark\n0.01,2\n0.03,3\n", "row 7: t=0.03 s"),
@@ -333,26 +334,6 @@ def test_an_input_by_name_is_that_of_its_function() -> None:
     for a in (0.0, 0.51, float("nan")):
         with pytest.raises(ValueError, match="a probability of more than 0, at most"):
             clock_of(a)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("t\n0\n0.02\n0.04\n", "column t; name it u"),
-        ("x,x,x\n1\n2\n", "column x, x, x; name it u"),
-        ("0,5\n1,5\n2,5\n", "a comma separates what may be one number"),
-        ("2,5\n", "a comma separates what may be one number"),
-    ],
-)
-def test_a_file_that_may_mean_another_voltage_is_refused(
-    tmp_path: Path, text: str, said: str
-) -> None:
-    """A time vector is no input, and "0,5" may mean half a volt."""
-    path = tmp_path / "u.csv"
-    path.write_text(text)
-
-    with pytest.raises(ValueError, match=said):
-        from_csv(path, Ts=1.0)
 
 
 def test_a_fifo_is_refused_without_waiting(tmp_path: Path) -> None:

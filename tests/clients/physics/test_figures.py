@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-import armrig
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -51,15 +50,6 @@ def test_the_arm_s_points_lie_on_the_edge_at_the_limit() -> None:
     [points] = [line for line in ax.lines if line.get_marker() == "x"]
     z = np.asarray(points.get_xdata()) + 1j * np.asarray(points.get_ydata())
     assert sorted(np.abs(z + 1))[-3:] == pytest.approx([1.0, 1.0, 1.0])
-
-
-def test_the_residual_of_the_grey_box_is_the_noise(data: Dataset) -> None:
-    """The lower panel shows 2 mrad, not the ramp."""
-    fit = armrig.greybox(data)
-    ax = fit.plot(data, ax=Figure().add_subplot()).axes[0]
-
-    error = np.asarray(ax.figure.axes[1].lines[0].get_ydata())
-    assert np.std(error) == pytest.approx(fit.loss**0.5, rel=1e-3)
 
 
 def test_an_edge_that_is_not_there_is_refused() -> None:

@@ -197,38 +197,6 @@ def test_the_velocity_is_compared_if_the_output_or_a_model_integrates(
         assert row_.velocity_fit_percent == pytest.approx(expected)
 
 
-def test_differences_are_drawn_from_the_model_with_the_least_error() -> None:
-    y = data().y
-    rows = (
-        compared("poor", y + 1.0, 1.0),
-        compared("best", y + 0.25, 0.25),
-        compared("other", y - 0.5, 0.5),
-        compared("unknown", np.full(6, np.nan), np.nan),
-    )
-
-    ax = plot_comparison(data(), rows[:3], ax=Figure().add_subplot())
-
-    below = ax.figure.axes[1]
-    shown = {line.get_label(): np.asarray(line.get_ydata(), float) for line in below.lines}
-    known = data().valid
-    np.testing.assert_allclose(shown["poor − best"][known], 0.75)
-    np.testing.assert_allclose(shown["other − best"][known], -0.75)
-    (dots,) = (
-        line for line in below.lines if line.get_marker() == "." and len(line.get_xdata()) == 6
-    )
-    np.testing.assert_allclose(np.asarray(dots.get_ydata())[known], -0.25)
-    assert "measured − best" in shown
-    upper = {line.get_label(): np.asarray(line.get_ydata(), float) for line in ax.lines}
-    labels = [label for label in upper if ", rms error " in str(label)]
-    assert [str(label).partition(",")[0] for label in labels] == ["poor", "best", "other"]
-    np.testing.assert_allclose(upper[labels[1]][known], y[known] + 0.25)
-    assert "0.25" in str(labels[1])
-    four = plot_comparison(data(), rows, ax=Figure().add_subplot()).figure.axes[1]
-    named = {line.get_label() for line in four.lines}
-    assert "measured − best" in named
-    assert "poor − best" not in named
-
-
 @pytest.mark.parametrize(("largest", "limit"), [(0.79, 0.0), (0.81, 0.3), (5.0, 0.3)])
 def test_a_scale_is_logarithmic_beyond_three_times_the_least_error_if_one_is_8_times_it(
     largest: float, limit: float
@@ -247,14 +215,3 @@ def test_a_scale_is_logarithmic_beyond_three_times_the_least_error_if_one_is_8_t
     assert (f"scale logarithmic beyond ±{limit:g} rad, dotted" in texts) == bool(limit)
     if limit:
         assert below.get_ylim()[1] == pytest.approx(2 * (largest - 0.1))
-
-
-def test_the_scale_of_the_outputs_is_that_of_the_measured_samples() -> None:
-    """0 to 4; a model may go a whole span beyond."""
-    rows = (compared("a", data().y + 20.0, 20.0), compared("b", data().y, 0.0))
-
-    ax = plot_comparison(data(), rows, ax=Figure().add_subplot())
-
-    assert ax.get_ylim() == pytest.approx((-0.2, 8.2))
-    assert ax.get_xlim() == (0.0, 2.5)
-    assert "rad" in ax.get_ylabel()
