@@ -47,7 +47,6 @@ from matplotlib.text import Text
 
 
 def said(ax: Axes) -> list[str]:
-    """Return the lines of the legend."""
     legend = ax.get_legend()
     assert legend is not None
     return [text.get_text() for text in legend.get_texts()]
@@ -67,13 +66,11 @@ Plot = Callable[[Study, Recording, Axes | None], Axes]
 
 @pytest.fixture(scope="module")
 def recording(three_recordings: tuple[Path, Path, Path]) -> Recording:
-    """Give the validation recording."""
     return load(three_recordings[2])
 
 
 @pytest.fixture(scope="module")
 def done(three_recordings: tuple[Path, Path, Path]) -> Study:
-    """Give a study of all three."""
     return study([load(path) for path in three_recordings])
 
 

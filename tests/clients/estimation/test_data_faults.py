@@ -53,7 +53,6 @@ def spoilt_and_marked() -> tuple[Dataset, Dataset]:
 
 
 def about(fit: Fit, word: str) -> list[str]:
-    """Return the warnings with that word."""
     return [w for w in fit.warnings if word in w]
 
 

@@ -39,13 +39,11 @@ def oe_data(seed: int, colour: float = 0.0) -> Dataset:
 
 @cache
 def estimate_arx(seed: int) -> Fit:
-    """Estimate the ARX system."""
     return arx(arx_data(seed), na=2, nb=2)
 
 
 @cache
 def estimate_oe(seed: int) -> Fit:
-    """Estimate the OE system."""
     return oe(oe_data(seed), nb=2, nf=2, starts="few")
 
 

@@ -56,7 +56,6 @@ def hard(seed: int) -> tuple[Dataset, NDArray[np.float64]]:
 
 
 def problem_of(data: Dataset, structure: Structure) -> PredictionErrorProblem:
-    """Return the problem of one experiment."""
     return PredictionErrorProblem(experiments=(prepared(data, structure),), structure=structure)
 
 

@@ -270,7 +270,6 @@ A4, B4, C4 = (
 
 
 def _of_fourth_order(seed: int, N: int, C: ArrayLike, D: ArrayLike) -> tuple[Dataset, Vector]:
-    """Return data and the innovations that are in them."""
     rng = np.random.default_rng(seed)
     u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
     e = 0.5 * rng.standard_normal(N)

@@ -60,7 +60,6 @@ def test_a_noise_free_angle_gives_back_the_plant_from_any_state(plant: HandoutPl
 
 @pytest.fixture(scope="module")
 def fits(plant: HandoutPlant) -> list[Fit]:
-    """Return the fits of two recordings of the handout's plant."""
     return [oe(plant.dataset(seed), nb=4, nf=4, integrator=True) for seed in range(2)]
 
 
@@ -90,7 +89,6 @@ def test_the_plant_is_found_through_a_potentiometer_with_a_dead_band(plant: Hand
 def test_every_coefficient_of_the_plant_lies_inside_three_sigma(
     plant: HandoutPlant, fits: list[Fit]
 ) -> None:
-    """In all four recordings."""
     assert all((np.abs(fit.theta - plant.theta) < 3 * fit.std).all() for fit in fits)
 
 

@@ -23,7 +23,6 @@ def _data(seed: int, N: int = 400, a: float = -1.2) -> Dataset:
 
 @cache
 def _runs(forgetting: float) -> list[RarxState]:
-    """Return the results of 150 records of 100 samples."""
     found = []
     for seed in range(150):
         data = _data(seed, 100)

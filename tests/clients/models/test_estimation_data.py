@@ -25,7 +25,6 @@ def dataset(source: str = "a") -> Dataset:
 
 
 def signals() -> Signals:
-    """Return the same input with two outputs."""
     data = dataset()
     y = np.column_stack([data.y, data.y + np.roll(data.y, 1)])
     return Signals(u=data.u[:, None], y=y, Ts=data.Ts, source=data.source)

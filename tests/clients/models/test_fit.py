@@ -29,7 +29,6 @@ def data(seed: int, N: int = 400, noise: float = 0.2) -> Dataset:
 
 @pytest.fixture(scope="module")
 def fit() -> Fit:
-    """Return an OE fit with two samples of delay."""
     return oe(data(1), nb=2, nf=2, nk=2)
 
 

@@ -24,12 +24,10 @@ Vector = NDArray[np.float64]
 
 @pytest.fixture(scope="module")
 def fit(plant: HandoutPlant) -> armrig.Fit:
-    """Return an estimated model of the arm."""
     return armrig.oe(plant.dataset(1, N=800), nb=4, nf=4, integrator=True, starts="few")
 
 
 def claimed(fit: armrig.Fit) -> Model:
-    """Return the same polynomials as a model."""
     return Model(A=fit.A, B=fit.B, F=fit.F, nk=fit.nk, integrator=True, Ts=fit.Ts)
 
 

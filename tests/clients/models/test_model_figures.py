@@ -39,7 +39,6 @@ def drawn_line(ax: Axes, label: str) -> tuple[Vector, Vector]:
 
 
 def axes_of(figure: Any) -> list[Axes]:
-    """Return the panels of the figure of an axis."""
     return list(figure.figure.axes)
 
 
@@ -77,7 +76,6 @@ def test_a_band_of_a_bode_plot_is_1_96_deviations_wide() -> None:
 
 
 def spectrum(omega: Vector, G: Any, **fields: Any) -> SpectralEstimate:
-    """Return an estimate of a frequency response."""
     values: dict[str, Any] = {
         "std_magnitude": np.full(omega.size, 0.1),
         "std_phase": np.full(omega.size, 0.05),
@@ -117,7 +115,6 @@ class Continuous:
         self.dt = dt
 
     def __call__(self, s: Any) -> Any:
-        """Return the response."""
         return 3 / (s + 2)
 
 

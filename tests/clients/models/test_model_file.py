@@ -35,7 +35,6 @@ def data(seed: int) -> Dataset:
 
 @pytest.fixture(scope="module")
 def fit() -> Fit:
-    """Return a Box-Jenkins fit of two experiments."""
     return bj(merge(data(1).split(2)), nb=2, nc=1, nd=1, nf=2, starts="few")
 
 

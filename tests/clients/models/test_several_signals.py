@@ -28,7 +28,6 @@ ONE = np.ones(1)
 
 
 def vectors(*rows: Any) -> Any:
-    """Return nested tuples of arrays."""
     return tuple(tuple(np.array(p, float) for p in row) for row in rows)
 
 
@@ -391,11 +390,9 @@ class Constant:
     label = "constant"
 
     def __init__(self, *y: float) -> None:
-        """Predict these outputs."""
         self.y = np.array(y)
 
     def predict(self, data: Signals, horizon: int | None = 1) -> Array:
-        """Return the numbers."""
         return np.tile(self.y, (data.u.shape[0], 1))
 
     def estimated_from(self, data: Signals) -> bool:

@@ -43,7 +43,6 @@ def test_the_page_has_the_table_of_structures() -> None:
 
 
 def _row(kind: RegisteredStructure) -> str:
-    """Return a structure's line in the table of docs/experiments.md."""
     orders = named(kind.orders) or f"{', '.join(kind.orders)}, by the data"
     cells = [kind.title, kind.equation, orders, ", ".join(kind.takes)]
     return f"| {' | '.join(cells)} | {'yes' if kind.closed_loop else 'biased'} |"

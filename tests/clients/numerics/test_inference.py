@@ -22,7 +22,6 @@ def fitted(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def regression(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Inference]:
-    """Return a regression and its inference, in two experiments."""
     Phi, y, theta = fitted(seed, C)
     e, blocks = np.split(y - Phi @ theta, [150]), np.split(Phi, [150])
     return Phi, y, theta, infer(e, blocks, score="exogenous", y=y)

@@ -39,7 +39,6 @@ def closed() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def data(make: Make) -> Dataset:
-    """Return short data."""
     return make(N=1500)
 
 

@@ -17,7 +17,6 @@ from tests.benchmarks.several_greybox import NAMES, simulated
 
 
 def estimated(signals: Any, **options: Any) -> armrig.GreyFit:
-    """Return the estimates of the three parameters."""
     return armrig.greybox(signals, armrig.arm, NAMES, **options)
 
 

@@ -33,5 +33,4 @@ def under_control(N: int = 1500) -> Dataset:
 
 
 def switched(N: int = 1500) -> Vector:
-    """Return a telegraph of ±2.5."""
     return armrig.telegraph(N, 0.1, 0.0, 5.0, seed=1) - 2.5

@@ -26,7 +26,6 @@ Vector = NDArray[np.float64]
 
 
 def told(found: Advice) -> set[str]:
-    """Return what there is to act on."""
     return {f.about for f in found.findings if f.level != "good"}
 
 

@@ -42,7 +42,6 @@ def loop(**fields: Any) -> Any:
 
 
 def late(nk: int, interval: tuple[int, int] | None = None) -> Delay:
-    """Return a delay at 20 ms."""
     found = object.__new__(Delay)
     for name, value in {"nk": nk, "interval": interval or (nk, nk), "Ts": 0.02}.items():
         object.__setattr__(found, name, value)
@@ -50,7 +49,6 @@ def late(nk: int, interval: tuple[int, int] | None = None) -> Delay:
 
 
 def known_of(**fields: Any) -> OfData:
-    """Return tests of data that find nothing."""
     decided: Any = SimpleNamespace(integrates=False, reason="", notes=())
     values: dict[str, Any] = {"integration": decided, "loop": None, "late": late(1)}
     return OfData(**(values | fields))
@@ -108,7 +106,6 @@ def test_data_are_of_a_closed_loop_if_no_direct_term_can_be_the_cause(
 
 
 def telegraph(N: int = 600) -> Any:
-    """Return a random input of ±1."""
     return np.random.default_rng(1).choice([-1.0, 1.0], N)
 
 
@@ -264,7 +261,6 @@ def test_bands_ten_times_as_wide_have_no_power(
 
 
 def residual(**fields: Any) -> ResidualTest:
-    """Return a test of three lags, made up."""
     values: dict[str, Any] = {
         "e": np.array([1.0, np.nan, 2.0, -1.0]),
         "lags": np.arange(4),

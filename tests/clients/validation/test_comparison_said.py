@@ -47,7 +47,6 @@ def figures(
 
 
 def row(name: str, rms: float, t: ModelCharacteristics | None = None, **fields: Any) -> Any:
-    """Return a row of a comparison."""
     values: dict[str, Any] = {
         "model": made(structure="oe", F=(1, -0.5)),
         "on_estimation_data": False,
@@ -130,7 +129,6 @@ def data(output: str = "alpha", unit: str = "rad") -> Dataset:
 
 
 def compared(name: str, y: Any, rms: float, **fields: Any) -> Comparison:
-    """Return the comparison of one model."""
     values: dict[str, Any] = {
         "fit_percent": 12.345,
         "velocity_fit_percent": None,

@@ -51,7 +51,6 @@ def response(*, integrating: bool = False, **fields: Any) -> ImpulseResponse:
 
 
 def found(**fields: Any) -> Delay:
-    """Return a delay of two samples at 10 ms."""
     values: dict[str, Any] = {
         "nk": 3,
         "interval": (3, 3),
@@ -131,7 +130,6 @@ def test_the_figure_of_a_delay_has_the_lags_and_the_losses() -> None:
 
 
 def of_lags(p_values: Any, coefficient: Any, std: Any, answer: Any, first: int = 0) -> LagTests:
-    """Return tests of lags."""
     arrays = [np.array(x, float) for x in (p_values, coefficient, std, answer)]
     return LagTests(
         first=first, p_values=arrays[0], p_without_one=arrays[0], coefficient=arrays[1],

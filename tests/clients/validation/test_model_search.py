@@ -115,7 +115,6 @@ def _of(found: SearchResult, family: str) -> Fit:
 
 @pytest.fixture(scope="module")
 def elsewhere() -> Iterator[ProcessPoolExecutor]:
-    """Give two other processes."""
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
         yield executor
 

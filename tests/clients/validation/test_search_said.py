@@ -57,7 +57,6 @@ def scored(family: str, order: int, *, reason: str = "", **fields: Any) -> Score
 
 
 def of_residuals(**fields: Any) -> Any:
-    """Return the tests of residuals with these results."""
     values = {
         "powerless": "",
         "missing_dynamics": 0.5,
@@ -208,7 +207,6 @@ def test_models_are_ranked_at_the_samples_that_all_of_them_predict() -> None:
 
 
 def hints(**fields: Any) -> StructureHints:
-    """Return hints of a plant of third order."""
     structures = (
         Recommended(nb=3, nf=3, nk=1, integrator=True),
         Recommended(nb=2, nf=3, nk=2, integrator=False),
@@ -258,7 +256,6 @@ def test_hints_are_told_with_their_numbers() -> None:
 
 
 def recommendation(B: Any, F: Any, *, integrator: bool = False) -> Recommendation:
-    """Return a recommended model of this transfer function."""
     s = Recommended(nb=1, nf=1, nk=1, integrator=integrator)
     return Recommendation(
         structures=(s,), shown=True, B=np.array(B, float), F=np.array(F, float),
@@ -386,7 +383,6 @@ def test_without_first_or_last_b_the_cost_rises_as_their_covariance_says() -> No
 def of_several(
     name: Any, order: int, error: Any, *, reason: str = "", parameters: int = 1
 ) -> SignalsCandidate:
-    """Return a candidate of several signals."""
     theta = np.zeros(parameters)
     fit: Any = SimpleNamespace(structure="oe", theta=theta)
     return SignalsCandidate(

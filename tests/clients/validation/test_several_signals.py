@@ -51,7 +51,6 @@ def estimated(seed: int, missing: float = 0.0, *, nk_12: int = 2) -> Multivariab
 
 
 def joint(test: Any) -> list[float]:
-    """Return the p values of the joint tests."""
     return [test.white.p_value, test.missing_dynamics, test.feedback]
 
 

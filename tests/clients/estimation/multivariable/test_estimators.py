@@ -29,7 +29,6 @@ LAMBDA = np.array([[0.04, 0.03], [0.03, 0.05]])
 
 
 def inputs(rng: np.random.Generator, nu: int = 2) -> Array:
-    """Return telegraph signals."""
     return np.repeat(np.sign(rng.standard_normal((N // 2, nu))), 2, axis=0)
 
 
@@ -42,7 +41,6 @@ def noise(rng: np.random.Generator, C: Any = (1,), D: Any = (1,)) -> Array:
 def plant(
     seed: int = 1, scale: float = 1.0, missing: float = 0.0, C: Any = (1,), D: Any = (1,)
 ) -> Signals:
-    """Return two experiments with the plant B/F."""
     rng = np.random.default_rng(seed)
     u = inputs(rng)
     y = np.column_stack(

@@ -34,7 +34,6 @@ def signals(N: int = 120, seed: int = 1, Ts: float = 0.5) -> Signals:
 
 
 def each(value: dict[str, int]) -> dict[tuple[str, str], int]:
-    """Return an order of each output for each channel."""
     return {(output, input): n for output, n in value.items() for input in ("u", "v")}
 
 

@@ -43,7 +43,6 @@ POLES = np.linalg.eigvals(A)
 
 
 def data(seed: int = 1, scale: float = 1.0, missing: float = 0.0, D: float = 0.0) -> Signals:
-    """Return data of the model above."""
     rng = np.random.default_rng(seed)
     u = np.sign(rng.standard_normal((N, 2)))
     e = scale * rng.multivariate_normal([0, 0], LAMBDA, N)
@@ -58,7 +57,6 @@ def nearest(found: Array, truth: Array = POLES) -> Array:
 
 
 def problem(noise: bool, direct: bool, missing: float) -> StateSpaceProblem:
-    """Return the problem of two experiments."""
     signals = data(missing=missing)
     parts = []
     for at in (slice(0, 70), slice(70, 200)):
@@ -324,7 +322,6 @@ def test_the_weight_of_a_single_output_changes_no_estimate(tmp_path: Path) -> No
 
 
 def signals_of_one_output() -> Signals:
-    """Return y1 of the data, with both inputs."""
     return data().channels(["y1"], ["u1", "u2"])
 
 

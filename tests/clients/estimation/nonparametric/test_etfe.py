@@ -22,7 +22,6 @@ def repeated(rng: np.random.Generator, periods: int = 5) -> NDArray[np.float64]:
 
 
 def noisy(seed: int, std: float, periods: int = 5) -> Dataset:
-    """Return the second-order system's answer to a periodic input."""
     rng = np.random.default_rng(seed)
     u = repeated(np.random.default_rng(0), periods)
     y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + std * rng.standard_normal(u.size)

@@ -327,7 +327,6 @@ def test_the_first_number_of_lags_that_is_large_enough_is_taken(
 
 
 def test_each_experiment_has_its_own_level_and_ramp(arm: Any) -> None:
-    """Each experiment has its own level and ramp."""
     first, other = arm.telegraph(1, 1500), arm.telegraph(2, 1500)
     moved = other.replaced(step=None, y=other.y + 40.0 + 0.3 * other.t)
 

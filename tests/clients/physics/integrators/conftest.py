@@ -25,6 +25,5 @@ def parameter_sets() -> list[ArmParameters]:
 
 @pytest.fixture(params=parameter_sets(), ids=["handout", *(f"set {i}" for i in range(1, 11))])
 def params(request: pytest.FixtureRequest) -> ArmParameters:
-    """Return each set of parameters."""
     taken: ArmParameters = request.param
     return taken

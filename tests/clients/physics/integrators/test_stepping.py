@@ -21,7 +21,6 @@ ORDERS = {"forward_euler": 1, "ab2": 2, "trapezoidal": 2, "heun": 2, "midpoint":
 
 
 def u(t: float) -> Vector:
-    """Return two inputs."""
     return np.array([sin(3 * t) + 1, cos(t)])
 
 
