@@ -347,16 +347,6 @@ def test_a_model_for_simulation_is_stable_and_runs_through_gaps() -> None:
     assert not any("unstable" in w for w in fit.warnings)
 
 
-def test_without_noise_a_model_for_simulation_is_the_true_system() -> None:
-    u = np.random.default_rng(1).standard_normal(600)
-    y = filtered([0.0, 0.0, 1.0, 0.5], F, u)
-
-    fit = n4sid(Dataset(u=u[50:], y=y[50:], Ts=1.0), 2, nk=2, focus="simulation")
-
-    np.testing.assert_allclose(fit.A, F, atol=1e-7)
-    np.testing.assert_allclose(fit.B, [0.0, 0.0, 1.0, 0.5], atol=1e-7)
-
-
 def test_orders_weights_and_horizons_out_of_range_are_refused() -> None:
     u = np.random.default_rng(1).standard_normal(300)
     clean = Dataset(u=u, y=filtered(B, F, u), Ts=1.0)

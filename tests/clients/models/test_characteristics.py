@@ -217,15 +217,6 @@ def test_a_range_is_known_if_the_figure_exists_in_19_of_20_draws(
     assert (same.low, same.high) == (pytest.approx(4.804, abs=1e-3), pytest.approx(5.196, abs=1e-3))
 
 
-def test_the_first_value_below_a_level_is_interpolated() -> None:
-    x, y = np.array([1.0, 2.0, 4.0, 8.0]), np.array([10.0, 8.0, 4.0, 6.0])
-
-    found = [characteristics._first_below(x, y, level) for level in (11.0, 9.0, 7.0, 5.0, 3.0)]
-
-    assert found[:4] == [1.0, 1.5, 2.5, 3.5]
-    assert np.isnan(found[4])
-
-
 @pytest.mark.parametrize(("pole", "expected"), [(1.0049, True), (0.9951, True), (0.9949, False)])
 def test_a_pole_within_5e_3_of_1_integrates(pole: float, expected: bool) -> None:
     assert characteristics.integrates(made(F=(1, -pole))) is expected

@@ -18,7 +18,7 @@ from armrig.estimation.bj import bj
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.model_file import fit_of, load_fit
-from armrig.models.model_writing import model_text, plain
+from armrig.models.model_writing import model_text
 from armrig.models.structure import FreeResponse
 from armrig.numerics.polynomial import filtered
 from armrig.validation.residuals import residuals
@@ -208,19 +208,3 @@ def test_a_covariance_of_another_size_is_damage(fit: Fit, name: str) -> None:
 
     with pytest.raises(FileError, match="damaged model: it has 6 parameters, and covariances of"):
         fit_of(json.dumps(content), "m.json")
-
-
-def test_numbers_of_each_type_are_plain() -> None:
-    found = plain(
-        {
-            "a": np.array([[1.0, np.nan], [-np.inf, 2.0]]),
-            "b": (np.int64(3), np.bool_(True), np.float64("inf")),
-            "c": [None, "text", 2.5],
-        }
-    )
-
-    assert json.loads(json.dumps(found, allow_nan=False)) == {
-        "a": [[1.0, "nan"], ["-inf", 2.0]],
-        "b": [3, True, "inf"],
-        "c": [None, "text", 2.5],
-    }

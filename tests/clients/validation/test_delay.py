@@ -312,14 +312,6 @@ def test_a_direct_term_and_feedback_without_delay_look_the_same() -> None:
         assert "feedback looks the same as a direct term" in found.brief()
 
 
-def test_a_gain_without_dynamics_is_a_direct_term() -> None:
-    u, e = np.random.default_rng(1).standard_normal((2, 1000))
-
-    found = armrig.delay(Dataset(u=u, y=0.5 * u + 0.1 * e, Ts=1.0))
-
-    assert (found.nk, found.interval) == (0, (0, 0))
-
-
 @pytest.mark.parametrize(
     ("changes", "t_q", "low"),
     [(3, 0.025, 2), (3, 0.045, 1), (3, 0.2, 1), (10, 0.2, 2), (3, None, 2)],

@@ -100,15 +100,6 @@ def test_the_test_accounts_for_inputs_of_long_ago(plant: HandoutPlant) -> None:
     assert np.count_nonzero(np.array(p) < 0.2) <= 12
 
 
-def test_an_exact_relation_of_u_to_y_is_feedback() -> None:
-    """A P controller with a fixed setpoint: u is a function of y and contains its noise."""
-    noise = 0.05 * np.random.default_rng(1).standard_normal(1000)
-
-    for bounds in ((-np.inf, np.inf), (-0.1, 0.1)):
-        data = controlled(lambda k, y, b=bounds: float(np.clip(-3.0 * y, *b)), noise)
-        assert armrig.open_loop(data).p_value < 1e-6
-
-
 def test_missing_outputs_keep_the_level_and_the_power(plant: HandoutPlant) -> None:
     """Three of ten outputs are missing at random; a PRBS in open loop, and a controller."""
     rng = np.random.default_rng(4)

@@ -316,11 +316,3 @@ def test_a_response_within_one_sample_is_not_read_between_samples() -> None:
     assert found.Ts == 0.01
     assert "63 % time tau below a sample, 50 ms" in repr(found)
     assert any("record at 10 ms and repeat the analysis" in note for note in found.notes)
-
-
-def test_one_crossing_of_the_level_is_one_number() -> None:
-    found = sampling_time(first_order(0.8, 0.05, _telegraph(), 0.02), integrator=False)
-
-    assert found.omega_first == found.omega_spectrum == pytest.approx(1 / 0.8, rel=0.3)
-    assert f"-3 dB at {found.omega_spectrum:.3g} rad/s" in repr(found)
-    assert f"transient: {found.settling:.3g} s to within 5 %" in repr(found)

@@ -68,7 +68,7 @@ def test_a_method_is_what_the_textbook_says(method: str, n: int) -> None:
 def test_halving_the_step_divides_the_error_by_two_to_the_order(
     method: str, params: ArmParameters
 ) -> None:
-    """For a sinusoid on the handout's arm and on ten others, the observed order within 0.05."""
+    """For a sinusoid on the handout's arm and on four others, the observed order within 0.05."""
     A, B, _ = arm_matrices(params)
     problem = sinusoid(A, B, amplitude=2.0, omega=5.0, span=0.5)
     h = stability_limit(A, "heun") * np.array([1 / 128, 1 / 256])
