@@ -17,7 +17,6 @@ from tests.plants import ARM_PARAMETERS, simulated_arm
 
 
 def estimated(signals: Any, **options: Any) -> armrig.GreyFit:
-    """Return the estimates of the three parameters."""
     return armrig.greybox(signals, armrig.arm, ARM_PARAMETERS, **options)
 
 
@@ -68,7 +67,7 @@ def test_several_experiments_each_have_their_state() -> None:
         assert abs(fit.values[name] - getattr(p, name)) < 3.5 * fit.std[name]
 
 
-def test_what_both_outputs_cannot_give_is_refused() -> None:
+def test_arguments_that_do_not_suit_two_outputs_are_refused() -> None:
     _, signals = simulated_arm(np.random.default_rng([3, 9]), 100, 5e-3)
     twice = Signals(
         u=np.column_stack([signals.u, signals.u[::-1]]),
