@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from armrig.numerics.quantities import NBSP
 from armrig.recordings.calibration.staleness import remarks
 from armrig.recordings.catalogue import catalogue
 from armrig.recordings.channels import turns_unknown
@@ -139,6 +140,16 @@ def test_its_reports_are_on_its_own_time(odd: Recording) -> None:
     assert (found.cpu_pressure_percent, found.round_trip_us) == (31.0, 6500.0)
     assert (found.drift_ppm, found.drift_std_ppm, found.offset_std_us) == (81.0, 1.2, 1.5)
     assert found.held_up_ms == 35 + 7
+    assert found.texts() == {
+        "emulator held up": f"42{NBSP}ms",
+        "garbage collections of the loop": "4",
+        "processor wanted by others, worst second": f"31{NBSP}%",
+        "most tasks runnable": "7",
+        "longest round trip": f"6.50{NBSP}ms",
+        "device's clock slow by": f"81.0 ± 1.2{NBSP}ppm",
+        "device's clock known to": f"± 1.5{NBSP}µs",
+    }
+    assert disturbances(replace(odd, timing=(), clock=(), events=())).texts() == {}
 
 
 def test_its_sampling_is_measured_by_the_devices_clock(odd: Recording) -> None:
