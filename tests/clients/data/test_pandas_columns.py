@@ -39,15 +39,6 @@ def test_what_valid_leaves_out_is_missing_too() -> None:
     assert data.valid.tolist() == [True, False, False, False]
 
 
-def test_the_data_do_not_follow_the_table() -> None:
-    df = pd.DataFrame({"u": U, "y": U})
-    data = Dataset(u=df["u"], y=df["y"], Ts=1)
-
-    df.loc[0, "y"] = 99.0
-
-    assert data.y.tolist() == U
-
-
 @pytest.mark.parametrize(
     ("u", "said"),
     [

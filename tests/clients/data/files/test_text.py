@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 U, Y = [1.0, -2.5, 3.0, 0.125], [0.5, 1e-3, -7.0, 1e6]
 
 
-def written(folder: Path, text: str, name: str = "data.csv") -> Path:
+def written(folder: Path, text: str | bytes, name: str = "data.csv") -> Path:
     """Return a file of text, with unchanged line ends."""
     path = folder / name
-    path.write_bytes(text.encode())
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
     return path
 
 
@@ -141,7 +141,6 @@ def test_every_number_comes_back() -> None:
         ("", "there is no row of numbers; a row for each sample is needed"),
         ("# nothing\n\n", "there is no row of numbers; a row"),
         ("t,u,y\n", "there is no row of numbers below its names, t, u, y; a row for each"),
-        ("u,y\n1,2\n1\n", r"line 3 has 1 cell \(separated by comma\), the line of names 2 cells"),
         (
             "1 2\n1 2 3\n",
             r"line 2 has 3 cells \(separated by blanks\), the first row 2 cells; give",
@@ -150,25 +149,14 @@ def test_every_number_comes_back() -> None:
             "A title\nu;y\n1;2\n",
             r"line 2 has 2 cells \(separated by semicolon\), the line of names 1",
         ),
-        (
-            "u,y\n1,2\n1,two\n",
-            "line 3, column y: 'two' is not a number; leave a missing value empty",
-        ),
+        (b"u,y [\xb0C]\n1,2\n", "line 1 is not UTF-8: save it as UTF-8 .in Excel: .CSV UTF-8"),
+        ("u,y\nV,an angle in radians\n1,2\n", "line 2, column u: 'V' is not a number"),
         ("u;y\n1.23,4,5;2\n", "line 2, column u: '1.23,4,5' is not a number; leave a missing"),
         ("u,y\n1_000,2\n", "line 2, column u: '1_000' is not a number"),
-        (
-            "u,y\n1,2\n1e999,3\n",
-            "line 3: the input is inf here, and infinite in 1 samples in all; leave",
-        ),
         ("u,y\n1," + 99 * "x" + "\n", "line 2, column y: '" + 39 * "x" + "…' is not a number"),
         ("\x1b[31mu,y\u202e\n1,2\n", r"a number of 1 \\x1b\[31mu, 2 y\\u202e"),
         ("u,y\n1,\x1b[2J\n", r"line 2, column y: '\\x1b\[2J' is not a number"),
         ("u,y\n1,2\n\x001,2\n", "is not text, and not of another known kind; armrig re"),
-        (
-            "a,b\n1,2\n",
-            "input u and signal y: there are no such columns; give --input and --signal a name or "
-            "a number of 1 a, 2 b",
-        ),
         (
             "1,2\n1,2\n",
             "no such columns; its columns have no names: give --input and --signal 1 or 2$",
@@ -181,39 +169,11 @@ def test_every_number_comes_back() -> None:
     ],
 )
 def test_what_is_no_table_is_reported_with_its_line_and_the_way_out(
-    text: str, said: str, tmp_path: Path
+    text: str | bytes, said: str, tmp_path: Path
 ) -> None:
     path = written(tmp_path, text)
 
     with pytest.raises(FileError, match=f"^{path}: .*{said}"):
-        load_data(path, Ts=1)
-
-
-@pytest.mark.parametrize(
-    ("data", "said"),
-    [
-        (b"u,y [\xb0C]\n1,2\n", "line 1 is not UTF-8: save it as UTF-8 .in Excel: .CSV UTF-8"),
-        (
-            "u,y\n1,2\n".encode("utf-16"),
-            'is saved as UTF-16, like Excel\'s "Unicode text"; save it as "CSV UTF-8"',
-        ),
-        (b"u,y\nV,an angle in radians\n1,2\n", "line 2, column u: 'V' is not a number"),
-        (b"\x89HDF\r\n\x1a\n", "is HDF5"),
-        (b"PAR1", "is a damaged Parquet file"),
-        (b"\x1f\x8b\x08", "is packed with gzip; unpack it first"),
-        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is an old Excel workbook; save its sheet as CSV"),
-        (b"\x89MCAP0\r\n", "another program wrote this MCAP file, and it has no messages; only"),
-        (b"\x93NUMPY\x01", "is an .npy"),
-        (b"# Created by Octave 8.4", "is Octave's text format; in Octave: save -v7"),
-    ],
-)
-def test_another_kind_of_file_is_reported_with_the_way_out(
-    data: bytes, said: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "data.csv"
-    path.write_bytes(data)
-
-    with pytest.raises(FileError, match=said):
         load_data(path, Ts=1)
 
 
@@ -292,10 +252,6 @@ def test_the_times_have_the_unit_of_their_header(header: str, Ts: float, tmp_pat
             "the times in column t are in weeks, known units are s, ",
         ),
         ("u,y\n0,1\n1,2\n", r"the sampling time is not known: give it in s \(--Ts\)$"),
-        (
-            "t,time,u,y\n0,1,1,2\n",
-            r"\(--Ts\), or the column of times: give --time a name or a numb",
-        ),
     ],
 )
 def test_times_that_give_no_sampling_time_are_reported(
@@ -342,15 +298,6 @@ def test_names_that_differ_in_case_only_are_each_found_by_their_own(tmp_path: Pa
     assert load_data(path, input="u", signal="y", Ts=1).y.tolist() == [7, 1]
 
 
-def test_input_and_signal_are_two_columns(tmp_path: Path) -> None:
-    path = written(tmp_path, "u,y\n1,2\n")
-
-    with pytest.raises(
-        FileError, match="input and signal are both column 1; give --signal a name or"
-    ):
-        load_data(path, input="u", signal="1", Ts=1)
-
-
 def test_models_know_the_file_that_they_are_of(tmp_path: Path) -> None:
     import hashlib
 
@@ -358,17 +305,6 @@ def test_models_know_the_file_that_they_are_of(tmp_path: Path) -> None:
 
     assert load_data(path).source == f"data:{hashlib.sha256(path.read_bytes()).hexdigest()}"
     assert armrig.merge([load_data(path)] * 2).source == load_data(path).source
-
-
-def test_an_input_without_a_unit_says_so_on_its_axis(tmp_path: Path) -> None:
-    from matplotlib.figure import Figure
-
-    data = load_data(written(tmp_path, "u,y\n1,2\n3,1\n"), Ts=1)
-    shown = Figure().subplots()
-
-    data.plot(ax=shown)
-
-    assert [ax.get_ylabel() for ax in shown.figure.axes] == ["y [–]", "$u$ [–]"]
 
 
 @pytest.mark.parametrize("units", ["s;V;°C", "[s];[V];[°C]", "(s);(V);(°C)", ";V;°C"])
