@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from math import degrees, erf, sqrt, tau
 
+import msgspec
 import numpy as np
 import pytest
 from armrig.recordings.calibration import (
@@ -30,7 +31,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure as Canvas
 
-from tests.clients.calibration_rig import REST, TURNS, calibrated, runs, truth, unknown_rig
+from tests.clients.calibration_rig import calibrated, truth, unknown_rig
 from tests.clients.made_recordings import manifest
 from tests.clients.made_turns import HIGH, LOW, D, made_turns, still
 from tests.sampling import sampled
@@ -414,8 +415,15 @@ def test_the_samples_are_compact_and_come_back_to_the_bit() -> None:
         (Calibration(made=MADE), {}, ""),
         (Calibration(made=MADE), {"device": {"uid": "0002"}}, "of another device: .* 0001"),
         (Calibration(made=MADE), {"device": {"uid": "0002"}, "rig": "2"}, "of another device"),
+        (Calibration(made=MADE), {"device": {}}, "made on 0001, .* on a device without an id"),
+        (
+            Calibration(made=msgspec.structs.replace(MADE, device_uid="")),
+            {},
+            "made on none, the recording was made on 0001",
+        ),
         (Calibration(made=MADE), {"rig": "2"}, "of rig 1, and the recording is of rig 2"),
         (Calibration(made=MADE), {"started": "2026-12-02T00:00:01+00:00"}, "31 days old"),
+        (Calibration(made=MADE), {"started": "2026-12-01T00:00:00+00:00"}, ""),
         (Calibration(made=MADE), {"started": "2026-10-01T00:00:00+00:00"}, ""),
         (Calibration(made=MADE), {"started": "2026-11-20"}, "age .* not known"),
     ],
@@ -430,7 +438,7 @@ def test_a_calibration_that_is_missing_or_stale_is_reported(
 
 
 def test_a_calibration_shows_its_track_and_the_motors_line() -> None:
-    rest, turns = runs(unknown_rig(1000), REST, TURNS)
+    rest, turns = still(), made_turns(noise=32.0)
     found = estimate(rest, turns)
 
     [ax, *_] = found.plot(turns, ax=Canvas().add_subplot()).axes
@@ -440,6 +448,6 @@ def test_a_calibration_shows_its_track_and_the_motors_line() -> None:
     assert edges == [found.turned.low.value, found.turned.high.value]
     below = ax.figure.axes[1]
     [points] = [c for c in below.containers if c.get_label() == "measured"]
-    assert len(points.lines[0].get_xdata()) == 3
+    assert len(points.lines[0].get_xdata()) == 2
     with pytest.raises(InputError, match="without turns"):
         estimate(rest).plot(turns)

@@ -432,14 +432,14 @@ def test_a_date_that_is_none_is_no_time(tmp_path: Path, started: str) -> None:
     assert found.to_pandas()["started"].isna().all()
 
 
-def test_an_index_of_a_hundred_thousand_records_costs_two_reads(tmp_path: Path) -> None:
+def test_an_index_of_thousands_of_records_costs_two_reads(tmp_path: Path) -> None:
     """Otherwise a file of 8 MB would cause reads of terabytes."""
     path = with_metadata(tmp_path, manifest().metadata())
     data = path.read_bytes()
     summary = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
     builder = RecordBuilder()
     place = data.index(RUN.encode()) - 4 - 9
-    for _ in range(100_000):
+    for _ in range(5_000):
         MetadataIndex(offset=place, length=len(data), name=RUN).write(builder)
     Footer(summary_start=summary, summary_offset_start=0, summary_crc=0).write(builder)
     path.write_bytes(data[:summary] + builder.end() + b"\x89MCAP0\r\n")

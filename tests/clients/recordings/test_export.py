@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import subprocess
 from collections.abc import Callable
@@ -266,28 +265,3 @@ def test_a_package_that_is_missing_is_reported_with_its_remedy(
     for kind in (ImportError, ValueError):
         with pytest.raises(kind, match=rf"pip install {package}, .* 'armrig\[{extra}\]'$"):
             export(rec)
-
-
-def test_the_command_exports_a_part_by_the_ending(
-    rec: Recording, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = rec.path.with_name("part.csv")
-
-    assert main(["export", str(rec.path), str(out), "--from", "1", "--to", "2"]) == 0
-    assert len(out.read_text().splitlines()) == 101
-    assert "100 samples, 5 of them missing" in capsys.readouterr().out
-    assert main(["export", str(rec.path), str(rec.path), "--csv"]) == 1
-    assert "would be lost" in capsys.readouterr().err
-    assert main(["export", str(rec.path), str(out.with_suffix(".txt"))]) == 2
-    assert "give --csv, --mat, --parquet or --transforms" in capsys.readouterr().err
-    assert load(rec.path).N == N
-
-
-def test_the_command_verify_reports_by_its_exit_code(
-    rec: Recording, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["verify", str(rec.path), "--json"]) == 1  # the outcome's counts are made up
-    found = json.loads(capsys.readouterr().out)
-    assert [c["about"] for c in found["checks"] if c["result"] == "failed"] == ["file"]
-    assert found["sha256"] == rec.sha256
-    assert bool(found["passed"]) is False

@@ -8,10 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig.recordings.container import Content, read, streamed
-from armrig.recordings.loading import load
-from armrig.recordings.verification import recorded_input
-from armrig_core.recording_file.budget import DamageError
+from armrig.recordings.container import streamed
 
 from tests.clients.made_recordings import manifest, recorded, sample, timing, written
 
@@ -64,38 +61,3 @@ def test_one_stream_is_read_without_keeping_it(tmp_path: Path) -> None:
         sample(k).t_host_ns for k in range(300)
     ]
     assert 0 < len(list(streamed(cut, "timing"))) < 300
-
-
-def _content(path: Path) -> Content:
-    content = read(path)
-    assert content is not None
-    return content
-
-
-def test_the_input_is_read_from_its_place(tmp_path: Path) -> None:
-    u = np.random.default_rng(1).uniform(0, 5, 120_000)
-    path = written(tmp_path, recorded([sample(0)], u=u.tolist()))
-    content = _content(path)
-
-    assert path.stat().st_size > 2 << 20
-    assert load(path).damage == ""
-    assert content.input is not None
-    np.testing.assert_array_equal(recorded_input(path, content.input, u.size), u)
-    with pytest.raises(DamageError, match="longer than the 1000 samples of the run"):
-        recorded_input(path, content.input, 1000)
-
-
-def test_a_changed_input_is_reported(tmp_path: Path) -> None:
-    whole = recorded([sample(0)], u=[1.25, 2.5, 3.75])
-    path = written(tmp_path, whole)
-    content = _content(path)
-    assert content.input is not None
-    assert recorded_input(path, content.input, 3).tolist() == [1.25, 2.5, 3.75]
-
-    for new, why in (
-        (b"2.6", "checksum of the attached input"),
-        (b"2.x", "not a list of voltages"),
-    ):
-        path.write_bytes(whole.replace(b"\n2.5\n", b"\n" + new + b"\n"))
-        with pytest.raises(DamageError, match=why):
-            recorded_input(path, content.input, 3)

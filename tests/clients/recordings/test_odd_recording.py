@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import isnan, tau
+from math import isnan, nan, tau
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 from armrig.numerics.quantities import NBSP
-from armrig.recordings.calibration.staleness import remarks
 from armrig.recordings.catalogue import catalogue
 from armrig.recordings.channels import turns_unknown
 from armrig.recordings.export import columns
@@ -39,7 +37,6 @@ from armrig_core.codes import OutcomeCode
 from armrig_core.manifest import Outcome
 from armrig_core.telemetry import decode_sample
 
-from tests.clients.made_recordings import manifest
 from tests.clients.odd_recording import (
     CLIPPED,
     GAPS,
@@ -374,7 +371,9 @@ def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:
         check_envelope(changed(300, u_cmd_v=5.0, u_applied_v=0.0)).text,
         check_envelope(changed(300, u_cmd_v=5.25)).text,
         check_envelope(changed(300, u_applied_v=-0.125)).text,
+        check_envelope(changed(300, u_cmd_v=nan)).text,
         check_input(changed(300, u_cmd_v=u[300] + 0.25), u).text,
+        check_input(changed(300, u_cmd_v=u[300] + 2 * 5 / 65535), u).result,
         check_input(changed(300, u_applied_v=u[300] + 0.0098), u).result,  # half a step of 8 bits
         check_input(changed(300, u_applied_v=u[300] - 0.0099), u).result,
         check_input(odd, u[:-1]).text,
@@ -392,8 +391,10 @@ def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:
         "0 to 3.301 V applied, inside 0 to 5 V",
         f"5.25 V was requested, outside 0 to 5 V, at k={k}",
         f"-0.125 V was applied, outside 0 to 5 V, at k={k}",
+        f"nan V was requested, outside 0 to 5 V, at k={k}",
         f"1 sample with another voltage requested, the first at k={k}: {u[300] + 0.25:.6g} V "
         f"instead of {u[300]:.6g} V",
+        "failed",
         "passed",
         "failed",
         "599 voltages are attached, but the run has 600 samples",
@@ -407,31 +408,6 @@ def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:
         f"the device's clock is {ppm:+.1f} ppm off; no comparisons recorded",
         "it reports 490 samples and 28 missing samples, but contains 497 and 21",
     ]
-
-
-def test_what_speaks_against_a_calibration_names_both_sides() -> None:
-    """An age of more than thirty days is too old."""
-    made = ODD.made
-    assert made is not None
-    of = {"rig": "8", "started": "2026-10-30T23:50:00+02:00", "device": {"uid": "beef"}}
-
-    def said(**changes: Any) -> list[str]:
-        uid = changes.pop("made_on", "beef")
-        calibration = msgspec.structs.replace(
-            ODD, made=msgspec.structs.replace(made, device_uid=uid)
-        )
-        return remarks(calibration, manifest(**(of | changes)))
-
-    another = "The calibration is of another device: it was made on "
-    assert said() == []
-    assert said(device={}) == [f"{another}beef, the recording was made on a device without an id."]
-    assert said(made_on="") == [f"{another}none, the recording was made on beef."]
-    assert said(rig="9") == ["The calibration is of rig 8, and the recording is of rig 9."]
-    assert said(started="2026-10-31T23:50:00+02:00") == [
-        "The calibration was 31 days old, more than 30 days: calibrate the rig again."
-    ]
-    assert said(started="2026-10-01") == ["The age of the calibration is not known."]
-    assert said(started="2026-01-01T00:00:00+00:00") == []  # made later, it is as good
 
 
 @pytest.mark.parametrize(("Ts", "missing"), [(0.05, 5), (0.01, 25), (0.002, 125)])

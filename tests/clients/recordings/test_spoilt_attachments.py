@@ -37,23 +37,19 @@ def test_every_flipped_bit_of_the_calibration_leaves_the_samples(tmp_path: Path,
         assert "is wrong: it is left out" in recording.damage
 
 
-def test_the_attachment_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "about", "why"),
+    [
+        ("calibration.json", "file", "the checksum of the attachment 'calibration.json' is wrong"),
+        ("input.csv", "input", "the checksum of the attached input is wrong"),
+    ],
+)
+def test_a_spoilt_attachment_is_named(tmp_path: Path, name: str, about: str, why: str) -> None:
     spoilt = bytearray(DATA)
-    spoilt[_attachment("calibration.json")[-10]] ^= 1
+    spoilt[_attachment(name)[-10]] ^= 1
 
     found = verify(written(tmp_path, bytes(spoilt)))
 
     failed = {check.about: check.text for check in found.checks if check.result == "failed"}
-    assert failed["file"].startswith("the checksum of the attachment 'calibration.json' is wrong")
+    assert failed[about].startswith(why)
     assert found.samples == 5
-
-
-def test_a_spoilt_input_leaves_the_samples(tmp_path: Path) -> None:
-    spoilt = bytearray(DATA)
-    spoilt[_attachment("input.csv")[-10]] ^= 1
-
-    found = verify(written(tmp_path, bytes(spoilt)))
-
-    assert found.samples == 5
-    failed = {check.about: check.text for check in found.checks if check.result == "failed"}
-    assert failed["input"].startswith("the checksum of the attached input is wrong")

@@ -25,7 +25,6 @@ from armrig.recordings.jitter import fastest_rate, sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import DataVerdict, data_verdict
-from armrig_core.manifest import Outcome
 from armrig_core.predicted_motion import Rehearsal
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
@@ -78,19 +77,6 @@ def test_a_sound_recording_has_nothing_against_it(tmp_path: Path) -> None:
     assert f"({found.noise_rad / step:.2g} steps of the converter)" in signal.text
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "level"),
-    [(0.5, 4.5, "good"), (2.45, 2.55, "warning"), (2.499, 2.501, "unusable")],
-)
-def test_levels_too_near_each_other_are_too_quiet(
-    low: float, high: float, level: str, tmp_path: Path
-) -> None:
-    found = judged(tmp_path, armrig.telegraph(3000, 0.05, low, high))
-
-    assert levels(found)["signal"] == level
-    assert found.usable == (level != "unusable")
-
-
 def test_the_signal_does_not_count_its_noise_nor_the_start(tmp_path: Path) -> None:
     found = judged(tmp_path, np.full(1000, 2.0))
 
@@ -113,7 +99,7 @@ def test_a_step_whose_rise_the_dead_band_hides_is_reported_with_when_to_step(
         return load(written(tmp_path, whole))
 
     told = 0
-    for start in np.arange(0, tau, 0.05):
+    for start in np.arange(0, tau, 0.1):
         first = stepped(start, 1.0, 2.0)
         hidden = hidden_step(first)
         if hidden is None:
@@ -124,7 +110,7 @@ def test_a_step_whose_rise_the_dead_band_hides_is_reported_with_when_to_step(
         assert f"--at {hidden.at_s:g} --seconds {hidden.seconds:g}" in found.summary
         rest = first.theta_1[first.valid][-1] + 0.6  # the motor brakes it within a few 0.1 s
         assert hidden_step(stepped(rest, hidden.at_s, hidden.seconds)) is None
-    assert 3 <= told <= 20
+    assert 2 <= told <= 10
 
 
 def test_missing_samples_are_reported_and_many_are_warned_of(tmp_path: Path) -> None:
@@ -138,13 +124,6 @@ def test_missing_samples_are_reported_and_many_are_warned_of(tmp_path: Path) -> 
     assert levels(many)["samples"] == "warning"
     assert many.missing_share == pytest.approx(0.015)
     assert "15 of 1000 samples are missing" in many.summary
-
-
-def test_turns_that_are_not_known_are_warned_of(tmp_path: Path) -> None:
-    """Half a turn takes a quarter of a second."""
-    found = judged(tmp_path, armrig.telegraph(1000, 0.05), missing=slice(500, 540))
-
-    assert "the number of turns is unknown from 5.4" in found.summary
 
 
 def test_jitter_that_moves_the_angle_by_more_than_its_noise_is_warned_of(tmp_path: Path) -> None:
@@ -185,22 +164,6 @@ def test_an_angle_that_never_shows_cannot_be_used(tmp_path: Path) -> None:
     assert b'"usable":false' in msgspec.json.encode(found.facts())
 
 
-@pytest.mark.parametrize(("hidden", "said"), [(150, "1.5 s without a break"), (0, "")])
-def test_a_chassis_at_rest_in_the_dead_band_is_warned_of(
-    hidden: int, said: str, tmp_path: Path
-) -> None:
-    """No turning chassis is hidden for so long."""
-    made = swinging(1000)
-    made[400 : 400 + hidden] = [
-        s._replace(flags=int(Flag.ADC0_RAIL)) for s in made[400 : 400 + hidden]
-    ]
-
-    found = data_verdict(by_hand(tmp_path, made))
-
-    assert levels(found)["angle"] == ("warning" if hidden else "good")
-    assert said in found.summary
-
-
 def test_a_few_samples_are_no_data(tmp_path: Path) -> None:
     found = data_verdict(by_hand(tmp_path, swinging(19)))
 
@@ -226,17 +189,6 @@ def test_what_makes_data_unusable_comes_before_any_warning(tmp_path: Path) -> No
         *("? no 0  text 0", "  no 1  text 1", "! no 2  text 2", "? no 3  text 3"),
         "! no 4  text 4",
     ]
-
-
-def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
-    ended = Outcome(outcome="stopped", samples=300, missing=0)
-    data = recorded(swinging(300), manifest=manifest(samples=600), outcome=ended)
-
-    early = data_verdict(load(written(tmp_path, data)))
-    cut = data_verdict(load(written(tmp_path, data[: len(data) - 400])))
-
-    assert "the run ended early: stopped" in early.summary
-    assert "the file is cut off: it contains 3 of 6 s" in cut.summary
 
 
 @pytest.mark.parametrize(
@@ -316,6 +268,7 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
         "three": check_turns(three),
         "four": check_turns(four),
         "damaged": check_run(damaged),
+        "stopped": check_run(odd),
         "unknown": check_run(replace(odd, outcome=None)),
         "cut": check_run(replace(damaged, cut_off=True)),
         "quiet": check_signal(0.0299, 0.01, 0.004),
@@ -333,6 +286,7 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
     assert "unknown from 1.05, 2.05, 3.05 s on" in texts["three"].text
     assert "unknown from 1.05, 2.05, 3.05, … s on" in texts["four"].text
     assert texts["damaged"].text == "the file is damaged: a bit has flipped"
+    assert texts["stopped"].text == "the run ended early: stopped by bob"
     assert texts["unknown"].text == "the run ended early: the file does not contain the reason"
     assert texts["cut"].text == "the file is cut off: it contains 25.9 of 30 s"
     levels = [texts[name].level for name in ("nothing", "quiet", "loud")]

@@ -140,17 +140,6 @@ def test_nothing_is_said_of_samples_that_there_are_not(tmp_path: Path) -> None:
     assert dict(rows(found))["verdict"].startswith("passed; not checked: samples, envelope, input")
 
 
-@pytest.mark.parametrize("field", ["u_cmd_v", "u_applied_v"])
-@pytest.mark.parametrize("volts", [5.001, -0.001, float("nan")])
-def test_a_voltage_outside_the_envelope_is_reported(
-    tmp_path: Path, field: str, volts: float
-) -> None:
-    messages = run()
-    messages[7] = messages[7]._replace(**{field: volts})
-
-    assert "at k=7" in failed(verified(tmp_path, messages))["envelope"]
-
-
 def test_a_voltage_held_in_a_gap_is_in_the_envelope_too(tmp_path: Path) -> None:
     messages: list[Any] = run()
     messages[100:110] = [gap(100, 10, 6.0)]
@@ -181,20 +170,7 @@ def test_only_a_remote_recorder_may_lack_a_voltage(
         assert text.endswith("unknown in 1 gap that the recorder missed")
 
 
-def test_another_voltage_than_the_experiments_is_reported(tmp_path: Path) -> None:
-    """By two steps of the wire's code, or one of the device's."""
-    for field, off in (("u_cmd_v", 2 * 5 / 65535), ("u_applied_v", 5 / 1024)):
-        messages = run()
-        messages[50] = messages[50]._replace(**{field: getattr(messages[50], field) + off})
-        text = failed(verified(tmp_path, messages))["input"]
-        assert "1 sample with another voltage" in text
-        assert "at k=50" in text
-
-
-def test_an_input_of_another_length_is_reported(tmp_path: Path) -> None:
-    assert (
-        "399 voltages are attached" in failed(verified(tmp_path, run(), u=U[:-1].tolist()))["input"]
-    )
+def test_a_run_without_an_attached_input_passes(tmp_path: Path) -> None:
     without = verified(tmp_path, run(), u=None)
     assert without.passed
     assert [c.result for c in without.checks if c.about == "input"] == ["not checked"]
@@ -205,25 +181,6 @@ def test_a_file_that_is_cut_off_fails_and_can_still_be_loaded(tmp_path: Path) ->
 
     assert "cut off" in failed(found)["file"]
     assert load(tmp_path / "run.mcap").N > 0
-
-
-def test_counts_that_do_not_agree_are_reported(tmp_path: Path) -> None:
-    assert "contains 400 and 0" in failed(verified(tmp_path, run(), came=399))["file"]
-
-
-def test_time_that_goes_back_is_reported(tmp_path: Path) -> None:
-    for field in ("t_device_us", "t_sched_ns"):
-        messages = run()
-        messages[9] = messages[9]._replace(**{field: getattr(messages[8], field)})
-        assert "at k=9" in failed(verified(tmp_path, messages))["timing"]
-
-
-def test_clocks_that_jump_or_run_apart_are_reported(tmp_path: Path) -> None:
-    jump = verified(tmp_path, [*run(), clock(100, 0), clock(200, 50_000)])
-    apart = [s._replace(t_device_us=5_000 + s.k * 10_200) for s in run()]
-
-    assert "jumps by 50 µs" in failed(jump)["clock"]
-    assert "ppm off the host's" in failed(verified(tmp_path, apart))["clock"]
 
 
 @pytest.mark.parametrize(
