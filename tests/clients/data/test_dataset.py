@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
+import armrig
 import numpy as np
+import pandas as pd
 import pytest
+from armrig import Dataset
 from armrig.data.argument import as_dataset
 from armrig.data.dataset import Dataset
 from armrig.data.figures import plot_values, without_ramp
@@ -13,6 +19,8 @@ from armrig.data.trend import Trend
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
+
+from tests.clients.made_recordings import of_the_arm, written
 
 
 def ramp(N: int, **others: object) -> Dataset:
@@ -223,3 +231,71 @@ def test_many_merged_parts_are_listed_up_to_the_eighth() -> None:
         merged = merge(parts[:count])
         assert merged.history == (f"merged {count} parts of {listed} samples",)
         assert merged.source == "11+00"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Return a recording of the arm."""
+    folder: Path = tmp_path_factory.mktemp("argument")
+    return armrig.load(written(folder, of_the_arm(armrig.telegraph(600, 0.05))))
+
+
+def test_estimators_and_tests_take_a_recording_for_its_dataset(recording: Any) -> None:
+    data = recording.dataset()
+    fit = armrig.arx(recording, na=4, nb=4)
+
+    assert fit.theta.tolist() == armrig.arx(data=data, na=4, nb=4).theta.tolist()
+    tested = armrig.residuals(fit, recording)
+    assert tested.whiteness == armrig.residuals(fit, data).whiteness
+    assert armrig.compare(recording, fit)[0].fit_percent == armrig.compare(data, fit)[0].fit_percent
+    assert armrig.hampel(recording).N == data.N
+    assert repr(armrig.advice(recording)) == repr(armrig.advice(data))
+
+
+U = [1.0, 2.0, 3.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    "y",
+    [
+        pd.Series([1.0, np.nan, 3.0, 4.0]),
+        pd.Series([1, None, 3, 4], dtype="Int64"),
+        pd.Series([1, pd.NA, 3, 4], dtype="Float64"),
+        pd.Series([1.0, None, 3.0, 4.0], dtype=object),
+        pd.Series([1.0, np.nan, 3.0, 4.0], index=[9, 8, 7, 6]),
+    ],
+    ids=["NaN", "Int64", "Float64", "object", "another index"],
+)
+def test_a_column_is_taken_and_what_it_lacks_is_missing(y: Any) -> None:
+    data = Dataset(u=pd.Series(U), y=y, Ts=1)
+
+    assert data.u.tolist() == U
+    np.testing.assert_array_equal(data.y, [1, np.nan, 3, 4])
+    assert data.valid.tolist() == [True, False, True, True]
+
+
+def test_what_valid_leaves_out_is_missing_too() -> None:
+    valid = pd.Series([True, True, False, None], dtype="boolean")
+
+    data = Dataset(u=U, y=pd.Series([1.0, np.nan, 3.0, 4.0]), Ts=1, valid=valid)
+
+    assert data.valid.tolist() == [True, False, False, False]
+
+
+@pytest.mark.parametrize(
+    ("u", "said"),
+    [
+        (
+            pd.Series(["a", "b", "c", "d"]),
+            "u is a column of .*; give numbers, see pandas.to_numeric",
+        ),
+        (
+            pd.DataFrame({"u": U}),
+            r"u is a table of pandas with shape \(4, 1\); give one column, df",
+        ),
+        (pd.Series([1.0, np.nan, 3.0, 4.0]), "u is not finite at 1 samples, first nan at 1"),
+    ],
+)
+def test_what_is_no_column_of_numbers_is_refused(u: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        Dataset(u=u, y=U, Ts=1)

@@ -108,16 +108,6 @@ def test_the_list_of_outliers_ends_in_an_ellipsis_only_if_it_is_cut(count: int, 
     assert end in treated.history[0]
 
 
-@pytest.mark.exhaustive
-def test_clean_data_lose_a_sample_as_seldom_as_said() -> None:
-    """One record in twenty has a marked sample, within four standard deviations of 120 runs."""
-    records = [clean(seed, N=500) for seed in range(120)]
-
-    alarms = sum(bool(marked(data, hampel(data))) for data in records)
-
-    assert alarms <= 6 + 4 * np.sqrt(120 * 0.05 * 0.95), alarms
-
-
 def test_noise_that_is_no_arx_model_s_is_no_outlier_either(plant: Any) -> None:
     """White noise on an angle leaves coloured residuals; the chance of an alarm stays 5 %.
 

@@ -97,12 +97,6 @@ def test_a_data_frame_names_the_channels_and_its_missing_values() -> None:
     assert signals.valid[:, 0].tolist() == [True, False, True, True]
 
 
-def test_masked_values_are_missing() -> None:
-    y = np.ma.masked_array(np.ones((5, 2)), mask=np.eye(5, 2, dtype=bool))
-
-    assert (~Signals(u=np.ones(5), y=y, Ts=1).valid == np.eye(5, 2, dtype=bool)).all()
-
-
 def test_equidistant_times_are_a_sampling_time_and_others_are_kept() -> None:
     t = 3.0 + 0.25 * np.arange(40)
     even = Signals(u=np.ones(40), y=np.ones(40), t=t)
@@ -254,18 +248,6 @@ def test_outliers_of_each_output_are_found_with_all_inputs() -> None:
     assert not alone.valid[300, 0] or alone.valid.all()
 
 
-def test_hampel_of_one_pair_is_that_of_its_dataset() -> None:
-    signals = driven().channels("level", "heater")
-    y = signals.y.copy()
-    y[100] += 2.0
-    signals = signals.replaced(step=None, y=y)
-
-    found, pair = armrig.hampel(signals), armrig.hampel(signals.dataset())
-
-    np.testing.assert_array_equal(found.valid[:, 0], pair.valid)
-    assert found.history == pair.history
-
-
 U, Y = np.ones((20, 2)), np.ones((20, 2))
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "lengths": ({"y": Y[:9]}, "u has 20 samples and y has 9; both need a row for each instant"),
@@ -407,15 +389,6 @@ def test_a_missing_input_ends_an_experiment_and_a_missing_output_does_not(tmp_pa
     assert found.history == (
         "left out 2 samples without an input; a new experiment begins after each gap",
     )
-
-
-def test_a_file_without_names_has_columns_by_number(tmp_path: Path) -> None:
-    path = tmp_path / "plant.dat"
-    np.savetxt(path, columns()[:, 1:])
-
-    found = armrig.load_signals(path, inputs=["1", "2"], outputs=["3", "4"], Ts=2)
-
-    assert (found.inputs, found.outputs, found.Ts) == (("u1", "u2"), ("y1", "y2"), 2.0)
 
 
 def test_an_iddata_saved_as_a_structure(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,6 @@ from armrig.lab import installation
 from armrig.lab.installation import (
     SHIPPED,
     UNITS,
-    Plan,
     Unit,
     files,
     installing,
@@ -35,14 +34,12 @@ class Commands:
         self._root = root
 
     def __call__(self, command: Sequence[str]) -> None:
-        """Take one."""
         self.given.append(" ".join(command))
         self.files.append(sum(path.is_file() for path in self._root.rglob("*")))
 
 
 @pytest.fixture
 def commands(tmp_path: Path) -> Commands:
-    """Give what takes commands and runs none."""
     return Commands(tmp_path)
 
 
@@ -109,17 +106,6 @@ def test_what_is_installed_already_is_renewed(tmp_path: Path, commands: Commands
     assert written == [ROUTER, UNIT, "etc/udev/rules.d/70-armrig.rules"]
 
 
-def test_to_install_twice_is_as_once(tmp_path: Path, commands: Commands) -> None:
-    installing(tmp_path).carry_out(commands)
-    before = _contents(tmp_path)
-
-    again = installing(tmp_path)
-    again.carry_out(commands)
-
-    assert again.written == ()
-    assert _contents(tmp_path) == before
-
-
 def test_what_was_changed_is_shown_before_it_is_replaced(
     tmp_path: Path, commands: Commands
 ) -> None:
@@ -171,16 +157,22 @@ def test_what_was_changed_is_taken_away_and_named(tmp_path: Path, commands: Comm
     assert _contents(tmp_path) == {}
 
 
-def test_a_machine_without_it_has_nothing_to_take_away(tmp_path: Path) -> None:
-    assert uninstalling(tmp_path) == Plan()
+@pytest.fixture
+def python(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], None]:
+    """Give a function that moves the environment of Python, and its base."""
+
+    def at(prefix: str, base: str) -> None:
+        for name, folder in (("prefix", prefix), ("base_prefix", base)):
+            monkeypatch.setattr(sys, name, folder)
+
+    return at
 
 
 def test_the_unit_of_this_machine_starts_the_program_of_this_installation(
-    monkeypatch: pytest.MonkeyPatch,
+    python: Callable[[str, str], None],
 ) -> None:
     """A root that does not run gets the path of the documentation."""
-    monkeypatch.setattr(sys, "prefix", "/srv/armrig-2")
-    monkeypatch.setattr(sys, "base_prefix", "/usr")
+    python("/srv/armrig-2", "/usr")
 
     units = {file.path.name: file.text for file in files(Path("/"))}
 
@@ -212,12 +204,11 @@ def test_a_program_that_the_sandbox_hides_is_refused(
     prefix: str,
     base: str,
     says: str,
-    monkeypatch: pytest.MonkeyPatch,
+    python: Callable[[str, str], None],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """A checkout in a home folder, and a Python in it: the unit would fail at each start."""
-    monkeypatch.setattr(sys, "prefix", prefix)
-    monkeypatch.setattr(sys, "base_prefix", base)
+    python(prefix, base)
 
     assert main(["service", "install", "--dry-run"]) == 1
     said = capsys.readouterr().err

@@ -270,7 +270,7 @@ def test_a_file_that_changed_is_read_again(
 
     found = catalogue(folder)
     assert opened == [again] * bool(again)
-    monkeypatch.setattr(catalogue_module, "read_index", lambda folder: {})
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "another"))
     assert found == catalogue(folder) != before
 
 
@@ -466,15 +466,18 @@ def test_a_summary_longer_than_any_is_not_read(
     (start,) = struct.unpack_from("<Q", data, len(data) - 8 - 4 - 8 - 8)
     length = len(data) - start - 8 - 29  # up to the footer
 
-    monkeypatch.setattr(recording_summary, "RECORD_LIMIT", length)
-    assert RUN in recording_summary.read_metadata(path)
-    monkeypatch.setattr(recording_summary, "RECORD_LIMIT", length - 1)
-    with pytest.raises(DamageError, match="its footer does not point to a summary"):
-        recording_summary.read_metadata(path)
-    monkeypatch.undo()
-    path.write_bytes(data[:-28] + bytes(8) + data[-20:])
-    with pytest.raises(DamageError, match="its footer does not point to a summary"):
-        recording_summary.read_metadata(path)
+    for limit, content in (
+        (length, data),
+        (length - 1, data),
+        (RECORD_LIMIT, data[:-28] + bytes(8) + data[-20:]),
+    ):
+        monkeypatch.setattr(recording_summary, "RECORD_LIMIT", limit)
+        path.write_bytes(content)
+        if limit == length:
+            assert RUN in recording_summary.read_metadata(path)
+        else:
+            with pytest.raises(DamageError, match="its footer does not point to a summary"):
+                recording_summary.read_metadata(path)
 
 
 def test_a_record_longer_than_any_is_not_read(tmp_path: Path) -> None:

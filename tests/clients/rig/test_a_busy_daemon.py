@@ -77,16 +77,6 @@ def test_a_run_goes_on_while_the_daemon_has_no_time_for_its_client(daemon: BusyD
     assert "stop" not in daemon.names()
 
 
-@pytest.mark.usefixtures("clock")
-def test_arming_waits_for_what_passes_by_itself(daemon: BusyDaemon) -> None:
-    daemon.busy = {"arm": 3}
-
-    with Rig(connect=daemon.endpoint) as rig:
-        rig.arm("a test")
-
-    assert daemon.refused == {"arm": 3}
-
-
 def test_arming_outlasts_two_seconds_of_a_daemon_s_timing(daemon: BusyDaemon, clock: Clock) -> None:
     """A stall between two reports of the timing spoils both; the next is two seconds later."""
     daemon.is_busy = lambda: clock.now_s < 2.4
@@ -101,27 +91,19 @@ def test_arming_outlasts_two_seconds_of_a_daemon_s_timing(daemon: BusyDaemon, cl
 
 
 @pytest.mark.usefixtures("clock")
-def test_a_look_and_a_reset_wait_for_a_flood_of_others(daemon: BusyDaemon) -> None:
-    daemon.busy = {"status": 3, "reset": 3}
-
-    with Rig(connect=daemon.endpoint) as rig:
-        assert rig.status().phase == "safe"
-        assert rig.reset() is True
-
-    assert daemon.refused == {"status": 3, "reset": 3}
-
-
-@pytest.mark.usefixtures("clock")
-def test_a_calibration_waits_for_what_passes_by_itself(daemon: BusyDaemon, tmp_path: Path) -> None:
-    daemon.busy = {"calibrate": 3}
+def test_commands_wait_for_what_passes_by_itself(daemon: BusyDaemon, tmp_path: Path) -> None:
+    daemon.busy = dict.fromkeys(("arm", "status", "reset", "calibrate"), 3)
     file = tmp_path / "calibration.toml"
     file.write_text("[theta_1]\nrad_per_count = 1e-4\n")
 
     with Rig(connect=daemon.endpoint) as rig:
         rig.calibrate(file)
+        assert rig.status().phase == "safe"
+        assert rig.reset() is True
+        rig.arm("a test")
 
-    assert daemon.refused == {"calibrate": 3}
-    assert daemon.names() == ["calibrate"]
+    assert daemon.refused == daemon.busy
+    assert daemon.names() == ["calibrate", "reset", "arm", "disarm"]
 
 
 @pytest.mark.usefixtures("clock")

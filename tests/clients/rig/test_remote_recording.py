@@ -127,16 +127,6 @@ def test_a_break_that_no_file_can_hold_begins_another(recording: RemoteRecording
     assert second.path.name == "monday-2.mcap"
 
 
-def test_breaks_add_up(recording: RemoteRecording) -> None:
-    half = MISSING_LIMIT // 2 + 2
-    recording.add(piece(state(), *(sample(i * half) for i in range(5))))
-
-    found = files(recording)
-
-    assert [len(ks(file)) for file in found] == [2, 2, 1]
-    assert all(gap.code == GapCode.RECORDER_CUT_OFF for file in found for gap in file.gaps)
-
-
 def test_a_file_ends_before_it_is_too_long_to_be_loaded(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

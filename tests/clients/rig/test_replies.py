@@ -130,27 +130,15 @@ def test_what_passes_by_itself_is_what_the_daemon_says(
     assert str(refusal.value) == body.error
 
 
-def test_a_client_of_yesterday_reads_a_refusal_of_today() -> None:
-    yesterday = msgspec.defstruct("Refused", [("error", str)], frozen=True)
-    told = msgspec.json.encode(refused(RefusalCode.HELD, "Ada has the rig", owner="Ada"))
-
-    assert msgspec.json.decode(told, type=yesterday).error == "Ada has the rig"
-
-
 @pytest.mark.parametrize("command", ["status", "stop", "reset"])
-@pytest.mark.parametrize("body", GARBAGE.values(), ids=GARBAGE.keys())
 def test_garbage_is_answered_with_one_line(
-    rogue: Rogue, where: str, command: str, body: bytes, capsys: pytest.CaptureFixture[str]
+    rogue: Rogue, where: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rogue.body = body
+    rogue.body = GARBAGE["no JSON"]
 
-    code = main([command, "--connect", where])
+    assert main([command, "--connect", where]) == 1
 
     told = capsys.readouterr()
-    if command != "status" and code == 0:
-        assert reply_of(command, body, Done).done
-        return
-    assert code == 1
     assert told.out == ""
     assert told.err.startswith("armrig: rig 1 at unixsock-stream/")
     assert told.err.endswith("not an armrigd of this version\n")

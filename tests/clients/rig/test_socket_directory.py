@@ -173,11 +173,6 @@ def test_a_service_s_folder_that_may_be_a_stranger_s_is_refused(
         pass
 
 
-def test_the_service_s_user_is_looked_up() -> None:
-    assert silent_daemon.service_owners() >= {0}
-    assert len(silent_daemon.service_owners()) <= 2
-
-
 def test_root_and_the_service_s_user_own_a_service_s_folder(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

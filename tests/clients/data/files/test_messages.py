@@ -331,8 +331,5 @@ def test_files_of_other_programs_are_not_called_damaged(
     assert "not made by armrig: " in listed
     left_out = json.loads(facts.partition("\n")[0])["left_out"]
     assert [(one["why"], one["foreign"]) for one in left_out] == [("not made by armrig", True)] * 2
-    for command in ("info", "replay", "verify"):
-        for name in ("log.mcap", "cut.mcap"):
-            code, said = run(f"{command} {name}", capsys)
-            assert code == 1
-            assert f"{name}: not made by armrig; " in said
+    for name in ("log.mcap", "cut.mcap"):
+        assert f"{name}: not made by armrig; " in run(f"info {name}", capsys)[1]

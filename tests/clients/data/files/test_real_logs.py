@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -420,40 +420,3 @@ def test_an_input_written_where_it_changes_is_held_if_asked(tmp_path: Path) -> N
     with pytest.raises(FileError, match=r"u has a value in \d+ of 200 rows; .* --hold-input"):
         armrig.load_data(tmp_path / "a.csv")
     good(armrig.load_data(tmp_path / "a.csv", hold_input=True), 200, 0.1)
-
-
-CLOCKS: dict[str, Callable[[np.random.Generator, int], Vector]] = {
-    "even": lambda rng, N: 0.1 * np.arange(N),
-    "sleep loop": lambda rng, N: np.cumsum(0.1 + rng.exponential(0.001, N)),
-    "busy sleep loop": lambda rng, N: np.cumsum(0.1 + rng.exponential(0.002, N)),
-    "millis": lambda rng, N: np.floor(np.cumsum(100.3 + rng.normal(0, 0.4, N))) / 1000,
-    "late rows": lambda rng, N: 0.1 * np.arange(N) + 0.03 * (rng.random(N) < 0.03),
-}
-"""Times of rows by a rig's clock, in s; u is applied and y is read at these times."""
-
-
-@pytest.mark.exhaustive
-def test_the_plant_of_twenty_drawn_logs_is_found(tmp_path: Path) -> None:
-    """All parameters lie within four standard deviations, and 95 % within two and a half."""
-    off = []
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        t = CLOCKS[list(CLOCKS)[seed % 5]](rng, 600)
-        u = armrig.telegraph(600, 0.1, low=1, high=3, seed=rng)
-        x, real = np.zeros(600), seed % 5 in (1, 2, 3)
-        for k in range(1, 600):
-            pole = 0.9 ** ((t[k] - t[k - 1]) / 0.1 if real else 1.0)
-            x[k] = pole * x[k - 1] + 2 * (1 - pole) * u[k - 1]
-        y = 20 + x + 0.05 * rng.standard_normal(600)
-        rows = np.flatnonzero(rng.random(600) >= (0.01 if seed % 2 else 0.0))
-        t = t + (t > t[300]) * (90.0 if seed % 3 == 0 else -t[300] if seed % 3 == 1 else 0.0)
-        lines = [f"{t[k]:.4f},{u[k]:.0f},{y[k]:.4f}" for k in rows]
-        (tmp_path / "a.csv").write_text("\n".join(["t,u,y", *lines]))
-
-        data = armrig.load_data(tmp_path / "a.csv")
-        fit = armrig.oe(data, nb=1, nf=1, offset=True)
-
-        pole = 0.9 ** (data.Ts / 0.1) if real else 0.9
-        off += [(fit.B[1] - 2 * (1 - pole)) / fit.std[0], (fit.F[1] + pole) / fit.std[1]]
-    assert np.max(np.abs(off)) < 4
-    assert np.mean(np.abs(off) < 2.5) >= 0.95
