@@ -19,8 +19,8 @@ from armrig.rig import telemetry_stream
 from armrig.rig.client import REPLY_S, Rig, longest_reply_s
 from armrig.rig.replies import RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError, open_session
-from armrig.rig.telemetry_stream import decoded, stream
-from armrig_core import commands, protobuf, telemetry
+from armrig.rig.telemetry_stream import stream
+from armrig_core import commands, telemetry
 from armrig_core.predicted_motion import Rehearsal
 
 from tests.clients.fake_daemon import FakeDaemon
@@ -353,14 +353,6 @@ def test_a_stream_of_a_rig_that_is_not_there_ends(
 def test_a_key_that_is_no_stream_is_refused(key: str) -> None:
     with pytest.raises(ValueError, match=r"key|a-z"):
         next(stream(key))
-
-
-def test_messages_of_later_versions_are_understood() -> None:
-    later = telemetry.encode_sample(sample(5)) + b"\x79" + bytes(8)
-    state = protobuf.message_class(protobuf.STATE)(phase="safe")
-
-    assert decoded("sample", later) == sample(5)
-    assert decoded("state", state.SerializeToString()).phase == "safe"
 
 
 def _first(samples: Iterator[telemetry.Sample], out: zenoh.Publisher) -> None:

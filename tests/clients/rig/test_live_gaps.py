@@ -47,12 +47,10 @@ def test_what_is_missing_is_reported_once_and_in_order(
 
 
 def published(daemon: FakeDaemon, k: int) -> None:
-    """Publish sample k."""
     daemon.session.put("rig/1/sample", telemetry.encode_sample(sample(k)))
 
 
 def up_to(samples: Iterator[Any], k: int) -> list[Any]:
-    """Return the items of a stream up to sample k."""
     values = [next(samples)]
     while getattr(values[-1], "k", -1) != k:
         values.append(next(samples))

@@ -35,7 +35,6 @@ class _Session:
         return SimpleNamespace(get=lambda *_, **__: [SimpleNamespace(ok=None), *replies])
 
     def get(self, key: str, **_: Any) -> Iterator[Any]:
-        """Yield the answers of a rig."""
         answer = self._answers[key.split("/")[1]]
         sent = SimpleNamespace(to_bytes=lambda: answer)
         if answer.startswith(b'{"rig"'):

@@ -28,6 +28,7 @@ from armrig_core import telemetry
 from armrig_core.topics import check_own_id
 from armrig_daemon.config import Rig as RigTable
 
+from tests.clients.fake_clock import FakeClock
 from tests.clients.made_recordings import event, gap, manifest, recorded, sample, timing, written
 from tests.sampling import sampled
 
@@ -50,7 +51,6 @@ def run_of(directory: Path, **changes: Any) -> Path:
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    """Return a recording."""
     return run_of(tmp_path)
 
 
@@ -61,26 +61,9 @@ def place() -> Iterator[str]:
         yield directory
 
 
-class Clock:
-    """Clock that advances only in sleep; the sleep after `most_sleeps` is interrupted."""
-
-    def __init__(self) -> None:
-        self.now_s, self.slept, self.most_sleeps = 100.0, list[float](), 10**6
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.slept.append(seconds)
-        self.now_s += seconds
-        if len(self.slept) == self.most_sleeps:
-            raise KeyboardInterrupt
-
-
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    """Give the clock of the player."""
-    clock = Clock()
+def clock(monkeypatch: pytest.MonkeyPatch) -> FakeClock:
+    clock = FakeClock()
     monkeypatch.setattr(playing, "time", clock)
     return clock
 
@@ -141,7 +124,9 @@ def test_a_gap_is_published_when_it_is_over(tmp_path: Path, after_us: int) -> No
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 20.0])
-def test_each_message_is_published_when_it_is_due(run: Path, speed: float, clock: Clock) -> None:
+def test_each_message_is_published_when_it_is_due(
+    run: Path, speed: float, clock: FakeClock
+) -> None:
     sent: list[float] = []
 
     messages = list(play(published(run), lambda *_: sent.append(clock.now_s), speed=speed))
@@ -151,7 +136,7 @@ def test_each_message_is_published_when_it_is_due(run: Path, speed: float, clock
     assert max(clock.slept) <= 1.0
 
 
-def test_a_pause_of_ages_is_slept_through_in_pieces(tmp_path: Path, clock: Clock) -> None:
+def test_a_pause_of_ages_is_slept_through_in_pieces(tmp_path: Path, clock: FakeClock) -> None:
     late = [sample(0), sample(1, t_host_ns=2**62)]
     run = published(written(tmp_path, recorded(late)))
     clock.most_sleeps = 5
@@ -162,8 +147,7 @@ def test_a_pause_of_ages_is_slept_through_in_pieces(tmp_path: Path, clock: Clock
     assert clock.slept == [1.0] * 5
 
 
-def test_a_listener_hears_what_was_recorded(run: Path, place: str) -> None:
-    where = f"unixsock-stream/{place}/p.sock"
+def test_a_listener_hears_what_was_recorded(run: Path, where: str) -> None:
     heard: list[Any] = []
 
     with staged(where, "played-1") as stage:
@@ -189,8 +173,7 @@ def test_a_listener_hears_what_was_recorded(run: Path, place: str) -> None:
     assert (missing.k_first, missing.count, missing.reason) == (20, 5, "link silent")
 
 
-def test_a_slow_listener_does_not_delay_the_player(run: Path, place: str) -> None:
-    where = f"unixsock-stream/{place}/p.sock"
+def test_a_slow_listener_does_not_delay_the_player(run: Path, where: str) -> None:
     with staged(where, "played-1") as stage, open_session(where, rig="played-1") as listener:
         heard = listener.declare_subscriber("rig/played-1/*", zenoh.handlers.FifoChannel(200))
         stage.wait_for_listener()
@@ -220,8 +203,7 @@ def test_the_group_may_listen_and_nobody_else(place: str, mask: int) -> None:
         os.umask(before)
 
 
-def test_it_is_no_rig(place: str) -> None:
-    where = f"unixsock-stream/{place}/p.sock"
+def test_it_is_no_rig(where: str) -> None:
     with staged(where, "played-1"):
         with Rig("played-1", connect=where) as rig:
             with pytest.raises(NoReplyError, match="a played recording takes no"):
@@ -248,8 +230,7 @@ def test_it_is_no_rig(place: str) -> None:
             refused("played-1")
 
 
-def test_an_endpoint_that_is_taken_is_reported(place: str) -> None:
-    where = f"unixsock-stream/{place}/p.sock"
+def test_an_endpoint_that_is_taken_is_reported(where: str) -> None:
     with (
         staged(where, "played-1"),
         pytest.raises(RigError, match="played there already"),
@@ -281,7 +262,7 @@ def test_the_command_plays_to_the_end(
     assert last == {"rig": "played-1", "published": 10}
 
 
-def test_a_run_begins_again_when_its_last_sample_is_over(tmp_path: Path, clock: Clock) -> None:
+def test_a_run_begins_again_when_its_last_sample_is_over(tmp_path: Path, clock: FakeClock) -> None:
     one = published(written(tmp_path, recorded([sample(0)])))
 
     playing.rest(one, speed=0.5)

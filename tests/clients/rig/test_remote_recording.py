@@ -36,30 +36,25 @@ Message = tuple[str, bytes]
 
 
 def message(stream: str, **fields: Any) -> Message:
-    """Return a message of a stream other than sample."""
     made = protobuf.message_class(protobuf.OF_STREAM[stream])(**fields)
     return stream, made.SerializeToString()
 
 
 def state(Ts: float = 0.01, device: str = '{"uid": "7"}') -> Message:
-    """Return a state."""
     return message("state", t_host_ns=5_000_000_000, phase="safe", Ts_s=Ts, device=device)
 
 
 def sample(number: int, **changes: Any) -> Message:
-    """Return the sample of a number."""
     due = 5_000_000_000 + number * TS_NS
     made = Sample(number, due, due + 9, number * 10_000, 0.1, 0.0, 1.0, 1.0, 32768, 32768, 3)
     return "sample", encode_sample(made._replace(**changes))
 
 
 def sample_ns(number: int) -> int:
-    """Return when the sample of a number was due."""
     return 5_000_000_000 + number * TS_NS
 
 
 def gap(k_first: int, count: int) -> Message:
-    """Return a gap record of the daemon."""
     t_ns = 5_000_000_000 + k_first * TS_NS
     return message(
         "gap",
@@ -75,13 +70,11 @@ def gap(k_first: int, count: int) -> Message:
 def piece(
     *messages: Message, lost: int = 0, anew: bool = False, offset_ns: int = OFFSET_NS
 ) -> Piece:
-    """Return what came by one question."""
     return Piece(past=Past(bytes(16), 0, offset_ns, messages), is_new_life=anew, lost=lost)
 
 
 @pytest.fixture
 def recording(tmp_path: Path) -> RemoteRecording:
-    """Return a recorder to `monday.mcap`."""
     told: list[str] = []
     return RemoteRecording(
         path=tmp_path / "monday.mcap", rig="1", endpoint="there", tell=told.append
@@ -98,7 +91,6 @@ def files(recording: RemoteRecording) -> list[armrig.Recording]:
 
 
 def ks(recording: armrig.Recording) -> list[int]:
-    """Return the indices of a file's samples."""
     return [int(k) for k in recording.samples["k"]]
 
 

@@ -40,7 +40,6 @@ class Rogue(FakeDaemon):
 
 @pytest.fixture
 def rogue(where: str) -> Iterator[Rogue]:
-    """Give what listens at the endpoint."""
     with Rogue(where) as running:
         yield running
 
