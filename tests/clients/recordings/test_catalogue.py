@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import struct
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from io import BytesIO
@@ -58,7 +56,6 @@ def made(folder: Path, number: int, *, experiment: str = "step", samples: int = 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Return a folder of three recordings."""
     folder = tmp_path / "recordings"
     folder.mkdir()
     for number, experiment in enumerate(("step", "blackbox-monday", "blackbox-validation-monday")):
@@ -224,18 +221,15 @@ def test_only_a_file_that_the_daemon_named_otherwise_need_not_be_opened(
 
 
 def renamed(path: Path) -> str:
-    """Rename it; return the files that are opened again."""
     return path.rename(path.with_name("1-step-20261120T050000-000000aa.mcap")).name
 
 
 def deleted(path: Path) -> str:
-    """Remove it."""
     path.unlink()
     return ""
 
 
 def replaced(path: Path) -> str:
-    """Put another file of the same size and the same time in its place."""
     other = path.read_bytes().replace(b"00000000", b"000000bb")
     path.unlink()
     path.write_bytes(other)
@@ -244,7 +238,6 @@ def replaced(path: Path) -> str:
 
 
 def overwritten(path: Path) -> str:
-    """Write other bytes into it, and set its time back."""
     other = path.read_bytes().replace(b"00000000", b"000000bb")
     with path.open("r+b") as file:
         file.write(other)
@@ -253,7 +246,6 @@ def overwritten(path: Path) -> str:
 
 
 def broken(path: Path) -> str:
-    """Cut its end off."""
     os.truncate(path, path.stat().st_size - 1)
     return path.name
 
@@ -339,34 +331,6 @@ def test_an_index_that_cannot_take_its_place_leaves_no_file(
     assert list(index.parent.iterdir()) == [index]
 
 
-_LOOKED = """
-import sys
-from pathlib import Path
-from armrig.recordings import catalogue
-catalogue.WORTH_KEEPING = 1
-folder = Path(sys.argv[1])
-for number in range(30):
-    (folder / sys.argv[2]).write_bytes(bytes(number))
-    assert len(catalogue.catalogue(folder)) == 3
-"""
-
-
-def test_two_processes_at_once_leave_one_whole_index(
-    folder: Path, tmp_path: Path, opened: list[str]
-) -> None:
-    both = [
-        subprocess.Popen([sys.executable, "-c", _LOOKED, str(folder), name])
-        for name in ("a.mcap", "b.mcap")
-    ]
-    assert [process.wait(60) for process in both] == [0, 0]
-
-    catalogue(folder)
-    assert len(index_files(tmp_path)) == 1
-    opened.clear()
-    catalogue(folder)
-    assert opened == []
-
-
 def test_a_name_that_is_no_text_is_listed(folder: Path, tmp_path: Path, opened: list[str]) -> None:
     strange = os.fsdecode(os.fsencode(folder) + b"/\xff.mcap")
     Path(folder / "1-step-20261120T050000-00000000.mcap").rename(strange)
@@ -382,7 +346,6 @@ def test_a_name_that_is_no_text_is_listed(folder: Path, tmp_path: Path, opened: 
 
 
 def with_metadata(folder: Path, run: dict[str, str], outcome: dict[str, str] | None = None) -> Path:
-    """Write a file of nothing but metadata."""
     out = BytesIO()
     writer = Writer(out)
     writer.start()

@@ -26,14 +26,12 @@ from tests.clients.made_recordings import of_the_arm, written
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """Return a recording with nothing against it."""
     return armrig.load(
         written(tmp_path_factory.mktemp("sound"), of_the_arm(armrig.telegraph(600, 0.05)))
     )
 
 
 def changed(recording: Recording, **fields: Any) -> Recording:
-    """Return the recording with another manifest."""
     return replace(recording, manifest=msgspec.structs.replace(recording.manifest, **fields))
 
 

@@ -202,17 +202,6 @@ def test_octave_s_iddata_takes_the_mat_file_as_it_is(rec: Recording) -> None:
     assert float(first) == rec.u[0]
 
 
-def test_our_own_reader_takes_the_mat_file(rec: Recording) -> None:
-    path = rec.path.with_name("run.mat")
-    write_mat(rec, path, output="alpha")
-
-    data = armrig.load_data(path)
-
-    assert pytest.approx(TS) == data.Ts
-    np.testing.assert_array_equal(data.y, rec.alpha)
-    np.testing.assert_array_equal(data.u, rec.u)
-
-
 def test_parquet_keeps_types_units_and_the_hash(rec: Recording) -> None:
     path = rec.path.with_name("run.parquet")
     write_parquet(rec, path)

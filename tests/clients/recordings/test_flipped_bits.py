@@ -17,11 +17,12 @@ from armrig_core.manifest import CALIBRATION
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 
-from tests.clients.made_recordings import recorded, sample, timing, written
+from tests.clients.made_recordings import manifest, recorded, sample, timing, written
 from tests.sampling import sampled
 
 K = list(range(30))
-DATA = recorded([*(sample(k) for k in K), timing(1)], u=[1.0] * 30, flush_every=10)
+MESSAGES = [*(sample(k) for k in K), timing(1)]
+DATA = recorded(MESSAGES, manifest=manifest(samples=30), u=[1.0] * 30, flush_every=10)
 _HEAD = struct.Struct("<BQ")
 
 

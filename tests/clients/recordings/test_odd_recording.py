@@ -62,7 +62,6 @@ NOISE = 6 * 17.0
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give the file."""
     path = tmp_path_factory.mktemp("odd") / "seven.mcap"
     path.write_bytes(odd_recording())
     return path
@@ -70,7 +69,6 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def odd(path: Path) -> Recording:
-    """Give the recording."""
     return load(path)
 
 

@@ -16,7 +16,7 @@ from armrig_core.errors import FileError
 from armrig_core.manifest import RUN, Outcome, manifest_of
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.part_names import part_number, part_paths
+from armrig_core.recording_file.part_names import part_paths
 from mcap.reader import make_reader
 
 from tests.clients.made_recordings import gap, manifest, recorded, sample, written
@@ -78,20 +78,6 @@ def test_a_run_one_of_whose_parts_is_missing_is_not_taken_for_whole(tmp_path: Pa
     assert [c.about for c in found.checks if c.result == "failed"] == ["file"]
     assert "its last part is missing" in repr(found)
     assert verify(two).checks[0].result == "passed"
-
-
-def test_a_run_of_many_parts_is_read_in_the_order_of_their_numbers(tmp_path: Path) -> None:
-    for number in (10_000, 9_999, 2, 1):
-        (tmp_path / f"run.part-{number:04}.mcap").touch()
-    (tmp_path / "run.part-0003.mcap.active").touch()
-    for other in ("run.part-4.csv", "run.part-x.mcap", "run-b.part-0001.mcap", "run.part-²2.mcap"):
-        (tmp_path / other).touch()
-
-    found = part_paths(tmp_path / "run.mcap")
-
-    assert [part_number(path) for path in found] == [1, 2, 3, 9_999, 10_000]
-    others = ("run.mcap", "run.part-x.mcap", "1.mcap", ".part-1.mcap")
-    assert {part_number(tmp_path / name) for name in others} == {0}
 
 
 def test_a_second_part_given_as_a_calibration_is_refused_with_the_way_out(tmp_path: Path) -> None:

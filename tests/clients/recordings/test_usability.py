@@ -34,12 +34,10 @@ from tests.clients.odd_recording import odd_recording
 
 
 def judged(directory: Path, u: NDArray[np.float64], **options: Any) -> DataVerdict:
-    """Return the verdict on the arm driven by u."""
     return data_verdict(load(written(directory, of_the_arm(u, **options))))
 
 
 def by_hand(directory: Path, messages: list[Any], **about: Any) -> Recording:
-    """Return a recording of these messages."""
     whole = manifest(samples=len(messages), **about)
     return load(written(directory, recorded(messages, manifest=whole)))
 
@@ -56,7 +54,6 @@ def swinging(n: int, **changes: Any) -> list[Any]:
 
 
 def levels(verdict: DataVerdict) -> dict[str, str]:
-    """Return the level of each finding by what it is about."""
     return {f.about: f.level for f in verdict.findings}
 
 

@@ -67,14 +67,12 @@ def verified(
     u: Sequence[float] | None = U.tolist(),
     cut: int = 0,
 ) -> Verification:
-    """Return the findings of a recording of these messages."""
     ended = Outcome(outcome="complete", samples=came, missing=missing)
     data = recorded(messages, manifest=manifest(k_first=0, samples=N), outcome=ended, u=u)
     return verify(written(directory, data[: len(data) - cut]))
 
 
 def failed(found: Verification) -> dict[str, str]:
-    """Return what failed, by its name."""
     return {c.about: c.text for c in found.checks if c.result == "failed"}
 
 
