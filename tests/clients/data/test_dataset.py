@@ -9,7 +9,6 @@ import armrig
 import numpy as np
 import pandas as pd
 import pytest
-from armrig import Dataset
 from armrig.data.argument import as_dataset
 from armrig.data.dataset import Dataset
 from armrig.data.figures import plot_values, without_ramp
@@ -235,7 +234,6 @@ def test_many_merged_parts_are_listed_up_to_the_eighth() -> None:
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Return a recording of the arm."""
     folder: Path = tmp_path_factory.mktemp("argument")
     return armrig.load(written(folder, of_the_arm(armrig.telegraph(600, 0.05))))
 

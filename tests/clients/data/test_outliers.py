@@ -28,14 +28,12 @@ def clean(seed: int, N: int = 2000, *, noise: str = "of the output") -> Dataset:
 
 
 def spoilt(data: Dataset, where: list[int], size: float) -> Dataset:
-    """Return the data with wrong samples, of alternating sign."""
     y = data.y.copy()
     y[where] += size * np.where(np.arange(len(where)) % 2 == 0, 1.0, -1.0)
     return data.replaced(y=y, step=None)
 
 
 def marked(data: Dataset, treated: Dataset) -> list[int]:
-    """Return the samples that the treatment has marked as missing."""
     return np.flatnonzero(data.valid & ~treated.valid).tolist()
 
 

@@ -129,7 +129,6 @@ class Bomb:
     """An object that must never be unpickled."""
 
     def __reduce__(self) -> Any:
-        """Leave a trace of the unpickling."""
         return (Path("/nonexistent/armrig-was-here").touch, ())
 
 
@@ -161,7 +160,6 @@ def test_an_archive_that_unpacks_without_end_is_refused(
 
 
 def element(kind: int, values: bytes, order: str = "<") -> bytes:
-    """Return an element of a MAT-file."""
     return struct.pack(f"{order}II", kind, len(values)) + values + bytes(-len(values) % 8)
 
 
@@ -213,7 +211,6 @@ def test_version_4_is_read_in_every_width_and_order(order: str, tmp_path: Path) 
 
 
 def cells_inside_each_other(depth: int) -> bytes:
-    """Return a cell in a cell in a cell."""
     head = element(6, struct.pack("<II", 1, 0)) + element(5, struct.pack("<ii", 1, 1))
     inner, parts = 0, []
     for level in range(depth):

@@ -37,7 +37,6 @@ def log(
     rows: Sequence[int] | NDArray[Any] | None = None,
     **how: Any,
 ) -> Path:
-    """Write the rows of a log with these times, and return its path."""
     u, y = plant(len(times), **how)
     lines = [f"{t},{u[k]:.0f},{y[k]:.4f}" for k, t in enumerate(times)]
     taken = range(len(lines)) if rows is None else rows
