@@ -30,6 +30,7 @@ from armrig_daemon.emulator.uno import Uno as SimulatedUno
 
 from tests.clients import uno_with_optiboot
 from tests.clients.uno_with_optiboot import Uno
+from tests.sampling import sampled
 from tests.tools import needs
 
 pytestmark = needs("avrdude")
@@ -128,12 +129,11 @@ ANOTHER_CHIP = {"signature": bytes((0x1E, 0x95, 0x14))}
         (ANOTHER_CHIP, ["--yes"], "the chip on the board is not an ATmega328P", False),
         ({"stuck_bit": True}, ["--yes"], "the board's memory differs from the written", True),
         ({"version": (1, 16)}, ["--yes"], OLD, False),
-        ({"version": (1, 16), "speed": termios.B57600}, ["--yes"], OLD, False),
         ({}, [], "--yes agrees", False),
         # Optiboot answers 0 to requests that it does not implement.
         ({}, ["--fuse", "arduino"], "use an ISP programmer", False),
+        *sampled([({"version": (1, 16), "speed": termios.B57600}, ["--yes"], OLD, False)], 0),
     ],
-    ids=["another chip", "a worn cell", "an old loader", "its speed", "nobody agrees", "no fuse"],
 )
 def test_a_board_that_is_refused_is_reported_in_one_line(
     fault: dict[str, object], words: list[str], says: str, is_written: bool, capsys: Said
@@ -323,19 +323,6 @@ def test_what_avrdude_really_says_of_no_port_becomes_a_line(tmp_path: Path) -> N
 
     with pytest.raises(OperationError, match="boot loader does not answer"):
         avrdude.write(call, lambda done, total, name: None)
-
-
-@pytest.mark.exhaustive
-def test_a_boot_loader_that_falls_silent_is_reported(
-    monkeypatch: pytest.MonkeyPatch, capsys: Said
-) -> None:
-    monkeypatch.setattr(avrdude, "loader", lambda program, port: "4.4")
-    monkeypatch.setattr(avrdude, "_TIMEOUT_S", 1.0)
-    with Uno(_another_firmware) as uno:
-        uno.falls_silent_at = 1024
-        assert main(["flash", "--port", uno.port, "--yes"]) == 1
-
-    assert "the program may be incomplete: leave the motor unplugged" in capsys.readouterr().err
 
 
 @pytest.mark.exhaustive

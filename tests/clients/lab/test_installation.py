@@ -216,19 +216,6 @@ def test_a_program_that_the_sandbox_hides_is_refused(
     assert "install armrig into /opt/armrig with /usr/bin/python3" in said
 
 
-def test_a_dry_run_shows_every_line_and_writes_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["service", "install", "--root", str(tmp_path), "--dry-run"]) == 0
-
-    said = capsys.readouterr().out.splitlines()
-    for file in files(tmp_path, ["rig"]):
-        begin = said.index(f"write    {file.path}") + 1
-        lines = file.text.splitlines()
-        assert [line[9:] for line in said[begin : begin + len(lines)]] == lines
-    assert not [*tmp_path.iterdir()]
-
-
 def test_a_router_and_a_recorder_are_shown_together_and_a_dry_run_needs_no_agreement(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

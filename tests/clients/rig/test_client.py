@@ -40,22 +40,27 @@ with FakeDaemon(sys.argv[2]) as daemon:
 """
 
 
+@pytest.fixture
+def rig(daemon: FakeDaemon, where: str) -> Iterator[Rig]:
+    with Rig("1", connect=where) as rig:
+        yield rig
+
+
 @pytest.mark.parametrize("rig", ["", "Arm", "../1", "a b", "*"])
 def test_a_rig_id_that_cannot_be_a_key_is_refused(rig: str) -> None:
     with pytest.raises(ValueError, match="each a-z, 0-9 or -"):
         Rig(rig)
 
 
-def test_a_run_is_sent_whole_and_waited_for(daemon: FakeDaemon, where: str) -> None:
+def test_a_run_is_sent_whole_and_waited_for(daemon: FakeDaemon, rig: Rig) -> None:
     seen: list[tuple[int, int]] = []
-    with Rig("1", connect=where) as rig:
-        rig.arm("me", Ts=0.02)
-        path = rig.run(
-            [0.5, 4.5, 0.5],
-            experiment="blackbox",
-            details={"seed": 3},
-            progress=lambda done, total: seen.append((done, total)),
-        )
+    rig.arm("me", Ts=0.02)
+    path = rig.run(
+        [0.5, 4.5, 0.5],
+        experiment="blackbox",
+        details={"seed": 3},
+        progress=lambda done, total: seen.append((done, total)),
+    )
 
     assert path == Path(daemon.recording)
     arm, run = [r for r in daemon.asked if not isinstance(r, commands.Status)][:2]
@@ -68,28 +73,26 @@ def test_a_run_is_sent_whole_and_waited_for(daemon: FakeDaemon, where: str) -> N
 
 
 def test_a_sleep_during_a_run_is_reported_once(
-    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
+    daemon: FakeDaemon, rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slept, told = iter(["this computer slept for 30 s"]), list[str]()
     monkeypatch.setattr("armrig.rig.client.Standstill.look", lambda _: next(slept, ""))
 
-    with Rig("1", connect=where) as rig:
-        rig.arm("ada")
-        rig.run([1.0, 2.0], dead_man=2.0, tell=told.append)
+    rig.arm("ada")
+    rig.run([1.0, 2.0], dead_man=2.0, tell=told.append)
 
     assert told == ["this computer slept for 30 s"]
 
 
 def test_a_run_with_a_dead_man_gives_signs_while_it_is_waited_for(
-    daemon: FakeDaemon, where: str
+    daemon: FakeDaemon, rig: Rig
 ) -> None:
     daemon.polls_per_run = 4
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        rig.run([1.0, 2.0], dead_man=2.0)
-        rig.arm("me")
-        daemon.refusals["renew"] = "no run of this lease is planned or running"
-        rig.run([1.0, 2.0], dead_man=2.0)
+    rig.arm("me")
+    rig.run([1.0, 2.0], dead_man=2.0)
+    rig.arm("me")
+    daemon.refusals["renew"] = "no run of this lease is planned or running"
+    rig.run([1.0, 2.0], dead_man=2.0)
 
     first = [r for r in daemon.asked if isinstance(r, commands.Leased)][:4]
     assert [r.name for r in first] == ["run", "renew", "renew", "renew"]
@@ -100,13 +103,12 @@ def test_a_run_with_a_dead_man_gives_signs_while_it_is_waited_for(
 
 
 def test_the_daemon_s_rehearsal_is_handed_over_before_the_run_is_waited_for(
-    daemon: FakeDaemon, where: str
+    daemon: FakeDaemon, rig: Rig
 ) -> None:
     daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
     seen: list[Any] = []
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        rig.run([1.0], accepted=seen.append, progress=lambda done, total: seen.append(done))
+    rig.arm("me")
+    rig.run([1.0], accepted=seen.append, progress=lambda done, total: seen.append(done))
 
     assert seen[0].rehearsal == daemon.rehearsal
     assert seen[1:] != []
@@ -123,23 +125,21 @@ def test_each_command_of_a_lease_has_a_greater_number(daemon: FakeDaemon, where:
     assert daemon.names() == ["arm", "set", "set", "disarm"]
 
 
-def test_the_sender_of_a_stop_is_named(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig:
-        rig.stop()
-        rig.arm("a student")
-        rig.stop()
-        rig.stop("the teacher")
+def test_the_sender_of_a_stop_is_named(daemon: FakeDaemon, rig: Rig) -> None:
+    rig.stop()
+    rig.arm("a student")
+    rig.stop()
+    rig.stop("the teacher")
 
     stops = [r.by for r in daemon.asked if isinstance(r, commands.Stop)]
     assert stops == [getpass.getuser(), "a student", "the teacher"]
 
 
-def test_the_author_of_a_note_is_named(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig:
-        assert rig.note("the belt was changed")
-        rig.arm("a student")
-        rig.note("the arm was touched")
-        rig.note("so it was", "the teacher")
+def test_the_author_of_a_note_is_named(daemon: FakeDaemon, rig: Rig) -> None:
+    assert rig.note("the belt was changed")
+    rig.arm("a student")
+    rig.note("the arm was touched")
+    rig.note("so it was", "the teacher")
 
     notes = [(r.text, r.owner) for r in daemon.asked if isinstance(r, commands.Note)]
     assert notes == [
@@ -149,21 +149,17 @@ def test_the_author_of_a_note_is_named(daemon: FakeDaemon, where: str) -> None:
     ]
 
 
-def test_a_daemon_that_is_older_than_notes_is_named_in_a_line(
-    daemon: FakeDaemon, where: str
-) -> None:
+def test_a_daemon_that_is_older_than_notes_is_named_in_a_line(daemon: FakeDaemon, rig: Rig) -> None:
     daemon.refusals["note"] = "command 'note': allowed are arm, disarm"
 
-    with Rig("1", connect=where) as rig, pytest.raises(RefusedError) as refused:
+    with pytest.raises(RefusedError) as refused:
         rig.note("the arm was touched")
 
     told = "the daemon of rig 1 takes no notes: update armrig on its machine"
     assert str(refused.value) == told
 
 
-def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(
-    daemon: FakeDaemon, where: str
-) -> None:
+def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(daemon: FakeDaemon, rig: Rig) -> None:
     carry_out = daemon._carry_out
 
     def earlier(request: commands.Request) -> Any:
@@ -172,72 +168,66 @@ def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(
         return carry_out(request)
 
     daemon._carry_out = earlier
-    with Rig("1", connect=where) as rig:
-        rig.stop()
+    rig.stop()
 
     assert [r.by for r in daemon.asked if isinstance(r, commands.Stop)] == [""]
 
 
 @pytest.mark.parametrize("answer", [{}, {"stopped": True}, {"done": False}, [], "done"])
-def test_a_stop_that_is_not_confirmed_is_no_stop(
-    daemon: FakeDaemon, where: str, answer: Any
-) -> None:
+def test_a_stop_that_is_not_confirmed_is_no_stop(daemon: FakeDaemon, rig: Rig, answer: Any) -> None:
     daemon._carry_out = lambda _: answer
 
-    with Rig("1", connect=where) as rig, pytest.raises(RigError, match="the answer to 'stop'"):
+    with pytest.raises(RigError, match="the answer to 'stop'"):
         rig.stop()
 
 
-def test_without_arming_nothing_is_sent(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig, pytest.raises(RefusedError, match=r"call arm\(owner\)"):
+def test_without_arming_nothing_is_sent(daemon: FakeDaemon, rig: Rig) -> None:
+    with pytest.raises(RefusedError, match=r"call arm\(owner\)"):
         rig.run([1.0])
 
     assert daemon.asked == []
 
 
 def test_a_voltage_outside_what_was_granted_never_leaves_the_client(
-    daemon: FakeDaemon, where: str
+    daemon: FakeDaemon, rig: Rig
 ) -> None:
     daemon.limits_v = (0.5, 4.5)
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        with pytest.raises(ValueError, match=r"u\[2\] = 4.8 V is outside 0.5 … 4.5 V"):
-            rig.run([1.0, 4.5, 4.8, 0.0])
-        with pytest.raises(ValueError, match=r"u\[1\] = 0.4 V is outside 0.5 … 4.5 V"):
-            rig.run([1.0, 0.4, 4.8, 0.3])
-        for volts in (0.0, float("nan")):
-            with pytest.raises(ValueError, match=rf"u\[0\] = {volts:g} V is outside 0.5 … 4.5 V"):
-                rig.set(volts)
+    rig.arm("me")
+    with pytest.raises(ValueError, match=r"u\[2\] = 4.8 V is outside 0.5 … 4.5 V"):
+        rig.run([1.0, 4.5, 4.8, 0.0])
+    with pytest.raises(ValueError, match=r"u\[1\] = 0.4 V is outside 0.5 … 4.5 V"):
+        rig.run([1.0, 0.4, 4.8, 0.3])
+    for volts in (0.0, float("nan")):
+        with pytest.raises(ValueError, match=rf"u\[0\] = {volts:g} V is outside 0.5 … 4.5 V"):
+            rig.set(volts)
 
     assert not {"run", "set"} & {request.name for request in daemon.asked}
 
 
 @pytest.mark.parametrize("u", [[[1.0, 2.0], [3.0, 4.0]], 1.0, []])
 def test_an_input_that_is_no_row_of_voltages_is_refused(
-    u: Any, daemon: FakeDaemon, where: str
+    u: Any, daemon: FakeDaemon, rig: Rig
 ) -> None:
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        with pytest.raises(ValueError, match=r"u has shape \(.*\), it must be \(N,\)"):
-            rig.run(np.array(u))
+    rig.arm("me")
+    with pytest.raises(ValueError, match=r"u has shape \(.*\), it must be \(N,\)"):
+        rig.run(np.array(u))
 
     assert "run" not in daemon.names()
 
 
-def test_a_run_whose_answer_was_lost_is_stopped(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        ask = rig._ask
+def test_a_run_whose_answer_was_lost_is_stopped(daemon: FakeDaemon, rig: Rig) -> None:
+    rig.arm("me")
+    ask = rig._ask
 
-        def interrupted(request: commands.Request, answer: Any) -> Any:
-            answered = ask(request, answer)
-            if isinstance(request, commands.Run):
-                raise KeyboardInterrupt
-            return answered
+    def interrupted(request: commands.Request, answer: Any) -> Any:
+        answered = ask(request, answer)
+        if isinstance(request, commands.Run):
+            raise KeyboardInterrupt
+        return answered
 
-        rig._ask = interrupted
-        with pytest.raises(KeyboardInterrupt):
-            rig.run([1.0])
+    rig._ask = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        rig.run([1.0])
 
     assert daemon.names() == ["arm", "run", "stop"]
 
@@ -253,14 +243,13 @@ def test_a_run_that_ends_early_says_why_and_where(daemon: FakeDaemon, where: str
     assert "stop" not in daemon.names()
 
 
-def test_ctrl_c_during_a_run_stops_the_rig(daemon: FakeDaemon, where: str) -> None:
+def test_ctrl_c_during_a_run_stops_the_rig(daemon: FakeDaemon, rig: Rig) -> None:
     def interrupted(done: int, total: int) -> None:
         raise KeyboardInterrupt
 
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        with pytest.raises(KeyboardInterrupt):
-            rig.run([1.0] * 100, progress=interrupted)
+    rig.arm("me")
+    with pytest.raises(KeyboardInterrupt):
+        rig.run([1.0] * 100, progress=interrupted)
 
     assert daemon.names() == ["arm", "run", "stop"]
 
@@ -279,8 +268,8 @@ def test_a_rig_is_used_in_a_with_block(where: str) -> None:
         Rig("1", connect=where).status()
 
 
-def test_a_stream_ends_when_its_daemon_goes(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig, daemon.session.declare_publisher("rig/1/sample") as out:
+def test_a_stream_ends_when_its_daemon_goes(daemon: FakeDaemon, rig: Rig) -> None:
+    with daemon.session.declare_publisher("rig/1/sample") as out:
         samples = rig.stream("sample")
         _first(samples, out)
         daemon.alive.undeclare()

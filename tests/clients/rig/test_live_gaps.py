@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import zenoh
 from armrig.cli import main
-from armrig.rig import live_gaps, telemetry_stream
+from armrig.rig import telemetry_stream
 from armrig.rig.live_gaps import LiveGap, Newest, gaps_between
 from armrig.rig.session import open_session
 from armrig.rig.telemetry_stream import arrivals, stream
@@ -151,20 +151,6 @@ def test_a_stream_has_each_gap_in_its_place(
 
     shown = [(f.k_first, f.count, f.code) if isinstance(f, LiveGap) else f.k for f in found]
     assert shown == expected
-
-
-def test_reported_gaps_do_not_pile_up(
-    listed: Callable[..., list[Any]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The oldest and the too long gaps are discarded."""
-    monkeypatch.setattr(live_gaps, "MOST_TOLD", 3)
-    few = listed([[sample(0), sample(10)]], [[gap(k, 1, 2.5) for k in range(1, 10)]])
-    monkeypatch.setattr(live_gaps, "MOST_TOLD_BYTES", 1000)
-    long = [gap(k, 1, 2.5, "x" * 400) for k in range(1, 10)]
-    short = listed([[sample(0), sample(10)]], [long])
-
-    assert [(f.k_first, f.count) for f in few[1:-1]] == [(1, 6), (7, 1), (8, 1), (9, 1)]
-    assert [(f.k_first, f.count) for f in short[1:-1]] == [(1, 7), (8, 1), (9, 1)]
 
 
 def test_a_stranger_cannot_fill_the_memory_of_a_listener(daemon: FakeDaemon, where: str) -> None:

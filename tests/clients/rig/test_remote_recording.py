@@ -14,7 +14,6 @@ import pytest
 from armrig.recordings.grid import MISSING_LIMIT
 from armrig.recordings.verification import verify
 from armrig.rig import remote_recording
-from armrig.rig.live_gaps import MOST_TOLD
 from armrig.rig.remote_recording import STARTED_ANEW, DiskError, RecordedFile, RemoteRecording
 from armrig.rig.remote_source import Piece
 from armrig.rig.session import RigError
@@ -295,18 +294,6 @@ def test_a_rig_that_changes_its_rate_all_the_time_is_none(recording: RemoteRecor
         recording.add(piece(*changing))
 
     assert len(recording.done) == 60
-
-
-def test_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> None:
-    recording.add(piece(state(), sample(0)))
-    recording.add(piece(*(gap(k, 1) for k in range(1, MOST_TOLD + 101))))
-    assert len(recording._told) == MOST_TOLD
-    recording.add(piece(sample(MOST_TOLD + 101)))
-
-    [found] = files(recording)
-
-    assert (found.gaps[0].count, found.gaps[0].code) == (100, GapCode.RECORDER_CUT_OFF)
-    assert found.missing == MOST_TOLD + 100
 
 
 def test_long_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> None:
