@@ -37,6 +37,12 @@ def mat(folder: Path, values: dict[str, Any], **how: Any) -> Path:
     return path
 
 
+@pytest.fixture
+def _little_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a file unpack to 1 MiB."""
+    monkeypatch.setattr(table, "room", lambda _: 1 << 20)
+
+
 def iddata(**fields: Any) -> MatlabObject:
     """Return the object as MATLAB's older versions save it: cells of one experiment."""
     cells = {name: _cell(value) for name, value in fields.items()}
@@ -142,12 +148,10 @@ def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_data(path, signal="z", Ts=1).y, Y)
 
 
+@pytest.mark.usefixtures("_little_room")
 @pytest.mark.parametrize("kind", [np.int8, np.float64])
-def test_an_archive_that_unpacks_without_end_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type
-) -> None:
+def test_an_archive_that_unpacks_without_end_is_refused(tmp_path: Path, kind: type) -> None:
     """The declared length decides, before anything is unpacked."""
-    monkeypatch.setattr(table, "room", lambda _: 1 << 20)
     n = (1 << 20) // 8
     whole, bomb = tmp_path / "whole.npz", tmp_path / "bomb.npz"
     np.savez_compressed(whole, u=np.arange(n - 100.0).astype(kind), y=np.ones(50, kind))
@@ -279,10 +283,8 @@ def test_an_array_that_cannot_be_read_is_reported(
         load_data(path, Ts=1)
 
 
-def test_a_mat_file_that_unpacks_without_end_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(table, "room", lambda _: 1 << 20)
+@pytest.mark.usefixtures("_little_room")
+def test_a_mat_file_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
     packed = zlib.compress(bytes(1 << 22))
     path = tmp_path / "bomb.mat"
     path.write_bytes(mat5(struct.pack("<II", 15, len(packed)) + packed))
@@ -497,6 +499,7 @@ def test_time_stamps_are_in_seconds(unit: str, tmp_path: Path) -> None:
     assert (data.u.tolist(), data.y.tolist()) == ((U > 0).astype(float).tolist(), [*range(30)])
 
 
+@pytest.mark.usefixtures("_little_room")
 def test_what_cannot_be_read_is_refused_with_the_way_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -510,9 +513,9 @@ def test_what_cannot_be_read_is_refused_with_the_way_out(
     )
     with pytest.raises(FileError, match="two of its columns have the same name"):
         load_data(tmp_path / "double.parquet", Ts=1)
-    monkeypatch.setattr(table, "room", lambda _: 8 * 2 * 30 - 1)
+    long = np.zeros(1 << 16)
     with pytest.raises(FileError, match="unpacked it has more than"):
-        load_data(path, Ts=1)
+        load_data(written(tmp_path / "long.parquet", u=long, y=long, z=long), Ts=1)
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     with pytest.raises(FileError, match=r"pyarrow is not installed: .* 'armrig\[parquet\]'"):
         load_data(path, Ts=1)

@@ -387,16 +387,6 @@ def test_values_that_are_read_less_often_than_written_are_named(
     assert note.startswith(f"each value of {name} is in {rows} rows")
 
 
-def test_a_sensor_that_is_stuck_is_named(tmp_path: Path) -> None:
-    u, y = plant(400)
-    y[100:160] = y[100]
-    np.savez(tmp_path / "a.npz", u=u, y=y, Ts=1.0)
-
-    (note,) = armrig.load_data(tmp_path / "a.npz").history
-
-    assert "in 60 rows in sequence while the input changes" in note
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_a_level_that_y_settles_at_is_no_rail(noise: float, tmp_path: Path) -> None:
     u = np.repeat([1.0, 3.0, 1.0, 3.0], 100)

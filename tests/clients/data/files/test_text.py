@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 U, Y = [1.0, -2.5, 3.0, 0.125], [0.5, 1e-3, -7.0, 1e6]
 
 
-def written(folder: Path, text: str | bytes, name: str = "data.csv") -> Path:
+def written(folder: Path, text: str, name: str = "data.csv") -> Path:
     """Return a file of text, with unchanged line ends."""
     path = folder / name
-    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    path.write_bytes(text.encode())
     return path
 
 
@@ -149,18 +149,12 @@ def test_every_number_comes_back() -> None:
             "A title\nu;y\n1;2\n",
             r"line 2 has 2 cells \(separated by semicolon\), the line of names 1",
         ),
-        (b"u,y [\xb0C]\n1,2\n", "line 1 is not UTF-8: save it as UTF-8 .in Excel: .CSV UTF-8"),
         ("u,y\nV,an angle in radians\n1,2\n", "line 2, column u: 'V' is not a number"),
         ("u;y\n1.23,4,5;2\n", "line 2, column u: '1.23,4,5' is not a number; leave a missing"),
         ("u,y\n1_000,2\n", "line 2, column u: '1_000' is not a number"),
         ("u,y\n1," + 99 * "x" + "\n", "line 2, column y: '" + 39 * "x" + "…' is not a number"),
         ("\x1b[31mu,y\u202e\n1,2\n", r"a number of 1 \\x1b\[31mu, 2 y\\u202e"),
         ("u,y\n1,\x1b[2J\n", r"line 2, column y: '\\x1b\[2J' is not a number"),
-        ("u,y\n1,2\n\x001,2\n", "is not text, and not of another known kind; armrig re"),
-        (
-            "1,2\n1,2\n",
-            "no such columns; its columns have no names: give --input and --signal 1 or 2$",
-        ),
         ("u,u,y\n1,2,3\n", "input u: columns 1 and 2 have this name; give the number"),
         (
             ",".join(f"c{i}" for i in range(99)) + "\n" + ",".join("1" * 99) + "\n",
@@ -169,7 +163,7 @@ def test_every_number_comes_back() -> None:
     ],
 )
 def test_what_is_no_table_is_reported_with_its_line_and_the_way_out(
-    text: str | bytes, said: str, tmp_path: Path
+    text: str, said: str, tmp_path: Path
 ) -> None:
     path = written(tmp_path, text)
 
