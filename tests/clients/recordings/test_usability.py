@@ -14,6 +14,7 @@ import pytest
 from armrig.data.finding import Finding
 from armrig.numerics.quantities import NBSP
 from armrig.recordings.findings import (
+    HiddenStep,
     check_angle,
     check_run,
     check_signal,
@@ -87,27 +88,33 @@ def test_what_the_handout_asks_for_is_loud_enough(tmp_path: Path) -> None:
         assert judged(tmp_path, u).warnings == ()
 
 
-def test_a_step_whose_rise_the_dead_band_hides_is_reported_with_when_to_step(
-    tmp_path: Path,
-) -> None:
-    def stepped(start: float, at: float, seconds: float) -> Recording:
-        u = np.where(np.arange(round(seconds / 0.01)) < round(at / 0.01), 0.5, 4.5)
-        whole = of_the_arm(u, experiment="step", start=start)
-        return load(written(tmp_path, whole))
+def stepped(directory: Path, start: float, at: float, seconds: float) -> Recording:
+    """Return the recording of a step of a chassis that rests at `start`, in rad."""
+    u = np.where(np.arange(round(seconds / 0.01)) < round(at / 0.01), 0.5, 4.5)
+    return load(written(directory, of_the_arm(u, experiment="step", start=start)))
 
-    told = 0
-    for start in np.arange(0, tau, 0.1):
-        first = stepped(start, 1.0, 2.0)
-        hidden = hidden_step(first)
-        if hidden is None:
-            continue
-        told += 1
-        found = data_verdict(first)
-        assert levels(found)["step"] == "warning"
-        assert f"--at {hidden.at_s:g} --seconds {hidden.seconds:g}" in found.summary
+
+Hidden = list[tuple[Recording, HiddenStep]]
+
+
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory: pytest.TempPathFactory) -> Hidden:
+    """Return the steps of a turn of starts whose rise the dead band hides."""
+    directory = tmp_path_factory.mktemp("steps")
+    every = (stepped(directory, float(start), 1.0, 2.0) for start in np.arange(0, tau, 0.1))
+    return [(r, found) for r in every if (found := hidden_step(r)) is not None]
+
+
+def test_a_step_hidden_by_the_dead_band_is_reported_with_the_time_to_step(
+    hidden: Hidden, tmp_path: Path
+) -> None:
+    for first, found in hidden:
+        verdict = data_verdict(first)
+        assert levels(verdict)["step"] == "warning"
+        assert f"--at {found.at_s:g} --seconds {found.seconds:g}" in verdict.summary
         rest = first.theta_1[first.valid][-1] + 0.6  # the motor brakes it within a few 0.1 s
-        assert hidden_step(stepped(rest, hidden.at_s, hidden.seconds)) is None
-    assert 2 <= told <= 10
+        assert hidden_step(stepped(tmp_path, rest, found.at_s, found.seconds)) is None
+    assert 2 <= len(hidden) <= 10
 
 
 def test_missing_samples_are_reported_and_many_are_warned_of(tmp_path: Path) -> None:
@@ -224,24 +231,16 @@ def test_a_gap_without_a_record_of_its_voltage_is_judged_all_the_same(tmp_path: 
     assert found.missing_share == pytest.approx(8 / 200)
 
 
-def test_a_step_is_made_again_at_one_time_whichever_way_the_angle_counts(tmp_path: Path) -> None:
+def test_the_time_to_step_does_not_depend_on_the_sign_of_the_angle(hidden: Hidden) -> None:
     """A reversed potentiometer changes the sign of the angle, not the place of its dead band."""
-    u = np.where(np.arange(200) < 100, 0.5, 4.5)
-    recordings = (
-        load(written(tmp_path, of_the_arm(u, experiment="step", start=float(start))))
-        for start in np.arange(0, tau, 0.1)
-    )
-    found = [(r, hidden) for r in recordings if (hidden := hidden_step(r)) is not None]
+    mirrored = [hidden_step(replace(r, theta_1=-r.theta_1)) for r, _ in hidden]
 
-    mirrored = [hidden_step(replace(r, theta_1=-r.theta_1)) for r, _ in found]
-
-    assert len(found) >= 2
-    assert mirrored == [hidden for _, hidden in found]
-    for r, hidden in found:
-        ends = [100 + round(t / r.Ts) for t in (hidden.begins_s, hidden.ends_s)]
+    assert mirrored == [found for _, found in hidden]
+    for r, found in hidden:
+        ends = [100 + round(t / r.Ts) for t in (found.begins_s, found.ends_s)]
         assert r.valid[ends].all()
         assert not r.valid[ends[0] + 1 : ends[1]].any()
-        assert (hidden.begins_s, hidden.ends_s) == pytest.approx(r.t[ends] - 1.0)
+        assert (found.begins_s, found.ends_s) == pytest.approx(r.t[ends] - 1.0)
 
 
 def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
