@@ -40,7 +40,7 @@ def test_the_arrays_are_read_only_copies() -> None:
         data.y[0] = 1.0
 
 
-def test_a_missing_output_reads_nan_whatever_it_was() -> None:
+def test_a_missing_output_is_nan() -> None:
     """A formula that used the value would give nan."""
     data = Dataset(u=[0, 0, 0], y=[1, 2, 3], Ts=1, valid=[True, False, True])
 
@@ -48,7 +48,7 @@ def test_a_missing_output_reads_nan_whatever_it_was() -> None:
     assert data.missing == 1
 
 
-def test_what_is_masked_is_missing() -> None:
+def test_a_masked_value_is_missing() -> None:
     y = np.ma.masked_array([1.0, 1e6, np.nan, 4.0], mask=[False, True, True, False])
 
     data = Dataset(u=np.zeros(4), y=y, Ts=1, valid=[False, True, True, True])
@@ -96,7 +96,7 @@ def test_the_parts_of_a_split_join_to_the_whole(N: int, k: int) -> None:
     assert max(p.N for p in parts) - min(p.N for p in parts) <= 1
 
 
-def test_experiments_come_back_from_a_merge_as_they_went_in() -> None:
+def test_merged_experiments_equal_the_parts() -> None:
     first, second = ramp(4, valid=[True, True, False, True]), ramp(3)
 
     parts = list(merge([first, second]).experiments())
@@ -127,7 +127,7 @@ def test_experiments_are_selected_by_their_numbers() -> None:
         data.select(-1)
 
 
-def test_a_part_of_a_part_is_known_by_its_time_in_the_whole() -> None:
+def test_a_part_of_a_part_keeps_its_time_in_the_whole() -> None:
     """From the first sample to the end of the last, in s."""
     whole = Dataset(u=np.arange(100.0), y=np.arange(100.0), Ts=0.02)
 
@@ -140,7 +140,7 @@ def test_a_part_of_a_part_is_known_by_its_time_in_the_whole() -> None:
 
 @pytest.mark.parametrize(("slope", "shown"), [(0.7, "− 0.7"), (-2.5, "+ 2.5")])
 @pytest.mark.parametrize("unit", ["rad", ""])
-def test_what_is_nearly_a_ramp_is_shown_without_its_slope(
+def test_an_output_near_a_ramp_is_drawn_without_its_slope(
     slope: float, shown: str, unit: str
 ) -> None:
     """The label names what is subtracted, and the note names the rate with its sign."""
@@ -194,7 +194,7 @@ def test_a_number_that_is_too_large_or_too_small_is_refused_by_its_name() -> Non
     assert as_dataset(hidden) is hidden
 
 
-def test_a_hash_knows_every_number_and_no_name() -> None:
+def test_the_digest_depends_on_every_number_and_on_no_name() -> None:
     """It distinguishes estimation and validation data."""
     data = ramp(6, starts=(0, 3), valid=[True, False, True, True, True, True])
     u, y = data.u.copy(), data.y.copy()
@@ -212,7 +212,7 @@ def test_a_hash_knows_every_number_and_no_name() -> None:
     assert data.origin()["digest"] == data.digest
 
 
-def test_data_are_told_in_one_line() -> None:
+def test_the_repr_of_a_dataset_has_one_line() -> None:
     """Missing samples are a share of all samples."""
     data = ramp(8, valid=np.arange(8) > 1, output="alpha", unit="rad", history=("made",))
 
@@ -264,7 +264,7 @@ U = [1.0, 2.0, 3.0, 4.0]
     ],
     ids=["NaN", "Int64", "Float64", "object", "another index"],
 )
-def test_a_column_is_taken_and_what_it_lacks_is_missing(y: Any) -> None:
+def test_a_missing_value_of_a_column_is_a_missing_output(y: Any) -> None:
     data = Dataset(u=pd.Series(U), y=y, Ts=1)
 
     assert data.u.tolist() == U
@@ -272,7 +272,7 @@ def test_a_column_is_taken_and_what_it_lacks_is_missing(y: Any) -> None:
     assert data.valid.tolist() == [True, False, True, True]
 
 
-def test_what_valid_leaves_out_is_missing_too() -> None:
+def test_a_sample_is_missing_by_its_value_or_by_valid() -> None:
     valid = pd.Series([True, True, False, None], dtype="boolean")
 
     data = Dataset(u=U, y=pd.Series([1.0, np.nan, 3.0, 4.0]), Ts=1, valid=valid)
@@ -294,6 +294,6 @@ def test_what_valid_leaves_out_is_missing_too() -> None:
         (pd.Series([1.0, np.nan, 3.0, 4.0]), "u is not finite at 1 samples, first nan at 1"),
     ],
 )
-def test_what_is_no_column_of_numbers_is_refused(u: Any, said: str) -> None:
+def test_a_column_without_numbers_is_refused(u: Any, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         Dataset(u=u, y=U, Ts=1)

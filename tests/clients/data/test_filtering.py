@@ -42,7 +42,7 @@ def test_the_model_of_filtered_data_is_the_same(kind: dict[str, object]) -> None
     np.testing.assert_allclose(fit.theta, [0.4, 0.2, -1.2, 0.6], atol=1e-4)
 
 
-def test_a_low_pass_takes_what_is_above_its_band_and_leaves_what_is_below() -> None:
+def test_a_low_pass_attenuates_only_above_its_band() -> None:
     """A sine in the band passes with gain 1; a fourth order leaves 1/16 one octave above it."""
     t = 0.01 * np.arange(4000)
     data = Dataset(u=np.sin(2.0 * t), y=np.sin(40.0 * t), Ts=0.01)
@@ -72,7 +72,7 @@ def test_a_missing_sample_never_reaches_a_valid_one(at: int, length: int, level:
     np.testing.assert_allclose(treated.y[both], whole.y[both], atol=1e-4 * np.ptp(data.y))
 
 
-def test_a_short_numerator_forgets_exactly() -> None:
+def test_a_finite_filter_loses_its_length_less_one_after_a_gap() -> None:
     """Three coefficients cost two samples at the start of each experiment and after each gap."""
     data = merge([noise_free(20), noise_free(20)])
     valid = np.ones(40, dtype=np.bool_)
@@ -100,7 +100,7 @@ def test_resampling_keeps_straight_lines_and_their_trend() -> None:
     assert "resampled from 0.01 s to 0.05 s after a low-pass filter of 81" in slow.history[-1]
 
 
-def test_nothing_above_the_new_nyquist_frequency_comes_back_as_an_alias() -> None:
+def test_resampling_lets_no_alias_through() -> None:
     """Below 60 % of it a sine passes within 1 %; above it at most 1/400 remains."""
     n, factor = np.arange(6000), 5
     nyquist = np.pi / factor

@@ -55,21 +55,21 @@ def test_wrong_samples_are_found_and_their_neighbours_are_not(noise: str, seed: 
 
 
 @pytest.mark.parametrize("size", [1.0, 1e2, 1e4, 1e6])
-def test_however_wrong_samples_are_the_others_are_kept(size: float) -> None:
+def test_outliers_of_any_size_cost_no_right_sample(size: float) -> None:
     """A model fitted to samples a million times too large would describe only these."""
     where = [101, 333, 334, 900, 1500]
 
     assert marked(clean(3), hampel(spoilt(clean(3), where, size))) == where
 
 
-def test_one_sample_far_off_costs_no_right_one() -> None:
+def test_one_outlier_of_six_ranges_costs_no_right_sample() -> None:
     """A sample of six times the range of y spoilt the model, and 100 right samples were marked."""
     data = spoilt(clean(3), [700], 30.0)
 
     assert marked(data, hampel(data)) == [700]
 
 
-def test_the_unit_of_y_decides_nothing() -> None:
+def test_outliers_do_not_depend_on_the_unit_of_y() -> None:
     """A current in ampere is as small as 1e-10."""
     data = spoilt(clean(3), [400, 900], 1.0)
     small = data.replaced(y=1e-10 * data.y, step=None)
@@ -86,7 +86,7 @@ def test_a_rare_pulse_that_the_input_made_is_no_outlier() -> None:
     assert marked(data, hampel(data)) == []
 
 
-def test_no_value_is_changed_and_none_is_put_in() -> None:
+def test_hampel_changes_and_inserts_no_value() -> None:
     data = spoilt(clean(2), [400], 1.0)
 
     treated = hampel(data)
@@ -106,7 +106,7 @@ def test_the_list_of_outliers_ends_in_an_ellipsis_only_if_it_is_cut(count: int, 
     assert end in treated.history[0]
 
 
-def test_noise_that_is_no_arx_model_s_is_no_outlier_either(plant: Any) -> None:
+def test_coloured_residuals_raise_no_more_alarms(plant: Any) -> None:
     """White noise on an angle leaves coloured residuals; the chance of an alarm stays 5 %.
 
     With a spread taken 15 % too small there were alarms in 24 of the 50.
@@ -168,7 +168,7 @@ def test_rounding_errors_are_no_outliers(y: NDArray[np.float64]) -> None:
     assert marked(data, hampel(data)) == []
 
 
-def test_what_is_no_record_with_outliers_is_refused() -> None:
+def test_a_record_without_enough_residuals_is_refused() -> None:
     gaps: Mask = np.arange(2000) % 12 > 1
     wild: Vector = np.random.default_rng(0).standard_cauchy(400)
 
@@ -180,7 +180,7 @@ def test_what_is_no_record_with_outliers_is_refused() -> None:
         hampel(clean(0), threshold=-1)
 
 
-def test_a_reading_that_rests_and_moves_by_steps_of_its_converter_has_no_gross_samples() -> None:
+def test_a_resting_reading_with_converter_steps_has_no_gross_outlier() -> None:
     """Most samples equal the median of their neighbours; the others differ by a converter step."""
     rng = np.random.default_rng(5)
     y = np.round(rng.normal(0.0, 0.4, 2000)) * 0.006
@@ -190,7 +190,7 @@ def test_a_reading_that_rests_and_moves_by_steps_of_its_converter_has_no_gross_s
 
 
 @pytest.mark.parametrize(("size", "found"), [(4.0, []), (9.0, [900]), (22.0, [5, 900])])
-def test_a_wrong_sample_among_the_first_must_be_twice_as_wrong(
+def test_an_outlier_among_the_first_samples_needs_twice_the_deviation(
     size: float, found: list[int]
 ) -> None:
     """The threshold is six deviations, and twelve for samples that only later samples predict."""
@@ -200,7 +200,7 @@ def test_a_wrong_sample_among_the_first_must_be_twice_as_wrong(
 
 
 @pytest.mark.parametrize("step", [0.006, 0.25])
-def test_the_step_of_a_converter_is_the_least_change(step: float) -> None:
+def test_the_converter_step_is_the_least_change_of_the_output(step: float) -> None:
     """Gaps and a few changes that are no multiple do not matter; many do."""
     counts = np.random.default_rng(1).integers(-5, 6, 3000)
     y = step * counts

@@ -61,7 +61,7 @@ def test_a_pair_is_the_dataset_of_these_columns() -> None:
     assert 0 < signals.missing == signals.y.size - np.isfinite(signals.y).sum()
 
 
-def test_arrays_are_read_only_and_not_the_caller_s() -> None:
+def test_arrays_of_signals_are_read_only_copies() -> None:
     u, y = np.ones(50), np.arange(50.0)
     signals = Signals(u=u, y=y, Ts=1)
     u[0] = y[0] = 7.0
@@ -97,7 +97,7 @@ def test_a_data_frame_names_the_channels_and_its_missing_values() -> None:
     assert signals.valid[:, 0].tolist() == [True, False, True, True]
 
 
-def test_equidistant_times_are_a_sampling_time_and_others_are_kept() -> None:
+def test_equidistant_times_become_a_sampling_time() -> None:
     t = 3.0 + 0.25 * np.arange(40)
     even = Signals(u=np.ones(40), y=np.ones(40), t=t)
     assert (even.Ts, even.times) == (0.25, None)
@@ -124,7 +124,7 @@ def test_slices_parts_and_experiments() -> None:
     assert len(signals[10:20]) == 10
 
 
-def test_a_hash_knows_every_number() -> None:
+def test_the_digest_of_signals_depends_on_every_number() -> None:
     signals = driven(missing=0.1)
     u, y = signals.u.copy(), signals.y.copy()
     u[5, 1] += 1
@@ -271,7 +271,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_wrong_data_are_refused_in_a_sentence(what: str) -> None:
+def test_wrong_signals_are_refused_in_one_line(what: str) -> None:
     fields, said = WRONG[what]
     with pytest.raises(InputError, match=said) as found:
         Signals(**{"u": U, "y": Y, "Ts": 0.1} | fields)
@@ -303,7 +303,7 @@ def test_an_option_of_one_pair_is_refused_for_several_with_those_that_there_are(
     assert armrig.arx(data=alone, na=1, nb=1, stable=True).names == ("a1", "b1")
 
 
-def test_the_repr_says_what_there_is() -> None:
+def test_the_repr_of_signals_lists_channels_units_and_history() -> None:
     assert repr(driven(missing=0.1)[:300]) == (
         "<Signals: 300 samples at 0.1 s; outputs temperature [K], flow [l/s], level [m]; inputs "
         "heater [V], valve [%]; 105 values missing (11.7 %); 2 experiments; history: made; took "

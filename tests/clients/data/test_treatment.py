@@ -127,7 +127,7 @@ def test_a_difference_is_missing_where_a_neighbour_is() -> None:
     arrays(np.bool_, 30),
     st.lists(st.integers(0, 1), min_size=1, max_size=3),
 )
-def test_what_was_taken_can_be_put_back(
+def test_retrend_restores_the_removed_trends(
     signals: NDArray[np.float64], valid: NDArray[np.bool_], orders: list[int]
 ) -> None:
     data = Dataset(u=signals[0], y=signals[1], Ts=0.1, valid=valid, starts=(0, 12))
@@ -148,7 +148,7 @@ def test_what_was_taken_can_be_put_back(
 
 @settings(max_examples=40)
 @given(st.integers(0, 28), st.integers(1, 29), st.integers(1, 5))
-def test_a_part_of_the_data_knows_its_own_part_of_the_trend(a: int, length: int, k: int) -> None:
+def test_a_part_of_the_data_keeps_its_part_of_the_trend(a: int, length: int, k: int) -> None:
     rng = np.random.default_rng(3)
     data = Dataset(
         u=rng.random(30), y=5 + 0.3 * np.arange(30) + rng.random(30), Ts=0.2, starts=(0, 9, 20)

@@ -110,7 +110,7 @@ def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
     ],
     ids=lambda value: value if isinstance(value, str) and value[:1] != "#" else "",
 )
-def test_what_costs_timing_is_reported_with_the_way_out(
+def test_each_cost_of_timing_is_reported_with_the_remedy(
     tmp_path: Path,
     name: str,
     files: dict[str, str],
@@ -128,7 +128,7 @@ def test_what_costs_timing_is_reported_with_the_way_out(
     assert not is_well(findings)
 
 
-def test_what_cannot_be_corrected_here_is_a_note_and_does_not_count(tmp_path: Path) -> None:
+def test_a_finding_without_a_remedy_here_is_a_note(tmp_path: Path) -> None:
     files = {
         "proc/cpuinfo": "flags\t\t: fpu hypervisor tsc\n",
         "proc/sys/kernel/version": "#1 SMP PREEMPT_DYNAMIC @0",
@@ -279,7 +279,7 @@ def test_the_exit_code_says_whether_all_is_well(
     assert [f["level"] for f in said].count("bad") == code
 
 
-def test_this_host_is_looked_at_whatever_it_is() -> None:
+def test_the_doctor_examines_any_host() -> None:
     assert len(doctor.doctor()) >= 14
 
 
@@ -345,7 +345,7 @@ def test_the_daemon_s_refused_requests_are_reported_to_root_too(tmp_path: Path) 
     assert found(none, "SCHED_FIFO").mend == "[timing] priority is 0"
 
 
-def test_where_a_service_has_stopped_nobody_is_judged_in_its_place(tmp_path: Path) -> None:
+def test_a_stopped_service_leaves_its_permissions_unjudged(tmp_path: Path) -> None:
     made = host(tmp_path, **NOBODY)
 
     findings = examine(dataclasses.replace(made, silent="the service of rig 1 has stopped"))
@@ -391,7 +391,7 @@ def test_the_share_of_real_time_programs_is_judged(
     assert words in finding.found
 
 
-def test_a_module_of_the_room_does_not_load_zenoh() -> None:
+def test_the_module_of_a_host_does_not_load_zenoh() -> None:
     program = "import sys, armrig.lab.host; sys.exit('zenoh' in sys.modules)"
 
     done = subprocess.run([sys.executable, "-c", program], check=False)

@@ -257,7 +257,9 @@ def test_without_avrdude_it_says_how_to_get_it(
         ("/dev/no-such-port", [R3], "/dev/no-such-port does not exist; there is Arduino Uno R3"),
     ],
 )
-def test_which_board_is_meant(port: str | None, there: list[Board], found: Board | str) -> None:
+def test_the_board_is_chosen_by_port_or_by_name(
+    port: str | None, there: list[Board], found: Board | str
+) -> None:
     if isinstance(found, Board):
         assert chosen(port, there) == found
         return
@@ -313,12 +315,12 @@ def test_boards_are_named_by_their_usb_ids(monkeypatch: pytest.MonkeyPatch) -> N
         ),
     ],
 )
-def test_what_avrdude_says_becomes_a_line(said: str, meaning: str) -> None:
+def test_each_failure_of_avrdude_becomes_a_line(said: str, meaning: str) -> None:
     """Versions of Debian 12 and Ubuntu 22.04."""
     assert meaning in avrdude.reason(said)
 
 
-def test_what_avrdude_really_says_of_no_port_becomes_a_line(tmp_path: Path) -> None:
+def test_avrdude_without_a_port_becomes_a_line(tmp_path: Path) -> None:
     call = avrdude.command(str(avrdude.find()), port=str(tmp_path / "no"), image=shipped_image())
 
     with pytest.raises(OperationError, match="boot loader does not answer"):
@@ -326,7 +328,7 @@ def test_what_avrdude_really_says_of_no_port_becomes_a_line(tmp_path: Path) -> N
 
 
 @pytest.mark.exhaustive
-def test_ctrl_c_says_what_the_board_may_hold() -> None:
+def test_ctrl_c_reports_an_incomplete_program() -> None:
     program = [sys.executable, "-m", "armrig", "flash", "--yes", "--port"]
     with Uno(_another_firmware) as uno:
         uno.falls_silent_at = 1024

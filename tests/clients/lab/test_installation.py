@@ -76,7 +76,7 @@ def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) ->
         ("recorder", {RECORDER, "etc/sysusers.d/armrig-recorder.conf"}),
     ],
 )
-def test_a_machine_without_rigs_gets_what_it_needs(
+def test_a_machine_without_rigs_gets_the_files_of_its_part(
     part: installation.Part, own: set[str], tmp_path: Path, commands: Commands
 ) -> None:
     installing(tmp_path, [part]).carry_out(commands)
@@ -88,7 +88,7 @@ def test_a_machine_without_rigs_gets_what_it_needs(
     }
 
 
-def test_all_that_is_deployed_is_of_a_part_or_of_each(tmp_path: Path) -> None:
+def test_each_deployed_file_belongs_to_a_part(tmp_path: Path) -> None:
     of_parts = [file for part in UNITS for file in files(tmp_path, [part])]
 
     deployed = Path(__file__).parents[3] / "deploy"
@@ -96,7 +96,7 @@ def test_all_that_is_deployed_is_of_a_part_or_of_each(tmp_path: Path) -> None:
     assert {file.path for file in of_parts} == {file.path for file in files(tmp_path)}
 
 
-def test_what_is_installed_already_is_renewed(tmp_path: Path, commands: Commands) -> None:
+def test_installed_parts_are_renewed(tmp_path: Path, commands: Commands) -> None:
     installing(tmp_path, ["router", "recorder"]).carry_out(commands)
     (tmp_path / ROUTER).write_text("[Unit]\n")
 
@@ -106,9 +106,7 @@ def test_what_is_installed_already_is_renewed(tmp_path: Path, commands: Commands
     assert written == [ROUTER, UNIT, "etc/udev/rules.d/70-armrig.rules"]
 
 
-def test_what_was_changed_is_shown_before_it_is_replaced(
-    tmp_path: Path, commands: Commands
-) -> None:
+def test_a_changed_file_is_shown_before_its_replacement(tmp_path: Path, commands: Commands) -> None:
     installing(tmp_path).carry_out(commands)
     unit = tmp_path / UNIT
     kept = unit.with_name("kept")
@@ -126,7 +124,7 @@ def test_what_was_changed_is_shown_before_it_is_replaced(
     assert "WatchdogSec=99" in kept.read_text()
 
 
-def test_what_is_taken_away_is_what_was_installed(tmp_path: Path, commands: Commands) -> None:
+def test_an_uninstallation_removes_the_installed_files(tmp_path: Path, commands: Commands) -> None:
     installing(tmp_path, UNITS).carry_out(commands)
     own = tmp_path / "etc/armrig/1.toml"
     own.parent.mkdir()
@@ -144,7 +142,7 @@ def test_what_is_taken_away_is_what_was_installed(tmp_path: Path, commands: Comm
     assert _contents(tmp_path) == {"etc/armrig/1.toml": "[device]\n"}
 
 
-def test_what_was_changed_is_taken_away_and_named(tmp_path: Path, commands: Commands) -> None:
+def test_a_changed_file_is_removed_and_named(tmp_path: Path, commands: Commands) -> None:
     installing(tmp_path).carry_out(commands)
     (tmp_path / UNIT).write_text("[Unit]\n")
 
@@ -273,7 +271,7 @@ def test_a_service_that_is_loaded_and_not_enabled_is_listed(
     assert units == [Unit(part="rig", rig="7", enabled=False, active="active", status="sampling")]
 
 
-def test_a_command_that_fails_or_is_not_there_is_said() -> None:
+def test_a_failed_or_missing_command_is_reported() -> None:
     with pytest.raises(RuntimeError, match=r"^false: ended with 1$"):
         installation.run_command(["false"])
     with pytest.raises(RuntimeError, match=r"^no-such-command: not found; the service needs syst"):

@@ -88,7 +88,7 @@ def index_files(tmp_path: Path) -> list[Path]:
     return list((tmp_path / "cache").rglob("*.*"))
 
 
-def test_it_is_a_table_of_what_each_recording_says(folder: Path) -> None:
+def test_a_catalogue_has_a_row_for_each_recording(folder: Path) -> None:
     found = armrig.catalogue(folder)
 
     assert len(found) == 3
@@ -173,7 +173,7 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
         catalogue(tmp_path / "none")
 
 
-def test_only_what_is_new_or_changed_is_opened_again(folder: Path, opened: list[str]) -> None:
+def test_a_catalogue_opens_only_new_and_changed_files(folder: Path, opened: list[str]) -> None:
     cold = catalogue(folder)
     assert len(opened) == 3
     opened.clear()
@@ -308,7 +308,9 @@ def test_an_index_that_is_not_ours_is_made_again(
         assert read_by_another.read() == spoilt(good)  # whole, as it was
 
 
-def test_without_a_cache_it_is_only_slower(folder: Path, tmp_path: Path, opened: list[str]) -> None:
+def test_a_catalogue_without_a_cache_is_complete(
+    folder: Path, tmp_path: Path, opened: list[str]
+) -> None:
     (tmp_path / "cache").write_text("a file where the folder should be")
     folder.chmod(0o555)
 
@@ -331,7 +333,9 @@ def test_an_index_that_cannot_take_its_place_leaves_no_file(
     assert list(index.parent.iterdir()) == [index]
 
 
-def test_a_name_that_is_no_text_is_listed(folder: Path, tmp_path: Path, opened: list[str]) -> None:
+def test_a_file_name_without_utf_8_is_listed(
+    folder: Path, tmp_path: Path, opened: list[str]
+) -> None:
     strange = os.fsdecode(os.fsencode(folder) + b"/\xff.mcap")
     Path(folder / "1-step-20261120T050000-00000000.mcap").rename(strange)
 
@@ -386,7 +390,7 @@ def test_a_text_may_have_4096_characters(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("started", ["yesterday", "2026-11-20T05:00:00", "9999-12-31T23:00-05:00"])
-def test_a_date_that_is_none_is_no_time(tmp_path: Path, started: str) -> None:
+def test_an_invalid_start_date_is_no_time(tmp_path: Path, started: str) -> None:
     with_metadata(tmp_path, manifest(started=started).metadata())
 
     found = catalogue(tmp_path)

@@ -42,7 +42,7 @@ def test_sound_recordings_of_one_rig_have_nothing_against_them(sound: Recording)
     assert all_doubts([step, sound, sound]) == all_doubts([sound, sound, chassis]) == []
 
 
-def test_each_doubt_says_what_and_which_file(sound: Recording) -> None:
+def test_each_doubt_names_its_reason_and_the_file(sound: Recording) -> None:
     other_rig = changed(sound, rig="2")
     other_device = changed(sound, device=sound.manifest.device | {"uid": "9999"})
     calibration = msgspec.structs.replace(sound.calibration or Calibration(), driver=Driver(gain=2))

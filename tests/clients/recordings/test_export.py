@@ -39,7 +39,7 @@ def rec(tmp_path: Path) -> Recording:
     return load(written(folder, recorded(messages, manifest=manifest(k_first=0, samples=N))))
 
 
-def test_csv_comes_back_to_the_last_bit_and_is_read_by_ourselves(rec: Recording) -> None:
+def test_an_exported_csv_is_read_to_the_last_bit(rec: Recording) -> None:
     path = rec.path.with_name("daten für alle.csv")
     write_csv(rec, path, raw=True)
 
@@ -78,7 +78,7 @@ def test_a_part_keeps_its_numbers_in_every_file(rec: Recording) -> None:
         np.testing.assert_array_equal(k, np.arange(200, N), err_msg=kind)
 
 
-def test_what_is_known_of_each_angle_has_a_column_of_its_own(rec: Recording) -> None:
+def test_an_export_has_a_column_for_the_validity_of_each_angle(rec: Recording) -> None:
     found = export.columns(rec)
 
     hidden = np.arange(N) % 50 == 0
@@ -89,7 +89,7 @@ def test_what_is_known_of_each_angle_has_a_column_of_its_own(rec: Recording) -> 
 
 
 @pytest.mark.parametrize("raw", [False, True])
-def test_readings_are_in_every_file_that_is_asked_for_them(rec: Recording, raw: bool) -> None:
+def test_raw_readings_are_exported_on_request(rec: Recording, raw: bool) -> None:
     mat, parquet = (rec.path.with_name(f"raw.{kind}") for kind in ("mat", "parquet"))
     write_mat(rec, mat, raw=raw)
     write_parquet(rec, parquet, raw=raw)
@@ -131,7 +131,7 @@ def test_a_long_recording_is_written_row_by_row_as_a_short_one(
 
 
 @pytest.mark.parametrize("kind", ["csv", "mat", "parquet"])
-def test_an_export_that_does_not_come_to_its_end_leaves_nothing(
+def test_a_failed_export_leaves_no_file(
     rec: Recording, kind: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Half a file would look like a complete one."""

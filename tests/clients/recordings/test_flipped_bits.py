@@ -52,7 +52,7 @@ def test_no_bit_of_a_head_costs_a_sample(tmp_path: Path, part: int) -> None:
         assert recording.damage, (at, bit)
 
 
-def test_what_the_index_names_is_read_whole(tmp_path: Path) -> None:
+def test_records_named_by_the_index_are_read_whole(tmp_path: Path) -> None:
     spoilt = bytearray(DATA)
     first = next(at for at in _heads() if DATA[at] == Opcode.ATTACHMENT)
     spoilt[first] ^= 0x40

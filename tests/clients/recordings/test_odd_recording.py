@@ -72,7 +72,7 @@ def odd(path: Path) -> Recording:
     return load(path)
 
 
-def test_each_row_is_what_the_rig_did_then(odd: Recording) -> None:
+def test_each_row_contains_the_state_at_its_time(odd: Recording) -> None:
     theta_1, alpha = angles()
     unknown = [120, *range(280, 284)]
 
@@ -115,7 +115,7 @@ def test_the_data_are_cut_where_u_or_the_turns_are_not_known(odd: Recording) -> 
     )
 
 
-def test_its_reports_are_on_its_own_time(odd: Recording) -> None:
+def test_reports_have_times_from_the_first_sample(odd: Recording) -> None:
     found = disturbances(odd)
 
     assert [(g.k_first - K_FIRST, g.count, g.reason) for g in odd.gaps] == [
@@ -147,7 +147,7 @@ def test_its_reports_are_on_its_own_time(odd: Recording) -> None:
     assert disturbances(replace(odd, timing=(), clock=(), events=())).texts() == {}
 
 
-def test_its_sampling_is_measured_by_the_devices_clock(odd: Recording) -> None:
+def test_sampling_statistics_use_the_clock_of_the_device(odd: Recording) -> None:
     """The device's clock is 80 ppm slow."""
     k = odd.samples["k"].astype(np.int64)
     t_us, late = odd.samples["t_device_us"].astype(np.int64), odd.samples["t_host_ns"]
@@ -174,7 +174,7 @@ def test_its_sampling_is_measured_by_the_devices_clock(odd: Recording) -> None:
     assert (found.samples, found.missing, found.longest_gap) == (497, 21, 7)
 
 
-def test_signals_begin_anew_where_one_of_their_outputs_does(odd: Recording) -> None:
+def test_signals_begin_an_experiment_with_each_output(odd: Recording) -> None:
     alpha, rate, theta_1 = (odd.dataset(name) for name in ("alpha", "velocity", "theta_1"))
 
     found, of_alpha = odd.signals(["alpha", "velocity"]), odd.signals(["alpha"])
@@ -215,7 +215,7 @@ def test_a_part_has_the_rows_of_its_time(
     ]
 
 
-def test_what_was_published_comes_in_its_order(path: Path) -> None:
+def test_published_messages_keep_their_order(path: Path) -> None:
     run = published(path)
     part = published(path, 2.9, 14.2)
 
@@ -240,7 +240,7 @@ def test_what_was_published_comes_in_its_order(path: Path) -> None:
     assert all(2.9 <= m.t < 14.3 for m in of_part)
 
 
-def test_its_columns_and_its_summary_are_its_own(path: Path, odd: Recording) -> None:
+def test_columns_and_summary_contain_the_values_of_the_file(path: Path, odd: Recording) -> None:
     found, summary = columns(odd, raw=True), summary_of(path)
     row = 400
 
@@ -274,7 +274,9 @@ def test_only_a_run_that_came_to_its_end_is_complete(path: Path) -> None:
     assert complete == ["complete"]
 
 
-def test_its_row_of_a_catalogue_is_its_own(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_row_of_a_catalogue_contains_the_values_of_the_file(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(path.parent / "cache"))
 
     row = {name: column[0] for name, column in catalogue(path.parent).columns().items()}

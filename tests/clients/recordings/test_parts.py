@@ -97,7 +97,7 @@ def test_a_second_around_the_part_is_read(tmp_path: Path) -> None:
     assert [e.message for e in load(path, start=0.5, stop=1.1).events] == ["told 0.9 s later"]
 
 
-def test_what_lies_outside_the_part_is_not_unpacked(
+def test_chunks_outside_the_part_are_not_unpacked(
     long: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first chunk is read, because it contains the comparison of the clocks."""

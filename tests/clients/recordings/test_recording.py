@@ -253,7 +253,7 @@ def test_a_run_has_as_many_rows_as_are_known(
     assert rec.events == ()
 
 
-def test_what_a_cut_takes_away_is_not_missing(tmp_path: Path) -> None:
+def test_samples_after_a_cut_are_not_missing(tmp_path: Path) -> None:
     """A rewritten file contains its outcome first, so a cut may take samples that were there."""
     messages = [sample(k) for k in range(40, 60)]
     ended = Outcome(outcome="complete", samples=300, missing=0, code="complete")
@@ -437,7 +437,7 @@ def test_a_stall_of_an_emulator_is_a_number_and_not_looked_for_in_a_sentence(
     assert disturbances(rec).held_up_ms == 8
 
 
-def test_what_the_daemon_did_not_report_is_not_reported_as_0(tmp_path: Path) -> None:
+def test_values_that_the_daemon_did_not_report_are_unknown(tmp_path: Path) -> None:
     report = timing(5)
     for name in ("collections", "cpu_pressure_percent", "run_queue"):
         report.ClearField(name)
@@ -512,7 +512,7 @@ def test_a_flipped_bit_is_found_or_does_no_harm(data: st.DataObject) -> None:
 
 @settings(max_examples=100)
 @given(st.binary(max_size=300), st.integers(0, 400))
-def test_random_bytes_raise_nothing_else(noise: bytes, at: int) -> None:
+def test_random_bytes_of_a_file_raise_no_other_error(noise: bytes, at: int) -> None:
     path = Path(SMALL_DIRECTORY.name) / "noise.mcap"
     path.write_bytes(file_records.MAGIC + SMALL[8:at] + noise)
     rec, told = tried(path)
@@ -536,12 +536,12 @@ def test_an_index_that_does_not_rise_or_is_beyond_any_ends_the_reading(
 
 
 @pytest.mark.parametrize("Ts", [5e-324, 0.9e-6, 86_400.0, -1.0])
-def test_a_sampling_time_that_none_has_is_reported(tmp_path: Path, Ts: float) -> None:
+def test_a_sampling_time_out_of_range_is_refused(tmp_path: Path, Ts: float) -> None:
     with pytest.raises(FileError, match="from 1 µs to below a day"):
         load(written(tmp_path, recorded([sample(0)], manifest=manifest(Ts=Ts))))
 
 
-def test_a_recording_without_samples_says_so_when_asked_for_data(tmp_path: Path) -> None:
+def test_a_recording_without_samples_has_no_dataset(tmp_path: Path) -> None:
     rec = load(written(tmp_path, recorded([])))
 
     assert rec.N == 0
@@ -683,7 +683,7 @@ def test_samples_of_another_layout_and_their_runs_are_work(
     assert 50 < rec.N < 500
 
 
-def test_only_our_names_are_kept(tmp_path: Path) -> None:
+def test_names_of_other_programs_are_not_kept(tmp_path: Path) -> None:
     foreign = b"A" * 100_000
     schema = _record(0x03, struct.pack("<HI", 77, len(foreign)) + foreign + bytes(8))
     metadata = _record(0x0C, struct.pack("<I", len(foreign)) + foreign + bytes(4))
@@ -715,7 +715,7 @@ def test_a_file_has_no_more_samples_than_a_run(
     st.lists(st.lists(st.integers(0, 12) | st.integers(2**62 - 2, 2**62 + 1), max_size=4)),
     st.integers(0, 30),
 )
-def test_samples_are_kept_for_as_long_as_k_rises(packs: list[list[int]], spoilt: int) -> None:
+def test_samples_are_kept_until_k_does_not_rise(packs: list[list[int]], spoilt: int) -> None:
     rows, failed, expected = sample_rows.SampleRows(), False, []
     all_k = [k for pack in packs for k in pack]
     for k, last in zip(all_k, [-1, *all_k], strict=False):
@@ -828,7 +828,7 @@ def test_gaps_without_end_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -
         pytest.param(METADATA | {"experiment": "[" * 100_000}, "recursion", id="no end"),
     ],
 )
-def test_a_manifest_that_is_none_is_reported_in_one_line(
+def test_an_invalid_manifest_is_reported_in_one_line(
     tmp_path: Path, entries: dict[str, str] | None, why: str
 ) -> None:
     out = BytesIO()

@@ -57,7 +57,7 @@ def test_the_parts_of_a_run_are_read_as_one(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load(paths, start=1.5, stop=2.5).t, whole.t[150:250])
 
 
-def test_a_run_one_of_whose_parts_is_missing_is_not_taken_for_whole(tmp_path: Path) -> None:
+def test_a_run_with_a_missing_part_is_refused(tmp_path: Path) -> None:
     one, two, three = _parts(tmp_path)
     run = tmp_path / "run.mcap"
     kept = {path: path.read_bytes() for path in (one, two)}
@@ -80,7 +80,7 @@ def test_a_run_one_of_whose_parts_is_missing_is_not_taken_for_whole(tmp_path: Pa
     assert verify(two).checks[0].result == "passed"
 
 
-def test_a_second_part_given_as_a_calibration_is_refused_with_the_way_out(tmp_path: Path) -> None:
+def test_a_recording_given_as_a_calibration_is_refused_with_the_remedy(tmp_path: Path) -> None:
     one, two, _ = _parts(tmp_path)
 
     with pytest.raises(FileError, match=r"is a recording, not a calibration.*as a list"):
@@ -177,7 +177,7 @@ def test_parts_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_a_part_that_was_cut_off_is_reported(tmp_path: Path, number: int) -> None:
+def test_a_cut_off_part_is_reported_with_its_number(tmp_path: Path, number: int) -> None:
     paths = _parts(tmp_path)
     cut = paths[number - 1]
     sizes = [path.stat().st_size for path in paths]

@@ -83,7 +83,7 @@ def test_the_signal_does_not_count_its_noise_nor_the_start(tmp_path: Path) -> No
     assert "the input never changes" in found.summary
 
 
-def test_what_the_handout_asks_for_is_loud_enough(tmp_path: Path) -> None:
+def test_the_inputs_of_the_handout_have_no_warnings(tmp_path: Path) -> None:
     for u in (armrig.white_noise(3000), armrig.step(500, at=100), armrig.staircase(3000)):
         assert judged(tmp_path, u).warnings == ()
 
@@ -168,14 +168,14 @@ def test_an_angle_that_never_shows_cannot_be_used(tmp_path: Path) -> None:
     assert b'"usable":false' in msgspec.json.encode(found.facts())
 
 
-def test_a_few_samples_are_no_data(tmp_path: Path) -> None:
+def test_fewer_than_20_samples_are_unusable(tmp_path: Path) -> None:
     found = data_verdict(by_hand(tmp_path, swinging(19)))
 
     assert not found.usable
     assert "19 samples are too few" in found.summary
 
 
-def test_what_makes_data_unusable_comes_before_any_warning(tmp_path: Path) -> None:
+def test_unusable_findings_precede_warnings(tmp_path: Path) -> None:
     found = data_verdict(by_hand(tmp_path, swinging(100)))
     levels = ("warning", "good", "unusable", "warning", "unusable")
     every = tuple(
@@ -243,7 +243,7 @@ def test_the_time_to_step_does_not_depend_on_the_sign_of_the_angle(hidden: Hidde
         assert (found.begins_s, found.ends_s) == pytest.approx(r.t[ends] - 1.0)
 
 
-def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
+def test_each_finding_reports_its_figures(tmp_path: Path) -> None:
     path = tmp_path / "odd.mcap"
     path.write_bytes(odd_recording())
     odd = load(path)

@@ -76,7 +76,7 @@ def failed(found: Verification) -> dict[str, str]:
     return {c.about: c.text for c in found.checks if c.result == "failed"}
 
 
-def test_a_run_as_it_was_asked_for_passes(tmp_path: Path) -> None:
+def test_a_run_as_requested_passes(tmp_path: Path) -> None:
     found = verified(tmp_path, [*run(), clock(100, 50), clock(200, 70)])
 
     assert found.passed
@@ -107,7 +107,7 @@ def test_reported_gaps_may_overlap(tmp_path: Path) -> None:
         (20, "its 20 samples can be used, with care"),
     ],
 )
-def test_what_is_left_of_a_damaged_file_is_called_usable_if_it_is(
+def test_verify_reports_whether_a_damaged_file_is_usable(
     came: int, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     about = manifest(k_first=0, samples=N)
@@ -117,7 +117,7 @@ def test_what_is_left_of_a_damaged_file_is_called_usable_if_it_is(
     assert capsys.readouterr().err == f"armrig: {path}: failed: file; {says}\n"
 
 
-def test_nothing_is_said_of_samples_that_there_are_not(tmp_path: Path) -> None:
+def test_checks_without_samples_are_not_made(tmp_path: Path) -> None:
     about = manifest(k_first=0, samples=N)
     ended = Outcome(outcome="stopped", samples=0, missing=0)
     found = verify(written(tmp_path, recorded([], manifest=about, outcome=ended, u=U.tolist())))

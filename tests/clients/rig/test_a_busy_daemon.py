@@ -51,7 +51,7 @@ def daemon(tmp_path: Path) -> Iterator[BusyDaemon]:
         yield daemon
 
 
-def test_a_run_goes_on_while_the_daemon_has_no_time_for_its_client(daemon: BusyDaemon) -> None:
+def test_a_busy_daemon_does_not_end_a_run(daemon: BusyDaemon) -> None:
     daemon.busy = {"status": 4, "renew": 1}
 
     with Rig(connect=daemon.endpoint) as rig:
@@ -64,9 +64,7 @@ def test_a_run_goes_on_while_the_daemon_has_no_time_for_its_client(daemon: BusyD
     assert "stop" not in daemon.names()
 
 
-def test_arming_outlasts_two_seconds_of_a_daemon_s_timing(
-    daemon: BusyDaemon, clock: FakeClock
-) -> None:
+def test_arming_is_repeated_for_more_than_two_seconds(daemon: BusyDaemon, clock: FakeClock) -> None:
     """A stall between two reports of the timing spoils both; the next is two seconds later."""
     daemon.is_busy = lambda: clock.now_s < 102.4
 
@@ -80,7 +78,9 @@ def test_arming_outlasts_two_seconds_of_a_daemon_s_timing(
 
 
 @pytest.mark.usefixtures("clock")
-def test_commands_wait_for_what_passes_by_itself(daemon: BusyDaemon, tmp_path: Path) -> None:
+def test_commands_are_repeated_after_a_temporary_refusal(
+    daemon: BusyDaemon, tmp_path: Path
+) -> None:
     daemon.busy = dict.fromkeys(("arm", "status", "reset", "calibrate"), 3)
     file = tmp_path / "calibration.toml"
     file.write_text("[theta_1]\nrad_per_count = 1e-4\n")
@@ -113,7 +113,7 @@ def test_arming_gives_up_in_time(daemon: BusyDaemon) -> None:
     assert daemon.names() == ["arm"]
 
 
-def test_a_reset_says_whether_something_was_latched(daemon: BusyDaemon) -> None:
+def test_a_reset_returns_whether_a_fault_was_latched(daemon: BusyDaemon) -> None:
     with Rig(connect=daemon.endpoint) as rig:
         assert rig.reset() is True
 

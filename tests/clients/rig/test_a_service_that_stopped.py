@@ -99,7 +99,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
             service.held.clear()
 
 
-def test_a_program_is_notified_on_its_open_connection_and_on_a_new_one(service: Service) -> None:
+def test_a_stopped_service_is_reported_on_open_and_new_connections(service: Service) -> None:
     with Rig() as rig:
         service.die()
         with pytest.raises(NoReplyError) as here:
@@ -112,9 +112,7 @@ def test_a_program_is_notified_on_its_open_connection_and_on_a_new_one(service: 
     assert (str(here.value), str(anew.value)) == (SAID, SAID)
 
 
-def test_an_answer_that_never_comes_is_no_refusal(
-    service: Service, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_reply_is_no_refusal(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     """The word Timeout is zenoh's, not a daemon's."""
     monkeypatch.setattr(client, "REPLY_S", 0.1)
     service.is_silent = True
@@ -126,7 +124,7 @@ def test_an_answer_that_never_comes_is_no_refusal(
 
 
 @pytest.mark.parametrize("command", [["status"], ["watch"], ["collect", "step"], ["record"]])
-def test_each_command_says_so(
+def test_each_command_reports_a_stopped_service(
     service: Service,
     command: list[str],
     capsys: pytest.CaptureFixture[str],
@@ -140,7 +138,7 @@ def test_each_command_says_so(
     assert capsys.readouterr().err == f"armrig: {SAID}\n"
 
 
-def test_a_collection_reports_the_end_of_the_run_too(
+def test_a_collection_reports_the_outcome_and_the_stopped_service(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service.outcome, service.dies_with_its_run = "the daemon was ended", True

@@ -174,7 +174,7 @@ def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(daemon: FakeDaemon,
 
 
 @pytest.mark.parametrize("answer", [{}, {"stopped": True}, {"done": False}, [], "done"])
-def test_a_stop_that_is_not_confirmed_is_no_stop(daemon: FakeDaemon, rig: Rig, answer: Any) -> None:
+def test_an_unconfirmed_stop_raises_an_error(daemon: FakeDaemon, rig: Rig, answer: Any) -> None:
     daemon._carry_out = lambda _: answer
 
     with pytest.raises(RigError, match="the answer to 'stop'"):
@@ -232,7 +232,7 @@ def test_a_run_whose_answer_was_lost_is_stopped(daemon: FakeDaemon, rig: Rig) ->
     assert daemon.names() == ["arm", "run", "stop"]
 
 
-def test_a_run_that_ends_early_says_why_and_where(daemon: FakeDaemon, where: str) -> None:
+def test_a_run_that_ends_early_reports_reason_and_recording(daemon: FakeDaemon, where: str) -> None:
     daemon.outcome = "no answer from the device for 60 ms"
     with Rig("1", connect=where) as rig:
         rig.arm("me")
@@ -361,7 +361,7 @@ def _first(samples: Iterator[telemetry.Sample], out: zenoh.Publisher) -> None:
         thread.join()
 
 
-def test_a_long_run_may_be_looked_at_for_longer() -> None:
+def test_the_reply_timeout_grows_with_the_run() -> None:
     """The daemon reads, checks and rehearses the run first: a second per million and more."""
     short, long = (
         longest_reply_s(commands.Run(lease="a" * 32, n=1, u=[1.0] * n)) for n in (1, 1_000_000)

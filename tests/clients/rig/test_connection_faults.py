@@ -74,7 +74,7 @@ def test_where_nobody_listens_the_daemon_is_named(made: Path) -> None:
     )
 
 
-def test_a_host_that_there_is_not_is_named(made: Path) -> None:
+def test_an_unknown_host_is_named(made: Path) -> None:
     assert _told(made, 7447, "lab.invalid") == "there is no host lab.invalid: check its spelling"
 
 
@@ -83,7 +83,7 @@ def test_a_name_that_is_not_in_the_certificate_is_reported(made: Path) -> None:
         assert _told(made, port, "127.0.0.1").endswith("`armrig pki rig ID --host 127.0.0.1`")
 
 
-def test_another_authority_s_rig_is_no_rig_of_ours(made: Path, tmp_path: Path) -> None:
+def test_a_rig_of_another_authority_is_refused(made: Path, tmp_path: Path) -> None:
     pki.make_authority(tmp_path / "other")
     rig = pki.issue_to_rig(tmp_path / "other", "1", ["localhost"]).path
     with _listening(rig) as port:
@@ -169,9 +169,7 @@ def test_a_server_that_never_answers_is_reported(
     assert "does not speak TLS 1.3" in told
 
 
-def test_a_connection_that_goes_well_is_not_blamed(
-    made: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_working_connection_has_no_fault(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session, "_ANSWER_TIMEOUT_S", 0.2)
     alice = made / "alice.pem"
     with _listening(made / "rig-1.pem") as port:

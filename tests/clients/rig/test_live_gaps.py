@@ -29,7 +29,7 @@ spans = st.lists(st.tuples(st.integers(0, 60), st.integers(1, 20)), max_size=8)
 
 
 @given(st.integers(0, 50), st.integers(0, 50), spans)
-def test_what_is_missing_is_reported_once_and_in_order(
+def test_missing_samples_are_reported_once_and_in_order(
     first: int, second: int, told: list[tuple[int, int]]
 ) -> None:
     gaps = [gap(k, n, 1.0) for k, n in told]
@@ -208,7 +208,7 @@ def test_watch_shows_a_gap(
 @settings(max_examples=30)
 @example([12, 8, 1, 1, 1, 1, (4,), 12, 8, None, 12, 8])
 @given(st.lists(st.none() | st.integers(0, 12) | st.tuples(st.integers(0, 40)), max_size=40))
-def test_what_is_kept_is_the_newest_that_fits(steps: list[int | tuple[int] | None]) -> None:
+def test_a_bounded_queue_keeps_the_newest_messages(steps: list[int | tuple[int] | None]) -> None:
     """At most 4 items and 20 B."""
     queue, model = Newest[tuple[int, int]](4, 20), list[tuple[int, int]]()
     for number, step in enumerate(steps):

@@ -94,7 +94,7 @@ def test_each_rig_at_an_endpoint_has_its_own_status_or_the_reason(
     assert live_rigs(None)[0] == "tls/configured:1"
 
 
-def test_of_this_machine_a_rig_that_cannot_be_reached_hides_no_other(
+def test_an_unreachable_rig_of_this_machine_hides_no_other(
     machine: Callable[..., None],
 ) -> None:
     def opened(_: None, *, rig: str) -> Connection:

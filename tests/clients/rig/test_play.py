@@ -189,7 +189,7 @@ def test_a_slow_listener_does_not_delay_the_player(run: Path, where: str) -> Non
     assert all(r.congestion_control == zenoh.CongestionControl.DROP for r in received)
 
 
-def test_it_is_no_rig(where: str) -> None:
+def test_a_played_recording_accepts_no_command(where: str) -> None:
     with staged(where, "played-1"):
         assert Path(where.removeprefix("unixsock-stream/")).stat().st_mode & 0o777 == 0o770
         with Rig("played-1", connect=where) as rig:
@@ -258,7 +258,7 @@ def test_a_run_begins_again_when_its_last_sample_is_over(tmp_path: Path, clock: 
 
 
 @pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM]))
-def test_ctrl_c_ends_it(run: Path, place: str, number: signal.Signals) -> None:
+def test_ctrl_c_ends_a_player(run: Path, place: str, number: signal.Signals) -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "armrig", "play", str(run), "--loop", "--wait", "--json"],
         stdout=subprocess.PIPE,
@@ -295,7 +295,7 @@ def test_ctrl_c_ends_it(run: Path, place: str, number: signal.Signals) -> None:
         (["--listen", "nonsense"], "choose another endpoint with --listen"),
     ],
 )
-def test_what_cannot_be_played_is_reported(
+def test_a_recording_that_cannot_be_played_is_reported(
     run: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["play", str(run), *arguments]) == 1

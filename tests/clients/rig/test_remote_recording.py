@@ -236,7 +236,7 @@ def test_no_file_that_is_there_is_replaced(recording: RemoteRecording, tmp_path:
         (state(), sample(5), sample(4)),
     ],
 )
-def test_what_no_daemon_sends_is_refused(
+def test_an_invalid_message_is_refused(
     recording: RemoteRecording, messages: tuple[Message, ...]
 ) -> None:
     recording.add(piece(state(), sample(1), sample(2)))
@@ -249,7 +249,7 @@ def test_what_no_daemon_sends_is_refused(
 
 
 @pytest.mark.parametrize("offset_ns", [-1, 1 << 62, -(2**63)])
-def test_a_clock_that_no_machine_has_is_refused(recording: RemoteRecording, offset_ns: int) -> None:
+def test_an_invalid_clock_offset_is_refused(recording: RemoteRecording, offset_ns: int) -> None:
     with pytest.raises(RigError, match="the clock offset"):
         recording.add(piece(state(), sample(1), offset_ns=offset_ns))
 
@@ -268,7 +268,9 @@ def test_an_event_of_any_time_is_recorded(recording: RemoteRecording, seconds: i
     "device",
     ["[1]", "none", '{"a": "\\ud800"}', "[" * 5000, '{"a":' * 40 + "1" + "}" * 40, '{"a": 1e999}'],
 )
-def test_a_device_that_says_anything_is_recorded(recording: RemoteRecording, device: str) -> None:
+def test_an_invalid_device_description_is_recorded_as_empty(
+    recording: RemoteRecording, device: str
+) -> None:
     recording.add(piece(state(device=device), sample(1)))
 
     [found] = files(recording)
@@ -287,7 +289,7 @@ def test_messages_without_a_sampling_time_do_not_pile_up(recording: RemoteRecord
         recording.add(piece(large))
 
 
-def test_a_rig_that_changes_its_rate_all_the_time_is_none(recording: RemoteRecording) -> None:
+def test_a_recorder_begins_at_most_60_files_in_a_minute(recording: RemoteRecording) -> None:
     changing = [m for i in range(100) for m in (state(0.01 + i / 1000), sample(i))]
 
     with pytest.raises(RigError, match="60 files in a minute"):

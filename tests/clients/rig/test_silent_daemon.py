@@ -132,7 +132,7 @@ def test_a_stop_without_its_daemon_is_sent_to_the_device(
         assert said.out == f"{at_rest}{dead}start it again, then `armrig reset`\n"
 
 
-def test_a_stop_of_which_nothing_is_known_says_so(
+def test_a_stop_without_reply_names_the_emergency_switch(
     socket: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["stop"]) == 1

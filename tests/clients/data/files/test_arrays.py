@@ -183,7 +183,7 @@ def doubles(name: str, values: list[int], order: str) -> bytes:
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_numbers_are_read_in_whatever_width_and_order_they_were_saved(
+def test_numbers_of_mat_files_are_read_in_each_width_and_byte_order(
     order: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "data.mat"
@@ -315,7 +315,7 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
     ],
     ids=lambda x: x if isinstance(x, str) else "",
 )
-def test_what_is_no_column_is_reported_with_what_to_save(
+def test_an_array_that_is_no_column_is_reported_with_the_remedy(
     values: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     with pytest.raises(FileError, match=said):
@@ -500,7 +500,7 @@ def test_time_stamps_are_in_seconds(unit: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("_little_room")
-def test_what_cannot_be_read_is_refused_with_the_way_out(
+def test_a_damaged_parquet_file_is_refused_with_the_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = written(tmp_path / "data.parquet", u=U, y=Y)

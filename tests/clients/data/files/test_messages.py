@@ -160,7 +160,7 @@ def test_the_fields_of_protobuf_messages_are_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(data.y[data.valid], np.delete(Y, 5))
 
 
-def test_of_two_topics_the_first_is_held_at_the_times_of_the_last(tmp_path: Path) -> None:
+def test_two_topics_are_joined_at_the_times_of_the_last(tmp_path: Path) -> None:
     path = mcap(tmp_path / "log.mcap", as_ros2("/cmd", U, 1_000_000), as_ros2("/angle", Y))
 
     data = load_data(path, topic="/cmd,/angle", input="/cmd.data", signal="/angle.data")

@@ -272,7 +272,7 @@ def test_a_number_is_read_as_its_column_says(
         assert armrig.load_data(path, decimal=mark).y.tolist() == read
 
 
-def test_another_column_decides_what_the_column_does_not(tmp_path: Path) -> None:
+def test_another_column_decides_on_the_decimal_mark(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     for time, thousand in (("0,{}", 1.493), ("0.{}", 1493)):
         rows = [f"{time.format(k)};1;1,493" for k in range(3)]
@@ -338,7 +338,7 @@ def test_a_range_that_is_not_a_usual_one_is_not_guessed(tmp_path: Path) -> None:
         ("sep=.\nt,u,y\n0,1,1\n1,1,9\n", {}, "line 2 has 3 cells"),
     ],
 )
-def test_what_contradicts_the_file_is_refused(
+def test_an_option_that_contradicts_the_file_is_refused(
     text: str, how: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     (tmp_path / "a.csv").write_text(text)
@@ -388,7 +388,7 @@ def test_values_that_are_read_less_often_than_written_are_named(
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_a_level_that_y_settles_at_is_no_rail(noise: float, tmp_path: Path) -> None:
+def test_a_settled_level_of_y_is_no_rail(noise: float, tmp_path: Path) -> None:
     u = np.repeat([1.0, 3.0, 1.0, 3.0], 100)
     x = np.zeros(400)
     for k in range(1, 400):

@@ -57,7 +57,7 @@ def table(separator: str, *, comma: bool = False, end: str = "\n", names: str = 
         *("capitals", "empty lines", "no line end"),
     ],
 )
-def test_the_same_numbers_come_of_every_way_to_write_them(text: str, tmp_path: Path) -> None:
+def test_each_notation_of_a_table_gives_the_same_numbers(text: str, tmp_path: Path) -> None:
     data = load_data(written(tmp_path, text))
 
     np.testing.assert_array_equal(data.u, U)
@@ -94,7 +94,7 @@ def test_names_and_units_are_the_headers(tmp_path: Path) -> None:
     assert (data.output, data.unit, data.input_unit, data.Ts) == ("Temp", "°C", "V", 2.0)
 
 
-def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
+def test_an_empty_cell_is_a_missing_value(tmp_path: Path) -> None:
     rows = ["1,1", "2,", "3,NaN", "4,n/a", "5,5", ",6", "nan,7", "8,8", "9,9"]
     path = written(tmp_path, "u,y\n" + "\n".join(rows))
 
@@ -108,7 +108,7 @@ def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
     )
 
 
-def test_a_column_that_nobody_asks_for_may_be_words(tmp_path: Path) -> None:
+def test_an_unused_column_may_contain_words(tmp_path: Path) -> None:
     rows = ["2024-01-01 10:00:00,1,2,good", "2024-01-01 10:00:01,3,4,bad"]
     named = written(tmp_path, "when,u,y,what\n" + "\n".join(rows), "named.csv")
     bare = written(tmp_path, "\n".join(rows), "bare.csv")
@@ -123,7 +123,7 @@ def test_a_first_row_without_a_value_is_no_line_of_names(tmp_path: Path) -> None
     assert load_data(path, input="2", signal="1", Ts=1).N == 2
 
 
-def test_every_number_comes_back() -> None:
+def test_every_finite_number_of_a_table_is_read_exactly() -> None:
     bits = np.random.default_rng(1).integers(0, 2**64, (2000, 2), dtype=np.uint64)
     values = bits.view(np.float64)
     rows = values[np.isfinite(values).all(axis=1)]
@@ -162,7 +162,7 @@ def test_every_number_comes_back() -> None:
         ),
     ],
 )
-def test_what_is_no_table_is_reported_with_its_line_and_the_way_out(
+def test_a_wrong_table_is_reported_with_its_line_and_the_remedy(
     text: str, said: str, tmp_path: Path
 ) -> None:
     path = written(tmp_path, text)
@@ -172,7 +172,7 @@ def test_what_is_no_table_is_reported_with_its_line_and_the_way_out(
 
 
 @given(st.binary(max_size=300))
-def test_garbage_is_refused_or_read_and_never_more(data: bytes) -> None:
+def test_random_bytes_of_a_table_raise_no_other_error(data: bytes) -> None:
     for suffix in (".csv", ".mat"):
         said = ""
         try:
@@ -292,7 +292,7 @@ def test_names_that_differ_in_case_only_are_each_found_by_their_own(tmp_path: Pa
     assert load_data(path, input="u", signal="y", Ts=1).y.tolist() == [7, 1]
 
 
-def test_models_know_the_file_that_they_are_of(tmp_path: Path) -> None:
+def test_data_name_their_file_by_its_hash(tmp_path: Path) -> None:
     import hashlib
 
     path = written(tmp_path, table(","))
