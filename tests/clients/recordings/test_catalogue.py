@@ -6,6 +6,7 @@ import os
 import struct
 import time
 from collections.abc import Callable
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 
@@ -220,37 +221,27 @@ def test_only_a_file_that_the_daemon_named_otherwise_need_not_be_opened(
     assert may_answer_to(Path(file), name, validation=validation) is may
 
 
-def renamed(path: Path) -> str:
-    return path.rename(path.with_name("1-step-20261120T050000-000000aa.mcap")).name
-
-
-def deleted(path: Path) -> str:
-    path.unlink()
-    return ""
-
-
-def replaced(path: Path) -> str:
+def rewritten(path: Path, *, is_same_file: bool) -> str:
+    """Give a file other bytes, of the same size and with the same time."""
     other = path.read_bytes().replace(b"00000000", b"000000bb")
-    path.unlink()
+    if not is_same_file:
+        path.unlink()
     path.write_bytes(other)
     os.utime(path, (OLD, OLD))
     return path.name
 
 
-def overwritten(path: Path) -> str:
-    other = path.read_bytes().replace(b"00000000", b"000000bb")
-    with path.open("r+b") as file:
-        file.write(other)
-    os.utime(path, (OLD, OLD))
-    return path.name
+CHANGES: dict[str, Callable[[Path], str]] = {
+    "renamed": lambda path: path.rename(path.with_stem("1-step-20261120T050000-000000aa")).name,
+    "deleted": lambda path: path.unlink() or "",
+    "replaced": partial(rewritten, is_same_file=False),
+    "overwritten": partial(rewritten, is_same_file=True),
+    "cut off": lambda path: os.truncate(path, path.stat().st_size - 1) or path.name,
+}
+"""Changes of a file; each returns the name of the file to read again."""
 
 
-def broken(path: Path) -> str:
-    os.truncate(path, path.stat().st_size - 1)
-    return path.name
-
-
-@pytest.mark.parametrize("change", [renamed, deleted, replaced, overwritten, broken])
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_a_file_that_changed_is_read_again(
     folder: Path, opened: list[str], change: Callable[[Path], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

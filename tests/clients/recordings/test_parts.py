@@ -1,4 +1,4 @@
-"""A part of a recording, read without the rest."""
+"""A part of a recording is read without the rest, and a long recording within its memory."""
 
 from __future__ import annotations
 

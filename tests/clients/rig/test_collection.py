@@ -1,4 +1,4 @@
-"""End of a collection, and the message after an interruption."""
+"""Collections: the progress, the end, and the message after an interruption."""
 
 from __future__ import annotations
 

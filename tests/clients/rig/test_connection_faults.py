@@ -1,4 +1,4 @@
-"""A failed connection over a network has a reason, found by the program that listens."""
+"""Connections over a network: the proof of identity, and the reason of each failure."""
 
 from __future__ import annotations
 

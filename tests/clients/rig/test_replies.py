@@ -81,12 +81,6 @@ def test_a_reply_is_read() -> None:
     assert reply_of("stop", b'{"done": true}', Done) == Done(done=True)
 
 
-@pytest.mark.parametrize("body", [b"{}", b'{"x": 1}', b'{"done": 1}', b"[]", b"null"])
-def test_a_reply_without_done_is_malformed(body: bytes) -> None:
-    with pytest.raises(MalformedReplyError, match="the answer to 'stop' cannot be read"):
-        reply_of("stop", body, Done)
-
-
 @pytest.mark.parametrize(
     ("payload", "error"),
     [

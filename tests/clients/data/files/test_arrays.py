@@ -1,4 +1,4 @@
-"""Files of MATLAB and of numpy."""
+"""Files of MATLAB, of numpy and of Parquet."""
 
 from __future__ import annotations
 
