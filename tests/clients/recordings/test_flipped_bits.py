@@ -1,4 +1,4 @@
-"""One bit in the head of any record: all samples are read, and the damage is reported."""
+"""One flipped bit of a head or an attachment: all samples are read, and it is reported."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from armrig_core.manifest import CALIBRATION
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 
-from tests.clients.made_recordings import recorded, sample, timing, written
+from tests.clients.made_recordings import manifest, recorded, sample, timing, written
 from tests.sampling import sampled
 
 K = list(range(30))
-DATA = recorded([*(sample(k) for k in K), timing(1)], u=[1.0] * 30, flush_every=10)
+MESSAGES = [*(sample(k) for k in K), timing(1)]
+DATA = recorded(MESSAGES, manifest=manifest(samples=30), u=[1.0] * 30, flush_every=10)
 _HEAD = struct.Struct("<BQ")
 
 
@@ -51,7 +52,7 @@ def test_no_bit_of_a_head_costs_a_sample(tmp_path: Path, part: int) -> None:
         assert recording.damage, (at, bit)
 
 
-def test_what_the_index_names_is_read_whole(tmp_path: Path) -> None:
+def test_records_named_by_the_index_are_read_whole(tmp_path: Path) -> None:
     spoilt = bytearray(DATA)
     first = next(at for at in _heads() if DATA[at] == Opcode.ATTACHMENT)
     spoilt[first] ^= 0x40
@@ -107,3 +108,44 @@ def test_only_the_name_of_an_attachment_selects_the_input(tmp_path: Path) -> Non
     assert list(content.attachments) == [CALIBRATION]
     assert content.input is not None
     assert DATA[content.input.at :].index(b"input.csv") < content.input.length
+
+
+def _attachment(name: str) -> range:
+    """Return the range of an attachment's content in the file, from its times to its CRC."""
+    named = len(name).to_bytes(4, "little") + name.encode()
+    begin = DATA.index(named) - 16
+    assert DATA[begin - 9] == Opcode.ATTACHMENT
+    return range(begin, begin + int.from_bytes(DATA[begin - 8 : begin], "little"))
+
+
+@pytest.mark.parametrize("bit", [0, 7])
+def test_every_flipped_bit_of_the_calibration_leaves_the_samples(tmp_path: Path, bit: int) -> None:
+    for at in _attachment("calibration.json"):
+        spoilt = bytearray(DATA)
+        spoilt[at] ^= 1 << bit
+
+        recording = armrig.load(written(tmp_path, bytes(spoilt)))
+
+        assert recording.samples.size == 30, at
+        assert recording.calibration is None
+        assert recording.truncated
+        assert recording.damage.startswith("the checksum of the attachment '"), at
+        assert "is wrong: it is left out" in recording.damage
+
+
+@pytest.mark.parametrize(
+    ("name", "about", "why"),
+    [
+        ("calibration.json", "file", "the checksum of the attachment 'calibration.json' is wrong"),
+        ("input.csv", "input", "the checksum of the attached input is wrong"),
+    ],
+)
+def test_a_spoilt_attachment_is_named(tmp_path: Path, name: str, about: str, why: str) -> None:
+    spoilt = bytearray(DATA)
+    spoilt[_attachment(name)[-10]] ^= 1
+
+    found = verify(written(tmp_path, bytes(spoilt)))
+
+    failed = {check.about: check.text for check in found.checks if check.result == "failed"}
+    assert failed[about].startswith(why)
+    assert found.samples == 30
