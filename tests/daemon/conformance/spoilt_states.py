@@ -22,7 +22,6 @@ from armrig_protocol.messages import (
     ConfigReply,
     Exchange,
     Hello,
-    HelloReply,
     Message,
     Sample,
     Start,
@@ -136,10 +135,6 @@ def _one_token(patch: Patch) -> None:
     patch.setattr(Firmware, "enter", same)
 
 
-def _token_not_told(patch: Patch) -> None:
-    changed_answers(patch, lambda m: m._replace(token=0) if isinstance(m, HelloReply) else m)
-
-
 def _config_stays(patch: Patch) -> None:
     enter = Firmware.enter
 
@@ -207,7 +202,6 @@ SPOILT: dict[str, SpoiltDevice] = {
     "one nonce for all": SpoiltDevice(_one_nonce, "has a new nonce"),
     "any token clears": SpoiltDevice(_any_token, "Only CLEAR_FAULT"),
     "one token for all": SpoiltDevice(_one_token, "with a token"),
-    "the token is not in HELLO_R": SpoiltDevice(_token_not_told, "with a token"),
     "a code is clamped": SpoiltDevice(_clamps, "leads to FAULT(RANGE); only an EVENT"),
     "slew looks at the rounded duty": SpoiltDevice(_slew_by_duty, "A change above `slew` from the"),
     "ARMED has a code": SpoiltDevice(_drives_when_armed, "every state but RUN"),
