@@ -20,16 +20,12 @@ from armrig_protocol.messages import (
     Arm,
     Cause,
     Config,
-    Event,
     Exchange,
-    Flag,
     Hello,
     Keepalive,
     Message,
     Mode,
     Ping,
-    Pong,
-    Sample,
     Setpoints,
     Start,
     State,
@@ -117,23 +113,6 @@ def test_status_reports_what_a_fresh_device_has_counted() -> None:
         stack_free=65535,
     )
     assert status.uptime_ms == 1000
-
-
-def test_the_end_of_a_run_is_seen_when_it_is_due() -> None:
-    host = Host().reach(State.ARMED, **SCHEDULED)
-    host.supply(0, [10, 20, 30])
-    host.wait(1 * MS)
-    host.put(Start, k_stop=3)
-    frames: list[tuple[int, bytes]] = []
-
-    while host.device.state is not State.IDLE:
-        at_ns = host.device.visible_ns()
-        assert all(left >= at_ns for left, _ in host.device.advance(at_ns - 1))
-        frames += host.device.advance(at_ns)
-
-    fw = host.device._fw
-    assert (fw.state, fw.cause) == (State.IDLE, Cause.END)
-    assert fw.timer_ns == NEVER
 
 
 @pytest.mark.parametrize(
@@ -225,20 +204,6 @@ def test_each_track_is_what_the_settings_say(ideal: bool) -> None:
     assert [pot.sign for pot in other_way] == [1.0, -1.0]
 
 
-@pytest.mark.parametrize(
-    ("k0", "u", "trips"),
-    [(1, [200], False), (0, [150, 200], False), (1, [200, 250], False), (1, [200, 251], True)],
-)
-def test_a_step_within_what_is_queued_counts_once(k0: int, u: list[int], trips: bool) -> None:
-    host = Host().reach(State.ARMED, **{**SCHEDULED, "slew": 50, "u_rest": 100})
-    host.supply(0, [150, 200])
-
-    host.supply(k0, u)
-    answers = host.wait(3 * MS)
-
-    assert events(answers) == ([(State.ARMED, State.FAULT, Cause.SLEW)] if trips else [])
-
-
 def test_the_wire_knows_when_the_second_of_several_pieces_arrives() -> None:
     wire = Reception(0, 1_000_000)
     times = []
@@ -260,20 +225,6 @@ def test_the_wire_gives_its_next_piece_before_it_has_arrived() -> None:
     assert wire.first() != frame
 
 
-@pytest.mark.parametrize("cut", [1, 5, 12])
-def test_a_frame_that_comes_in_two_writes_is_one(cut: int) -> None:
-    host = Host()
-    data = encode(Ping(0, 1, 77))
-
-    host.device.receive(host.now_ns, data[:cut])
-    before = host.wait(3 * MS)
-    host.device.receive(host.now_ns, data[cut:])
-    pong = only(Pong, host.wait(3 * MS))
-
-    assert before == []
-    assert pong.host_ns == 77
-
-
 def test_a_sleeper_through_conversions_is_woken_for_what_comes_meanwhile() -> None:
     host = Host().reach(State.RUN)
     host.put(Exchange, k=1, u=50)
@@ -283,15 +234,6 @@ def test_a_sleeper_through_conversions_is_woken_for_what_comes_meanwhile() -> No
     (left_ns, _), *_ = host.device.advance(host.now_ns + 2 * MS)
 
     assert visible_ns <= left_ns < host.now_ns + EXCHANGE_NS + 2 * CONVERSION_NS + SAMPLE_NS
-
-
-def test_on_a_wire_that_takes_no_time_an_answer_is_visible_at_once() -> None:
-    host = Host(EmulatorSettings(model_baud=False, boot_ms=5.0))
-
-    host.put(Ping, host_ns=7)
-
-    assert host.device.visible_ns() <= host.now_ns
-    assert [left for left, _ in host.device.advance(host.now_ns)] == [host.now_ns]
 
 
 def _firmware() -> Firmware:
@@ -326,21 +268,3 @@ def test_no_sample_of_scheduled_mode_is_latched_without_a_queue() -> None:
         latch(firmware, 0)
 
     assert firmware.board.volts == 0.0
-
-
-@pytest.mark.parametrize("state", [State.READY, State.RUN])
-def test_an_alpha_at_its_rail_is_reported_in_each_sample(state: State) -> None:
-    railed = EmulatorSettings(
-        baud=1_000_000, boot_ms=5.0, adc_noise_v=0.0, alpha_zero_deg=0.0, pwm_bits=0, adc_bits=0
-    )
-    host = Host(railed).reach(state, rail_ticks=2)
-
-    first = host.ask(Exchange, k=1, u=0)
-    second = host.ask(Exchange, k=2, u=0)
-
-    for answers in (first, second):
-        sample = only(Sample, answers)
-        assert sample.flags & Flag.ADC1_RAIL
-        assert not sample.flags & Flag.ADC0_RAIL
-    tripped = [m for m in second if isinstance(m, Event)]
-    assert [m.cause for m in tripped] == ([Cause.ADC_RAIL] if state is State.RUN else [])
