@@ -13,7 +13,7 @@ from armrig_daemon.emulator.board import reported
 from armrig_daemon.emulator.firmware import Hardware
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import cobs, decoder, frame
-from armrig_protocol.crc import CHECK, crc32
+from armrig_protocol.crc import crc32
 from armrig_protocol.decoder import MAX_STUFFED
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import MAX_DECODED
@@ -80,11 +80,6 @@ def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
         kind, text = opened(piece)
         if kind == "sound":
             assert closed(text[:-4]) == piece + b"\0"
-
-
-def test_the_check_value_of_the_crc() -> None:
-    """The value is in the catalogue of CRC algorithms."""
-    assert core().rig_crc(b"123456789", 9) == CHECK
 
 
 @pytest.mark.parametrize("bit", range(32))

@@ -77,66 +77,12 @@ PLANTED = {
         "has the code that SAMPLE reports",
         "u_k is the code",
     ),
-    "there is no watchdog": Planted(
-        "core/rig_states.c",
-        "if (rig_is_bound() && board_now_us()",
-        "if (0 && board_now_us()",
-        "silence of the host",
-    ),
-    "the watchdog is early": Planted(
-        "core/rig_states.c",
-        "rig.config.watchdog_ms * 1000UL",
-        "rig.config.watchdog_ms * 990UL",
-        "silence of the host",
-    ),
-    "a HELLO feeds the watchdog": Planted(
-        "core/rig_requests.c",
-        "if (!is_hello) // HELLO asks for the identity and commands nothing",
-        "",
-        "do not feed the watchdog",
-    ),
-    "the nonce of ARM is not looked at": Planted(
-        "core/rig_transitions.c",
-        "m->arm.nonce != rig.nonce",
-        "0",
-        "The bytes of an earlier ARM",
-    ),
-    "a code above u_max is let through": Planted(
-        "core/rig_requests.c",
-        " || m->u > rig.config.u_max",
-        "",
-        "leads to FAULT(RANGE)",
-    ),
-    "the slew is not looked at": Planted(
-        "core/rig_requests.c",
-        "rig.config.slew && step > rig.config.slew",
-        "0 && step",
-        "leads to FAULT(SLEW), a change of `slew` does not",
-    ),
-    "a dry queue holds the last voltage": Planted(
-        "core/rig_queue.c",
-        "config->underrun != RIG_UNDERRUN_HOLD || queue->dry > config->hold",
-        "config->underrun == RIG_UNDERRUN_HOLD && queue->dry > config->hold",
-        "An empty queue sets UNDERRUN",
-    ),
     "STOP leads out of ESTOP": Planted(
         "core/rig_transitions.c",
         "    if (is_latched())\n        rig_answer(&m->header, RIG_CODE_WRONG_STATE);\n"
         "    else if (rig.state == RIG_STATE_IDLE)",
         "    if (rig.state == RIG_STATE_IDLE)",
         "In ESTOP, these requests",
-    ),
-    "old frames are new": Planted(
-        "core/rig_requests.c",
-        "return !rig.has_newest || (int16_t)(seq - rig.newest) > 0;",
-        "return seq || true;",
-        "is answered ACK(STALE)",
-    ),
-    "RUN begins with another code than u_rest": Planted(
-        "core/rig_motor.c",
-        "drive(rig.config.u_rest, u_seq);",
-        "drive(rig.config.u_max, u_seq);",
-        "RUN begins with u_rest",
     ),
 }
 
