@@ -267,12 +267,6 @@ def test_a_device_that_latches_after_our_own_trip_gives_its_token_only() -> None
 # -- scheduled runs ------------------------------------------------------------------------------
 
 
-def test_a_run_that_is_over_already_is_not_completed_again() -> None:
-    bench = rested()
-
-    assert setpoints.complete(bench.loop.state, bench.ports.now) == (bench.loop.state, [])
-
-
 def test_a_queue_without_a_device_starts_nothing() -> None:
     bench = armed()
     now = bench.ports.now
@@ -365,12 +359,3 @@ def test_no_keepalive_before_the_tick_that_stops() -> None:
         assert bool(Decided(paused, now, Wakeup()).sent) == keeps
     plays = changed(state, lease=changed(lease, renewed_ns=now - lease_ns - 1), run=RUN)
     assert Decided(changed(plays, tick_ns=now), now, Wakeup()).sent
-
-
-def test_a_stop_is_a_stop_in_every_phase() -> None:
-    bench = driven()
-    state = awaiting(bench.loop.state, RequestKind.STOP, sent_ns=bench.ports.now)
-
-    again = Decided(state, bench.ports.now + 20 * MS, Wakeup())
-
-    assert [type(m) for m in again.sent] == [Stop]

@@ -22,7 +22,7 @@ from armrig_daemon.decisions.state import (
     Unechoed,
 )
 from armrig_daemon.pipe import Answer, Gap, Log, RunEnded, RunStarted
-from armrig_protocol.messages import Config, Flag, Setpoints, Stop
+from armrig_protocol.messages import Flag, Setpoints, Stop
 from armrig_protocol.messages import State as DeviceState
 
 from tests.daemon.decision_states import (
@@ -126,18 +126,6 @@ def test_a_run_that_plays_wrong_codes_in_a_fault_is_stopped_again_at_once() -> N
     assert wrong.state.asked.tries == 1
     assert right.sent == []
     assert right.state.fault == LATCHED
-
-
-def test_the_applied_code_is_the_code_held_in_a_later_gap() -> None:
-    """L2."""
-    bench, playing = driven(), _playing()
-    state, run = _asked(bench), playing.loop.state
-
-    answered = _answer(bench, state, u_k=_duty(state, code_of(1.0)), flags=RUN)
-    played = _due(playing, run)
-
-    assert answered.state.applied == _duty(state, code_of(1.0))
-    assert played.state.applied == _duty(run, code_of(2.0))
 
 
 # -- what a sample proves of the line (S4) -------------------------------------------------------
@@ -278,37 +266,7 @@ def test_a_sample_of_a_run_that_has_come_still_shows_the_state_and_the_echo() ->
     assert decided.state.link.last_round_trip_ns == 17
 
 
-def test_lost_samples_are_reported_with_what_each_was_commanded() -> None:
-    """L2: with the time of the exchange; the times of a run are unknown."""
-    bench, playing = driven(), _playing()
-    state, run = _asked(bench), playing.loop.state
-    assert run.run is not None
-
-    answered = _answer(
-        bench, state, at=1, u_k=_duty(state, state.link.sent[1].code), flags=RUN, u_km1=0
-    )
-    played = _due(playing, run, k=run.run.due + 1)
-
-    (lost,), (missed,) = answered.told(Gap), played.told(Gap)
-    assert (lost.k_first, lost.t_from_ns) == (state.link.sent[0].k, state.link.sent[0].sent_ns)
-    assert (missed.k_first, missed.t_from_ns) == (run.run.k_first + run.run.due, playing.ports.now)
-    assert {lost.t_to_ns, missed.t_to_ns} == {bench.ports.now, playing.ports.now}
-
-
 # -- the order of what follows -------------------------------------------------------------------
-
-
-def test_an_exchange_is_published_before_the_run_that_it_ends() -> None:
-    """L2: the last sample of a run is no gap if the device has stopped with it."""
-    bench = driven()
-    state = awaiting(changed(_asked(bench), code=0), RequestKind.STOP)
-
-    decided = _answer(bench, state, state=int(DeviceState.IDLE))
-
-    assert [s.k for s in _published(decided)] == [state.link.sent[0].k]
-    assert decided.told(Gap) == []
-    assert [type(m) for m in decided.sent] == [Config]
-    assert decided.state.last_reported_k == state.link.sent[0].k
 
 
 def test_an_exchange_ends_its_run_after_its_own_sample() -> None:
@@ -534,13 +492,6 @@ def test_a_sample_that_is_ahead_reports_the_missing_ones_before_it() -> None:
     assert all(g.u_held_v == pytest.approx(2.0, abs=0.003) for g in gaps)
     assert decided.state.run is not None
     assert decided.state.run.due == run.due + 4
-
-
-@pytest.mark.parametrize("ahead", [-1, 1000])
-def test_a_sample_twice_or_after_the_end_is_discarded(ahead: int) -> None:
-    bench = _playing()
-
-    assert _published(_due(bench, bench.loop.state, ahead=ahead)) == []
 
 
 def test_only_what_the_device_has_heard_proves_a_round_trip() -> None:

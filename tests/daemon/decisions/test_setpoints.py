@@ -290,14 +290,6 @@ def test_a_device_that_drives_on_after_a_trip_gets_stop_again_and_again() -> Non
     assert waiting == (after, [])
 
 
-@pytest.mark.parametrize("want", [*RequestKind, None])
-def test_a_device_is_to_stop_after_a_trip_or_a_stop(want: RequestKind | None) -> None:
-    state = _state() if want is None else awaiting(_state(), want)
-
-    assert setpoints.is_stopping(state) == (want is RequestKind.STOP)
-    assert setpoints.is_stopping(changed(state, phase=Phase.FAULT))
-
-
 def test_a_tick_in_a_scheduled_run_looks_after_it() -> None:
     state = _running(ping_ns=0)
 
@@ -422,21 +414,6 @@ def test_one_step_of_the_duty_off_the_setpoint_trips(bits: int, steps: int) -> N
     if after.fault is not None:
         assert after.fault.id is Id.APPLIED
         assert f"applied code {u}, but code {CODES[10]} was commanded" in after.fault.cause
-
-
-def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
-    """S5: the setpoint after rounding to 10 bits of duty is compared, not the setpoint."""
-    state = _running()
-    assert state.device is not None
-    state = changed(state, device=state.device._replace(pwm_bits=10))
-    assert applied_code(CODES[10], 10) != CODES[10]
-
-    after, _ = sampling.handle(
-        state, NOW, device_sample(state, k=10, u_k=CODES[10], flags=int(Flag.RUN))
-    )
-
-    assert after.fault is not None
-    assert after.fault.id is Id.APPLIED
 
 
 def test_a_sample_outside_run_says_nothing_of_what_was_applied() -> None:

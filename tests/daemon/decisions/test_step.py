@@ -6,7 +6,6 @@ import msgspec
 import pytest
 from armrig_core.codes import GapCode, OutcomeCode
 from armrig_core.volts import code_of
-from armrig_daemon import pipe
 from armrig_daemon.config import Config
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace
@@ -36,7 +35,7 @@ from armrig_protocol.messages import MAX_UNECHOED, Exchange, Hello, Stop
 from armrig_protocol.messages import State as DeviceState
 
 from tests.daemon.decision_states import Decided, armed, awaiting, changed, driven, rested
-from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
+from tests.daemon.virtual_bench import MS, Bench, codes
 
 TS = 10 * MS
 
@@ -80,21 +79,6 @@ def test_before_the_first_tick_none_was_missed() -> None:
     first = Decided(state, 10_000 * MS, Tick(7, 9_999 * MS)).state
 
     assert (first.k, first.tick_ns, first.absent) == (7, 10_000 * MS, ())
-
-
-@pytest.mark.parametrize("cut", [1, 7, 20, 35])
-def test_a_frame_may_come_in_pieces(cut: int) -> None:
-    bench = rested()
-    reply = bench.loop.state.device
-    assert reply is not None
-    data = b"\0" + encode(reply._replace(state=int(DeviceState.IDLE)))
-    state = awaiting(bench.loop.state, RequestKind.HELLO)
-
-    first = Decided(state, bench.ports.now, Received(data[:cut]))
-    second = Decided(first.state, bench.ports.now, Received(data[cut:]))
-
-    assert (first.sent, len(second.sent)) == ([], 1)
-    assert second.state.link.pending == b""
 
 
 def test_noise_between_frames_is_reported_and_costs_nothing() -> None:
@@ -654,16 +638,3 @@ def test_a_trace_leaves_the_codes_to_the_recording() -> None:
     assert restored.lease.lease != state.lease.lease
     assert changed(restored, lease=state.lease) == state
     assert trace.restored(trace.written_state(changed(state, run=None)), b"x").run is None
-
-
-def test_a_run_that_is_ordered_while_another_ends_is_kept_out() -> None:
-    """S5: the codes of the accepted run are played."""
-    bench, state = _playing([1.0, 2.0], 1)
-    play = pipe.Run(order=5, lease=LEASE, n=90, run_id="s", codes=codes(4.0))
-    bench.loop.state = state
-    bench.order(play)
-    bench.run_for(5)
-
-    run = bench.loop.state.run
-    assert run is not None
-    assert run.run_id == "r"

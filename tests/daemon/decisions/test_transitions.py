@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 from armrig_daemon import pipe
-from armrig_daemon.config import Config as Configured
 from armrig_daemon.decisions import transitions
 from armrig_daemon.decisions.faults import Fault, Id
-from armrig_daemon.decisions.requests import NO_DEVICE, config
+from armrig_daemon.decisions.requests import config
 from armrig_daemon.decisions.state import (
     ActiveRun,
     Exit,
@@ -449,18 +448,6 @@ def _met(bench: Bench, before: State, **fields: int) -> Decided:
     return heard(bench, reply, before)
 
 
-@pytest.mark.parametrize("state", [DeviceState.ARMED, DeviceState.RUN])
-def test_a_device_that_another_host_left_running_is_stopped_first(state: DeviceState) -> None:
-    bench = rested()
-    greeting = awaiting(changed(bench.loop.state, phase=Phase.INIT), RequestKind.HELLO, ARM)
-
-    decided = _met(bench, greeting, state=int(state))
-
-    assert [type(m) for m in decided.sent] == [Stop]
-    assert decided.state.asked is not None
-    assert decided.state.asked.order == ARM
-
-
 def test_a_device_is_met_at_the_time_of_the_question() -> None:
     """S4: the age of the round trip counts from the question."""
     bench = rested()
@@ -584,22 +571,6 @@ def test_the_device_is_asked_for_the_rules(scheduled: bool) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("scheduled", "frame"),
-    [
-        (False, "0202022103102701010103ffff010101026401010102010101010526dac36600"),
-        (True, "0202022103102701010103ffff0101010264020101020101010105b8da69aa00"),
-    ],
-)
-def test_a_configuration_without_keys_asks_the_device_for_what_it_always_did(
-    scheduled: bool, frame: str
-) -> None:
-    """Byte for byte: CONFIG alone carries the keys of [device] and [limits]."""
-    default = config(Configured().rules(), 10_000, 33, scheduled=scheduled)
-
-    assert encode(default).hex() == frame
-
-
 def test_an_accepted_configuration_is_known_with_when_it_was_asked_for() -> None:
     bench = rested()
     state = awaiting(
@@ -670,20 +641,6 @@ def test_a_stop_is_done_although_the_configuration_at_rest_is_refused(
     assert [(m.order, m.body, m.error) for m in decided.told(Answer)] == [(5, {"done": True}, "")]
     assert decided.state.phase is Phase.FAULT
     assert decided.sent == []
-
-
-def test_a_device_that_refuses_its_configuration_has_a_quiet_line(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    refusing = "armrig_daemon.emulator.transitions.check_config"
-    monkeypatch.setattr(refusing, lambda *_, **__: Code.UNSUPPORTED)
-    bench = Bench()
-    before = bench.loop.state.link.seq
-
-    bench.run_for(1000)
-
-    assert bench.loop.state.phase is Phase.FAULT
-    assert bench.loop.state.link.seq - before <= 101  # of 100 samples at 0 V
 
 
 @pytest.mark.parametrize("order", [Reset(order=5), ARM])
@@ -805,16 +762,6 @@ def test_an_arm_waits_for_its_own_configuration_only(change: dict[str, int | Non
 
 
 # -- arming --------------------------------------------------------------------------------------
-
-
-def test_nothing_is_armed_without_a_device() -> None:
-    bench = rested()
-    state = changed(bench.loop.state, device=None)
-
-    after, (said,) = transitions.begin_arming(state, bench.ports.now, ARM)
-
-    assert after == state
-    assert said.record.error == NO_DEVICE
 
 
 def test_a_sampling_time_that_the_device_cannot_convert_is_refused() -> None:

@@ -280,22 +280,6 @@ def test_a_file_is_not_taken_over(tmp_path: Path) -> None:
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_the_program_does_not_take_a_file_over(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("mine")
-
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(tmp_path / "file"), str(tmp_path / "trace")],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=PATIENCE_S,
-    )
-
-    assert "exists and is not a link" in done.stderr
-    assert (tmp_path / "file").read_text() == "mine"
-
-
 @pytest.mark.parametrize("then", [EPOLLIN, EPOLLOUT, EPOLLIN | EPOLLOUT])
 def test_a_port_whose_closing_was_reported_once_is_read_to_its_end(then: int) -> None:
     reader, writer = os.pipe()

@@ -9,22 +9,14 @@ import pytest
 from armrig_daemon.emulator.cal import statistics
 from armrig_daemon.emulator.sensors import mean
 from armrig_protocol.messages import (
-    Ack,
-    Arm,
     Cal,
     CalReply,
     Code,
     Config,
-    Estop,
-    Event,
     Exchange,
     Flag,
     Hello,
-    Keepalive,
-    Message,
     Mode,
-    Ping,
-    Pong,
     Sample,
     Start,
     State,
@@ -203,47 +195,6 @@ def test_while_a_sample_is_converted_cal_is_refused() -> None:
 
     assert codes(came) == [Code.WRONG_STATE]
     assert only(Sample, came).flags & Flag.TICK_LATE == 0
-
-
-@pytest.mark.parametrize(
-    ("kind", "fields"),
-    [
-        (Exchange, {"k": 1, "u": 0}),
-        (Cal, {"channel": 1, "zero": 0, "n": 1}),
-        (Arm, {"boot_id": 0, "config_crc": 0, "nonce": 0}),
-    ],
-)
-def test_while_cal_is_under_way_the_converter_is_taken(
-    kind: type[Message], fields: dict[str, int]
-) -> None:
-    host = Host().reach(State.READY)
-    t_ns = host.put(Cal, channel=0, zero=0, n=100)
-    host.wait(2 * MS)
-
-    assert codes(host.ask(kind, **fields)) == [Code.WRONG_STATE]
-    assert host.device.state is State.READY
-
-    only(CalReply, host.wait(20 * MS))
-    assert host.heard[-1].t_ns == t_ns + 100 * CONVERSION_NS + CAL_REPLY_NS
-    if kind is Exchange:  # k was not taken, either
-        assert only(Sample, host.ask(Exchange, k=1, u=0)).k == 1
-
-
-def test_all_else_is_as_ever_during_cal_and_cal_goes_on() -> None:
-    host = Host()
-    host.put(Cal, channel=0, zero=0, n=300)
-    host.wait(2 * MS)
-
-    only(Pong, host.ask(Ping, host_ns=1))
-    assert host.ask(Keepalive) == []
-    host.hello()
-    assert host.configure().code == Code.OK
-    assert codes(host.ask(Stop)) == [Code.OK]
-    answers = host.ask(Estop)
-    assert [type(m) for m in answers] == [Ack, Event]
-
-    assert only(CalReply, host.wait(40 * MS)).state == State.ESTOP
-    assert not host.changes
 
 
 def test_cal_under_way_is_lost_by_a_reset() -> None:

@@ -128,21 +128,3 @@ def test_reading_settings_loads_no_scipy() -> None:
     )
 
     assert done.returncode == 0
-
-
-def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "rig.toml"
-    path.write_text("[emulator]\r\nseed = 7\r\n", encoding="utf-8-sig")
-
-    assert load(path).seed == 7
-    path.write_text("[emulator]", encoding="utf-16")
-    with pytest.raises(InputError, match=r"toml: it is saved as UTF-16: save it as UTF-8$"):
-        load(path)
-
-
-def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
-    path = tmp_path / "rig.toml"
-    os.mkfifo(path)
-
-    with pytest.raises(InputError, match=r"rig\.toml: not a regular file$"):
-        load(path)
