@@ -5,7 +5,6 @@ The invariants S1 ... S6 and T1 are those of ARCHITECTURE.md.
 
 from __future__ import annotations
 
-from math import isnan
 from typing import Any
 
 import pytest
@@ -14,7 +13,7 @@ from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon import pipe
 from armrig_daemon.config import Config, Device, Limits, Timing
-from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Phase, Received
+from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Alive, Answer, Gap, Log, Quit, Reset, RunEnded, RunStarted
 from armrig_daemon.pipe import State as StateRecord
@@ -22,14 +21,10 @@ from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
-    Arm,
     Cause,
     ConfigReply,
-    Flag,
-    Start,
 )
 from armrig_protocol.messages import State as DeviceState
-from msgspec.structs import replace
 
 from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
@@ -142,26 +137,6 @@ def test_a_release_is_never_too_early(bench: Bench) -> None:
 # -- what goes wrong -----------------------------------------------------------------------------
 
 
-def test_a_voltage_held_by_hand_dies_with_its_lease(driven: Bench) -> None:
-    """S2: 100 ms after the last valid command, then 2 Ts at most."""
-    driven.run_for(85)
-    assert driven.volts > 0
-
-    driven.run_for(40)
-
-    assert driven.volts == 0.0
-    assert driven.phase is Phase.FAULT
-    assert "lease ran out" in driven.loop.state.reason
-
-
-def test_each_command_renews_the_lease(driven: Bench) -> None:
-    for n in range(1, 8):
-        driven.order(pipe.Set(order=100 + n, lease=LEASE, n=n, code=code_of(2.0)))
-        driven.run_for(80)
-
-        assert driven.volts == pytest.approx(2.0, abs=0.01)
-
-
 def test_answers_that_do_not_come_stop_the_motor(driven: Bench) -> None:
     """S4: one-way loss; the device still receives, and gets STOP within the age limit."""
     driven.ports.from_device = lambda _: b""
@@ -221,41 +196,6 @@ def test_a_port_that_fails_under_a_trip_is_reported_last(
     assert last.motor.startswith("not known")
 
 
-def test_a_fault_of_the_device_is_cleared_by_a_reset_alone(driven: Bench) -> None:
-    """Both latches: CLEAR_FAULT with its token, then SAFE."""
-    driven.ports.to_device = lambda _: b""
-    driven.run_for(150)
-    driven.ports.to_device = lambda data: data
-    driven.run_for(500)
-    assert driven.ports.device.state is DeviceState.FAULT
-    assert driven.phase is Phase.FAULT
-
-    driven.ask(Reset)
-    driven.run_for(100)
-
-    assert driven.phase is Phase.SAFE
-    assert driven.ports.device.state is DeviceState.READY
-    assert driven.volts == 0.0
-
-
-def test_old_answers_that_come_late_do_not_count_as_fresh(driven: Bench) -> None:
-    """S4: 45 ms of delay and a tick are more than 50 ms."""
-    ports = driven.ports
-
-    def delay(data: bytes) -> bytes:
-        ports.send(ports.now + 45 * MS, Received(data))
-        return b""
-
-    ports.from_device = delay
-    for n in range(1, 8):
-        driven.order(pipe.Set(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
-        driven.run_for(20)
-
-    assert driven.phase is Phase.FAULT
-    assert "no answer" in driven.loop.state.reason
-    assert driven.volts == 0.0
-
-
 def test_a_configuration_that_was_altered_on_the_way_is_not_taken() -> None:
     rig = Bench.__new__(Bench)
     VirtualRig.__init__(rig, Config().rules(), EmulatorSettings(boot_ms=0.0))
@@ -273,30 +213,6 @@ def test_a_configuration_that_was_altered_on_the_way_is_not_taken() -> None:
 
     assert rig.phase is Phase.INIT
     assert any("another configuration" in log.message for log in rig.of(Log))
-
-
-def test_arm_and_start_carry_the_nonce_of_the_newest_configuration(bench: Bench) -> None:
-    told: list[int] = []
-    sent: list[tuple[type, int, int]] = []
-
-    def told_by(data: bytes) -> bytes:
-        told.extend(m.nonce for m in feed(b"", data)[1] if isinstance(m, ConfigReply))
-        return data
-
-    def sent_by(data: bytes) -> bytes:
-        found = [m for m in feed(b"", data)[1] if isinstance(m, Arm | Start)]
-        sent.extend((type(m), m.nonce, told[-1]) for m in found)
-        return data
-
-    bench.ports.from_device, bench.ports.to_device = told_by, sent_by
-    for _ in range(2):
-        bench.arm()
-        bench.drive(1.0, 0)
-        bench.ask(pipe.Stop, reason="enough")
-
-    assert [kind for kind, _, _ in sent] == [Arm, Start, Arm, Start]
-    assert all(nonce == newest != 0 for _, nonce, newest in sent)
-    assert len({nonce for _, nonce, _ in sent}) == 2
 
 
 @pytest.mark.parametrize("scheduled", [False, True])
@@ -336,17 +252,6 @@ def test_a_session_that_is_played_again_does_not_move_the_motor(
     assert volts == {0.0}
 
 
-def test_an_angle_in_the_dead_band_is_not_a_number(bench: Bench) -> None:
-    bench.arm()
-    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(*[5.0] * 200))
-    bench.run_for(2200)
-
-    dead = [s for s in bench.samples if s.flags & Flag.ADC0_RAIL]
-    assert dead
-    assert all(isnan(s.theta_1_rad) for s in dead)
-    assert not any(isnan(s.theta_1_rad) for s in bench.samples if not s.flags & Flag.ADC0_RAIL)
-
-
 def test_a_shorter_sampling_time_does_not_look_like_a_pause() -> None:
     bench = Bench(Config(timing=Timing(Ts=0.5)))
     between_ticks = bench.ports.now + 300 * MS
@@ -358,29 +263,6 @@ def test_a_shorter_sampling_time_does_not_look_like_a_pause() -> None:
 
     assert bench.of(RunEnded)[0].outcome == "complete"
     assert not bench.of(Gap)
-
-
-@pytest.mark.parametrize("scheduled", [False, True])
-def test_a_service_that_is_frozen_cannot_keep_the_motor_on(scheduled: bool) -> None:
-    """Every stop passes through the service: 0 V 3 s after its last sign."""
-    bench = Bench()
-    bench.loop.state = replace(
-        bench.loop.state, rules=replace(bench.loop.state.rules, service_ns=3_000 * MS)
-    )
-    bench.arm()
-    play = pipe.Run(
-        order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 2000), scheduled=scheduled
-    )
-    bench.order(play)
-    for _ in range(8):
-        bench.run_for(500)
-        bench.order(Alive())
-    assert bench.volts > 0
-
-    bench.run_for(3_100)
-
-    assert bench.volts == 0.0
-    assert "the service is frozen" in bench.loop.state.reason
 
 
 @pytest.mark.parametrize("scheduled", [False, True])

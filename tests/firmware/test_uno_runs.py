@@ -158,15 +158,3 @@ def test_the_host_paces_as_well(bench: UnoBench) -> None:
 
     assert_complete(bench, volts)
     assert bench.uno.violations == []
-
-
-def test_a_host_that_is_late_costs_the_timer_nothing(bench: UnoBench) -> None:
-    """8 ms late at each wake."""
-    bench.lateness_ns = 8 * MS
-    volts = telegraph(1000)
-
-    bench.run(volts, 2000)
-
-    assert_complete(bench, volts)
-    assert bench.uno.violations == []
-    assert_on_the_pin(bench, volts, 2000)

@@ -213,17 +213,6 @@ def test_a_port_that_is_open_already_is_not_opened_again() -> None:
         os.close(owner)
 
 
-def test_a_reader_that_stalls_does_not_block_the_device(emulator: Emulator) -> None:
-    port = Port(emulator)
-    for k in range(3000):
-        port.send(Exchange, k=k, u=0)
-
-    port.serial.close()
-    again = Port(emulator)
-
-    assert again.ask(Exchange, Sample, k=1, u=0).k == 1
-
-
 @pytest.mark.real_time
 def test_a_reader_that_stalls_loses_nothing_at_first(emulator: Emulator) -> None:
     """1500 samples, twice the capacity of the terminal."""

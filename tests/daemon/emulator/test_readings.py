@@ -24,14 +24,12 @@ from armrig_protocol.messages import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec.structs import replace
 
 from tests.daemon.emulator.emulated_host import (
     CONFIG,
     CONVERSION_NS,
     HOLD_NS,
     MS,
-    QUIET,
     SAMPLE_NS,
     US,
     Host,
@@ -91,31 +89,6 @@ def test_the_timer_s_tick_is_theta_1_s_last_trigger(m: int) -> None:
     assert [one.t_us for one in got] == [t_0 // 1000 + k * 1000 for k in range(3)]
     assert read[0] == ("alpha", t_0 - (2 * m - 1) * CONVERSION_NS + HOLD_NS)
     assert not any(one.flags & Flag.TICK_LATE for one in got)
-
-
-@pytest.mark.parametrize("mode", list(Mode))
-@pytest.mark.parametrize("conversion_us", [104.0, 100.3])
-@pytest.mark.parametrize("m", [1, 2, 7, 255])
-def test_the_shortest_ts_grows_by_two_skews_with_each(
-    m: int, conversion_us: float, mode: Mode
-) -> None:
-    """BAD_VALUE below `ts_min_us` + 2 (m - 1) `skew_us`; at it no sample is late.
-
-    `ts_min_us` is two conversions, rounded up.
-    """
-    host = Host(replace(QUIET, conversion_us=conversion_us))
-    hello = host.hello()
-    assert hello.ts_min_us - 1 < 2 * conversion_us <= hello.ts_min_us
-    least = hello.ts_min_us + 2 * (m - 1) * hello.skew_us
-
-    assert host.configure(mode=mode, ts_us=least - 1, oversampling=m).code == Code.BAD_VALUE
-    assert host.configure(mode=mode, ts_us=least, oversampling=m).code == Code.OK
-    assert least >= 2 * m * conversion_us
-    if mode is Mode.SCHEDULED and m < 10:
-        host.reach(State.RUN, mode=mode, ts_us=least, oversampling=m)
-        got = [one for one in host.wait(20 * MS) if isinstance(one, Sample)]
-        assert len(got) > 5
-        assert not any(one.flags & Flag.TICK_LATE for one in got)
 
 
 def test_a_sample_has_the_oversampling_in_force_when_it_begins() -> None:

@@ -253,21 +253,6 @@ def test_an_emulator_that_is_gone_is_a_loss_of_the_line(
         emulator.host()
 
 
-def test_a_host_that_stalls_gets_late_what_it_did_not_read(emulator: Emulator, host: Link) -> None:
-    sent = [b"%26d" % i for i in range(1500)]
-    for frame in sent:
-        emulator.line.write(frame)
-    assert emulator.line.backlog.waiting_bytes
-
-    come = b""
-    while emulator.line.backlog.waiting_bytes or len(come) < 26 * 1500:
-        come += host.read()
-        assert not emulator.was_opened()
-
-    assert come == b"".join(sent)
-    assert emulator.line.backlog.dropped_frames == 0
-
-
 def test_the_socket_is_for_its_user_alone(emulator: Emulator) -> None:
     lock = lock_path(emulator.path)
 

@@ -301,43 +301,6 @@ def emulator(tmp_path: Path) -> Iterator[socket.socket]:
         yield listener
 
 
-def test_a_socket_is_a_line_as_a_serial_port_is(
-    pipes: dict[str, int], emulator: socket.socket, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now_ns = realtime.now_ns()
-    settings = Settings(
-        rules=Config().rules(),
-        port=f"unix:{emulator.getsockname()}",
-        baud=115_200,
-        priority=0,
-        cpu=None,
-        spin_ns=50_000,
-    )
-    ports = ProcessPorts(settings, pipes["orders_out"], pipes["records_in"])
-    assert ports.wait(now_ns) == [LinkUp()]
-    device, _ = emulator.accept()
-    sent = bytes(range(250)) * 40
-    device.sendall(sent)
-
-    come = b""
-    while len(come) < len(sent):
-        (event,) = ports.wait(now_ns + 30_000 * MS)
-        assert isinstance(event, Received)
-        come += event.data
-
-    assert come == sent
-    device.close()
-    assert [type(event) for event in ports.wait(now_ns + 30_000 * MS)] == [LinkDown]
-    now_ns = realtime.now_ns() + REOPEN_NS
-    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns)
-    assert ports.wait(now_ns) == [LinkUp()]
-    assert ports.write(b"HELLO") is None
-    device, _ = emulator.accept()
-    assert device.recv(100) == b"HELLO"
-    device.close()
-    assert [type(event) for event in ports.wait(now_ns + 10_000 * MS)] == [LinkDown]
-
-
 class _Ports:
     """Ports of a program whose loop ends at once."""
 
