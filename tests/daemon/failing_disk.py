@@ -70,7 +70,7 @@ class _File(io.FileIO):
         return super().readinto(buffer)
 
 
-class _Path(type(Path())):  # type: ignore[misc]
+class _Path(type(Path())):
     """A path of a disk, as every path made of it."""
 
     disk: Disk

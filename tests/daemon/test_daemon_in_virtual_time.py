@@ -204,7 +204,7 @@ def test_a_configuration_that_was_altered_on_the_way_is_not_taken() -> None:
     def alter(data: bytes) -> bytes:
         _, messages = feed(b"", data)
         return b"".join(
-            encode(m._replace(config_crc=m.config_crc ^ 1) if isinstance(m, ConfigReply) else m)  # type: ignore[arg-type]
+            encode(m._replace(config_crc=m.config_crc ^ 1) if isinstance(m, ConfigReply) else m)
             for m in messages
         )
 
@@ -296,7 +296,6 @@ def test_every_k_is_published_or_reported(scheduled: bool) -> None:
     for record in bench.records:
         if isinstance(record, bytes):
             sample = decode_sample(record)
-            assert sample is not None
             seen.append(sample.k)
         elif isinstance(record, Gap):
             seen += range(record.k_first, record.k_first + record.count)
@@ -349,7 +348,6 @@ def test_a_limit_of_the_configuration_reaches_the_device() -> None:
 
     config = bench.ports.device._fw.config
 
-    assert config is not None
     assert (config.u_max, config.watchdog_ms, config.turns) == (code_of(2.0), 50, 150)
 
 

@@ -46,7 +46,7 @@ _STEP_V = 5 / 1024  # of the emulated duty
 
 def played(*args: object, scheduled: bool, on: bool = False, until_ns: int = END_NS) -> World:
     """Play a run of one second with a failing call; check all invariants."""
-    world = World(CONFIG, *args, on=on)  # type: ignore[arg-type]
+    world = World(CONFIG, *args, on=on)
     world.order(300 * MS, Arm(order=1, owner="a test", lease=LEASE, ts_us=0))
     play = Run(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U), scheduled=scheduled)
     world.order(RUN_NS, play)
@@ -127,7 +127,7 @@ def test_a_port_that_does_not_open_again_is_tried_again(*, on: bool) -> None:
             raise OSError(errno.EBUSY, "Device or resource busy")
         return opened(*args, **kwargs)
 
-    world._open = busy  # type: ignore[method-assign]
+    world._open = busy
     world.order(300 * MS, Arm(order=1, owner="a test", lease=LEASE, ts_us=0))
     world.order(RUN_NS, Run(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U)))
 

@@ -46,7 +46,7 @@ class Bench(VirtualRig):
         self.run_for(100)
         return next(a for a in self.of(Answer) if a.order == self._number)
 
-    def of(self, kind: type) -> list:  # type: ignore[type-arg]
+    def of(self, kind: type) -> list:
         return [r for r in self.records if isinstance(r, kind)]
 
     @property

@@ -48,7 +48,6 @@ def test_a_pin_that_is_high_at_reset_is_a_line_and_an_exit_code(tmp_path: Path) 
     environ = os.environ | {"ARMRIG_FIL": str(harness())}
     command = [*COMMAND, "emulate", "--hex", str(image), "--port", str(tmp_path / "uno")]
     with subprocess.Popen(command, env=environ, stderr=subprocess.PIPE, text=True) as emulator:
-        assert emulator.stderr is not None
         said = next(line for line in emulator.stderr if "enable line is low" in line)
         emulator.terminate()
         rest = emulator.stderr.read()

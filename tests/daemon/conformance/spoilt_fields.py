@@ -15,7 +15,6 @@ from armrig_protocol.messages import (
     Code,
     ConfigReply,
     Event,
-    Exchange,
     Flag,
     Message,
     Pong,
@@ -28,27 +27,11 @@ from armrig_protocol.messages import (
 from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, changed_answers
 
 
-def _of_a_refusal(m: Message) -> bool:
-    return isinstance(m, ConfigReply) and bool(m.code and m.nonce)
-
-
 def _is_ack(m: Message, kind: type[Message], code: Code) -> bool:
     return isinstance(m, Ack) and (m.of_type, m.code) == (TYPES[kind], code)
 
 
 FIELDS: dict[str, tuple[Callable[[Any], dict[str, int]], str]] = {
-    "CAL: one reading has a variance": (
-        lambda m: {"variance_256": 1} if isinstance(m, CalReply) and m.n == 1 else {},
-        "CAL_R reports n readings",
-    ),
-    "CONFIG: another Ts in force after a refusal": (
-        lambda m: {"ts_us": m.ts_us + 1} if _of_a_refusal(m) else {},
-        "A CONFIG with a wrong value",
-    ),
-    "SAMPLE: the code before is the code now": (
-        lambda m: {"u_km1": m.u_k} if isinstance(m, Sample) else {},
-        "code of the applied duty",
-    ),
     "SAMPLE: the code before is kept in IDLE": (
         lambda m: {"u_km1": 9} if isinstance(m, Sample) and m.state == State.IDLE else {},
         "every state but RUN",
@@ -64,10 +47,6 @@ FIELDS: dict[str, tuple[Callable[[Any], dict[str, int]], str]] = {
     "ACK of SETPOINTS: STALE in a wrong state": (
         lambda m: {"code": Code.STALE} if _is_ack(m, Setpoints, Code.WRONG_STATE) else {},
         "SETPOINTS in ARMED of exchange mode",
-    ),
-    "ACK of EXCHANGE: STALE in a wrong state": (
-        lambda m: {"code": Code.STALE} if _is_ack(m, Exchange, Code.WRONG_STATE) else {},
-        "EXCHANGE in RUN is answered",
     ),
     "ACK of an unknown type: another number": (
         lambda m: {"of_seq": m.of_seq ^ 1} if getattr(m, "code", 0) == Code.UNKNOWN_TYPE else {},
@@ -95,14 +74,6 @@ FIELDS: dict[str, tuple[Callable[[Any], dict[str, int]], str]] = {
         lambda m: (
             {"code": Code.BAD_VALUE}
             if isinstance(m, ConfigReply) and m.watchdog_ms == WATCHDOG_MAX_MS
-            else {}
-        ),
-        "The least and largest",
-    ),
-    "CONFIG: u_min = u_max is refused": (
-        lambda m: (
-            {"code": Code.BAD_VALUE}
-            if isinstance(m, ConfigReply) and m.u_min == m.u_max == 7
             else {}
         ),
         "The least and largest",

@@ -12,10 +12,9 @@ from armrig_daemon.emulator import (
     sampling,
     transitions,
 )
-from armrig_daemon.emulator.firmware import Firmware, Hardware
+from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol.messages import (
     Exchange,
-    Flag,
     Message,
     Sample,
     State,
@@ -47,7 +46,7 @@ def _exchange_during_cal(patch: Patch) -> None:
         def handler(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
             if fw.cal is not None:
                 return []
-            return old(fw, now_ns, m)  # type: ignore[no-any-return]
+            return old(fw, now_ns, m)
 
         return handler
 
@@ -85,23 +84,8 @@ def _rail_without_being_asked(patch: Patch) -> None:
     patch.setattr(sampling, "watch", always)
 
 
-def _flag_missing(patch: Patch) -> None:
-    patch.setattr(sampling, "at_rail", lambda y: False)
-
-
-def _vcc_flag(patch: Patch) -> None:
-    changed_answers(
-        patch,
-        lambda m: m._replace(flags=m.flags | Flag.VCC_LOW) if isinstance(m, Sample) else m,
-    )
-
-
 def _slow_status(patch: Patch) -> None:
     patch.setattr(device, "STATUS_NS", 1_200_000_000)
-
-
-def _wrong_skew(patch: Patch) -> None:
-    patch.setattr(Hardware, "skew_us", property(lambda self: 4_000))
 
 
 def _latches_after_the_run(patch: Patch) -> None:
@@ -126,9 +110,6 @@ SPOILT: dict[str, SpoiltDevice] = {
     "a guard that is off trips": SpoiltDevice(
         _rail_without_being_asked, "no reading leads to FAULT"
     ),
-    "no flag of a rail": SpoiltDevice(_flag_missing, "consecutive samples at a rail"),
-    "VCC_LOW with a good supply": SpoiltDevice(_vcc_flag, "VCC_LOW"),
     "STATUS is slow": SpoiltDevice(_slow_status, "once a second"),
     "a waiting u is latched after the run": SpoiltDevice(_latches_after_the_run, "RUN ends before"),
-    "HELLO_R has a wrong skew": SpoiltDevice(_wrong_skew, "is triggered `skew_us` later"),
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from armrig_daemon.emulator import cal, configuration, device, reception, requests, transitions
+from armrig_daemon.emulator import configuration, device, reception, requests, transitions
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol import decoder
 from armrig_protocol.frame import Spoilt
@@ -17,7 +17,6 @@ from armrig_protocol.messages import (
     HelloReply,
     Keepalive,
     Message,
-    Setpoints,
     Start,
     State,
 )
@@ -43,10 +42,6 @@ def _takes_cal(patch: Patch, **fields: int) -> None:
     other_handler(patch, Cal, lambda old: lambda fw, t, m: old(fw, t, m._replace(**fields)))
 
 
-def _many_readings(patch: Patch) -> None:
-    patch.setattr(cal, "MOST_READINGS", 2000)
-
-
 def _answers(patch: Patch, kind: type[Message]) -> None:
     """Answer frames of a kind that need no answer."""
 
@@ -63,7 +58,7 @@ def _estop_in_estop(patch: Patch, *, code: Code, token: int) -> None:
     def other(old: Any) -> Any:
         def handler(fw: Firmware, now_ns: int, m: Estop) -> list[Message]:
             if fw.state is not State.ESTOP:
-                return old(fw, now_ns, m)  # type: ignore[no-any-return]
+                return old(fw, now_ns, m)
             fw.token ^= token
             return [fw.answer(TYPES[Estop], m.seq, code)]
 
@@ -126,16 +121,9 @@ _BOUNDS = "CAL with n = 0, n > 1024"
 SPOILT: dict[str, SpoiltDevice] = {
     "any watchdog is taken": SpoiltDevice(partial(_accepts, watchdog_ms=100), _VALUES),
     "any range is taken": SpoiltDevice(partial(_accepts, u_min=0, u_max=65_535), _VALUES),
-    "any mode is taken": SpoiltDevice(partial(_accepts, mode=0), _VALUES),
     "any nonce starts": SpoiltDevice(_any_nonce_starts, "START needs the nonce"),
-    "CAL of 1025 readings is taken": SpoiltDevice(_many_readings, _BOUNDS),
     "CAL of any channel is taken": SpoiltDevice(partial(_takes_cal, channel=0), _BOUNDS),
-    "CAL: `zero` is ignored": SpoiltDevice(partial(_takes_cal, zero=0), _BOUNDS),
-    "SETPOINTS are answered": SpoiltDevice(partial(_answers, kind=Setpoints), "no gaps"),
     "KEEPALIVE is answered": SpoiltDevice(partial(_answers, kind=Keepalive), "in any state but"),
-    "ESTOP is refused in ESTOP": SpoiltDevice(
-        partial(_estop_in_estop, code=Code.WRONG_STATE, token=0), "ESTOP in ESTOP"
-    ),
     "ESTOP in ESTOP draws a token": SpoiltDevice(
         partial(_estop_in_estop, code=Code.OK, token=1), "ESTOP in ESTOP"
     ),

@@ -65,7 +65,7 @@ def tried(
 def test_the_emulated_device_does_what_the_protocol_says(
     settings: dict[str, float], resets: bool
 ) -> None:
-    emulated = EmulatorSettings(boot_ms=5.0, **{**UNPLUGGED, **settings})  # type: ignore[arg-type]
+    emulated = EmulatorSettings(boot_ms=5.0, **{**UNPLUGGED, **settings})
 
     results = tried(emulated, resets=resets)
 
@@ -270,7 +270,7 @@ class Numbered:
     [([7, 8, 9], 0), ([65_534, 65_535, 0, 1], 0), ([7, 9, 10], 1), ([5, 0, 0, 7, 6], 4)],
 )
 def test_each_frame_that_is_not_the_next_is_a_break(numbers: list[int], breaks: int) -> None:
-    conversation = Conversation(Numbered(numbers))  # type: ignore[arg-type]
+    conversation = Conversation(Numbered(numbers))
 
     conversation.listen(5)
 
@@ -319,7 +319,7 @@ def test_the_rest_of_a_frame_at_the_opening_of_the_port_is_not_spoilt() -> None:
     rest, whole = b"\x05abc\0", encode(Ack(State.IDLE, 9, 0, 0, 0))
     pieces = [rest + whole, rest, b"\x07a", rest + whole, rest + rest]
     line = SimpleNamespace(now_ns=lambda: 0, receive=lambda ms: pieces.pop(0), reopen=id)
-    conversation = Conversation(line)  # type: ignore[arg-type]
+    conversation = Conversation(line)
     spoilt = []
 
     for opens in (False, False, False, True, False):
@@ -334,13 +334,13 @@ def test_the_rest_of_a_frame_at_the_opening_of_the_port_is_not_spoilt() -> None:
 
 def test_a_limit_counts_from_the_time_at_which_it_was_set() -> None:
     line = Numbered(range(1))
-    conversation = Conversation(line)  # type: ignore[arg-type]
+    conversation = Conversation(line)
     conversation.listen(5)
     length = len(encode(Ack(State.IDLE, 0, 0, 0, 0)))
     conversation.limit(100, received=2 * length)
 
     for n, ends in ((2, False), (1, True)):
-        conversation.line = Numbered(range(n))  # type: ignore[assignment]
+        conversation.line = Numbered(range(n))
         conversation.listen(5)
         if ends:
             with pytest.raises(EndlessError, match="sent more"):

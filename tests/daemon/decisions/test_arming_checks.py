@@ -26,10 +26,7 @@ def _altered(of: type, alter: Callable[[], dict[str, int]]) -> Callable[[bytes],
 
     def other(data: bytes) -> bytes:
         _, messages = feed(b"", data)
-        return b"".join(
-            encode(m._replace(**alter()) if isinstance(m, of) else m)  # type: ignore[arg-type]
-            for m in messages
-        )
+        return b"".join(encode(m._replace(**alter()) if isinstance(m, of) else m) for m in messages)
 
     return other
 
@@ -110,7 +107,6 @@ def test_before_a_run_the_host_paces_at_the_holder_s_ts_if_the_line_is_fast_enou
 ) -> None:
     """The shortest such Ts is the duration of an exchange; below it, the default Ts paces."""
     rig = Bench()
-    assert rig.loop.state.device is not None
     ts_us = exchange_us(rig.loop.state.rules.baud, rig.loop.state.device.skew_us) + longer_us
 
     assert rig.arm(ts_us=ts_us).error == ""

@@ -121,7 +121,6 @@ def _take(state: State, now_ns: int, message: DeviceSample) -> list[Publish]:
 def test_a_sample_of_an_old_run_does_not_begin_a_new_one() -> None:
     bench = playing(600)
     state = bench.loop.state
-    assert state.run is not None
     old = device_sample(state, k=state.run.due, flags=int(Flag.RUN))
 
     assert len(_take(state, bench.ports.now, old)) == 1

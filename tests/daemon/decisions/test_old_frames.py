@@ -62,7 +62,6 @@ def test_a_repeated_frame_of_the_device_with_a_larger_number_costs_a_hello_and_n
 
 def test_the_answer_to_hello_begins_the_numbers_of_the_device_again() -> None:
     state = changed(rested().loop.state, device_seq=500)
-    assert state.device is not None
 
     after, _ = replies.handle(state, 7, state.device._replace(seq=0))
 

@@ -55,7 +55,6 @@ def _refusal(bench: Bench, order: Order, state: State | None = None) -> str:
     assert len(decided.actions) == 1
     before = state or bench.loop.state
     assert decided.state == changed(before, service_ns=bench.ports.now)
-    assert answer.code is not None
     assert answer.code.passes == answer.error.endswith(": try again")
     return str(answer.error)
 
@@ -117,7 +116,6 @@ def test_an_order_waits_for_the_stop(order: Order, text: str) -> None:
 def test_a_scheduled_run_needs_a_device_with_scheduled_mode() -> None:
     bench = armed()
     device = bench.loop.state.device
-    assert device is not None
     exchanging = changed(bench.loop.state, device=device._replace(capabilities=1))
 
     assert "no scheduled mode" in _refusal(bench, SCHEDULED, exchanging)
@@ -322,7 +320,6 @@ def test_a_command_renews_the_lease_from_its_own_time_on() -> None:
 
     lease = ordered(bench, SET).state.lease
 
-    assert lease is not None
     assert (lease.n, lease.renewed_ns) == (50, bench.ports.now)
 
 
@@ -377,5 +374,4 @@ def test_an_experiment_is_played_by_its_own_way() -> None:
     for scheduled, want in ((False, RequestKind.START), (True, RequestKind.STOP)):
         order: pipe.Run = changed(RUN, scheduled=scheduled)
         asked = ordered(bench, order).state.asked
-        assert asked is not None
         assert (asked.want, asked.order) == (want, order)

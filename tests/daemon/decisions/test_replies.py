@@ -52,7 +52,6 @@ from tests.daemon.virtual_bench import MS
 
 def _event(state: State, **fields: int) -> Event:
     """Return an EVENT of the device that is met, into the state that it is in."""
-    assert state.device is not None
     zero = Event._make([0] * len(Event._fields))
     known = {"state": state.link.device_state, "boot": state.device.boot_id & 0xFFFF}
     return zero._replace(**{**known, **fields})
@@ -72,7 +71,6 @@ def test_an_ack_of_the_very_request_proves_a_round_trip() -> None:
     now = bench.ports.now
     fresh = changed(bench.loop.state, last_round_trip_ns=now - 40 * MS)
     state = awaiting(fresh, RequestKind.ARM, sent_ns=now - 3 * MS)
-    assert state.asked is not None
     seq = state.asked.seq
     ack = Ack(int(DeviceState.READY), 0, TYPES[Arm], int(Code.OK), seq)
 
@@ -128,7 +126,6 @@ def test_a_device_that_restarts_at_rest_is_met_again(by: str) -> None:
     """T1: no fault, because nothing turned; a sample reports it if the EVENT was lost."""
     bench = rested()
     state = bench.loop.state
-    assert state.device is not None
     boot = (state.device.boot_id + 1) & 0xFFFF
     news = _event(state, boot=boot) if by == "event" else device_sample(state, boot=boot)
 
@@ -163,7 +160,6 @@ def test_the_identity_of_a_device_is_reported_in_hexadecimal_and_nothing_that_ch
 def test_a_device_that_restarts_before_it_is_configured_is_met_again() -> None:
     bench = rested()
     state = changed(bench.loop.state, phase=Phase.INIT)
-    assert state.device is not None
 
     decided = heard(bench, _event(state, boot=(state.device.boot_id + 1) & 0xFFFF), state)
 
@@ -178,7 +174,6 @@ def test_a_device_that_restarts_while_it_drives_is_a_fault(by: str) -> None:
     """S6: the device has forgotten the run."""
     bench = driven()
     state = bench.loop.state
-    assert state.device is not None
     boot = (state.device.boot_id + 1) & 0xFFFF
     news = _event(state, boot=boot) if by == "event" else device_sample(state, boot=boot)
 
@@ -186,14 +181,12 @@ def test_a_device_that_restarts_while_it_drives_is_a_fault(by: str) -> None:
 
     assert decided.state.fault == Fault(Id.RESET, "the device was reset")
     assert decided.state.device is None
-    assert decided.state.asked is not None
     assert decided.state.asked.want is RequestKind.HELLO
 
 
 def test_a_reset_of_the_device_leaves_a_latched_fault_as_it_is() -> None:
     bench = rested()
     state = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
-    assert state.device is not None
 
     decided = heard(bench, _event(state, boot=(state.device.boot_id + 1) & 0xFFFF), state)
 
@@ -276,7 +269,6 @@ def test_a_queue_without_a_device_starts_nothing() -> None:
     there, (start,) = setpoints.note_queue(filling, now, 0, 2)
 
     assert (gone.asked, actions) == (None, [])
-    assert there.asked is not None
     assert there.asked.want is RequestKind.START
     assert isinstance(start.data, bytes)
 

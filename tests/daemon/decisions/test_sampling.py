@@ -61,7 +61,6 @@ def _playing() -> Bench:
 
 def _duty(state: State, code: int) -> int:
     """Return the code after rounding to the device's duty."""
-    assert state.device is not None
     return applied_code(code, state.device.pwm_bits)
 
 
@@ -72,7 +71,6 @@ def _answer(bench: Bench, now: State, at: int = 0, **fields: int) -> Decided:
 
 def _due(bench: Bench, now: State, ahead: int = 0, **fields: int) -> Decided:
     """Return what follows from the sample of the run that is due next, or one `ahead` of it."""
-    assert now.run is not None
     u = _duty(now, now.run.code(0))
     known = {"k": now.run.due + ahead, "flags": RUN, "u_k": u, "u_km1": u, "echo": now.link.seq - 1}
     return heard(bench, device_sample(now)._replace(**{**known, **fields}), now)
@@ -104,7 +102,6 @@ def test_in_an_exchange_no_flag_excuses_another_code(flags: int) -> None:
     wrong = _answer(bench, state, u_k=commanded + 64, flags=flags)
     right = _answer(bench, state, u_k=commanded, flags=flags)
 
-    assert wrong.state.fault is not None
     assert wrong.state.fault.id is Id.APPLIED
     assert f"but code {state.link.sent[0].code} was commanded" in wrong.state.fault.cause
     assert [type(m) for m in wrong.sent] == [Stop]
@@ -122,7 +119,6 @@ def test_a_run_that_plays_wrong_codes_in_a_fault_is_stopped_again_at_once() -> N
 
     assert [type(m) for m in wrong.sent] == [Stop]
     assert wrong.state.phase is Phase.FAULT
-    assert wrong.state.asked is not None
     assert wrong.state.asked.tries == 1
     assert right.sent == []
     assert right.state.fault == LATCHED
@@ -181,7 +177,6 @@ def test_an_echo_of_what_we_have_not_sent_spoils_an_exchange_and_stops_a_run() -
 
     assert (answered.actions, answered.state.link.sent) == ([], state.link.sent)
     assert len(_published(played)) == 1
-    assert played.state.fault is not None
     assert played.state.fault.id is Id.STATE
     assert type(played.sent[-1]) is Stop
 
@@ -191,12 +186,10 @@ def test_an_echo_of_the_very_next_frame_stops_a_run() -> None:
     bench = _playing()
     state = bench.loop.state
     assert state.run is not None
-    assert state.queue is not None
     sends_more = changed(state, queue=changed(state.queue, sent=state.queue.held))
 
     decided = _due(bench, sends_more, echo=state.link.seq, queued=24)
 
-    assert decided.state.fault is not None
     assert decided.state.fault.id is Id.STATE
     assert f"received frame {state.link.seq}, but this daemon sends {state.link.seq} next" in (
         decided.state.fault.cause
@@ -256,7 +249,6 @@ def test_a_sample_of_a_run_that_has_come_still_shows_the_state_and_the_echo() ->
     """L2: the sample is published once."""
     bench = _playing()
     state = bench.loop.state
-    assert state.run is not None
     seq = (state.link.seq - 1) & 0xFFFF
     state = changed(state, beats=(Unechoed(seq, 17),), last_round_trip_ns=5)
 
@@ -287,7 +279,6 @@ def test_an_exchange_ends_its_run_after_its_own_sample() -> None:
 def test_the_first_sample_of_a_run_starts_it_and_is_published_after_the_start() -> None:
     bench = _playing()
     state = bench.loop.state
-    assert state.run is not None
     order = pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=state.run.codes, scheduled=True)
     run = changed(state.run, k_first=-1, due=0)
     armed = changed(state, run=run, phase=Phase.ARMED, device_state=int(DeviceState.ARMED))
@@ -399,14 +390,12 @@ def test_the_duty_of_the_device_is_what_it_is_compared_with() -> None:
     bench = driven()
     state = _asked(bench)
     held = state.link.sent[0].code
-    assert state.device is not None
     coarse = changed(state, device=state.device._replace(pwm_bits=10))
 
     as_sent = heard(
         bench, device_sample(state, k=state.link.sent[0].k, u_k=held, flags=int(Flag.RUN)), coarse
     )
 
-    assert as_sent.state.fault is not None
     assert f"applied code {held}, but code {held} was commanded" in as_sent.state.fault.cause
 
 
@@ -430,7 +419,6 @@ def test_without_a_map_of_the_clocks_a_sample_was_due_by_the_time_of_the_start(
     clock = bench.loop.state.clock.map._replace(weight=0.0) if way_is_known else ClockMap()
     state = changed(bench.loop.state, map=clock)
     run = state.run
-    assert run is not None
 
     (sample,) = _published(_due(bench, state))
 
@@ -446,7 +434,6 @@ def test_eight_exchanges_make_a_map(known: int) -> None:
     trips = state.clock.map.round_trips
     few = changed(state, map=state.clock.map._replace(round_trips=trips[:1] * known))
     run = state.run
-    assert run is not None
 
     (sample,) = _published(_due(bench, few, t_us=state.t_us + 5_000 & 0xFFFFFFFF))
 
@@ -470,7 +457,6 @@ def test_another_code_than_the_run_s_is_a_fault_but_for_an_underrun(
 
     assert (decided.state.fault is not None) == trips
     if trips:
-        assert decided.state.fault is not None
         assert decided.state.fault.id is Id.APPLIED
     else:
         (sample,) = _published(decided)
@@ -482,7 +468,6 @@ def test_a_sample_that_is_ahead_reports_the_missing_ones_before_it() -> None:
     """L2: each with the voltage of its own setpoint."""
     bench = _playing()
     run = bench.loop.state.run
-    assert run is not None
 
     decided = _due(bench, bench.loop.state, ahead=3)
 
@@ -490,7 +475,6 @@ def test_a_sample_that_is_ahead_reports_the_missing_ones_before_it() -> None:
     first = run.k_first + run.due
     assert [(g.k_first, g.count) for g in gaps] == [(first + i, 1) for i in range(3)]
     assert all(g.u_held_v == pytest.approx(2.0, abs=0.003) for g in gaps)
-    assert decided.state.run is not None
     assert decided.state.run.due == run.due + 4
 
 

@@ -77,7 +77,6 @@ def test_a_request_is_sent_again_when_its_time_has_come_and_not_before(want: Req
     (sent,) = late.sent
     assert type(sent) is kinds[want]
     asked = late.state.asked
-    assert asked is not None
     assert (asked.tries, asked.order, asked.sent_ns) == (2, ARM, due_ns)
     assert (asked.seq, sent.state) == (sent.seq, 0)
 
@@ -131,7 +130,6 @@ def test_a_stop_that_is_not_confirmed_is_a_fault() -> None:
     decided = Decided(awaiting(state, RequestKind.STOP, tries=5), bench.ports.now, Wakeup())
 
     fault = decided.state.fault
-    assert fault is not None
     assert (fault.id, decided.state.phase) == (Id.REQUEST, Phase.FAULT)
     assert decided.state.asked is None
     assert decided.state.lease is None
@@ -186,7 +184,6 @@ def test_a_refusal_where_the_motor_may_turn_is_a_fault(want: RequestKind) -> Non
     decided = heard(bench, refusal, state)
 
     fault = decided.state.fault
-    assert fault is not None
     assert fault.id is Id.REQUEST
     assert fault.cause == f"the device refuses {want}: WRONG_NONCE"
     assert [type(m) for m in decided.sent] == [Stop]
@@ -282,7 +279,6 @@ def test_a_device_that_has_latched_is_a_fault_of_the_device() -> None:
     decided = heard(bench, sample)
 
     fault = decided.state.fault
-    assert fault is not None
     assert (fault.id, fault.cause) == (Id.DEVICE, "the device is in FAULT")
     assert decided.state.phase is Phase.FAULT
 
@@ -293,7 +289,6 @@ def test_a_device_that_is_found_driving_is_stopped_first(phase: Phase, state: De
     """S3: another host left it so, or every STOP of a fault was lost."""
     bench = rested()
     device = bench.loop.state.device
-    assert device is not None
     fault = Fault(Id.STALE, "no answer") if phase is Phase.FAULT else None
     lost = changed(bench.loop.state, device=None, phase=phase, fault=fault)
 
@@ -306,7 +301,6 @@ def test_a_device_that_is_found_driving_is_stopped_first(phase: Phase, state: De
 def test_a_device_that_is_met_latched_says_why() -> None:
     bench = rested()
     device = bench.loop.state.device
-    assert device is not None
     met = changed(bench.loop.state, device=None, phase=Phase.INIT)
     latched = device._replace(state=int(DeviceState.FAULT), cause=int(Cause.WATCHDOG))
 
@@ -322,7 +316,6 @@ def test_a_latched_device_that_is_known_again_is_said_to_be() -> None:
     """T1: also if the same fault was reported before."""
     bench = rested()
     device = bench.loop.state.device
-    assert device is not None
     fault = Fault(Id.DEVICE, "the device is in FAULT")
     lost = changed(bench.loop.state, device=None, phase=Phase.FAULT, fault=fault)
     reply = device._replace(state=int(DeviceState.FAULT))
@@ -339,7 +332,6 @@ def test_a_latched_device_that_is_known_again_is_said_to_be() -> None:
 def test_a_latched_device_that_is_met_in_another_fault_replaces_its_cause(id_: Id) -> None:
     bench = rested()
     device = bench.loop.state.device
-    assert device is not None
     lost = changed(bench.loop.state, device=None, phase=Phase.FAULT, fault=Fault(id_, "before"))
     reply = device._replace(state=int(DeviceState.ESTOP))
 
@@ -350,7 +342,7 @@ def test_a_latched_device_that_is_met_in_another_fault_replaces_its_cause(id_: I
     assert [s.reason for s in decided.told(StateRecord)] == ["the device is in ESTOP"]
 
 
-def _one_sent(bench: Bench) -> tuple:  # type: ignore[type-arg]
+def _one_sent(bench: Bench) -> tuple:
     bench.ports.from_device = lambda data: b""
     bench.run_for(11)
     return bench.loop.state.link.sent
@@ -395,7 +387,6 @@ def test_what_nobody_owns_does_not_move(want: RequestKind, state: DeviceState, c
     after, _ = transitions.note_state(awaiting(at, want), bench.ports.now, int(state))
 
     assert after.fault == Fault(Id.INTERNAL, cause)
-    assert after.asked is not None
     assert after.asked.want is RequestKind.STOP
 
 
@@ -420,7 +411,6 @@ def test_a_fault_is_cleared_when_the_device_is_idle(state: DeviceState) -> None:
     cleared, _ = transitions.note_state(at, bench.ports.now, int(DeviceState.IDLE))
 
     assert waiting.asked == at.asked
-    assert cleared.asked is not None
     assert cleared.asked.want is RequestKind.HELLO
     assert cleared.asked.order == Reset(order=8)
 
@@ -443,7 +433,6 @@ def test_a_stop_has_its_effect_where_the_motor_cannot_turn(state: DeviceState) -
 def _met(bench: Bench, before: State, **fields: int) -> Decided:
     """Return what follows from a HELLO_R."""
     device = bench.loop.state.device
-    assert device is not None
     reply = device._replace(**{"state": int(DeviceState.IDLE), **fields})
     return heard(bench, reply, before)
 
@@ -500,7 +489,6 @@ def test_a_device_that_cannot_be_driven_is_latched_and_reported_once(
     once = _met(bench, awaiting(bench.loop.state, RequestKind.HELLO), **fields)
     again = _met(bench, awaiting(once.state, RequestKind.HELLO, Reset(order=8)), **fields)
 
-    assert once.state.fault is not None
     assert complaint in once.state.fault.cause
     assert once.state.phase is Phase.FAULT
     assert once.sent == again.sent == []
@@ -537,7 +525,6 @@ def test_a_latched_daemon_meets_a_device_and_stays_latched() -> None:
 
 def _reply(state: State, **fields: int) -> ConfigReply:
     """Return the answer to the CONFIG that the state waits for."""
-    assert state.asked is not None
     (sent,) = Decided(state, state.asked.sent_ns + 50 * MS, Wakeup()).sent
     assert isinstance(sent, Config)
     body = sent[2:]
@@ -740,7 +727,6 @@ def test_an_arm_under_a_newer_nonce_is_tried_as_often_as_any_request() -> None:
     (arm,) = fifth.sent
     assert isinstance(arm, Arm)
     assert arm.nonce == again.nonce
-    assert fifth.state.asked is not None
     assert (fifth.state.asked.tries, fifth.state.asked.order) == (5, ARM)
     assert sixth.actions == []
 
@@ -767,7 +753,6 @@ def test_an_arm_waits_for_its_own_configuration_only(change: dict[str, int | Non
 def test_a_sampling_time_that_the_device_cannot_convert_is_refused() -> None:
     bench = rested()
     device = bench.loop.state.device
-    assert device is not None
     slow = changed(bench.loop.state, device=device._replace(ts_min_us=15_000))
 
     (refusal,) = ordered(bench, changed(ARM, ts_us=14_999), slow).told(Answer)
@@ -780,7 +765,6 @@ def test_a_sampling_time_that_the_device_cannot_convert_is_refused() -> None:
 def test_a_sampling_time_that_holds_no_oversampled_reading_is_refused() -> None:
     bench = rested()
     state, device = bench.loop.state, bench.loop.state.device
-    assert device is not None
     rules = changed(state.rules, oversampling=4)
     slow = changed(state, rules=rules, device=device._replace(ts_min_us=15_000))
 
@@ -801,6 +785,5 @@ def test_the_owner_is_granted_the_limits() -> None:
     body = bench.arm(40_000).body
 
     assert body == {"lease": LEASE, "period_s": 0.2, "Ts": 0.04, "u_min": 0.0, "u_max": 5.0}
-    assert bench.loop.state.lease is not None
     assert (bench.loop.state.lease.n, bench.loop.state.lease.owner) == (-1, "a student")
     assert isinstance(bench.loop.state.device, HelloReply)

@@ -70,7 +70,7 @@ def test_boot_ends_in_idle_and_says_so() -> None:
     _, (event,) = decoder.feed(b"", second)
     assert first == b"\0"
     assert t_ns == 5 * MS + 10 * US + 260 * US
-    assert events([event]) == [(State.BOOT, State.IDLE, Cause.POWER_ON)]  # type: ignore[list-item]
+    assert events([event]) == [(State.BOOT, State.IDLE, Cause.POWER_ON)]
 
 
 def test_what_comes_during_boot_is_thrown_away() -> None:
@@ -280,8 +280,8 @@ def test_a_pong_that_waits_for_the_wire_says_when_it_began_to_leave() -> None:
 
     pongs = [heard for heard in host.heard if isinstance(heard.message, Pong)]
     length_ns = frame.wire_length(Pong) * 10 * US
-    assert [h.message.tx_us for h in pongs] == [(h.t_ns - length_ns) // US for h in pongs]  # type: ignore[attr-defined]
-    assert pongs[2].message.tx_us > pongs[2].message.rx_us  # type: ignore[attr-defined]
+    assert [h.message.tx_us for h in pongs] == [(h.t_ns - length_ns) // US for h in pongs]
+    assert pongs[2].message.tx_us > pongs[2].message.rx_us
 
 
 def test_a_frame_that_finds_no_room_is_dropped_whole_and_reported() -> None:

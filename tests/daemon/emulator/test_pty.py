@@ -136,7 +136,6 @@ class Port:
 
     def run(self, *, ts_us: int = 10_000, mode: int = Mode.EXCHANGE, k_stop: int = 0) -> None:
         """Go from IDLE to RUN."""
-        assert self.hello is not None
         config = self.ask(
             Config,
             ConfigReply,
@@ -175,7 +174,6 @@ def test_a_host_takes_the_rig_through_a_run(emulator: Emulator) -> None:
     assert [s.state for s in samples] == [State.RUN] * 5
     assert [s.u_km1 for s in samples[1:]] == [s.u_k for s in samples[:-1]]
     assert samples[-1].y0 > samples[0].y0
-    assert event is not None
     assert event.state == State.IDLE
     lines = [line.split(",") for line in emulator.trace.read_text().splitlines()]
     # Ten bits: k * 6553 is 102.4 k steps of 5/1024 V.
@@ -190,7 +188,6 @@ def test_opening_the_port_resets_the_device(emulator: Emulator) -> None:
     boot_ids = set()
     for _ in range(5):
         port = Port(emulator)
-        assert port.hello is not None
         assert port.hello.state == State.IDLE
         boot_ids.add(port.hello.boot_id)
         port.run()

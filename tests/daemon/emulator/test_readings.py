@@ -49,7 +49,7 @@ def reading(host: Host, theta_1: Iterable[int], alpha: Iterable[int]) -> list[tu
 
         def take(t_ns: int, name: str = name, turn: Iterable[int] = turn) -> int:
             read.append((name, t_ns))
-            return next(turn)  # type: ignore[call-overload, no-any-return]
+            return next(turn)
 
         setattr(board, name, take)
     return read
