@@ -74,11 +74,9 @@ class Decided:
         self.state, self.actions = step.step(state, now_ns, [event])
 
     def of(self, kind: type) -> list:
-        """Return the actions of a kind."""
         return [a for a in self.actions if isinstance(a, kind)]
 
     def told(self, kind: type) -> list:
-        """Return the records of a kind."""
         return [a.record for a in self.of(Emit) if isinstance(a.record, kind)]
 
     @property

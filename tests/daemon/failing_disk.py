@@ -39,7 +39,6 @@ class Disk:
             yield
 
     def path(self, path: Path) -> Path:
-        """Return a path on this disk."""
         placed = _Path(path)
         placed.disk = self
         return placed

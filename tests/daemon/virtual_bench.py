@@ -40,7 +40,6 @@ class Bench(VirtualRig):
         self.run_until(self.ports.now + round(ms * MS))
 
     def ask(self, kind: type, **fields: object) -> Answer:
-        """Give an order and return its answer."""
         self._number += 1
         self.order(kind(order=self._number, **fields))
         self.run_for(100)

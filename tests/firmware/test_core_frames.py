@@ -40,7 +40,6 @@ def hardware(pwm_bits: int = 10) -> Hardware:
 
 
 def core() -> Any:
-    """Return the functions of the core."""
     return library.library(hardware()).functions
 
 

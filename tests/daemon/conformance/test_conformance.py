@@ -191,7 +191,6 @@ class Flooded(VirtualLine):
         self._floods |= any(isinstance(m, Start) for m in feed(b"", data)[1])
 
     def receive(self, within_ms: float) -> bytes:
-        """Return the piece."""
         if not self._floods:
             return super().receive(within_ms)
         self._now_ns += self._every_ns

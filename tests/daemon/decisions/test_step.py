@@ -45,7 +45,6 @@ def _tick(state: State, now_ns: int, ahead: int = 1) -> Decided:
 
 
 def _code(decided: Decided) -> int:
-    """Return the code that is sent; there is one EXCHANGE."""
     (found,) = [m for m in decided.sent if isinstance(m, Exchange)]
     return found.u
 

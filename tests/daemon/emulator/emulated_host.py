@@ -141,18 +141,15 @@ class Host:
 
 
 def only(kind: type[M], messages: list[Message]) -> M:
-    """Return the one message of this kind."""
     (found,) = [m for m in messages if isinstance(m, kind)]
     return found
 
 
 def codes(messages: list[Message]) -> list[int]:
-    """Return the codes of the ACKs."""
     return [m.code for m in messages if isinstance(m, Ack)]
 
 
 def events(messages: list[Message]) -> list[tuple[int, int, int]]:
-    """Return (was, state, cause) of the EVENTs."""
     return [(m.was, m.state, m.cause) for m in messages if isinstance(m, Event)]
 
 

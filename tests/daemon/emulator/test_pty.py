@@ -128,7 +128,6 @@ class Port:
         return None
 
     def ask(self, kind: type[Message], answer: type[M], **fields: Any) -> M:
-        """Send and return the answer."""
         self.send(kind, **fields)
         found = self.find(answer, PATIENCE_S)
         assert found is not None
