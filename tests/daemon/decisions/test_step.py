@@ -21,7 +21,6 @@ from armrig_daemon.decisions.state import (
     Received,
     RequestKind,
     Sent,
-    ServiceGone,
     SetPeriod,
     State,
     Tick,
@@ -104,16 +103,6 @@ def test_a_link_that_comes_up_begins_again() -> None:
     after = decided.state
     assert hello.seq == 0
     assert after.link == Link(seq=1, last_send_ns=bench.ports.now)
-
-
-def test_a_daemon_whose_service_is_gone_stops_and_ends() -> None:
-    bench = driven()
-
-    decided = Decided(bench.loop.state, bench.ports.now, ServiceGone())
-
-    assert [type(m) for m in decided.sent] == [Stop]
-    assert decided.state.quitting
-    assert decided.state.outcome == "the daemon was ended"
 
 
 @pytest.mark.parametrize(
