@@ -106,18 +106,6 @@ def test_stuffing_is_that_of_python(text: bytes) -> None:
     assert place.raw[1:] == text
 
 
-@given(NO_ZERO)
-def test_unstuffing_is_that_of_python(stuffed: bytes) -> None:
-    place = ctypes.create_string_buffer(stuffed, max(1, len(stuffed)))
-
-    sound = core().rig_unstuff(place, len(stuffed))
-
-    text = cobs.unstuff(stuffed)
-    assert sound == (text is not None)
-    if text:
-        assert place.raw[1:] == text
-
-
 @given(NO_ZERO.filter(bool))
 def test_any_bytes_are_taken_for_what_python_takes_them(stuffed: bytes) -> None:
     _, (received,) = decoder.feed(b"", stuffed + b"\0")
@@ -166,10 +154,3 @@ def test_duty_and_code_are_those_of_python(bits: int) -> None:
         steps = duty(u, bits)
         assert c.rig_duty(u) == steps
         assert c.rig_code(steps) == reported(u, bits)
-
-
-@pytest.mark.exhaustive
-def test_a_duty_of_16_bits_is_the_code() -> None:
-    c = library.library(hardware(16)).functions
-
-    assert all(c.rig_duty(u) == c.rig_code(u) == u for u in (0, 1, 32767, 32768, 65535))

@@ -20,7 +20,7 @@ from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Received, S
 from armrig_daemon.loop import process, realtime
 from armrig_daemon.loop.link import READ, Link, TakenPortError
 from armrig_daemon.loop.process import REOPEN_NS, ProcessPorts, Settings
-from armrig_daemon.pipe import Alive, Host, Log, Reset, Run, Stop, record_bytes, take_records
+from armrig_daemon.pipe import Alive, Host, Log, record_bytes, take_records
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 from msgspec.structs import replace
@@ -94,12 +94,6 @@ def test_a_record_that_nobody_takes_does_not_hide_the_end_of_the_service(
     assert ports.wait(realtime.now_ns() + MS) == []
 
 
-def test_a_late_wakeup_is_reported_as_late(ports: ProcessPorts) -> None:
-    past = realtime.now_ns() - MS
-
-    assert past + MS <= ports.sleep_until(past) <= realtime.now_ns()
-
-
 def test_what_comes_at_once_is_handed_on_in_pieces_and_without_another_wait(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
@@ -115,25 +109,6 @@ def test_what_comes_at_once_is_handed_on_in_pieces_and_without_another_wait(
 
     assert b"".join(come) == sent
     assert max(map(len, come)) <= READ
-
-
-def test_bytes_that_come_while_others_wait_are_a_piece_of_their_own(
-    ports: ProcessPorts, pipes: dict[str, int]
-) -> None:
-    tty.setraw(pipes["slave"])
-    sent = bytes(range(1, 251)) * 12
-    os.write(pipes["master"], sent)
-    come, written = b"", False
-    while len(come) < len(sent) + 4:
-        (event,) = ports.wait(realtime.now_ns() + 30_000 * MS)
-        assert isinstance(event, Received)
-        come += event.data
-        if not written:
-            written = True
-            os.write(pipes["master"], b"more")
-            select.select([pipes["slave"]], [], [])  # it is there
-
-    assert come == sent + b"more"
 
 
 def test_a_line_that_is_cut_is_read_to_its_end_and_then_said_to_be_gone(
@@ -215,18 +190,6 @@ def test_a_loop_that_fails_without_a_line_fails_as_it_would(
 
     assert [type(event) for event in ports.wait(realtime.now_ns() + 100 * MS)] == [LinkDown]
     ports.stop_hard()
-
-
-def test_an_order_may_come_in_pieces(ports: ProcessPorts, pipes: dict[str, int]) -> None:
-    play = Run(lease="a" * 32, n=1, run_id="r", codes=bytes(range(256)))
-    data = record_bytes(Stop()) + record_bytes(play) + record_bytes(Reset())
-
-    taken = []
-    for at in range(0, len(data), 100):
-        os.write(pipes["orders_in"], data[at : at + 100])
-        taken += ports.wait(realtime.now_ns() + 100 * MS)
-
-    assert taken == [Ordered(Stop()), Ordered(play), Ordered(Reset())]
 
 
 def test_a_line_that_was_lost_is_opened_again_in_its_time(
