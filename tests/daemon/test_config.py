@@ -230,8 +230,8 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Give the machine's folder of configurations; the user has none."""
     folder = tmp_path / "etc"
     folder.mkdir()
-    monkeypatch.setattr(recording_directory, "SYSTEM", folder / "armrig.toml")
-    monkeypatch.setattr(config_module, "SYSTEM", folder / "armrig.toml")
+    for module in (recording_directory, config_module):
+        monkeypatch.setattr(module, "SYSTEM", folder / "armrig.toml")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "user"))
     return folder
 

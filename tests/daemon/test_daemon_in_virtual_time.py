@@ -172,10 +172,8 @@ def test_a_link_that_comes_back_arms_nothing(driven: Bench) -> None:
     assert not driven.arm().error
 
 
-def test_a_port_that_fails_under_a_trip_is_reported_last(
-    driven: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(driven.ports, "write", lambda _: LinkDown("gone"))
+def test_a_port_that_fails_under_a_trip_is_reported_last(driven: Bench) -> None:
+    driven.ports.write = lambda _: LinkDown("gone")
     driven.lateness_ns = 60 * MS  # a pause: it trips, and the STOP is the first frame that fails
     driven.run_for(20)
 

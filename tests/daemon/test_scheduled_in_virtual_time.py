@@ -182,7 +182,7 @@ def test_a_device_clock_that_drifts_keeps_its_own_time(ppm: float) -> None:
     assert {b - a for a, b in pairwise(times)} == {10_000}
 
 
-@pytest.mark.parametrize("ppm", [-100.0, 0.0, 100.0])
+@pytest.mark.parametrize("ppm", [-100.0, 100.0])
 @pytest.mark.parametrize("scheduled", [False, True])
 def test_the_drift_of_the_device_is_found_and_reported(ppm: float, scheduled: bool) -> None:
     """Within three of its own standard deviations."""
@@ -202,14 +202,14 @@ def test_the_drift_of_the_device_is_found_and_reported(ppm: float, scheduled: bo
 
 
 def test_the_lateness_of_a_scheduled_sample_does_not_grow_with_the_drift() -> None:
-    """Without the map of the clocks 100 ppm in 60 s would be 6 ms."""
+    """Without the map of the clocks 100 ppm in 20 s would be 2 ms."""
     bench = Bench(clock_ppm=-100.0)
-    volts = telegraph(6000)
+    volts = telegraph(2000)
 
     run(bench, volts)
 
     k_first = bench.of(RunStarted)[0].k_first
-    samples = [s for s in bench.samples if 100 <= s.k - k_first < 6000]
+    samples = [s for s in bench.samples if 100 <= s.k - k_first < 2000]
     late_ns = [s.t_host_ns - s.t_sched_ns for s in samples]
     assert max(late_ns) - min(late_ns) < 1 * MS  # a PONG of 0.5 ms may be in the way
 

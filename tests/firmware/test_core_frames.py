@@ -150,7 +150,7 @@ def test_the_same_frames_however_the_line_cuts_them(parts: list[bytes], rng: Any
 def test_duty_and_code_are_those_of_python(bits: int) -> None:
     c = library.library(hardware(bits)).functions
 
-    for u in range(0, 65536, 1 if bits == 10 else 7):
+    for u in range(0, 65536, 1 if bits == 10 else 31):
         steps = duty(u, bits)
         assert c.rig_duty(u) == steps
         assert c.rig_code(steps) == reported(u, bits)

@@ -35,7 +35,7 @@ from tests.tools import needs
 
 pytestmark = needs("cc", "make")
 
-EXAMPLES = int(os.environ.get("ARMRIG_FIRMWARE_EXAMPLES", "60"))
+EXAMPLES = int(os.environ.get("ARMRIG_FIRMWARE_EXAMPLES", "40"))
 BENCHES = [
     EmulatorSettings(boot_ms=1.0),
     EmulatorSettings(boot_ms=1.0, baud=1_000_000, pwm_bits=0, adc_bits=0, queue=64),

@@ -28,11 +28,11 @@ def test_any_fields_give_an_allowed_command_or_a_refusal() -> None:
 
 
 def test_any_file_gives_its_beginning_or_is_refused_in_a_line() -> None:
-    found = files.fuzz(1_000, seed=1)
+    found = files.fuzz(500, seed=1)
 
-    assert found["cut"] > 500
-    assert found["whole"] > 100
-    assert found["refused"] > 25
+    assert found["cut"] > 250
+    assert found["whole"] > 50
+    assert found["refused"] > 12
 
 
 def test_any_unfinished_file_is_recovered_or_stays_as_it_is() -> None:

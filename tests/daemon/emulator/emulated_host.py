@@ -64,7 +64,9 @@ class Heard:
 class Host:
     """A host with a clock that it advances by hand; it counts seq as it should."""
 
-    def __init__(self, settings: EmulatorSettings = QUIET) -> None:
+    def __init__(
+        self, settings: EmulatorSettings = QUIET, kind: type[Device] | None = None
+    ) -> None:
         """Switch the device on and wait until it has booted."""
         self.now_ns = 0
         self.seq = 0
@@ -73,7 +75,7 @@ class Host:
         self.heard: list[Heard] = []
         self.sent: list[tuple[int, bytes]] = []
         self.pending = b""
-        self.device = Device(settings, 0, self.changes.append)
+        self.device = (kind or Device)(settings, 0, self.changes.append)
         self.wait(round(settings.boot_ms * MS) + 1 * MS)
 
     def wait(self, dt_ns: int) -> list[Message]:

@@ -116,11 +116,11 @@ def test_a_reset_draws_a_new_boot_id_and_drops_to_0_v() -> None:
     assert (before.reset, after.reset) == (0x01, 0x02)
 
 
-def test_no_two_boots_in_a_row_have_the_same_low_half(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_two_boots_in_a_row_have_the_same_low_half() -> None:
     device = Device(QUIET, 0)
     low = device._boot_id & 0xFFFF
     drawn = iter([0, low, 0x7000_0000 | low, device._boot_id, 5 << 16 | (low ^ 1)])
-    monkeypatch.setattr(device, "_rng", SimpleNamespace(integers=lambda *_, **__: next(drawn)))
+    device._rng = SimpleNamespace(integers=lambda *_, **__: next(drawn))
 
     device.reset(1 * MS)
 

@@ -88,6 +88,7 @@ def test_the_timer_s_tick_is_theta_1_s_last_trigger(m: int) -> None:
 
     assert [one.t_us for one in got] == [t_0 // 1000 + k * 1000 for k in range(3)]
     assert read[0] == ("alpha", t_0 - (2 * m - 1) * CONVERSION_NS + HOLD_NS)
+    assert read[2 * m - 1] == ("theta_1", t_0 + HOLD_NS)
     assert not any(one.flags & Flag.TICK_LATE for one in got)
 
 

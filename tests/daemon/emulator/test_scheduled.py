@@ -194,21 +194,7 @@ def test_the_first_sample_comes_one_ts_after_start() -> None:
     assert off == Change(t_0 + TS_NS + HOLD_NS, 0.0, State.RUN, Cause.REQUEST)
 
 
-def test_alpha_is_read_one_conversion_before_theta_1(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each is held 12 µs after its trigger."""
-    host = in_state(State.ARMED)
-    board, read = host.device.board, []
-    alpha, theta_1 = board.alpha, board.theta_1
-    monkeypatch.setattr(board, "alpha", lambda t: read.append(("alpha", t)) or alpha(t))
-    monkeypatch.setattr(board, "theta_1", lambda t: read.append(("theta_1", t)) or theta_1(t))
-
-    t_0 = host.put(Start, k_stop=1) + TS_NS
-    host.wait(3 * MS)
-
-    assert read == [("alpha", t_0 - CONVERSION_NS + HOLD_NS), ("theta_1", t_0 + HOLD_NS)]
-
-
-@pytest.mark.parametrize("ppm", [0.0, 100.0, -100.0, 500.0, -500.0, 0.5])
+@pytest.mark.parametrize("ppm", [0.5, 100.0, -500.0])
 def test_nothing_drifts_by_the_device_s_clock(ppm: float) -> None:
     """t_us is t_0 + k Ts to the µs; in given time each Ts takes 1 + ppm 1e-6."""
     quiet = EmulatorSettings(baud=BAUD, boot_ms=5.0, adc_noise_v=0, pwm_bits=0, clock_ppm=ppm)
@@ -217,9 +203,9 @@ def test_nothing_drifts_by_the_device_s_clock(ppm: float) -> None:
     host.supply(0, [65535 * (k % 2) for k in range(24)])
     t_r = host.put(Start, k_stop=0)
 
-    got = samples(fed(host, 5 * S))
+    got = samples(fed(host, 2 * S))
 
-    assert len(got) > 9990
+    assert len(got) > 3990
     t_0_ns = t_r * 10**9 // (10**9 + round(ppm * 1000)) + TS_NS
     assert [m.t_us for m in got] == [(t_0_ns + m.k * TS_NS) // US for m in got]
     assert [m.k for m in got] == list(range(len(got)))
@@ -384,7 +370,7 @@ FRAMES = st.lists(
 )
 
 
-@settings(max_examples=80)
+@settings(max_examples=40)
 @given(FRAMES, st.sampled_from(list(Underrun)), st.integers(0, 5), st.randoms())
 def test_whatever_happens_to_the_frames_each_u_k_is_its_own_or_flagged(
     frames: list[tuple[str, int, int]], policy: int, hold: int, rng: object
@@ -464,7 +450,7 @@ OPENING: list[tuple[int, bytes | Message]] = [
 ]
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(SCRIPT, st.lists(st.integers(0, 1 * S), max_size=20), st.sampled_from([0.0, 123.4]))
 def test_the_same_bytes_at_the_same_times_give_the_same_answers(
     script: list[tuple[int, bytes | Message]], looks: list[int], ppm: float
@@ -487,7 +473,7 @@ def test_the_same_bytes_at_the_same_times_give_the_same_answers(
     assert device.board.volts == 0.0
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(SCRIPT, st.sampled_from([0.0, 500.0, -500.0]), st.booleans())
 def test_a_sleeper_until_something_can_be_seen_misses_nothing(
     script: list[tuple[int, bytes | Message]], ppm: float, model_baud: bool

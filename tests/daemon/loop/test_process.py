@@ -11,6 +11,7 @@ import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from unittest import mock
 
 import msgspec
 import pytest
@@ -18,7 +19,7 @@ from armrig_core.emulator_socket import lock_path
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
 from armrig_daemon.loop import process, realtime
-from armrig_daemon.loop.link import READ, Link, TakenPortError
+from armrig_daemon.loop.link import READ, TakenPortError
 from armrig_daemon.loop.process import REOPEN_NS, ProcessPorts, Settings
 from armrig_daemon.pipe import Alive, Host, Log, record_bytes, take_records
 from armrig_protocol.frame import encode
@@ -126,14 +127,15 @@ def test_a_line_that_is_cut_is_read_to_its_end_and_then_said_to_be_gone(
 
 
 def test_a_line_that_hung_up_is_read_on_though_it_is_reported_once(
-    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+    ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     tty.setraw(pipes["slave"])
     os.write(pipes["master"], b"last words")
     ((fd, _),) = ports._waiter.wait_until(realtime.now_ns() + 30_000 * MS)
     told = [[], [(fd, select.EPOLLIN | select.EPOLLHUP)]]
-    monkeypatch.setattr(ports._waiter, "wait_until", lambda _until_ns: told.pop())
-    monkeypatch.setattr(ports._waiter, "ready", list)
+    ports._waiter = SimpleNamespace(
+        wait_until=lambda _: told.pop(), ready=list, forget=lambda _: None
+    )
 
     assert ports.wait(0) == [Received(b"last words")]
     os.close(pipes.pop("master"))
@@ -193,11 +195,10 @@ def test_a_loop_that_fails_without_a_line_fails_as_it_would(
 
 
 def test_a_line_that_was_lost_is_opened_again_in_its_time(
-    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+    ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     now_ns = realtime.now_ns()
-    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns)
-    assert ports.now_ns() == now_ns
+    ports.now_ns = lambda: now_ns
     os.close(pipes.pop("master"))
     assert [type(event) for event in ports.wait(now_ns + 10_000 * MS)] == [LinkDown]
 
@@ -210,7 +211,7 @@ def test_a_line_that_was_lost_is_opened_again_in_its_time(
 
 
 def test_a_line_that_was_opened_again_is_read_when_it_is_readable(
-    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+    ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     os.close(pipes.pop("master"))
     now_ns = realtime.now_ns() + 30_000 * MS
@@ -218,10 +219,10 @@ def test_a_line_that_was_opened_again_is_read_when_it_is_readable(
     master, pipes["another"] = os.openpty()
     pipes["master"] = master
     ports._settings = replace(ports._settings, port=os.ttyname(pipes["another"]))
-    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns + REOPEN_NS)
+    ports.now_ns = lambda: now_ns + REOPEN_NS
     assert ports.wait(now_ns) == [LinkUp()]
 
-    monkeypatch.setattr(Link, "read", lambda _: pytest.fail("nobody said that there is more"))
+    ports._link.read = lambda: pytest.fail("nobody said that there is more")
 
     assert ports.wait(0) == []
 
@@ -285,16 +286,20 @@ class _Ports:
 
 
 @pytest.fixture
-def program(monkeypatch: pytest.MonkeyPatch) -> _Ports:
+def program() -> Iterator[_Ports]:
     """Give the ports of a program that changes nothing of this process."""
     ports = _Ports()
-    monkeypatch.setattr(process, "ProcessPorts", lambda *_: ports)
-    monkeypatch.setattr(process, "SignalPipe", lambda: None)
-    monkeypatch.setattr(process, "Loop", lambda *_: SimpleNamespace(run=lambda: None))
-    for name in ("end_with_parent", "ignore_signals"):
-        monkeypatch.setattr(realtime, name, lambda: None)
-    monkeypatch.setattr(realtime, "prepare", lambda *_: {"fifo": 0, "refused": []})
-    return ports
+    loop = SimpleNamespace(run=lambda: None)
+    prepared = {"fifo": 0, "refused": []}
+    with (
+        mock.patch.multiple(
+            process, ProcessPorts=lambda *_: ports, SignalPipe=lambda: None, Loop=lambda *_: loop
+        ),
+        mock.patch.multiple(
+            realtime, end_with_parent=int, ignore_signals=int, prepare=lambda *_: prepared
+        ),
+    ):
+        yield ports
 
 
 def _main(pipes: dict[str, int]) -> int:
