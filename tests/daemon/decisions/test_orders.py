@@ -21,7 +21,7 @@ from armrig_daemon.decisions.state import (
     State,
     Tick,
 )
-from armrig_daemon.pipe import Answer, Calibrate, Order, Quit, Reset, RunEnded
+from armrig_daemon.pipe import Alive, Answer, Calibrate, Order, Quit, Reset, RunEnded
 from armrig_protocol.messages import ClearFault, Hello, Stop
 from armrig_protocol.messages import State as DeviceState
 
@@ -119,6 +119,14 @@ def test_a_scheduled_run_needs_a_device_with_scheduled_mode() -> None:
     exchanging = changed(bench.loop.state, device=device._replace(capabilities=1))
 
     assert "no scheduled mode" in _refusal(bench, SCHEDULED, exchanging)
+
+
+def test_a_sign_of_life_of_the_service_is_its_time_and_no_more() -> None:
+    bench = driven()
+    decided = ordered(bench, Alive())
+
+    assert decided.actions == []
+    assert decided.state == changed(bench.loop.state, service_ns=bench.ports.now)
 
 
 def test_an_order_to_end_that_is_given_twice_is_followed_once() -> None:

@@ -41,7 +41,15 @@ from armrig_protocol.messages import (
 )
 from armrig_protocol.messages import State as DeviceState
 
-from tests.daemon.decision_states import RUN, Decided, armed, awaiting, changed, device_sample
+from tests.daemon.decision_states import (
+    RUN,
+    Decided,
+    armed,
+    awaiting,
+    changed,
+    device_sample,
+    rested,
+)
 from tests.daemon.virtual_bench import MS, codes
 
 N = SETPOINTS_PER_FRAME
@@ -528,3 +536,9 @@ def test_an_order_for_a_scheduled_run_goes_by_a_stop_to_its_own_configuration() 
     assert configure.state.lease is not None
     assert not [a for a in configure.actions if isinstance(a, Emit)]
     assert not [m for m in configure.sent if isinstance(m, Start)]
+
+
+def test_a_run_that_is_over_already_is_not_completed_again() -> None:
+    bench = rested()
+
+    assert setpoints.complete(bench.loop.state, bench.ports.now) == (bench.loop.state, [])

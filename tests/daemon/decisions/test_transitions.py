@@ -6,7 +6,7 @@ import pytest
 from armrig_daemon import pipe
 from armrig_daemon.decisions import transitions
 from armrig_daemon.decisions.faults import Fault, Id
-from armrig_daemon.decisions.requests import config
+from armrig_daemon.decisions.requests import NO_DEVICE, config
 from armrig_daemon.decisions.state import (
     Phase,
     RequestKind,
@@ -463,3 +463,13 @@ def test_the_owner_is_granted_the_limits() -> None:
     assert body == {"lease": LEASE, "period_s": 0.2, "Ts": 0.04, "u_min": 0.0, "u_max": 5.0}
     assert (bench.loop.state.lease.n, bench.loop.state.lease.owner) == (-1, "a student")
     assert isinstance(bench.loop.state.device, HelloReply)
+
+
+def test_nothing_is_armed_without_a_device() -> None:
+    bench = rested()
+    state = changed(bench.loop.state, device=None)
+
+    after, (said,) = transitions.begin_arming(state, bench.ports.now, ARM)
+
+    assert after == state
+    assert said.record.error == NO_DEVICE

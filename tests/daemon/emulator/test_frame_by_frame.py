@@ -10,6 +10,7 @@ from armrig_daemon.emulator.device import LEAD_NS, Device
 from armrig_daemon.emulator.firmware import NEVER, Firmware, Hardware, PendingSample
 from armrig_daemon.emulator.reception import Reception
 from armrig_daemon.emulator.sampling import latch
+from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
     SCHEMA_HASH,
@@ -17,12 +18,15 @@ from armrig_protocol.messages import (
     Arm,
     Cause,
     Config,
+    Event,
     Exchange,
+    Flag,
     Hello,
     Keepalive,
     Message,
     Mode,
     Ping,
+    Sample,
     Setpoints,
     Start,
     State,
@@ -186,3 +190,38 @@ def test_no_sample_of_scheduled_mode_is_latched_without_a_queue() -> None:
         latch(firmware, 0)
 
     assert firmware.board.volts == 0.0
+
+
+def test_the_end_of_a_run_is_seen_when_it_is_due() -> None:
+    host = Host().reach(State.ARMED, **SCHEDULED)
+    host.supply(0, [10, 20, 30])
+    host.wait(1 * MS)
+    host.put(Start, k_stop=3)
+    frames: list[tuple[int, bytes]] = []
+
+    while host.device.state is not State.IDLE:
+        at_ns = host.device.visible_ns()
+        assert all(left >= at_ns for left, _ in host.device.advance(at_ns - 1))
+        frames += host.device.advance(at_ns)
+
+    fw = host.device._fw
+    assert (fw.state, fw.cause) == (State.IDLE, Cause.END)
+    assert fw.timer_ns == NEVER
+
+
+@pytest.mark.parametrize("state", [State.READY, State.RUN])
+def test_an_alpha_at_its_rail_is_reported_in_each_sample(state: State) -> None:
+    railed = EmulatorSettings(
+        baud=1_000_000, boot_ms=5.0, adc_noise_v=0.0, alpha_zero_deg=0.0, pwm_bits=0, adc_bits=0
+    )
+    host = Host(railed).reach(state, rail_ticks=2)
+
+    first = host.ask(Exchange, k=1, u=0)
+    second = host.ask(Exchange, k=2, u=0)
+
+    for answers in (first, second):
+        sample = only(Sample, answers)
+        assert sample.flags & Flag.ADC1_RAIL
+        assert not sample.flags & Flag.ADC0_RAIL
+    tripped = [m for m in second if isinstance(m, Event)]
+    assert [m.cause for m in tripped] == ([Cause.ADC_RAIL] if state is State.RUN else [])

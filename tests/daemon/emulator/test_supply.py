@@ -79,3 +79,11 @@ def test_a_supply_that_comes_back_clears_the_flag_and_not_the_fault() -> None:
     assert host.device.state is State.FAULT
     host.ask(Start, k_stop=0)
     assert host.device.state is State.FAULT
+
+
+@pytest.mark.parametrize("state", [State.IDLE, State.READY])
+def test_a_low_supply_at_rest_is_reported_and_is_no_fault(state: State) -> None:
+    host = Host(LOW).reach(state)
+
+    assert only(Sample, host.ask(Exchange, k=2, u=0)).flags & Flag.VCC_LOW
+    assert host.device.state is state
