@@ -121,19 +121,6 @@ def test_a_stall_longer_than_the_watchdog_ends_at_0_v() -> None:
     assert gap.u_held_v == 0.0
 
 
-def test_a_commander_of_setpoints_alone_does_not_feed_the_watchdog() -> None:
-    """S3: 100 ms after the line to the device is cut, with a second of setpoints queued."""
-    bench = Bench()
-    play(bench, telegraph(1000))
-    bench.run_for(2000)
-    bench.ports.to_device = lambda _: b""
-
-    bench.run_for(110)
-
-    assert bench.ports.device.state is DeviceState.FAULT
-    assert bench.volts == 0.0
-
-
 def test_answers_that_do_not_come_stop_a_scheduled_run() -> None:
     """S4: one-way loss; the age limit is the watchdog's, and STOP goes out at once."""
     bench = Bench()

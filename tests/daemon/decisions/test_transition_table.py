@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import pytest
@@ -55,11 +54,11 @@ class Row(NamedTuple):
     """A transition."""
 
     make: Callable[[], Bench]
+    change: dict[str, Any]
+    awaits: tuple[RequestKind, Order | None] | None
     event: Event | Made
     result: str
-    awaits: tuple[RequestKind, Order | None] | None = None
     tries: int = 1
-    change: Mapping[str, Any] = MappingProxyType({})
 
 
 def _frame(message: Any) -> Event:
@@ -108,10 +107,11 @@ def _world(make: Callable[[], Bench]) -> tuple[State, int, HelloReply]:
     return bench.loop.state, bench.ports.now, bench.loop.state.device
 
 
-def _told(decided: Decided) -> str:
-    """Return the phase and the fault, the awaited request, the lease, and the actions in order."""
+def _told(before: State, decided: Decided) -> str:
+    """Return the phase, a new fault, the awaited request, the lease, and the actions in order."""
     state = decided.state
-    fault = f" ({state.fault.id}: {state.fault.cause})" if state.fault else ""
+    is_new = state.fault and state.fault != before.fault
+    fault = f" ({state.fault.id}: {state.fault.cause})" if is_new else ""
     asked = f", awaits {state.asked.want}" if state.asked else ""
     told = [f"{state.phase}{fault}{asked}{', held' if state.lease else ''}"]
     for action in decided.actions:
@@ -119,8 +119,9 @@ def _told(decided: Decided) -> str:
         if isinstance(action, Send):
             told += [f"sends {type(m).__name__}" for m in feed(b"", action.data)[1]]
         elif isinstance(record, Answer):
-            error = "with the fault" if record.error == state.reason else record.error
-            told.append(f"answers {record.order} {error or 'done'}")
+            is_cause = record.error and record.error == state.reason
+            error = "with the fault" if is_cause else record.error or "done"
+            told.append(f"answers {record.order} {error}")
         elif isinstance(record, Log):
             told.append(record.level)
         elif isinstance(record, RunEnded):
@@ -132,97 +133,106 @@ def _told(decided: Decided) -> str:
 
 RUN = ActiveRun("r", codes(1.0), -1)
 IN_FAULT = {"phase": Phase.FAULT, "fault": STALE}
+NONCE = _ack(Device.ARMED, Code.WRONG_NONCE)
 BOOTS = {"EVENT": _boot, "SAMPLE": _sample_after_boot}
 REFUSED = "the device refuses the configuration: UNSUPPORTED"
 UNMET = {"phase": Phase.INIT, "device": None}
 FOUND = {**IN_FAULT, "device": None}
 ROWS: dict[str, Row] = {
     "T1: HELLO is sent again for ever": Row(
-        rested, Wakeup(), "safe, awaits HELLO; sends Hello", (HELLO, None), 1000
+        rested, {}, (HELLO, None), Wakeup(), "safe, awaits HELLO; sends Hello", 1000
     ),
     "a request over a line that is down is given up": Row(
-        rested,
-        Wakeup(),
-        "safe; answers 71 the link is down",
-        (CONFIGURE, ARM),
-        change={"link": None},
+        rested, {"link": None}, (CONFIGURE, ARM), Wakeup(), "safe; answers 71 the link is down"
     ),
     "S6: a STOP without an answer is a fault": Row(
         driven,
+        {"run": RUN},
+        (STOP, None),
         Wakeup(),
         "fault (request: the device does not answer STOP); ends run: ; sends Stop; error; State",
-        (STOP, None),
         5,
-        {"run": RUN},
     ),
     "a STOP without an answer after a trip keeps the fault": Row(
-        rested, Wakeup(), "fault (stale: no answer); error; State", (STOP, None), 5, IN_FAULT
+        rested, IN_FAULT, (STOP, None), Wakeup(), "fault; error; State", 5
     ),
     "a STOP without an answer does not delay the end": Row(
-        driven, Wakeup(), "init; Exit", (STOP, None), 5, {"quitting": True}
+        driven, {"quitting": True}, (STOP, None), Wakeup(), "init; Exit", 5
     ),
     "a STOP that is confirmed ends the daemon": Row(
-        driven, _end, "init; Exit", (STOP, None), change={"quitting": True}
+        driven, {"quitting": True}, (STOP, None), _end, "init; Exit"
     ),
     **{
         f"a refused {want} of an armed rig is a fault": Row(
             armed,
-            _ack(Device.ARMED, Code.WRONG_NONCE),
+            {},
+            (want, SET),
+            NONCE,
             f"fault (request: the device refuses {want}: WRONG_NONCE), awaits STOP; "
             "answers 72 with the fault; sends Stop; error; State",
-            (want, SET),
         )
         for want in (START, ARMING, CONFIGURE)
     },
     "a refused ARM at rest is reported, and HELLO follows": Row(
         rested,
+        {},
+        (ARMING, ARM),
         _ack(Device.READY, 200),
         "safe, awaits HELLO; answers 71 the device refuses ARM: 200; warning; sends Hello",
-        (ARMING, ARM),
     ),
     "ACK(STALE) refuses nothing": Row(
-        rested, _ack(Device.READY, Code.STALE), "safe, awaits ARM", (ARMING, ARM)
+        rested, {}, (ARMING, ARM), _ack(Device.READY, Code.STALE), "safe, awaits ARM"
     ),
     "the ACK of another frame refuses nothing": Row(
         rested,
+        {},
+        (ARMING, ARM),
         _ack(Device.READY, Code.WRONG_STATE, seq=OURS + 1),
         "safe, awaits ARM",
-        (ARMING, ARM),
     ),
     "ACK(OK) without the new state confirms nothing": Row(
-        rested, _ack(Device.READY), "safe, awaits ARM", (ARMING, ARM)
+        rested, {}, (ARMING, ARM), _ack(Device.READY), "safe, awaits ARM"
     ),
     "the new state confirms a request": Row(
-        rested, _ack(Device.ARMED), "armed, held; State; answers 71 with the fault", (ARMING, ARM)
+        rested,
+        {},
+        (ARMING, ARM),
+        _ack(Device.ARMED),
+        "armed, held; State; answers 71 done",
     ),
     "the new state in any frame confirms a request": Row(
         rested,
-        _ack(Device.ARMED, Code.WRONG_STATE, seq=OURS + 1),
-        "armed, held; State; answers 71 with the fault",
+        {},
         (ARMING, ARM),
+        _ack(Device.ARMED, Code.WRONG_STATE, seq=OURS + 1),
+        "armed, held; State; answers 71 done",
     ),
     "S6: a reset continues with CONFIG after STOP": Row(
         rested,
-        _ack(Device.IDLE, kind=Stop),
-        "fault (stale: no answer), awaits CONFIG; sends Config",
+        {**IN_FAULT, "device_state": Device.RUN},
         (STOP, RESET),
-        change={**IN_FAULT, "device_state": Device.RUN},
+        _ack(Device.IDLE, kind=Stop),
+        "fault, awaits CONFIG; sends Config",
     ),
     "S6: STOP alone leaves the fault": Row(
         rested,
-        _ack(Device.IDLE, kind=Stop),
-        "fault (stale: no answer); State",
+        {**IN_FAULT, "device_state": Device.RUN},
         (STOP, None),
-        change={**IN_FAULT, "device_state": Device.RUN},
+        _ack(Device.IDLE, kind=Stop),
+        "fault; State",
     ),
     "a device in FAULT is a fault": Row(
         driven,
+        {},
+        None,
         _any_in(Device.FAULT),
         "fault (device: the device is in FAULT), awaits STOP; sends Stop; error; State",
     ),
     **{
         f"S6: a device that leaves RUN for {name} unasked is a fault": Row(
             driven,
+            {},
+            None,
             _any_in(state),
             f"fault (state: the device is in {name}, which the daemon did not request), "
             "awaits STOP; sends Stop; error; State",
@@ -230,89 +240,75 @@ ROWS: dict[str, Row] = {
         for name, state in {"READY": Device.READY, "IDLE": Device.IDLE, "99": 99}.items()
     },
     "a device that was latched before is not reported again": Row(
-        rested, _any_in(Device.ESTOP), "safe", change={"device_state": Device.ESTOP}
+        rested, {"device_state": Device.ESTOP}, None, _any_in(Device.ESTOP), "safe"
     ),
     "S5: ARM without its order is a fault": Row(
         armed,
+        {"device_state": Device.READY},
+        (ARMING, None),
         _any_in(Device.ARMED),
         "fault (internal: armed without an owner), awaits STOP; sends Stop; error; State",
-        (ARMING, None),
-        change={"device_state": Device.READY},
     ),
     "S5: START without its order is a fault": Row(
         armed,
+        {"device_state": Device.READY},
+        (START, None),
         _any_in(Device.RUN),
         "fault (internal: started without an owner), awaits STOP; sends Stop; error; State",
-        (START, None),
-        change={"device_state": Device.READY},
     ),
     "S5: a start without a lease is a fault": Row(
         armed,
+        {"lease": None},
+        (START, SET),
         _any_in(Device.RUN),
         "fault (internal: started without an owner), awaits STOP; sends Stop; error; State",
-        (START, SET),
-        change={"lease": None},
     ),
     "S3: a device that is found in ARMED is stopped": Row(
-        rested,
-        _hello_r(state=Device.ARMED),
-        "init, awaits STOP; sends Stop",
-        (HELLO, None),
-        change=UNMET,
+        rested, UNMET, (HELLO, None), _hello_r(state=Device.ARMED), "init, awaits STOP; sends Stop"
     ),
     "S3: a device that is found in RUN is stopped": Row(
-        rested,
-        _hello_r(state=Device.RUN),
-        "init, awaits STOP; sends Stop",
-        (HELLO, None),
-        change=UNMET,
+        rested, UNMET, (HELLO, None), _hello_r(state=Device.RUN), "init, awaits STOP; sends Stop"
     ),
     "S3: a device that is found in RUN during a fault is stopped": Row(
-        rested,
-        _hello_r(state=Device.RUN),
-        "fault (stale: no answer), awaits STOP; sends Stop",
-        (HELLO, None),
-        change=FOUND,
+        rested, FOUND, (HELLO, None), _hello_r(state=Device.RUN), "fault, awaits STOP; sends Stop"
     ),
     "a device that is met in FAULT reports its cause": Row(
         rested,
+        UNMET,
+        (HELLO, None),
         _hello_r(state=Device.FAULT, cause=Cause.WATCHDOG),
         f"fault (device: the device is in FAULT: {of_device(Cause.WATCHDOG)}); error; State",
-        (HELLO, None),
-        change=UNMET,
     ),
     "T1: a device that is met again in FAULT is reported in the state": Row(
         rested,
-        _hello_r(state=Device.FAULT),
-        "fault (device: the device is in FAULT); State",
+        {**FOUND, "fault": Fault(Id.DEVICE, "the device is in FAULT")},
         (HELLO, None),
-        change={**FOUND, "fault": Fault(Id.DEVICE, "the device is in FAULT")},
+        _hello_r(state=Device.FAULT),
+        "fault; State",
     ),
     "S6: a device that is met in a fault resets nothing": Row(
-        rested, _hello_r(), "fault (stale: no answer); State", (HELLO, None), change=IN_FAULT
+        rested, IN_FAULT, (HELLO, None), _hello_r(), "fault; State"
     ),
     "S6: a reset configures the device that is met": Row(
-        rested,
-        _hello_r(),
-        "fault (stale: no answer), awaits CONFIG; sends Config",
-        (HELLO, RESET),
-        change=IN_FAULT,
+        rested, IN_FAULT, (HELLO, RESET), _hello_r(), "fault, awaits CONFIG; sends Config"
     ),
     "a duty of 1 bit can be driven": Row(
-        rested, _hello_r(pwm_bits=1), "safe, awaits CONFIG; sends Config", (HELLO, None)
+        rested, {}, (HELLO, None), _hello_r(pwm_bits=1), "safe, awaits CONFIG; sends Config"
     ),
     "a duty of 16 bits can be driven": Row(
-        rested, _hello_r(pwm_bits=16), "safe, awaits CONFIG; sends Config", (HELLO, None)
+        rested, {}, (HELLO, None), _hello_r(pwm_bits=16), "safe, awaits CONFIG; sends Config"
     ),
     **{
         f"T1: a device at rest that boots is met again ({by})": Row(
-            rested, event, "init, awaits HELLO; warning; State; sends Hello"
+            rested, {}, None, event, "init, awaits HELLO; warning; State; sends Hello"
         )
         for by, event in BOOTS.items()
     },
     **{
         f"S6: a device in RUN that boots is a fault ({by})": Row(
             driven,
+            {},
+            None,
             event,
             "fault (reset: the device was reset), awaits HELLO; "
             "sends Stop; error; State; sends Hello",
@@ -320,56 +316,61 @@ ROWS: dict[str, Row] = {
         for by, event in BOOTS.items()
     },
     "a boot leaves a latched fault": Row(
-        rested, _boot, "fault (stale: no answer), awaits HELLO; sends Hello", change=IN_FAULT
+        rested, IN_FAULT, None, _boot, "fault, awaits HELLO; sends Hello"
     ),
     "CONFIG that is refused at rest is a fault": Row(
         rested,
+        {},
+        (CONFIGURE, None),
         _config_r(code=Code.UNSUPPORTED),
         f"fault (request: {REFUSED}); error; State",
-        (CONFIGURE, None),
     ),
     "CONFIG that is refused at a reset answers the reset": Row(
         rested,
+        {},
+        (CONFIGURE, RESET),
         _config_r(code=Code.UNSUPPORTED),
         f"fault (request: {REFUSED}); answers 8 with the fault; error; State",
-        (CONFIGURE, RESET),
     ),
     "CONFIG that is refused for an arming is reported, and HELLO follows": Row(
         rested,
+        {},
+        (CONFIGURE, ARM),
         _config_r(code=Code.BAD_VALUE),
         "safe, awaits HELLO; answers 71 the device refuses the configuration: BAD_VALUE; "
         "warning; sends Hello",
-        (CONFIGURE, ARM),
     ),
     **{
         f"{type(order).__name__} is done though CONFIG is refused": Row(
             rested,
+            {},
+            (CONFIGURE, order),
             _config_r(code=Code.UNSUPPORTED),
             f"fault (request: {REFUSED}); answers 5 done; error; State",
-            (CONFIGURE, order),
         )
         for order in (pipe.Stop(order=5), pipe.Disarm(order=5, lease=LEASE, n=1))
     },
     "S6: a link that goes at rest is no fault": Row(
-        rested, LinkDown("unplugged"), "init; warning; State"
+        rested, {}, None, LinkDown("unplugged"), "init; warning; State"
     ),
     "S6: a link that goes in a fault leaves the fault": Row(
-        rested, LinkDown("unplugged"), "fault (stale: no answer); warning; State", change=IN_FAULT
+        rested, IN_FAULT, None, LinkDown("unplugged"), "fault; warning; State"
     ),
     "a link that goes does not delay the end": Row(
-        driven, LinkDown("unplugged"), "init; Exit", change={"quitting": True}
+        driven, {"quitting": True}, None, LinkDown("unplugged"), "init; Exit"
     ),
     "a daemon whose service is gone stops": Row(
-        driven, ServiceGone(), "active, awaits STOP, held; sends Stop"
+        driven, {}, None, ServiceGone(), "active, awaits STOP, held; sends Stop"
     ),
     "S4: no KEEPALIVE in a fault while the device drives": Row(
-        driven, Wakeup(), "fault (stale: no answer), held", change=IN_FAULT
+        driven, IN_FAULT, None, Wakeup(), "fault, held"
     ),
     "KEEPALIVE in a fault once the device is at rest": Row(
         driven,
+        {**IN_FAULT, "device_state": Device.IDLE},
+        None,
         Wakeup(),
-        "fault (stale: no answer), held; sends Keepalive",
-        change={**IN_FAULT, "device_state": Device.IDLE},
+        "fault, held; sends Keepalive",
     ),
 }
 
@@ -385,4 +386,4 @@ def test_a_transition_of_the_core(rule: str) -> None:
             state = changed(state, asked=state.asked._replace(ts_us=10_000))
     event = row.event(state, device) if callable(row.event) else row.event
 
-    assert _told(Decided(state, now_ns, event)) == row.result
+    assert _told(state, Decided(state, now_ns, event)) == row.result

@@ -16,7 +16,6 @@ from armrig_protocol.messages import (
     SCHEMA_HASH,
     VERSION,
     Arm,
-    Capability,
     Cause,
     ClearFault,
     Code,
@@ -73,16 +72,6 @@ def test_boot_ends_in_idle_and_says_so() -> None:
     assert events([event]) == [(State.BOOT, State.IDLE, Cause.POWER_ON)]
 
 
-def test_what_comes_during_boot_is_thrown_away() -> None:
-    device = Device(QUIET, 0)
-    device.receive(0, frame.encode(Hello(0, 1, 1, SCHEMA_HASH)))
-    device.receive(5 * MS - 80 * US, frame.encode(Hello(0, 2, 1, SCHEMA_HASH)))
-
-    replies = device.advance(50 * MS)
-
-    assert len(replies) == 2
-
-
 def test_at_the_end_of_boot_the_byte_in_progress_is_the_first_that_is_heard() -> None:
     ping = frame.encode(Ping(0, 1, 7))
     for gone, answers, spoilt in (
@@ -125,18 +114,6 @@ def test_no_two_boots_in_a_row_have_the_same_low_half() -> None:
     device.reset(1 * MS)
 
     assert device._boot_id == 5 << 16 | (low ^ 1)
-
-
-def test_hello_reports_the_properties_of_the_device() -> None:
-    reply = Host(EmulatorSettings(baud=BAUD)).hello()
-
-    can = Capability.EXCHANGE | Capability.SCHEDULED | Capability.CAL | Capability.ENABLE_LINE
-    assert reply.capabilities == can
-    assert reply.queue == 512
-    assert (reply.version, reply.schema) == (VERSION, SCHEMA_HASH)
-    assert (reply.skew_us, reply.hold_us, reply.ts_min_us) == (104, 12, 208)
-    assert (reply.adc_bits, reply.pwm_bits, reply.full_scale_mv) == (10, 10, 5000)
-    assert (reply.token, reply.cause) == (0, Cause.POWER_ON)
 
 
 # ------------------------------------------------------------------ nonces

@@ -11,8 +11,6 @@ from armrig_daemon.emulator.sensors import mean
 from armrig_protocol.messages import (
     Cal,
     CalReply,
-    Code,
-    Config,
     Exchange,
     Flag,
     Hello,
@@ -20,20 +18,17 @@ from armrig_protocol.messages import (
     Sample,
     Start,
     State,
-    Stop,
 )
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.daemon.emulator.emulated_host import (
-    CONFIG,
     CONVERSION_NS,
     HOLD_NS,
     MS,
     SAMPLE_NS,
     US,
     Host,
-    codes,
     only,
 )
 
@@ -92,23 +87,6 @@ def test_the_timer_s_tick_is_theta_1_s_last_trigger(m: int) -> None:
     assert not any(one.flags & Flag.TICK_LATE for one in got)
 
 
-def test_a_sample_has_the_oversampling_in_force_when_it_begins() -> None:
-    host = Host().reach(State.READY, ts_us=5000, oversampling=4)
-    read = reading(host, [1000] * 20, [2000] * 20)
-    host.put(Exchange, k=1, u=0)
-    host.put(Config, **{**CONFIG, "ts_us": 5000, "oversampling": 2})
-    host.wait(3 * MS)
-    assert len(read) == 8
-
-    host.put(Exchange, k=2, u=0)
-    host.put(Stop)
-    host.wait(3 * MS)
-    assert len(read) == 12
-
-    host.ask(Exchange, k=3, u=0)
-    assert len(read) == 14
-
-
 def test_no_mean_is_made_across_the_dead_band() -> None:
     assert mean([65_000, 64_900, 0, 700]) == 700
     assert mean([64_900, 0, 0]) == 0
@@ -158,17 +136,6 @@ def test_the_variance_is_bounded_and_that_of_one_reading_is_0() -> None:
     """2^32 - 1 is the maximum of the field."""
     assert statistics([0, 65_535]).variance_256 == 2**32 - 1
     assert statistics([7]) == (7 * 256, 0, 7, 7)
-
-
-def test_while_a_sample_is_converted_cal_is_refused() -> None:
-    host = Host()
-    host.put(Exchange, k=1, u=0)
-    host.put(Cal, channel=0, zero=0, n=1)
-
-    came = host.wait(3 * MS)
-
-    assert codes(came) == [Code.WRONG_STATE]
-    assert only(Sample, came).flags & Flag.TICK_LATE == 0
 
 
 def test_cal_under_way_is_lost_by_a_reset() -> None:
