@@ -176,13 +176,10 @@ def odd_signs() -> None:
     run = Run(lease="a" * 32, n=3, u=[1.0], dead_man=2.5)
     there = client_watchdog.begun(run, 100.0)
     print(there.gone_s, client_watchdog.begun(replace(run, dead_man=None), 100.0).gone_s)
-    for sign in (
-        Renew(lease="a" * 32, n=4),
-        Renew(lease="b" * 32, n=5),
-        Renew(lease="a" * 32, n=4),
-    ):
+    for lease, n, has_run in (("a", 4, True), ("b", 5, True), ("a", 4, True), ("a", 5, False)):
         try:
-            there = client_watchdog.renewed(there, sign, 101.25)
+            sign = Renew(lease=lease * 32, n=n)
+            there = client_watchdog.renewed(there if has_run else None, sign, 101.25)
             print(there.gone_s)
         except ValueError as err:
             print(err)
@@ -196,7 +193,7 @@ def odd_questions() -> None:
         while (after := token_bucket.take(bucket, now_s)) is not None:
             bucket, taken = after, taken + 1
         print(now_s, taken)
-    print(token_bucket.refusal("status").error)
+    print(token_bucket.refusal("status"))
 
 
 def odd_history() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from armrig.lab import pki
-from armrig_core.access_control import at_router, of_router, remote, size_limits
+from armrig_core.access_control import remote, size_limits
 from armrig_core.access_list import AccessList
 from armrig_core.credential import read_credential
 from armrig_core.errors import InputError
@@ -192,42 +192,6 @@ def test_what_is_not_allowed_is_denied() -> None:
         assert subject == {"id": name, "cert_common_names": [name]}
         assert policy["subjects"] == [name]
         assert set(policy["rules"]) == {*shared, f"{name} asks", f"{name} is answered"}
-
-
-def test_a_rig_at_a_router_is_itself_alone() -> None:
-    people = AccessList(operators=("alice",), rigs=("rig-1", "rig-2"), revoked=("rig-3",))
-
-    control = of_router(people)
-
-    assert (control["enabled"], control["default_permission"]) == (True, "deny")
-    rules = {rule["id"]: rule for rule in control["rules"]}
-    [policy] = [policy for policy in control["policies"] if policy["subjects"] == ["rig-2"]]
-    said = {
-        key
-        for rule in map(rules.__getitem__, policy["rules"])
-        if rule["flows"] == ["ingress"]
-        for key in rule["key_exprs"]
-    }
-    assert {key.split("/")[1] for key in said} == {"2"}
-    assert {"rig/2/sample", "rig/2/history", "rig/2/alive", "rig/2/cmd/*/*"} <= said
-    assert "rig-3" not in str(control)
-
-
-def test_a_router_sends_a_rig_requests_alone() -> None:
-    control = at_router("1")
-
-    assert control["default_permission"] == "deny"
-    assert {subject["id"] for subject in control["subjects"]} == {"router"}
-    taken = {
-        message: rule["key_exprs"]
-        for rule in control["rules"]
-        if rule["flows"] == ["ingress"]
-        for message in rule["messages"]
-    }
-    assert taken == {
-        "declare_subscriber": ["rig/*/*"],
-        "query": ["rig/1/schema/**", "rig/1/history", "rig/1/cmd/*/*"],
-    }
 
 
 def test_a_router_needs_the_certificate_of_this_rig(files: dict[str, str], tmp_path: Path) -> None:

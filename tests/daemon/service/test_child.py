@@ -81,25 +81,6 @@ def _frames_of(master: int, least: int) -> list[Received]:
     return frames
 
 
-def test_the_loop_is_the_child_of_a_thread_that_only_waits(device: tuple[int, str]) -> None:
-    child = _started(device[1])
-    tasks = Path("/proc/self/task")
-
-    [of] = [t.name for t in tasks.iterdir() if str(child._process.pid) in _children(t)]
-    waited = child.starter.is_alive()
-    child.kill()
-    child.end()
-
-    assert int(of) == child.starter.number
-    assert (waited, child.starter.is_alive()) == (True, False)
-
-
-def _children(task: Path) -> list[str]:
-    with suppress(OSError):  # the thread has ended since it was listed
-        return (task / "children").read_text().split()
-    return []
-
-
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_to_the_loop_alone_ends_it_in_good_order(
     child: LoopChild, number: signal.Signals

@@ -24,18 +24,6 @@ def asked(history: History, first: int) -> tuple[int, list[bytes]]:
     return past.first, [data for _, data in past.messages]
 
 
-def test_messages_are_given_from_a_number_on() -> None:
-    history = History(LIFE)
-    for k in range(5):
-        history.add("sample", bytes([k]))
-
-    assert asked(history, 0) == (0, [bytes([k]) for k in range(5)])
-    assert asked(history, 3) == (3, [b"\x03", b"\x04"])
-    assert asked(history, 5) == (5, [])
-    assert asked(history, 99) == (5, [])
-    assert decode_past(history.reply(0, -7))[:3] == (LIFE, 0, -7)
-
-
 @pytest.mark.parametrize("most_bytes", [90, 100, 119])
 def test_no_more_is_kept_than_allowed(most_bytes: int) -> None:
     history = History(LIFE, most_bytes=most_bytes)

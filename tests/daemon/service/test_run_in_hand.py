@@ -16,7 +16,7 @@ from armrig_core.manifest import OUTCOME, RUN, manifest_of, outcome_of
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recording_part import EndsHereError, Part
 from armrig_core.telemetry import Sample, encode_sample
-from armrig_daemon.config import Config, Limits, Recording
+from armrig_daemon.config import Config, Recording
 from armrig_daemon.pipe import Gap, Log, RunStarted, State
 from armrig_daemon.service.host_facts import HostFacts
 from armrig_daemon.service.protobuf_out import outgoing
@@ -180,27 +180,6 @@ def test_a_recording_that_would_fill_the_disk_is_not_begun(
         with pytest.raises(ValueError, match="3 MB free, 3 MB needed; free disk space"):
             runs.plan(request, 0.01)
     assert runs.is_idle != fits
-
-
-def test_the_first_step_is_one_from_0_v(tmp_path: Path) -> None:
-    runs = Runs(Config(limits=Limits(slew_v=0.5)), tmp_path, lambda: None)
-
-    with pytest.raises(ValueError, match=r"u\[0\] steps by 1 V: at most 0.5 V"):
-        runs.plan(REQUEST, 0.01)
-
-
-def test_an_event_before_the_first_sample_is_of_its_time_at_the_latest(runs: Runs) -> None:
-    path = _begin(runs)
-    sample = Sample(FIRST, T_NS, T_NS + 9, FIRST, 0.1, 0.2, 1.0, 1.0, 1, 2, 3)
-    told = outgoing(STATE, 0)._replace(t_host_ns=T_NS + 3, t_sched_ns=T_NS + 3)
-
-    runs.add([told, Outgoing("sample", T_NS + 9, T_NS, FIRST, encode_sample(sample))])
-    runs.end(COMPLETE)
-    runs.finished(30)
-
-    with path.with_suffix("").open("rb") as file:
-        times = [m.log_time for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
-    assert times == [T_NS, T_NS + 9]
 
 
 def _note(text: str) -> Outgoing:

@@ -19,7 +19,7 @@ import pytest
 from armrig.rig.session import open_session
 from armrig_core import protobuf
 from armrig_core.calibration import Calibration, Made, Potentiometer
-from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode, RefusalCode
+from armrig_core.codes import Ending, GapCode, OutcomeCode, RefusalCode
 from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop, refused
 from armrig_core.commands import Calibrate as AskedCalibrate
 from armrig_core.commands import Reset as AskedReset
@@ -172,13 +172,6 @@ def _sample(k: int) -> bytes:
     return encode_sample(Sample(k, k + 1, k + 1, k, 0.1, 0.2, 1.0, 1.0, 1, 2, 3))
 
 
-def test_the_loop_hears_from_the_service_each_second(between: Between) -> None:
-    """Otherwise the loop takes the service for frozen, and stops the motor."""
-    between.service._each_second()
-
-    assert between.loop.orders() == [Alive()]
-
-
 def test_the_loop_hears_from_the_service_while_a_run_is_planned(between: Between) -> None:
     """Millions of samples take longer than a frozen service may be silent."""
     between.ask(RUN)
@@ -238,14 +231,6 @@ def test_a_lease_that_the_loop_has_ended_lets_nobody_in(between: Between) -> Non
 
     between.service._handle([FREE])
     assert between.service._session.lease == b""
-
-
-def test_a_sampling_time_that_the_wire_cannot_carry_is_not_armed_with(between: Between) -> None:
-    with pytest.raises(ValueError, match=r"Ts=0\.0001 s cannot be carried"):
-        between.commands._ts_us(0.0001)
-    with pytest.raises(ValueError, match="a whole number of microseconds"):
-        between.commands._ts_us(0.0050005)
-    assert between.commands._ts_us(0.005) == 5000
 
 
 def test_a_sampling_time_that_holds_no_oversampled_reading_is_not_armed_with(
@@ -363,18 +348,6 @@ def test_a_loop_that_still_loads_has_more_time_to_end(
     ended_s = time.monotonic()
 
     assert began_s + within_s <= between.service._kill_at <= ended_s + within_s
-
-
-def test_a_signal_that_comes_with_the_loop_s_end_is_an_end_in_good_order(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Ctrl-C reaches both processes, so the loop may end first."""
-    monkeypatch.setattr(between.loop.child, "records", lambda: signal.raise_signal(signal.SIGINT))
-    os.write(between.loop.records_fd, b"the end")
-
-    between.service._serve()
-
-    assert between.service._quitting
 
 
 def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(
@@ -539,33 +512,6 @@ def _calibrated(between: Between) -> Any:
         Calibrate(order=1, calibration=msgspec.structs.replace(MEASURED, made=None))
     ]
     return replies
-
-
-def test_a_calibration_is_in_force_once_the_loop_has_taken_it(
-    between: Between, tmp_path: Path
-) -> None:
-    before = between.service._rig.status(None)
-    replies = _calibrated(between)
-    assert between.service._rig.status(None) == before
-
-    between.service._handle([Answer(order=1, body={"done": True})])
-    between.begin_run()
-    between.service._runs.end(COMPLETE)
-    between.service._say_finished(60.0)
-
-    assert next(iter(replies)).ok is not None
-    status = between.service._rig.status(None)
-    digest = hashlib.sha256(msgspec.json.encode(MEASURED)).hexdigest()
-    assert "sent by `armrig calibrate`, made 2026-11-20" in status.calibration
-    assert status.calibration_sha256 == digest
-    (path,) = tmp_path.glob("*.mcap")
-    with path.open("rb") as file:
-        reader = make_reader(file)
-        attached = {a.name: a.data for a in reader.iter_attachments()}
-        (of_run,) = (m.metadata for m in reader.iter_metadata() if m.name == OF_RUN)
-    assert msgspec.json.decode(attached[CALIBRATION], type=Calibration) == MEASURED
-    assert attached[CALIBRATION_RAW] == b"raw"
-    assert manifest_of(of_run).calibration_sha256 == digest
 
 
 def test_of_two_calibrations_the_second_is_in_force(between: Between, tmp_path: Path) -> None:

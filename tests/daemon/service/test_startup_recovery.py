@@ -55,27 +55,6 @@ def test_each_is_recovered_or_reported_and_none_keeps_the_others(tmp_path: Path)
     assert list(left_over.lines()) == []  # each is said once
 
 
-@pytest.mark.parametrize("whose", ["another user", "another rig"])
-def test_what_is_another_s_stays_as_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whose: str
-) -> None:
-    if whose == "another user":
-        data, user = DATA, os.geteuid()
-        monkeypatch.setattr(os, "geteuid", lambda: user + 1)
-    else:
-        data = recorded([sample(0)], manifest=manifest(rig="1-b"), outcome=None)
-    left = written(tmp_path, data, "1-b-x.mcap.active")
-    left_over = StartupRecovery(tmp_path, "1", lambda: None)
-
-    left_over.start()
-    left_over.join(30)
-
-    lines = [line.text for line in left_over.lines()]
-    told = f"{left}: another user's file; it is skipped"
-    assert lines == ([told] if whose == "another user" else [])
-    assert left.read_bytes() == data
-
-
 def test_it_rests_while_a_run_is_in_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written(tmp_path, DATA, "1-a.mcap.active")
     left_over = StartupRecovery(tmp_path, "1", lambda: None)
