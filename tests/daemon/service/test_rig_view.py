@@ -66,14 +66,12 @@ def test_alpha_at_the_end_of_its_range_keeps_from_arming_where_there_is_one(
     assert refusal is None or refusal.error.startswith("alpha reads 0 of 65535")
 
 
-def test_a_second_s_timing_is_published_with_what_the_machine_was_doing(
-    rig: RigView, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_second_s_timing_is_published_with_what_the_machine_was_doing(rig: RigView) -> None:
     none = Distribution(p50=0, p90=0, p99=0, p999=0, max=0, n=0, missed=0)
     loop = dict.fromkeys(
         ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth"), none
     )
-    monkeypatch.setattr(rig, "_pressure", SimpleNamespace(read=lambda: (12.5, 3)))
+    rig._pressure = SimpleNamespace(read=lambda: (12.5, 3))  # type: ignore[assignment]
 
     published = rig.note_timing(Timing(t_host_ns=1, **loop))
 
