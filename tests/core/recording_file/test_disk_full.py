@@ -9,28 +9,21 @@ import shutil
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import armrig
 import pytest
 from armrig.recordings.verification import verify
-from armrig_core.codes import COMPLETE, Ending, OutcomeCode
-from armrig_core.manifest import Manifest
+from armrig_core.codes import Ending, OutcomeCode
 from armrig_core.recording_file import recorder, recording_part
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
 from armrig_core.recording_file.recovery import Recovery
-from armrig_core.telemetry import Sample, encode_sample
 
+from tests.core.recording_file.made import begun, finished, sample, until
 from tests.daemon.failing_disk import Disk
 
-MANIFEST = Manifest(
-    **{"rig": "1", "run_id": "r", "experiment": "test", "details": {}, "Ts": 0.01},
-    **{"samples": 100_000, "k_first": 0, "started": "2026-01-01T00:00:00+00:00"},
-    **{"clock_offset_ns": 10**18, "armrig": "0", "protocol": "1"},
-)
-WITHIN_S = 30.0
+STOPPED = Ending(OutcomeCode.STOPPED, "stopped")
 ENDED = "its recording ended: No space left on device"
 
 
@@ -38,11 +31,14 @@ def _samples(first: int, end: int) -> list[Outgoing]:
     """Return samples that do not pack well, as a rig's do not."""
     batch = []
     for k in range(first, end):
-        t_ns, noise = k * 10_000_000, (k * 2_654_435_761) % 2**32
+        noise = (k * 2_654_435_761) % 2**32
         readings = noise % 65536, noise // 65536
-        data = encode_sample(Sample(k, t_ns, t_ns + 5, k, noise, 0.2, 1.0, 1.0, *readings, 3))
-        batch.append(Outgoing("sample", t_ns + 5, t_ns, k, data))
+        batch.append(sample(k, theta_1=noise, counts=readings))
     return batch
+
+
+def _begun(path: Path, changed: threading.Event | None = None) -> Recording:
+    return begun(path, changed, files={}, samples=100_000, k_first=0)
 
 
 def _until_it_fails(recording: Recording, changed: threading.Event) -> None:
@@ -74,12 +70,9 @@ sys.path[:0] = {path!r}
 import tests.core.recording_file.test_disk_full as here
 folder = Path(sys.argv[1])
 changed = threading.Event()
-recording = here.Recording(
-    folder / "run.mcap", here.MANIFEST, {{}}, t_first_ns=5, changed=changed.set
-)
+recording = here._begun(folder / "run.mcap", changed)
 here._until_it_fails(recording, changed)
-recording.finish(here.Ending(here.OutcomeCode.STOPPED, "stopped"))
-recording.join(30)
+here.finished(recording, here.STOPPED)
 here._check(folder / "run.mcap", recording.synced, recording.error)
 print(json.dumps({{"synced": recording.synced, "names": sorted(p.name for p in folder.iterdir())}}))
 """
@@ -117,20 +110,14 @@ def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
     changed = threading.Event()
     disk = Disk(kind, 3)
     with disk.installed():
-        recording = Recording(
-            disk.path(tmp_path / "run.mcap"), MANIFEST, {}, t_first_ns=5, changed=changed.set
-        )
+        recording = _begun(disk.path(tmp_path / "run.mcap"), changed)
         for k in range(0, 300, 100):
             recording.add(_samples(k, k + 100))
-            until_s = time.monotonic() + WITHIN_S
-            while recording._flushed < k + 100 and not disk.failed:
-                assert time.monotonic() < until_s, "the samples are not written"
-                changed.wait(0.01)
+            until(lambda k=k: recording._flushed >= k + 100 or disk.failed)
             if disk.failed:
                 break
         recording.add(_samples(10_000, 10_100))  # no hole in silence: nothing more is written
-        recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
-        recording.join(30)
+        finished(recording, STOPPED)
 
     assert disk.failed == 1
     _check(tmp_path / "run.mcap", recording.synced, recording.error)
@@ -141,11 +128,9 @@ def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
 def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    changed = threading.Event()
-    recording = Recording(tmp_path / "run.mcap", MANIFEST, {}, t_first_ns=5, changed=changed.set)
+    recording = _begun(tmp_path / "run.mcap")
     recording.add(_samples(0, 100))
-    while not recording._flushed:
-        changed.wait(0.01)
+    until(lambda: recording._flushed)
     fails = threading.Event()
 
     def failing(self: recording_part.Part) -> None:
@@ -156,8 +141,7 @@ def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
     monkeypatch.setattr(recording_part.Part, "_write_pending", failing)
     recording.add(_samples(100, 200))
     assert fails.wait(30)
-    recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
-    recording.join(30)
+    finished(recording, STOPPED)
     monkeypatch.undo()
 
     left = tmp_path / "run.mcap.active"
@@ -176,11 +160,9 @@ def test_a_run_that_ended_just_before_the_disk_was_full_is_complete(
     monkeypatch.setattr(recorder, "FLUSH_S", 60.0)
     disk = Disk("write", n)
     with disk.installed():
-        path = disk.path(tmp_path / "run.mcap")
-        recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=lambda: None)
+        recording = _begun(disk.path(tmp_path / "run.mcap"))
         recording.add(_samples(0, 100))
-        recording.finish(COMPLETE)
-        recording.join(30)
+        finished(recording)
 
     assert (disk.failed, recording.error) == (1, "")
     loaded = armrig.load(tmp_path / "run.mcap")
@@ -201,13 +183,12 @@ def test_a_full_disk_is_reported_before_the_file_is_written_again(
     monkeypatch.setattr(recording_part, "compact", slow)
     disk = Disk("write", 2)
     with disk.installed():
-        path = disk.path(tmp_path / "run.mcap")
-        recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=changed.set)
+        recording = _begun(disk.path(tmp_path / "run.mcap"), changed)
         recording.add(_samples(0, 100))
         assert changed.wait(30)
         assert "No space left on device" in recording.error
         assert not recording.done
-        recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
+        recording.finish(STOPPED)
         go_on.set()
         recording.join(30)
 
