@@ -7,10 +7,7 @@ import pytest
 from tests.words import (
     module_findings,
     page_findings,
-    read_table,
-    risen,
     script_findings,
-    table,
 )
 
 LONG = "The " + "very " * 29 + "end."
@@ -96,12 +93,3 @@ def test_a_finding_names_its_line() -> None:
     text = "# Title\n\nA sentence. Another\none.\n\n```\ncode\n```\n\nIt was told.\n"
 
     assert [finding.line for finding in page_findings(text)] == [10]
-
-
-def test_a_number_may_only_fall() -> None:
-    """Also that of a room which the table lacks, whose number is 0."""
-    stored = read_table("# room phrase long first\ndocs 2 1 0\n")
-    found = read_table("docs 1 2 0\nclients/armrig/new 0 0 1\n")
-
-    assert risen(found, stored) == [("clients/armrig/new", "first"), ("docs", "long")]
-    assert read_table(table(found & stored)) == read_table("docs 1 1 0\n")
