@@ -311,60 +311,6 @@ def test_what_must_be_corrected_is_reported_in_one_line_and_not_tried_again(
     assert re.match(line, errors[0])
 
 
-def test_two_units_on_one_port_leave_the_first_in_its_run(rig: Rig) -> None:
-    machine = rig.machine
-    machine.write(Path("/etc/armrig/4.toml"), machine.path("/etc/armrig/1.toml").read_text())
-    rig.drive()
-
-    lines, left = _refused(machine, "4")
-
-    assert left == GIVEN_UP
-    (error,) = (line for line in lines if line.startswith("3 "))
-    assert (
-        "/run/rig1/tty cannot be opened: it is in use by another program, maybe another rig's"
-        in error
-    )
-    assert rig.phase() == "active", rig.status()
-
-
-def test_a_port_that_is_not_there_is_waited_for(machine: Machine) -> None:
-    machine.write(Path("/etc/armrig/5.toml"), '[device]\nport = "/dev/armrig-none"\n')
-    machine.systemctl("start", "armrigd@5")
-    wait_for(lambda: "no rig is connected" in _status_of(machine, "5"))
-
-    told = [line["MESSAGE"] for line in machine.journal("armrigd@5.service")]
-
-    assert sum("/dev/armrig-none cannot be opened: it is not there; plug" in t for t in told) == 1
-    machine.systemctl("stop", "armrigd@5")
-
-
-def _status_of(machine: Machine, rig: str) -> str:
-    return machine.shown(f"armrigd@{rig}.service", "StatusText")["StatusText"]
-
-
-def test_a_full_disk_ends_the_run_and_not_the_service(rig: Rig) -> None:
-    machine, before = rig.machine, len(rig.said())
-    machine.systemctl("stop", rig.unit)
-    machine.run("mount", "-t", "tmpfs", "-o", "size=5m,mode=0750", "tmpfs", "/var/lib/armrig")
-    machine.run("chown", "armrig:armrig", "/var/lib/armrig")
-    try:
-        rig.start()
-        rig.drive()
-        machine.run("sh", "-c", "cat /dev/zero > /var/lib/armrig/full 2>/dev/null || true")
-        wait_for(lambda: rig.phase() != "active" and _errors(rig, before))
-
-        assert _is_at_rest(rig)
-        assert _restarts(rig) == 0
-        (error,) = _errors(rig, before)
-        assert error.endswith(
-            "No space left on device; the recording ended early; all samples "
-            "until then are in the file; free disk space"
-        )
-    finally:
-        machine.systemctl("stop", rig.unit)
-        machine.run("umount", "/var/lib/armrig")
-
-
 def test_a_folder_that_cannot_be_written_is_reported_at_the_start(rig: Rig) -> None:
     machine = rig.machine
     folder = "/srv/recordings"
