@@ -105,16 +105,6 @@ def test_a_file_that_is_no_calibration_is_refused(text: str, said: str, tmp_path
     assert str(path) in str(refused.value)
 
 
-def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
-    path, plain = tmp_path / "c.toml", replace(MEASURED, made=None)
-    path.write_text(toml_of(plain), encoding="utf-8-sig")
-
-    assert read_calibration(path) == plain
-    path.write_text(toml_of(plain), encoding="utf-16")
-    with pytest.raises(FileError, match=r"toml: it is saved as UTF-16: save it as"):
-        read_calibration(path)
-
-
 TOO_MANY = {f"figure_{n}": Figure(value=1.0, std=0.1) for n in range(500)}
 
 

@@ -70,11 +70,8 @@ def test_contributing_names_a_function_for_each_hop() -> None:
     [
         "`clients/armrig/gone.py`",
         "`tests/gone/`",
-        "`tests/gone.toml`",
-        "`clients/armrig/models/fit.py: gone`",
         "`clients/armrig/models/fit.py: Fit.gone`",
         "`firmware_protocol/firmware/core/rig_motor.c: gone`",
-        "`make gone`",
         "```\nmake gone\n```",
     ],
 )

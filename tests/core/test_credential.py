@@ -43,15 +43,6 @@ def _written(path: Path, text: str) -> Path:
     return path
 
 
-def test_a_credential_contains_its_owner_and_its_end(authority: Path) -> None:
-    issued = pki.issue_to_person(authority, "alice", "operators", days=30)
-
-    found = read_credential(issued.path, "client")
-
-    assert found.name == "alice"
-    assert found.expires == issued.expires
-
-
 def test_the_certificates_between_its_own_and_the_authority_s_are_sent_along(
     authority: Path, tmp_path: Path
 ) -> None:

@@ -14,15 +14,11 @@ HOSTILE = "\x1b]0;title\x07\x1b[2J\r\x9b31m\u202eabc\u200b\x7f\x00\ud800"
 
 def test_what_prints_stays_as_it_is() -> None:
     assert printable("Zoë Ångström, 陈 [red] α\\n") == "Zoë Ångström, 陈 [red] α\\n"
+    assert printable("a\nb\r", keep="\n") == "a\nb\\r"
 
 
 def test_what_does_not_print_is_escaped() -> None:
     assert printable(HOSTILE) == (r"\x1b]0;title\x07\x1b[2J\r\x9b31m\u202eabc\u200b\x7f\x00\ud800")
-
-
-def test_line_breaks_are_kept_where_they_are_ours() -> None:
-    assert printable("a\nb\r", keep="\n") == "a\nb\\r"
-    assert printable("a\nb") == r"a\nb"
 
 
 @given(st.text(st.characters(exclude_categories=["Cs"])))

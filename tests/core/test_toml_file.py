@@ -60,6 +60,3 @@ def test_a_file_is_refused_with_the_reader_s_words(tmp_path: Path) -> None:
     path.write_text("a = ")
     with pytest.raises(FileError, match=r"not a TOML file: Invalid value \(at end of document\)"):
         read_toml(path, 100)
-    path.write_text("a = 1", encoding="utf-16")
-    with pytest.raises(FileError, match="it is saved as UTF-16: save it as UTF-8"):
-        read_toml(path, 100)

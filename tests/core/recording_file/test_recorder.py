@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode
-from armrig_core.manifest import OUTCOME, RUN, outcome_of
+from armrig_core.manifest import OUTCOME, outcome_of
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.recorder import PartLimits, RecordingError
@@ -77,18 +77,6 @@ def test_a_number_that_no_longer_fits_into_its_field_costs_nothing(tmp_path: Pat
 def test_it_flushes_ten_times_a_second() -> None:
     """As docs/telemetry.md says."""
     assert recorder.FLUSH_S == 0.1
-
-
-def test_what_was_flushed_is_on_the_disk_before_the_end(tmp_path: Path) -> None:
-    """L1: a reader of the unfinished file finds manifest and samples, though nothing was closed."""
-    recording = begun(tmp_path / "run.mcap")
-    header = recording.active.stat().st_size
-    assert RUN.encode() in recording.active.read_bytes()  # before any sample
-
-    recording.add([sample(k) for k in range(50)])
-    until(lambda: recording.active.stat().st_size > header)
-
-    finished(recording)
 
 
 @pytest.mark.parametrize("way", ["file", "folder", "folder above"])
@@ -192,20 +180,6 @@ def test_a_rewriting_that_takes_too_long_costs_no_sample(
     recording._thread.join(30)
 
 
-def test_a_writer_that_waits_for_messages_is_given_up_too(tmp_path: Path) -> None:
-    recording = begun(tmp_path / "run.mcap")
-    recording.samples = 9  # no message of them ever comes
-    recording._busy_since_s = float("inf")
-    recording.join(0.0)
-
-    assert recording.done
-    assert recording.error.endswith(
-        "not renamed; up to 9 of 9 samples are lost; `armrig recover` the others"
-    )
-    recording.finish(COMPLETE)
-    recording._thread.join(30)
-
-
 def test_a_recording_that_cannot_be_begun_leaves_nothing(tmp_path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
@@ -274,37 +248,6 @@ def test_a_sample_that_was_not_flushed_is_not_acknowledged(
     assert first > 0
     assert {synced for _, _, synced in seen[: first + 1]} == {0}
     assert recording.synced == 50
-
-
-@pytest.mark.parametrize("room_again", [False, True])
-def test_half_a_chunk_that_found_no_more_room_is_cut_off(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room_again: bool
-) -> None:
-    """The file ends with its last flush, to the byte."""
-    recording = begun(tmp_path / "run.mcap")
-    header = recording.active.stat().st_size
-    recording.add([sample(k) for k in range(50)])
-    until(lambda: recording.active.stat().st_size > header)
-    good = recording.active.read_bytes()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    cut = os.ftruncate
-
-    def freed(fd: int, size: int) -> None:
-        cut(fd, size)
-        if room_again:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.ftruncate", freed)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (len(good) + 100, hard))
-    try:
-        recording.add([sample(k) for k in range(50, 100)])
-        recording.finish(COMPLETE)
-        recording.join(30)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-    assert "File too large; the flushed samples are kept there" in recording.error
-    assert recording.active.read_bytes() == good
 
 
 def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(

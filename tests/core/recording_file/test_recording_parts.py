@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from armrig.recordings.verification import verify
 from armrig_core.codes import GapCode, OutcomeCode
-from armrig_core.manifest import CALIBRATION, CONFIG, INPUT
+from armrig_core.manifest import CONFIG, INPUT
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import part_paths
@@ -123,17 +123,6 @@ def test_a_gap_that_begins_where_a_part_ends_is_reported_in_the_next(tmp_path: P
     first, second = (armrig.load(tmp_path / f"run.part-000{i}.mcap") for i in (1, 2))
     assert (first.N, first.missing, len(first.gaps)) == (30, 0, 0)
     assert (second.k_first, second.missing, len(second.gaps)) == (FIRST + 30, 5, 1)
-
-
-def test_only_the_first_part_carries_the_input(tmp_path: Path) -> None:
-    _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(40, 1 << 30))
-
-    attached = []
-    for path in part_paths(tmp_path / "run.mcap"):
-        with path.open("rb") as file:
-            attached.append([a.name for a in make_reader(file).iter_attachments()])
-    assert attached == [[CONFIG, INPUT], [CONFIG], [CONFIG]]
-    assert CALIBRATION not in ATTACHED
 
 
 def test_a_part_ends_at_its_size_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,10 +29,10 @@ KEPT = (Header, Schema, Channel, Message, Metadata, Attachment)
 SIZE = 1000
 
 
-@pytest.fixture
-def first(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of 2.5 MB in chunks of 10 kB, no two fields of which are the same."""
-    path = tmp_path / "first"
+    path = tmp_path_factory.mktemp("rewriting") / "first"
     noise = random.Random(1)
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=10_000)
@@ -127,10 +127,10 @@ def test_a_file_that_is_not_whole_is_not_copied_as_if_it_were(
         del data[-9:]
     else:
         data[len(data) // 2] ^= 1
-    first.write_bytes(data)
+    (spoilt := tmp_path / "spoilt").write_bytes(data)
 
     with pytest.raises(DamageError):
-        compact(first, tmp_path / "copy")
+        compact(spoilt, tmp_path / "copy")
 
 
 def test_a_copy_is_locked_while_it_is_written(

@@ -11,7 +11,6 @@ import armrig
 import pytest
 from armrig_core.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.recording_file import recorder, recording_part
-from armrig_core.recording_file.recorder import PartLimits
 from armrig_core.recording_file.syncing import Syncer
 from mcap.reader import make_reader
 
@@ -106,32 +105,6 @@ def test_a_recording_that_was_given_up_writes_nothing_more(
 
     assert recording.error == error
     assert armrig.load(recording.active).samples.size == 50
-
-
-def test_a_removed_part_is_named_although_the_next_part_is_being_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    changed, asked, answers = threading.Event(), threading.Event(), threading.Event()
-
-    def slow(_fd: int) -> None:
-        asked.set()
-        answers.wait(30)
-
-    monkeypatch.setattr(recording_part.os, "fsync", slow)
-    recording = begun(tmp_path / "run.mcap", changed, PartLimits(60, 1 << 30), k_first=0)
-    recording.add([sample(k) for k in range(80)])
-    assert asked.wait(30)
-    until(lambda: recording._flushed == 80)
-    first = tmp_path / "run.part-0001.mcap.active"
-    first.unlink()
-    answers.set()
-    assert changed.wait(30)
-    finished(recording)
-
-    assert recording.error == (
-        f"{first}: the file was removed during the recording; its samples are lost"
-    )
-    assert armrig.load(recording.active).samples.size == 20
 
 
 def test_a_folder_without_permissions_does_not_lose_what_was_flushed(
