@@ -16,6 +16,8 @@ from armrig_core.telemetry import Sample, encode_sample
 from msgspec.structs import replace
 
 WITHIN_S = 30.0
+Setter = Callable[..., None]
+"""Function of the fixtures `pace` and `instead`."""
 MANIFEST = Manifest(
     rig="1",
     run_id="abcd",
@@ -50,7 +52,9 @@ def begun(
     """Begin a recording; `manifest` replaces fields of `MANIFEST`."""
     event = changed or threading.Event()
     about = replace(MANIFEST, **manifest)
-    return Recording(path, about, files, t_first_ns=t_first_ns, changed=event.set, limits=limits)
+    return Recording(
+        path, about, dict(files), t_first_ns=t_first_ns, changed=event.set, limits=limits
+    )
 
 
 def finished(recording: Recording, ending: Ending = COMPLETE) -> Recording:

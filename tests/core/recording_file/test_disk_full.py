@@ -15,12 +15,12 @@ import armrig
 import pytest
 from armrig.recordings.verification import verify
 from armrig_core.codes import Ending, OutcomeCode
-from armrig_core.recording_file import recorder, recording_part
+from armrig_core.recording_file import recording_part
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
 from armrig_core.recording_file.recovery import Recovery
 
-from tests.core.recording_file.made import begun, finished, sample, until
+from tests.core.recording_file.made import Setter, begun, finished, sample, until
 from tests.daemon.failing_disk import Disk
 
 STOPPED = Ending(OutcomeCode.STOPPED, "stopped")
@@ -103,9 +103,9 @@ def test_on_a_disk_that_runs_full_the_file_is_completed_from_the_reserve(tmp_pat
 
 @pytest.mark.parametrize("kind", ["write", "posix_fallocate"])
 def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+    tmp_path: Path, pace: Setter, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+    pace(FLUSH_S=0.0)
     monkeypatch.setattr(recording_part, "_INDEX_BYTES", 1 << 20)  # grows with each chunk
     changed = threading.Event()
     disk = Disk(kind, 3)
@@ -126,7 +126,7 @@ def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EFBIG, errno.ENOSPC])
 def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+    tmp_path: Path, instead: Setter, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     recording = _begun(tmp_path / "run.mcap")
     recording.add(_samples(0, 100))
@@ -138,7 +138,7 @@ def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
         self._file.write(b"torn")
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(recording_part.Part, "_write_pending", failing)
+    instead(_write_pending=failing)
     recording.add(_samples(100, 200))
     assert fails.wait(30)
     finished(recording, STOPPED)
@@ -155,9 +155,9 @@ def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
 
 @pytest.mark.parametrize("n", [2, 3])
 def test_a_run_that_ended_just_before_the_disk_was_full_is_complete(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n: int
+    tmp_path: Path, pace: Setter, n: int
 ) -> None:
-    monkeypatch.setattr(recorder, "FLUSH_S", 60.0)
+    pace(FLUSH_S=60.0)
     disk = Disk("write", n)
     with disk.installed():
         recording = _begun(disk.path(tmp_path / "run.mcap"))
@@ -171,7 +171,7 @@ def test_a_run_that_ended_just_before_the_disk_was_full_is_complete(
 
 
 def test_a_full_disk_is_reported_before_the_file_is_written_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, instead: Setter
 ) -> None:
     changed, go_on = threading.Event(), threading.Event()
     compact = recording_part.compact
@@ -180,7 +180,7 @@ def test_a_full_disk_is_reported_before_the_file_is_written_again(
         assert go_on.wait(30)
         compact(source, target)
 
-    monkeypatch.setattr(recording_part, "compact", slow)
+    instead(compact=slow)
     disk = Disk("write", 2)
     with disk.installed():
         recording = _begun(disk.path(tmp_path / "run.mcap"), changed)

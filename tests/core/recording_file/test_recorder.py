@@ -20,7 +20,7 @@ from armrig_daemon.service.protobuf_out import outgoing
 from mcap.reader import make_reader
 from msgspec.structs import replace
 
-from tests.core.recording_file.made import MANIFEST, begun, finished, sample, until
+from tests.core.recording_file.made import MANIFEST, Setter, begun, finished, sample, until
 
 _MAGIC = b"\x89MCAP0\r\n"  # how a whole file ends
 
@@ -105,7 +105,7 @@ def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: 
 
 
 def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, instead: Setter
 ) -> None:
     directory, elsewhere = tmp_path / "recordings", tmp_path / "elsewhere"
     directory.mkdir()
@@ -114,7 +114,7 @@ def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
         compact(source, target)
         directory.rename(elsewhere)
 
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", moved)
+    instead(compact=moved)
     recording = begun(directory / "run.mcap")
     recording.add([sample(k) for k in range(50)])
     finished(recording)
@@ -123,14 +123,14 @@ def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
     assert list(elsewhere.iterdir()) == [recording.kept] == [elsewhere / "run.mcap"]
 
 
-@pytest.mark.parametrize("instead", [False, True])
+@pytest.mark.parametrize("is_replaced", [False, True])
 def test_a_recording_that_is_removed_is_reported_while_the_run_goes_on(
-    tmp_path: Path, instead: bool
+    tmp_path: Path, is_replaced: bool
 ) -> None:
     changed = threading.Event()
     recording = begun(tmp_path / "run.mcap", changed)
     recording.active.unlink()
-    if instead:
+    if is_replaced:
         recording.active.write_text("precious")
 
     assert changed.wait(30)
@@ -138,16 +138,14 @@ def test_a_recording_that_is_removed_is_reported_while_the_run_goes_on(
         "run.mcap.active: the file was removed during the recording; its samples are lost"
     )
     finished(recording, Ending(OutcomeCode.STOPPED, "stopped"))
-    assert [p.read_text() for p in tmp_path.iterdir()] == ["precious"] * instead
+    assert [p.read_text() for p in tmp_path.iterdir()] == ["precious"] * is_replaced
 
 
-def test_whatever_fails_in_the_writer_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whatever_fails_in_the_writer_is_reported(tmp_path: Path, instead: Setter) -> None:
     def broken(source: Path, target: Path) -> None:
         raise RuntimeError("unexpected")
 
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", broken)
+    instead(compact=broken)
     recording = begun(tmp_path / "run.mcap")
     finished(recording)
 
@@ -193,7 +191,7 @@ def test_a_recording_that_cannot_be_begun_leaves_nothing(tmp_path: Path) -> None
 
 
 def test_nobody_waits_for_a_disk_that_does_not_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, pace: Setter, instead: Setter
 ) -> None:
     asked, answers, flush = threading.Event(), threading.Event(), Part.flush
 
@@ -202,8 +200,8 @@ def test_nobody_waits_for_a_disk_that_does_not_answer(
         answers.wait()
         flush(part)
 
-    monkeypatch.setattr(Part, "flush", answer)
-    monkeypatch.setattr("armrig_core.recording_file.recorder.QUEUE", 3)
+    instead(flush=answer)
+    pace(QUEUE=3)
     recording = begun(tmp_path / "run.mcap")
     assert asked.wait(30)
     for k in range(9):
@@ -222,11 +220,10 @@ def test_nobody_waits_for_a_disk_that_does_not_answer(
 
 
 def test_a_sample_that_was_not_flushed_is_not_acknowledged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, pace: Setter, instead: Setter
 ) -> None:
     """A sync between two flushes does not reach it."""
-    monkeypatch.setattr("armrig_core.recording_file.recorder.SYNC_S", 0.0)
-    monkeypatch.setattr("armrig_core.recording_file.recorder.FLUSH_S", 30.0)
+    pace(SYNC_S=0.0, FLUSH_S=30.0)
     flush, sync, seen = Part.flush, Part.sync, []
 
     def flushed(part: Part) -> None:
@@ -237,8 +234,7 @@ def test_a_sample_that_was_not_flushed_is_not_acknowledged(
         seen.append(("sync", part.samples, recording.synced))
         sync(part)
 
-    monkeypatch.setattr(Part, "flush", flushed)
-    monkeypatch.setattr(Part, "sync", synced)
+    instead(flush=flushed, sync=synced)
     recording = begun(tmp_path / "run.mcap")
     recording.add([sample(k) for k in range(50)])
     until(lambda: seen)
@@ -251,7 +247,7 @@ def test_a_sample_that_was_not_flushed_is_not_acknowledged(
 
 
 def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, instead: Setter
 ) -> None:
     """L1: the first file before its copy, the copy before it replaces the first, then the name."""
     synced = []
@@ -263,7 +259,7 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
         names = sorted(p.name for p in tmp_path.iterdir())
         synced.append((path.name, path.is_dir() or path.read_bytes().endswith(_MAGIC), names))
 
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fsync", noted)
+    instead(fsync=noted)
     recording = begun(tmp_path / "run.mcap")
     recording.add([sample(k) for k in range(50)])
     finished(recording)
@@ -279,13 +275,13 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
     "err", [OSError(28, "No space left on device"), DamageError("read back otherwise")]
 )
 def test_no_room_for_the_compact_copy_keeps_the_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, err: Exception
+    tmp_path: Path, instead: Setter, err: Exception
 ) -> None:
     def full(source: Path, target: Path) -> None:
         target.write_bytes(source.read_bytes()[:100])
         raise err
 
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", full)
+    instead(compact=full)
     recording = begun(tmp_path / "run.mcap")
 
     recording.add([sample(k) for k in range(50)])

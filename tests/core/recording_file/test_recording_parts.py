@@ -13,7 +13,6 @@ import pytest
 from armrig.recordings.verification import verify
 from armrig_core.codes import GapCode, OutcomeCode
 from armrig_core.manifest import CONFIG, INPUT
-from armrig_core.recording_file import recorder
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
@@ -24,7 +23,7 @@ from armrig_daemon.service.protobuf_out import outgoing
 from mcap.reader import make_reader
 from msgspec.structs import replace
 
-from tests.core.recording_file.made import MANIFEST, begun, finished, sample, until
+from tests.core.recording_file.made import MANIFEST, Setter, begun, finished, sample, until
 from tests.daemon.failing_disk import Disk
 
 N, FIRST = 100, 1000
@@ -125,8 +124,8 @@ def test_a_gap_that_begins_where_a_part_ends_is_reported_in_the_next(tmp_path: P
     assert (second.k_first, second.missing, len(second.gaps)) == (FIRST + 30, 5, 1)
 
 
-def test_a_part_ends_at_its_size_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+def test_a_part_ends_at_its_size_too(tmp_path: Path, pace: Setter) -> None:
+    pace(FLUSH_S=0.0)
     empty = Part(tmp_path / "x.mcap", replace(MANIFEST, k_first=FIRST), ATTACHED, 0)
     empty.discard()
 
@@ -145,7 +144,7 @@ def test_a_run_that_ends_with_a_full_part_has_no_empty_part(tmp_path: Path) -> N
 
 
 def test_a_part_is_on_the_disk_before_it_is_named_and_no_flush_waits_for_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, instead: Setter
 ) -> None:
     """The next part is flushed meanwhile; its samples count as safe only after the first part."""
     first, answers, fsync = tmp_path / "run.part-0001.mcap", threading.Event(), os.fsync
@@ -157,7 +156,7 @@ def test_a_part_is_on_the_disk_before_it_is_named_and_no_flush_waits_for_it(
             named.append(first.exists())
         fsync(fd)
 
-    monkeypatch.setattr(os, "fsync", slow)
+    instead(fsync=slow)
     recording = _begun(tmp_path / "run.mcap", PartLimits(60, 1 << 30))
     recording.add(WHOLE)
     second = tmp_path / "run.part-0002.mcap.active"
@@ -174,10 +173,8 @@ def test_a_part_is_on_the_disk_before_it_is_named_and_no_flush_waits_for_it(
     assert _ks(recording.kept) == list(range(FIRST, FIRST + N))
 
 
-def test_every_part_has_full_chunks_in_the_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+def test_every_part_has_full_chunks_in_the_end(tmp_path: Path, pace: Setter) -> None:
+    pace(FLUSH_S=0.0)
 
     _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(40, 1 << 30))
 
@@ -210,10 +207,9 @@ def test_a_part_that_cannot_be_begun_ends_the_recording(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("on", [False, True])
 def test_whatever_call_fails_what_is_left_is_a_prefix(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, on: bool
+    tmp_path: Path, pace: Setter, *, on: bool
 ) -> None:
-    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
-    monkeypatch.setattr(recorder, "SYNC_S", 0.0)
+    pace(FLUSH_S=0.0, SYNC_S=0.0)
     batches = [WHOLE[i : i + 10] for i in range(0, N, 10)]
     counted = Disk()
     (tmp_path / "counted").mkdir()

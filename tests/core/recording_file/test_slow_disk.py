@@ -10,29 +10,26 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig_core.codes import COMPLETE, Ending, OutcomeCode
-from armrig_core.recording_file import recorder, recording_part
+from armrig_core.recording_file import recording_part
 from armrig_core.recording_file.syncing import Syncer
 from mcap.reader import make_reader
 
-from tests.core.recording_file.made import begun, finished, sample, until
+from tests.core.recording_file.made import Setter, begun, finished, sample, until
 
 N = 1600
 
 
 @pytest.fixture
-def answers(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+def answers(instead: Setter) -> threading.Event:
     """Return the event until which `fdatasync` does not return."""
     answers = threading.Event()
-    name = "armrig_core.recording_file.recording_part.os.fdatasync"
-    monkeypatch.setattr(name, lambda _fd: answers.wait(60))
+    instead(fdatasync=lambda _fd: answers.wait(60))
     return answers
 
 
-def test_no_flush_waits_for_a_sync(
-    tmp_path: Path, answers: threading.Event, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_flush_waits_for_a_sync(tmp_path: Path, answers: threading.Event, pace: Setter) -> None:
     """L1: batches of one sample are all in the file while the first sync waits."""
-    monkeypatch.setattr(recorder, "SYNC_S", 0.0)
+    pace(SYNC_S=0.0)
     recording = begun(tmp_path / "run.mcap")
     for k in range(N):
         recording.add([sample(k)])
@@ -108,7 +105,7 @@ def test_a_recording_that_was_given_up_writes_nothing_more(
 
 
 def test_a_folder_without_permissions_does_not_lose_what_was_flushed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, instead: Setter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed = threading.Event()
     recording = begun(tmp_path / "run.mcap", changed)
@@ -118,7 +115,7 @@ def test_a_folder_without_permissions_does_not_lose_what_was_flushed(
     def forbidden(_path: Path) -> os.stat_result:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(recording_part.os, "lstat", forbidden)
+    instead(lstat=forbidden)
     assert changed.wait(30)
     monkeypatch.undo()
     finished(recording)
@@ -151,7 +148,7 @@ def test_a_file_that_another_program_cuts_is_reported(tmp_path: Path, share: flo
 
 
 def test_a_file_that_is_cut_while_it_is_rewritten_is_not_complete(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, instead: Setter
 ) -> None:
     compact = recording_part.compact
 
@@ -159,7 +156,7 @@ def test_a_file_that_is_cut_while_it_is_rewritten_is_not_complete(
         os.truncate(source, 1000)
         compact(source, target)
 
-    monkeypatch.setattr(recording_part, "compact", cut)
+    instead(compact=cut)
     recording = begun(tmp_path / "run.mcap")
     recording.add([sample(k) for k in range(50)])
     finished(recording)
