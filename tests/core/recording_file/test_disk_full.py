@@ -168,28 +168,3 @@ def test_a_run_that_ended_just_before_the_disk_was_full_is_complete(
     loaded = armrig.load(tmp_path / "run.mcap")
     assert loaded.outcome is not None
     assert (loaded.outcome.outcome, loaded.samples.size) == ("complete", 100)
-
-
-def test_a_full_disk_is_reported_before_the_file_is_written_again(
-    tmp_path: Path, instead: Setter
-) -> None:
-    changed, go_on = threading.Event(), threading.Event()
-    compact = recording_part.compact
-
-    def slow(source: Path, target: Path) -> None:
-        assert go_on.wait(30)
-        compact(source, target)
-
-    instead(compact=slow)
-    disk = Disk("write", 2)
-    with disk.installed():
-        recording = _begun(disk.path(tmp_path / "run.mcap"), changed)
-        recording.add(_samples(0, 100))
-        assert changed.wait(30)
-        assert "No space left on device" in recording.error
-        assert not recording.done
-        recording.finish(STOPPED)
-        go_on.set()
-        recording.join(30)
-
-    _check(tmp_path / "run.mcap", 100, recording.error)

@@ -14,7 +14,6 @@ from armrig_core.recording_file import recorder
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.recorder import PartLimits, RecordingError
 from armrig_core.recording_file.recording_part import Part
-from armrig_core.recording_file.rewriting import compact
 from armrig_daemon.pipe import Gap
 from armrig_daemon.service.protobuf_out import outgoing
 from mcap.reader import make_reader
@@ -102,25 +101,6 @@ def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: 
     assert recording.kept.name == ("other.mcap" if way == "file" else "run.mcap")
     with recording.kept.open("rb") as file:
         assert len(list(make_reader(file).iter_messages())) == 60
-
-
-def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
-    tmp_path: Path, instead: Setter
-) -> None:
-    directory, elsewhere = tmp_path / "recordings", tmp_path / "elsewhere"
-    directory.mkdir()
-
-    def moved(source: Path, target: Path) -> None:
-        compact(source, target)
-        directory.rename(elsewhere)
-
-    instead(compact=moved)
-    recording = begun(directory / "run.mcap")
-    recording.add([sample(k) for k in range(50)])
-    finished(recording)
-
-    assert recording.error == ""
-    assert list(elsewhere.iterdir()) == [recording.kept] == [elsewhere / "run.mcap"]
 
 
 @pytest.mark.parametrize("is_replaced", [False, True])

@@ -44,9 +44,7 @@ def test_of_a_name_of_any_length_the_beginning_is_read() -> None:
     "said",
     [
         "(certificate certificate alice)",
-        "((user (user alice))",
         "anna (certificate alice)",
-        "anna ( certificate alice)",
         "\uff08certificate alice\uff09",  # of full width
         "\u207dcertificate alice\u207e",  # superscripts
         "\ufe59certificate alice\ufe5a",  # small

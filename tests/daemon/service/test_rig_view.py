@@ -27,14 +27,11 @@ def rig(tmp_path: Path) -> RigView:
     return RigView(Config(), "unixsock-stream/s", tmp_path)
 
 
-def test_before_the_loop_has_spoken_nothing_is_known(rig: RigView) -> None:
+def test_a_status_has_the_newest_report_of_the_loop(rig: RigView) -> None:
     status = rig.status(None)
-
     assert not rig.is_known
     assert (status.phase, status.owner, status.host, status.Ts) == ("init", "", {}, 0.01)
 
-
-def test_a_status_has_the_newest_report_of_the_loop(rig: RigView) -> None:
     rig.note_state(State(t_host_ns=1, phase="safe", reason="", owner="", ts_us=0, device={}))
     rig.note_host(Host(granted={"fifo": 80}))
     rig.note_state(HELD)

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Literal
 
 import pytest
-from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode
+from armrig_core.codes import COMPLETE, GapCode, OutcomeCode
 from armrig_core.commands import Run
 from armrig_core.manifest import OUTCOME, RUN, manifest_of, outcome_of
 from armrig_core.recording_file.outgoing import Outgoing
@@ -67,6 +67,14 @@ def _gap(first: int, count: int) -> Gap:
     )
 
 
+def _ended(runs: Runs, expected: str = "info") -> str:
+    """End the run; return the sentence on its recording, which has the expected level."""
+    runs.end(COMPLETE)
+    level, text = runs.finished(30)
+    assert level == expected
+    return text
+
+
 def _missing_in_file(path: Path) -> int:
     with path.with_suffix("").open("rb") as file:
         metadata = {m.name: m.metadata for m in make_reader(file).iter_metadata()}
@@ -102,23 +110,8 @@ def test_of_a_gap_the_samples_of_the_run_are_missing(runs: Runs, gap: Gap, missi
     assert runs.includes(gap) == (missing > 0)
     runs.add([outgoing(gap, 0)] if runs.includes(gap) else [])
 
-    runs.end(COMPLETE)
-    _, text = runs.finished(30)
-    assert text.endswith(f"complete, 0 samples, {missing} missing")
+    assert _ended(runs).endswith(f"complete, 0 samples, {missing} missing")
     assert _missing_in_file(path) == missing
-
-
-def test_what_one_run_missed_is_not_reported_for_the_next(runs: Runs) -> None:
-    _begin(runs)
-    runs.add([outgoing(_gap(FIRST, 3), 0)])
-    runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
-    assert runs.finished(30)[1].endswith("3 missing")
-
-    path = _begin(runs)
-    runs.end(COMPLETE)
-
-    assert runs.finished(30)[1].endswith("complete, 0 samples, 0 missing")
-    assert _missing_in_file(path) == 0
 
 
 def test_a_run_that_is_over_waits_for_no_client(runs: Runs) -> None:
@@ -140,8 +133,7 @@ def test_a_client_goes_once(runs: Runs) -> None:
     )
 
     assert runs.client_gone_s == inf
-    runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
-    runs.finished(30)
+    _ended(runs)
 
 
 def test_only_the_run_that_was_refused_is_forgotten(runs: Runs) -> None:
@@ -206,8 +198,7 @@ def test_a_note_between_the_request_and_the_first_sample_is_recorded_once(runs: 
     started = RunStarted(run_id=order.run_id, k_first=FIRST, count=END - FIRST, t_host_ns=T_NS)
     runs.begin(started, STATE, {}, 0)
     runs.add_note(_note("during the run"))
-    runs.end(COMPLETE)
-    runs.finished(timeout=30)
+    _ended(runs)
 
     assert _notes(Path(answer.recording)) == ["early", "during the run"]
 
@@ -256,9 +247,8 @@ def test_what_a_full_disk_does_to_the_run_is_configured(
     ending = runs.disturbed()
     assert (ending is not None and why in ending.text) == stops
     assert (why in told, told.endswith("; the run continues"), again) == (not stops, not stops, "")
-    runs.end(COMPLETE)
-    level, text = runs.finished(30)
-    assert (level, why in text) == ("error", True)
+    text = _ended(runs, "error")
+    assert why in text
     last = runs.last
     assert last is not None
     assert (last.outcome, last.samples, last.synced) == (text, 5, 5)
@@ -291,8 +281,7 @@ def test_the_manifest_says_whose_run_it_is_and_how_it_is_played(
     started = RunStarted(run_id=order.run_id, k_first=41, count=3, t_host_ns=T_NS)
 
     runs.begin(started, state, {"fifo": 80}, -123)
-    runs.end(COMPLETE)
-    runs.finished(30)
+    _ended(runs)
 
     path = Path(answer.recording)
     with path.open("rb") as file:
