@@ -50,3 +50,18 @@ def test_each_page_that_a_page_links_to_exists() -> None:
 
     assert targets
     assert {x for x in targets if not x[1].exists() and GENERATED not in x[1].parents} == set()
+
+
+@pytest.mark.parametrize(
+    ("package", "contract"),
+    [
+        ("armrig", "Clients: nothing touches the world but these edges"),
+        ("armrig_daemon", "Daemon: nothing touches the world but these edges"),
+    ],
+)
+def test_a_new_module_is_pure_or_a_named_edge(package: str, contract: str) -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    (pure,) = (c for c in settings["contracts"] if c["name"] == contract)
+
+    assert pure["source_modules"] == [package]
+    assert f"{package}.** -> *" not in pure["ignore_imports"]
