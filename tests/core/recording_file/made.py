@@ -9,27 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from armrig_core.codes import COMPLETE, Ending
-from armrig_core.manifest import Manifest
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits, Recording
 from armrig_core.telemetry import Sample, encode_sample
 from msgspec.structs import replace
 
+from tests.clients.made_recordings import manifest
+
 WITHIN_S = 30.0
 Setter = Callable[..., None]
 """Function of the fixtures `pace` and `instead`."""
-MANIFEST = Manifest(
-    rig="1",
-    run_id="abcd",
-    experiment="test",
-    details={"seed": 3},
-    Ts=0.01,
-    samples=100,
-    started="2026-01-01T00:00:00+00:00",
-    clock_offset_ns=10**18,
-    armrig="0",
-    protocol="1",
-)
+MANIFEST = manifest(details={"seed": 3}, samples=100, clock_offset_ns=10**18)
 
 
 def sample(k: int, *, theta_1: float = 0.1, counts: tuple[int, int] = (1, 2)) -> Outgoing:
@@ -47,13 +37,13 @@ def begun(
     *,
     files: Mapping[str, bytes] = {"input.csv": b"u_v\n1.0\n"},
     t_first_ns: int = 5,
-    **manifest: Any,
+    **about: Any,
 ) -> Recording:
-    """Begin a recording; `manifest` replaces fields of `MANIFEST`."""
+    """Begin a recording; `about` replaces fields of `MANIFEST`."""
     event = changed or threading.Event()
-    about = replace(MANIFEST, **manifest)
+    filled = replace(MANIFEST, **about)
     return Recording(
-        path, about, dict(files), t_first_ns=t_first_ns, changed=event.set, limits=limits
+        path, filled, dict(files), t_first_ns=t_first_ns, changed=event.set, limits=limits
     )
 
 
