@@ -87,7 +87,7 @@ def test_a_certificate_is_good_in_its_time(
     assert re.search(rf"is not valid before {begins} \d\d:\d\d UTC: check the clock", _refused(new))
 
 
-def test_what_another_authority_signed_is_refused(authority: Path, tmp_path: Path) -> None:
+def test_a_certificate_of_another_authority_is_refused(authority: Path, tmp_path: Path) -> None:
     key, certificate, _ = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
     pki.make_authority(tmp_path / "forged")
     other = _blocks(tmp_path / "forged" / "authority.pem")[0]
@@ -115,7 +115,7 @@ def test_the_key_must_be_that_of_the_certificate(authority: Path, tmp_path: Path
         ([0, 0, 1, 2], "2 private keys and 2 certificates"),
     ],
 )
-def test_all_three_must_be_there(
+def test_a_credential_needs_key_certificate_and_authority(
     authority: Path, tmp_path: Path, kept: list[int], says: str
 ) -> None:
     blocks = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
@@ -157,14 +157,14 @@ def test_a_key_that_others_than_its_owner_may_read_is_refused(authority: Path, m
     assert read_credential(path, "client").name == "alice"
 
 
-def test_a_command_that_corrects_a_mode_can_be_pasted(tmp_path: Path) -> None:
+def test_the_chmod_command_quotes_its_path(tmp_path: Path) -> None:
     path = tmp_path / "a key;.pem"
     path.touch(mode=0o644)
 
     assert _refused(path).endswith(f": `chmod 400 '{path}'`")
 
 
-def test_the_file_that_is_read_is_judged_and_not_one_before_it(
+def test_the_mode_of_the_opened_credential_is_checked(
     authority: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The mode, or the file itself, may change just before it is opened."""

@@ -37,9 +37,7 @@ def _found(mode: int, uid: int = ME) -> os.stat_result:
         (stat.S_IFREG | 0o600, ME, "is not a directory"),
     ],
 )
-def test_a_directory_that_others_can_put_a_socket_into_is_not(
-    mode: int, uid: int, wrong: str
-) -> None:
+def test_a_directory_that_others_can_write_to_is_refused(mode: int, uid: int, wrong: str) -> None:
     with pytest.raises(InputError, match=f"^{re.escape(wrong)}"):
         require_trusted(_found(mode, uid), owners={ME})
 

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 HOSTILE = "\x1b]0;title\x07\x1b[2J\r\x9b31m\u202eabc\u200b\x7f\x00\ud800"
 
 
-def test_what_prints_stays_as_it_is() -> None:
+def test_printable_text_is_unchanged() -> None:
     assert printable("Zoë Ångström, 陈 [red] α\\n") == "Zoë Ångström, 陈 [red] α\\n"
     assert printable("a\nb\r", keep="\n") == "a\nb\\r"
 
 
-def test_what_does_not_print_is_escaped() -> None:
+def test_unprintable_characters_are_escaped() -> None:
     assert printable(HOSTILE) == (r"\x1b]0;title\x07\x1b[2J\r\x9b31m\u202eabc\u200b\x7f\x00\ud800")
 
 
@@ -36,14 +36,14 @@ def test_json_keeps_its_value(text: str) -> None:
 
 
 @pytest.mark.parametrize("quote", ["'", '"'])
-def test_a_message_quotes_no_more_than_a_person_reads(quote: str) -> None:
+def test_a_long_quotation_in_a_message_is_shortened(quote: str) -> None:
     told = brief(f"rig.id = {quote}{'a b ' * 1250}{quote}: 1 to 40 characters are allowed")
 
     begin = f"rig.id = {quote}{'a b ' * 24}a b"
     assert told == f"{begin}… (5002 characters){quote}: 1 to 40 characters are allowed"
 
 
-def test_a_word_without_end_is_shortened() -> None:
+def test_a_long_word_in_a_message_is_shortened() -> None:
     assert (
         brief(f"key {'x' * 4999}: no such key")
         == f"key {'x' * 100}… (5000 characters): no such key"

@@ -23,7 +23,7 @@ from armrig_core.toml_file import read_toml, toml_tables
     ],
     ids=["dots", "a table", "quoted", "inline", "lists", "tables", "escaped", "both"],
 )
-def test_what_is_nested_too_deeply_is_refused_at_once(text: str) -> None:
+def test_deeply_nested_toml_is_refused_at_once(text: str) -> None:
     """The reader's time would grow with the square of the depth: 18 s for a file."""
     with pytest.raises(FileError, match="nested too deeply"):
         toml_tables(text)

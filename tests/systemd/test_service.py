@@ -59,7 +59,7 @@ def test_the_loop_has_its_priority_and_knows_it(rig: Rig) -> None:
     assert (len(prompt), of_it) == (1, [rig.loop_pid()])
 
 
-def test_the_service_says_how_it_is(rig: Rig) -> None:
+def test_systemd_and_the_journal_show_the_state_of_the_service(rig: Rig) -> None:
     assert rig.status() == "safe, nobody has it"
     said = rig.said()
     assert ("6", "rig 1 at unixsock-stream//run/armrig/1/1.sock") in said
@@ -193,7 +193,7 @@ def test_a_process_that_is_killed_is_replaced(rig: Rig, whose: str) -> None:
     assert _is_at_rest(rig)
 
 
-def test_what_hangs_is_replaced_by_the_watchdog(rig: Rig, second: Rig) -> None:
+def test_a_hanging_service_or_loop_is_restarted_by_the_watchdog(rig: Rig, second: Rig) -> None:
     second.start()
     rigs = (rig, second)
     for each in rigs:
@@ -237,7 +237,7 @@ def test_a_reload_brings_the_new_configuration_and_keeps_the_priority(rig: Rig) 
         machine.write(path, before)
 
 
-def test_a_service_that_dies_again_and_again_is_given_up(rig: Rig) -> None:
+def test_a_service_is_not_restarted_after_five_failures_in_a_minute(rig: Rig) -> None:
     """Five starts in a minute."""
     state = ""
     for _ in range(6):
@@ -298,7 +298,7 @@ def test_a_rig_without_a_configuration_is_refused_once(machine: Machine) -> None
         ),
     ],
 )
-def test_what_must_be_corrected_is_reported_in_one_line_and_not_tried_again(
+def test_a_configuration_error_is_reported_in_one_line_without_a_restart(
     machine: Machine, text: str, mode: int, line: str
 ) -> None:
     machine.write(Path("/etc/armrig/3.toml"), text, mode)
@@ -333,7 +333,7 @@ def test_a_folder_that_cannot_be_written_is_reported_at_the_start(rig: Rig) -> N
     ) in told
 
 
-def test_what_is_installed_is_reported(rig: Rig) -> None:
+def test_a_second_install_changes_nothing_and_status_reports_the_units(rig: Rig) -> None:
     machine, pid = rig.machine, rig.main_pid()
 
     again = machine.run("armrig", "service", "install", "--yes").stdout
@@ -346,7 +346,7 @@ def test_what_is_installed_is_reported(rig: Rig) -> None:
     assert rig.main_pid() == pid
 
 
-def test_to_take_the_service_away_stops_the_rig_and_leaves_what_is_ours(rig: Rig) -> None:
+def test_uninstalling_the_service_stops_the_rig_and_keeps_recordings(rig: Rig) -> None:
     machine = rig.machine
     rig.drive()
     machine.systemctl("enable", rig.unit)

@@ -102,7 +102,7 @@ def test_on_a_disk_that_runs_full_the_file_is_completed_from_the_reserve(tmp_pat
 
 
 @pytest.mark.parametrize("kind", ["write", "posix_fallocate"])
-def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
+def test_samples_in_memory_are_kept_when_the_disk_is_full(
     tmp_path: Path, pace: Setter, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     pace(FLUSH_S=0.0)
@@ -125,7 +125,7 @@ def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EFBIG, errno.ENOSPC])
-def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
+def test_a_failing_disk_leaves_the_flushed_prefix_for_recovery(
     tmp_path: Path, instead: Setter, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     recording = _begun(tmp_path / "run.mcap")

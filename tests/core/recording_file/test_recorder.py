@@ -60,7 +60,7 @@ def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
     assert published == [10_000_000, 20_000_000, 29_999_000]
 
 
-def test_a_number_that_no_longer_fits_into_its_field_costs_nothing(tmp_path: Path) -> None:
+def test_a_sample_number_beyond_32_bits_is_recorded(tmp_path: Path) -> None:
     """The sequence of MCAP has 32 bits, k has more: a daemon may sample for months."""
     recording = begun(tmp_path / "run.mcap")
 
@@ -73,7 +73,7 @@ def test_a_number_that_no_longer_fits_into_its_field_costs_nothing(tmp_path: Pat
     assert found.sequence == 7
 
 
-def test_it_flushes_ten_times_a_second() -> None:
+def test_the_recorder_flushes_ten_times_a_second() -> None:
     """As docs/telemetry.md says."""
     assert recorder.FLUSH_S == 0.1
 
@@ -121,7 +121,7 @@ def test_a_recording_that_is_removed_is_reported_while_the_run_goes_on(
     assert [p.read_text() for p in tmp_path.iterdir()] == ["precious"] * is_replaced
 
 
-def test_whatever_fails_in_the_writer_is_reported(tmp_path: Path, instead: Setter) -> None:
+def test_an_unexpected_error_of_the_writer_is_reported(tmp_path: Path, instead: Setter) -> None:
     def broken(source: Path, target: Path) -> None:
         raise RuntimeError("unexpected")
 
@@ -134,7 +134,7 @@ def test_whatever_fails_in_the_writer_is_reported(tmp_path: Path, instead: Sette
 
 
 @pytest.mark.parametrize("is_named", [False, True])
-def test_a_rewriting_that_takes_too_long_costs_no_sample(
+def test_a_slow_rewriting_loses_no_sample(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_named: bool
 ) -> None:
     asked, answers = threading.Event(), threading.Event()
@@ -170,7 +170,7 @@ def test_a_recording_that_cannot_be_begun_leaves_nothing(tmp_path: Path) -> None
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nobody_waits_for_a_disk_that_does_not_answer(
+def test_batches_beyond_the_queue_are_discarded_and_counted(
     tmp_path: Path, pace: Setter, instead: Setter
 ) -> None:
     asked, answers, flush = threading.Event(), threading.Event(), Part.flush
@@ -283,7 +283,7 @@ def test_a_recording_does_not_begin_under_a_name_that_is_taken(tmp_path: Path, n
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
-def test_a_name_that_is_taken_meanwhile_is_not_taken_away(tmp_path: Path) -> None:
+def test_a_file_created_meanwhile_under_the_final_name_is_kept(tmp_path: Path) -> None:
     recording = begun(tmp_path / "run.mcap")
     recording.add([sample(k) for k in range(50)])
     (tmp_path / "run.mcap").write_bytes(b"precious")

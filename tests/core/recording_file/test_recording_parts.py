@@ -124,7 +124,7 @@ def test_a_gap_that_begins_where_a_part_ends_is_reported_in_the_next(tmp_path: P
     assert (second.k_first, second.missing, len(second.gaps)) == (FIRST + 30, 5, 1)
 
 
-def test_a_part_ends_at_its_size_too(tmp_path: Path, pace: Setter) -> None:
+def test_a_part_ends_at_its_size_limit(tmp_path: Path, pace: Setter) -> None:
     pace(FLUSH_S=0.0)
     empty = Part(tmp_path / "x.mcap", replace(MANIFEST, k_first=FIRST), ATTACHED, 0)
     empty.discard()
@@ -206,7 +206,7 @@ def test_a_part_that_cannot_be_begun_ends_the_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("on", [False, True])
-def test_whatever_call_fails_what_is_left_is_a_prefix(
+def test_a_failing_system_call_leaves_a_prefix_of_the_samples(
     tmp_path: Path, pace: Setter, *, on: bool
 ) -> None:
     pace(FLUSH_S=0.0, SYNC_S=0.0)

@@ -75,9 +75,7 @@ def _untouched(path: Path, data: bytes, why: str, recovery: Recovery = RECOVERY)
 
 
 @pytest.mark.parametrize("off", [-1, 0, 1])
-def test_whatever_was_whole_is_there_afterwards_wherever_it_was_cut(
-    tmp_path: Path, off: int
-) -> None:
+def test_recovery_keeps_all_complete_records_at_any_cut(tmp_path: Path, off: int) -> None:
     begins = _edges(DATA)
     first = next(i for i, at in enumerate(begins) if DATA[at] == Opcode.CHUNK)
     assert len(begins[first:]) > 2 * N / 5
@@ -179,7 +177,7 @@ def test_a_file_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["a link", "a pipe", "a folder", "a link to itself"])
-def test_what_only_looks_like_a_recording_is_not_touched(tmp_path: Path, kind: str) -> None:
+def test_a_link_pipe_or_folder_is_not_recovered(tmp_path: Path, kind: str) -> None:
     left, elsewhere = tmp_path / LEFT, written(tmp_path, DATA, "elsewhere")
     match kind:
         case "a link":
@@ -217,7 +215,7 @@ def test_a_link_that_takes_the_place_of_a_file_is_not_followed(
     assert elsewhere.read_bytes() == DATA
 
 
-def test_a_file_that_is_given_its_name_meanwhile_is_left_alone(
+def test_a_file_renamed_before_the_lock_is_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The daemon ends the file just before the lock is taken."""
@@ -244,7 +242,7 @@ def test_a_file_that_is_given_its_name_meanwhile_is_left_alone(
         (recorded([sample(0)]).replace(RUN.encode(), b"armrig.ran"), "no manifest of a run"),
     ],
 )
-def test_what_is_no_recording_stays_as_it_is(tmp_path: Path, data: bytes, why: str) -> None:
+def test_a_file_that_is_no_recording_is_unchanged(tmp_path: Path, data: bytes, why: str) -> None:
     _untouched(written(tmp_path, data, LEFT), data, why)
 
 
@@ -272,7 +270,7 @@ def test_a_file_with_another_form_of_metadata_stays_as_it_is(tmp_path: Path, nam
     _untouched(left, out.getvalue(), "metadata record of armrig is not valid")
 
 
-def test_what_belongs_to_no_channel_does_not_end_what_can_be_read(tmp_path: Path) -> None:
+def test_messages_without_a_channel_do_not_end_the_recovery(tmp_path: Path) -> None:
     out = BytesIO()
     writer = Writer(out, chunk_size=100)
     writer.start()
@@ -313,13 +311,13 @@ def test_the_file_of_another_rig_is_left_to_its_daemon(tmp_path: Path) -> None:
     assert isinstance(_untouched(left, data, "to rig 1-b, not to rig 1", of_rig_1), NotOursError)
 
 
-def test_a_recording_of_that_name_is_not_written_over(tmp_path: Path) -> None:
+def test_a_recovery_does_not_overwrite_another_recording(tmp_path: Path) -> None:
     written(tmp_path, b"precious", NAME)
 
     _untouched(written(tmp_path, DATA, LEFT), DATA, f"{NAME} exists already")
 
 
-def test_a_damage_in_the_middle_takes_nothing_away(tmp_path: Path) -> None:
+def test_a_file_damaged_in_the_middle_is_not_cut(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     noise = rng.integers(0, 65536, (40_000, 2)).tolist()
     samples = [sample(k, theta_1_counts=a, alpha_counts=b) for k, (a, b) in enumerate(noise)]
@@ -334,7 +332,7 @@ def test_a_damage_in_the_middle_takes_nothing_away(tmp_path: Path) -> None:
     assert RECOVERY.recover(written(tmp_path, bytes(data), LEFT)).outcome.samples > 1000
 
 
-def test_no_room_for_the_copy_takes_nothing_away(tmp_path: Path) -> None:
+def test_recovery_without_room_for_the_copy_keeps_the_file(tmp_path: Path) -> None:
     left = written(tmp_path, DATA, LEFT)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
@@ -363,7 +361,7 @@ def test_a_copy_that_was_begun_before_is_begun_again(tmp_path: Path, is_link: bo
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
-def test_whatever_dies_while_it_recovers_the_next_one_finds_it_all(
+def test_a_recovery_that_dies_is_completed_by_the_next_recovery(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n: int
 ) -> None:
     left, calls = written(tmp_path, DATA, LEFT), []

@@ -42,7 +42,7 @@ def _chosen(files: dict[str, str], *keys: str) -> dict[str, str]:
     return {key: files[key] for key in keys}
 
 
-def test_without_an_endpoint_nobody_comes_over_a_network() -> None:
+def test_without_an_endpoint_there_is_no_network() -> None:
     assert network_of(Config()) is None
 
 
@@ -77,7 +77,7 @@ def test_a_client_on_the_list_is_admitted(files: dict[str, str]) -> None:
         ("", ["names"], r"names is given, but listen is not"),
     ],
 )
-def test_what_is_missing_is_reported(
+def test_a_missing_access_key_is_reported(
     files: dict[str, str], listen: str, keys: list[str], says: str
 ) -> None:
     with pytest.raises(InputError, match=rf"^\[access\] .*{says}"):
@@ -148,7 +148,7 @@ def test_a_client_s_certificate_does_not_serve(files: dict[str, str], tmp_path: 
         ("alice:correct horse", 0o640, "0640 .* allowed is 0400 or 0600: `chmod 400 .*/passwords`"),
     ],
 )
-def test_passwords_that_protect_nobody_are_refused(
+def test_a_password_file_readable_by_others_is_refused(
     files: dict[str, str], text: str, mode: int, says: str
 ) -> None:
     path = Path(files["passwords"])
@@ -213,6 +213,6 @@ def test_a_router_needs_the_certificate_of_this_rig(files: dict[str, str], tmp_p
 
 
 @pytest.mark.parametrize("router", ["tcp/127.0.0.1:7447", "tls/lab.local", "lab.local:7447"])
-def test_a_router_is_reached_by_tls(router: str) -> None:
+def test_a_router_endpoint_without_tls_is_refused(router: str) -> None:
     with pytest.raises(InputError, match="must be tls/HOST:PORT"):
         load([], {"ARMRIG_ACCESS_ROUTER": router}, {})

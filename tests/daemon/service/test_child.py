@@ -100,7 +100,7 @@ def test_a_loop_that_fails_says_estop_three_times_and_dies(
     assert _frames_of(master, 3)[-3:] == [Estop(0, seq) for seq in range(3)]
 
 
-def test_the_loop_waits_for_neither_of_its_pipes(child: LoopChild) -> None:
+def test_both_pipes_of_the_loop_are_nonblocking(child: LoopChild) -> None:
     """L2: a loop that waited for the service would miss its ticks."""
     arguments = Path(f"/proc/{child._process.pid}/cmdline").read_bytes().split(b"\0")
     module = arguments.index(b"armrig_daemon.loop.process")
@@ -125,7 +125,7 @@ def test_a_loop_that_does_not_end_is_killed(
     assert code == -signal.SIGKILL
 
 
-def test_the_pipes_have_room_for_seconds(child: LoopChild) -> None:
+def test_the_pipes_of_the_loop_have_1_mib(child: LoopChild) -> None:
     """1 MiB, or what the kernel allows this user."""
     out, into = os.pipe()
     with suppress(OSError):

@@ -8,7 +8,7 @@ from armrig_core.codes import RefusalCode
 from armrig_daemon.service.directory import check_directory
 
 
-def test_a_directory_that_cannot_take_it_is_said_before_the_run(tmp_path: Path) -> None:
+def test_a_directory_without_room_is_reported_before_the_run(tmp_path: Path) -> None:
     assert check_directory(tmp_path / "new" / "er", 1000) is None
     small = check_directory(tmp_path, 10**18)
     assert small is not None

@@ -34,7 +34,7 @@ def test_no_more_is_kept_than_allowed(most_bytes: int) -> None:
     assert asked(history, 0) == (51, [])
 
 
-def test_an_answer_has_a_length() -> None:
+def test_the_length_of_a_history_reply_is_limited() -> None:
     history = History(LIFE)
     for _ in range(1000):
         history.add("event", bytes(1000))
@@ -58,7 +58,9 @@ def replies(session: zenoh.Session, payload: bytes | None) -> list[zenoh.Reply]:
     return list(session.get("rig/1/history", payload=payload, timeout=30))
 
 
-def test_what_was_published_is_answered(session: tuple[Session, zenoh.Session]) -> None:
+def test_the_history_reply_contains_published_messages(
+    session: tuple[Session, zenoh.Session],
+) -> None:
     ours, theirs = session
     ours.put("sample", b"one")
     ours.put("gap", b"two")
@@ -73,7 +75,7 @@ def test_what_was_published_is_answered(session: tuple[Session, zenoh.Session]) 
 
 
 @pytest.mark.parametrize("payload", [b'{"first": -1}', b'{"from": 1}', b"\xff", b"[" * 5000])
-def test_a_question_that_is_none_is_refused(
+def test_a_malformed_history_request_is_refused(
     session: tuple[Session, zenoh.Session], payload: bytes
 ) -> None:
     [reply] = replies(session[1], payload)

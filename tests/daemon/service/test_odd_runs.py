@@ -42,7 +42,7 @@ def _lines(path: Path) -> Iterator[str]:
     yield f"  u {show(np.round(recording.u[::45], 4).tolist())}"
 
 
-def test_what_an_odd_rig_s_runs_leave_is_what_they_left(tmp_path: Path) -> None:
+def test_recordings_of_an_odd_rig_are_those_stored(tmp_path: Path) -> None:
     rig = VirtualService(msgspec.structs.replace(CONFIG), tmp_path, seed=2_000_000_000)
     runs: list[dict[str, Any]] = [
         {"u": RAMP, "experiment": "ramp", "details": {"a": [1, {"b": None}]}},

@@ -64,9 +64,7 @@ def _sample(t_ms: float, *, y0: int = 20_000, u: float = 0.0, flags: int = 0) ->
 
 
 @pytest.mark.parametrize(("t_ms", "named"), [(209.999, False), (210, True)])
-def test_alpha_may_be_at_its_end_for_less_than_a_fifth_of_a_second(
-    t_ms: float, named: bool
-) -> None:
+def test_alpha_at_the_end_of_its_range_for_0_2_s_prevents_arming(t_ms: float, named: bool) -> None:
     for flags in (0, int(Flag.ADC1_RAIL)):
         readings = updated(updated(Readings(), _sample(0)), _sample(10, flags=0))
         if flags:
@@ -76,7 +74,7 @@ def test_alpha_may_be_at_its_end_for_less_than_a_fifth_of_a_second(
 
 
 @pytest.mark.parametrize(("turn", "named"), [(0.9999, False), (1.0, True)])
-def test_a_whole_turn_of_driving_is_what_it_takes(turn: float, named: bool) -> None:
+def test_theta_1_is_named_stuck_after_one_driven_turn(turn: float, named: bool) -> None:
     driven = Readings(newest=_sample(0), volt_s=turn)
 
     assert bool(objection(driven, turns_per_volt_s=1.0, alpha_is_read=True)) == named
@@ -100,7 +98,7 @@ def test_readings_within_256_counts_are_one_place(counts: int, moved: bool) -> N
     ("apart_ms", "volts", "volt_s"),
     [(200, 3.0, 0.4), (200.001, 3.0, 0.0), (0, 3.0, 0.0), (100, 1.0, 0.0), (100, 1.1, 0.01)],
 )
-def test_only_what_turns_a_free_motor_counts_as_driving(
+def test_only_voltages_above_friction_count_as_driving(
     apart_ms: float, volts: float, volt_s: float
 ) -> None:
     first = updated(Readings(), _sample(1000, u=volts))

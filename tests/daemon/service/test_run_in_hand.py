@@ -103,7 +103,9 @@ def test_only_the_samples_of_the_run_belong_into_its_recording(runs: Runs) -> No
         (_gap(END, 3), 0),
     ],
 )
-def test_of_a_gap_the_samples_of_the_run_are_missing(runs: Runs, gap: Gap, missing: int) -> None:
+def test_only_samples_of_the_run_count_as_missing_in_a_gap(
+    runs: Runs, gap: Gap, missing: int
+) -> None:
     """L2."""
     path = _begin(runs)
 
@@ -124,7 +126,7 @@ def test_a_run_that_is_over_waits_for_no_client(runs: Runs) -> None:
     runs.finished(30)
 
 
-def test_a_client_goes_once(runs: Runs) -> None:
+def test_a_client_is_reported_gone_once(runs: Runs) -> None:
     _begin(runs)
 
     assert runs.client_gone() == (
@@ -148,7 +150,7 @@ def test_only_the_run_that_was_refused_is_forgotten(runs: Runs) -> None:
     assert runs.is_idle
 
 
-def test_a_run_that_nobody_asked_for_is_not_recorded(runs: Runs, tmp_path: Path) -> None:
+def test_an_unrequested_run_is_not_recorded(runs: Runs, tmp_path: Path) -> None:
     with pytest.raises(LookupError, match="run another was not requested"):
         _begin(runs, "another")
 

@@ -17,7 +17,9 @@ from armrig_daemon.service.sentences import (
 from armrig_daemon.service.systemd import journal_entry, send_to_journal
 
 
-def test_a_line_of_the_log_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_message_with_control_characters_is_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     print_line("info", "held by a\x1b[2J\nkernel: all is well\x9b")
 
     assert capsys.readouterr().err == (
@@ -119,7 +121,7 @@ def test_no_client_writes_a_field_into_the_journal(
     assert fields["PRIORITY"] == "6"
 
 
-def test_an_entry_keeps_what_has_lines_of_its_own() -> None:
+def test_a_journal_entry_keeps_line_breaks_of_a_message() -> None:
     assert _fields(journal_entry("error", "a\nMESSAGE=b\n", {}))["MESSAGE"] == "a\nMESSAGE=b\n"
 
 

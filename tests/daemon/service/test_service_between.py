@@ -197,7 +197,7 @@ def test_a_run_that_cannot_be_recorded_is_stopped(between: Between) -> None:
     assert between.loop.orders() == [pipe.Stop()]
 
 
-def test_a_run_that_the_loop_refuses_is_in_nobody_s_way(between: Between) -> None:
+def test_a_refused_run_does_not_block_the_next_run(between: Between) -> None:
     replies = between.serve(RUN)
     *_, play = between.loop.orders()
 
@@ -207,7 +207,7 @@ def test_a_run_that_the_loop_refuses_is_in_nobody_s_way(between: Between) -> Non
     assert between.service._runs.is_idle
 
 
-def test_a_run_that_the_loop_does_not_answer_is_in_nobody_s_way(between: Between) -> None:
+def test_an_unanswered_run_does_not_block_the_next_run(between: Between) -> None:
     replies = between.serve(RUN)
     *_, play = between.loop.orders()
 
@@ -237,7 +237,7 @@ def test_a_lease_that_the_loop_has_ended_lets_nobody_in(between: Between) -> Non
     assert between.service._session.lease == b""
 
 
-def test_a_command_too_many_is_refused_at_once(between: Between) -> None:
+def test_a_command_beyond_the_queue_is_refused_at_once(between: Between) -> None:
     """R1."""
     for _ in range(publish.MAX_WAITING):
         between.ask(RUN)
@@ -265,7 +265,7 @@ def test_a_recording_that_cannot_be_written_stops_its_run(between: Between) -> N
     ("phase", "n", "complaint"),
     [("active", 2, BY_HAND), ("armed", 3, not_newer(3, 3)), ("armed", 4, not_newer(3, 4))],
 )
-def test_a_run_that_the_core_is_sure_to_refuse_is_not_ordered(
+def test_a_run_that_the_core_would_refuse_is_refused_before_its_rehearsal(
     between: Between, phase: str, n: int, complaint: str
 ) -> None:
     between.service._handle([msgspec.structs.replace(FREE, phase=phase, owner="a test")])
@@ -350,7 +350,7 @@ def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(between: B
     between.service._runs.finished(30)
 
 
-def test_what_is_due_each_second_is_done_once_a_second(
+def test_the_service_sends_alive_once_a_second(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = 0.0
@@ -381,7 +381,7 @@ def test_a_full_table_of_open_files_is_an_error_in_the_log(
     assert "error: 64 of 64 files are open" in capsys.readouterr().err
 
 
-def test_a_command_that_fails_by_our_own_fault_is_refused_and_reported(
+def test_an_internal_error_refuses_the_command_and_is_logged(
     between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
     between.service._runs.plan = lambda *_: [][0]
@@ -455,7 +455,7 @@ def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: 
         (AskedReset(), Reset(order=1)),
     ],
 )
-def test_a_command_is_the_loop_s_to_carry_out_and_to_answer(
+def test_a_command_becomes_an_order_and_the_loop_answers_it(
     between: Between, request_: Any, order: Any
 ) -> None:
     replies = between.serve(request_)
@@ -541,7 +541,7 @@ def test_a_calibration_that_is_taken_late_is_in_force_all_the_same(between: Betw
     assert len(between.loop.orders()) == 1
 
 
-def test_one_calibration_waits_at_most(between: Between) -> None:
+def test_at_most_one_calibration_waits(between: Between) -> None:
     """R1: each may have more than a megabyte."""
     between.ask(ASKED)
 
@@ -562,7 +562,7 @@ def test_one_calibration_waits_at_most(between: Between) -> None:
     ],
     ids=lambda value: type(value).__name__ if not isinstance(value, str) else "",
 )
-def test_what_a_rig_s_own_limits_forbid_is_refused(
+def test_commands_outside_the_configured_limits_are_refused(
     narrow: Between, request_: Any, refusal: str
 ) -> None:
     _ready(narrow)
@@ -580,7 +580,7 @@ def test_a_sampling_time_holds_an_oversampled_reading(between: Between) -> None:
     assert "oversampling = 30: at least 0.00624 s" in _refusal(replies)
 
 
-def test_a_voltage_held_by_hand_may_step_as_far_as_it_will(narrow: Between) -> None:
+def test_slew_does_not_limit_a_voltage_held_by_hand(narrow: Between) -> None:
     _ready(narrow)
     narrow.serve(Set(lease=LEASE, n=4, u=4.4))
     narrow.serve(Arm(owner="Ada", Ts=0.002))

@@ -7,5 +7,5 @@ from pathlib import Path
 from tests.clients.said import assert_said
 
 
-def test_what_a_service_says_at_its_edges_is_what_it_said(tmp_path: Path) -> None:
+def test_sentences_of_the_service_are_those_stored(tmp_path: Path) -> None:
     assert_said(Path(__file__).with_name("said.txt"), tmp_path)
