@@ -19,25 +19,17 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_recordings_of_the_service_are_found(service: Path) -> None:
-    assert directory_to_look_in([], {}) == service
-
-
-def test_recordings_of_the_user_have_precedence_over_the_service(service: Path) -> None:
-    directory_of("").mkdir(parents=True)
-
-    assert directory_to_look_in([], {}) == directory_of("")
-
-
-def test_a_configured_folder_has_precedence(service: Path, tmp_path: Path) -> None:
+def test_recordings_are_looked_for_as_configured_then_of_the_user_then_of_the_service(
+    service: Path, tmp_path: Path
+) -> None:
     away = tmp_path / "away"
 
     assert directory_to_look_in([], {VARIABLE: str(away)}) == away
-
-
-def test_without_a_service_the_folder_of_the_user_is_used(service: Path) -> None:
+    assert directory_to_look_in([], {}) == service
     service.rmdir()
-
+    assert directory_to_look_in([], {}) == directory_of("")
+    service.mkdir()
+    directory_of("").mkdir(parents=True)
     assert directory_to_look_in([], {}) == directory_of("")
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig_daemon.decisions.faults import Id
 
 from tests.systemd.machine import Machine, wait_for
 from tests.systemd.served_rig import Rig
@@ -109,23 +108,6 @@ def test_the_journal_can_be_asked_what_a_line_is_about(rig: Rig) -> None:
     assert {line["_SYSTEMD_UNIT"] for line in (run, stop, end)} == {rig.unit}
     assert {line["PRIORITY"] for line in (run, stop, end)} == {"6"}
     assert {line["SYSLOG_IDENTIFIER"] for line in (run, stop, end)} == {"armrigd"}
-
-
-def test_a_trip_is_in_the_journal_with_its_cause(rig: Rig) -> None:
-    machine = rig.machine
-    rig.drive()
-
-    machine.systemctl("kill", "--signal=STOP", f"rig@{rig.id}")
-    try:
-        wait_for(lambda: rig.phase() == "fault")
-    finally:
-        machine.systemctl("kill", "--signal=CONT", f"rig@{rig.id}")
-
-    *_, trip = (x for x in _about(machine, rig="1") if x["MESSAGE"].startswith("stopped at 0 V"))
-    assert trip["ARMRIG_CAUSE"] in {*Id}  # another one where the machine stalls, too
-    assert trip["PRIORITY"] == "3"
-    assert trip["ARMRIG_OWNER"] == "group 3"
-    assert trip["ARMRIG_RUN"]
 
 
 def test_a_stop_in_a_run_ends_at_0_v_with_the_file_finished(rig: Rig, second: Rig) -> None:
