@@ -6,6 +6,7 @@ from contextlib import nullcontext
 from typing import Any
 
 import pytest
+from armrig_core.emulated import is_emulated
 from armrig_core.manifest import (
     Manifest,
     Outcome,
@@ -82,3 +83,18 @@ def test_whole_numbers_have_64_bit_and_values_at_most_32_levels(
 
     with pytest.raises(ValueError, match=says) if says else nullcontext():
         check_whole_numbers(made)
+
+
+@pytest.mark.parametrize(
+    ("uid", "port", "emulated"),
+    [
+        ("726f74616c756d65", "/dev/pts/3", True),
+        ("a5b1c2d3e4f50617", "unix:/run/user/0/armrig/1.line", True),
+        ("a5b1c2d3e4f50617", "emulated", True),
+        ("a5b1c2d3e4f50617", "/dev/ttyACM0", False),
+        ("", "", False),
+    ],
+)
+def test_a_rig_is_emulated_by_its_device_or_its_port(uid: str, port: str, emulated: bool) -> None:
+    """The simulated Uno draws an identity of its own, so the port decides."""
+    assert is_emulated(uid=uid, port=port) is emulated

@@ -7,11 +7,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig_core.codes import OutcomeCode
+from armrig_core.codes import OutcomeCode, RefusalCode
 from armrig_core.commands import LastRun, Run
 from armrig_core.rehearsal import rehearse
 from armrig_daemon.config import ArmSettings, Config, Limits
 from armrig_daemon.config import Recording as RecordingConfig
+from armrig_daemon.service.directory import check_directory
 from armrig_daemon.service.runs import Runs
 
 REQUEST = Run(lease="a" * 32, n=1, u=[0.0] * 10 + [4.0] * 90)
@@ -128,3 +129,16 @@ def test_a_recording_that_lost_samples_is_remembered(
     assert runs.finished() == ("error", "the disk did not answer")
     assert runs.has_lost == has_lost
     assert runs.is_idle
+
+
+def test_a_directory_without_room_is_reported_before_the_run(tmp_path: Path) -> None:
+    assert check_directory(tmp_path / "new" / "er", 1000) is None
+    small = check_directory(tmp_path, 10**18)
+    assert small is not None
+    assert small.code == RefusalCode.NO_ROOM
+    assert "MB free" in small.error
+    file = tmp_path / "file"
+    file.touch()
+    missing = check_directory(file / "below", 1)
+    assert missing is not None
+    assert "set [recording] directory" in missing.error
