@@ -61,18 +61,6 @@ def test_a_rig_without_its_arm_deflects_nothing(tmp_path: Path) -> None:
     assert answer.rehearsal.alpha_rad == 0.0
 
 
-def test_the_input_is_attached_to_the_last_bit(tmp_path: Path) -> None:
-    u = [0.1, 1 / 3, 5.0, 0, 1e-9, 4.9999999999999991]
-    runs = _runs(tmp_path, Config())
-
-    runs.plan(Run(lease="a" * 32, n=1, u=u), 0.01)
-
-    assert runs._planned is not None
-    head, *lines = runs._planned.text.decode().splitlines()
-    assert head == "u_v"
-    assert [float(line) for line in lines] == u
-
-
 @pytest.mark.parametrize(
     ("error", "moved", "stop_when_full", "disturbed", "unrecorded"),
     [

@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from math import inf
 from pathlib import Path
 from types import SimpleNamespace
@@ -259,22 +260,6 @@ def test_a_recording_that_cannot_be_written_stops_its_run(between: Between) -> N
     assert "the file was removed during the recording" in halt.reason
     between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
     between.service._runs.finished(30)
-
-
-@pytest.mark.parametrize(
-    ("phase", "n", "complaint"),
-    [("active", 2, BY_HAND), ("armed", 3, not_newer(3, 3)), ("armed", 4, not_newer(3, 4))],
-)
-def test_a_run_that_the_core_would_refuse_is_refused_before_its_rehearsal(
-    between: Between, phase: str, n: int, complaint: str
-) -> None:
-    between.service._handle([msgspec.structs.replace(FREE, phase=phase, owner="a test")])
-    between.commands._n = n
-
-    replies = between.serve(RUN)
-
-    assert _refusal(replies) == complaint
-    assert between.loop.orders() == []
 
 
 def test_a_run_is_planned_as_the_newest_lease_was_granted(between: Between) -> None:
@@ -551,33 +536,38 @@ def test_at_most_one_calibration_waits(between: Between) -> None:
     assert len(list(between.service._session.waiting(Kind.CALIBRATE))) == 1
 
 
+DRIVEN = msgspec.structs.replace(FREE, phase="active", owner="a test")
+HELD = msgspec.structs.replace(FREE, owner="Ada", line="no rig")
+OVERSAMPLED = Config(device=Device(oversampling=30))
+TOO_SHORT = "Ts=0.005 s cannot be carried at 500000 baud in scheduled mode with [device]"
+SILENT = msgspec.structs.replace(FREE, line="no answer; check the cable")
+
+
 @pytest.mark.parametrize(
-    ("request_", "refusal"),
+    ("config", "state", "request_", "refusal"),
     [
-        (Set(lease=LEASE, n=1, u=4.41), "u[0]=4.41 V is outside 0.2 … 4.4 V"),
-        (Set(lease=LEASE, n=1, u=0.0), "u[0]=0 V is outside 0.2 … 4.4 V"),
-        (Arm(owner="Ada", Ts=0.0011), "Ts=0.0011 s cannot be carried at 250000 baud"),
-        (Arm(owner="Ada", Ts=0.0020005), "Ts=0.0020005 must be a whole number of microseconds"),
-        (Run(lease=LEASE, n=1, u=[1.0, 4.1]), "u[1] steps by 3.1 V: at most 3 V in a sample"),
+        (Config(), DRIVEN, RUN, BY_HAND),
+        (Config(), HELD, Arm(owner="Bob"), "Ada has the rig: wait until it is free"),
+        (Config(), SILENT, Arm(owner="Bob"), "/dev/armrig: no answer; check the cable"),
+        (OVERSAMPLED, FREE, Arm(owner="Ada", Ts=0.005), f"{TOO_SHORT} oversampling = 30: at least"),
+        (CONFIG, FREE, Arm(owner="Ada", Ts=0.0011), "Ts=0.0011 s cannot be carried at 250000 baud"),
+        (CONFIG, FREE, Arm(owner="Ada", Ts=0.0020005), "Ts=0.0020005 must be a whole number of mi"),
+        (CONFIG, FREE, Set(lease=LEASE, n=1, u=4.41), "u[0]=4.41 V is outside 0.2 … 4.4 V"),
+        (CONFIG, FREE, Set(lease=LEASE, n=1, u=0.0), "u[0]=0 V is outside 0.2 … 4.4 V"),
+        (CONFIG, FREE, Run(lease=LEASE, n=1, u=[1.0, 4.1]), "u[1] steps by 3.1 V: at most 3 V in"),
     ],
-    ids=lambda value: type(value).__name__ if not isinstance(value, str) else "",
 )
-def test_commands_outside_the_configured_limits_are_refused(
-    narrow: Between, request_: Any, refusal: str
+def test_a_command_that_state_or_limits_forbid_is_refused_without_an_order(
+    tmp_path: Path, config: Config, state: State, request_: Any, refusal: str
 ) -> None:
-    _ready(narrow)
-    replies = narrow.serve(request_)
+    with closing(Between(tmp_path, config)) as between:
+        _ready(between)
+        between.service._handle([state])
+        between.commands.note_lease(LEASE)
+        replies = between.serve(request_)
 
-    assert _refusal(replies).startswith(refusal)
-    assert not [order for order in narrow.loop.orders() if order != Alive()]
-
-
-def test_a_sampling_time_holds_an_oversampled_reading(between: Between) -> None:
-    _ready(between)
-    between.commands._config = Config(device=Device(oversampling=30))
-    replies = between.serve(Arm(owner="Ada", Ts=0.005))
-
-    assert "oversampling = 30: at least 0.00624 s" in _refusal(replies)
+        assert _refusal(replies).startswith(refusal)
+        assert not [order for order in between.loop.orders() if order != Alive()]
 
 
 def test_slew_does_not_limit_a_voltage_held_by_hand(narrow: Between) -> None:
@@ -754,18 +744,6 @@ def test_a_lease_is_of_no_use_to_another_client(between: Between) -> None:
     assert arming.told == {"Ts": 0.01}
     assert [one.told for one in asked] == [RefusalCode.NOT_HELD, RefusalCode.NOT_HELD, None]
     assert [type(order) for order in between.loop.orders()] == [pipe.Set]
-
-
-def test_a_rig_that_is_held_is_not_armed_and_its_holder_is_named(between: Between) -> None:
-    _ready(between)
-    between.service._handle([msgspec.structs.replace(FREE, owner="Ada", line="no rig")])
-    held = between.serve(Arm(owner="Bob"))
-    between.service._handle([msgspec.structs.replace(FREE, line="no answer; check the cable")])
-    silent = between.serve(Arm(owner="Bob"))
-
-    assert "Ada" in _refusal(held)
-    assert _refusal(silent) == "/dev/armrig: no answer; check the cable"
-    assert between.loop.orders() == []
 
 
 @pytest.mark.parametrize("pending", [15, 16])
