@@ -319,8 +319,10 @@ def test_a_recovery_does_not_overwrite_another_recording(tmp_path: Path) -> None
 
 def test_a_file_damaged_in_the_middle_is_not_cut(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    noise = rng.integers(0, 65536, (40_000, 2)).tolist()
-    samples = [sample(k, theta_1_counts=a, alpha_counts=b) for k, (a, b) in enumerate(noise)]
+    noise = rng.standard_normal((24_000, 3)).tolist()
+    samples = [
+        sample(k, theta_1_rad=a, alpha_rad=b, u_cmd_v=u) for k, (a, b, u) in enumerate(noise)
+    ]
     about = manifest(k_first=0, samples=len(samples))
     data = bytearray(recorded(samples, manifest=about, outcome=None, flush_every=100))
     assert len(data) > 1.2 * MOST_CUT_OFF

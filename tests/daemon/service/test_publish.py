@@ -66,7 +66,7 @@ def test_another_peer_cannot_publish_a_sample(session: Session, where: str, mode
         )
         publisher = stranger.declare_publisher("rig/1/sample")
         _until(lambda: ours.matching_status and publisher.matching_status)
-        for sn in range(50):
+        for sn in range(20):
             publisher.put(FORGED)
             stranger.put("rig/1/sample", FORGED, source_info=zenoh.SourceInfo(ours.id, sn))
             stranger.delete("rig/1/sample")
