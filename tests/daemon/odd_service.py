@@ -207,8 +207,8 @@ def odd_history() -> None:
         print(first, past.first, past.clock_offset_ns, shown)
 
 
-def odd_messages() -> None:
-    """Print the published messages of each kind of record."""
+def odd_records() -> tuple[Timing, State, Clock, Gap, Log, Trace]:
+    """Return a record of each kind that is published or recorded."""
     part = Distribution(p50=1.5, p90=2.5, p99=3.5, p999=4.5, max=5.5, n=6, missed=7)
     timing = Timing(
         t_host_ns=3,
@@ -240,7 +240,12 @@ def odd_messages() -> None:
     )
     log = Log(t_host_ns=6, level="debug", message="hello", fields={"a": "b"})
     trace = Trace(t_host_ns=7, number=8, state=b"s", steps=b"t", version=2)
-    for record in (timing, state, clock, gap, log, trace):
+    return timing, state, clock, gap, log, trace
+
+
+def odd_messages() -> None:
+    """Print the published messages of each kind of record."""
+    for record in odd_records():
         made = outgoing(record, 1_000_000_000_000)
         name = protobuf.TRACE if made.stream == "trace" else protobuf.OF_STREAM[made.stream]
         message = protobuf.message_class(name).FromString(made.data)

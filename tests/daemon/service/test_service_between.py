@@ -20,7 +20,7 @@ import pytest
 from armrig.rig.session import open_session
 from armrig_core import protobuf
 from armrig_core.calibration import Calibration, Made, Potentiometer
-from armrig_core.codes import Ending, GapCode, OutcomeCode, RefusalCode
+from armrig_core.codes import Ending, OutcomeCode, RefusalCode
 from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop, refused
 from armrig_core.commands import Calibrate as AskedCalibrate
 from armrig_core.commands import Reset as AskedReset
@@ -36,17 +36,12 @@ from armrig_daemon.pipe import (
     Alive,
     Answer,
     Calibrate,
-    Clock,
-    Distribution,
-    Gap,
     Host,
     Log,
     Reset,
     RunEnded,
     RunStarted,
     State,
-    Timing,
-    Trace,
 )
 from armrig_daemon.service import publish
 from armrig_daemon.service.access import Network
@@ -59,40 +54,11 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from tests.daemon.loop_ends import LoopEnds
 from tests.daemon.odd_bench import CONFIG
+from tests.daemon.odd_service import odd_records
 
 LEASE = "a" * 32
 FREE = State(t_host_ns=0, phase="safe", reason="", owner="", ts_us=0, device={})
 RUN = Run(lease=LEASE, n=3, u=[1.0] * 3)
-EVEN = Distribution(p50=1.0, p90=1.0, p99=1.0, p999=1.0, max=1.0, n=100, missed=0)
-TOLD_IN_A_RUN = {
-    "event": Log(t_host_ns=1, level="info", message="told"),
-    "gap": Gap(
-        k_first=1,
-        count=1,
-        t_from_ns=1,
-        t_to_ns=2,
-        u_held_v=0.0,
-        reason="late",
-        code=GapCode.HOST_LATE,
-    ),
-    "state": msgspec.structs.replace(FREE, owner="a test"),
-    "timing": Timing(
-        t_host_ns=1,
-        wake_lateness_us=EVEN,
-        device_tick_error_us=EVEN,
-        link_round_trip_us=EVEN,
-        queue_depth=EVEN,
-    ),
-    "clock": Clock(
-        t_host_ns=1,
-        offset_ns=0,
-        offset_std_ns=1.0,
-        drift_ppm=0.0,
-        drift_std_ppm=1.0,
-        bound_ns=1.0,
-    ),
-}
-"""By stream."""
 
 
 class Between:
@@ -392,12 +358,11 @@ def test_what_the_loop_was_not_granted_is_reported(
 def test_what_the_loop_reports_in_a_run_is_in_its_recording(between: Between) -> None:
     between.begin_run()
 
-    trace = Trace(t_host_ns=1, number=0, state=b"s", steps=b"t", version=2)
-    between.service._handle([_sample(0), trace, *TOLD_IN_A_RUN.values()])
+    between.service._handle([_sample(0), *odd_records()])
 
     with _finished(between).open("rb") as file:
         topics = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
-    streams = ["sample", "event", "trace", *TOLD_IN_A_RUN]
+    streams = ["sample", "event", "event", "trace", "gap", "state", "timing", "clock"]
     assert sorted(topics) == sorted(f"/rig/1/{stream}" for stream in streams)
 
 
@@ -835,7 +800,7 @@ def test_systemd_hears_what_the_loop_reports(between: Between) -> None:
     )
 
     between.service._handle([_sample(1), Host(granted={"refused": []})])
-    between.service._handle([FREE, TOLD_IN_A_RUN["timing"]])
+    between.service._handle([FREE, odd_records()[0]])
     between.service._each_second()
     between.service._quit("a test")
 
