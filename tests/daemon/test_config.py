@@ -64,9 +64,6 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
             r"exchange mode with \[device\] oversampling = 16: at least 0\.004368 s, or a higher "
             "baud rate, or less oversampling$",
         ),
-        ("[arm]\nJ_1 = 0", r"arm\.J_1 = 0: expected `float` > 0"),
-        ("[arm]\nJ_1 = inf", r"arm\.J_1 = inf: expected `float` <= 1000000"),
-        ("[arm]\nJ_3 = 1", r"arm\.J_3 = 1: no such key; allowed are J_1, J_2"),
         ("[motor]\nenable_line = true", r"motor\.enable_line = True: no such key; allowed are"),
         (
             "[device]\nport = '/dev/tty\x9b'",
