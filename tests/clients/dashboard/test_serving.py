@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import http.client
 import json
-import logging
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
@@ -37,25 +35,6 @@ def test_two_dashboards_that_start_at_once_have_a_port_each() -> None:
     ):
         assert first.getsockname()[1] == port
         assert second.getsockname()[1] != port
-
-
-def test_a_broken_connection_writes_nothing_on_the_terminal(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """The event loop warns of each connection that is lost during a write."""
-    with dashboard(Settings(connect=f"unixsock-stream/{tmp_path}/none.sock")):
-        logging.getLogger("asyncio").warning("socket.send() raised exception.")
-
-    assert caplog.text == ""
-
-
-def test_a_dashboard_that_has_ended_listens_to_no_rig(tmp_path: Path) -> None:
-    before = {*threading.enumerate()}
-
-    with dashboard(Settings(connect=f"unixsock-stream/{tmp_path}/none.sock")):
-        pass
-
-    assert not [t.name for t in {*threading.enumerate()} - before if t.name == "listener"]
 
 
 def test_the_page_is_at_both_names_of_this_machine_and_its_code_opens_once(tmp_path: Path) -> None:
