@@ -127,6 +127,17 @@ class _Rig:
         return self.report
 
 
+class _Listener(Listener):
+    """Listener without a past, which ends by a clock."""
+
+    def __init__(self, feed: Feed, clock: _Clock, found: list[float]) -> None:
+        super().__init__(feed, rig="1", connect=None, found=lambda: found.append(clock.now_s))
+        self._ends = clock  # type: ignore[assignment]
+
+    def _take_past(self) -> None:
+        pass
+
+
 def _listened(
     monkeypatch: pytest.MonkeyPatch,
     Ts: float,
@@ -136,11 +147,8 @@ def _listened(
     """Listen to a rig; return the rig, what was heard, and when the listener gave up."""
     clock, feed, found = _Clock(until_s), Feed(), list[float]()
     monkeypatch.setattr(serving.time, "monotonic", lambda: clock.now_s)
-    listener = Listener(feed, rig="1", connect=None, found=lambda: found.append(clock.now_s))
-    monkeypatch.setattr(listener, "_ends", clock)
-    monkeypatch.setattr(listener, "_take_past", lambda: None)
     rig: Any = _Rig(clock, Ts, published)
-    listener._listen(rig)
+    _Listener(feed, clock, found)._listen(rig)
     assert found == [0.0]
     return rig, feed, clock.now_s
 
