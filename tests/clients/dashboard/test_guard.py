@@ -21,6 +21,12 @@ def test_a_pass_ends() -> None:
     assert not Pass("right", until_s=time.monotonic() - 1).opens(b"right")
 
 
+def test_only_the_page_s_own_scripts_run_and_no_page_embeds_it() -> None:
+    rules = dict(HEADERS)[b"content-security-policy"].decode().split("; ")
+
+    assert {"default-src 'none'", "script-src 'self'", "frame-ancestors 'none'"} <= {*rules}
+
+
 HOST = (b"Host", b"127.0.0.1:8807")
 TOKEN = (b"authorization", b"Bearer right")
 MOST = "at most 8388608 B"
