@@ -17,7 +17,6 @@ from urllib.parse import urlsplit
 import armrig
 import pytest
 import zenoh
-from armrig.cli import main
 from armrig.dashboard.foxglove import foxglove
 from armrig.dashboard.serving import Settings, dashboard
 from armrig.lab import pki
@@ -43,8 +42,6 @@ from tests.integration.laboratory import (
 from tests.integration.processes import WITHIN_S, Bench, settled, wait_for
 from tests.integration.sockets import sockets
 from tests.sampling import sampled
-
-NOT_HELD = "not the lease in force: arm first"
 
 
 @pytest.fixture(scope="module")
@@ -98,34 +95,6 @@ def test_a_local_user_stops_the_rig_without_any_certificate(lab: Laboratory) -> 
             rig.set(1.0)
 
 
-def test_a_name_cannot_be_borrowed(lab: Laboratory) -> None:
-    with lab.bench.rig() as here, lab.rig("carol") as rig:
-        here.arm("(certificate certificate alice)")
-        assert here.status().owner == "[certificate certificate alice]"
-        assert here.status().owner_checked == ""
-        here.disarm()
-        rig.arm("me (certificate alice) (user alice)")
-        owner = "me [certificate alice] [user alice] (certificate carol)"
-        assert rig.status().owner == owner
-        assert rig.status().owner_checked == "certificate carol"
-        rig.disarm()
-
-
-def test_a_lease_is_of_use_to_nobody_else(lab: Laboratory) -> None:
-    """Another operator and the user at the rig know the lease."""
-    with lab.rig("alice") as rig, lab.rig("carol") as other, lab.bench.rig() as here:
-        lease = rig.arm("a test").lease
-        for thief in (other, here):
-            thief._lease, thief._n = lease, 10
-            with pytest.raises(RefusedError, match=NOT_HELD):
-                thief.set(1.0)
-            with pytest.raises(RefusedError, match=NOT_HELD):
-                thief.run([1.0] * 10)
-            thief._lease = ""
-        rig.disarm()
-    assert lab.bench.volts() == 0.0
-
-
 def test_an_observer_watches_and_does_nothing(lab: Laboratory) -> None:
     with lab.rig("bob") as rig:
         assert next(samples(rig)).u_applied_v == 0.0
@@ -156,23 +125,6 @@ def test_a_certificate_that_does_not_count_is_reported(
 ) -> None:
     with pytest.raises(RigError, match=says), lab.rig(who):
         pass
-
-
-def test_commands_find_rig_and_certificate_in_the_configuration(
-    lab: Laboratory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "armrig").mkdir()
-    (tmp_path / "armrig" / "armrig.toml").write_text(
-        f'[client]\nconnect = "{lab.endpoint}"\ncertificate = "{lab.made}/alice.pem"\n'
-    )
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-
-    with Rig() as rig:
-        rig.arm("a test")
-        assert rig.status().owner == "a test (certificate alice)"
-        rig.disarm()
-    assert next(s for s in armrig.stream("rig/1/sample") if not isinstance(s, armrig.LiveGap)).k > 0
 
 
 def test_a_run_that_is_too_long_for_a_network_is_refused_by_the_client(lab: Laboratory) -> None:
@@ -329,15 +281,6 @@ def test_another_s_zenoh_id_gives_no_rights(lab: Laboratory) -> None:
         assert _is_answered(bob, "rig/1/cmd/status/bob")
         assert not _is_answered(bob, "rig/1/cmd/status/alice")
         assert not _is_answered(bob, "rig/1/cmd/stop/bob")
-
-
-def test_an_observer_records_from_afar(lab: Laboratory, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = lab.bench.folder / "afar.mcap"
-    monkeypatch.setenv("ARMRIG_CLIENT_CERTIFICATE", str(lab.made / "bob.pem"))
-
-    assert main(["record", "--from", lab.endpoint, "--seconds", "1", "-o", str(path)]) == 0
-
-    assert armrig.load(path).t.size > 50
 
 
 @pytest.mark.exhaustive

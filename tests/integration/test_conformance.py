@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from armrig_daemon.loop.link import Link
 
 from tests.integration.processes import complete_lines
 from tests.sampling import sampled
@@ -98,26 +97,3 @@ def test_an_interruption_leaves_the_device_at_0_v(rig: Path, number: signal.Sign
     assert complaint == "armrigd: conformance: interrupted; a stop was sent to the device\n"
     assert last_volts(rig) == 0.0
     assert not trace(rig)[-1].endswith("WATCHDOG")
-
-
-def test_nothing_is_sent_where_nobody_says_that_the_motor_is_unplugged(rig: Path) -> None:
-    asks = started(_ASKS, "conformance", "--device", str(rig))
-
-    _, complaint = asks.communicate(timeout=PATIENCE_S)
-
-    assert asks.returncode == 1
-    assert "the motor must be unplugged" in complaint
-    assert "confirm with --motor-unplugged" in complaint
-    assert len(trace(rig)) == 1
-
-
-def test_a_port_that_another_holds_is_left_alone(rig: Path) -> None:
-    held = Link(str(rig), 500_000)
-    asks = started(_ASKS, "conformance", "--device", str(rig), "--motor-unplugged")
-
-    _, complaint = asks.communicate(timeout=PATIENCE_S)
-    held.close()
-
-    assert asks.returncode == 1
-    assert "in use by another program" in complaint
-    assert complaint.count("\n") == 1

@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import suppress
-from pathlib import Path
 
 import armrig
 import numpy as np
 import pytest
-from armrig.rig.replies import RefusedError, RunEndedError
+from armrig.rig.replies import RefusedError
 
 from tests.integration.driving import begin
 from tests.integration.processes import WITHIN_S, Bench, freeze, newest, state_of, wait_for
@@ -86,24 +83,6 @@ def _reads_up_to_the_last_flush(run: Run, flushed_ns: int) -> None:
     commanded = recording.samples["u_cmd_v"]
     np.testing.assert_allclose(commanded, np.where((k - k[0]) % 2, 4.0, 1.0), atol=1e-4)
     assert recording.samples["t_host_ns"][-1] >= flushed_ns
-
-
-@pytest.mark.exhaustive
-def test_kill_9_of_a_service_whose_disk_keeps_it_from_dying(run: Run) -> None:
-    """A thread in a system call keeps the pipes open: the loop does not wait for their end."""
-    held = []
-    for entry in Path(f"/proc/{run.daemon.popen.pid}/fd").iterdir():
-        with suppress(OSError):
-            if "pipe" in str(entry.readlink()):
-                held.append(os.open(entry, os.O_WRONLY | os.O_NONBLOCK))
-    assert held
-
-    killed_ns = run.daemon.kill()
-
-    assert run.bench.went_to_0_v_after(killed_ns) < STOPPED_S
-    wait_for(lambda: not _alive(run.loop_pid))
-    for fd in held:
-        os.close(fd)
 
 
 def test_kill_9_of_the_service(run: Run) -> None:
@@ -181,65 +160,6 @@ def test_ctrl_c_reaches_both_processes(run: Run) -> None:
     assert "Traceback" not in run.daemon.said
 
 
-@pytest.mark.exhaustive
-def test_a_frozen_loop_does_not_keep_the_service_from_ending(run: Run) -> None:
-    """SIGTERM after SIGSTOP of the loop: the device stops the motor, the service ends."""
-    freeze(run.loop_pid)
-    told_ns = run.daemon.kill(signal.SIGTERM)
-
-    assert run.daemon.popen.wait(WITHIN_S) == 1
-    assert run.bench.went_to_0_v_after(told_ns) < STOPPED_S
-    assert "killed; the device stops the motor" in run.daemon.said
-
-
-@pytest.mark.timed
-@pytest.mark.parametrize(("frozen_s", "survives"), [(0.15, True), (0.35, False)])
-def test_a_loop_frozen_for_less_than_the_watchdog_costs_nothing(
-    bench: Bench, frozen_s: float, survives: bool
-) -> None:
-    """The device paces itself at 500 Hz with a second of setpoints; its watchdog is 250 ms."""
-    bench.configure(baud=500_000, more="", watchdog_ms=250)
-    bench.emulate()
-    daemon = bench.serve()
-    loop_pid = bench.loop_pid(daemon)
-    u = armrig.telegraph(1500, 0.1, low=1.0, high=4.0, seed=1)
-    timer = threading.Timer(1.5, _freeze, (loop_pid, frozen_s))
-
-    with bench.rig() as rig:
-        rig.arm("a test", Ts=0.002)
-        timer.start()
-        if survives:
-            recording = armrig.load(rig.run(u))
-        else:
-            with pytest.raises(RunEndedError) as ended:
-                rig.run(u)
-            recording = armrig.load(ended.value.recording)
-
-    if survives:
-        assert recording.missing == 0
-        applied = recording.samples["u_applied_v"]
-        np.testing.assert_allclose(applied, u, atol=5 / 1024)
-        assert np.unique(np.diff(recording.samples["t_device_us"].astype(int))).tolist() == [2000]
-        assert max(t.wake_lateness_us.max for t in recording.timing) > 100_000
-    else:
-        assert bench.volts() == 0.0
-        assert "FAULT,WATCHDOG" in bench.trace.read_text()
-        assert recording.missing > 0
-
-
-@pytest.mark.exhaustive
-def test_a_client_that_is_killed_does_not_cost_the_recording(served: Bench) -> None:
-    run = Run(served, periods=150)
-
-    run.end()
-
-    with served.rig() as rig:
-        wait_for(lambda: rig.status().phase == "safe")
-        last = rig.status().last_run
-    assert last is not None
-    assert last.outcome == "complete"
-
-
 def test_a_loop_that_is_frozen_is_stopped_by_the_device(run_of_many: Run) -> None:
     """After SIGCONT old frames start nothing, and the fault stays."""
     run = run_of_many
@@ -265,12 +185,6 @@ def test_the_rig_is_unplugged_and_plugged_in_again(run_of_many: Run) -> None:
             rig.arm("a test")
         rig.reset()
         rig.arm("a test")
-
-
-def _freeze(pid: int, seconds: float) -> None:
-    freeze(pid)
-    threading.Event().wait(seconds)
-    os.kill(pid, signal.SIGCONT)
 
 
 def _alive(pid: int) -> bool:

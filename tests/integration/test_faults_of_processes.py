@@ -7,13 +7,11 @@ import os
 import pty
 import re
 import signal
-import threading
 import time
 from pathlib import Path
 
 import armrig
 import pytest
-from armrig.rig.replies import RefusedError
 
 from tests.integration.driving import (
     STOPPED_S,
@@ -25,9 +23,6 @@ from tests.integration.driving import (
     recorded,
 )
 from tests.integration.processes import WITHIN_S, Bench, Process, freeze, wait_for
-
-TRIPPED = ("ticks in a row were missed", "no answer from the device", "the host paused for")
-"""The first is meant; a machine that is busy itself makes one of the others of it."""
 
 
 def _ends_in_good_order(bench: Bench, daemon: Process, number: signal.Signals) -> None:
@@ -133,15 +128,6 @@ def test_more_signals_change_nothing(bench: Bench, loop_too: bool) -> None:
     assert path.suffix == ".mcap"
 
 
-def test_more_signals_to_an_emulator_change_nothing(bench: Bench) -> None:
-    emulator = bench.emulate()
-
-    _killed_again_and_again(emulator, emulator.popen.pid)
-
-    assert emulator.popen.wait(WITHIN_S) == 0, emulator.said
-    assert not bench.port_is_there()
-
-
 @pytest.mark.timed
 def test_a_loop_that_was_frozen_in_exchange_mode_trips(bench: Bench) -> None:
     """SIGSTOP, 300 ms, SIGCONT: at its first tick, or by a report of the device."""
@@ -161,65 +147,3 @@ def test_a_loop_that_was_frozen_in_exchange_mode_trips(bench: Bench) -> None:
     check_every_k(recording)
     check_volts(bench)
     assert bench.voltage_changes()[-1][0] < thawed_ns, "driven on by the frames of before"
-
-
-@pytest.mark.timed
-def test_a_command_that_waited_for_a_frozen_loop_drives_nothing(bench: Bench) -> None:
-    bench.emulate()
-    daemon = bench.serve()
-    loop_pid = bench.loop_pid(daemon)
-    refused: list[str] = []
-
-    def command() -> None:
-        try:
-            rig.set(4.0)
-        except RefusedError as err:
-            refused.append(str(err))
-
-    with bench.rig() as rig:
-        hold(rig, bench, 1.0)
-        freeze(loop_pid)
-        late = threading.Thread(target=command)
-        late.start()
-        time.sleep(0.3)
-        os.kill(loop_pid, signal.SIGCONT)
-        late.join(WITHIN_S)
-
-        wait_for(lambda: rig.status().phase == "fault")
-    assert refused
-    assert max(volts for _, volts in bench.voltage_changes()) < 1.1
-
-
-@pytest.mark.timed
-@pytest.mark.parametrize("stop_after", [0, 1])
-def test_ticks_that_an_overloaded_host_misses_are_counted_then_trip(
-    bench: Bench, stop_after: int
-) -> None:
-    """The loop loses the processor for two ticks, again and again."""
-    bench.configure(more=f"[timing]\nstop_after = {stop_after}", watchdog_ms=250)
-    bench.emulate()
-    daemon = bench.serve()
-    loop_pid = bench.loop_pid(daemon)
-    with driven(bench, samples=60, pacing="exchange", Ts=0.08):
-        for _ in range(4):
-            ticks = len(bench.voltage_changes())
-            wait_for(lambda ticks=ticks: len(bench.voltage_changes()) != ticks or _is_over(bench))
-            time.sleep(0.055)
-            freeze(loop_pid)
-            time.sleep(0.12)
-            os.kill(loop_pid, signal.SIGCONT)
-        recording = recorded(bench)
-
-    check_every_k(recording)
-    check_volts(bench)
-    if stop_after:
-        assert any(text in outcome(recording) for text in TRIPPED)
-    else:
-        assert outcome(recording) == "complete"
-        assert sum(gap.count for gap in recording.gaps if "late" in gap.reason) >= 4
-        assert sum(timing.wake_lateness_us.missed for timing in recording.timing) >= 4
-
-
-def _is_over(bench: Bench) -> bool:
-    with bench.rig() as rig:
-        return rig.status().phase != "active"

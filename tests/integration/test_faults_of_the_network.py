@@ -8,11 +8,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import armrig
 import pytest
 from armrig_core.access_control import MOST_LOCAL_BYTES
 from armrig_core.codes import GapCode
-from armrig_core.daemon_lock import read_facts
 
 from tests.integration.driving import (
     STOPPED_S,
@@ -23,7 +21,7 @@ from tests.integration.driving import (
     recorded,
     resident_mib,
 )
-from tests.integration.processes import Bench, freeze, settled, wait_for
+from tests.integration.processes import Bench, freeze
 
 pytestmark = pytest.mark.timed
 MORE_MIB = 64.0
@@ -127,24 +125,4 @@ def test_a_payload_that_is_too_large_disturbs_nobody(bench: Bench, size: int) ->
     assert outcome(recording) == "complete"
     assert daemon.popen.poll() is None
     assert "Traceback" not in daemon.said
-    check_volts(bench)
-
-
-def test_a_socket_that_is_removed_costs_the_run_nothing(bench: Bench) -> None:
-    bench.emulate()
-    bench.serve()
-    socket = bench.folder / "armrig" / "1.sock"
-
-    def remove(done: int, total: int) -> None:
-        if done > total / 4:
-            socket.unlink(missing_ok=True)
-
-    with bench.rig() as rig:
-        rig.arm("a test", Ts=0.01)
-        recording = armrig.load(rig.run([1.0, 4.0] * 50, progress=remove))
-
-        wait_for(lambda: socket.exists() and read_facts(socket))
-        with bench.rig() as another:
-            assert settled(another) == settled(rig) == "safe"
-    assert outcome(recording) == "complete"
     check_volts(bench)

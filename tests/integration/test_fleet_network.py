@@ -8,22 +8,19 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import armrig
 import pytest
 
 from tests.integration import namespaces
 from tests.integration.fleet_lab import RIGS, WITHIN_S, FleetLab
 from tests.integration.fork_server import ForkServer
-from tests.integration.processes import Bench, newest, wait_for
+from tests.integration.processes import Bench, wait_for
 from tests.integration.remote_rig import HERE, said, stranger, watching
 from tests.integration.star import Star, star
 from tests.integration.stranger import ALIVE, FORGED, STREAM_KEYS, TOLD_KEYS, command_keys
@@ -40,7 +37,6 @@ WHO = {
 }
 GUARDED = ("-m", "armrig")
 UNGUARDED = (str(HERE / "open_router.py"),)
-STALLED_S = 5.0
 
 
 class Lab(NamedTuple):
@@ -214,41 +210,3 @@ def test_without_the_guard_everybody_does_everything(unguarded: Tried, who: str)
     forged = _worked(unguarded.watcher["forged"])
     assert forged[f"PUT {who}"] > FEW
     assert forged[f"TOKEN {FORGED}"] > 0
-
-
-def test_one_recorder_loses_nothing(lab: Lab) -> None:
-    folder = lab.files.folder / "files"
-    asked = ("record", "--from", lab.files.endpoint, "--all", "-o", str(folder), "--json")
-    with routed(lab, *GUARDED) as router, ExitStack() as stack:
-        recorder = _armrig(lab, *asked)
-        stack.callback(recorder.kill)
-        wait_for(lambda: len(list(folder.glob("*.active"))) == len(RIGS), WITHIN_S)
-        wait_for(lambda: _newest_ns(folder) > 0, WITHIN_S)
-        router.kill()
-        router.wait()
-        time.sleep(1.0)
-        with routed(lab, *GUARDED):
-            recorder.send_signal(signal.SIGSTOP)
-            time.sleep(STALLED_S)
-            ended_ns = time.monotonic_ns()
-            recorder.send_signal(signal.SIGCONT)
-            wait_for(lambda: _newest_ns(folder) > ended_ns, WITHIN_S)
-            recorder.send_signal(signal.SIGINT)
-            text, told = recorder.communicate(timeout=WITHIN_S)
-
-    assert recorder.returncode == 0, told
-    files = {file["rig"]: file for file in json.loads(text)["recordings"]}
-    assert files.keys() == set(RIGS)
-    assert len(json.loads(text)["recordings"]) == len(RIGS)
-    for file in files.values():
-        found = armrig.load(file["recording"])
-        # The daemon has reported its own losses on a busy machine; the network lost nothing.
-        assert {gap.reason for gap in found.gaps if "recorder" in gap.reason} == set()
-        assert found.missing == sum(gap.count for gap in found.gaps)
-        assert found.samples["t_host_ns"][-1] > ended_ns
-    assert "lost" not in told
-
-
-def _newest_ns(folder: Path) -> int:
-    """Return the time up to which all files have samples; -1 if a file has none yet."""
-    return min(newest(file, "t_host_ns") for file in folder.glob("*.active"))
