@@ -5,10 +5,9 @@ from __future__ import annotations
 import signal
 import time
 
-import armrig
 import pytest
 
-from tests.integration.driving import begin
+from tests.integration.driving import begin, outcome, recorded
 from tests.integration.processes import Bench, wait_for
 
 pytestmark = pytest.mark.timed
@@ -24,51 +23,22 @@ with Rig(connect=sys.argv[1]) as rig:
 """
 
 
-class Client:
-    """A client of its own process, with a run in progress."""
-
-    def __init__(self, bench: Bench, program: str, periods: int, pacing: str) -> None:
-        self.popen = begin(bench, 50, program, str(periods), pacing, str(DEAD_MAN_S))
-
-    def end(self) -> None:
-        """Kill it in any state."""
-        self.popen.kill()
-        self.popen.wait()
-
-
-def _client(
-    bench: Bench, program: str = RUNNER, periods: int = 1000, pacing: str = "scheduled"
-) -> Client:
-    bench.emulate()
-    bench.serve()
-    return Client(bench, program, periods, pacing)
-
-
-def _ended(bench: Bench) -> armrig.Recording:
-    """Return the finished recording of the run, without a holder or a fault."""
-    with bench.rig() as rig:
-        wait_for(lambda: (last := rig.status().last_run) is not None and last.finished)
-        wait_for(lambda: rig.status().phase == "safe")
-        last = rig.status().last_run
-        assert last is not None
-        return armrig.load(last.recording)
-
-
 @pytest.mark.parametrize(
     ("number", "pacing"), [(signal.SIGKILL, "scheduled"), (signal.SIGSTOP, "exchange")]
 )
 def test_a_run_ends_soon_after_its_client(
     bench: Bench, number: signal.Signals, pacing: str
 ) -> None:
-    """Killed, or frozen: 0 V one period after its last sign."""
-    client = _client(bench, pacing=pacing)
+    """Killed, or frozen: 0 V one period after its last sign, without a holder or a fault."""
+    bench.emulate()
+    bench.serve()
+    client = begin(bench, 50, RUNNER, "1000", pacing, str(DEAD_MAN_S))
 
-    client.popen.send_signal(number)
-    gone_ns = time.monotonic_ns()
+    client.send_signal(number)
+    took_s = bench.went_to_0_v_after(time.monotonic_ns())
+    client.kill()
+    client.wait()
 
-    took_s = bench.went_to_0_v_after(gone_ns)
     assert 0.2 < took_s < DEAD_MAN_S + LATE_S
-    client.end()
-    outcome = _ended(bench).outcome
-    assert outcome is not None
-    assert outcome.outcome == "its client went away: no sign of it for 0.6 s"
+    assert outcome(recorded(bench)) == "its client went away: no sign of it for 0.6 s"
+    wait_for(lambda: bench.phase() == "safe")

@@ -9,38 +9,33 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
 
 import armrig
 import numpy as np
 import pytest
 from armrig.rig.replies import RefusedError
 
-from tests.integration.driving import begin
-from tests.integration.processes import WITHIN_S, Bench, freeze, newest, state_of, wait_for
+from tests.integration.driving import STOPPED_S, driven, outcome
+from tests.integration.processes import (
+    WITHIN_S,
+    Bench,
+    Process,
+    freeze,
+    newest,
+    state_of,
+    wait_for,
+)
 
-STOPPED_S = 1.0
-RUNNER = """
-import sys
-from armrig.rig.client import Rig
-with Rig(connect=sys.argv[1]) as rig:
-    rig.arm("a test", Ts=0.01)
-    rig.run([1.0, 4.0] * int(sys.argv[2]))
-"""
 
-
-class Run:
+class Run(NamedTuple):
     """A long run in progress on a bench whose daemon was started last."""
 
-    def __init__(self, bench: Bench, periods: int = 2000) -> None:
-        self.bench = bench
-        self.emulator, self.daemon = bench.processes[-2:]
-        self.loop_pid = bench.loop_pid(self.daemon)
-        self.client = begin(bench, 50, RUNNER, str(periods))
-
-    def end(self) -> None:
-        """End its client."""
-        self.client.kill()
-        self.client.wait()
+    bench: Bench
+    emulator: Process
+    daemon: Process
+    loop_pid: int
 
     def flushed_ns(self) -> int:
         """Return a time of this run, once the samples up to it are in the file."""
@@ -56,22 +51,28 @@ class Run:
         return armrig.load(path)
 
 
+@contextmanager
+def _running(bench: Bench) -> Iterator[Run]:
+    emulator, daemon = bench.processes[-2:]
+    loop_pid = bench.loop_pid(daemon)
+    with driven(bench, samples=4000):
+        yield Run(bench, emulator, daemon, loop_pid)
+
+
 @pytest.fixture
 def run(bench: Bench) -> Iterator[Run]:
     """Give a run that drives the motor with 1 V and 4 V in turn, every 10 ms."""
     bench.emulate()
     bench.serve()
-    run = Run(bench)
-    yield run
-    run.end()
+    with _running(bench) as run:
+        yield run
 
 
 @pytest.fixture
 def run_of_many(served: Bench) -> Iterator[Run]:
     """Give such a run on a daemon that the last tests here share; none of them ends it."""
-    run = Run(served)
-    yield run
-    run.end()
+    with _running(served) as run:
+        yield run
 
 
 def _reads_up_to_the_last_flush(run: Run, flushed_ns: int) -> None:
@@ -117,8 +118,7 @@ def test_kill_9_of_the_loop(run: Run) -> None:
     path = run.bench.recording()
     recording = armrig.load(path)
     assert not recording.truncated
-    assert recording.outcome is not None
-    assert recording.outcome.outcome == "the loop ended"
+    assert outcome(recording) == "the loop ended"
 
 
 def test_kill_9_of_both(run: Run) -> None:
@@ -133,17 +133,14 @@ def test_kill_9_of_both(run: Run) -> None:
     _reads_up_to_the_last_flush(run, flushed_ns)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_it_in_good_order(run: Run, number: signal.Signals) -> None:
     """0 V, a complete file that says why it ended, exit code 0."""
     told_ns = run.daemon.kill(number)
 
     assert run.daemon.popen.wait(WITHIN_S) == 0
     assert run.bench.went_to_0_v_after(told_ns) < STOPPED_S
-    path = run.bench.recording()
-    outcome = armrig.load(path).outcome
-    assert outcome is not None
-    assert outcome.outcome == "the daemon was ended"
+    assert outcome(armrig.load(run.bench.recording())) == "the daemon was ended"
     assert "Traceback" not in run.daemon.said
 
 
