@@ -36,12 +36,10 @@ from tests.integration.laboratory import (
     by_certificate,
     by_password,
     certificates,
-    expire_rig,
     free_port,
 )
 from tests.integration.processes import WITHIN_S, Bench, settled, wait_for
 from tests.integration.sockets import sockets
-from tests.sampling import sampled
 
 
 @pytest.fixture(scope="module")
@@ -168,36 +166,16 @@ def test_a_user_with_a_password_is_known_by_name(
         pass
 
 
-@pytest.mark.parametrize(
-    ("spoilt", "says"),
-    sampled(
-        [
-            ("names", "access.toml: there is no such file; `armrig pki ca` writes one"),
-            ("certificate", "rig-1.pem: the certificate has expired: `armrig pki renew`"),
-            ("address", "this machine has no such address"),
-            ("port", "another program listens there; use another port"),
-        ],
-        2,
-    ),
-)
-def test_a_daemon_that_cannot_listen_as_it_should_does_not_start(
-    bench: Bench, spoilt: str, says: str
-) -> None:
+def test_a_daemon_that_cannot_listen_does_not_start(bench: Bench) -> None:
     """Exit code 78, one line, and the motor's loop never starts."""
     made = certificates(bench.folder)
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        host = "192.0.2.7" if spoilt == "address" else "127.0.0.1"
-        port = taken.getsockname()[1] if spoilt == "port" else free_port()
-        by_certificate(bench, made, f"tls/{host}:{port}")
-        if spoilt == "names":
-            (made / "access.toml").unlink()
-        if spoilt == "certificate":
-            expire_rig(made)
+        by_certificate(bench, made, f"tls/127.0.0.1:{taken.getsockname()[1]}")
         bench.emulate()
         daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
         assert daemon.popen.wait(WITHIN_S) == EX_CONFIG
 
-    assert says in daemon.said
+    assert "another program listens there; use another port" in daemon.said
     assert "Traceback" not in daemon.said
     assert bench.volts() == 0.0
 
@@ -219,9 +197,7 @@ def test_nothing_listens_but_what_is_said(bench: Bench, level: str) -> None:
     assert sockets(bench.loop_pid(daemon)) == {}
 
 
-@pytest.mark.parametrize(
-    "more", [(), ("visitors",), ("foxglove",), ("visitors", "foxglove")], ids=str
-)
+@pytest.mark.parametrize("more", [(), ("visitors", "foxglove")], ids=str)
 def test_a_dashboard_listens_on_the_ports_that_it_says_alone(
     lab: Laboratory, more: tuple[str, ...]
 ) -> None:
@@ -300,7 +276,7 @@ def _most_resident_mib(pid: int) -> float:
 
 
 @pytest.mark.exhaustive
-def test_what_is_too_long_is_dropped_before_anybody_reads_it(lab: Laboratory) -> None:
+def test_a_message_that_is_too_long_is_dropped_before_it_is_read(lab: Laboratory) -> None:
     """At most 8 MB of 64 MB are ever held."""
     daemon = lab.bench.processes[-1].popen.pid
     with _connected(lab, "alice", "a11ce") as alice:

@@ -24,14 +24,12 @@ from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import open_session
 from armrig_core import protobuf
 from armrig_core.codes import COMPLETE
-from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.service.history import History
 from armrig_daemon.service.publish import Session
 
+from tests.integration.fleet_lab import publish, recorded_k, sample, state
 from tests.integration.processes import Bench, wait_for
 from tests.sampling import sampled
-
-TS_NS = 10_000_000
 
 
 @pytest.fixture
@@ -41,28 +39,14 @@ def where() -> Iterator[str]:
         yield f"unixsock-stream/{directory}/1.sock"
 
 
-def sample(k: int) -> bytes:
-    """Return sample k."""
-    due = 5_000_000_000 + k * TS_NS
-    return encode_sample(Sample(k, due, due + 9, k * 10_000, 0.1, 0.0, 1.0, 1.0, 32768, 32768, 3))
-
-
-def state(k: int, Ts: float = 0.01) -> bytes:
-    """Return the state at sample k."""
-    message = protobuf.message_class(protobuf.STATE)(
-        t_host_ns=5_000_000_000 + k * TS_NS, phase="safe", Ts_s=Ts, device='{"uid": "7"}'
-    )
-    return bytes(message.SerializeToString())
-
-
 def gap(k_first: int, count: int) -> bytes:
     """Return a gap record of the daemon."""
-    t_ns = 5_000_000_000 + k_first * TS_NS
+    t_ns = 5_000_000_000 + k_first * 10_000_000
     message = protobuf.message_class(protobuf.GAP)(
         k_first=k_first,
         count=count,
         t_from_ns=t_ns,
-        t_to_ns=t_ns + count * TS_NS,
+        t_to_ns=t_ns + count * 10_000_000,
         u_held_v=2.5,
         reason="link silent",
     )
@@ -100,32 +84,20 @@ class Recorder:
         return [armrig.load(file.path) for file in self.recording.done]
 
 
-def publish(session: Session, ks: range) -> None:
-    """Publish the state and these samples."""
-    session.put("state", state(ks.start))
-    for k in ks:
-        session.put("sample", sample(k))
-
-
-def recorded_k(recording: Recording) -> list[int]:
-    """Return the indices of the samples in a file."""
-    return [int(k) for k in recording.samples["k"]]
-
-
 def test_a_late_recorder_gets_what_is_kept(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
-        publish(daemon, range(1000))
+        publish([daemon], range(1000))
         with open_session(where, rig="1") as session:
             recorder = Recorder(session, tmp_path / "a.mcap")
             recorder.take()
-            publish(daemon, range(1000, 5000))
+            publish([daemon], range(1000, 5000))
             daemon.put("gap", gap(5000, 5))
-            publish(daemon, range(5005, 5010))
+            publish([daemon], range(5005, 5010))
             recorder.take()
             assert recorder.take().past.messages == ()
         [found] = recorder.files()
 
-    assert recorded_k(found) == [*range(5000), *range(5005, 5010)]
+    assert recorded_k(found.path) == [*range(5000), *range(5005, 5010)]
     assert [(g.k_first, g.count, g.reason) for g in found.gaps] == [(5000, 5, "link silent")]
     assert found.missing == 5
     assert recorder.told == []
@@ -140,20 +112,18 @@ def test_a_late_recorder_gets_what_is_kept(where: str, tmp_path: Path) -> None:
     assert verify(found.path).passed
 
 
-def test_what_is_lost_for_good_is_a_gap(
-    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_lost_for_good_is_a_gap(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
-        monkeypatch.setattr(daemon, "_history", History(bytes(16), most_bytes=100 * 87))
-        publish(daemon, range(50))
+        daemon._history = History(bytes(16), most_bytes=100 * 87)
+        publish([daemon], range(50))
         with open_session(where, rig="1") as session:
             recorder = Recorder(session, tmp_path / "a.mcap")
             recorder.take()
-            publish(daemon, range(50, 1000))
+            publish([daemon], range(50, 1000))
             recorder.take()
         [found] = recorder.files()
 
-    ks = recorded_k(found)
+    ks = recorded_k(found.path)
     assert ks == [*range(50), *range(ks[50], 1000)]
     [missing] = found.gaps
     assert (missing.k_first, missing.count, missing.code) == (50, ks[50] - 50, "recorder_cut_off")
@@ -165,21 +135,21 @@ def test_what_is_lost_for_good_is_a_gap(
 
 def test_a_restarted_daemon_begins_a_file(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
-        publish(daemon, range(30))
+        publish([daemon], range(30))
         session = open_session(where, rig="1")
         recorder = Recorder(session, tmp_path / "a.mcap")
         recorder.take()
     with session:
         assert recorder.source.next_piece() is None
         with Session(where, "1", lambda: None) as daemon:
-            publish(daemon, range(40))
+            publish([daemon], range(40))
             assert recorder.take().is_new_life
         first, second = recorder.files()
 
-    assert recorded_k(first) == list(range(30))
+    assert recorded_k(first.path) == list(range(30))
     assert first.outcome is not None
     assert first.outcome.outcome == STARTED_ANEW
-    assert recorded_k(second) == list(range(40))
+    assert recorded_k(second.path) == list(range(40))
     assert [first.path.name, second.path.name] == ["a.mcap", "a-2.mcap"]
     assert recorder.told == [STARTED_ANEW]
 
@@ -221,7 +191,7 @@ def test_the_command_records_until_its_time_is_over(
     [facts] = json.loads(capsys.readouterr().out)["recordings"]
 
     found = armrig.load("a.mcap")
-    assert recorded_k(found) == list(range(found.N))
+    assert recorded_k(found.path) == list(range(found.N))
     assert told.out == f"a.mcap: {found.N} samples, 0 missing, complete\n"
     assert told.err.endswith("next: armrig info a.mcap\n")
     assert Path(facts["recording"]).name.startswith("1-remote-")
@@ -231,10 +201,10 @@ def test_the_command_records_until_its_time_is_over(
 def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with Session(where, "1", lambda: None) as daemon:
-        publish(daemon, range(20_000))
+        publish([daemon], range(20_000))
         assert main(["record", "--from", where, "-o", str(path), "--seconds", "0.001"]) == 0
 
-    assert recorded_k(armrig.load(path)) == list(range(20_000))
+    assert recorded_k(path) == list(range(20_000))
 
 
 @pytest.mark.parametrize(
@@ -244,13 +214,6 @@ def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path:
         (["-o", "there.mcap"], "there.mcap exists; give another name"),
         (["-o", "none/a.mcap"], "No such file or directory"),
         (["--rig", "9"], "no reply from rig 9"),
-        (["--rig", "../x"], "rig id '../x': use 1 to 40 characters, each a-z, 0-9 or -"),
-        (
-            ["--rig", "played-1"],
-            "an id that begins with played- belongs to a recording that `armrig play` plays",
-        ),
-        (["--seconds", "nan"], "--seconds nan: must be more than 0"),
-        (["--seconds", "-1"], "--seconds -1: must be more than 0"),
     ],
 )
 def test_what_cannot_be_recorded_is_reported(
@@ -289,7 +252,7 @@ def test_a_signal_ends_it_with_a_whole_file(
 
     assert process.returncode == code
     assert json.loads(out)["recordings"][0]["outcome"] == "complete"
-    ks = recorded_k(armrig.load(path))
+    ks = recorded_k(path)
     assert ks == list(range(len(ks)))
     assert len(ks) >= came
 
