@@ -35,8 +35,7 @@ coulomb_nm = 0.02
 
 
 def _command(bench: Bench, *arguments: str) -> list[str]:
-    where = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    return [sys.executable, "-m", "armrig", "calibrate", "--connect", where, *arguments]
+    return [sys.executable, "-m", "armrig", "calibrate", "--connect", bench.endpoint, *arguments]
 
 
 def _calibrated(bench: Bench, output: Path, *arguments: str) -> tuple[dict[str, Any], str]:

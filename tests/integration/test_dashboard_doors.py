@@ -21,7 +21,7 @@ from armrig_core.telemetry import decode_sample
 
 from tests.integration.driving import hold
 from tests.integration.processes import WITHIN_S, Bench, wait_for
-from tests.integration.watching import Client, endpoint
+from tests.integration.watching import Client
 from tests.layouts import Kinds, foxglove_paths, kinds, plotjuggler_curves, snippets
 
 ADDRESS = "127.0.0.1"  # a visitor's; of a network in `armrig dashboard --share`
@@ -31,7 +31,7 @@ ADDRESS = "127.0.0.1"  # a visitor's; of a network in `armrig dashboard --share`
 def doors(served: Bench) -> Iterator[tuple[Client, Client]]:
     """Give who may command, and a visitor."""
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
-    with dashboard(Settings(connect=endpoint(served), share=ADDRESS)) as found:
+    with dashboard(Settings(connect=served.endpoint, share=ADDRESS)) as found:
         own, visitor = Client(found.url), Client(found.shared_url)
         own.wait("live", lambda seen: not seen["is_stale"])
         yield own, visitor
@@ -97,7 +97,7 @@ def test_foxglove_hears_what_its_layout_shows_and_commands_nothing(served: Bench
     from armrig.dashboard.foxglove import foxglove
 
     before = served.voltage_changes()
-    with foxglove(rig="1", connect=endpoint(served), port=0) as url:
+    with foxglove(rig="1", connect=served.endpoint, port=0) as url:
         protocol = sync_client.Subprotocol("foxglove.sdk.v1")
         with sync_client.connect(url, subprotocols=[protocol], proxy=None) as link:
             greeting, channels, payloads = _heard(link, 20)
@@ -132,7 +132,7 @@ def test_the_page_s_program_sends_what_plotjuggler_s_layout_draws(served: Bench)
         plotjuggler.bind((ADDRESS, 0))
         plotjuggler.settimeout(WITHIN_S)
         text = program.replace("9870", str(plotjuggler.getsockname()[1]))
-        settings = {"ARMRIG_CLIENT_CONNECT": endpoint(served)}
+        settings = {"ARMRIG_CLIENT_CONNECT": served.endpoint}
         with subprocess.Popen([sys.executable, "-c", text], env=os.environ | settings) as running:
             try:
                 sent = json.loads(plotjuggler.recv(65_536), parse_constant=pytest.fail)

@@ -12,14 +12,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import armrig
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
 
 from tests.clients import made_recordings
 from tests.integration.driving import bring_to_rest
 from tests.integration.processes import WITHIN_S, Bench
-from tests.integration.watching import STEP, Client, begin, endpoint, recorded, watched
+from tests.integration.watching import STEP, Client, begin, recorded, watched
 from tests.tools import needs
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
@@ -159,19 +158,6 @@ def test_run_is_beside_preview_and_a_run_is_in_view(
         assert is_in_view(page, "#charts .u-wrap")
         assert is_in_view(page, "#charts .chart:nth-child(2) .u-wrap")
         bring_to_rest(served)
-
-
-def test_on_a_phone_a_click_on_a_recording_shows_it(
-    browser: Any, client: Client, served: Bench
-) -> None:
-    recording = made_recordings.of_the_arm(armrig.telegraph(300, 0.05, seed=1))
-    for i in range(12):
-        (served.recordings / f"many-{i}.mcap").write_bytes(recording)
-    with opened(browser, client.url, PHONE) as page:
-        page.click("#tab-recordings")
-        page.click("[data-file='many-0.mcap']")
-        page.wait_for_selector("#curves canvas")
-        assert page.locator("#one h2").bounding_box()["y"] < PHONE["height"] / 4
 
 
 _COVERED_CHARTS = """() => {
@@ -390,7 +376,7 @@ def test_long_words_of_a_recording_are_broken(browser: Any, client: Client, serv
 
 def test_what_a_browser_is_started_with_opens_once(browser: Any, served: Bench) -> None:
     """Other users can read it in `ps`."""
-    with dashboard(Settings(connect=endpoint(served))) as found:
+    with dashboard(Settings(connect=served.endpoint)) as found:
         code = found.browser_url.partition("#once=")[2]
         with opened(browser, found.browser_url) as page:
             assert page.url == found.url
@@ -412,7 +398,7 @@ def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: 
     """The visitor's page has no experiment, no arming, no recordings, no reset."""
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
     with (
-        dashboard(Settings(connect=endpoint(served), share="127.0.0.1")) as found,
+        dashboard(Settings(connect=served.endpoint, share="127.0.0.1")) as found,
         opened(browser, found.shared_url, PHONE, ignore_https_errors=True) as page,
     ):
         seen = [b for b in page.locator("button").all() if b.is_visible()]

@@ -99,8 +99,7 @@ def test_the_directory_goes_in_the_middle_of_a_run(bench: Bench, folder: str) ->
 
 def _collecting(bench: Bench) -> subprocess.Popen[str]:
     """Return `armrig collect` once its run of half a minute drives the motor."""
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    command = [sys.executable, "-m", "armrig", "collect", "blackbox", "--connect", endpoint]
+    command = [sys.executable, "-m", "armrig", "collect", "blackbox", "--connect", bench.endpoint]
     client = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     drives = partial(changed, bench, len(bench.voltage_changes()) + 5)
     wait_for(lambda: drives() or client.poll() is not None, LOADED_S)

@@ -261,9 +261,8 @@ def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
     bench.configure()
     bench.emulate()
     bench.serve()
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
     path = tmp_path / "afar.mcap"
-    command = [sys.executable, "-m", "armrig", "record", "--from", endpoint, "-o", str(path)]
+    command = [sys.executable, "-m", "armrig", "record", "--from", bench.endpoint, "-o", str(path)]
     pipe = subprocess.PIPE
     with subprocess.Popen([*command, "--json"], stdout=pipe, stderr=pipe) as process:
         assert process.stderr is not None

@@ -90,8 +90,6 @@ def test_a_bad_configuration_is_refused_in_one_line(
     assert daemon.said.count("\n") == 1
 
 
-
-
 def test_a_port_that_is_not_there_is_waited_for(bench: Bench) -> None:
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
     wait_for(lambda: bench.phase() == "init")

@@ -30,7 +30,7 @@ def test_both_programs_say_what_they_serve(bench: Bench) -> None:
         f"`ARMRIG_DEVICE_BAUD=1000000 armrigd run --port {bench.port}`, end it with Ctrl-C"
     ]
     assert served == [
-        f"armrigd: info: rig 1 at unixsock-stream/{bench.folder}/armrig/1.sock",
+        f"armrigd: info: rig 1 at {bench.endpoint}",
         f"armrigd: info: port {bench.port} at 1000000 baud, 0 to 4.5 V; ask it with "
         "`armrig status`, end it with Ctrl-C",
     ]
