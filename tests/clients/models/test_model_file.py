@@ -81,8 +81,6 @@ def test_the_keys_of_a_model_file_stay_as_they_are(fit: Fit, tmp_path: Path) -> 
     }
 
 
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
