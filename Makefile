@@ -46,6 +46,7 @@ check: .venv/dev
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python tests/rooms.py
 	$(BIN)/python tests/words.py
+	$(BIN)/python tests/budget.py
 
 # Every branch of the core and of the device's state machine, without tests that add nothing to it.
 coverage: .venv/dev

@@ -6,8 +6,8 @@ import gc
 import os
 import re
 import signal
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -67,43 +67,57 @@ FOLDERS: Final = {
     "XDG_RUNTIME_DIR": "run",
 }
 """Folders of a user, below a test's folder, by environment variable."""
+_N_FOLDERS: Final = 9
+"""Folders below a test's folder: these, `work`, and the folders that contain them."""
 _OF_THE_TESTS: Final = re.compile(
     "ARMRIG_(REQUIRE_ALL|REFERENCE_DATA|FIL|FIRMWARE_EXAMPLES|SIMULATE_SEEDS|RESTARTS|RUN)"
 )
 
 
-@contextmanager
-def _another_user() -> Iterator[None]:
-    """Give a new home, XDG folders and a working folder, without settings of armrig.
-
-    The folder is not pytest's own, whose path may be too long for a socket.
-    """
-    with (
-        TemporaryDirectory(prefix="armrig-", ignore_cleanup_errors=True) as folder,
-        pytest.MonkeyPatch.context() as patch,
-    ):
-        for name, path in FOLDERS.items():
-            Path(folder, path).mkdir(mode=0o700, parents=True, exist_ok=True)
-            patch.setenv(name, f"{folder}/{path}")
-        for name in os.environ:
-            if name.startswith("ARMRIG_") and not _OF_THE_TESTS.fullmatch(name):
-                patch.delenv(name)
-        Path(folder, "work").mkdir()
-        patch.chdir(f"{folder}/work")
-        yield
-
-
 @pytest.fixture(scope="session", autouse=True)
-def _user_of_the_fixtures() -> Iterator[None]:
-    """Keep fixtures of modules and sessions away from the recordings of the person who tests."""
-    with _another_user():
-        yield
+def _clean_homes() -> Iterator[Callable[[], str]]:
+    """Give the way to a folder with a home and XDG folders without a file.
+
+    A folder in which a test left nothing is given again, because a new one costs 2 ms. The folders
+    are not those of pytest, whose paths may be too long for a socket.
+    """
+    with _new_home() as home, pytest.MonkeyPatch.context() as patch:
+        _enter(patch, home)  # also fixtures of modules must not see the tester's files
+        with ExitStack() as stack:
+            home = stack.enter_context(_new_home())
+
+            def clean_home() -> str:
+                nonlocal home
+                if sum(len(names) + len(files) for _, names, files in os.walk(home)) != _N_FOLDERS:
+                    stack.close()
+                    home = stack.enter_context(_new_home())
+                return home
+
+            yield clean_home
+
+
+@contextmanager
+def _new_home() -> Iterator[str]:
+    with TemporaryDirectory(prefix="armrig-", ignore_cleanup_errors=True) as folder:
+        for path in (*FOLDERS.values(), "work"):
+            Path(folder, path).mkdir(mode=0o700, parents=True, exist_ok=True)
+        yield folder
+
+
+def _enter(patch: pytest.MonkeyPatch, folder: str) -> None:
+    for name, path in FOLDERS.items():
+        patch.setenv(name, f"{folder}/{path}")
+    for name in os.environ:
+        if name.startswith("ARMRIG_") and not _OF_THE_TESTS.fullmatch(name):
+            patch.delenv(name)
+    patch.chdir(f"{folder}/work")
 
 
 @pytest.fixture(autouse=True)
-def _user_of_the_test(_user_of_the_fixtures: None) -> Iterator[None]:
+def _user_of_the_test(_clean_homes: Callable[[], str]) -> Iterator[None]:
     """Keep a test away from the files of the person who tests, and of all other tests."""
-    with _another_user():
+    with pytest.MonkeyPatch.context() as patch:
+        _enter(patch, _clean_homes())
         yield
 
 

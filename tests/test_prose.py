@@ -189,18 +189,3 @@ def test_no_program_reads_a_sentence() -> None:
 )
 def test_a_search_in_prose_is_seen(source: str) -> None:
     assert list(read_sentences(ast.parse(source)))
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        'if name in ("identify", "batch"): ...',
-        'if key == "theta_1": ...',
-        'name.endswith(".mcap")',
-        'where.startswith("tls/")',
-        'text.split(", ")',
-        're.fullmatch(r"[a-z0-9-]{1,40}", name)',
-    ],
-)
-def test_a_key_a_name_and_a_path_are_no_prose(source: str) -> None:
-    assert not list(read_sentences(ast.parse(source)))

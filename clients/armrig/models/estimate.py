@@ -18,7 +18,7 @@ from armrig.numerics.whiteness import Whiteness
 
 MAX_TRUSTED_CURVATURE = 0.5
 """Largest `Estimate.curvature` at which the coefficients' standard deviations are reliable. Up to
-this limit the 95 % intervals contain 93 % of the true values in tests/benchmarks/cancelling.py."""
+this limit the 95 % intervals contain 95 % of the true values (docs/benchmarks.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,12 +15,10 @@ from pathlib import Path, PurePosixPath
 import pytest
 import zenoh
 from armrig.cli import main
-from armrig.dashboard.feed import Feed
-from armrig.dashboard.serving import Listener
-from armrig.rig import client, remote_recording, session, silent_daemon, telemetry_stream
+from armrig.rig import client, remote_recording, session, silent_daemon
 from armrig.rig.client import Rig
 from armrig.rig.collection import collect
-from armrig.rig.remote_recording import STARTED_ANEW, RemoteRecorder, RemoteRecording
+from armrig.rig.remote_recording import RemoteRecorder, RemoteRecording
 from armrig.rig.remote_source import Piece
 from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError, RigError
@@ -30,7 +28,6 @@ from armrig_core.endpoint import endpoint
 from armrig_core.history import Past
 
 from tests.clients.fake_daemon import FakeDaemon, step_plan
-from tests.integration.processes import wait_for
 
 SAID = (
     "the service of rig 1 has stopped; `systemctl status armrigd@1`; what was recorded is in "
@@ -102,7 +99,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
             service.held.clear()
 
 
-def test_a_program_is_notified_on_its_open_connection_and_on_a_new_one(service: Service) -> None:
+def test_a_stopped_service_is_reported_on_open_and_new_connections(service: Service) -> None:
     with Rig() as rig:
         service.die()
         with pytest.raises(NoReplyError) as here:
@@ -115,9 +112,7 @@ def test_a_program_is_notified_on_its_open_connection_and_on_a_new_one(service: 
     assert (str(here.value), str(anew.value)) == (SAID, SAID)
 
 
-def test_an_answer_that_never_comes_is_no_refusal(
-    service: Service, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_reply_is_no_refusal(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     """The word Timeout is zenoh's, not a daemon's."""
     monkeypatch.setattr(client, "REPLY_S", 0.1)
     service.is_silent = True
@@ -129,7 +124,7 @@ def test_an_answer_that_never_comes_is_no_refusal(
 
 
 @pytest.mark.parametrize("command", [["status"], ["watch"], ["collect", "step"], ["record"]])
-def test_each_command_says_so(
+def test_each_command_reports_a_stopped_service(
     service: Service,
     command: list[str],
     capsys: pytest.CaptureFixture[str],
@@ -143,17 +138,7 @@ def test_each_command_says_so(
     assert capsys.readouterr().err == f"armrig: {SAID}\n"
 
 
-def test_a_listener_is_notified(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
-    with Rig() as rig:
-        service.die()
-        with pytest.raises(NoReplyError) as told:
-            next(rig.stream())
-
-    assert str(told.value) == SAID
-
-
-def test_a_collection_reports_the_end_of_the_run_too(
+def test_a_collection_reports_the_outcome_and_the_stopped_service(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service.outcome, service.dies_with_its_run = "the daemon was ended", True
@@ -166,50 +151,6 @@ def test_a_collection_reports_the_end_of_the_run_too(
         "the run ended after 100 of 100 samples: the daemon was ended; recorded in "
         f"/nowhere/run.mcap; {SAID}"
     )
-
-
-def test_the_dashboard_says_so(service: Service) -> None:
-    feed = Feed()
-    listener = Listener(feed, rig="1", connect=None, found=lambda: None)
-    service.die()
-
-    listener.start()
-    wait_for(lambda: feed.trouble == SAID)
-    listener.end()
-
-
-class _Source:
-    """Source of a recorder: silent, then restarted; the third answer ends the recorder."""
-
-    def __init__(self, ended: threading.Event) -> None:
-        self._ended, self._asked = ended, 0
-
-    def next_piece(self) -> Piece | None:
-        self._asked += 1
-        if self._asked > 2:
-            self._ended.set()
-        past = Past(bytes(16), 0, 0, ())
-        is_silent, is_anew = self._asked == 1, self._asked == 2
-        return None if is_silent else Piece(past=past, is_new_life=is_anew, lost=0)
-
-
-@pytest.mark.parametrize("is_long", [True, False])
-def test_a_recorder_is_notified_and_goes_on(
-    service: Service, is_long: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(remote_recording, "_QUERY_INTERVAL_S", 0.0)
-    monkeypatch.setattr(remote_recording, "_MAX_SILENCE_S", 0.0 if is_long else 60.0)
-    told: list[str] = []
-    recording = RemoteRecording(
-        path=tmp_path / "a.mcap", rig="1", endpoint=service.endpoint, tell=told.append
-    )
-    recorder, ended = RemoteRecorder(service.session, recording), threading.Event()
-    monkeypatch.setattr(recorder, "_row", _Source(ended))
-
-    recorder.record(ended)
-
-    stopped = f"{SAID}; waiting for it" if is_long else SAID
-    assert [line for line in told if "answers again" not in line] == [stopped, STARTED_ANEW]
 
 
 class _Pauses:
@@ -235,7 +176,7 @@ def test_a_recorder_reports_each_long_silence_once_with_its_length(
         path=tmp_path / "a.mcap", rig="7", endpoint="tls/lab:7447", tell=told.append
     )
     recorder = RemoteRecorder(session, recording)  # type: ignore[arg-type]
-    monkeypatch.setattr(recorder, "_row", _Pauses(clock, (1.05, 4.05), (5.05, 6.05), (7.05, 12.05)))
+    recorder._row = _Pauses(clock, (1.05, 4.05), (5.05, 6.05), (7.05, 12.05))
 
     recorder.record(threading.Event(), 15.0)
 

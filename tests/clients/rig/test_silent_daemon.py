@@ -100,10 +100,22 @@ def test_a_killed_daemon_is_not_alive(socket: Path) -> None:
     assert living_daemon(default_endpoint("1")) == 0
 
 
-@pytest.mark.parametrize(("code", "json"), [(0, []), (0, ["--json"]), (1, [])])
+DEAD = f"its daemon (process {FACTS.pid}) is dead; "
+AT_REST = f"rig 1, motor: at 0 V by `armrigd estop`; {DEAD}start it again, then `armrig reset`"
+
+
+@pytest.mark.parametrize(
+    ("code", "json", "said"),
+    [
+        (0, [], (AT_REST + "\n", "")),
+        (0, ["--json"], ('{"rig":"1","stopped":true}\n', "")),
+        (1, [], ("", f"armrig: rig 1: {DEAD}armrigd: estop: nothing sent\n")),
+    ],
+)
 def test_a_stop_without_its_daemon_is_sent_to_the_device(
     code: int,
     json: list[str],
+    said: tuple[str, str],
     socket: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -121,18 +133,10 @@ def test_a_stop_without_its_daemon_is_sent_to_the_device(
 
     device = ["--port", "/dev/rig", "--baud", "115200"]
     assert ran == [["armrig_daemon", "estop", "--rig", "1", *device]]
-    said = capsys.readouterr()
-    dead = f"its daemon (process {FACTS.pid}) is dead; "
-    if code:
-        assert said.err == f"armrig: rig 1: {dead}armrigd: estop: nothing sent\n"
-    elif json:
-        assert said.out == '{"rig":"1","stopped":true}\n'
-    else:
-        at_rest = "rig 1, motor: at 0 V by `armrigd estop`; "
-        assert said.out == f"{at_rest}{dead}start it again, then `armrig reset`\n"
+    assert tuple(capsys.readouterr()) == said
 
 
-def test_a_stop_of_which_nothing_is_known_says_so(
+def test_a_stop_without_reply_names_the_emergency_switch(
     socket: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["stop"]) == 1
