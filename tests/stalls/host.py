@@ -43,7 +43,6 @@ class Host:
         return max((end - begin for begin, end in times), default=0)
 
     def end(self) -> None:
-        """End the monitors."""
         for monitor in self._monitors:
             with monitor:
                 monitor.stdin.close()

@@ -1,7 +1,6 @@
 """A pytest plug-in that repeats a failed test in real time if the host stalled during it.
 
-An emulated rig is real time: the daemon ends a run after a stall of the host, as it must, and a
-test of that run fails. Only clocks prove the stall (`host.py`), never the failure.
+The daemon ends a run after a stall of the host, as it must. Only clocks prove the stall (`host.py`).
 """
 
 from __future__ import annotations
@@ -19,8 +18,7 @@ from tests.stalls.host import Host
 STALL_NS: Final = 40_000_000
 """Shortest stall for which a test is repeated: with a tick of 10 ms it exceeds the limit of S4."""
 MAX_REPEATS: Final = 2
-MOST_REPEATED: Final = 30
-"""Number of tests that may be repeated in a run; more of them fail the run."""
+MOST_REPEATED: Final = 30  # more repeated tests fail the run
 MARKERS: Final = ("real_time", "timed", "machine")
 
 
@@ -63,14 +61,12 @@ class Repeats:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the plug-in."""
     config.pluginmanager.register(Repeats())
 
 
 def _reports(
     item: pytest.Item, nextitem: pytest.Item | None, host: Host
 ) -> list[pytest.TestReport]:
-    """Return the reports of the last attempt."""
     for repeats_left in range(MAX_REPEATS, -1, -1):
         began_ns = time.monotonic_ns()
         reports = runtestprotocol(item, log=False, nextitem=nextitem)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -29,19 +30,11 @@ def test_fails(made):
 """
 
 
-class StalledHost(Host):
-    """A host with a stall of a given length during each test."""
-
-    def __init__(self, stall_ns: int) -> None:
-        self._stall_ns, self._monitors = stall_ns, []
-
-    def longest_ns(self, began_ns: int, ended_ns: int) -> int:
-        return self._stall_ns
-
-
-def ran(pytester: pytest.Pytester, repeats: Repeats, **test: Any) -> pytest.RunResult:
-    """Run a test that fails `failures` times."""
+def ran(pytester: pytest.Pytester, stall_ns: int, most: int = 9, **test: Any) -> pytest.RunResult:
+    """Run a test that fails `failures` times, each time with a stall of the host."""
     pytester.makepyfile(TEST.format(**test))
+    host: Any = SimpleNamespace(longest_ns=lambda *_: stall_ns, end=lambda: None)
+    repeats = Repeats(lambda: host, most)
     return pytester.runpytest_inprocess("-p", "no:cacheprovider", plugins=[repeats])
 
 
@@ -58,9 +51,7 @@ def ran(pytester: pytest.Pytester, repeats: Repeats, **test: Any) -> pytest.RunR
 def test_a_failed_test_in_real_time_is_repeated_if_the_host_stalled(
     pytester: pytest.Pytester, failures: int, marker: str, stall_ns: int, attempts: int
 ) -> None:
-    repeats = Repeats(lambda: StalledHost(stall_ns))
-
-    result = ran(pytester, repeats, failures=failures, marker=marker)
+    result = ran(pytester, stall_ns, failures=failures, marker=marker)
 
     assert result.parseoutcomes()["passed" if attempts > failures else "failed"] == 1
     assert (pytester.path / "ran").read_text() == "x" * attempts
@@ -70,9 +61,7 @@ def test_a_failed_test_in_real_time_is_repeated_if_the_host_stalled(
 
 @pytest.mark.parametrize("most", [0, 1])
 def test_a_run_with_too_many_repeated_tests_fails(pytester: pytest.Pytester, most: int) -> None:
-    repeats = Repeats(lambda: StalledHost(STALL_NS), most)
-
-    result = ran(pytester, repeats, failures=1, marker="real_time")
+    result = ran(pytester, STALL_NS, most, failures=1, marker="real_time")
 
     assert result.parseoutcomes() == {"passed": 1}
     assert (result.ret == pytest.ExitCode.TESTS_FAILED) == (most == 0)
