@@ -1,6 +1,6 @@
 """A pytest plug-in that repeats a failed test in real time if the host stalled during it.
 
-The daemon ends a run after a stall of the host, as it must. Only clocks prove the stall (`host.py`).
+The daemon must end a run after a stall of the host. Only clocks prove a stall (`host.py`).
 """
 
 from __future__ import annotations
