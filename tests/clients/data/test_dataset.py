@@ -40,14 +40,6 @@ def test_the_arrays_are_read_only_copies() -> None:
         data.y[0] = 1.0
 
 
-def test_a_missing_output_is_nan() -> None:
-    """A formula that used the value would give nan."""
-    data = Dataset(u=[0, 0, 0], y=[1, 2, 3], Ts=1, valid=[True, False, True])
-
-    assert np.isnan(data.y[1])
-    assert data.missing == 1
-
-
 def test_a_masked_value_is_missing() -> None:
     y = np.ma.masked_array([1.0, 1e6, np.nan, 4.0], mask=[False, True, True, False])
 
@@ -94,16 +86,6 @@ def test_the_parts_of_a_split_join_to_the_whole(N: int, k: int) -> None:
 
     np.testing.assert_array_equal(np.concatenate([p.u for p in parts]), np.arange(N))
     assert max(p.N for p in parts) - min(p.N for p in parts) <= 1
-
-
-def test_merged_experiments_equal_the_parts() -> None:
-    first, second = ramp(4, valid=[True, True, False, True]), ramp(3)
-
-    parts = list(merge([first, second]).experiments())
-
-    assert [p.N for p in parts] == [4, 3]
-    np.testing.assert_array_equal(parts[0].valid, first.valid)
-    np.testing.assert_array_equal(parts[1].y, second.y)
 
 
 def test_a_slice_keeps_the_boundaries_inside_it() -> None:
