@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import armrig
 import numpy as np
@@ -279,3 +279,24 @@ def test_a_sample_is_missing_by_its_value_or_by_valid() -> None:
 def test_a_column_without_numbers_is_refused(u: Any, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         Dataset(u=u, y=U, Ts=1)
+
+
+def test_orders_by_position_are_refused_with_their_names(recording: Any) -> None:
+    call: Any = armrig.arx
+    with pytest.raises(TypeError, match=r"by name: arx\(data, na=4, nb=4, nk=1\)"):
+        call(recording, [4, 4, 1])
+    with pytest.raises(TypeError, match=r"arx\(data, na=4, nb=4, nk=1\)"):
+        call(recording, 4, 4, 1)
+
+
+@pytest.mark.parametrize("kind", ["time", "spectrum", "values"])
+def test_data_are_drawn_with_their_unit(
+    kind: Literal["time", "spectrum", "values"],
+) -> None:
+    n = np.arange(200)
+    part = Dataset(u=n % 3, y=np.cos(n), Ts=0.01, valid=n % 70 > 3, output="theta_1", unit="rad")
+
+    ax = merge([part, part]).plot(kind, ax=Figure().add_subplot()).axes[0]
+
+    texts = [ax.get_xlabel(), ax.get_ylabel(), *(text.get_text() for text in ax.texts)]
+    assert "rad" in "".join(texts)
