@@ -64,7 +64,6 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
             r"exchange mode with \[device\] oversampling = 16: at least 0\.004368 s, or a higher "
             "baud rate, or less oversampling$",
         ),
-        ("[motor]\nenable_line = true", r"motor\.enable_line = True: no such key; allowed are"),
         (
             "[device]\nport = '/dev/tty\x9b'",
             r"device: port = '/dev/tty\\x9b' must have only print",

@@ -207,15 +207,16 @@ def test_a_short_run_measures_all_programs(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(turns, "ROUNDS", 1)
+    monkeypatch.setattr(turns, "SUBSCRIBERS", 1)  # each is a process, three times
 
-    assert run(["--seconds", "1", "--rates", "100"]) == 0
+    assert run(["--seconds", "0.5", "--rates", "100"]) == 0
 
     out = capsys.readouterr().out
     for name in targets.DEFINITIONS:
         found = re.search(rf"^  {name} +\d+ +[\d.]+", out, re.MULTILINE)
         assert found or (name == targets.REFERENCE and "cyclictest is not installed" in out)
     for pacing in ("exchange", "scheduled"):
-        assert re.search(rf"^  {pacing} requested +100$", out, re.MULTILINE)
+        assert re.search(rf"^  {pacing} requested +50$", out, re.MULTILINE)
         assert re.search(rf"^  {pacing} misplaced +0$", out, re.MULTILINE)
     for what in ("own work per tick", "sample to subscriber p50", "scheduled: lost or misplaced"):
         assert re.search(rf"^  {what} +100 ", out, re.MULTILINE)

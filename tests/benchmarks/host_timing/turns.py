@@ -39,8 +39,7 @@ from tests.integration.processes import Bench
 ROOT = Path(__file__).parents[3]
 ROUNDS = 4
 SUBSCRIBERS = 4
-MAX_EXCHANGE_HZ = 1000
-"""Greatest rate in exchange mode at 1 Mbaud; the device's own timer goes further."""
+MAX_EXCHANGE_HZ = 1000  # at 1 Mbaud; the device's own timer goes further
 MIN_TICKS = 10
 MAX_S = 600
 MAX_US = 20_000

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import armrig
 import numpy as np
@@ -38,14 +38,6 @@ def test_the_arrays_are_read_only_copies() -> None:
     assert data.y.dtype == np.float64
     with pytest.raises(ValueError, match="read-only"):
         data.y[0] = 1.0
-
-
-def test_a_missing_output_is_nan() -> None:
-    """A formula that used the value would give nan."""
-    data = Dataset(u=[0, 0, 0], y=[1, 2, 3], Ts=1, valid=[True, False, True])
-
-    assert np.isnan(data.y[1])
-    assert data.missing == 1
 
 
 def test_a_masked_value_is_missing() -> None:
@@ -94,16 +86,6 @@ def test_the_parts_of_a_split_join_to_the_whole(N: int, k: int) -> None:
 
     np.testing.assert_array_equal(np.concatenate([p.u for p in parts]), np.arange(N))
     assert max(p.N for p in parts) - min(p.N for p in parts) <= 1
-
-
-def test_merged_experiments_equal_the_parts() -> None:
-    first, second = ramp(4, valid=[True, True, False, True]), ramp(3)
-
-    parts = list(merge([first, second]).experiments())
-
-    assert [p.N for p in parts] == [4, 3]
-    np.testing.assert_array_equal(parts[0].valid, first.valid)
-    np.testing.assert_array_equal(parts[1].y, second.y)
 
 
 def test_a_slice_keeps_the_boundaries_inside_it() -> None:
@@ -297,3 +279,24 @@ def test_a_sample_is_missing_by_its_value_or_by_valid() -> None:
 def test_a_column_without_numbers_is_refused(u: Any, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         Dataset(u=u, y=U, Ts=1)
+
+
+def test_orders_by_position_are_refused_with_their_names(recording: Any) -> None:
+    call: Any = armrig.arx
+    with pytest.raises(TypeError, match=r"by name: arx\(data, na=4, nb=4, nk=1\)"):
+        call(recording, [4, 4, 1])
+    with pytest.raises(TypeError, match=r"arx\(data, na=4, nb=4, nk=1\)"):
+        call(recording, 4, 4, 1)
+
+
+@pytest.mark.parametrize("kind", ["time", "spectrum", "values"])
+def test_data_are_drawn_with_their_unit(
+    kind: Literal["time", "spectrum", "values"],
+) -> None:
+    n = np.arange(200)
+    part = Dataset(u=n % 3, y=np.cos(n), Ts=0.01, valid=n % 70 > 3, output="theta_1", unit="rad")
+
+    ax = merge([part, part]).plot(kind, ax=Figure().add_subplot()).axes[0]
+
+    texts = [ax.get_xlabel(), ax.get_ylabel(), *(text.get_text() for text in ax.texts)]
+    assert "rad" in "".join(texts)

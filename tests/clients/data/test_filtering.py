@@ -157,3 +157,20 @@ def test_the_same_rate_changes_nothing() -> None:
     data = noise_free(300)
 
     assert resample(data, 0.01) is data
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ({}, "give either numerator"),
+        ({"numerator": [1.0], "band": (0, 1)}, "give either numerator"),
+        ({"numerator": [1.0], "denominator": [1.0, -1.0]}, "roots inside the unit circle"),
+        ({"band": (5.0, 3.0)}, "inside 0 to 314.159 rad/s"),
+        ({"band": (0.0, 400.0)}, "not the whole range"),
+        ({"band": (0.0, 1.0)}, r"low-pass to 1 rad/s of order 4 remembers \d+ samples, and no"),
+        ({"band": (0.0, 1e-3)}, "remembers more than"),
+    ],
+)
+def test_a_filter_that_cannot_be_applied_is_refused(kind: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        prefilter(noise_free(300), **kind)  # type: ignore[arg-type]

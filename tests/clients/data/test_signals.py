@@ -14,7 +14,6 @@ from armrig.data.step import codes_of, span_of
 from armrig_core.errors import FileError, InputError, InputTypeError
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.io import savemat
 from scipy.signal import lfilter
 
 N = 600
@@ -389,17 +388,6 @@ def test_a_missing_input_ends_an_experiment_and_a_missing_output_does_not(tmp_pa
     assert found.history == (
         "left out 2 samples without an input; a new experiment begins after each gap",
     )
-
-
-def test_an_iddata_saved_as_a_structure(tmp_path: Path) -> None:
-    path = tmp_path / "plant.mat"
-    savemat(path, {"z": {"y": columns()[:, 3:], "u": columns()[:, 1:3], "Ts": 0.2}})
-
-    found = armrig.load_signals(path, inputs="u", outputs="y")
-
-    assert (found.inputs, found.outputs, found.Ts) == (("u1", "u2"), ("y1", "y2"), 0.2)
-    np.testing.assert_array_equal(found.u, columns()[:, 1:3])
-    assert armrig.load_signals(path, inputs="u:2", outputs="y").inputs == ("u2",)
 
 
 @pytest.mark.parametrize(

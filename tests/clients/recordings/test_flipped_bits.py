@@ -118,11 +118,10 @@ def _attachment(name: str) -> range:
     return range(begin, begin + int.from_bytes(DATA[begin - 8 : begin], "little"))
 
 
-@pytest.mark.parametrize("bit", [0, 7])
-def test_every_flipped_bit_of_the_calibration_leaves_the_samples(tmp_path: Path, bit: int) -> None:
+def test_a_flipped_bit_of_the_calibration_leaves_the_samples(tmp_path: Path) -> None:
     for at in _attachment("calibration.json"):
         spoilt = bytearray(DATA)
-        spoilt[at] ^= 1 << bit
+        spoilt[at] ^= 1 << at % 8
 
         recording = armrig.load(written(tmp_path, bytes(spoilt)))
 

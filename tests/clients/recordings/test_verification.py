@@ -10,7 +10,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from armrig.cli import main
 from armrig.recordings import verification
 from armrig.recordings.container import Content
 from armrig.recordings.loading import beginning, load
@@ -97,24 +96,6 @@ def test_reported_gaps_may_overlap(tmp_path: Path) -> None:
     assert "samples" not in failed(whole)
     short = verified(tmp_path, [told[0], *told[2:], *messages], came=N - 15, missing=15)
     assert failed(short)["samples"] == ("5 samples are missing without a gap record, from k=105 on")
-
-
-@pytest.mark.parametrize(
-    ("came", "says"),
-    [
-        (0, "it has no usable sample"),
-        (19, "19 samples are left, at least 20 are needed"),
-        (20, "its 20 samples can be used, with care"),
-    ],
-)
-def test_verify_reports_whether_a_damaged_file_is_usable(
-    came: int, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    about = manifest(k_first=0, samples=N)
-    path = written(tmp_path, recorded(run()[:came], manifest=about, outcome=None))
-
-    assert main(["verify", str(path)]) == 1
-    assert capsys.readouterr().err == f"armrig: {path}: failed: file; {says}\n"
 
 
 def test_checks_without_samples_are_not_made(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zenoh
 from armrig.rig import telemetry_stream
 from armrig.rig.client import REPLY_S, Rig, longest_reply_s
 from armrig.rig.replies import RefusedError, RunEndedError
@@ -268,17 +267,6 @@ def test_a_rig_is_used_in_a_with_block(where: str) -> None:
         Rig("1", connect=where).status()
 
 
-def test_a_stream_ends_when_its_daemon_goes(daemon: FakeDaemon, rig: Rig) -> None:
-    with daemon.session.declare_publisher("rig/1/sample") as out:
-        samples = rig.stream("sample")
-        _first(samples, out)
-        daemon.alive.undeclare()
-
-        with pytest.raises(NoReplyError, match="stopped"):
-            for _ in samples:
-                pass
-
-
 def test_a_stream_ends_when_the_process_of_its_daemon_does(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -342,23 +330,6 @@ def test_a_stream_of_a_rig_that_is_not_there_ends(
 def test_a_key_that_is_no_stream_is_refused(key: str) -> None:
     with pytest.raises(ValueError, match=r"key|a-z"):
         next(stream(key))
-
-
-def _first(samples: Iterator[telemetry.Sample], out: zenoh.Publisher) -> None:
-    """Put sample 0 until the listener, which declares itself at its first step, has seen it."""
-    seen = threading.Event()
-
-    def publish() -> None:
-        while not seen.wait(0.01):
-            out.put(telemetry.encode_sample(sample(0)))
-
-    thread = threading.Thread(target=publish)
-    thread.start()
-    try:
-        assert next(samples).k == 0
-    finally:
-        seen.set()
-        thread.join()
 
 
 def test_the_reply_timeout_grows_with_the_run() -> None:

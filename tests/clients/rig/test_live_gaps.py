@@ -90,32 +90,24 @@ def test_a_slow_listener_is_notified_of_its_missing_samples(
     assert {f.code for f in found if isinstance(f, LiveGap)} == {GapCode.LISTENER_LATE}
 
 
-@contextmanager
-def scripted(_: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
-    """Replace the line by lots, because no machine makes the same lots twice."""
-    lots = iter(SCRIPT[key.rsplit("/", 1)[1]])
-    yield lambda: next(lots, [])
-
-
-SCRIPT: dict[str, list[list[Any]]] = {}
-
-
 @pytest.fixture
-def listed(
-    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
-) -> Callable[..., list[Any]]:
-    """Give a function that returns a stream of lots of samples, with the gaps of each lot."""
+def lots(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Give a function that replaces the line by lots: no machine makes the same lots twice."""
 
-    def values(samples: list[list[Any]], gaps: list[list[Any]]) -> list[Any]:
-        monkeypatch.setattr(telemetry_stream, "arrivals", scripted)
-        monkeypatch.setitem(SCRIPT, "sample", samples)
-        monkeypatch.setitem(SCRIPT, "gap", gaps)
-        heard = stream("rig/1/sample", connect=where)
-        found = up_to(heard, samples[-1][-1].k)
-        heard.close()
-        return found
+    def come(samples: list[list[int]], gaps: list[list[tuple[int, int]]]) -> None:
+        script = {
+            "sample": [[sample(k) for k in lot] for lot in samples],
+            "gap": [[gap(k, count, 2.5) for k, count in lot] for lot in gaps],
+        }
 
-    return values
+        @contextmanager
+        def arrivals(_: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
+            of_stream = iter(script[key.rsplit("/", 1)[1]])
+            yield lambda: next(of_stream, [])
+
+        monkeypatch.setattr(telemetry_stream, "arrivals", arrivals)
+
+    return come
 
 
 @pytest.mark.parametrize(
@@ -138,16 +130,18 @@ def listed(
         ),
     ],
 )
+@pytest.mark.usefixtures("daemon")
 def test_a_stream_has_each_gap_in_its_place(
-    listed: Callable[..., list[Any]],
+    lots: Callable[..., None],
+    where: str,
     samples: list[list[int]],
     gaps: list[list[tuple[int, int]]],
     expected: list[Any],
 ) -> None:
-    found = listed(
-        [[sample(k) for k in lot] for lot in samples],
-        [[gap(k, count, 2.5) for k, count in lot] for lot in gaps],
-    )
+    lots(samples, gaps)
+    heard = stream("rig/1/sample", connect=where)
+    found = up_to(heard, samples[-1][-1])
+    heard.close()
 
     shown = [(f.k_first, f.count, f.code) if isinstance(f, LiveGap) else f.k for f in found]
     assert shown == expected
@@ -179,27 +173,16 @@ def test_a_stranger_cannot_fill_the_memory_of_a_listener(daemon: FakeDaemon, whe
     assert sum(one.ByteSize() for one in kept) <= 16 << 20
 
 
+@pytest.mark.usefixtures("daemon")
 def test_watch_shows_a_gap(
-    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+    lots: Callable[..., None], where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stop = threading.Event()
+    lots([[0, 3, 6]], [])
 
-    def until_stopped() -> None:
-        k = 0
-        while not stop.wait(0.002):
-            published(daemon, k)
-            k += 3
-
-    thread = threading.Thread(target=until_stopped)
-    thread.start()
-    try:
-        assert main(["watch", "--connect", where, "--count", "4"]) == 0
-        lines = capsys.readouterr().out.splitlines()
-        assert main(["watch", "--connect", where, "--count", "4", "--json"]) == 0
-        values = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    finally:
-        stop.set()
-        thread.join()
+    assert main(["watch", "--connect", where, "--count", "4"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert main(["watch", "--connect", where, "--count", "4", "--json"]) == 0
+    values = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
     assert sum(f"2 missing: {GapCode.LISTENER_LATE.sentence}" in line for line in lines) == 2
     assert [value["count"] for value in values if "k_first" in value] == [2, 2]

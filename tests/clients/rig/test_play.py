@@ -7,9 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -52,13 +50,6 @@ def run_of(directory: Path, **changes: Any) -> Path:
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     return run_of(tmp_path)
-
-
-@pytest.fixture
-def place() -> Iterator[str]:
-    """Return a directory whose path is short enough for a socket."""
-    with tempfile.TemporaryDirectory(prefix="armrig-") as directory:
-        yield directory
 
 
 @pytest.fixture
@@ -229,24 +220,12 @@ def test_an_endpoint_that_is_taken_is_reported(where: str) -> None:
 
 
 @pytest.mark.usefixtures("nobody_listens")
-def test_the_command_plays_to_the_end(
-    run: Path, place: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_command_plays_without_a_listener(
+    run: Path, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", place)
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    assert main(["play", str(run), "--speed", "100", "--listen", where]) == 0
 
-    assert main(["play", str(run), "--speed", "100"]) == 0
-    told = capsys.readouterr()
-    assert main(["play", str(run), "--speed", "100", "--from", "0.5", "--json"]) == 0
-    first, last = (json.loads(line) for line in capsys.readouterr().out.splitlines())
-
-    assert f"played-1 at unixsock-stream/{place}/armrig/played-1.sock: 58 messages" in told.out
-    assert "in a second terminal: armrig watch --rig played-1" in told.out
-    assert "published 58 messages" in told.out
-    assert told.err.startswith("next: armrig info ")
-    assert first["endpoint"].endswith("/armrig/played-1.sock")
-    assert (first["rig"], first["messages"], first["samples"]) == ("played-1", 10, 10)
-    assert last == {"rig": "played-1", "published": 10}
+    assert "published 58 messages" in capsys.readouterr().out
 
 
 def test_a_run_begins_again_when_its_last_sample_is_over(tmp_path: Path, clock: FakeClock) -> None:
@@ -258,13 +237,14 @@ def test_a_run_begins_again_when_its_last_sample_is_over(tmp_path: Path, clock: 
 
 
 @pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM]))
-def test_ctrl_c_ends_a_player(run: Path, place: str, number: signal.Signals) -> None:
+def test_ctrl_c_ends_a_player(run: Path, where: str, number: signal.Signals) -> None:
+    sockets = Path(where.removeprefix("unixsock-stream/")).parent
     with subprocess.Popen(
         [sys.executable, "-m", "armrig", "play", str(run), "--loop", "--wait", "--json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env={**os.environ, "XDG_RUNTIME_DIR": place},
+        env={**os.environ, "XDG_RUNTIME_DIR": str(sockets)},
     ) as process:
         assert process.stdout is not None
         try:
@@ -305,12 +285,11 @@ def test_a_recording_that_cannot_be_played_is_reported(
 
 @pytest.mark.usefixtures("nobody_listens")
 def test_hostile_files_are_played_as_far_as_they_are_whole(
-    tmp_path: Path, place: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    where = ["--listen", f"unixsock-stream/{place}/p.sock", "--speed", "1000"]
     whole = run_of(tmp_path).read_bytes()
     cut = written(tmp_path, whole[: len(whole) // 2], "cut.mcap")
-    assert main(["play", str(cut), *where]) == 0
+    assert main(["play", str(cut), "--listen", where, "--speed", "1000"]) == 0
     assert "the undamaged part is played" in capsys.readouterr().err
 
     far = [event(0, "x"), gap(0, 1, 1.0), sample(5)]
@@ -318,7 +297,3 @@ def test_hostile_files_are_played_as_far_as_they_are_whole(
     far[0].timestamp.seconds = 2**62 // 10**9
     data = recorded(far, manifest=manifest(samples=10, k_first=0))
     assert len(list(published(written(tmp_path, data, "far.mcap")).messages())) == 3
-
-    bad = written(tmp_path, b"text", "text.mcap")
-    assert main(["play", str(bad), *where]) == 1
-    assert "is not a recording of the rig" in capsys.readouterr().err
