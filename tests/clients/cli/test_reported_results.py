@@ -6,7 +6,6 @@ import json
 import os
 import signal
 from contextlib import nullcontext
-from datetime import UTC, datetime
 from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +18,6 @@ from armrig import __main__ as program
 from armrig.cli import demo, fleet, main
 from armrig.cli.demo_plan import experiments, write_config
 from armrig.lab.fleet_recorder import RigRecorded
-from armrig.lab.pki import Issued
 from armrig.report.batch.batch import Batch
 from armrig.report.batch.rows import CHECKS
 from armrig_core.errors import InputError
@@ -395,18 +393,6 @@ def test_an_error_of_the_system_names_the_file_and_what_to_do(
     assert main(["ls", "--count", "1", "elsewhere"]) == 1
 
     assert capsys.readouterr().err.startswith(f"armrig: {said}")
-
-
-def test_a_certificate_is_listed_to_the_day_it_expires(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    expires = datetime(2027, 3, 9, 12, tzinfo=UTC)
-    one = Issued(name="anna", role="observer", expires=expires, path=Path("anna.pem"))
-    monkeypatch.setattr("armrig.lab.pki.issued", lambda _: [one])
-
-    assert main(["pki", "list"]) == 0
-
-    assert capsys.readouterr().out.split() == ["anna", "observer", "until", "2027-03-09"]
 
 
 def test_a_firmware_may_fill_the_flash() -> None:

@@ -5,22 +5,16 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import armrig
-import numpy as np
 import pytest
 import typer
 from armrig.cli import main, options, record, recording_info
 from armrig.cli.options import agree, print_table, question, warned
 from armrig.cli.parameters import cases, changes, physics_beside
-from armrig.cli.reporting import _report_ignored
 from armrig.cli.usage_errors import _in_whole_units
 from armrig_core.arm import ArmParameters
-from armrig_core.codes import COMPLETE
 from armrig_core.errors import InputError, OperationError
-
-from tests.clients.made_recordings import of_the_arm, written
 
 
 @pytest.mark.parametrize(
@@ -144,29 +138,6 @@ def test_the_damage_of_a_recording_is_printed(
     assert err.startswith(f"armrig: {said}") if said else not err
 
 
-def _recorded_file(name: str) -> Any:
-    return SimpleNamespace(path=Path(name), samples=len(name), missing=2, outcome="complete")
-
-
-def test_a_remote_recording_that_ends_early_names_its_last_file(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    files = [_recorded_file("a.mcap"), _recorded_file("a.2.mcap")]
-    failed: Any = SimpleNamespace(code="failed")
-    for done, ending, said in (
-        (files, failed, "armrig: recorded up to the error: a.2.mcap, the last of 2 files\n"),
-        (files[:1], failed, "armrig: recorded up to the error: a.mcap\n"),
-        ([], failed, ""),
-        (files, COMPLETE, ""),
-    ):
-        ended: list[Any] = []
-        recording: Any = SimpleNamespace(done=done, finish=ended.append)
-
-        record._finish(recording, ending)
-
-        assert (capsys.readouterr().err, ended) == (said, [ending])
-
-
 def test_a_remote_recording_replaces_no_file(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").touch()
     (tmp_path / "b.mcap.active").touch()
@@ -179,21 +150,6 @@ def test_a_remote_recording_replaces_no_file(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=f"-o {tmp_path / name}: .*{said}"):
             record._checked(tmp_path / name)
-
-
-def test_a_report_names_the_recordings_that_give_no_model(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = {kind: of_the_arm(np.full(60, 1.0), experiment=kind) for kind in ("step-a", "blackbox")}
-    kinds = {"s": "step-a", "a": "blackbox", "b": "blackbox", "c": "blackbox"}
-    files = [written(tmp_path, data[kind], f"{name}.mcap") for name, kind in kinds.items()]
-
-    _report_ignored([armrig.load(file) for file in files])
-
-    said = " ".join(capsys.readouterr().err.split())
-    used = "the models are estimated from a.mcap and validated on b.mcap"
-    assert f"c.mcap is only listed in the report: {used}" in said
-    assert said.count("is only listed") == 1
 
 
 def test_a_long_text_is_cut_at_its_end_and_a_spread_has_its_figures() -> None:

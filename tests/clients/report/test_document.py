@@ -17,11 +17,11 @@ from armrig.numerics.quantities import NBSP
 from armrig.physics.physical_model import physical_model
 from armrig.recordings.daemon_reports import Note
 from armrig.recordings.loading import load
-from armrig.report.conclusions import abstract, conclusions
+from armrig.report.conclusions import conclusions
 from armrig.report.document import content, report
 from armrig.report.figures import write_figures
 from armrig.report.recording_facts import role, treatment
-from armrig.report.study import AssessedFit, Orders, Study, assessed, study
+from armrig.report.study import AssessedFit, Study, assessed, study
 from armrig.report.typesetting import recorded as recorded_at
 from armrig.report.typesetting import typeset
 from armrig_core.arm import ArmParameters
@@ -29,7 +29,7 @@ from armrig_core.calibration import Calibration, Figure, Made
 from matplotlib import figure
 from matplotlib.text import Text
 
-from tests.clients.made_recordings import of_the_arm, recorded, sample, written
+from tests.clients.made_recordings import of_the_arm, written
 
 NOTE = Note(t=1.5, text='#panic() *x* $y$ `#eval("1")` \\ [z] @nobody', owner="#panic() <b>")
 """Markup, which a report prints as text."""
@@ -195,26 +195,6 @@ def test_a_treatment_that_both_data_had_is_reported_once_unless_it_removed_other
     ]
 
 
-def test_an_absent_treatment_is_reported(
-    done: Study, drawn: dict[str, figure.Figure], three_recordings: tuple[Path, ...], tmp_path: Path
-) -> None:
-    halved = study([load(three_recordings[1])])
-    treated = study([load(path) for path in three_recordings[1:]], treat=armrig.detrend)
-
-    assert treatment(done) == []
-    assert treatment(halved) == [
-        "Estimation data: took samples 0 to 749 of 1500.",
-        "Validation data: took samples 750 to 1499 of 1500.",
-    ]
-    claims = ["No mean and no trend" in content(s, [])["data"] for s in (done, halved, treated)]
-    assert claims == [True, True, False]
-    for name in drawn:
-        (tmp_path / f"{name}.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'/>")
-    date = recorded_at(treated.recordings)
-    pdf, _ = typeset(tmp_path, "report.typ", content(treated, []), date)
-    assert pdf.startswith(b"%PDF-")
-
-
 def test_a_step_or_a_staircase_with_a_name_is_not_identified_from(
     done: Study, three_recordings: tuple[Path, ...], tmp_path: Path
 ) -> None:
@@ -224,22 +204,6 @@ def test_a_step_or_a_staircase_with_a_name_is_not_identified_from(
     found = study([load(named), *(load(path) for path in three_recordings[1:])])
 
     assert [role(found, r) for r in found.recordings] == ["staircase", "estimation", "validation"]
-
-
-def test_orders_too_high_for_the_data_are_refused(tmp_path: Path) -> None:
-    short = load(written(tmp_path, recorded([sample(k) for k in range(20)])))
-
-    with pytest.raises(ValueError, match="na=4, nb=4: 8 parameters from 10 samples; at most 1"):
-        study([short])
-    with pytest.raises(ValueError, match="nb=0"):
-        study([short], orders=Orders(nb=0))
-
-
-def test_the_oe_model_meets_the_physics(done: Study) -> None:
-    """Through recording, unwrapping and estimation: median deviation below one per cent."""
-    assert done.best.name == "OE"
-    assert np.median(done.best.deviation) < 0.01
-    assert done.best.comparison.rms_error < 0.006  # one step of ten bits
 
 
 def test_the_report_says_where_the_models_leave_the_physics(done: Study) -> None:
@@ -333,15 +297,6 @@ def test_only_an_arx_model_is_biased_and_only_far_from_the_best(
     assert verdicts(done, 0.0299, 0.01) == []
 
 
-def test_the_best_model_is_reported_wherever_it_stands(done: Study, of_three: Study) -> None:
-    turned = replace(done, estimated=done.estimated[::-1])
-
-    assert conclusions(turned) == conclusions(done)
-    assert "the OE model simulates the angle" in abstract(turned)
-    assert of_three.best.name in {"ARMAX", "OE"}
-    assert f"the {of_three.best.name} model simulates" in abstract(of_three)
-
-
 def test_residuals_that_were_not_tested_are_not_called_coloured(done: Study) -> None:
     untested = replace(done.best, fit=replace(done.best.fit, whiteness=float("nan")))
 
@@ -371,11 +326,6 @@ def test_models_are_compared_up_to_nyquist() -> None:
     found = assessed({}, physical_model(ArmParameters(), data), data)
 
     assert found["omega"][-1] == pytest.approx(np.pi / 0.1)
-
-
-def study_data() -> Dataset:
-    """Return two samples at 100 Hz."""
-    return Dataset(u=np.zeros(2), y=np.zeros(2), Ts=0.01, output="theta_1", unit="rad")
 
 
 def test_a_rig_that_was_not_calibrated_is_reported_once(done: Study) -> None:

@@ -520,14 +520,6 @@ def test_ctrl_c_ends_a_compiler_that_never_ends(
     assert threads != [main_thread()]
 
 
-def test_a_mistake_in_the_values_is_reported_with_their_file(tmp_path: Path) -> None:
-    (tmp_path / TEMPLATE).write_text('#let data = json("data.json")\n')
-    (tmp_path / "data.json").write_text('{\n "a": 1\n "b": 2}\n')
-
-    with pytest.raises(OperationError, match=r"/data\.json, line 3: .* failed to parse JSON"):
-        compiled(tmp_path / TEMPLATE)
-
-
 def test_a_folder_with_files_is_no_folder_for_a_source(
     without: HandoutStudy, tmp_path: Path
 ) -> None:
