@@ -58,14 +58,8 @@ def test_an_assumption_reaches_the_tests_of_a_given_structure(
     y = filtered([0.0, 0.1], [1.0, -1.0], u - 2) + 0.02 * np.random.default_rng(1).standard_normal(
         400
     )
-    line = [
-        "identify",
-        written(tmp_path / "level.csv", u - 2, y),
-        "--structure",
-        "n4sid",
-        "--order",
-        "1",
-    ]
+    table = written(tmp_path / "level.csv", u - 2, y)
+    line = f"identify {table} --structure n4sid --order 1".split()
 
     _, decided, _ = said(line, capsys)
     _, assumed, after = said([*line, "--assume", "settling"], capsys)
@@ -87,18 +81,7 @@ def test_an_assumption_reaches_the_tests_of_a_given_structure(
 def test_an_assumption_that_cannot_hold_is_refused(
     options: list[str], why: str, telegraph: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = [
-        "identify",
-        telegraph,
-        "--structure",
-        "oe",
-        "--nb",
-        "1",
-        "--nf",
-        "1",
-        "--input",
-        "heater",
-    ]
+    line = f"identify {telegraph} --structure oe --nb 1 --nf 1 --input heater".split()
 
     code = main([*line, "--assume", "settling", *options])
 

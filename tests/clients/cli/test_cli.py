@@ -121,15 +121,6 @@ def test_ctrl_c_while_a_command_is_loaded_is_no_error(program: str, tmp_path: Pa
     assert (done.returncode, done.stderr) == (130, b"armrig: interrupted\n")
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_while_the_options_are_made_ends_the_command_in_order(
-    number: signal.Signals, code: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("armrig.cli.load", lambda given: signal.raise_signal(number))
-
-    assert main(["ls"]) == code
-
-
 def test_what_is_no_file_is_reported_and_not_waited_for(tmp_path: Path) -> None:
     """The test runs in another process, because a wrong reader waits for ever."""
     os.mkfifo(tmp_path / "pipe")

@@ -27,7 +27,8 @@ LATE = "the host was up to 264 ms late in the last second: try again"
 
 @pytest.fixture(autouse=True)
 def sockets(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Keep the sockets apart from those of a daemon that the user may have."""
+    """Keep the sockets apart from those of a daemon of the user, and repeat no command."""
+    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     directory = tmp_path_factory.mktemp("s")
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(directory))
@@ -54,7 +55,6 @@ class StallingDaemon(FakeDaemon):
 def test_what_a_stalling_machine_costs_is_repeated(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     out = StringIO()
     daemon = StallingDaemon(where, refusals=[LATE, LATE], ends=["WATCHDOG (load 3)"])
 
@@ -70,7 +70,6 @@ def test_what_a_stalling_machine_costs_is_repeated(
 def test_a_machine_that_ends_three_runs_is_given_up(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     out = StringIO()
     daemon = StallingDaemon(where, refusals=[LATE] * 4, ends=["first", "second", "third", "x"])
 
@@ -88,7 +87,6 @@ def test_a_machine_that_refuses_for_good_is_given_up_in_time(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The limit is 150 s after the beginning."""
-    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     monkeypatch.setattr(demo_rig, "MAX_REAL_TIME_S", -1.0)
     daemon = StallingDaemon(where, refusals=[LATE] * 2, ends=[])
 
@@ -133,7 +131,6 @@ def test_a_rig_that_tripped_before_its_run_is_armed_again(where: str) -> None:
 def test_a_rig_that_trips_after_a_refusal_is_reset(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     daemon = LateTrippingDaemon(where, refusals=[LATE], ends=[])
 
     with daemon, Rig(demo_plan.RIG, connect=where) as rig:

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -155,9 +154,13 @@ def test_a_browser_is_opened_from_a_terminal_on_a_screen(
     screen: str, terminal: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     served, opened = serving.Served(url="http://page", browser_url="http://token"), list[str]()
-    monkeypatch.setattr(serving, "dashboard", lambda _: nullcontext(served))
-    monkeypatch.setattr(webbrowser, "open", opened.append)
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
+    fakes: dict[str, Any] = {
+        "armrig.dashboard.serving.dashboard": lambda _: nullcontext(served),
+        "webbrowser.open": opened.append,
+        "sys.stdout.isatty": lambda: terminal,
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(name, fake)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     if screen:
@@ -243,10 +246,11 @@ def test_a_lab_prints_each_change_once(
 
     arrivals = nullcontext(lambda: [])
     rig: Any = SimpleNamespace(status=status, arrivals=lambda _: arrivals)
-    monkeypatch.setattr(of_lab, "_STATUS_INTERVAL_S", 0.0)
-    monkeypatch.setattr(of_lab, "_VIEW_INTERVAL_S", 0.0)
+    fakes: dict[str, Any] = dict.fromkeys(("_STATUS_INTERVAL_S", "_VIEW_INTERVAL_S"), 0.0)
+    fakes["next_line"] = lambda after, rig: f"{after}{rig}"
+    for name, fake in fakes.items():
+        monkeypatch.setattr(of_lab, name, fake)
     monkeypatch.setattr("armrig.rig.local_daemon.require_running", lambda *_: None)
-    monkeypatch.setattr(of_lab, "next_line", lambda after, rig: f"{after}{rig}")
 
     with pytest.raises(KeyboardInterrupt):
         _show(rig, SimpleNamespace(), Path("log"), _Lab("/dev/a", ""), json=as_json)  # type: ignore[arg-type]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Iterator
+from contextlib import redirect_stderr
 from itertools import takewhile
 from pathlib import Path
 
@@ -173,11 +174,10 @@ DOUBTED = [
 @pytest.mark.parametrize(("line", "doubt"), DOUBTED, ids=[line for line, _ in DOUBTED])
 @pytest.mark.usefixtures("folder")
 def test_what_may_be_a_mistake_is_doubted_before_any_number(
-    line: str, doubt: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    line: str, doubt: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "stderr", sys.stdout)  # in the order in which they are written
-
-    code = main(shlex.split(line))
+    with redirect_stderr(sys.stdout):  # in the order in which they are written
+        code = main(shlex.split(line))
 
     lines = capsys.readouterr().out.splitlines()
     assert code == 0

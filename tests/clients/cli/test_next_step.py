@@ -219,32 +219,6 @@ def test_a_step_whose_rise_is_hidden_is_made_again(
     assert last == wanted.replace("step --Ts", "step --rig 7 --connect tcp/far:7447 --Ts")
 
 
-@pytest.mark.parametrize(
-    ("after", "experiment", "is_pair", "goes_on"),
-    [
-        ("status", "step-first", False, "armrig sampling @first -o sampling.png"),
-        ("status", "step-first", True, "armrig hints @0000000a -o hints.png"),
-        ("lab chassis", "greybox-chassis", True, "armrig greybox @chassis -o chassis.png"),
-    ],
-)
-def test_no_line_records_a_second_one_of_a_name(
-    pair: Path, after: str, experiment: str, is_pair: bool, goes_on: str
-) -> None:
-    if not is_pair:
-        _unpaired(pair)
-    collects = next_line(after, rig="")
-    samples = [sample(k) for k in range(10)]
-    for run_id, outcome in (("0000000e", "stopped"), ("0000000f", "complete")):
-        about = manifest(experiment=experiment, run_id=run_id)
-        assert next_line(after, rig="") == collects
-        ended = Outcome(outcome=outcome, samples=10, missing=0)
-        data = recorded(samples, manifest=about, outcome=ended)
-        written(pair, data, f"1-{experiment}-20261120T140000-{run_id}.mcap")
-
-    assert collects.startswith("next: armrig collect ")
-    assert next_line(after, rig="") == f"next: {goes_on}"
-
-
 def _unpaired(pair: Path) -> None:
     """Remove the validation recording."""
     next(pair.glob("*-validation-*")).unlink()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import typer
-from armrig.cli import app, main
+from armrig.cli import app
 from armrig.cli.recorded_data import between, loaded
 from armrig.data.dataset import Dataset
 
@@ -35,27 +34,6 @@ def test_every_command_that_reads_a_recording_takes_a_part_of_it() -> None:
     assert len(found) > 8
     lacking = {name for name, known in found.items() if not {"--from", "--to"} <= known}
     assert lacking <= WHOLE
-
-
-@pytest.mark.parametrize(
-    "line",
-    ["greybox {1}", "split {1} --parts 1,2", "simulate {1}", "compare {1} {2}"],
-    ids=lambda line: line.partition(" ")[0],
-)
-def test_the_part_is_what_is_used(
-    line: str, three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = [word.format(*map(str, three_recordings)) for word in line.split()]
-
-    found = []
-    for part in ((), ("--from", "2", "--to", "9")):
-        assert main([*arguments, *part, "--json"]) == 0
-        found.append(json.loads(capsys.readouterr().out))
-    assert found[0] != found[1]
-    if "N" in found[1]:
-        assert 600 < found[1]["N"] <= 700
-    assert main([*arguments, "--from", "1000"]) == 1
-    assert "1000" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("t", "k"), [(0.07, 7), (0.57, 57), (0.065, 7), (0.071, 8)])

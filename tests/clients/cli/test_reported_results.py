@@ -15,7 +15,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig import __main__ as program
-from armrig.cli import demo, fleet, main
+from armrig.cli import demo, main
 from armrig.cli.demo_plan import experiments, write_config
 from armrig.lab.fleet_recorder import RigRecorded
 from armrig.report.batch.batch import Batch
@@ -132,10 +132,11 @@ def test_a_fleet_says_each_file_and_each_rig_that_failed_or_was_silent(
         def record(self, ended: Any, seconds: float, rigs: list[str] | None) -> list[RigRecorded]:
             return [of[rig] for rig in rigs or ["7", "8"]]
 
-    monkeypatch.setattr("armrig.lab.fleet_recorder.FleetRecorder", Recorder)
     opened = SimpleNamespace(session=nullcontext(object()))
-    monkeypatch.setattr("armrig.rig.session.open_endpoint", lambda _: opened)
-    monkeypatch.setattr(fleet.time, "strftime", lambda _: "T")
+    fakes: dict[str, Any] = {"armrig.lab.fleet_recorder.FleetRecorder": Recorder}
+    fakes |= {"armrig.rig.session.open_endpoint": lambda _: opened, "time.strftime": lambda _: "T"}
+    for name, fake in fakes.items():
+        monkeypatch.setattr(name, fake)
     out = tmp_path / "of" / "monday"
 
     def recorded_of(*words: str) -> tuple[int, str, str]:
@@ -206,9 +207,12 @@ def test_the_line_after_the_hints_has_their_orders_or_tests_for_feedback(
 ) -> None:
     found = _Hints(**HINTS, integrator=integrator, singular_values=np.array([1.0, 0.5]))
     doubts = [SimpleNamespace(about=doubtful, text="a doubt")] if doubtful else []
-    hints, advice = "armrig.validation.structure_hints", "armrig.validation.advice.data_advice"
-    monkeypatch.setattr(f"{hints}.structure_hints", lambda _, integrator: found)
-    monkeypatch.setattr(f"{advice}.data_doubts", lambda _: doubts)
+    fakes: dict[str, Any] = {
+        "structure_hints.structure_hints": lambda _, integrator: found,
+        "advice.data_advice.data_doubts": lambda _: doubts,
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(f"armrig.validation.{name}", fake)
     path = written(tmp_path, of_the_arm(armrig.telegraph(200, 0.1, seed=1)))
     typed = ["hints", str(path), *given.split()]
 
@@ -281,10 +285,10 @@ def test_a_demonstration_records_in_virtual_time_what_real_time_did_not(
         asked.append((all_of, len(remarks)))
         return SimpleNamespace(models=[]), folder / "report.pdf"
 
-    monkeypatch.setattr(demo, "_record", in_real_time)
-    monkeypatch.setattr(demo, "record_in_virtual_time", in_virtual_time)
-    monkeypatch.setattr(demo, "_reported", reported)
-    monkeypatch.setattr(demo, "_print_results", lambda *_: None)
+    work = {"_record": in_real_time, "record_in_virtual_time": in_virtual_time}
+    work |= {"_reported": reported, "_print_results": lambda *_: None}
+    for name, function in work.items():
+        monkeypatch.setattr(demo, name, function)
     out = StringIO()
     console = Console(file=out, width=300)
 

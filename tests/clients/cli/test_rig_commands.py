@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
@@ -99,9 +100,9 @@ def test_a_stop_reports_the_motor_after_the_end_of_the_input(
         return of_the_rig(self)
 
     of_the_rig = rig.status
-    monkeypatch.setattr(rig, "status", status)
-    monkeypatch.setattr("time.sleep", waited)
-    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+    rig.status = status  # type: ignore[method-assign]
+    for name, fake in (("sleep", waited), ("monotonic", lambda: now_s[0])):
+        monkeypatch.setattr(f"time.{name}", fake)
 
     assert main(["stop"]) == 0
 
@@ -247,17 +248,15 @@ def test_a_remote_recording_ends_with_its_reason(
         return SimpleNamespace(begin=lambda: True, record=recorded)
 
     recording = SimpleNamespace(done=files, finish=ended.append)
-    remote, session = "armrig.rig.remote_recording", "armrig.rig.session"
-    monkeypatch.setattr(f"{remote}.RemoteRecorder", recorder)
-    monkeypatch.setattr(f"{remote}.RemoteRecording", lambda **_: recording)
-    monkeypatch.setattr("armrig.cli.record.typed", str)
-
-    class Session:
-        def __enter__(self) -> None: ...
-        def __exit__(self, *_: object) -> None: ...
-
-    connection = SimpleNamespace(session=Session(), endpoint="E")
-    monkeypatch.setattr(f"{session}.open_connection", lambda *_, **__: connection)
+    connection = SimpleNamespace(session=nullcontext(), endpoint="E")
+    fakes: dict[str, Any] = {
+        "rig.remote_recording.RemoteRecorder": recorder,
+        "rig.remote_recording.RemoteRecording": lambda **_: recording,
+        "cli.record.typed": str,
+        "rig.session.open_connection": lambda *_, **__: connection,
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(f"armrig.{name}", fake)
     stopped: Any = SimpleNamespace(is_set=lambda: False)
 
     def run() -> None:

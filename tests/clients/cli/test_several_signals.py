@@ -6,39 +6,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import armrig
 import numpy as np
 import pytest
 from armrig.cli import several_output
 from armrig.cli.recorded_data import SignalChoice
-from armrig.cli.several_next import after_compare, after_validate, better_options
+from armrig.cli.several_next import after_compare, after_validate
 from armrig.estimation.multivariable.request import SignalsRequest
-
-
-@pytest.mark.parametrize(
-    ("request_", "source", "outputs", "expected"),
-    [
-        ({"structure": "ss"}, "", ("theta_1", "alpha"), "--structure oe --integrator"),
-        (
-            {"structure": "oe", "integrating": ("theta_1",)},
-            "",
-            ("theta_1", "alpha"),
-            "--search",
-        ),
-        ({"structure": "ss"}, "", ("alpha", "velocity"), "--search"),
-        ({"structure": "ss"}, "data:", ("theta_1", "alpha"), "--search"),
-    ],
-)
-def test_coloured_residuals_lead_to_the_rig_s_structure_or_a_search(
-    request_: dict[str, object], source: str, outputs: tuple[str, ...], expected: str
-) -> None:
-    request = SignalsRequest(orders={}, **request_)
-    data = armrig.Signals(
-        u=np.ones((9, 1)), y=np.ones((9, 2)), Ts=0.01, outputs=outputs, source=source
-    )
-
-    assert better_options(request, data) == expected
-
 
 P = np.array([[0.5, 0.004, 0.0005], [0.02, 1.0, np.nan]])
 """p values of two outputs and three inputs; 0.01 / 6 is 0.0017."""

@@ -10,7 +10,7 @@ import armrig
 import pytest
 import typer
 from armrig.cli import main, options, record, recording_info
-from armrig.cli.options import agree, print_table, question, warned
+from armrig.cli.options import agree, print_table, question
 from armrig.cli.parameters import cases, changes, physics_beside
 from armrig.cli.usage_errors import _in_whole_units
 from armrig_core.arm import ArmParameters
@@ -95,13 +95,14 @@ def test_a_question_leaves_room_for_the_answer(monkeypatch: pytest.MonkeyPatch) 
 def test_nothing_is_done_without_agreement(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     monkeypatch.setattr("typer.confirm", lambda text, err: asked.append(text) or "yes" in text)
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    terminal = SimpleNamespace(isatty=lambda: True)
+    monkeypatch.setattr(sys, "stdin", terminal)
 
     agree("no", yes=True)
     agree("yes", yes=False)
     with pytest.raises(OperationError, match="nothing was done"):
         agree("no", yes=False)
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: False))
+    terminal.isatty = lambda: False
     with pytest.raises(OperationError, match="no terminal for the question: --yes agrees"):
         agree("yes", yes=False)
     assert asked == ["yes", "no"]
@@ -117,25 +118,6 @@ def test_values_stand_below_each_other(
     assert capsys.readouterr().out.splitlines() == [
         *("a       first", "longer  one two three", "longer  one two", "        three"),
     ]
-
-
-@pytest.mark.parametrize(
-    ("name", "truncated", "said"),
-    [
-        ("a.mcap", True, "a.mcap: cut\n"),
-        ("a.mcap.active", True, "a.mcap.active: still being recorded, or the daemon was killed; "),
-        ("a.mcap.active", False, ""),
-    ],
-)
-def test_the_damage_of_a_recording_is_printed(
-    name: str, truncated: bool, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    one = SimpleNamespace(path=Path(name), truncated=truncated, damage="cut")
-
-    assert warned(one) is one
-
-    err = capsys.readouterr().err
-    assert err.startswith(f"armrig: {said}") if said else not err
 
 
 def test_a_remote_recording_replaces_no_file(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import armrig
 import msgspec
@@ -112,8 +113,10 @@ def test_a_report_leaves_a_copy_of_each_figure(
             (root / f"{name}.svg").write_text(name)
         return tuple(sorted(root.glob("*.svg")))
 
-    monkeypatch.setattr("armrig.report.document.write_figures", write)
-    monkeypatch.setattr("armrig.report.typesetting.compiled", lambda _: (b"a report", []))
+    fakes: dict[str, Any] = {"document.write_figures": write}
+    fakes["typesetting.compiled"] = lambda _: (b"a report", [])
+    for name, fake in fakes.items():
+        monkeypatch.setattr(f"armrig.report.{name}", fake)
 
     pdf = report(done, tmp_path / "r.pdf", figures=tmp_path, source=tmp_path / "source")
 

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from threading import Event, current_thread, main_thread
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import armrig
 import msgspec
@@ -99,8 +99,12 @@ def typeset_once(without: HandoutStudy, tmp_path_factory: pytest.TempPathFactory
 @pytest.fixture
 def only_values(monkeypatch: pytest.MonkeyPatch) -> None:
     """Do not draw the figures nor typeset the report; write its values alone."""
-    monkeypatch.setattr("armrig.report.handout.write_handout_figures", lambda *_: frozenset())
-    monkeypatch.setattr("armrig.report.typesetting.compiled", lambda _: (b"", [("end", 1.0)]))
+    fakes: dict[str, Any] = {
+        "handout.write_handout_figures": lambda *_: frozenset(),
+        "typesetting.compiled": lambda _: (b"", [("end", 1.0)]),
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(f"armrig.report.{name}", fake)
 
 
 def test_every_assignment_has_its_section_in_order(

@@ -248,8 +248,8 @@ def test_a_report_has_its_orders_and_the_doubts_about_both_recordings(
         path.write_bytes(b"a report")
         return path
 
-    monkeypatch.setattr("armrig.report.study.study", studied)
-    monkeypatch.setattr("armrig.report.document.report", written)
+    for name, fake in (("study.study", studied), ("document.report", written)):
+        monkeypatch.setattr(f"armrig.report.{name}", fake)
     item = Item("short.mcap", str(paths[0]), bytes=1, modified_ns=2, validation=str(paths[1]))
 
     row = row_of(Report(folder=str(tmp_path / "r"), na=1, nb=2, nf=3, nk=4), item)
