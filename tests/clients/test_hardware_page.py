@@ -26,7 +26,7 @@ def test_the_board_connects_the_netlist() -> None:
 
 
 @pytest.mark.parametrize("name", ["DIAGRAM", "BOARD"])
-def test_a_line_too_few_and_a_line_too_many_are_seen(name: str) -> None:
+def test_a_missing_and_a_superfluous_line_are_detected(name: str) -> None:
     drawing = getattr(WIRING, name)
     two = sorted(drawing.pins.values())[0], sorted(drawing.pins.values())[-1]
 

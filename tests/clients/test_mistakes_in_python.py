@@ -161,7 +161,7 @@ def test_swapped_columns_are_doubted_by_the_model() -> None:
     assert "the columns may be swapped" in fit.warnings[0]
 
 
-def test_what_can_be_meant_is_taken() -> None:
+def test_lists_and_numpy_integers_are_accepted() -> None:
     data = armrig.Dataset(u=U.tolist(), y=Y.tolist(), Ts=0.01)
 
     fit = armrig.arx(data, na=int(np.int64(2)), nb=a and np.int64(2))

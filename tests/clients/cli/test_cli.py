@@ -121,7 +121,7 @@ def test_ctrl_c_while_a_command_is_loaded_is_no_error(program: str, tmp_path: Pa
     assert (done.returncode, done.stderr) == (130, b"armrig: interrupted\n")
 
 
-def test_what_is_no_file_is_reported_and_not_waited_for(tmp_path: Path) -> None:
+def test_a_named_pipe_is_refused_without_waiting(tmp_path: Path) -> None:
     """The test runs in another process, because a wrong reader waits for ever."""
     os.mkfifo(tmp_path / "pipe")
     commands = (

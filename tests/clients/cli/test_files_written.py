@@ -36,7 +36,7 @@ def test_a_figure_of_a_saved_model_has_the_run_that_its_data_validate(tmp_path: 
 
 
 @pytest.mark.parametrize("name", ["estimation.mcap", "other.mcap", "other.pdf", "r.txt", "."])
-def test_a_report_never_replaces_what_is_no_report(
+def test_a_report_never_replaces_another_kind_of_file(
     name: str,
     three_recordings: tuple[Path, ...],
     tmp_path: Path,

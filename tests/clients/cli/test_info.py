@@ -27,7 +27,7 @@ def test_notes_are_listed_with_their_times_and_authors(
     assert re.search(r"^note +at 0\.11 s, Ada: touched #11$", full, re.M)
 
 
-def test_info_of_a_cut_file_does_not_call_the_run_cut_short(
+def test_info_distinguishes_a_cut_file_from_a_stopped_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = {"manifest": manifest(samples=40, k_first=0), "flush_every": 10}

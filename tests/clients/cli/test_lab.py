@@ -86,7 +86,7 @@ def of_this_test() -> list[str]:
 
 @pytest.mark.real_time
 @pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM, signal.SIGHUP]))
-def test_a_lab_leaves_nothing(number: signal.Signals, lab: subprocess.Popen[str]) -> None:
+def test_a_lab_ends_all_its_processes(number: signal.Signals, lab: subprocess.Popen[str]) -> None:
     with Rig() as rig:  # as any command in a second terminal, by default
         rig.arm("a student")
         with rig.arrivals("sample") as samples:
@@ -133,7 +133,7 @@ def test_a_port_that_is_not_there_is_reported_with_the_way_out(tmp_path: Path) -
 
 @pytest.mark.exhaustive
 @pytest.mark.real_time
-def test_a_program_hears_of_each_change_in_json(tmp_path: Path) -> None:
+def test_lab_json_prints_each_change_of_the_phase(tmp_path: Path) -> None:
     said = tmp_path / "said"
     with started(said, '"phase":"safe"', "--json"), Rig() as rig:
         rig.arm("a student")
@@ -204,9 +204,7 @@ READY = ["rig ready, 0 V: /dev/a, rig 7; Ctrl-C ends the lab", "in a browser: U"
         ({"phase": "init"}, []),
     ],
 )
-def test_a_lab_says_that_its_rig_is_ready_or_why_it_is_not(
-    changes: dict[str, Any], lines: list[str]
-) -> None:
+def test_a_lab_reports_a_ready_rig_or_the_reason(changes: dict[str, Any], lines: list[str]) -> None:
     assert _sentence(_status(**changes), _Lab("/dev/a", "U"), "N").splitlines() == lines
     without_page = _sentence(_status(**changes), _Lab("/dev/a", ""), "N").splitlines()
     assert without_page == [line for line in lines if "in a browser" not in line]

@@ -126,7 +126,9 @@ def test_a_table_of_a_spreadsheet_is_read(run: Path) -> None:
 
 
 @pytest.mark.parametrize("command", [("doctor",), ("status",)])
-def test_what_needs_linux_says_so_in_a_line(command: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_command_for_linux_is_refused_in_one_line(
+    command: tuple[str, ...], tmp_path: Path
+) -> None:
     done = subprocess.run(
         [sys.executable, "-c", _COMMAND, *command],
         capture_output=True,
@@ -141,7 +143,7 @@ def test_what_needs_linux_says_so_in_a_line(command: tuple[str, ...], tmp_path: 
     assert "needs Linux" in " ".join(done.stderr.split())
 
 
-def test_what_a_daemon_left_is_recovered(run: Path) -> None:
+def test_an_unfinished_recording_is_recovered(run: Path) -> None:
     left = run.with_name("kopie.mcap.active")
     left.write_bytes(run.read_bytes()[:-1000])
 

@@ -112,7 +112,7 @@ def test_a_name_that_is_no_text_is_reported_to_programs(
         assert found["recording"] == f"{tmp_path}/a\\udcff.mcap"
 
 
-def test_what_is_not_whole_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_recordings_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for i in range(5):
         written(tmp_path, recording()[:5000], f"{i}.mcap")
 

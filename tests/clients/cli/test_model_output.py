@@ -154,7 +154,7 @@ def test_each_finding_is_reported_once(
     assert to_act_on(of, doubted) == set(acts.split())
 
 
-def test_what_an_estimation_asks_for_is_acted_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_remedy_of_a_finding_is_acted_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(model_output, "advice", lambda _: SimpleNamespace(findings=[]))
     findings = [warning("not_converged", "x", "order"), warning("level", "x", "integrator")]
     of: Any = SimpleNamespace(findings=[*findings, warning("unstable", "x")])

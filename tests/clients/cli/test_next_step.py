@@ -70,7 +70,7 @@ OPENED = {name for name, line in AFTER.items() if line.startswith("{opener}")}
 
 
 @pytest.mark.parametrize("after", sorted(AFTER.keys() - OPENED))
-def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
+def test_the_command_line_accepts_each_next_line(after: str) -> None:
     words = shlex.split(AFTER[after].format(**VALUES))
     command = _command_line()
 
@@ -109,7 +109,7 @@ def test_the_report_is_of_the_newest_step_pair_and_chassis(
         ("greybox-chassis", "armrig greybox @chassis -o chassis.png"),
     ],
 )
-def test_the_path_leads_over_the_chassis_alone(
+def test_the_next_line_leads_to_the_chassis_alone(
     pair: Path,
     three_recordings: tuple[Path, ...],
     recorded_before: str | None,

@@ -92,7 +92,7 @@ def test_a_question_leaves_room_for_the_answer(monkeypatch: pytest.MonkeyPatch) 
         assert not any(line.startswith(" ") for line in lines)
 
 
-def test_nothing_is_done_without_agreement(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_action_requires_consent(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     monkeypatch.setattr("typer.confirm", lambda text, err: asked.append(text) or "yes" in text)
     terminal = SimpleNamespace(isatty=lambda: True)
@@ -108,7 +108,7 @@ def test_nothing_is_done_without_agreement(monkeypatch: pytest.MonkeyPatch) -> N
     assert asked == ["yes", "no"]
 
 
-def test_values_stand_below_each_other(
+def test_values_of_a_table_are_aligned(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     print_table(("a", "first"), ("longer", "one two three"))

@@ -129,7 +129,7 @@ def test_physics_and_integrators_need_no_recording(without: HandoutStudy) -> Non
     assert found["4.3"].answer[0].startswith("Every step is stable")
 
 
-def test_what_lacks_a_recording_names_the_command(without: HandoutStudy) -> None:
+def test_a_section_without_recordings_names_the_command(without: HandoutStudy) -> None:
     fill = {number: s.fill for number, s in sections(without, "3").items() if s.lack}
 
     blackbox, greybox = "armrig collect blackbox --validation", "armrig collect greybox"

@@ -167,7 +167,7 @@ def punctual(recording: Recording, **late: int) -> Recording:
         ),
     ],
 )
-def test_times_that_are_all_the_same_have_no_panel(
+def test_constant_times_have_no_panel(
     done: Study,
     late: dict[str, int],
     panels: int,
