@@ -6,6 +6,7 @@ import json
 import os
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import armrig
@@ -33,6 +34,32 @@ def test_a_figure_of_a_saved_model_has_the_run_that_its_data_validate(tmp_path: 
     write_plot(tmp_path / "a.svg", model=lambda ax: sign(drawn, source))
 
     assert drawn.get_title("right") == "recording @0000000b"
+
+
+def test_a_report_names_its_file_its_recordings_and_a_validation_on_its_own_data(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, pdf = written(tmp_path, recorded([sample(0)])), tmp_path / "r.pdf"
+    data = SimpleNamespace(digest="ab")
+    remarks: list[list[str]] = []
+    fakes: dict[str, Any] = {
+        "study.study": lambda *_, **__: SimpleNamespace(estimation=data, validation=data),
+        "document.report": lambda *_, **how: remarks.append(how["remarks"]),
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(f"armrig.report.{name}", fake)
+    monkeypatch.chdir(tmp_path)
+
+    assert main(["report", str(path), "-o", str(pdf)]) == 0
+    said = capsys.readouterr()
+    assert main(["report", str(path), "-o", str(pdf), "--json"]) == 0
+
+    assert said.out == f"{pdf}\n"
+    assert "judged on their own estimation data" in said.err
+    assert "judged on their own estimation data" in remarks[0][0]
+    assert said.err.splitlines()[-1] == "next: armrig report --handout --questions reasons.toml"
+    hashes = [armrig.load(path).sha256]
+    assert json.loads(capsys.readouterr().out) == {"report": str(pdf), "recordings": hashes}
 
 
 @pytest.mark.parametrize("name", ["estimation.mcap", "other.mcap", "other.pdf", "r.txt", "."])

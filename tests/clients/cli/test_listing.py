@@ -45,28 +45,6 @@ def test_a_rig_is_listed_with_the_reason_of_its_fault_or_its_silence(
     assert capsys.readouterr().out.splitlines()[1].split("  ")[-1].strip() == shown
 
 
-def test_a_folder_that_is_named_is_listed_by_its_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """@NAME searches only the user's own folder."""
-    synced = tmp_path / "from the lab"
-    synced.mkdir()
-    path = written(synced, recording(experiment="blackbox-monday"))
-    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path / "own"))
-
-    assert main(["ls", str(synced)]) == 0
-    told = capsys.readouterr()
-    assert main(["ls", str(synced), "--json"]) == 0
-
-    assert told.out.splitlines()[1].startswith(f"{path}  blackbox")
-    assert told.err.splitlines() == [
-        f"in {synced}",
-        f"next: armrig info '{path}'",
-    ]
-    found = json.loads(capsys.readouterr().out)
-    assert (found["folder"], found["recordings"][0]["recording"]) == (str(synced), str(path))
-
-
 def test_each_recording_has_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("a\nb.mcap", f"{'x' * 200}.mcap", "plain.mcap"):
         written(tmp_path, recording(experiment="y" * 3000), name)

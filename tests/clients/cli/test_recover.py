@@ -41,19 +41,6 @@ def test_a_folder_is_recovered_except_files_in_use(
     assert "B were kept" in info
 
 
-def test_a_file_without_samples_is_named_and_the_others_are_recovered(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bad, good = written(tmp_path, b"", "1-a.mcap.active"), written(tmp_path, DATA, "x.mcap.active")
-
-    assert main(["recover", str(bad), str(good)]) == 1
-
-    out, err = capsys.readouterr()
-    assert "x.mcap: recovered" in out
-    assert err == f"armrig: {bad}: 0 B: nothing was recorded; delete it\n"
-    assert bad.exists()
-
-
 def test_a_remote_recording_is_recovered_without_its_length(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,7 +11,6 @@ import pytest
 from armrig.cli import several_output
 from armrig.cli.recorded_data import SignalChoice
 from armrig.cli.several_next import after_compare, after_validate
-from armrig.estimation.multivariable.request import SignalsRequest
 
 P = np.array([[0.5, 0.004, 0.0005], [0.02, 1.0, np.nan]])
 """p values of two outputs and three inputs; 0.01 / 6 is 0.0017."""
@@ -95,30 +94,6 @@ def test_the_model_of_the_least_error_is_named_for_each_output(
     horizon: int | None, rms: dict[str, list[float]], said: str
 ) -> None:
     assert several_output.closest(_table(horizon, **rms)).startswith(said)
-
-
-@pytest.mark.parametrize(
-    ("family", "integrators", "orders"),
-    [
-        ("oe", (True, False), {"nb": 4, "nf": 4}),
-        ("oe", (False, False), {"nb": 3, "nf": 3}),
-        ("ss", (False, True), {"order": 3}),
-    ],
-)
-def test_a_model_that_a_search_chose_is_estimated_again_by_its_request(
-    family: str, integrators: tuple[bool, bool], orders: dict[str, int]
-) -> None:
-    fit = SimpleNamespace(outputs=("y", "z"), form=SimpleNamespace(integrators=integrators))
-    chosen = SimpleNamespace(family=family, order=3)
-    found: Any = SimpleNamespace(chosen=chosen, fit=fit, nk=2)
-
-    assert several_output.request_of(found) == SignalsRequest(
-        structure=family,
-        orders=orders,
-        nk=2,
-        integrating=tuple(name for name, yes in zip("yz", integrators, strict=True) if yes),
-        shared=family == "oe",
-    )
 
 
 @pytest.mark.parametrize(

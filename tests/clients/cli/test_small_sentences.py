@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import armrig
 import pytest
-import typer
-from armrig.cli import main, options, record, recording_info
+from armrig.cli import main, options, recording_info
 from armrig.cli.options import agree, print_table, question
 from armrig.cli.parameters import cases, changes, physics_beside
 from armrig.cli.usage_errors import _in_whole_units
 from armrig_core.arm import ArmParameters
-from armrig_core.errors import InputError, OperationError
+from armrig_core.errors import OperationError
 
 
 @pytest.mark.parametrize(
@@ -36,20 +34,6 @@ def test_a_parameter_a_hundred_times_too_large_or_too_small_is_doubted(
     said = " ".join(capsys.readouterr().err.split())
     assert (doubt in said) == is_doubted
     assert (f"of the handout, {handout:g}; is it in SI units?" in said) == is_doubted
-
-
-@pytest.mark.parametrize(
-    ("given", "unit"), [("K_lin=2Nm", "N m/rad"), ("R_m=4 Ω", "Ω"), ("N=15x", "")]
-)
-def test_a_value_with_its_unit_is_answered_with_the_handout_s_own(given: str, unit: str) -> None:
-    name = given.partition("=")[0]
-    with pytest.raises(typer.BadParameter) as refused:
-        changes([given])
-
-    said = str(refused.value)
-    assert said.startswith(f"--set {given}: give the number alone")
-    assert said.endswith(f", such as --set {name}={getattr(ArmParameters(), name):g}")
-    assert bool(unit) == (", in " in said)
 
 
 def test_changed_parameters_are_simulated_alone_and_together() -> None:
@@ -118,20 +102,6 @@ def test_values_of_a_table_are_aligned(
     assert capsys.readouterr().out.splitlines() == [
         *("a       first", "longer  one two three", "longer  one two", "        three"),
     ]
-
-
-def test_a_remote_recording_replaces_no_file(tmp_path: Path) -> None:
-    (tmp_path / "a.mcap").touch()
-    (tmp_path / "b.mcap.active").touch()
-
-    assert record._checked(tmp_path / "c.mcap") == tmp_path / "c.mcap"
-    for name, said in (
-        ("a.mcap", "a.mcap exists"),
-        ("b.mcap", "b.mcap.active exists"),
-        ("c.csv", "ends in .mcap"),
-    ):
-        with pytest.raises(InputError, match=f"-o {tmp_path / name}: .*{said}"):
-            record._checked(tmp_path / name)
 
 
 def test_a_long_text_is_cut_at_its_end_and_a_spread_has_its_figures() -> None:

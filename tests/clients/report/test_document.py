@@ -226,27 +226,6 @@ def test_the_report_says_where_the_models_leave_the_physics(done: Study) -> None
     assert arx.endswith(f"and at most by 50\u00a0%, at {done.omega[20]:.3g} rad/s.")
 
 
-def test_a_report_describes_a_third_model(of_three: Study) -> None:
-    names = ["ARMAX", "ARX", "OE"]
-    told = content(of_three, ())
-    said = " ".join(told["verdict"])
-    [output] = told["outputs"]
-
-    assert [table["name"] for table in output["models"]] == names
-    assert [len(table["header"]) for table in output["models"]] == [4, 4, 5]
-    assert all(len(row) == len(t["header"]) for t in output["models"] for row in t["rows"])
-    assert [row[0] for row in told["fits"]] == [*names, "physics"]
-    assert told["tests_header"][1:-1] == [f"p ({name})" for name in names]
-    assert all(len(row) == 1 + 3 + 1 for row in told["tests"])
-    assert told["orders"] == "na = 4, nb = 4, nc = 1, nf = 4, nk = 1"
-    for name in names:
-        assert f"{name}: loss" in told["estimation"]
-        assert f"the residuals of {name} are" in said
-        assert f"({name})" in said
-        assert f"the {name} model" in told["physics"]
-    assert "An ARMAX, an ARX and an OE model" in told["summary"]
-
-
 def test_each_caption_names_the_run_that_its_figure_shows(of_three: Study) -> None:
     told = content(of_three, ())
     [output] = told["outputs"]
