@@ -22,6 +22,7 @@ from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError
 from armrig_core.commands import LastRun, StatusReport
 
+from tests.clients.fake_daemon import status_report
 from tests.integration.processes import settled
 from tests.sampling import sampled
 
@@ -172,13 +173,6 @@ def test_a_browser_is_opened_from_a_terminal_on_a_screen(
     assert opened == (["http://token"] if terminal and screen else [])
 
 
-def _status(**changes: Any) -> StatusReport:
-    of: dict[str, Any] = dict.fromkeys(("reason", "owner", "version", "endpoint"), "")
-    of |= {"rig": "7", "phase": "safe", "Ts": 0.01, "u_min": 0.0, "u_max": 5.0, "device": {}}
-    of |= {"host": {}, "last_run": None, "recordings": "/of/mine"}
-    return StatusReport(**of | changes)
-
-
 READY = ["rig ready, 0 V: /dev/a, rig 7; Ctrl-C ends the lab", "in a browser: U"]
 
 
@@ -205,8 +199,8 @@ READY = ["rig ready, 0 V: /dev/a, rig 7; Ctrl-C ends the lab", "in a browser: U"
     ],
 )
 def test_a_lab_reports_a_ready_rig_or_the_reason(changes: dict[str, Any], lines: list[str]) -> None:
-    assert _sentence(_status(**changes), _Lab("/dev/a", "U"), "N").splitlines() == lines
-    without_page = _sentence(_status(**changes), _Lab("/dev/a", ""), "N").splitlines()
+    assert _sentence(status_report(**changes), _Lab("/dev/a", "U"), "N").splitlines() == lines
+    without_page = _sentence(status_report(**changes), _Lab("/dev/a", ""), "N").splitlines()
     assert without_page == [line for line in lines if "in a browser" not in line]
 
 
@@ -217,14 +211,14 @@ def test_the_view_of_a_lab_has_degrees_and_the_newest_run() -> None:
     going = LastRun(**run, outcome="", finished=False)
     ended = LastRun(**run, outcome="complete", finished=True)
 
-    assert _lines(_status(phase="run", owner="ada"), None) == "rig 7: run, owner ada"
-    head, values, last = _lines(_status(last_run=ended), sample).splitlines()
+    assert _lines(status_report(phase="run", owner="ada"), None) == "rig 7: run, owner ada"
+    head, values, last = _lines(status_report(last_run=ended), sample).splitlines()
     assert (head, last) == (
         "rig 7: safe, no owner",
         "recorded, complete: 30 samples, 1-step.mcap",
     )
     assert values == "u 2.500 V   theta_1 -57.3°   alpha –"
-    assert _lines(_status(last_run=going), None).splitlines()[1:] == [
+    assert _lines(status_report(last_run=going), None).splitlines()[1:] == [
         "recording: 30 samples, 1-step.mcap"
     ]
 
@@ -238,7 +232,7 @@ def test_a_lab_prints_each_change_once(
 
     def status() -> StatusReport:
         try:
-            return _status(**(next(now, None) or next(later)))
+            return status_report(**(next(now, None) or next(later)))
         except StopIteration:
             raise KeyboardInterrupt from None
 

@@ -11,9 +11,9 @@ import pytest
 from armrig.cli import main
 from armrig.rig import live_rigs
 from armrig.rig.live_rigs import LiveRig
-from armrig_core.commands import StatusReport
 from armrig_core.manifest import Outcome
 
+from tests.clients.fake_daemon import status_report
 from tests.clients.made_recordings import manifest, recorded, sample, written
 
 
@@ -35,9 +35,7 @@ def test_a_rig_is_listed_with_the_reason_of_its_fault_or_its_silence(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    fields = dict.fromkeys(("reason", "owner", "version", "endpoint", "recordings"), "")
-    fields |= {"u_min": 0.0, "u_max": 5.0, "device": {}, "host": {}, "last_run": None} | why
-    rig = LiveRig(rig="7", endpoint="unix:x", status=StatusReport(rig="7", Ts=0.01, **fields))
+    rig = LiveRig(rig="7", endpoint="unix:x", status=status_report(**why))
     monkeypatch.setattr(live_rigs, "live_rigs", lambda _: ("unix:x", [rig]))
 
     assert main(["ls", "--live"]) == 0

@@ -16,6 +16,7 @@ from armrig.rig.replies import RefusedError
 from armrig_core.codes import COMPLETE, RefusalCode
 from armrig_core.commands import StatusReport
 
+from tests.clients.fake_daemon import status_report
 from tests.clients.made_recordings import sample
 from tests.clients.told import told
 
@@ -44,10 +45,7 @@ class _Rig:
         self.asked.append("closed")
 
     def status(self) -> StatusReport:
-        of: dict[str, Any] = dict.fromkeys(("reason", "owner", "version", "endpoint"), "")
-        of |= {"rig": "7", "phase": "safe", "Ts": 0.01, "u_min": 0.0, "u_max": 5.0, "device": {}}
-        of |= {"host": {}, "last_run": None, "recordings": "/of/mine"}
-        return StatusReport(**of | self.report)
+        return status_report(**self.report)
 
     def stream(self, name: str) -> Iterator[Any]:
         self.asked.append(name)

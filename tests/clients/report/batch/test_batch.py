@@ -81,6 +81,22 @@ def done(folder: Path, task: Task, table: Path, **options: Any) -> list[dict[str
     return rows_of(table)
 
 
+def few_of(folder: Path, tmp_path: Path, *names: str) -> Path:
+    """Return a folder with copies of these recordings."""
+    few = tmp_path / "few"
+    few.mkdir()
+    for name in names:
+        shutil.copy2(folder / name, few)
+    return few
+
+
+def computed(folder: Path, task: Task, table: Path, **options: Any) -> list[str]:
+    """Return the recordings that a batch processes, which are not those that it keeps."""
+    names: list[str] = []
+    done(folder, task, table, count=lambda n, total, name: names.append(name), **options)
+    return names
+
+
 def rows_of(table: Path) -> list[dict[str, Any]]:
     """Return what another program reads."""
     with table.open("rb") as file:
@@ -217,10 +233,7 @@ def test_a_report_that_is_gone_is_made_again(
         return dict.fromkeys(columns_of(task)) | known | told
 
     monkeypatch.setattr("armrig.report.batch.batch.row_of", row)
-    few = tmp_path / "few"
-    few.mkdir()
-    for name in ("a-00.mcap", "a-01.mcap"):
-        shutil.copy2(folder / name, few)
+    few = few_of(folder, tmp_path, "a-00.mcap", "a-01.mcap")
     done(few, task, tmp_path / "reports.parquet")
     (tmp_path / "a-01.pdf").unlink()
 
@@ -306,21 +319,15 @@ def test_each_option_of_a_task_reaches_its_estimate(folder: Path, detrended: boo
 
 
 def test_finished_rows_are_not_computed_again(folder: Path, tmp_path: Path) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    for n in range(4):
-        shutil.copy2(folder / f"a-{n:02}.mcap", few)
+    few = few_of(folder, tmp_path, *(f"a-{n:02}.mcap" for n in range(4)))
     table = tmp_path / "models.parquet"
     done(few, ARX, table)
     first = table.read_bytes()
-    again: list[str] = []
-    done(few, ARX, table, count=lambda n, total, name: again.append(name))
-    assert again == []
+    assert computed(few, ARX, table) == []
     assert table.read_bytes() == first
     shutil.copy(folder / "a-30.mcap", few / "a-01.mcap")
     shutil.copy(folder / "a-31.mcap", few / "b.mcap")
-    done(few, ARX, table, count=lambda n, total, name: again.append(name))
-    assert sorted(again) == ["a-01.mcap", "b.mcap"]
+    assert sorted(computed(few, ARX, table)) == ["a-01.mcap", "b.mcap"]
 
 
 def test_a_report_is_made_again_where_a_validation_has_come() -> None:
@@ -482,9 +489,7 @@ def test_a_full_disk_costs_no_result(folder: Path, tmp_path: Path) -> None:
     said = f"{table.name}{SUFFIX}: File too large; results so far are kept"
     with no_file_above(20_000), pytest.raises(OperationError, match=said):
         done(folder, ARX, table)
-    again: list[str] = []
-    done(folder, ARX, table, count=lambda n, total, name: again.append(name))
-    assert 0 < len(again) < MANY + 4
+    assert 0 < len(computed(folder, ARX, table)) < MANY + 4
 
 
 def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: Path) -> None:
@@ -493,9 +498,7 @@ def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: P
     with no_file_above(8000), pytest.raises(OperationError, match=said):
         done(folder, Verify(), table, rigs=["2"])
     assert [file.name for file in tmp_path.iterdir()] == [f"v.parquet{SUFFIX}"]
-    again: list[str] = []
-    done(folder, Verify(), table, rigs=["2"], count=lambda n, total, name: again.append(name))
-    assert again == []
+    assert computed(folder, Verify(), table, rigs=["2"]) == []
 
 
 def test_a_deadly_item_is_given_up_and_the_others_are_finished() -> None:
@@ -622,8 +625,8 @@ def test_a_name_that_is_not_utf_8_is_processed(folder: Path, tmp_path: Path) -> 
     (few / os.fsdecode(b"\xff.mcap")).write_bytes(b"no recording at all")
     table = few / os.fsdecode(b"\xe0.parquet")
     done(few, ARX, table)
-    again: list[str] = []
-    rows = done(few, ARX, table, count=lambda n, total, name: again.append(name))
+    again = computed(few, ARX, table)
+    rows = rows_of(table)
     assert [row["recording"] for row in rows] == [r"\udce9t\udce9.mcap", r"\udcff.mcap"]
     assert rows[0]["fit_percent"] > 0
     assert r"f\udcfcnf/\udcff.mcap" in rows[1]["problem"]
@@ -632,9 +635,7 @@ def test_a_name_that_is_not_utf_8_is_processed(folder: Path, tmp_path: Path) -> 
 
 def test_a_file_of_any_time_stops_nothing(folder: Path, tmp_path: Path) -> None:
     """A clock was wrong by centuries: more nanoseconds than the table can hold."""
-    few = tmp_path / "few"
-    few.mkdir()
-    shutil.copy(folder / "a-00.mcap", few)
+    few = few_of(folder, tmp_path, "a-00.mcap")
     os.utime(few / "a-00.mcap", (0, 13_569_465_600))  # 2400
     assert done(few, Verify(), tmp_path / "v.parquet")[0]["problem"] == ""
 
@@ -649,9 +650,7 @@ def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_damage_is_reported_with_the_result(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    shutil.copy2(folder / CUT, few)
+    few = few_of(folder, tmp_path, CUT)
     whole = (folder / "a-00.mcap").read_bytes()
     (few / "none.mcap").write_bytes(whole[: len(whole) // 3])
     given = ["batch", "identify", str(few), "-o", str(tmp_path / "m.parquet"), "--workers", "1"]
