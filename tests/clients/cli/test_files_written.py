@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -200,42 +199,3 @@ def test_questions_are_text_whatever_the_name_of_their_file(
 
     assert codes == [0, 0]
     assert all(read_answers(Path(name)).reasons == {} for name in names)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--handout", "--questions", "mine.toml"], "--questions mine.toml: exists and"),
-        (
-            ["--from", "."],
-            r"--from .: has 0 files \*.typ; give a folder that `armrig report --sour",
-        ),
-        (["--from", ".", "--handout"], "--from .: give no recordings, and no option but -o and"),
-        (
-            ["x.mcap", "--answers", "a.toml"],
-            "--answers applies to the handout's report: add --handout",
-        ),
-        (
-            ["--handout", "--signal", "theta_1,alpha"],
-            "--signal theta_1,alpha: the handout's report models theta_1; leave out --handout or",
-        ),
-        (["x.mcap", "--signal", "beta"], "--signal beta: a recording has theta_1, alpha"),
-        (["x.mcap", "--set", "J_1=0.002"], "--set applies to the handout's report: add --handout"),
-        (["--handout", "--answers", "mine.toml"], 'mine.toml: unknown key "mine"; known are stude'),
-    ],
-)
-def test_options_of_the_report_that_do_not_go_together_are_refused(
-    arguments: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("mine.toml").write_text("mine = 1\n")
-
-    assert main(["report", *arguments]) != 0
-
-    assert re.search(message, told(capsys))
-    assert Path("mine.toml").read_text() == "mine = 1\n"
-    assert not Path("report.pdf").exists()

@@ -26,7 +26,7 @@ from armrig.report.study import AssessedFit, Study, assessed, study
 from armrig.report.typesetting import recorded as recorded_at
 from armrig.report.typesetting import typeset
 from armrig_core.arm import ArmParameters
-from armrig_core.calibration import Calibration, Figure, Made
+from armrig_core.calibration import Calibration, Made
 from matplotlib import figure
 from matplotlib.text import Text
 
@@ -321,30 +321,6 @@ def test_a_rig_that_was_not_calibrated_is_reported_once(done: Study) -> None:
         judged = replace(done, recordings=recordings)
         assert " ".join(conclusions(judged)).count("was not calibrated") == told
         assert ["calibrated", *[when] * len(recordings)] in content(judged, [])["facts"]
-
-
-def test_the_units_of_the_data_are_reported_with_their_basis(done: Study) -> None:
-    scale = {"theta_1_rad_per_count": Figure(value=1e-4, std=2e-7)}
-    meter = {"driver_gain": Figure(value=1.01, std=1e-3)}
-
-    def said(figures: dict[str, figure.Figure] | None) -> str:
-        if figures is None:
-            return str(content(done, [])["data"])
-        made = Made(
-            date="2026-11-20T04:00:00+01:00",
-            rig="1",
-            device_uid="0001",
-            armrig="0.1.0",
-            figures=figures,
-        )
-        calibration = Calibration(made=made)
-        good = tuple(replace(r, calibration=calibration) for r in done.recordings)
-        return str(content(replace(done, recordings=good), [])["data"])
-
-    assert "configured values that were never measured" in said(None)
-    assert "calibration of 2026-11-20 04:00, accurate to 0.2\xa0%" in said(scale)
-    assert "no meter was read" in said(scale)
-    assert "from a meter at the motor's terminals" in said(scale | meter)
 
 
 @pytest.mark.exhaustive
