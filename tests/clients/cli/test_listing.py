@@ -1,9 +1,10 @@
-"""The table of `armrig ls`, for any folder and any file in it."""
+"""The table of `armrig ls`, for any folder and any file in it; notes and ends in `armrig info`."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from armrig.rig.live_rigs import LiveRig
 from armrig_core.manifest import Outcome
 
 from tests.clients.fake_daemon import status_report
-from tests.clients.made_recordings import manifest, recorded, sample, written
+from tests.clients.made_recordings import manifest, note, recorded, sample, written
 
 
 def recording(**changes: object) -> bytes:
@@ -108,3 +109,37 @@ def test_a_recording_whose_name_begins_with_an_at_sign_is_read(
     assert main(["info", "./@last.mcap"]) == 0
 
     assert "@last.mcap" in capsys.readouterr().out
+
+
+def test_notes_are_listed_with_their_times_and_authors(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    notes = [note(k, f"touched #{k}") for k in range(12)]
+    path = str(written(tmp_path, recorded([*(sample(k) for k in range(40)), *notes])))
+
+    assert main(["info", path]) == 0
+    brief = capsys.readouterr().out
+    assert main(["info", path, "--verbose"]) == 0
+    full = capsys.readouterr().out
+
+    assert re.search(r"^note +at 0\.09 s, Ada: touched #9\nnote +2 more; --verbose", brief, re.M)
+    assert brief.count("touched") == 10
+    assert re.search(r"^note +at 0\.11 s, Ada: touched #11$", full, re.M)
+
+
+def test_info_distinguishes_a_cut_file_from_a_stopped_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = {"manifest": manifest(samples=40, k_first=0), "flush_every": 10}
+    whole = recorded([sample(k) for k in range(40)], **run, outcome_first=True)
+    left = recorded([sample(k) for k in range(40)], **run, outcome=None)
+
+    assert main(["info", str(written(tmp_path, whole[:-200]))]) == 0
+    of_whole = capsys.readouterr().out
+    assert main(["info", str(written(tmp_path, left[:-400], "run.mcap.active"))]) == 0
+    of_left = capsys.readouterr().out
+
+    assert "of the run: complete; but the file is cut off" in of_whole
+    assert re.search(r"samples +\d+ at 0.01 s, 0 missing", of_whole)
+    assert "s of 0.4 s" in of_whole
+    assert "the file is cut off before the outcome, or is still being written" in of_left

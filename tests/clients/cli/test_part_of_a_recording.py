@@ -1,4 +1,4 @@
-"""--from and --to, wherever a recording is read."""
+"""--from and --to, wherever a recording is read, and recordings that ended early."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import typer
 from armrig.cli import app
 from armrig.cli.recorded_data import between, loaded
 from armrig.data.dataset import Dataset
+from armrig_core.manifest import Outcome
 
 from tests.clients.made_recordings import manifest, recorded, turning, written
 
@@ -55,3 +56,28 @@ def test_the_end_of_a_part_is_no_early_end_of_its_run(
     for part in ({}, {"stop": 1.0}, {"start": 0.1}):
         loaded([file], None, **part)
         assert ("ended early" in capsys.readouterr().err) == (not part)
+
+
+@pytest.mark.parametrize(
+    ("asked", "outcome", "said"),
+    [
+        (600, "stopped by root", "ended early, after 300 of 600 samples: stopped by root\n"),
+        (300, "complete", ""),
+        (0, "the rig went away", ""),
+    ],
+)
+def test_a_run_that_ended_early_is_named_before_it_is_used(
+    asked: int, outcome: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended = Outcome(outcome=outcome, samples=300, missing=0)
+    data = recorded(
+        turning([30_000 + 40 * (k % 50) for k in range(300)]),
+        manifest=manifest(samples=asked),
+        outcome=ended,
+    )
+    path = written(tmp_path, data)
+
+    loaded([path], None)
+
+    told = capsys.readouterr().err
+    assert told == (f"armrig: {path.name} {said}" if said else "")

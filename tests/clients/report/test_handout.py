@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import signal
 from collections.abc import Iterator
 from dataclasses import replace
@@ -418,21 +417,6 @@ def test_a_step_beyond_the_limit_is_marked(without: HandoutStudy) -> None:
         assert [head.endswith(" (unstable)") for head in table.header].count(True) == marked
         assert table.rows[0][0] == "largest error"
         assert "0.1 % of its largest value" in found[number].answer[0]
-
-
-@pytest.mark.exhaustive
-def test_the_source_gives_the_same_report_and_an_edited_one(
-    typeset_once: Path, tmp_path: Path
-) -> None:
-    shutil.copytree(typeset_once.with_name("source"), tmp_path / "source")
-    template = tmp_path / "source" / TEMPLATE
-
-    again, _ = compiled(template)
-    template.write_text(template.read_text() + "\n= Appendix\n")
-    edited, _ = compiled(template)
-
-    assert again == typeset_once.read_bytes()
-    assert edited != again
 
 
 @pytest.mark.parametrize(
