@@ -111,28 +111,6 @@ def test_figures_that_are_replaced_are_named(
     assert f"figures: {both}; replaced: {both}\n" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("path", "refusal"),
-    [
-        ("nowhere/figures/", "nowhere/figures: there is no directory nowhere; create it first"),
-        ("a.txt/", "a.txt/: is a file; give a folder, or leave out the /"),
-    ],
-)
-def test_a_folder_that_cannot_be_made_is_refused(
-    path: str,
-    refusal: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "a.txt").touch()
-
-    assert main(["model", "-o", path]) == 1
-
-    assert refusal in told(capsys)
-
-
 @pytest.mark.parametrize(("n", "height"), [(1, 7.0), (2, 3.6), (5, 3.6)])
 def test_one_figure_stays_on_a_screen(n: int, height: float, tmp_path: Path) -> None:
     """At most 1600 pixels high: more subjects take more columns."""
