@@ -132,3 +132,16 @@ def test_a_search_needs_an_input_that_moves_in_both_parts(
     assert json.loads(capsys.readouterr().out)["parameters"]["f1"]["value"] == pytest.approx(
         -0.98, abs=0.01
     )
+
+
+def test_a_search_is_cut_where_the_input_moves_in_both_parts() -> None:
+    """The pulses end at sample 160 of 400."""
+    u = np.append(np.tile(np.repeat([0.0, 2.0], 20), 4), np.zeros(240))
+
+    found = armrig.search(
+        armrig.Dataset(u=u, y=lag(u, noise=0.05), Ts=1.0), families=["oe"], orders=[1, 2]
+    )
+
+    assert 80 <= found.fit.N < 160
+    assert found.chosen.candidate.order == 1
+    assert found.fit.poles().values.real[0] == pytest.approx(0.95, abs=0.01)
