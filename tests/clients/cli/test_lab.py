@@ -118,37 +118,6 @@ def test_a_second_lab_is_refused_with_the_first(lab: subprocess.Popen[str]) -> N
         assert settled(rig) == "safe"
 
 
-@pytest.mark.exhaustive
-def test_a_port_that_is_not_there_is_reported_with_the_way_out(tmp_path: Path) -> None:
-    said = tmp_path / "said"
-    with started(said, "Ctrl-C ends the lab", "--port", "/dev/nowhere") as lab:
-        assert (
-            "not ready: /dev/nowhere: no rig is connected, and the daemon waits for one: check "
-            in (said.read_text())
-        )
-        lab.send_signal(signal.SIGINT)
-        assert lab.wait(_PATIENCE_S) == 128 + signal.SIGINT
-
-    assert of_this_test() == []
-
-
-@pytest.mark.exhaustive
-@pytest.mark.real_time
-def test_lab_json_prints_each_change_of_the_phase(tmp_path: Path) -> None:
-    said = tmp_path / "said"
-    with started(said, '"phase":"safe"', "--json"), Rig() as rig:
-        rig.arm("a student")
-        until_s = time.monotonic() + _PATIENCE_S
-        while '"phase":"armed"' not in said.read_text():
-            assert time.monotonic() < until_s
-            time.sleep(0.1)
-
-    lines = said.read_text().splitlines()
-    phases = [json.loads(line)["phase"] for line in lines if line.startswith("{")]
-    assert phases[-2:] == ["safe", "armed"]
-    assert "ending: the motor goes to 0 V" in lines
-
-
 @pytest.mark.parametrize("terminal", [True, False])
 @pytest.mark.parametrize("screen", ["DISPLAY", "WAYLAND_DISPLAY", ""])
 def test_a_browser_is_opened_from_a_terminal_on_a_screen(
