@@ -29,6 +29,14 @@ def step_plan(owner: str, seconds: float = 1.0) -> Plan:
     )
 
 
+def status_report(**of: Any) -> StatusReport:
+    """Return the status of rig 7, which is at 0 V, with these changes."""
+    fields: dict[str, Any] = dict.fromkeys(("reason", "owner", "version", "endpoint"), "")
+    fields |= {"rig": "7", "phase": "safe", "Ts": 0.01, "u_min": 0.0, "u_max": 5.0, "device": {}}
+    fields |= {"host": {}, "last_run": None, "recordings": "/of/mine"}
+    return StatusReport(**fields | of)
+
+
 class FakeDaemon:
     """Answers as the daemon does, and keeps the requests; for use in a `with` block."""
 

@@ -57,22 +57,6 @@ def test_every_expression_of_the_tables_runs(
     assert len(found) > len(_CELLS) > 30
 
 
-def test_a_call_of_the_last_column_is_one_of_armrig() -> None:
-    import inspect
-
-    import armrig
-
-    for function, option in (
-        (armrig.n4sid, "weights"),
-        (armrig.impulse_response, "kernel"),
-        (armrig.armax, "initial"),
-        (armrig.oe, "stable"),
-        (armrig.compare, "horizon"),
-    ):
-        assert f"{option}=" in _TEXT
-        assert option in inspect.signature(function).parameters
-
-
 @pytest.mark.exhaustive
 def test_every_command_of_the_page_runs(
     names: dict[str, Any], monkeypatch: pytest.MonkeyPatch

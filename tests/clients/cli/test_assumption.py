@@ -58,14 +58,8 @@ def test_an_assumption_reaches_the_tests_of_a_given_structure(
     y = filtered([0.0, 0.1], [1.0, -1.0], u - 2) + 0.02 * np.random.default_rng(1).standard_normal(
         400
     )
-    line = [
-        "identify",
-        written(tmp_path / "level.csv", u - 2, y),
-        "--structure",
-        "n4sid",
-        "--order",
-        "1",
-    ]
+    table = written(tmp_path / "level.csv", u - 2, y)
+    line = f"identify {table} --structure n4sid --order 1".split()
 
     _, decided, _ = said(line, capsys)
     _, assumed, after = said([*line, "--assume", "settling"], capsys)
@@ -87,18 +81,7 @@ def test_an_assumption_reaches_the_tests_of_a_given_structure(
 def test_an_assumption_that_cannot_hold_is_refused(
     options: list[str], why: str, telegraph: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = [
-        "identify",
-        telegraph,
-        "--structure",
-        "oe",
-        "--nb",
-        "1",
-        "--nf",
-        "1",
-        "--input",
-        "heater",
-    ]
+    line = f"identify {telegraph} --structure oe --nb 1 --nf 1 --input heater".split()
 
     code = main([*line, "--assume", "settling", *options])
 
@@ -149,3 +132,16 @@ def test_a_search_needs_an_input_that_moves_in_both_parts(
     assert json.loads(capsys.readouterr().out)["parameters"]["f1"]["value"] == pytest.approx(
         -0.98, abs=0.01
     )
+
+
+def test_a_search_is_cut_where_the_input_moves_in_both_parts() -> None:
+    """The pulses end at sample 160 of 400."""
+    u = np.append(np.tile(np.repeat([0.0, 2.0], 20), 4), np.zeros(240))
+
+    found = armrig.search(
+        armrig.Dataset(u=u, y=lag(u, noise=0.05), Ts=1.0), families=["oe"], orders=[1, 2]
+    )
+
+    assert 80 <= found.fit.N < 160
+    assert found.chosen.candidate.order == 1
+    assert found.fit.poles().values.real[0] == pytest.approx(0.95, abs=0.01)

@@ -84,7 +84,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Daemon]:
         (("--no-use", "--yes"), None, False, "not in use\n"),
     ],
 )
-def test_the_running_daemon_takes_it_where_that_is_wanted(
+def test_the_running_daemon_loads_a_calibration_after_consent(
     options: tuple[str, ...],
     typed: str | None,
     is_used: bool,
@@ -108,7 +108,7 @@ def test_the_running_daemon_takes_it_where_that_is_wanted(
     assert [r.raw for r in sent] == [raw_path(output).read_bytes()] * is_used
 
 
-def test_what_the_configuration_names_is_reported_with_the_copy_that_replaces_it(
+def test_calibrate_prints_the_copy_that_replaces_the_configured_file(
     daemon: _Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "c.toml"
@@ -127,7 +127,7 @@ def test_what_the_configuration_names_is_reported_with_the_copy_that_replaces_it
     assert "reads this file at its next start, too" in capsys.readouterr().err
 
 
-def test_a_daemon_that_refuses_leaves_the_file_and_an_exit_code(
+def test_calibrate_keeps_its_file_if_the_daemon_refuses(
     daemon: _Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "c.toml"
@@ -189,7 +189,7 @@ class _Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize("given", [(), ("--rest",), ("--rest", "--turns", "--by-hand")])
-def test_without_a_terminal_nothing_is_asked_and_nothing_done(
+def test_calibrate_without_a_terminal_requires_yes(
     given: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = _files(tmp_path)
@@ -284,9 +284,7 @@ def test_the_file_of_a_calibration_is_of_its_rig(monkeypatch: pytest.MonkeyPatch
         ("[device]\n", "exists and is not a calibration"),
     ],
 )
-def test_a_calibration_of_another_origin_is_not_replaced(
-    text: str, said: str, tmp_path: Path
-) -> None:
+def test_calibrate_replaces_only_its_own_files(text: str, said: str, tmp_path: Path) -> None:
     other, own = tmp_path / "other.toml", tmp_path / "own.toml"
     other.write_text(text)
     made = Made(**dict.fromkeys(("date", "rig", "device_uid", "armrig"), "1"), raw_sha256="ab")

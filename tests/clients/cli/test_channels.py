@@ -11,7 +11,6 @@ import pytest
 import typer
 from armrig import Signals
 from armrig.cli.channels import (
-    as_modelled,
     require_as_many,
 )
 from armrig.cli.column_notes import check_varies, far_from_zero, hint_at_means, tell_of_reading
@@ -40,29 +39,6 @@ def test_a_column_is_named_for_each_signal_of_the_model_or_for_none(
         return
     with pytest.raises(REFUSED, match=said):
         require_as_many(MODEL, outputs, inputs)
-
-
-def test_columns_of_other_names_become_the_model_s_signals_in_its_order(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    y, u = np.arange(8.0).reshape(4, 2), np.arange(12.0).reshape(4, 3) + 20
-
-    def given(outputs: tuple[str, ...], inputs: tuple[str, ...]) -> Signals:
-        return Signals(u=u, y=y, Ts=0.1, outputs=outputs, inputs=inputs)
-
-    same = as_modelled(Path("f"), given(("y2", "y1"), ("c", "a", "b")), MODEL)
-    silent = capsys.readouterr().err
-    other = as_modelled(Path("f"), given(("y2", "p"), ("b", "c", "a")), MODEL)
-
-    assert (same.outputs, same.inputs) == (other.outputs, other.inputs)
-    assert (same.outputs, same.inputs) == (MODEL.outputs, MODEL.inputs)
-    assert same.y.tolist() == y[:, [1, 0]].tolist()
-    assert same.u.tolist() == u[:, [1, 2, 0]].tolist()
-    assert other.y.tolist() == y.tolist()
-    assert other.u.tolist() == u[:, [2, 0, 1]].tolist()
-    assert silent == ""
-    said = capsys.readouterr().err
-    assert said == "armrig: f: for the model's y1, y2 the command reads y2, p\n"
 
 
 def _about(mean: float, n: int = 20) -> Any:

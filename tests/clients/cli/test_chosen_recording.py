@@ -86,7 +86,7 @@ def test_a_recording_has_names(
     assert read(name, capsys) == run_id
 
 
-def test_the_last_is_the_newest_that_is_whole(
+def test_the_name_last_means_the_newest_complete_file(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     written(folder, b"\x89MCAP0\r\nrest", "1-step-20261120T150000-00000010.mcap")
@@ -96,9 +96,7 @@ def test_the_last_is_the_newest_that_is_whole(
     assert read("@last", capsys) == "0000000e"
 
 
-def test_of_one_name_a_complete_run_is_meant(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_name_prefers_a_complete_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for run_id, experiment in (("aaaaaaa1", "blackbox-monday"), ("aaaaaaa2", "step-cut")):
         data = of_run(experiment, run_id, "12:01:00", {}, outcome="stopped by A")
         written(folder, data, f"1-{experiment}-20261120T120100-{run_id}.mcap")
@@ -173,7 +171,7 @@ def test_the_short_name_of_a_recording_means_no_other(folder: Path, tmp_path: Pa
     assert short_name(summary_of(alone), answering_among(known)) == str(alone)
 
 
-def test_the_folder_is_that_of_the_configuration(
+def test_the_folder_of_recordings_comes_from_the_configuration(
     folder: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -231,7 +229,7 @@ def test_ls_says_what_a_recording_validates_where_its_name_does_not(
         ("step", "stopped", "no reply from rig 1"),
     ],
 )
-def test_the_name_of_a_complete_recording_is_refused_before_a_rig_is_asked_for(
+def test_a_name_in_use_is_refused_before_connecting(
     kind: str,
     outcome: str,
     said: str,

@@ -65,23 +65,32 @@ def test_every_public_name_is_there() -> None:
     assert not hasattr(armrig, "nothing")
 
 
-@pytest.mark.parametrize(
-    ("module", "name", "loaded", "command"),
-    [
-        ("armrig", "armrig", "typer", ["ls"]),
-        ("armrig", "armrig", "uvicorn", ["dashboard", "--json"]),
-        ("armrig_daemon", "armrigd", "typer", ["ls"]),
-    ],
+# Python 3.11 raises RuntimeError instead of KeyboardInterrupt in a class body.
+IN_A_CLASS = (
+    "try:\n    signal.raise_signal(2)\nexcept BaseException as e:\n    raise RuntimeError from e"
 )
-def test_ctrl_c_while_the_command_is_loaded_is_reported_in_one_line(
-    module: str, name: str, loaded: str, command: list[str], tmp_path: Path
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "loaded", "command", "pressed"),
+    [
+        ("armrig", "armrig", "typer", "ls", IN_A_CLASS),
+        ("armrig", "armrig", "uvicorn", "dashboard --json", IN_A_CLASS),
+        ("armrig", "armrig", "mcap", "info .", IN_A_CLASS),
+        ("armrig", "armrig", "mcap", "info .", "raise KeyboardInterrupt"),
+        ("armrig_daemon", "armrigd", "typer", "ls", IN_A_CLASS),
+    ],
+    ids=["command line", "server", "reader", "reader, at once", "daemon"],
+)
+def test_ctrl_c_during_an_import_is_reported_in_one_line(
+    module: str, name: str, loaded: str, command: str, pressed: str, tmp_path: Path
 ) -> None:
     """Loading takes seconds on a busy machine."""
-    pressed = "import signal\ntry:\n    signal.raise_signal(2)\nexcept BaseException as err:\n"
-    (tmp_path / f"{loaded}.py").write_text(pressed + "    raise RuntimeError from err\n")
-    beside = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    (tmp_path / f"{loaded}.py").write_text(f"import signal\n{pressed}\n")
+    program = [sys.executable, "-m", module, *command.split()]
+    paths = {**os.environ, "PYTHONPATH": str(tmp_path)}
 
-    done = subprocess.run([sys.executable, "-m", module, *command], capture_output=True, env=beside)
+    done = subprocess.run(program, capture_output=True, env=paths)
 
     assert (done.returncode, done.stderr) == (130, f"{name}: interrupted\n".encode())
 
@@ -107,30 +116,7 @@ def test_ctrl_c_before_a_recorder_records_is_not_lost(
     )
 
 
-@pytest.mark.parametrize("program", ["raise KeyboardInterrupt", "raise E from KeyboardInterrupt()"])
-def test_ctrl_c_while_a_command_is_loaded_is_no_error(program: str, tmp_path: Path) -> None:
-    """Python 3.11 raises RuntimeError instead of KeyboardInterrupt in a class body."""
-    pressed = f"exec({program!r}, {{'E': RuntimeError}})\n"
-    (tmp_path / "mcap").mkdir()
-    (tmp_path / "mcap" / "__init__.py").write_text(pressed)
-    beside = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    command = [sys.executable, "-m", "armrig", "info", str(tmp_path)]
-
-    done = subprocess.run(command, capture_output=True, env=beside)
-
-    assert (done.returncode, done.stderr) == (130, b"armrig: interrupted\n")
-
-
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_while_the_options_are_made_ends_the_command_in_order(
-    number: signal.Signals, code: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("armrig.cli.load", lambda given: signal.raise_signal(number))
-
-    assert main(["ls"]) == code
-
-
-def test_what_is_no_file_is_reported_and_not_waited_for(tmp_path: Path) -> None:
+def test_a_named_pipe_is_refused_without_waiting(tmp_path: Path) -> None:
     """The test runs in another process, because a wrong reader waits for ever."""
     os.mkfifo(tmp_path / "pipe")
     commands = (

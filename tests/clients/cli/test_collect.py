@@ -84,7 +84,7 @@ def test_collect_greybox_refuses_a_rig_with_its_arm_on(
 
 
 @pytest.mark.parametrize("arm_removed", [False, True])
-def test_collect_blackbox_says_where_the_arm_is_off(
+def test_collect_blackbox_reports_a_removed_arm(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str], *, arm_removed: bool
 ) -> None:
     daemon.arm_removed = arm_removed
@@ -123,7 +123,7 @@ def test_each_recording_of_a_bla_is_of_whole_periods_and_names_them(
 
 
 @pytest.mark.parametrize("name", ["telegraph", "prbs", "white", "multisine"])
-def test_collect_validation_plays_the_next_seed_too(
+def test_collect_validation_also_plays_the_next_seed(
     name: str, daemon: FakeDaemon, where: str
 ) -> None:
     arguments = ["collect", "blackbox", "--input", name, "--seed", "7", "--seconds", "1"]
@@ -141,7 +141,9 @@ def test_collect_validation_plays_the_next_seed_too(
     assert second.details["validation_of"] == "r1"
 
 
-def test_collect_plays_a_file_of_ones_own(daemon: FakeDaemon, where: str, tmp_path: Path) -> None:
+def test_collect_plays_the_voltages_of_a_file(
+    daemon: FakeDaemon, where: str, tmp_path: Path
+) -> None:
     file = tmp_path / "mine.csv"
     file.write_text("t,u\n" + "".join(f"{k / 100},{k % 5}\n" for k in range(40)))
 
@@ -163,7 +165,7 @@ def test_collect_plays_a_file_of_ones_own(daemon: FakeDaemon, where: str, tmp_pa
     ],
     ids=lambda x: " ".join(x) if isinstance(x, list) else "",
 )
-def test_an_input_that_cannot_be_played_is_reported_before_a_rig_is_asked_for(
+def test_a_wrong_input_is_refused_before_connecting(
     arguments: list[str],
     said: str,
     daemon: FakeDaemon,
@@ -181,7 +183,7 @@ def test_an_input_that_cannot_be_played_is_reported_before_a_rig_is_asked_for(
     assert daemon.asked == []
 
 
-def test_collect_judges_the_data(
+def test_collect_prints_the_verdict_on_the_data(
     daemon: FakeDaemon, where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     daemon.recording = str(written(tmp_path, of_the_arm(armrig.telegraph(500, 0.05, 2.45, 2.55))))
@@ -213,7 +215,7 @@ def test_data_that_cannot_be_used_are_a_failure_and_end_the_collection(
     assert daemon.names().count("run") == 1
 
 
-def test_the_bar_says_how_the_timing_is(
+def test_the_progress_bar_shows_lateness_gaps_and_queue(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     report = timing(0)
@@ -242,7 +244,7 @@ def test_the_bar_says_how_the_timing_is(
     assert "host late p99 456 µs, missing 2, queue 17" in said
 
 
-def test_collect_says_what_the_rehearsal_was(
+def test_collect_reports_the_rehearsed_motion(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
@@ -273,7 +275,7 @@ def test_a_collection_ends_with_its_program_by_default(
 
 
 @pytest.mark.parametrize("text", ["0.1", "61", "-1", "nan"])
-def test_a_dead_man_that_cannot_be_is_reported_before_a_rig_is_asked_for(
+def test_a_wrong_dead_man_time_is_refused_before_connecting(
     text: str, daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["collect", "step", "--dead-man", text, "--connect", where]) == 1
@@ -295,9 +297,19 @@ def test_a_run_that_ends_early_is_a_failure(
     assert "no fault is latched: repeat the command" in said.err
 
 
-@pytest.mark.parametrize("number", sampled([signal.SIGTERM, signal.SIGHUP]))
+@pytest.mark.parametrize(
+    ("number", "way"),
+    sampled(
+        [
+            (signal.SIGINT, "interrupted: a stop (0 V) was sent to rig 1"),
+            (signal.SIGTERM, "ended by SIGTERM"),
+            (signal.SIGHUP, "ended by SIGHUP"),
+        ],
+        2,
+    ),
+)
 def test_a_signal_that_ends_a_collection_stops_the_rig(
-    number: signal.Signals, daemon: FakeDaemon, where: str
+    number: signal.Signals, way: str, daemon: FakeDaemon, where: str
 ) -> None:
     daemon.polls_per_run = 10_000
     polled = threading.Event()
@@ -311,11 +323,12 @@ def test_a_signal_that_ends_a_collection_stops_the_rig(
     assert [name for name in daemon.names() if name != "renew"] == ["arm", "run", "stop"]
     assert collecting.returncode == 128 + number
     assert out == b""
-    assert f"armrig: ended by {number.name}" in said.decode()
+    assert f"armrig: {way}" in said.decode()
+    assert b"/nowhere/run.mcap" in said
     assert b"Traceback" not in said
 
 
-def test_what_nohup_ignores_stays_ignored() -> None:
+def test_a_command_keeps_ignoring_signals_that_nohup_ignores() -> None:
     """A command started with nohup is meant to outlive its terminal."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
@@ -392,22 +405,3 @@ def test_a_trip_is_reported_with_its_reason(
         "rig 1 is in fault: the link is silent; see to the cable; then `armrig reset --conn" in said
     )
     assert "lease" not in said
-
-
-def test_ctrl_c_reports_the_state_of_the_rig_and_the_recording(
-    daemon: FakeDaemon, where: str
-) -> None:
-    daemon.polls_per_run = 10_000
-    polled = threading.Event()
-    daemon.during_run = polled.set
-    program = [sys.executable, "-m", "armrig", "collect", "blackbox", "--connect", where]
-    with running(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as collecting:
-        assert polled.wait(60)
-        collecting.send_signal(signal.SIGINT)
-        out, said = collecting.communicate(timeout=30)
-
-    assert collecting.returncode == 130
-    assert out == b""
-    assert b"armrig: interrupted: a stop (0 V) was sent to rig 1" in said
-    assert b"/nowhere/run.mcap" in said
-    assert b"Traceback" not in said

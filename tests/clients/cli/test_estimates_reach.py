@@ -1,4 +1,4 @@
-"""Every option of a command that estimates or simulates reaches what does its work."""
+"""Options of commands that estimate or simulate: their values, and the next command."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import armrig
 import numpy as np
 import pytest
 import typer
@@ -19,8 +18,8 @@ from armrig.cli.recorded_data import SignalChoice
 from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.estimation.request import DEFAULTS
 from armrig.models.structure_table import COUNTED
+from armrig_core.errors import OperationError
 
-from tests.clients.made_recordings import of_the_arm, written
 from tests.clients.told import told
 
 NOTHING: dict[str, Any] = {
@@ -29,45 +28,21 @@ NOTHING: dict[str, Any] = {
 }
 
 
-class _NoWorkError(RuntimeError):
-    """In place of the work."""
-
-
-@pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Give the arguments with which an estimation or a simulation would begin."""
-    found: list[Any] = []
-
-    def work(*arguments: Any, **named: Any) -> Any:
-        found.append((arguments, named))
-        raise _NoWorkError("no work")
-
-    for name in (
-        "physics.grey_box.estimate.greybox",
-        "physics.integrators.step_choice.recommend_step",
-        "validation.model_search.search",
-        "validation.multivariable.search.search",
-        "validation.feedback_and_delay.open_loop.open_loop",
-        "validation.residuals.residuals",
-    ):
-        monkeypatch.setattr(f"armrig.{name}", work)
-    return found
-
-
-@pytest.fixture
-def file(tmp_path: Path) -> str:
-    """Give a recording of the arm, 3 s at 100 Hz."""
-    return str(written(tmp_path, of_the_arm(armrig.telegraph(300, 0.1, seed=1))))
-
-
 def test_an_integration_recommends_for_its_methods_its_input_and_its_tolerance(
-    calls: list[Any], capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    calls: list[dict[str, Any]] = []
+
+    def work(*_: Any, **named: Any) -> None:
+        calls.append(named)
+        raise OperationError("no work")
+
+    monkeypatch.setattr("armrig.physics.integrators.step_choice.recommend_step", work)
     given = ["--omega", "5", "--amplitude", "2", "--span", "3", "--tolerance", "0.02"]
 
     assert main(["integrate", *given, "--method", "heun", "--method", "ab2"]) == 1
 
-    [(_, named)] = calls
+    [named] = calls
     names = ("omega", "amplitude", "span", "tolerance")
     assert [named[name] for name in names] == [5.0, 2.0, 3.0, 0.02]
     assert tuple(named["methods"]) == ("heun", "ab2")

@@ -41,7 +41,7 @@ def test_a_part_of_a_recording_is_drawn_at_its_times(tmp_path: Path) -> None:
     assert (box.x0, box.x1) == pytest.approx((1.495, 1.595))
 
 
-def test_plot_says_how_fast_the_chassis_turned_and_no_noise_of_the_converter(
+def test_plot_reports_the_speed_without_noise_of_the_converter(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One step of the converter in 2 ms would look like 3 rad/s."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Iterator
+from contextlib import redirect_stderr
 from itertools import takewhile
 from pathlib import Path
 
@@ -172,12 +173,11 @@ DOUBTED = [
 
 @pytest.mark.parametrize(("line", "doubt"), DOUBTED, ids=[line for line, _ in DOUBTED])
 @pytest.mark.usefixtures("folder")
-def test_what_may_be_a_mistake_is_doubted_before_any_number(
-    line: str, doubt: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_doubt_is_printed_before_any_number(
+    line: str, doubt: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "stderr", sys.stdout)  # in the order in which they are written
-
-    code = main(shlex.split(line))
+    with redirect_stderr(sys.stdout):  # in the order in which they are written
+        code = main(shlex.split(line))
 
     lines = capsys.readouterr().out.splitlines()
     assert code == 0
@@ -186,7 +186,7 @@ def test_what_may_be_a_mistake_is_doubted_before_any_number(
     assert sum(doubt in text for text in before) == 1
 
 
-def test_an_input_of_ones_own_beyond_5_v_is_not_played(
+def test_a_file_beyond_5_v_is_not_played(
     folder: Path, where: str, daemon: FakeDaemon, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code = main(["collect", "blackbox", "--file", "high.csv", "--connect", where])

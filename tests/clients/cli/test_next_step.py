@@ -56,21 +56,35 @@ def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, three_recordings: Any)
     folder.mkdir()
     monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(folder))
     monkeypatch.chdir(tmp_path)
-    for experiment, run_id, details in (
-        ("blackbox", "0000000a", {}),
-        ("blackbox-validation", "0000000b", {"validation_of": "0000000a"}),
-    ):
-        about = manifest(experiment=experiment, run_id=run_id, details=details)
-        data = recorded([sample(k) for k in range(10)], manifest=about)
-        written(folder, data, f"1-{experiment}-20261120T130000-{run_id}.mcap")
+    put(folder, "blackbox", "0000000a", at="130000")
+    of = {"validation_of": "0000000a"}
+    put(folder, "blackbox-validation", "0000000b", at="130000", details=of)
     return folder
+
+
+def put(
+    folder: Path, experiment: str, run_id: str, at: str = "140000", outcome: str = "", **of: Any
+) -> None:
+    """Write a recording of ten samples under the daemon's name for it."""
+    about = manifest(experiment=experiment, run_id=run_id, **of)
+    ended = {"outcome": Outcome(outcome=outcome, samples=10, missing=0)} if outcome else {}
+    data = recorded([sample(k) for k in range(10)], manifest=about, **ended)
+    written(folder, data, f"1-{experiment}-20261120T{at}-{run_id}.mcap")
+
+
+def report_of(capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the arguments of the report that is proposed after an integration."""
+    assert main(["integrate"]) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("next: armrig report --handout ")
+    return last.removeprefix("next: armrig report --handout ")
 
 
 OPENED = {name for name, line in AFTER.items() if line.startswith("{opener}")}
 
 
 @pytest.mark.parametrize("after", sorted(AFTER.keys() - OPENED))
-def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
+def test_the_command_line_accepts_each_next_line(after: str) -> None:
     words = shlex.split(AFTER[after].format(**VALUES))
     command = _command_line()
 
@@ -83,23 +97,15 @@ def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
 def test_the_report_is_of_the_newest_step_pair_and_chassis(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for run_id, experiment in (("0000000c", "step-first"), ("0000000d", "greybox-chassis")):
-        data = recorded(
-            [sample(k) for k in range(10)], manifest=manifest(experiment=experiment, run_id=run_id)
-        )
-        written(pair, data, f"1-{experiment}-20261120T140000-{run_id}.mcap")
+    put(pair, "step-first", "0000000c")
+    put(pair, "greybox-chassis", "0000000d")
 
-    assert main(["integrate"]) == 0
-
+    first = report_of(capsys)
     Path("report.pdf").touch()
-    assert main(["integrate"]) == 0
 
-    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("next: ")]
     files = "@first @0000000a @0000000a/validation @chassis"
-    assert lines == [
-        f"next: armrig report --handout {files} -o {name}"
-        for name in ("report.pdf", "report-2.pdf")
-    ]
+    assert first == f"{files} -o report.pdf"
+    assert report_of(capsys) == f"{files} -o report-2.pdf"
 
 
 @pytest.mark.parametrize(
@@ -109,7 +115,7 @@ def test_the_report_is_of_the_newest_step_pair_and_chassis(
         ("greybox-chassis", "armrig greybox @chassis -o chassis.png"),
     ],
 )
-def test_the_path_leads_over_the_chassis_alone(
+def test_the_next_line_leads_to_the_chassis_alone(
     pair: Path,
     three_recordings: tuple[Path, ...],
     recorded_before: str | None,
@@ -117,9 +123,7 @@ def test_the_path_leads_over_the_chassis_alone(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     if recorded_before:
-        about = manifest(experiment=recorded_before, run_id="0000000d")
-        data = recorded([sample(k) for k in range(10)], manifest=about)
-        written(pair, data, f"1-{recorded_before}-20261120T140000-0000000d.mcap")
+        put(pair, recorded_before, "0000000d")
 
     assert main(["check", str(three_recordings[1])]) == 0
 
@@ -154,18 +158,9 @@ def test_the_report_is_of_complete_recordings_that_belong_together(
     ]
     for second, (run_id, experiment, outcome, details) in enumerate(made):
         Ts = 0.02 if experiment == "blackbox-slow" else 0.01
-        data = recorded(
-            [sample(k) for k in range(10)],
-            manifest=manifest(experiment=experiment, run_id=run_id, details=details, Ts=Ts),
-            outcome=Outcome(outcome=outcome, samples=10, missing=0),
-        )
-        written(pair, data, f"1-{experiment}-20261120T1500{second:02}-{run_id}.mcap")
+        put(pair, experiment, run_id, f"1500{second:02}", outcome, details=details, Ts=Ts)
 
-    assert main(["integrate"]) == 0
-
-    [line] = [x for x in capsys.readouterr().err.splitlines() if x.startswith("next: ")]
-    files = "@again @0000000a @0000000a/validation"
-    assert line == f"next: armrig report --handout {files} -o report.pdf"
+    assert report_of(capsys) == "@again @0000000a @0000000a/validation -o report.pdf"
 
 
 def test_the_report_is_of_one_calibration_and_has_the_answers(
@@ -177,16 +172,11 @@ def test_the_report_is_of_one_calibration_and_has_the_answers(
         ("00000022", "greybox-chassis", ""),
     ]
     for second, (run_id, experiment, hash_) in enumerate(made):
-        about = manifest(experiment=experiment, run_id=run_id, calibration_sha256=hash_)
-        data = recorded([sample(k) for k in range(10)], manifest=about)
-        written(pair, data, f"1-{experiment}-20261120T1500{second:02}-{run_id}.mcap")
+        put(pair, experiment, run_id, f"1500{second:02}", calibration_sha256=hash_)
     Path("reasons.toml").touch()
 
-    assert main(["integrate"]) == 0
-
-    [line] = [x for x in capsys.readouterr().err.splitlines() if x.startswith("next: ")]
     files = "@first @0000000a @0000000a/validation @chassis"
-    assert line == f"next: armrig report --handout {files} --answers reasons.toml -o report.pdf"
+    assert report_of(capsys) == f"{files} --answers reasons.toml -o report.pdf"
 
 
 def test_a_step_whose_rise_is_hidden_is_made_again(
@@ -219,37 +209,6 @@ def test_a_step_whose_rise_is_hidden_is_made_again(
     assert last == wanted.replace("step --Ts", "step --rig 7 --connect tcp/far:7447 --Ts")
 
 
-@pytest.mark.parametrize(
-    ("after", "experiment", "is_pair", "goes_on"),
-    [
-        ("status", "step-first", False, "armrig sampling @first -o sampling.png"),
-        ("status", "step-first", True, "armrig hints @0000000a -o hints.png"),
-        ("lab chassis", "greybox-chassis", True, "armrig greybox @chassis -o chassis.png"),
-    ],
-)
-def test_no_line_records_a_second_one_of_a_name(
-    pair: Path, after: str, experiment: str, is_pair: bool, goes_on: str
-) -> None:
-    if not is_pair:
-        _unpaired(pair)
-    collects = next_line(after, rig="")
-    samples = [sample(k) for k in range(10)]
-    for run_id, outcome in (("0000000e", "stopped"), ("0000000f", "complete")):
-        about = manifest(experiment=experiment, run_id=run_id)
-        assert next_line(after, rig="") == collects
-        ended = Outcome(outcome=outcome, samples=10, missing=0)
-        data = recorded(samples, manifest=about, outcome=ended)
-        written(pair, data, f"1-{experiment}-20261120T140000-{run_id}.mcap")
-
-    assert collects.startswith("next: armrig collect ")
-    assert next_line(after, rig="") == f"next: {goes_on}"
-
-
-def _unpaired(pair: Path) -> None:
-    """Remove the validation recording."""
-    next(pair.glob("*-validation-*")).unlink()
-
-
 def test_a_report_leads_to_the_questions_and_these_to_the_answers(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -262,16 +221,19 @@ def test_a_report_leads_to_the_questions_and_these_to_the_answers(
 
 
 def test_a_step_that_was_made_again_replaces_the_first(pair: Path) -> None:
-    _unpaired(pair)
-    for run_id, experiment in (("0000000e", "step-first"), ("0000000f", "step-first-again")):
-        about = manifest(experiment=experiment, run_id=run_id)
-        data = recorded([sample(k) for k in range(10)], manifest=about)
-        written(pair, data, f"1-{experiment}-20261120T140000-{run_id}.mcap")
+    next(pair.glob("*-validation-*")).unlink()
+    put(pair, "step-first", "0000000e")
+    put(pair, "step-first-again", "0000000f")
 
     assert next_line("calibrate", rig="") == "next: armrig sampling @first-again -o sampling.png"
 
 
 OE: dict[str, Any] = {"structure": "oe", "orders": {"nb": 4, "nf": 3}, "nk": 2}
+INTEGRATING = OE | {"integrator": True}
+BJ: dict[str, Any] = {"structure": "bj", "orders": {"nb": 1, "nc": 2, "nd": 3, "nf": 4}}
+PEM: dict[str, Any] = {
+    **{"structure": "pem", "orders": {"na": 0, "nb": 2, "nc": 0, "nd": 0, "nf": 2}}
+}
 ARX: dict[str, Any] = {"structure": "arx", "orders": {"na": 2, "nb": 3}}
 OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
 
@@ -284,19 +246,14 @@ OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
         (OE, "integrator level", "", f"{OPTIONS} --offset"),
         (OE, "level", "detrended", "--structure oe --nb 4 --nf 3 --nk 2 --offset"),
         (OE | {"offset": True}, "level", "", "--structure oe --nb 3 --nf 2 --nk 2 --offset"),
-        (OE | {"integrator": True}, "level", "searched", f"{OPTIONS} --integrator"),
+        (INTEGRATING, "level", "searched", f"{OPTIONS} --integrator"),
         (OE | {"offset": True}, "integrator", "", f"{OPTIONS} --integrator"),
         (OE, "outliers", "", f"{OPTIONS} --hampel"),
         (OE, "outliers feedback", "", f"{OPTIONS} --hampel"),
         (OE, "order", "", "--structure oe --nb 3 --nf 2 --nk 2"),
         (OE, "poles", "complex", "--structure oe --nb 2 --nf 1 --nk 2"),
         (OE, "order", "complex real", "--structure oe --nb 1 --nf 1 --nk 2"),
-        (
-            OE | {"integrator": True},
-            "order",
-            "complex real",
-            "--structure oe --nb 1 --nf 2 --nk 2 --integrator",
-        ),
+        (INTEGRATING, "order", "complex real", "--structure oe --nb 1 --nf 2 --nk 2 --integrator"),
         (OE, "", "unconverged", "--structure oe --nb 3 --nf 2 --nk 2"),
         (OE, "residuals", "", "--structure oe --search"),
         (OE, "residuals", "searched", OPTIONS),
@@ -305,18 +262,8 @@ OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
         (ARX, "level", "detrended", "--structure arx --na 1 --nb 2 --nk 1"),
         (ARX, "integrator", "", "--structure arx --na 2 --nb 3 --nk 1"),
         (ARX, "structure", "", "--structure oe --nb 3 --nf 2 --nk 1 --integrator"),
-        (
-            {"structure": "bj", "orders": {"nb": 1, "nc": 2, "nd": 3, "nf": 4}},
-            "order",
-            "complex",
-            "--structure bj --nb 1 --nc 2 --nd 3 --nf 2 --nk 1",
-        ),
-        (
-            {"structure": "pem", "orders": {"na": 0, "nb": 2, "nc": 0, "nd": 0, "nf": 2}},
-            "residuals",
-            "",
-            "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1",
-        ),
+        (BJ, "order", "complex", "--structure bj --nb 1 --nc 2 --nd 3 --nf 2 --nk 1"),
+        (PEM, "residuals", "", "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1"),
     ],
 )
 def test_the_next_estimation_does_what_the_findings_ask_for(

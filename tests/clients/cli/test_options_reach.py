@@ -176,13 +176,17 @@ def test_a_dashboard_says_the_addresses_that_it_has(
         )
 
     opened: list[str] = []
-    monkeypatch.setattr("armrig.dashboard.serving.dashboard", serving)
-    monkeypatch.setattr("armrig.dashboard.foxglove.foxglove", lambda **_: nullcontext("W"))
-    monkeypatch.setattr("armrig.dashboard.share.own_address", lambda: "10.1.2.3")
-    monkeypatch.setattr("armrig.dashboard.share.qr_code", lambda url: f"qr of {url}")
-    monkeypatch.setattr("webbrowser.open", opened.append)
     ended = SimpleNamespace(wait=lambda: None)
-    monkeypatch.setattr("armrig.cli.dashboard.until_signal", lambda: nullcontext(ended))
+    fakes: dict[str, Any] = {
+        "armrig.dashboard.serving.dashboard": serving,
+        "armrig.dashboard.foxglove.foxglove": lambda **_: nullcontext("W"),
+        "armrig.dashboard.share.own_address": lambda: "10.1.2.3",
+        "armrig.dashboard.share.qr_code": lambda url: f"qr of {url}",
+        "armrig.cli.dashboard.until_signal": lambda: nullcontext(ended),
+        "webbrowser.open": opened.append,
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(name, fake)
 
     assert main(["dashboard", "--rig", "7", *options]) == 0
     said = capsys.readouterr().out.splitlines()

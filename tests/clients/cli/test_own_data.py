@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +10,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from scipy.io import savemat
 from scipy.signal import lfilter
 
 TS = 0.05
-COLUMNS = {
-    "data.csv": "",
-    "data.tsv": "",
-    "data.mat": "",
-    "data.npz": "",
-    "data.dat": "--input 2 --signal 3 --time 1",
-}
 
 
 def made(seed: int = 1, N: int = 400) -> armrig.Dataset:
@@ -34,31 +25,17 @@ def made(seed: int = 1, N: int = 400) -> armrig.Dataset:
 
 
 def write(path: Path, data: armrig.Dataset) -> Path:
-    """Write u and y in the format of the name, with t in a text file."""
-    t = [f"{k * TS:.2f}" for k in range(data.N)]
-    rows = [f"{a} {b!r} {c!r}" for a, b, c in zip(t, data.u.tolist(), data.y.tolist(), strict=True)]
-    text = "\n".join(["t u y", *rows])
-    if path.suffix == ".mat":
-        savemat(path, {"u": data.u, "y": data.y, "Ts": TS})
-    elif path.suffix == ".npz":
-        np.savez(path, u=data.u, y=data.y, Ts=TS)
-    elif path.suffix == ".dat":
-        path.write_text("\n".join(rows))
-    elif path.suffix == ".tsv":
-        path.write_text(text.replace(" ", "\t"))
-    else:
-        path.write_text(text.replace(" ", ";").replace(".", ","))
+    """Write a table of t, u and y."""
+    rows = zip(TS * np.arange(data.N), data.u.tolist(), data.y.tolist(), strict=True)
+    path.write_text("\n".join(["t,u,y", *(f"{t:.2f},{u!r},{y!r}" for t, u, y in rows)]))
     return path
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give a folder with the same data in every kind of file, and other data of the same plant."""
-    folder = tmp_path_factory.mktemp("own")
-    for name in COLUMNS:
-        write(folder / name, made())
-    write(folder / "other.csv", made(seed=2))
-    return folder
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Give a folder with a table."""
+    write(tmp_path / "data.csv", made())
+    return tmp_path
 
 
 def run(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -74,42 +51,6 @@ def facts(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[s
     code, out, _ = run(f"{line} --json", folder, capsys)
     assert code == 0
     return dict(json.loads(out))
-
-
-@pytest.mark.parametrize(("name", "columns"), COLUMNS.items())
-def test_every_kind_of_file_gives_the_model_that_python_gives(
-    name: str, columns: str, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    fit = armrig.arx(made(), na=2, nb=2)
-
-    found = facts(f"identify {name} --structure arx --na 2 --nb 2 {columns}", folder, capsys)
-
-    expected = zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True)
-    assert found["parameters"] == {
-        n: {"value": v, "std": s, "std_robust": r} for n, v, s, r in expected
-    }
-    assert found["Ts"] == TS
-    assert found["data"] == armrig.load_data(folder / name, **_python(columns)).source[5:]
-
-
-def _python(columns: str) -> dict[str, str]:
-    words = shlex.split(columns)
-    return dict(zip([w.lstrip("-") for w in words[::2]], words[1::2], strict=True))
-
-
-def test_few_samples_may_determine_a_delay_and_no_feedback(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, out, _ = run("check data.csv --to 4", folder, capsys)
-    told = facts("check data.csv --to 4", folder, capsys)
-    neither, _, why = run("check data.csv --to 0.5", folder, capsys)
-
-    assert code == 0
-    assert "open loop: not known: the test for feedback needs at least" in out
-    assert "delay: nk = 1: no input delay" in out
-    assert (told["open_loop"]["feedback"], told["delay"]["nk"]) == (None, 1)
-    assert neither == 1
-    assert "got 10" in why
 
 
 def test_a_narrow_input_determines_no_delay_and_the_loop_is_reported_all_the_same(

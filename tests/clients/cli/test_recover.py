@@ -19,7 +19,7 @@ DATA = recorded(
 )[:-100]
 
 
-def test_a_folder_is_recovered_but_for_what_is_being_written(
+def test_a_folder_is_recovered_except_files_in_use(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in "ab":
@@ -41,20 +41,7 @@ def test_a_folder_is_recovered_but_for_what_is_being_written(
     assert "B were kept" in info
 
 
-def test_one_that_cannot_be_recovered_is_named_and_the_rest_is_done(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bad, good = written(tmp_path, b"", "1-a.mcap.active"), written(tmp_path, DATA, "x.mcap.active")
-
-    assert main(["recover", str(bad), str(good)]) == 1
-
-    out, err = capsys.readouterr()
-    assert "x.mcap: recovered" in out
-    assert err == f"armrig: {bad}: 0 B: nothing was recorded; delete it\n"
-    assert bad.exists()
-
-
-def test_the_recorder_of_another_machine_s_rig_has_no_length_and_no_daemon(
+def test_a_remote_recording_is_recovered_without_its_length(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A killed `armrig record`: the run's length was not requested, and the daemon lives."""

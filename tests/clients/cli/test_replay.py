@@ -64,7 +64,7 @@ def replayed(run: Path, path: Path, change: Change, volts: bytes = b"") -> Repla
     return replay(path)
 
 
-def test_a_copy_is_decided_as_the_run_was(run: Path, tmp_path: Path) -> None:
+def test_the_replay_of_a_copy_equals_the_run(run: Path, tmp_path: Path) -> None:
     found = replayed(run, tmp_path / "a.mcap", lambda _, __, data: data)
 
     assert found.difference == found.until == ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +16,7 @@ from armrig.rig.replies import RefusedError
 from armrig_core.codes import COMPLETE, RefusalCode
 from armrig_core.commands import StatusReport
 
+from tests.clients.fake_daemon import status_report
 from tests.clients.made_recordings import sample
 from tests.clients.told import told
 
@@ -43,10 +45,7 @@ class _Rig:
         self.asked.append("closed")
 
     def status(self) -> StatusReport:
-        of: dict[str, Any] = dict.fromkeys(("reason", "owner", "version", "endpoint"), "")
-        of |= {"rig": "7", "phase": "safe", "Ts": 0.01, "u_min": 0.0, "u_max": 5.0, "device": {}}
-        of |= {"host": {}, "last_run": None, "recordings": "/of/mine"}
-        return StatusReport(**of | self.report)
+        return status_report(**self.report)
 
     def stream(self, name: str) -> Iterator[Any]:
         self.asked.append(name)
@@ -99,9 +98,9 @@ def test_a_stop_reports_the_motor_after_the_end_of_the_input(
         return of_the_rig(self)
 
     of_the_rig = rig.status
-    monkeypatch.setattr(rig, "status", status)
-    monkeypatch.setattr("time.sleep", waited)
-    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+    rig.status = status  # type: ignore[method-assign]
+    for name, fake in (("sleep", waited), ("monotonic", lambda: now_s[0])):
+        monkeypatch.setattr(f"time.{name}", fake)
 
     assert main(["stop"]) == 0
 
@@ -247,17 +246,15 @@ def test_a_remote_recording_ends_with_its_reason(
         return SimpleNamespace(begin=lambda: True, record=recorded)
 
     recording = SimpleNamespace(done=files, finish=ended.append)
-    remote, session = "armrig.rig.remote_recording", "armrig.rig.session"
-    monkeypatch.setattr(f"{remote}.RemoteRecorder", recorder)
-    monkeypatch.setattr(f"{remote}.RemoteRecording", lambda **_: recording)
-    monkeypatch.setattr("armrig.cli.record.typed", str)
-
-    class Session:
-        def __enter__(self) -> None: ...
-        def __exit__(self, *_: object) -> None: ...
-
-    connection = SimpleNamespace(session=Session(), endpoint="E")
-    monkeypatch.setattr(f"{session}.open_connection", lambda *_, **__: connection)
+    connection = SimpleNamespace(session=nullcontext(), endpoint="E")
+    fakes: dict[str, Any] = {
+        "rig.remote_recording.RemoteRecorder": recorder,
+        "rig.remote_recording.RemoteRecording": lambda **_: recording,
+        "cli.record.typed": str,
+        "rig.session.open_connection": lambda *_, **__: connection,
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(f"armrig.{name}", fake)
     stopped: Any = SimpleNamespace(is_set=lambda: False)
 
     def run() -> None:

@@ -6,39 +6,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import armrig
 import numpy as np
 import pytest
 from armrig.cli import several_output
 from armrig.cli.recorded_data import SignalChoice
-from armrig.cli.several_next import after_compare, after_validate, better_options
-from armrig.estimation.multivariable.request import SignalsRequest
-
-
-@pytest.mark.parametrize(
-    ("request_", "source", "outputs", "expected"),
-    [
-        ({"structure": "ss"}, "", ("theta_1", "alpha"), "--structure oe --integrator"),
-        (
-            {"structure": "oe", "integrating": ("theta_1",)},
-            "",
-            ("theta_1", "alpha"),
-            "--search",
-        ),
-        ({"structure": "ss"}, "", ("alpha", "velocity"), "--search"),
-        ({"structure": "ss"}, "data:", ("theta_1", "alpha"), "--search"),
-    ],
-)
-def test_coloured_residuals_lead_to_the_rig_s_structure_or_a_search(
-    request_: dict[str, object], source: str, outputs: tuple[str, ...], expected: str
-) -> None:
-    request = SignalsRequest(orders={}, **request_)
-    data = armrig.Signals(
-        u=np.ones((9, 1)), y=np.ones((9, 2)), Ts=0.01, outputs=outputs, source=source
-    )
-
-    assert better_options(request, data) == expected
-
+from armrig.cli.several_next import after_compare, after_validate
 
 P = np.array([[0.5, 0.004, 0.0005], [0.02, 1.0, np.nan]])
 """p values of two outputs and three inputs; 0.01 / 6 is 0.0017."""
@@ -122,30 +94,6 @@ def test_the_model_of_the_least_error_is_named_for_each_output(
     horizon: int | None, rms: dict[str, list[float]], said: str
 ) -> None:
     assert several_output.closest(_table(horizon, **rms)).startswith(said)
-
-
-@pytest.mark.parametrize(
-    ("family", "integrators", "orders"),
-    [
-        ("oe", (True, False), {"nb": 4, "nf": 4}),
-        ("oe", (False, False), {"nb": 3, "nf": 3}),
-        ("ss", (False, True), {"order": 3}),
-    ],
-)
-def test_a_model_that_a_search_chose_is_estimated_again_by_its_request(
-    family: str, integrators: tuple[bool, bool], orders: dict[str, int]
-) -> None:
-    fit = SimpleNamespace(outputs=("y", "z"), form=SimpleNamespace(integrators=integrators))
-    chosen = SimpleNamespace(family=family, order=3)
-    found: Any = SimpleNamespace(chosen=chosen, fit=fit, nk=2)
-
-    assert several_output.request_of(found) == SignalsRequest(
-        structure=family,
-        orders=orders,
-        nk=2,
-        integrating=tuple(name for name, yes in zip("yz", integrators, strict=True) if yes),
-        shared=family == "oe",
-    )
 
 
 @pytest.mark.parametrize(

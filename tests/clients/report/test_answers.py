@@ -87,7 +87,7 @@ def test_a_name_and_reasons_may_fill_their_room(tmp_path: Path) -> None:
         ("[[students]]\nregistration_number = 9001011234", ".*, of at most 80 characters"),
     ],
 )
-def test_what_is_no_answer_is_refused(text: str, message: str, tmp_path: Path) -> None:
+def test_a_wrong_answer_is_refused(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(FileError, match=rf"reasons\.toml: {message}"):
         answers(tmp_path, text)
 

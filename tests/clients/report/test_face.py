@@ -12,7 +12,7 @@ def test_the_report_is_imported_from_the_room() -> None:
     assert treatment is recording_facts.treatment
 
 
-def test_a_name_that_the_room_has_not_is_refused() -> None:
+def test_an_unknown_name_of_the_report_is_refused() -> None:
     import armrig.report
 
     with pytest.raises(AttributeError, match=r"'armrig\.report' has no attribute 'raport'"):

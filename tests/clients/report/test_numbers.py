@@ -141,18 +141,12 @@ def test_the_timing_of_a_recording_is_reported_by_its_names() -> None:
 
 def test_shared_facts_are_those_of_the_estimation_recording(done: Study) -> None:
     step, *others = done.recordings
-    other = replace(step, manifest=replace_device(step, "9999"))
+    device = {**step.manifest.device, "uid": "9999"}
+    other = replace(step, manifest=msgspec.structs.replace(step.manifest, device=device))
 
     said = shared_facts(replace(done, recordings=(other, *others)))
 
     assert "uid 0001" in said[0]
-
-
-def replace_device(r: Recording, uid: str) -> object:
-    """Return the manifest of a recording as if another device had made it."""
-    import msgspec
-
-    return msgspec.structs.replace(r.manifest, device={**r.manifest.device, "uid": uid})
 
 
 def test_the_worse_of_two_calibrations_is_reported(done: Study) -> None:

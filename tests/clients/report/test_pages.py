@@ -167,7 +167,7 @@ def punctual(recording: Recording, **late: int) -> Recording:
         ),
     ],
 )
-def test_times_that_are_all_the_same_have_no_panel(
+def test_constant_times_have_no_panel(
     done: Study,
     late: dict[str, int],
     panels: int,
@@ -175,17 +175,12 @@ def test_times_that_are_all_the_same_have_no_panel(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     recordings = tuple(punctual(r, **late) for r in done.recordings)
-    figures: dict[str, Figure] = {}
-    monkeypatch.setattr(
-        "armrig.report.figures.save", lambda of, path: figures.update({path.stem: of})
-    )
     found = replace(done, recordings=recordings)
 
-    write_figures(found, Path())
+    figures = drawn_by(found, monkeypatch)
 
-    drawn = figures["timing"].axes if "timing" in figures else []
-    assert len(drawn) == panels
-    assert all(ax.has_data() for figure in figures.values() for ax in figure.axes)
+    assert len(figures.get("timing", [])) == panels
+    assert all(ax.has_data() for axes in figures.values() for ax in axes)
     told = content(found, [])["timing_figure"]
     assert told is None if caption is None else told.startswith(caption)
 

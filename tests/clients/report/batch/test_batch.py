@@ -81,6 +81,22 @@ def done(folder: Path, task: Task, table: Path, **options: Any) -> list[dict[str
     return rows_of(table)
 
 
+def few_of(folder: Path, tmp_path: Path, *names: str) -> Path:
+    """Return a folder with copies of these recordings."""
+    few = tmp_path / "few"
+    few.mkdir()
+    for name in names:
+        shutil.copy2(folder / name, few)
+    return few
+
+
+def computed(folder: Path, task: Task, table: Path, **options: Any) -> list[str]:
+    """Return the recordings that a batch processes, which are not those that it keeps."""
+    names: list[str] = []
+    done(folder, task, table, count=lambda n, total, name: names.append(name), **options)
+    return names
+
+
 def rows_of(table: Path) -> list[dict[str, Any]]:
     """Return what another program reads."""
     with table.open("rb") as file:
@@ -174,7 +190,7 @@ def test_a_header_names_the_choice_and_what_is_none_is_no_option(folder: Path) -
     assert digest(ARX) == hashlib.sha256(text.encode()).hexdigest()
 
 
-def test_only_the_rigs_and_experiments_asked_for(folder: Path) -> None:
+def test_a_batch_selects_recordings_by_rig_and_experiment(folder: Path) -> None:
     assert [item.name for item in items_in(folder, rigs=["2"])] == [OTHER_RIG]
     assert [item.name for item in items_in(folder, kinds=["step"])] == [STEP]
     assert [item.name for item in items_in(folder, rigs=["1", "2"], kinds=["step"])] == [STEP]
@@ -183,7 +199,7 @@ def test_only_the_rigs_and_experiments_asked_for(folder: Path) -> None:
     assert not names & {OTHER_RIG, BROKEN, CUT}
 
 
-def test_verify_says_of_each_what_verify_says(folder: Path, tmp_path: Path) -> None:
+def test_a_row_of_verify_has_the_checks_of_its_recording(folder: Path, tmp_path: Path) -> None:
     rows = {r["recording"]: r for r in done(folder, Verify(), tmp_path / "v.parquet")}
     for name in ("a-03.mcap", CUT):
         alone = verify(folder / name)
@@ -217,10 +233,7 @@ def test_a_report_that_is_gone_is_made_again(
         return dict.fromkeys(columns_of(task)) | known | told
 
     monkeypatch.setattr("armrig.report.batch.batch.row_of", row)
-    few = tmp_path / "few"
-    few.mkdir()
-    for name in ("a-00.mcap", "a-01.mcap"):
-        shutil.copy2(folder / name, few)
+    few = few_of(folder, tmp_path, "a-00.mcap", "a-01.mcap")
     done(few, task, tmp_path / "reports.parquet")
     (tmp_path / "a-01.pdf").unlink()
 
@@ -248,8 +261,8 @@ def test_a_report_has_its_orders_and_the_doubts_about_both_recordings(
         path.write_bytes(b"a report")
         return path
 
-    monkeypatch.setattr("armrig.report.study.study", studied)
-    monkeypatch.setattr("armrig.report.document.report", written)
+    for name, fake in (("study.study", studied), ("document.report", written)):
+        monkeypatch.setattr(f"armrig.report.{name}", fake)
     item = Item("short.mcap", str(paths[0]), bytes=1, modified_ns=2, validation=str(paths[1]))
 
     row = row_of(Report(folder=str(tmp_path / "r"), na=1, nb=2, nf=3, nk=4), item)
@@ -263,7 +276,7 @@ def test_a_report_has_its_orders_and_the_doubts_about_both_recordings(
     assert two_rigs.startswith("short.mcap is of rig 1 (device 0001), other.mcap of rig 2")
 
 
-def test_a_row_says_of_its_run_what_the_run_said(tmp_path: Path) -> None:
+def test_a_row_has_the_facts_of_its_run(tmp_path: Path) -> None:
     path = tmp_path / "odd.mcap"
     path.write_bytes(odd_recording())
     item = Item("odd.mcap", str(path), bytes=11, modified_ns=12, validation="")
@@ -305,22 +318,16 @@ def test_each_option_of_a_task_reaches_its_estimate(folder: Path, detrended: boo
     assert judged["velocity_fit_percent"] is None
 
 
-def test_what_is_done_is_not_done_again(folder: Path, tmp_path: Path) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    for n in range(4):
-        shutil.copy2(folder / f"a-{n:02}.mcap", few)
+def test_finished_rows_are_not_computed_again(folder: Path, tmp_path: Path) -> None:
+    few = few_of(folder, tmp_path, *(f"a-{n:02}.mcap" for n in range(4)))
     table = tmp_path / "models.parquet"
     done(few, ARX, table)
     first = table.read_bytes()
-    again: list[str] = []
-    done(few, ARX, table, count=lambda n, total, name: again.append(name))
-    assert again == []
+    assert computed(few, ARX, table) == []
     assert table.read_bytes() == first
     shutil.copy(folder / "a-30.mcap", few / "a-01.mcap")
     shutil.copy(folder / "a-31.mcap", few / "b.mcap")
-    done(few, ARX, table, count=lambda n, total, name: again.append(name))
-    assert sorted(again) == ["a-01.mcap", "b.mcap"]
+    assert sorted(computed(few, ARX, table)) == ["a-01.mcap", "b.mcap"]
 
 
 def test_a_report_is_made_again_where_a_validation_has_come() -> None:
@@ -366,7 +373,7 @@ def test_a_run_in_parts_is_as_old_as_its_youngest(tmp_path: Path) -> None:
     assert (item.name, item.bytes, item.modified_ns) == ("a.mcap", 6, 30 * 10**9)
 
 
-def test_the_time_left_is_that_of_this_start(folder: Path, tmp_path: Path) -> None:
+def test_the_count_of_a_batch_starts_with_this_start(folder: Path, tmp_path: Path) -> None:
     few = tmp_path / "few"
     few.mkdir()
     table = tmp_path / "v.parquet"
@@ -412,7 +419,7 @@ def test_force_leaves_another_start_its_rows(folder: Path, tmp_path: Path) -> No
         assert progress.rows == [{"recording": "a"}]
 
 
-def test_a_model_of_something_else_is_not_judged_by_an_angle(folder: Path, tmp_path: Path) -> None:
+def test_a_model_of_another_output_is_not_validated(folder: Path, tmp_path: Path) -> None:
     data = armrig.load(folder / "a-01.mcap").dataset()
     fit = armrig.arx(data.replaced(step=None, output="temp"), na=4, nb=4)
     task = Validate(model=model_text(fit))
@@ -420,7 +427,7 @@ def test_a_model_of_something_else_is_not_judged_by_an_angle(folder: Path, tmp_p
     assert "the model's output is temp" in rows[0]["problem"]
 
 
-def test_a_line_that_was_torn_by_a_kill_is_done_again(tmp_path: Path) -> None:
+def test_a_torn_line_is_computed_again(tmp_path: Path) -> None:
     table, header = tmp_path / "t.parquet", {"task": "x"}
     with Progress(table, header) as progress:
         progress.add({"recording": "a"})
@@ -434,7 +441,7 @@ def test_a_line_that_was_torn_by_a_kill_is_done_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("row", [{}, [1], {"recording": ["a"]}, {"problem": "", "passed": "no"}])
-def test_a_row_that_somebody_changed_is_done_again(row: Any, folder: Path, tmp_path: Path) -> None:
+def test_a_changed_row_is_computed_again(row: Any, folder: Path, tmp_path: Path) -> None:
     table = tmp_path / "v.parquet"
     with Progress(table, header_of(Verify(), folder, ["2"], [])) as progress:
         progress.add(row)
@@ -452,7 +459,9 @@ def test_a_row_with_another_kind_of_value_is_refused(folder: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("what", ["directory", "never ends"])
-def test_what_is_no_file_is_not_read_as_one(what: str, folder: Path, tmp_path: Path) -> None:
+def test_a_folder_or_device_in_place_of_results_is_refused(
+    what: str, folder: Path, tmp_path: Path
+) -> None:
     """A link to /dev/zero would be read until the memory is full."""
     table = tmp_path / "v.parquet"
     there = tmp_path / f"v.parquet{SUFFIX}"
@@ -480,9 +489,7 @@ def test_a_full_disk_costs_no_result(folder: Path, tmp_path: Path) -> None:
     said = f"{table.name}{SUFFIX}: File too large; results so far are kept"
     with no_file_above(20_000), pytest.raises(OperationError, match=said):
         done(folder, ARX, table)
-    again: list[str] = []
-    done(folder, ARX, table, count=lambda n, total, name: again.append(name))
-    assert 0 < len(again) < MANY + 4
+    assert 0 < len(computed(folder, ARX, table)) < MANY + 4
 
 
 def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: Path) -> None:
@@ -491,12 +498,10 @@ def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: P
     with no_file_above(8000), pytest.raises(OperationError, match=said):
         done(folder, Verify(), table, rigs=["2"])
     assert [file.name for file in tmp_path.iterdir()] == [f"v.parquet{SUFFIX}"]
-    again: list[str] = []
-    done(folder, Verify(), table, rigs=["2"], count=lambda n, total, name: again.append(name))
-    assert again == []
+    assert computed(folder, Verify(), table, rigs=["2"]) == []
 
 
-def test_what_kills_each_worker_is_given_up_and_all_others_are_done() -> None:
+def test_a_deadly_item_is_given_up_and_the_others_are_finished() -> None:
     """Each other item has its own result, once."""
     items = ["a", "b", "deadly", "c", "d"]
     came = list(results(deadly, items, partial(workers.processes, 2), at_once=4))
@@ -576,7 +581,7 @@ def is_alive(pid: int) -> bool:
 
 @pytest.mark.exhaustive
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are seen in /proc")
-def test_killed_in_the_middle_and_started_again_it_gives_the_same_table(
+def test_a_killed_batch_continues_to_the_same_table(
     lab: tuple[Path, bytes], tmp_path: Path
 ) -> None:
     folder, whole = lab
@@ -613,15 +618,15 @@ def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path:
     assert table.read_bytes() == whole
 
 
-def test_a_name_that_is_no_text_stops_nothing(folder: Path, tmp_path: Path) -> None:
+def test_a_name_that_is_not_utf_8_is_processed(folder: Path, tmp_path: Path) -> None:
     few = Path(os.fsdecode(os.fsencode(tmp_path) + b"/f\xfcnf"))
     few.mkdir()
     shutil.copy2(folder / "a-00.mcap", os.fsencode(few) + b"/\xe9t\xe9.mcap")
     (few / os.fsdecode(b"\xff.mcap")).write_bytes(b"no recording at all")
     table = few / os.fsdecode(b"\xe0.parquet")
     done(few, ARX, table)
-    again: list[str] = []
-    rows = done(few, ARX, table, count=lambda n, total, name: again.append(name))
+    again = computed(few, ARX, table)
+    rows = rows_of(table)
     assert [row["recording"] for row in rows] == [r"\udce9t\udce9.mcap", r"\udcff.mcap"]
     assert rows[0]["fit_percent"] > 0
     assert r"f\udcfcnf/\udcff.mcap" in rows[1]["problem"]
@@ -630,9 +635,7 @@ def test_a_name_that_is_no_text_stops_nothing(folder: Path, tmp_path: Path) -> N
 
 def test_a_file_of_any_time_stops_nothing(folder: Path, tmp_path: Path) -> None:
     """A clock was wrong by centuries: more nanoseconds than the table can hold."""
-    few = tmp_path / "few"
-    few.mkdir()
-    shutil.copy(folder / "a-00.mcap", few)
+    few = few_of(folder, tmp_path, "a-00.mcap")
     os.utime(few / "a-00.mcap", (0, 13_569_465_600))  # 2400
     assert done(few, Verify(), tmp_path / "v.parquet")[0]["problem"] == ""
 
@@ -647,9 +650,7 @@ def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_damage_is_reported_with_the_result(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    shutil.copy2(folder / CUT, few)
+    few = few_of(folder, tmp_path, CUT)
     whole = (folder / "a-00.mcap").read_bytes()
     (few / "none.mcap").write_bytes(whole[: len(whole) // 3])
     given = ["batch", "identify", str(few), "-o", str(tmp_path / "m.parquet"), "--workers", "1"]

@@ -91,7 +91,7 @@ def test_a_cluster_that_goes_away_is_reported_and_the_batch_goes_on_elsewhere(
 
 
 @pytest.mark.exhaustive
-def test_where_no_scheduler_answers_it_is_said(
+def test_a_missing_scheduler_is_reported(
     lab: tuple[Path, bytes], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     given = ["batch", "verify", str(lab[0]), "-o", str(tmp_path / "x.parquet")]
