@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +14,6 @@ from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-if TYPE_CHECKING:
-    pass
 
 B, F = np.array([0, 0, 1.0, 0.5]), np.array([1, -1.2, 0.6])
 

@@ -9,12 +9,11 @@ import pytest
 from armrig.models.figures import _phase, plot_bode, plot_step
 from armrig.models.fit import Fit
 from armrig.models.pole_zero_figure import plot_poles_zeros
-from armrig.models.spectral_estimate import SpectralEstimate
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tests.clients.models.made_fits import made
+from tests.clients.models.made_fits import made, made_estimate
 
 Vector = NDArray[np.float64]
 
@@ -75,29 +74,13 @@ def test_a_band_of_a_bode_plot_is_1_96_deviations_wide() -> None:
         assert (edges[1][0], edges[1][-1]) == pytest.approx(tuple(degrees), abs=1e-2)
 
 
-def spectrum(omega: Vector, G: Any, **fields: Any) -> SpectralEstimate:
-    values: dict[str, Any] = {
-        "std_magnitude": np.full(omega.size, 0.1),
-        "std_phase": np.full(omega.size, 0.05),
-        "method": "spa, Hann",
-        "integrator": False,
-        "N": 60,
-        "Ts": 0.1,
-        "output": "alpha",
-        "unit": "rad",
-        "input_unit": "V",
-        "source": "",
-    }
-    return SpectralEstimate(omega=omega, G=np.asarray(G, complex), **(values | fields))
-
-
 def test_dots_are_on_the_turn_of_the_model_beside_them() -> None:
     """The phase of the model is near -200°, that of the dots 160°."""
     omega = np.array([1.0, 2.0, 4.0, 8.0])
     fit = made(B=(0, -0.4), F=(1, -0.8))
     G = fit.frequency_response(omega).G
 
-    ax = plot_bode(fit, spectrum(omega, G), omega=np.geomspace(0.5, 9, 30))
+    ax = plot_bode(fit, made_estimate(omega, G, output="alpha"), omega=np.geomspace(0.5, 9, 30))
 
     dots: Any = axes_of(ax)[1].containers[0]
     y = np.asarray(dots[0].get_ydata())

@@ -408,7 +408,7 @@ def test_the_p_value_without_one_row_is_the_largest_of_all_rows() -> None:
 def test_the_progress_of_the_fits_of_an_onset_is_reported() -> None:
     seen: list[tuple[int, int, str]] = []
 
-    armrig.delay(unnamed(arm(1)), integrator=True, progress=lambda *of: seen.append(of))
+    armrig.delay(unnamed(arm(1, N=2000)), integrator=True, progress=lambda *of: seen.append(of))
 
     (done, total, name), *_ = seen
     assert (done, name.split()[0]) == (0, "lag")

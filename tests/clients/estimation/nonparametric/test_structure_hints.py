@@ -35,7 +35,7 @@ def through_potentiometer(data: Dataset, seed: int) -> Dataset:
 @pytest.mark.parametrize("output", sampled(["theta_1", "angle"]))
 def test_hints_on_the_arm_are_its_four_poles_and_its_notch(arm: Any, output: str) -> None:
     """Four poles, one of them at 1; a notch near 15.7 rad/s; no delay."""
-    data = arm.telegraph().replaced(step=None, output=output)
+    data = arm.telegraph(N=2000).replaced(step=None, output=output)
 
     found = structure_hints(data)
 
