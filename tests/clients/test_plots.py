@@ -7,7 +7,7 @@ import re
 import sys
 from base64 import b64decode
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import is_dataclass, replace
 from html import escape
 from importlib import import_module
 from itertools import pairwise
@@ -101,39 +101,33 @@ PLOTS: dict[str, Plot] = {
 EVERY = pytest.mark.parametrize("plot", PLOTS.values(), ids=PLOTS.keys())
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shown:
-    """Result of a plot function that drew into given axes."""
-
-    name: str
-    given: Axes
-    ax: Axes
-    pyplot_figures: list[int]
+Shown = tuple[str, Axes, Axes]
 
 
 @pytest.fixture(scope="module", params=PLOTS)
 def shown(request: pytest.FixtureRequest, done: Study, recording: Recording) -> Shown:
-    """Draw each plot once, for all tests that only look at it."""
+    """Give a name, axes, and the axes that the plot returns, drawn once for all tests."""
     given = Figure().add_subplot()
-    ax = PLOTS[request.param](done, recording, given)
-    return Shown(name=request.param, given=given, ax=ax, pyplot_figures=plt.get_fignums())
+    return request.param, given, PLOTS[request.param](done, recording, given)
 
 
 def test_a_plot_draws_into_the_axes_it_is_given(shown: Shown) -> None:
-    assert shown.ax is shown.given
-    assert shown.ax.has_data()
-    assert shown.pyplot_figures == []
+    _, given, ax = shown
+    assert ax is given
+    assert ax.has_data()
+    assert plt.get_fignums() == []
 
 
 def test_a_plot_names_its_recording(shown: Shown, done: Study) -> None:
     """The first twelve digits of the hash of the recording."""
-    of_validation = shown.name in ("data", "jitter", "lateness", "compare", "residuals")
+    name, _, ax = shown
+    of_validation = name in ("data", "jitter", "lateness", "compare", "residuals")
     source = (done.validation if of_validation else done.estimation).source
-    assert shown.ax.get_title(loc="right") == f"recording {source[:12]}"
+    assert ax.get_title(loc="right") == f"recording {source[:12]}"
 
 
 def test_every_axis_says_what_it_shows(shown: Shown) -> None:
-    panels = shown.ax.figure.axes
+    panels = shown[1].figure.axes
     assert all(panel.get_ylabel() for panel in panels)
     assert panels[-1].get_xlabel()
 

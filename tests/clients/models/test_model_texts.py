@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import typst
 from armrig.data.finding import warning
 from armrig.models import characteristics
 from armrig.models.characteristics import model_characteristics
@@ -142,6 +144,13 @@ def test_an_equation_is_typeset_from_its_first_lag(whole: Fit, direct: Fit) -> N
     )
     noise = made(A=(1, -0.5), D=(1, 0.2), std=(0.1, 0.1, 0.1)).latex()
     assert r"A(q)\,y(t) &= B(q)\,u(t) + \frac{1}{D(q)}\,e(t)" in noise
+
+
+def test_typst_compiles_the_equations(whole: Fit, direct: Fit, tmp_path: Path) -> None:
+    source = tmp_path / "equations.typ"
+    source.write_text(f"{whole.typst()}\n\n{direct.typst()}", encoding="utf-8")
+
+    assert typst.compile(str(source)).startswith(b"%PDF")
 
 
 def test_a_summary_has_the_ranges_of_linear_deviations() -> None:
