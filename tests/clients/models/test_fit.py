@@ -50,15 +50,6 @@ def test_a_frequency_beyond_nyquist_is_refused(fit: Fit) -> None:
         fit.frequency_response([1.0, 40.0])
 
 
-def test_an_integrator_has_infinite_gain_at_rest() -> None:
-    u = np.random.default_rng(0).standard_normal(300)
-    y = filtered([0, 1], [1, -1.7, 0.7], u) + np.random.default_rng(1).standard_normal(300)
-
-    integrating = oe(Dataset(u=u, y=y, Ts=1), nb=1, nf=2, integrator=True)
-
-    assert np.isinf(np.abs(integrating.frequency_response([0.0]).G[0]))
-
-
 def test_near_rest_an_integrator_is_as_exact_as_anywhere() -> None:
     """G tends to b / (F̃(1) i omega Ts), so no coefficients cancel."""
     rest = np.array([1, -1.3, 0.47])

@@ -66,15 +66,6 @@ def test_friction_s_sensitivity_is_in_shares_of_the_back_emf() -> None:
     np.testing.assert_allclose(by, (4 * bits[1] - 3 * bits[0] - bits[2]) / 2e-4, atol=1e-6)
 
 
-def test_inertias_and_spring_leave_the_steady_speed_alone() -> None:
-    """R_m does not change it either if there is no friction."""
-    by = armrig.step_sensitivities(P, np.linspace(0, 10, 1001))
-
-    for name in ("J_1", "J_2", "K_lin", "R_m"):
-        assert abs(by[name][-1]) < 1e-6
-    assert by["K_m"][-1] == by["N"][-1] == pytest.approx(-1.8623, abs=1e-4)
-
-
 def test_a_pair_of_roots_is_written_once() -> None:
     z = np.array([0.0, -2.5, -1.0 + 3.0j, -1.0 - 3.0j, 4.0j, -4.0j])
 
