@@ -25,7 +25,7 @@ from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
 from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
-from armrig.plots.captions import _fits, in_mathtext, named, named_by_run, signature, symbol
+from armrig.plots.captions import in_mathtext, named, named_by_run, signature, symbol
 from armrig.plots.layout import (
     decibels,
     logarithmic,
@@ -352,14 +352,6 @@ def test_the_labels_of_a_comparison_do_not_overlap(done: Study) -> None:
     assert lower.y1 < upper.y0
 
 
-def test_a_recording_and_its_data_show_themselves(recording: Recording) -> None:
-    for source in (recording, recording.dataset("alpha")):
-        ax = Figure().add_subplot()
-
-        assert source.plot(ax=ax) is ax.figure
-        assert ax.get_title(loc="right") == f"recording {recording.short_hash}"
-
-
 def _results_that_plot() -> list[type]:
     """Return the classes of armrig that have `.plot`, protocols left out."""
     found: set[type] = set()
@@ -458,12 +450,6 @@ def test_equal_figures_are_equal_files(ending: str, date: bytes, tmp_path: Path)
     assert written[0] == written[1]
     assert written[0].startswith(b"<?xml" if ending == "svg" else b"%PDF-")
     assert date not in written[0]
-
-
-def test_a_column_of_a_legend_is_as_wide_as_its_widest_name() -> None:
-    """The first of two columns has two of three names."""
-    assert _fits([10.0, 50.0, 10.0], 2, 60.0, 0.0)
-    assert not _fits([10.0, 50.0, 10.0], 2, 59.0, 0.0)
 
 
 @pytest.mark.parametrize("result", ["recording", "dataset", "sampling time", "comparison"])

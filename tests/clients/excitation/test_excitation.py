@@ -161,13 +161,6 @@ def test_a_prbs_has_the_shortest_register_that_lasts(N: int, clock: int, registe
     assert not np.array_equal(expected, prbs(N, clock, seed=5, register=register + 1))
 
 
-def test_by_default_a_prbs_does_not_repeat_itself() -> None:
-    u = prbs(127, seed=1)
-
-    assert len({tuple(window) for window in np.lib.stride_tricks.sliding_window_view(u, 7)}) == 121
-    assert not np.array_equal(u, prbs(127, seed=2))
-
-
 @pytest.mark.parametrize("distribution", ["uniform", "normal"])
 def test_noise_is_white_and_as_strong_as_said(distribution: Any) -> None:
     """Lag correlations within four times 1/sqrt(N); variance within 2 % of the documented value."""

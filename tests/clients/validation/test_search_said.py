@@ -25,8 +25,6 @@ from armrig.validation.recommended_structures import (
     Recommendation,
     Recommended,
     _busiest,
-    _neighbours,
-    _of_order,
     _trimmed,
 )
 from armrig.validation.search_result import Candidate, Scored, SearchResult
@@ -308,37 +306,6 @@ def test_a_rate_stays_or_returns_by_three_deviations_of_its_end(
     assert _end_of_step(response) == (pytest.approx(end), pytest.approx(std))
     assert (_stays(response), _returns(response)) == (stays, returns)
     assert _sign(SimpleNamespace(decaying=(sign * np.array([1.0, -0.5]), None))) == np.sign(sign)  # type: ignore[arg-type]
-
-
-def test_neighbours_differ_by_one_pole_or_one_b_at_an_end() -> None:
-    def of(nb: int, nf: int, nk: int) -> set[tuple[int, int, int]]:
-        s = Recommended(nb=nb, nf=nf, nk=nk, integrator=False)
-        return {(t.nb, t.nf, t.nk) for t in _neighbours(s)}
-
-    poles = (2, 3, 4)
-    inner = {(2, 2), (3, 1), (1, 3), (2, 1), (2, 3), (1, 2), (3, 2)}
-    assert of(2, 3, 2) == {(nb, nf, nk) for nf in poles for nb, nk in inner}
-    # nk is not less than 1 without a direct term; nb is not less than 1; nf is 1 to 7.
-    assert {nk for _, _, nk in of(2, 3, 1)} == {1, 2}
-    assert {nk for _, _, nk in of(2, 3, 0)} == {0, 1}
-    assert min(nb for nb, _, _ in of(1, 3, 2)) == 1
-    assert {nf for _, nf, _ in of(2, 1, 2)} == {1, 2}
-    assert {nf for _, nf, _ in of(2, 7, 2)} == {6, 7}
-
-
-def test_a_denominator_gets_roots_or_loses_some() -> None:
-    F = np.real(np.poly([0.9, 0.5 + 0.4j, 0.5 - 0.4j]))
-
-    same, more, fewer = ([*_of_order(F, nf)] for nf in (3, 5, 2))
-
-    np.testing.assert_allclose(same, [F])
-    for f, root in zip(more, (0.3, 0.8), strict=True):
-        expected = [0.9, 0.5 + 0.4j, 0.5 - 0.4j, root, root]
-        np.testing.assert_allclose(f, np.real(np.poly(expected)), atol=1e-12)
-    assert fewer
-    assert all(f.size == 3 for f in fewer)
-    for f in fewer:
-        assert any(np.isclose(np.roots(f)[:, None], [[0.9, 0.5 + 0.4j]], atol=1e-6).ravel())
 
 
 def test_long_data_are_cut_to_where_the_input_changes() -> None:
