@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import control
 import numpy as np
 import pytest
 from armrig.models.figures import _phase, plot_bode, plot_step
@@ -88,24 +89,12 @@ def test_dots_are_on_the_turn_of_the_model_beside_them() -> None:
     np.testing.assert_allclose(y, np.interp(omega, *curve.T), atol=1.0)
 
 
-class Continuous:
-    """A system like those of python-control, 3/(s + 2), or its value at z."""
-
-    name = "theirs"
-
-    def __init__(self, dt: float) -> None:
-        """Have this sampling time; 0 for continuous time."""
-        self.dt = dt
-
-    def __call__(self, s: Any) -> Any:
-        return 3 / (s + 2)
-
-
 @pytest.mark.parametrize("dt", [0.0, 0.2])
 def test_a_control_system_is_drawn_over_rad_per_s(dt: float) -> None:
     omega = np.array([0.5, 2.0, 10.0, 40.0])
 
-    ax = plot_bode(Continuous(dt), omega=omega, ax=Figure().add_subplot())
+    system = control.tf([3.0], [1.0, 2.0], dt, name="theirs")
+    ax = plot_bode(system, omega=omega, ax=Figure().add_subplot())
 
     x, level = drawn_line(ax, "theirs")
     assert x.tolist() == [w for w in omega if not dt or w <= np.pi / dt]
