@@ -36,13 +36,8 @@ from armrig_core.arm import ArmParameters, arm_matrices
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from tests import same_numbers_calls as of
-from tests.benchmarks.host_timing.machine import machine
-from tests.benchmarks.host_timing.results import Result, write_figure
-from tests.benchmarks.host_timing.rounds import Plan
-from tests.benchmarks.host_timing.targets import DEFINITIONS, Rate
 from tests.clients.chassis_data import angle
 from tests.clients.handout_plant import HandoutPlant
 from tests.clients.made_turns import made_turns, still
@@ -140,17 +135,6 @@ def handout(e: Examples, folder: Path) -> None:
     write_handout_figures(replace(whole, chassis=data, grey=grey, split=split), folder)
 
 
-def bench(folder: Path) -> None:
-    """Draw the benchmark's figure of two rates."""
-    times = {name: [np.arange(1.0, k + 3)] for k, name in enumerate(DEFINITIONS)}
-    none: dict[str, list[NDArray[np.float64]]] = {
-        name: [np.zeros(0)] for name in list(DEFINITIONS)[:2]
-    }
-    rates = [Rate(rate_hz=100, times_us=times), Rate(rate_hz=1000, times_us=times | none)]
-    plan = Plan(rates_hz=(100, 1000), seconds=1.0)
-    write_figure(Result(machine=machine(), plan=plan, rates=rates), folder / "b.png")
-
-
 def punctual(recording: Recording) -> Recording:
     """Return a recording whose samples all came when they were due."""
     samples = recording.samples.copy()
@@ -182,7 +166,6 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
         study([e.first, e.second], outputs=("alpha",))
     ),
     "handout": lambda e: saved(lambda to: handout(e, to)),
-    "make timing": lambda e: saved(bench),
     "armrig info": lambda e: saved(lambda to: _plot_timing(e.first, to / "a.svg")),
     "write_plot": lambda e: saved(
         lambda to: write_plot(

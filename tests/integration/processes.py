@@ -278,9 +278,14 @@ class Bench:
         wait_for(lambda: self.phase() == "safe" or daemon.popen.poll() is not None)
         assert daemon.popen.poll() is None, daemon.said
 
+    @property
+    def endpoint(self) -> str:
+        """Return where the daemon listens."""
+        return f"unixsock-stream/{self.folder}/armrig/1.sock"
+
     def rig(self) -> Rig:
         """Return a client."""
-        return Rig("1", connect=f"unixsock-stream/{self.folder}/armrig/1.sock")
+        return Rig("1", connect=self.endpoint)
 
     def recording(self) -> Path:
         """Return the last finished recording; where a stall has ended a run there is one before."""

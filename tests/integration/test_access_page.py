@@ -13,8 +13,6 @@ from pwd import getpwnam
 
 import pytest
 from armrig.cli import main
-from armrig_daemon.config import Config, load
-from armrig_daemon.service.access import network_of
 
 from tests.integration.laboratory import free_port
 from tests.integration.processes import Bench, wait_for
@@ -196,25 +194,3 @@ def test_certificates_are_renewed_and_revoked_as_the_page_says(
         "bob": "observers",
         "rig-1": "rig",
     }
-
-
-@pytest.mark.parametrize("access", [ACCESS, ACCESS_BY_PASSWORD])
-def test_a_configuration_of_the_page_opens_what_it_says(lab: Bench, access: str) -> None:
-    folder = lab.folder / "pki"
-    (folder / "passwords").write_text(PASSWORDS)
-    (folder / "passwords").chmod(0o400)
-    (folder / "armrig.toml").write_text(access)
-
-    config: Config = load([folder / "armrig.toml"], {}, {})
-    network = network_of(config)
-
-    assert network is not None
-    assert network.endpoint == re.findall(r'listen = "(.*)"', access)[0]
-    assert network.operators == 1
-
-
-def test_the_extra_has_the_name_that_the_page_says() -> None:
-    project = (Path(__file__).parents[2] / "pyproject.toml").read_text()
-
-    assert INSTALL.strip() == "pip install '.[pki]'"
-    assert '\npki = ["cryptography' in project

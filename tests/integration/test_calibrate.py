@@ -17,16 +17,12 @@ import pytest
 from armrig.cli.replay import replay
 from armrig.recordings.calibration import decompressed, estimate
 from armrig.recordings.container import read
-from armrig.rig.replies import RefusedError
-from armrig_core.calibration import Calibration, Made, Potentiometer
-from armrig_core.calibration_file import raw_path, read_calibration, toml_of
+from armrig_core.calibration_file import raw_path, read_calibration
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW
 from msgspec.structs import replace
 
-from tests.integration.driving import check_every_k, driven, recorded
 from tests.integration.processes import Bench, wait_for
 
-ALPHA = Potentiometer(zero_counts=32768.0, wraps=False)
 UNKNOWN = """
 theta_1_reversed = true
 theta_1_range_deg = 340.0
@@ -39,8 +35,7 @@ coulomb_nm = 0.02
 
 
 def _command(bench: Bench, *arguments: str) -> list[str]:
-    where = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    return [sys.executable, "-m", "armrig", "calibrate", "--connect", where, *arguments]
+    return [sys.executable, "-m", "armrig", "calibrate", "--connect", bench.endpoint, *arguments]
 
 
 def _calibrated(bench: Bench, output: Path, *arguments: str) -> tuple[dict[str, Any], str]:
@@ -120,30 +115,6 @@ def _recorded(bench: Bench) -> armrig.Recording:
     with bench.rig() as rig:
         rig.arm("a test")
         return armrig.load(rig.run(np.full(100, 1.0)))
-
-
-@pytest.mark.exhaustive
-def test_a_calibration_is_taken_between_runs_only(served: Bench) -> None:
-    path = served.folder / "c.toml"
-    with served.rig() as rig:
-        made = Made(
-            date="2026-11-20", rig="1", device_uid=str(rig.status().device["uid"]), armrig="0"
-        )
-        other = Calibration(theta_1=Potentiometer(zero_counts=9.0), alpha=ALPHA, made=made)
-        path.write_text(toml_of(other))
-        with driven(served):
-            with pytest.raises(RefusedError, match=r"^a test has the rig: wait until it is free"):
-                rig.calibrate(path)
-            assert "none" in rig.status().calibration
-        rig.stop()
-        interrupted = recorded(served)
-        rig.calibrate(path)
-        calibrated = _recorded(served)
-
-    assert interrupted.calibration != calibrated.calibration
-    assert calibrated.calibration == other
-    assert replay(interrupted.path).difference == ""
-    check_every_k(interrupted)
 
 
 def test_ctrl_c_while_it_turns_leaves_the_rig_at_0_v_and_no_file(bench: Bench) -> None:

@@ -26,14 +26,10 @@ LINES = [
 THERE = "unixsock-stream//run/armrig/1.sock"
 
 
-def _endpoint(bench: Bench) -> str:
-    return f"unixsock-stream/{bench.folder}/armrig/1.sock"
-
-
 def _armrig(bench: Bench, line: str) -> subprocess.CompletedProcess[str]:
     """Run a command of the page on the bench's rig."""
     arguments = shlex.split(
-        line.replace(THERE, _endpoint(bench)).replace("--seconds 30", "--seconds 2")
+        line.replace(THERE, bench.endpoint).replace("--seconds 30", "--seconds 2")
     )
     command = [sys.executable, "-m", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
@@ -60,7 +56,7 @@ def test_the_group_may_open_the_socket_and_read_recordings(served: Bench) -> Non
 
 
 def test_a_held_rig_is_refused_with_its_holder(served: Bench) -> None:
-    with served.rig() as holder, Rig("1", connect=_endpoint(served)) as other:
+    with served.rig() as holder, Rig("1", connect=served.endpoint) as other:
         holder.arm("group 3")
         with pytest.raises(RefusedError) as refused:
             other.arm("group 4")
@@ -84,7 +80,7 @@ def test_a_second_daemon_of_the_same_rig_is_refused(served: Bench) -> None:
 
     assert second.returncode == EX_CONFIG
     (said,) = [text for text in SAID if "already runs" in text]
-    assert f"armrigd: error: {said.replace(THERE, _endpoint(served))}" in second.stderr.splitlines()
+    assert f"armrigd: error: {said.replace(THERE, served.endpoint)}" in second.stderr.splitlines()
 
 
 def test_the_configuration_of_the_page_is_taken(tmp_path: Path) -> None:

@@ -131,20 +131,3 @@ def test_the_device_is_reset(bench: Bench, line: Relay) -> None:
     assert "the device was reset" in outcome(recording)
     check_every_k(recording)
     check_volts(bench)
-
-
-def test_another_firmware_is_read_and_never_armed(bench: Bench, line: Relay) -> None:
-    before = len(bench.voltage_changes())
-    line.do("other_firmware")
-    line.do("reset")
-
-    with bench.rig() as rig:
-        wait_for(lambda: "the firmware speaks version" in rig.status().reason)
-        for ask in (lambda: rig.arm("a test"), rig.reset, lambda: rig.arm("a test")):
-            with pytest.raises(RefusedError, match="the firmware speaks version"):
-                ask()
-        k = next(samples(rig)).k
-        assert next(samples(rig)).k > k
-    assert {volts for _, volts in bench.voltage_changes()[before - 1 :]} == {0.0}
-    line.do("ends")
-    line.do("reset")

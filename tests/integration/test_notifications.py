@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import select
 import signal
 import socket
@@ -14,8 +13,7 @@ import pytest
 from armrig_daemon.config import EX_CONFIG
 from armrig_daemon.service.service import EX_TEMPFAIL
 
-from tests.integration.driving import outcome, recorded
-from tests.integration.processes import WITHIN_S, Bench, Process, freeze, wait_for
+from tests.integration.processes import WITHIN_S, Bench, Process
 
 
 class Systemd:
@@ -86,57 +84,6 @@ def test_a_service_reports_its_state_from_its_start_to_its_end(
 
     systemd.hear_until("STOPPING=1")
     assert daemon.popen.wait(WITHIN_S) == 0
-
-
-@pytest.mark.exhaustive
-def test_a_loop_that_hangs_is_reported_by_silence(
-    bench: Bench, systemd: Systemd, daemon: Process
-) -> None:
-    for _ in range(3):
-        systemd.hear_until("WATCHDOG=1")
-    loop = bench.loop_pid(daemon)
-
-    freeze(loop)
-    try:
-        systemd.heard_within(1.0)  # what it said before
-        assert systemd.heard_within(3.0) == []
-        assert daemon.popen.poll() is None
-    finally:
-        os.kill(loop, signal.SIGCONT)
-    systemd.hear_until("WATCHDOG=1")
-
-
-def test_a_reload_is_refused_while_somebody_has_the_rig(bench: Bench, daemon: Process) -> None:
-    with bench.rig() as rig:
-        rig.arm("group 3", Ts=0.01)
-        daemon.kill(signal.SIGHUP)
-        path = rig.run([1.0] * 100)
-
-    assert outcome(recorded(bench)) == "complete"
-    assert path.exists()
-    assert "configuration not reloaded: group 3 has the rig; reload when" in daemon.said
-    assert daemon.popen.poll() is None
-
-
-def test_a_reload_that_brings_a_bad_configuration_is_refused(bench: Bench, daemon: Process) -> None:
-    bench.configure(more="[limits]\nu_max_v = 6")
-
-    daemon.kill(signal.SIGHUP)
-
-    wait_for(lambda: "limits.u_max_v = 6: expected `float` <= 5.0" in daemon.said)
-    assert bench.settled() == "safe"
-
-
-def test_a_reload_that_opens_half_a_network_is_refused(bench: Bench, daemon: Process) -> None:
-    """The daemon would end at once, and not be started again."""
-    bench.configure(more='[access]\nlisten = "tls/127.0.0.1:7447"')
-
-    daemon.kill(signal.SIGHUP)
-
-    wait_for(
-        lambda: "configuration not reloaded, the old configuration stays: [access]" in daemon.said
-    )
-    assert bench.settled() == "safe"
 
 
 def test_a_reload_of_a_free_rig_ends_the_daemon_to_be_started_again(

@@ -6,7 +6,6 @@ import os
 import re
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import armrig
@@ -14,16 +13,7 @@ import numpy as np
 import pytest
 from armrig.recordings.jitter import disturbances
 
-from tests.integration.fork_server import ForkServer
 from tests.integration.processes import Bench, Process, freeze, wait_for
-
-
-@pytest.fixture
-def bench(tmp_path: Path, forks: ForkServer) -> Iterator[Bench]:
-    """Give a rig in a folder of its own."""
-    bench = Bench(tmp_path, forks)
-    yield bench
-    bench.end()
 
 
 def _emulated(bench: Bench) -> tuple[Process, int]:
@@ -74,14 +64,3 @@ def test_the_stall_is_in_the_recording(bench: Bench) -> None:
     found = disturbances(armrig.load(path))
     assert found.held_up_ms >= 80
     assert found.texts()["emulator held up"].startswith(f"{found.held_up_ms}")
-
-
-def test_an_emulator_that_tolerates_nothing_says_nothing(bench: Bench) -> None:
-    emulator = bench.emulate()
-    daemon = bench.serve()
-
-    _stop(emulator.popen.pid, 0.4)
-    time.sleep(0.2)
-    wait_for(lambda: bench.phase() != "")
-
-    assert not _held_up_ms(daemon.said + emulator.said)

@@ -68,10 +68,6 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Programs:
     return Programs(folder, folder / "venv" / "bin" / "python")
 
 
-def _endpoint(bench: Bench) -> str:
-    return f"unixsock-stream/{bench.folder}/armrig/1.sock"
-
-
 def _rows(printed: str) -> list[list[str]]:
     return [*csv.reader(printed.splitlines())]
 
@@ -85,7 +81,7 @@ def test_the_environment_has_no_armrig(programs: Programs) -> None:
 
 
 def test_the_subscriber_prints_each_sample(served: Bench, programs: Programs) -> None:
-    rows = _rows(programs.run("subscribe.py", _endpoint(served), "50"))
+    rows = _rows(programs.run("subscribe.py", served.endpoint, "50"))
 
     k = np.array([int(row[0]) for row in rows])
     assert [len(row) for row in rows] == [6] * 50
@@ -95,7 +91,7 @@ def test_the_subscriber_prints_each_sample(served: Bench, programs: Programs) ->
 
 def test_the_recorder_records_what_is_published(served: Bench, programs: Programs) -> None:
     file = programs.folder / "recorded.mcap"
-    program = programs.start("record.py", _endpoint(served), str(file))
+    program = programs.start("record.py", served.endpoint, str(file))
     assert program.stdout is not None
     wanted = {f"recording rig/1/{stream}" for stream in ("sample", "state")}
     begun: set[str] = set()
@@ -136,12 +132,12 @@ def test_the_reader_reads_what_armrig_reads(served: Bench, programs: Programs) -
 
 
 def test_the_daemon_is_asked_and_stopped(served: Bench, programs: Programs) -> None:
-    status = json.loads(programs.run("ask.py", _endpoint(served), "status"))
+    status = json.loads(programs.run("ask.py", served.endpoint, "status"))
     with served.rig() as rig:
         rig.arm("a test")
-        stopped = json.loads(programs.run("ask.py", _endpoint(served), "stop"))
+        stopped = json.loads(programs.run("ask.py", served.endpoint, "stop"))
         wait_for(lambda: rig.status().phase == "safe")
-    refused = json.loads(programs.run("ask.py", _endpoint(served), "fly"))
+    refused = json.loads(programs.run("ask.py", served.endpoint, "fly"))
 
     assert (status["rig"], status["phase"], status["owner"]) == ("1", "safe", "")
     assert stopped == {"done": True}

@@ -106,7 +106,7 @@ class Client:
 
 def endpoint(bench: Bench) -> str:
     """Return where the bench's daemon listens."""
-    return f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    return bench.endpoint
 
 
 @contextmanager

@@ -53,16 +53,6 @@ def test_a_gap_that_is_reported_before_its_next_sample_is_counted() -> None:
     assert counted(feed) == (4, 0, "link silent")
 
 
-def test_a_gap_is_counted_once() -> None:
-    feed = Feed()
-    feed.add_samples(samples(0))
-    feed.add_gaps([gap(1, 2, 1.0, "overrun")])
-    for k in range(3, 8):
-        feed.add_samples(samples(k))
-
-    assert counted(feed) == (2, 0, "overrun")
-
-
 def test_samples_without_a_reported_gap_were_published_and_not_heard() -> None:
     feed = Feed()
     feed.add_samples(samples(0))
@@ -95,18 +85,6 @@ def test_what_is_new_is_reported_once() -> None:
     assert second.newest is not None
     assert third.newest is not None
     assert (second.newest.k, third.newest.k) == (2, 2)
-
-
-def test_another_clock_reports_nothing_old() -> None:
-    """A daemon on a restarted machine counts from 0."""
-    feed = Feed()
-    feed.add_samples(samples(300, 301))
-    before = feed.news().pieces
-    feed.add_samples(samples(0, 1))
-
-    rows = feed.news(before).rows
-
-    assert rows[:, 0].tolist() == [sample(k).t_sched_ns / 1e9 for k in (0, 1)]
 
 
 def test_the_rate_is_the_same_however_few_samples_come_at_once() -> None:

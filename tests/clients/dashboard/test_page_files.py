@@ -57,10 +57,3 @@ def test_all_text_has_a_contrast_of_four_and_a_half() -> None:
         for ink, ground in pairs:
             assert _contrast(colours[ink], colours[ground]) >= 4.5, (ink, ground)
     assert _contrast("#ffffff", "#b00020") >= 4.5
-
-
-def test_the_page_s_own_modules_stay_small() -> None:
-    lines = {path.name: len(path.read_text().splitlines()) for path in PAGE.glob("*.js")}
-
-    assert {name for name, n in lines.items() if n > 200} == set()
-    assert sum(lines.values()) < 2500

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import json
 import shutil
 import subprocess
@@ -29,49 +30,47 @@ def _run(script: str) -> Any:
     return json.loads(done.stdout)
 
 
-def _drawn(theta_1: list[float | None], *, pixels: int, wraps: bool = True) -> Any:
-    """Return x, least and largest of samples 10 ms apart, on so many pixels."""
-    sent = [[k / 100, 0, 0, y, y, 0, 0, 0, 0] for k, y in enumerate(theta_1)]
-    view = {"from": 0, "to": len(sent) / 100, "pixels": pixels, "zero": 0, "wraps": wraps}
+def _drawn(*lines: list[float | None], pixels: int, wraps: bool = True) -> Any:
+    """Return, for each line of samples 10 ms apart, x, least and largest on so many pixels."""
+    asked = [
+        {
+            "sent": [[k / 100, 0, 0, y, y, 0, 0, 0, 0] for k, y in enumerate(line)],
+            "view": {"from": 0, "to": len(line) / 100, "zero": 0, "pixels": pixels, "wraps": wraps},
+        }
+        for line in lines
+    ]
     return _run(
-        f"const kept = new rows.Rows(); kept.add({json.dumps(sent)});"
-        f"console.log(JSON.stringify(kept.drawn({THETA_1}, {json.dumps(view)})));"
+        f"const drawn = {json.dumps(asked)}.map(({{ sent, view }}) => {{"
+        "  const kept = new rows.Rows(); kept.add(sent);"
+        f" return kept.drawn({THETA_1}, view); }});"
+        "console.log(JSON.stringify(drawn));"
     )
 
 
-@pytest.mark.parametrize("dead_band", [0, 1, 3])
-@pytest.mark.parametrize("turn", [1, -1])
 @pytest.mark.parametrize("pixels", [50, 400])
-def test_a_wrap_breaks_the_line(dead_band: int, turn: int, pixels: int) -> None:
-    turned = [float((350 + turn * 3 * k) % 360) for k in range(-60, 60)]
-    at = next(k for k in range(1, 120) if abs(turned[k] - turned[k - 1]) > 180)
-    angles: list[float | None] = [*turned]
-    angles[at : at + dead_band] = [None] * dead_band
-    x, low, high = _drawn(angles, pixels=pixels)
+def test_a_wrap_breaks_the_line(pixels: int) -> None:
+    """Either way round, with a dead band of 0 to 3 samples."""
+    lines = []
+    for turn, dead_band in itertools.product((1, -1), (0, 1, 3)):
+        line: list[float | None] = [float((350 + turn * 3 * k) % 360) for k in range(-60, 60)]
+        at = next(k for k in range(1, 120) if abs(line[k] - line[k - 1]) > 180)  # type: ignore[operator]
+        line[at : at + dead_band] = [None] * dead_band
+        lines.append(line)
 
-    assert x == sorted(x)
-    known = [(a, b) for a, b in zip(low, high, strict=True) if a is not None]
-    assert all(b - a < 180 for a, b in known)
-    for i in range(1, len(x)):
-        if low[i] is not None and low[i - 1] is not None:
-            assert abs(low[i] - low[i - 1]) < 180
-    assert None in low
+    for x, low, high in _drawn(*lines, pixels=pixels):
+        assert x == sorted(x)
+        known = [(a, b) for a, b in zip(low, high, strict=True) if a is not None]
+        assert all(b - a < 180 for a, b in known)
+        neighbours = [(a, b) for a, b in itertools.pairwise(low) if None not in (a, b)]
+        assert all(abs(b - a) < 180 for a, b in neighbours)
+        assert None in low
 
 
 def test_what_does_not_wrap_may_jump() -> None:
     """A rate that jumps by more than 180 °/s is one line."""
-    _, low, _ = _drawn([0.0] * 50 + [300.0] * 50, pixels=400, wraps=False)
+    [[_, low, _]] = _drawn([0.0] * 50 + [300.0] * 50, pixels=400, wraps=False)
 
     assert None not in low
-
-
-def test_a_pixel_holds_the_least_and_the_largest() -> None:
-    """A peak of one sample among a thousand is drawn."""
-    peak = [10.0] * 500 + [90.0] + [10.0] * 499
-    x, _, high = _drawn(peak, pixels=60)
-
-    assert len(x) < 200
-    assert max(high) == 90.0
 
 
 def _times(times: list[float]) -> str:
@@ -81,16 +80,17 @@ def _times(times: list[float]) -> str:
 
 
 @pytest.mark.parametrize("Ts", [0.01, 0.3, 0.5, 1.0])
-@pytest.mark.parametrize("span", [5, 30, 300])
-def test_samples_at_any_sampling_time_are_a_line(Ts: float, span: int) -> None:
+def test_samples_at_any_sampling_time_are_a_line(Ts: float) -> None:
     times = [k * Ts for k in range(20)] + [k * Ts + 20 * Ts + 1.0 for k in range(20)]
-    view = {"from": 0, "to": span, "pixels": 700 * span, "zero": 0, "wraps": True}
-    _, low, _ = _run(
-        _times(times) + f"console.log(JSON.stringify(kept.drawn({THETA_1}, {json.dumps(view)})));"
+    spans = (5, 30, 300)
+    views = [{"from": 0, "to": s, "pixels": 700 * s, "zero": 0, "wraps": True} for s in spans]
+    drawn = _run(
+        f"{_times(times)} const drawn = {json.dumps(views)}.map((v) => kept.drawn({THETA_1}, v));"
+        "console.log(JSON.stringify(drawn));"
     )
-    shown = low[: min(40, len(low))]
 
-    assert shown.count(None) == (1 if times[20] <= span else 0)
+    for span, (_, low, _) in zip(spans, drawn, strict=True):
+        assert low[:40].count(None) == (1 if times[20] <= span else 0)
 
 
 def test_the_cursor_has_a_value_where_there_is_one() -> None:
@@ -167,20 +167,19 @@ def test_each_signal_is_drawn_from_its_own_columns() -> None:
 
 
 def test_a_pixel_has_its_extremes_at_their_own_times() -> None:
-    x, low, _ = _drawn([5.0, 6.0, 9.0, 8.0, None, 2.0, 3.0, 4.0] + [4.0] * 392, pixels=50)
+    [[x, low, _]] = _drawn([5.0, 6.0, 9.0, 8.0, None, 2.0, 3.0, 4.0] + [4.0] * 392, pixels=50)
 
     assert x[:4] == [0.0, 0.02, 0.05, 0.07]
     assert low[:4] == [5.0, 9.0, 2.0, 4.0]
 
 
-@pytest.mark.parametrize("step", [3.0, 110.0, -110.0])
-def test_a_wrap_hides_no_sample(step: float) -> None:
+def test_a_wrap_hides_no_sample() -> None:
     """Each sample is drawn if a pixel has at most four."""
-    angles = [(350 + step * k) % 360 for k in range(100)]
-    x, low, _ = _drawn([*angles], pixels=50)
+    lines = [[(350 + step * k) % 360 for k in range(100)] for step in (3.0, 110.0, -110.0)]
 
-    assert [y for y in low if y is not None] == angles
-    assert x == sorted(x)
+    for line, (x, low, _) in zip(lines, _drawn(*lines, pixels=50), strict=True):
+        assert [y for y in low if y is not None] == line
+        assert x == sorted(x)
 
 
 def test_what_comes_before_the_past_is_drawn_after_it() -> None:

@@ -96,9 +96,7 @@ def test_a_model_is_judged_on_data_that_it_has_not_seen(
 
         def estimated(self, data: Any) -> Any:
             seen.append(np.ravel(data.u).tolist())
-            fit = arx(data, na=4, nb=4, nk=1)
-            monkeypatch.setattr(type(fit), "summary", lambda _: "characteristics")
-            return fit
+            return arx(data, na=4, nb=4, nk=1)
 
     def hints(data: Any) -> Any:
         seen.append(np.ravel(data.u).tolist())
@@ -109,11 +107,15 @@ def test_a_model_is_judged_on_data_that_it_has_not_seen(
         seen.append(np.ravel(data.u).tolist())
         return residuals(fit, data)
 
-    monkeypatch.setattr(study_of_one, "structure_hints", hints)
-    monkeypatch.setattr(study_of_one, "residuals", tested)
-    monkeypatch.setattr(study_of_one, "Request", Quick)
-    monkeypatch.setattr(study_of_one, "advice", lambda _: SimpleNamespace(explain=lambda: "advice"))
-    monkeypatch.setattr(study_of_one, "_figures", lambda *_: [("Bode", "<svg/>")])
+    quick = {
+        "structure_hints": hints,
+        "residuals": tested,
+        "Request": Quick,
+        "advice": lambda _: SimpleNamespace(explain=lambda: "advice"),
+        "_figures": lambda *_: [("Bode", "<svg/>")],
+    }
+    for name, does in quick.items():
+        monkeypatch.setattr(study_of_one, name, does)
     _, path, validation = three_recordings
 
     is_alone, recording = judged != validation.name, load(path)

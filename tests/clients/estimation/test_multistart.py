@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import runpy
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -30,9 +28,9 @@ from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import EDGE_MODULUS, filtered, roots
 from numpy.typing import NDArray
 
+from tests.plants import drawn_model, estimated_model
 from tests.sampling import sampled
 
-BANK = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "lowest_minimum.py"))
 BJ = Structure(nb=4, nc=2, nd=2, nf=4, nk=1)
 
 
@@ -346,17 +344,17 @@ def test_the_state_at_the_start_matters_from_the_5_per_cent_point_of_f_on(
 )
 def test_the_minimum_is_as_low_as_the_one_that_the_truth_leads_to(kind: str, seed: int) -> None:
     """Plants of the bank; only a larger model leads to the minimum of the last one."""
-    data, n, truth, _ = BANK["drawn"](kind, np.random.default_rng([seed, 3]))
+    data, n, truth, _ = drawn_model(kind, np.random.default_rng([seed, 3]))
     least = problem_of(data, n).minimise(truth).cost
 
-    fit = BANK["estimated"](kind, data, n)
+    fit = estimated_model(kind, data, n)
 
     assert fit.loss * fit.N < least * (1 + 1e-4)
 
 
 def test_a_search_goes_along_the_circle() -> None:
     """C has a root on the circle; shortening each step would miss the other roots."""
-    data, n, truth, _ = BANK["drawn"]("ARMAX", np.random.default_rng([1139, 3]))
+    data, n, truth, _ = drawn_model("ARMAX", np.random.default_rng([1139, 3]))
     problem = problem_of(data, n)
 
     end = problem.minimise(truth)

@@ -1,4 +1,4 @@
-"""Standard deviations are known before the experiment; Monte Carlo is in tests/benchmarks."""
+"""Standard deviations are known before the experiment."""
 
 from __future__ import annotations
 

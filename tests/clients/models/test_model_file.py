@@ -12,7 +12,6 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.finding import warning
 from armrig.data.merging import merge
-from armrig.data.step import LINE, MEAN, codes_of
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.models.estimate import Start
@@ -77,25 +76,9 @@ def test_the_keys_of_a_model_file_stay_as_they_are(fit: Fit, tmp_path: Path) -> 
         *("integrator", "offset", "covariance", "covariance_robust", "noise_variance", "loss"),
         *("N", "Ts", "fit_percent", "whiteness", "whiteness_test", "converged", "starts"),
         *("agreed", "curvature", "free"),
-        *("warnings", "output", "unit", "input_unit", "source", "history", "digest"),
+        *("output", "unit", "input_unit", "source", "history", "digest"),
         *("findings", "treatment"),
     }
-
-
-def test_a_model_file_of_armrig_0_1_has_sentences_alone(fit: Fit) -> None:
-    """Each sentence of a treatment had one meaning in 0.1."""
-    content = json.loads(model_text(fit))
-    del content["findings"], content["treatment"]
-    history = [
-        "removed a straight line from y",
-        "part 2: removed the mean from u and y",
-        "marked 3 samples",
-    ]
-
-    loaded = fit_of(json.dumps(content | {"warnings": ["text"], "history": history}), "m.json")
-
-    assert loaded.findings == (warning("", "text"),)
-    assert codes_of(loaded.history) == [LINE, MEAN, ""]
 
 
 @pytest.mark.parametrize(
@@ -183,7 +166,7 @@ def test_each_finding_keeps_all_that_it_says(fit: Fit) -> None:
 
     assert fit_of(text, "m.json").findings == findings
     content = json.loads(text)
-    assert content["warnings"] == ["first", "second"]
+    assert [f["text"] for f in content["findings"]] == ["first", "second"]
     assert [f["asks"] for f in content["findings"]] == ["", "order"]
     assert content["findings"][0]["numbers"] == {"start": 1.5, "stop": "inf"}
 

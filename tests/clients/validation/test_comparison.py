@@ -185,7 +185,7 @@ def test_the_covariance_of_the_free_parameters_determines_that_of_all_coefficien
 @pytest.mark.parametrize("own", [True, False])
 def test_the_lagged_inputs_are_held_once(own: bool) -> None:
     """25 lags more to each side are 50 arrays more; held twice, they would be 100."""
-    long = data(1, 40_000)
+    long = data(1, 100_000)
     fit = oe(long[:2000], nb=2, nf=2, starts="few")
     fit = replace(fit, digest=long.digest) if own else fit
 

@@ -61,10 +61,7 @@ def replayed(plant: HandoutPlant, u: Vector, rng: np.random.Generator, std: floa
 def test_open_loop_is_called_closed_as_often_as_the_level_says(
     plant: HandoutPlant, draw: Draw
 ) -> None:
-    """100 runs of each at 5 %; Granger's test rejects 27, 47, 17 and 30 % of them.
-
-    tests/benchmarks/feedback.py measures the level over 1000 runs.
-    """
+    """100 runs of each at 5 %; Granger's test rejects 27, 47, 17 and 30 % of them."""
     rng = np.random.default_rng(1)
     p = np.array([sims(replayed(plant, draw(rng), rng, 5e-3)).p_value for _ in range(100)])
 

@@ -17,7 +17,7 @@ from armrig.validation.multivariable.projection import parts_of, projection
 from armrig.validation.multivariable.residuals import residuals as residuals_of_several
 from armrig_core.errors import InputError
 
-from tests.benchmarks.several_signals import Plant
+from tests.plants import chassis_and_arm
 from tests.sampling import sampled
 
 N = 400
@@ -56,7 +56,6 @@ def joint(test: Any) -> list[float]:
 
 @pytest.mark.parametrize("missing", sampled([0.0, 0.2]))
 def test_the_tests_of_a_true_model_pass(missing: float) -> None:
-    """tests/benchmarks/several_residuals.py counts their false alarms over many plants."""
     p = []
     for seed in range(4):
         fit = estimated(seed, missing)
@@ -84,7 +83,7 @@ def test_the_residuals_of_a_joint_estimate_have_no_part_that_was_estimated() -> 
 @pytest.mark.parametrize("run", [10, 60])
 def test_a_sum_that_the_estimate_determines_is_not_tested(run: int) -> None:
     """The poles are so quick that B nearly fits each lag. A rest of the ramp would be p < 1e-40."""
-    drawn = Plant("shared", 23)
+    drawn = chassis_and_arm(23)
     data = drawn.signals(500, 0.0, (23, 500, run, 0))
 
     found = armrig.residuals(drawn.fit(data), data)

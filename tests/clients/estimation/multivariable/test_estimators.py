@@ -15,7 +15,7 @@ from armrig.models.multivariable.fit import MultivariableFit
 from armrig.numerics.polynomial import Array, filtered
 from armrig_core.errors import InputError
 
-from tests.benchmarks.several_signals import Plant
+from tests.plants import chassis_and_arm
 
 N = 900
 F = [[[1, -1.2, 0.5], [1, -0.7]], [[1, -0.3, 0.1], [1, -1.5, 0.7]]]
@@ -353,7 +353,7 @@ def test_the_output_of_an_integrator_stays_where_it_is_without_an_input() -> Non
 
 def test_few_samples_without_a_gap_before_them_leave_finite_deviations() -> None:
     """An autoregression of high order has no error that depends on no missing sample."""
-    drawn = Plant("shared", 14)
+    drawn = chassis_and_arm(14)
 
     fit = drawn.fit(drawn.signals(500, 0.2, (14, 500, 9)))
 
@@ -363,7 +363,7 @@ def test_few_samples_without_a_gap_before_them_leave_finite_deviations() -> None
 
 def test_the_best_minimum_is_chosen_with_the_covariance_of_the_noise() -> None:
     """With the variances of the outputs as weights, a pole of -0.99 has the least cost."""
-    drawn = Plant("shared", 14)
+    drawn = chassis_and_arm(14)
 
     fit = drawn.fit(drawn.signals(500, 0.2, (14, 500, 10)))
 
@@ -372,7 +372,7 @@ def test_the_best_minimum_is_chosen_with_the_covariance_of_the_noise() -> None:
 
 def test_a_shared_denominator_leaves_a_local_minimum() -> None:
     """All starts from ARX models end at a pole of -0.92; a moved mode reaches the lower minimum."""
-    drawn = Plant("shared", 19)
+    drawn = chassis_and_arm(19)
 
     fit = drawn.fit(drawn.signals(500, 0.0, (19, 500, 0)))
 

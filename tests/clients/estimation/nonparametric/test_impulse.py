@@ -50,7 +50,7 @@ def test_without_noise_plain_least_squares_gives_back_the_response(negative_lags
 def test_the_band_of_confidence_holds_for_coloured_noise(
     second: Any, u_pole: float, v_pole: float, missing: float
 ) -> None:
-    """95 % of 150 runs of 30 lags, whatever the colours; see tests/benchmarks for 1000."""
+    """95 % of 150 runs of 30 lags, whatever the colours."""
     truth, held = second.g(30), 0.0
     for seed in range(150):
         data = second.dataset(

@@ -36,7 +36,7 @@ def test_the_bands_hold_the_smoothed_expectation(
     missing: float,
     method: Literal["blackman-tukey", "welch"],
 ) -> None:
-    """95 % of 120 runs, around the result of noise-free data; see tests/benchmarks for 1000."""
+    """95 % of 120 runs, around the result of noise-free data."""
     held = np.zeros(2)
     runs = 120 if missing == 0 else 15
     for seed in range(runs):

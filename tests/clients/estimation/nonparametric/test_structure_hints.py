@@ -18,7 +18,7 @@ from armrig.validation.structure_hints import _extremes, structure_hints
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from tests.benchmarks.hints import drawn
+from tests.plants import delayed_plant
 from tests.same_numbers_calls import REAL, holed, of_a_system, switching
 from tests.sampling import sampled
 
@@ -200,14 +200,14 @@ def test_the_true_structure_is_recommended_in_coloured_noise() -> None:
 @pytest.mark.exhaustive
 def test_the_unit_of_y_does_not_change_the_recommended_structures() -> None:
     """Description lengths are compared on the same samples, at each delay that is tried."""
-    plant = drawn(2083)
+    plant = delayed_plant(2083)
     data = plant.data(40.0)
 
     found = structure_hints(data)
     scaled = structure_hints(data.replaced(step=None, y=1e4 * data.y))
 
     assert scaled.structures == found.structures
-    assert found.structures[0].nk == plant.nk
+    assert found.structures[0].nk == plant.structure[2]
 
 
 @pytest.mark.exhaustive
@@ -217,7 +217,7 @@ def test_the_structure_of_a_drawn_plant_is_recommended(seed: int) -> None:
 
     By AIC the noise of the last plant, 300 samples of first order, was taken for one of order 35.
     """
-    plant = drawn(seed)
+    plant = delayed_plant(seed)
 
     found = structure_hints(plant.data(40.0))
 
