@@ -20,10 +20,8 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
-from armrig.estimation.nonparametric.spectral import spectral_reference
 from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
-from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
 from armrig.plots.captions import in_mathtext, named, named_by_run, signature, symbol
 from armrig.plots.layout import (
@@ -39,10 +37,8 @@ from armrig.report.study import Study, study
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
 
@@ -183,18 +179,6 @@ def test_colours_differ_in_lightness(done: Study) -> None:
     assert abs(first - second) > 0.1
 
 
-def test_missing_samples_are_shaded(recording: Recording) -> None:
-    ax = plots.plot_data(recording, ax=Figure().add_subplot())
-
-    edges = np.diff(np.concatenate([[0], (~recording.valid).astype(int), [0]]))
-    begin, end = ((np.flatnonzero(edges == way) - 0.5) * recording.Ts for way in (1, -1))
-    assert begin.size > 3
-    for panel in ax.figure.axes:
-        shades = [patch for patch in panel.patches if isinstance(patch, Rectangle)]
-        assert [patch.get_x() for patch in shades] == pytest.approx(begin)
-        assert [patch.get_x() + patch.get_width() for patch in shades] == pytest.approx(end)
-
-
 @pytest.mark.parametrize("kind", ["data", "compare", "overview"])
 def test_the_shading_has_one_name(kind: str, done: Study, recording: Recording) -> None:
     plot = PLOTS.get(kind, lambda s, r, ax: plot_overview(overview(r), ax=ax))
@@ -233,20 +217,6 @@ def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
     assert legend is not None
     left_out = f"draws left out: {draws.unstable} of 1000 unstable"
     assert legend.get_title().get_text().splitlines() == ["× poles, ○ zeros", left_out]
-
-
-def test_the_bars_of_a_phase_are_in_degrees_as_its_axis(done: Study) -> None:
-    """From the dot to 1.96 standard deviations on both sides; the estimate has them in rad."""
-    estimate = spectral_reference(done.estimation)
-    ax = plots.plot_bode(estimate, ax=Figure().add_subplot())
-
-    (below,) = [other for other in ax.figure.axes if "arg" in other.get_ylabel()]
-    (bars,) = [c for c in below.collections if isinstance(c, LineCollection)]
-    segments = np.array(bars.get_segments())
-    std = np.degrees(estimate.std_phase[np.searchsorted(estimate.omega, segments[:, 0, 0])])
-    assert segments.shape[0] > 5
-    lengths = np.minimum(2 * HALF_WIDTH * std, 360.0)
-    np.testing.assert_allclose(np.ptp(segments[:, :, 1], axis=1), lengths)
 
 
 def test_a_phase_is_a_lag_in_degrees() -> None:

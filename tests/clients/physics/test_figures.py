@@ -8,7 +8,6 @@ from dataclasses import replace
 import matplotlib as mpl
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
 from armrig.physics.figures import (
     plot_physical_step,
 )
@@ -23,8 +22,6 @@ from armrig_core.arm import ArmParameters, arm_matrices
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from tests.clients.chassis_data import Make
-
 A, B, _ = arm_matrices(ArmParameters())
 PROBLEM = sinusoid(A, B, omega=5.0, span=1.0)
 
@@ -35,11 +32,6 @@ def closed() -> Iterator[None]:
     with mpl.rc_context({"backend": "agg"}):
         yield
         plt.close("all")
-
-
-@pytest.fixture(scope="module")
-def data(make: Make) -> Dataset:
-    return make(N=1500)
 
 
 def test_the_arm_s_points_lie_on_the_edge_at_the_limit() -> None:
@@ -80,19 +72,6 @@ def test_changed_parameters_are_shown_next_to_the_handouts_own(
     assert legend.get_title().get_text() == f"step of {u:g} V from rest"
     own, changed = (np.asarray(line.get_ydata()) for line in ax.lines[:2])
     assert changed[5] == pytest.approx(own[5] / 2, rel=0.1)
-
-
-def test_each_method_is_drawn_at_its_own_step() -> None:
-    ax = plot_solution(PROBLEM, {"heun": 0.01, "ab2": 0.004}, ax=Figure().add_subplot())
-
-    legend = ax.get_legend()
-    assert legend is not None
-    assert [t.get_text() for t in legend.get_texts()] == [
-        "exact",
-        "Heun, RK(2), 10 ms",
-        "AB(2), 4 ms",
-    ]
-    assert [len(np.asarray(line.get_xdata())) for line in ax.lines[1:]] == [101, 251]
 
 
 @pytest.mark.parametrize("state", [0, 1, 3])

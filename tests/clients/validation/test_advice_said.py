@@ -12,7 +12,6 @@ from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
 from armrig.data.step import LINE, Step
 from armrig.models.fit import Fit
-from armrig.numerics.quantities import NBSP
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation.advice import data_advice, model_advice
 from armrig.validation.advice.advice import Advice
@@ -20,10 +19,8 @@ from armrig.validation.advice.data_advice import Tested as OfData
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.multivariable.residual_test import SignalsResidualTest
 from armrig.validation.power import lack_of_power
-from armrig.validation.residual_figure import plot_residual_test
-from armrig.validation.residuals import ResidualTest, _possible
+from armrig.validation.residuals import _possible
 from armrig_core.errors import InputError
-from matplotlib.figure import Figure
 
 from tests.clients.models.made_fits import made
 
@@ -260,59 +257,11 @@ def test_bands_ten_times_as_wide_have_no_power(
     assert not said or "correlations by a factor of 10, so these tests find nothing" in said
 
 
-def residual(**fields: Any) -> ResidualTest:
-    values: dict[str, Any] = {
-        "e": np.array([1.0, np.nan, 2.0, -1.0]),
-        "lags": np.arange(4),
-        "autocorrelation": np.array([1.0, 0.5, -0.25, 0.1]),
-        "autocorrelation_band": 0.4,
-        "whiteness": 0.5,
-        "whiteness_test": "portmanteau test",
-        "ljung_box": 0.4,
-        "cross_lags": np.arange(-3, 4),
-        "cross_correlation": np.linspace(-0.3, 0.9, 7),
-        "cross_band": 0.258,
-        "cross_std": np.array([0.1, 0.2, 0.1, 0.3, 0.1, 0.2, 0.4]),
-        "missing_dynamics": 0.25,
-        "feedback": 0.0099,
-        "on_estimation_data": True,
-        "source": "",
-    }
-    return ResidualTest(**(values | fields))
-
-
 @pytest.mark.parametrize(("L", "N", "longest"), [(6, 10, 5), (0, 10, 5), (2, 1, 1), (6, 11, 5)])
 def test_at_most_half_of_the_residuals_are_lags(L: int, N: int, longest: int) -> None:
     with pytest.raises(InputError, match=f"lags={L} must be 1 to {longest}, half of the {N} res"):
         _possible(L, N)
     assert _possible(longest, N) == longest
-
-
-def test_the_figure_of_residuals_has_bands_of_99_percent() -> None:
-    ax = plot_residual_test(residual(), ax=Figure().add_subplot())
-
-    below = ax.figure.axes[1]
-    band = below.collections[0].get_paths()[0].vertices
-    assert band[:, 1].max() == pytest.approx(2.58 * 0.4)
-    assert band[:, 1].min() == pytest.approx(-2.58 * 0.4)
-    assert np.min(ax.patches[0].get_xy(), axis=None) == pytest.approx(-0.4)
-    points = [
-        np.asarray(line.get_ydata(), float)
-        for panel in (ax, below)
-        for line in panel.lines
-        if len(line.get_xdata()) in (3, 7)
-    ]
-    assert any(np.allclose(y, [0.5, -0.25, 0.1]) for y in points if y.size == 3)
-    assert any(np.allclose(y, np.linspace(-0.3, 0.9, 7)) for y in points if y.size == 7)
-    assert ax.get_ylim() == pytest.approx((-0.575, 0.575))
-    assert below.get_ylim() == pytest.approx((-1.15 * 1.032, 1.15 * 1.032))
-    texts = []
-    for panel in (ax, below):
-        legend = panel.get_legend()
-        texts += [text.get_text() for text in legend.get_texts()] + [legend.get_title().get_text()]
-    said = " ".join(texts).replace(NBSP, " ")
-    assert "residuals white: p = 0.500" in said
-    assert "no feedback: p = 0.010; no dynamics missing: p = 0.250" in said
 
 
 def signals_test(**fields: Any) -> SignalsResidualTest:

@@ -13,7 +13,6 @@ from armrig.data.finding import Finding, warning
 from armrig.numerics.criteria import batch_means
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import model_search
-from armrig.validation.figures import plot_search
 from armrig.validation.model_search import _ranked
 from armrig.validation.multivariable.search import (
     SignalsCandidate,
@@ -29,7 +28,6 @@ from armrig.validation.recommended_structures import (
 )
 from armrig.validation.search_result import Candidate, Scored, SearchResult
 from armrig.validation.structure_hints import (
-    StructureHints,
     _agreed,
     _confirmed,
     _end_of_step,
@@ -37,7 +35,6 @@ from armrig.validation.structure_hints import (
     _sign,
     _stays,
 )
-from matplotlib.figure import Figure
 
 from tests.clients.models.made_fits import made
 
@@ -119,28 +116,6 @@ def test_findings_of_the_chosen_model_are_reasons(family: str, expected: list[st
     assert ("short" in reasons) == (family == "oe")
 
 
-def test_the_figure_of_a_search_counts_what_it_does_not_draw() -> None:
-    ranked = (scored("oe", 3), scored("oe", 2), scored("arx", 4), scored("arx", 1), scored("oe", 1))
-    rms = np.array([0.5, 0.6, 0.7, 501.0, 1e9])
-    numbers = {"excess": np.zeros(5), "excess_std": np.zeros(5)}
-    found = result(ranked=ranked, rms=rms, chosen_index=1, horizon=3, **numbers)
-
-    ax = plot_search(found, ax=Figure().add_subplot())
-
-    lines = {line.get_label(): line for line in ax.lines}
-    assert np.asarray(lines["OE"].get_xdata()).tolist() == [4, 6]
-    assert np.asarray(lines["OE"].get_ydata()).tolist() == [0.6, 0.5]
-    assert np.asarray(lines["ARX"].get_ydata()).tolist() == [0.7]
-    ring = lines["chosen: OE[2 2 1]"]
-    assert (ring.get_xdata(), ring.get_ydata()) == ([4.0], [0.6])
-    legend = ax.get_legend()
-    assert legend is not None
-    texts = [text.get_text() for text in legend.get_texts()] + [legend.get_title().get_text()]
-    assert any("2 more models have over 1000 times the least error" in text for text in texts)
-    assert ax.get_ylabel() == "rms error, 3 ahead [rad/s]"
-    assert ax.get_ylim() == pytest.approx((0.4, 0.91))
-
-
 @pytest.mark.parametrize("integrates", [False, True])
 @pytest.mark.parametrize("asked", [None, False, True])
 def test_an_offset_is_estimated_if_one_of_the_data_sets_has_a_level(
@@ -202,55 +177,6 @@ def test_models_are_ranked_at_the_samples_that_all_of_them_predict() -> None:
     assert ranking.usable[ranking.chosen].model is ranking.fit
     with pytest.raises(ValueError, match="read-only"):
         ranking.usable[0].error[0] = 1.0
-
-
-def hints(**fields: Any) -> StructureHints:
-    structures = (
-        Recommended(nb=3, nf=3, nk=1, integrator=True),
-        Recommended(nb=2, nf=3, nk=2, integrator=False),
-    )
-    values: dict[str, Any] = {
-        "structures": structures,
-        "integrator": True,
-        "integrator_shown": True,
-        "low_slope": -20.25,
-        "low_slope_std": 0.1,
-        "low_band": np.array([0.1, 0.2]),
-        "high_slope": -41.2,
-        "high_band": np.array([20.0, 30.0, 41.25]),
-        "relative_degree": 2,
-        "resonances": (18.04, 40.0),
-        "antiresonances": (15.7,),
-        "phase_delay": 0.0061,
-        "nk_interval": (1, 1),
-        "singular_values": np.array([1.0, 0.5, 0.04, 0.03, 0.02, 0.01, 0.005]),
-        "threshold": 0.0456,
-        "order": 3,
-        "trusted": 50.0,
-        "spectrum": SimpleNamespace(Ts=0.01),
-        "response": None,
-    }
-    return StructureHints(**(values | fields))
-
-
-def test_hints_are_told_with_their_numbers() -> None:
-    assert repr(hints()).splitlines() == [
-        "structure hints: begin with oe(data, nb=3, nf=3, nk=1, integrator=True)",
-        "  integrator: |G| has a slope of −20.2 dB a decade at low frequency (0 without one, −20 "
-        "with one): y integrates: fix a pole at 1",
-        "  shape of the rate: resonances at 18, 40 rad/s (two poles each), antiresonance at 15.7 "
-        "rad/s (two zeros)",
-        "  order: Hankel singular values 1, 0.5, 0.04, 0.03, 0.02, 0.01 …, uncertainty alone "
-        "causes up to 0.046: 2 stand out, and the integrator",
-        "  roll-off: −41 dB a decade from 20 to 41.2 rad/s: 2 more poles than zeros up to these "
-        "frequencies",
-        "  phase: in addition to the lag of the roll-off, the phase lags like a delay of 6.1 ms; "
-        "the hold causes 5 ms of this delay",
-        "  delay: u acts at lag 1: no input delay (nk = 1)",
-        "  try also: oe(data, nb=2, nf=3, nk=2, integrator=False)",
-    ]
-    assert hints().explain().startswith("- integrator: |G| has")
-    assert (hints().nb, hints().nf, hints().nk) == (3, 3, 1)
 
 
 def recommendation(B: Any, F: Any, *, integrator: bool = False) -> Recommendation:
