@@ -167,15 +167,3 @@ def test_poles_and_zeros_are_in_the_z_plane_and_those_far_away_are_counted() -> 
     (low, high), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     assert low < -0.5 < 1.0 < high < 2
     assert bottom == pytest.approx(-top)
-
-
-def test_a_complex_pair_that_cancels_is_framed_above_and_below() -> None:
-    zeros, poles = [0.6 + 0.401j, 0.6 - 0.401j, 0.1], [0.6 + 0.4j, 0.6 - 0.4j, 0.9]
-    B, F = np.real(np.poly(zeros)), np.real(np.poly(poles))
-
-    ax = plot_poles_zeros(made(B=[0.0, *B], F=F.tolist(), std=[0.01] * 7))
-
-    (frame,) = (line for line in ax.lines if line.get_marker() == "s")
-    assert np.asarray(frame.get_xdata()) == pytest.approx([0.6, 0.6], abs=1e-6)
-    assert np.sort(np.asarray(frame.get_ydata())) == pytest.approx([-0.4005, 0.4005], abs=1e-6)
-    assert frame.get_label() == "cannot be distinguished"

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 import typst
-from armrig.data.finding import warning
 from armrig.models import characteristics
 from armrig.models.characteristics import model_characteristics
 from armrig.models.equation import form, input_and_output, whiteness_sentence
 from armrig.models.estimate import Start
-from armrig.models.fit import Fit
 from armrig.models.labels import gain_unit, labels_of, left_out, sources_of
 from armrig.models.parameter_draws import Draws
 from armrig.models.summary import summary
@@ -25,34 +23,6 @@ from tests.clients.models.made_fits import made
 def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw as often as a range needs at least, not four times."""
     monkeypatch.setattr(characteristics, "DRAWS", 100)
-
-
-@pytest.fixture(scope="module")
-def whole() -> Fit:
-    """Return a model with all five polynomials and a delay, whose search failed."""
-    return made(
-        A=(1, -0.5),
-        B=(0, 0, -2, 0.25),
-        C=(1, 0.3),
-        D=(1, -0.7),
-        F=(1, -1.5, 0.7),
-        nk=2,
-        std=(0.01, 0.2, 0.03, 4e-5, 0.06, 0.007, 0.08),
-        starts=(
-            Start(name="IV", loss=0.03, iterations=3, converged=True),
-            Start(name="ARX", loss=0.0412345678, iterations=9, converged=False),
-        ),
-        agreed=False,
-        converged=False,
-        findings=(warning("gaps", "a < b"), warning("x", "another")),
-    )
-
-
-@pytest.fixture(scope="module")
-def direct() -> Fit:
-    """Return a numerator alone, from lag 0, with an unknown deviation and powers of ten."""
-    B, std = (0.5, 1e-7, -3e8), (np.nan, 1e-9, 2e12)
-    return made(B=B, nk=0, std=std, structure="oe", whiteness=0.001)
 
 
 @pytest.mark.parametrize(("agreed", "converged"), [(True, False), (False, True), (True, True)])
@@ -101,9 +71,13 @@ def test_the_deviations_to_trust_are_named() -> None:
     assert input_and_output(made(unit="", Ts=0.25)) == "u [V] to alpha, Ts 0.25 s"
 
 
-def test_typst_compiles_the_equations(whole: Fit, direct: Fit, tmp_path: Path) -> None:
+def test_typst_compiles_the_equations(tmp_path: Path) -> None:
+    """All five polynomials, an unknown deviation, and powers of ten."""
+    polynomials: dict[str, Any] = {"A": (1, -0.5), "C": (1, 0.3), "D": (1, -0.7), "F": (1, -0.6)}
+    whole = made(**polynomials, std=[0.1] * 5)
+    powers = made(B=(0.5, 1e-7, -3e8), nk=0, std=(np.nan, 1e-9, 2e12))
     source = tmp_path / "equations.typ"
-    source.write_text(f"{whole.typst()}\n\n{direct.typst()}", encoding="utf-8")
+    source.write_text(f"{whole.typst()}\n\n{powers.typst()}", encoding="utf-8")
 
     assert typst.compile(str(source)).startswith(b"%PDF")
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.data.finding import Finding
 from armrig.data.step import LINE, Step
 from armrig.models.fit import Fit
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation.advice import data_advice, model_advice
-from armrig.validation.advice.advice import Advice
 from armrig.validation.advice.data_advice import Tested as OfData
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.multivariable.residual_test import SignalsResidualTest
@@ -175,30 +172,6 @@ def test_a_model_needs_an_excitation_of_as_many_orders_as_parameters(fit: Fit, n
 
 
 @pytest.mark.parametrize(
-    ("orders", "lower"),
-    [
-        ({"structure": "oe", "F": (1, -0.8)}, "nb and nf"),
-        ({"structure": "arx", "A": (1, -0.8)}, "nb and na"),
-        ({"structure": "n4sid", "A": (1, -0.8)}, "order"),
-    ],
-)
-def test_a_pair_that_cancels_asks_for_the_orders_of_its_structure(
-    orders: dict[str, Any], lower: str
-) -> None:
-    fit = made(**orders)
-    pairs = [(0.5 + 0.25j, 0.5 + 0.26j, 0.9), (0.8 + 0j, 0.81 + 0j, 0.5)]
-
-    found = model_advice._about_overlap(fit, pairs)
-
-    assert found.text == (
-        "pole and zero 0.500 ± 0.250i and 0.500 ± 0.260i, 0.800 and 0.810 (z plane) cannot be "
-        "distinguished: they cancel, and the order is too high by the number of pairs; lower "
-        f"{lower}"
-    )
-    assert model_advice._about_overlap(fit, []).level == "good"
-
-
-@pytest.mark.parametrize(
     ("zero", "pole", "near"),
     [(0.9999, 0.998, True), (0.9899, 0.992, False), (0.992, 0.9899, False)],
 )
@@ -227,21 +200,6 @@ def test_a_first_coefficient_within_its_robust_deviation_may_be_a_delay(
         True
     ] * doubted
     assert [*model_advice._about_first_coefficient(made(B=(0, b, 1)))] == []
-
-
-def test_advice_begins_with_what_needs_action() -> None:
-    good = Finding(level="good", about="order", text="fine")
-    bad = Finding(level="warning", about="feedback", text="act")
-    advice = Advice(of="600 samples", findings=(good, bad, good))
-
-    assert repr(advice).splitlines() == [
-        "advice on 600 samples: 1 to act on",
-        "! feedback  act",
-        "  order     fine",
-        "  order     fine",
-    ]
-    assert advice.warnings == ("act",)
-    assert repr(replace(advice, findings=(good,))).startswith("advice on 600 samples: nothing to")
 
 
 @pytest.mark.parametrize(
