@@ -111,7 +111,7 @@ def test_deviations_are_proportional_to_noise_and_inverse_to_input(
     np.testing.assert_allclose(other, one * noise / gain, rtol=1e-6)
 
 
-def test_it_is_said_in_words_whether_the_experiment_is_long_enough() -> None:
+def test_the_text_of_a_plan_states_whether_the_experiment_is_long_enough() -> None:
     u = telegraph(3000, 0.3)
     predicted = predicted_std(PlannedModel(B=B, F=A, noise_variance=0.1, Ts=0.01), u)
     got = float(predicted.std[2])

@@ -103,7 +103,7 @@ def test_every_input_can_be_described_and_shown(u: NDArray[np.float64]) -> None:
     plt.close(d.plot())
 
 
-def test_half_of_the_power_is_told_by_its_frequency() -> None:
+def test_half_of_the_power_is_reported_by_its_frequency() -> None:
     """A line with four tenths of the power, and a faster line with the rest."""
     t = 0.02 * np.arange(8000)
     for slow, half in ((0.4, 50.0), (0.6, 10.0)):

@@ -98,7 +98,7 @@ def test_missing_residuals_are_as_if_they_had_never_been(samples: int, test: Tes
     assert holed.white.p_value == pytest.approx(cut.white.p_value, rel=1e-9)
 
 
-def test_what_else_was_estimated_costs_degrees_of_freedom() -> None:
+def test_nuisance_parameters_cost_degrees_of_freedom() -> None:
     Phi, y, theta, plain = regression(3, [1.0])
     e = y - Phi @ theta
     span = orthonormal(np.ones((N, 1))).Q

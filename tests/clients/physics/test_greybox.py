@@ -77,7 +77,7 @@ def test_missing_samples_and_several_experiments(make: Make) -> None:
     assert 2000 + np.count_nonzero(holes) == fit.N
 
 
-def test_what_is_held_fixed_carries_its_uncertainty_in(make: Make) -> None:
+def test_fixed_parameters_carry_their_uncertainty_into_the_estimate(make: Make) -> None:
     data = make()
     fit = armrig.greybox(data, fixed_std={"R_m": 0.0321, "K_m": 8.39e-5})
 
@@ -165,7 +165,7 @@ def test_each_experiment_has_the_offset_that_its_input_shows(make: Make) -> None
     assert fit.values["T_c"] == pytest.approx(0.02, rel=0.02)
 
 
-def test_a_richer_model_that_fits_worse_says_so(make: Make) -> None:
+def test_a_richer_model_that_fits_worse_is_reported(make: Make) -> None:
     """On an input of one sign T_c replaces the offset."""
     data = make(coulomb_nm=0.02, low=0.0, high=5.0, offset=0.5, N=2000)
 

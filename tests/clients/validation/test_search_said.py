@@ -284,7 +284,7 @@ def of_several(
     )  # fmt: skip
 
 
-def test_a_search_of_several_signals_is_told() -> None:
+def test_a_search_of_several_signals_is_ranked_and_explained() -> None:
     rng = np.random.default_rng(4)
     base = 1.0 + 0.1 * rng.standard_normal(90)
     near = rng.standard_normal(90)

@@ -366,7 +366,7 @@ def test_noise_is_not_reported_as_an_overshoot() -> None:
     assert "noise hides a possible overshoot" in repr(loud)
 
 
-def test_what_has_no_step_is_refused() -> None:
+def test_data_without_a_step_are_refused() -> None:
     still = Dataset(u=np.ones(100), y=np.zeros(100), Ts=TS)
     deaf = Dataset(u=first_order().u, y=np.random.default_rng(1).standard_normal(400), Ts=TS)
 
