@@ -29,15 +29,13 @@ from armrig.plots.layout import (
     logarithmic,
     save,
 )
-from armrig.recordings.figures import plot_overview
 from armrig.recordings.loading import load
-from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -179,28 +177,6 @@ def test_colours_differ_in_lightness(done: Study) -> None:
     assert abs(first - second) > 0.1
 
 
-@pytest.mark.parametrize("kind", ["data", "compare", "overview"])
-def test_the_shading_has_one_name(kind: str, done: Study, recording: Recording) -> None:
-    plot = PLOTS.get(kind, lambda s, r, ax: plot_overview(overview(r), ax=ax))
-    ax = plot(done, recording, Figure().add_subplot())
-
-    assert said(ax).count("dead band or missing sample") == 1
-    faces = [to_hex(patch.get_facecolor()) for panel in ax.figure.axes for patch in panel.patches]
-    assert len(faces) > 3
-    assert set(faces) == {plots.ORANGE.lower()}
-
-
-def test_the_histogram_reports_its_percentiles(recording: Recording) -> None:
-    ax = plots.plot_timing(recording, quantity="lateness", ax=Figure().add_subplot())
-
-    late = (recording.samples["t_host_ns"] - recording.samples["t_sched_ns"]) / 1e3
-    legend = ax.get_legend()
-    assert legend is not None
-    said = [text.get_text() for text in legend.get_texts()]
-    expected = [f"{n} {np.percentile(late, q):.3g} µs" for n, q in (("p50", 50), ("p99", 99))]
-    assert said == [*expected, f"max {late.max():.3g} µs"]
-
-
 def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
     fit = hardly_a_pair()
     ax = plots.plot_poles_zeros(fit, ax=Figure().add_subplot())
@@ -217,18 +193,6 @@ def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
     assert legend is not None
     left_out = f"draws left out: {draws.unstable} of 1000 unstable"
     assert legend.get_title().get_text().splitlines() == ["× poles, ○ zeros", left_out]
-
-
-def test_a_phase_is_a_lag_in_degrees() -> None:
-    """A first-order lag has 45° at its corner, after any number of turns."""
-    import control
-
-    ax = plots.plot_bode(
-        control.tf([1.0], [1.0, 1.0]), omega=[0.01, 1.0, 100.0], ax=Figure().add_subplot()
-    )
-
-    (below,) = [other for other in ax.figure.axes if "arg" in other.get_ylabel()]
-    assert below.lines[0].get_ydata() == pytest.approx([-0.573, -45.0, -89.427], abs=1e-3)
 
 
 def test_a_phase_does_not_jump_by_a_turn() -> None:

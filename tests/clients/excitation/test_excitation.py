@@ -294,23 +294,6 @@ def test_every_input_by_name_is_as_long_and_inside(name: str) -> None:
     np.testing.assert_array_equal(u, again)
 
 
-def test_the_settings_of_an_input_are_stored_and_no_others() -> None:
-    stored = {
-        name: set(details_of(name, a=0.05, low=1.0, high=2.0, seed=5)) - {"input", "low", "high"}
-        for name in NAMES
-    }
-
-    assert stored == {
-        "telegraph": {"a", "seed"},
-        "prbs": {"a", "seed"},
-        "white": {"seed"},
-        "multisine": {"seed"},
-        "chirp": set(),
-    }
-    found = details_of("prbs", a=0.05, low=1.0, high=2.0, seed=5)
-    assert found == {"input": "prbs", "a": 0.05, "low": 1.0, "high": 2.0, "seed": 5}
-
-
 def test_an_input_by_name_is_that_of_its_function() -> None:
     """A telegraph of probability 0.1 switches as often as a prbs of five samples."""
     expected = {

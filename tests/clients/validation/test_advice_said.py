@@ -284,31 +284,3 @@ def test_a_model_is_rejected_by_any_joint_test_below_1_percent(
     )
 
     assert test.rejects is rejects
-
-
-def test_each_panel_of_several_signals_shows_its_own_pair() -> None:
-    test = signals_test()
-
-    axes = test.plot().axes
-
-    panels = [ax for ax in axes if ax.texts or ax.collections]
-    assert len(panels) == 2 * 4
-    for i in range(2):
-        for j in range(-1, 3):
-            panel = panels[4 * i + 1 + j]
-            values = test.cross_correlation[i, j] if j >= 0 else test.autocorrelation[i, i, 1:]
-            lines = [np.asarray(line.get_ydata(), float) for line in panel.lines]
-            assert any(y.size == values.size and np.allclose(y, values) for y in lines)
-            heads = " ".join(text.get_text() for text in panel.texts)
-            if j < 0:
-                assert f"white: p = {(0.25, 0.75)[i]:.3f}" in heads
-                continue
-            p = float(test.feedback_by_pair[i, j])
-            assert f"dynamics from {test.inputs[j]}: p" in heads
-            assert f"feedback: p = {p:.3f}" in heads
-            band = panel.collections[0].get_paths()[0].vertices[:, 1]
-            assert band.max() == pytest.approx(2.58 * test.cross_std[i, j].max())
-    known = [50, 45]
-    for i, panel in enumerate((panels[0], panels[4])):
-        band = panel.collections[0].get_paths()[0].vertices[:, 1]
-        assert band.max() == pytest.approx(2.58 / np.sqrt(known[i]))
