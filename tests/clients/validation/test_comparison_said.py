@@ -59,8 +59,6 @@ def row(name: str, rms: float, t: ModelCharacteristics | None = None, **fields: 
 @pytest.mark.parametrize(
     ("sizes", "own", "said"),
     [
-        ((0.5,), (False,), "m0 has an error of 0.5 rms."),
-        ((0.5, 0.2), (True, False), "m1 is closest to these data, 0.2 rms against 0.5 of m0."),
         (
             (0.2, 0.5, 0.3999),
             (False, True, False),
