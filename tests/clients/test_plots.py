@@ -7,7 +7,7 @@ import re
 import sys
 from base64 import b64decode
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import is_dataclass, replace
 from html import escape
 from importlib import import_module
 from itertools import pairwise
@@ -20,29 +20,23 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
-from armrig.estimation.nonparametric.spectral import spectral_reference
 from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
-from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
-from armrig.plots.captions import _fits, in_mathtext, named, named_by_run, signature, symbol
+from armrig.plots.captions import in_mathtext, named, named_by_run, signature, symbol
 from armrig.plots.layout import (
     decibels,
     logarithmic,
     save,
 )
-from armrig.recordings.figures import plot_overview
 from armrig.recordings.loading import load
-from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
 
@@ -101,39 +95,33 @@ PLOTS: dict[str, Plot] = {
 EVERY = pytest.mark.parametrize("plot", PLOTS.values(), ids=PLOTS.keys())
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shown:
-    """Result of a plot function that drew into given axes."""
-
-    name: str
-    given: Axes
-    ax: Axes
-    pyplot_figures: list[int]
+Shown = tuple[str, Axes, Axes]
 
 
 @pytest.fixture(scope="module", params=PLOTS)
 def shown(request: pytest.FixtureRequest, done: Study, recording: Recording) -> Shown:
-    """Draw each plot once, for all tests that only look at it."""
+    """Give a name, axes, and the axes that the plot returns, drawn once for all tests."""
     given = Figure().add_subplot()
-    ax = PLOTS[request.param](done, recording, given)
-    return Shown(name=request.param, given=given, ax=ax, pyplot_figures=plt.get_fignums())
+    return request.param, given, PLOTS[request.param](done, recording, given)
 
 
 def test_a_plot_draws_into_the_axes_it_is_given(shown: Shown) -> None:
-    assert shown.ax is shown.given
-    assert shown.ax.has_data()
-    assert shown.pyplot_figures == []
+    _, given, ax = shown
+    assert ax is given
+    assert ax.has_data()
+    assert plt.get_fignums() == []
 
 
 def test_a_plot_names_its_recording(shown: Shown, done: Study) -> None:
     """The first twelve digits of the hash of the recording."""
-    of_validation = shown.name in ("data", "jitter", "lateness", "compare", "residuals")
+    name, _, ax = shown
+    of_validation = name in ("data", "jitter", "lateness", "compare", "residuals")
     source = (done.validation if of_validation else done.estimation).source
-    assert shown.ax.get_title(loc="right") == f"recording {source[:12]}"
+    assert ax.get_title(loc="right") == f"recording {source[:12]}"
 
 
 def test_every_axis_says_what_it_shows(shown: Shown) -> None:
-    panels = shown.ax.figure.axes
+    panels = shown[1].figure.axes
     assert all(panel.get_ylabel() for panel in panels)
     assert panels[-1].get_xlabel()
 
@@ -189,40 +177,6 @@ def test_colours_differ_in_lightness(done: Study) -> None:
     assert abs(first - second) > 0.1
 
 
-def test_missing_samples_are_shaded(recording: Recording) -> None:
-    ax = plots.plot_data(recording, ax=Figure().add_subplot())
-
-    edges = np.diff(np.concatenate([[0], (~recording.valid).astype(int), [0]]))
-    begin, end = ((np.flatnonzero(edges == way) - 0.5) * recording.Ts for way in (1, -1))
-    assert begin.size > 3
-    for panel in ax.figure.axes:
-        shades = [patch for patch in panel.patches if isinstance(patch, Rectangle)]
-        assert [patch.get_x() for patch in shades] == pytest.approx(begin)
-        assert [patch.get_x() + patch.get_width() for patch in shades] == pytest.approx(end)
-
-
-@pytest.mark.parametrize("kind", ["data", "compare", "overview"])
-def test_the_shading_has_one_name(kind: str, done: Study, recording: Recording) -> None:
-    plot = PLOTS.get(kind, lambda s, r, ax: plot_overview(overview(r), ax=ax))
-    ax = plot(done, recording, Figure().add_subplot())
-
-    assert said(ax).count("dead band or missing sample") == 1
-    faces = [to_hex(patch.get_facecolor()) for panel in ax.figure.axes for patch in panel.patches]
-    assert len(faces) > 3
-    assert set(faces) == {plots.ORANGE.lower()}
-
-
-def test_the_histogram_reports_its_percentiles(recording: Recording) -> None:
-    ax = plots.plot_timing(recording, quantity="lateness", ax=Figure().add_subplot())
-
-    late = (recording.samples["t_host_ns"] - recording.samples["t_sched_ns"]) / 1e3
-    legend = ax.get_legend()
-    assert legend is not None
-    said = [text.get_text() for text in legend.get_texts()]
-    expected = [f"{n} {np.percentile(late, q):.3g} µs" for n, q in (("p50", 50), ("p99", 99))]
-    assert said == [*expected, f"max {late.max():.3g} µs"]
-
-
 def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
     fit = hardly_a_pair()
     ax = plots.plot_poles_zeros(fit, ax=Figure().add_subplot())
@@ -239,32 +193,6 @@ def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
     assert legend is not None
     left_out = f"draws left out: {draws.unstable} of 1000 unstable"
     assert legend.get_title().get_text().splitlines() == ["× poles, ○ zeros", left_out]
-
-
-def test_the_bars_of_a_phase_are_in_degrees_as_its_axis(done: Study) -> None:
-    """From the dot to 1.96 standard deviations on both sides; the estimate has them in rad."""
-    estimate = spectral_reference(done.estimation)
-    ax = plots.plot_bode(estimate, ax=Figure().add_subplot())
-
-    (below,) = [other for other in ax.figure.axes if "arg" in other.get_ylabel()]
-    (bars,) = [c for c in below.collections if isinstance(c, LineCollection)]
-    segments = np.array(bars.get_segments())
-    std = np.degrees(estimate.std_phase[np.searchsorted(estimate.omega, segments[:, 0, 0])])
-    assert segments.shape[0] > 5
-    lengths = np.minimum(2 * HALF_WIDTH * std, 360.0)
-    np.testing.assert_allclose(np.ptp(segments[:, :, 1], axis=1), lengths)
-
-
-def test_a_phase_is_a_lag_in_degrees() -> None:
-    """A first-order lag has 45° at its corner, after any number of turns."""
-    import control
-
-    ax = plots.plot_bode(
-        control.tf([1.0], [1.0, 1.0]), omega=[0.01, 1.0, 100.0], ax=Figure().add_subplot()
-    )
-
-    (below,) = [other for other in ax.figure.axes if "arg" in other.get_ylabel()]
-    assert below.lines[0].get_ydata() == pytest.approx([-0.573, -45.0, -89.427], abs=1e-3)
 
 
 def test_a_phase_does_not_jump_by_a_turn() -> None:
@@ -356,14 +284,6 @@ def test_the_labels_of_a_comparison_do_not_overlap(done: Study) -> None:
 
     upper, lower = (ax.yaxis.label.get_window_extent() for ax in figure.axes)
     assert lower.y1 < upper.y0
-
-
-def test_a_recording_and_its_data_show_themselves(recording: Recording) -> None:
-    for source in (recording, recording.dataset("alpha")):
-        ax = Figure().add_subplot()
-
-        assert source.plot(ax=ax) is ax.figure
-        assert ax.get_title(loc="right") == f"recording {recording.short_hash}"
 
 
 def _results_that_plot() -> list[type]:
@@ -464,12 +384,6 @@ def test_equal_figures_are_equal_files(ending: str, date: bytes, tmp_path: Path)
     assert written[0] == written[1]
     assert written[0].startswith(b"<?xml" if ending == "svg" else b"%PDF-")
     assert date not in written[0]
-
-
-def test_a_column_of_a_legend_is_as_wide_as_its_widest_name() -> None:
-    """The first of two columns has two of three names."""
-    assert _fits([10.0, 50.0, 10.0], 2, 60.0, 0.0)
-    assert not _fits([10.0, 50.0, 10.0], 2, 59.0, 0.0)
 
 
 @pytest.mark.parametrize("result", ["recording", "dataset", "sampling time", "comparison"])

@@ -109,7 +109,7 @@ def test_undetermined_parameters_are_reported(
         ([[9, 1]], 99, "1 gap"),
     ],
 )
-def test_gaps_with_more_pulses_than_a_hundredth_of_the_errors_are_told(
+def test_gaps_with_more_pulses_than_a_hundredth_of_the_errors_are_reported(
     pulses: list[list[int]], N: int, gaps: str | None
 ) -> None:
     """The pulses at the beginning of the data are none of a gap."""

@@ -335,31 +335,6 @@ def test_the_state_at_the_start_matters_from_the_5_per_cent_point_of_f_on(
     assert prediction_error_fit._state_matters(of_free, at_rest) is matters  # type: ignore[arg-type]
 
 
-def slow_noise(seed: int = 0) -> tuple[armrig.Dataset, float]:
-    """Return data whose noise model has three slow roots, and the loss that the truth leads to."""
-    rng = np.random.default_rng([seed, 28])
-    C, A = np.poly([0.99, 0.967, 0.93]), np.poly([0.9 * np.exp(0.4j), 0.9 * np.exp(-0.4j)]).real
-    period = np.sin(np.outer(np.arange(2000), 2 * np.pi * np.arange(3, 60, 2) / 200)).sum(axis=1)
-    clean = filtered([0.0, 1.0, 0.5], A, period)
-    v = filtered(C, A, rng.standard_normal(2000))
-    data = armrig.Dataset(u=period, y=clean + v * clean.std() / v.std() / 56, Ts=1.0)
-    n = Structure(na=2, nb=2, nc=3, nk=1)
-    problem = PredictionErrorProblem(experiments=(prepared(data, n),), structure=n)
-    return data, problem.minimise(C[1:]).cost / data.N
-
-
-@pytest.mark.exhaustive
-def test_roots_of_the_noise_model_are_moved_where_searches_disagree() -> None:
-    """The regressions' starts end in minima whose loss is 0.7 % higher."""
-    data, least = slow_noise()
-
-    fit = armrig.armax(data, na=2, nb=2, nc=3)
-    few = armrig.armax(data, na=2, nb=2, nc=3, starts="few")
-
-    assert fit.loss < least * (1 + 1e-4)
-    assert few.loss > least * (1 + 5e-3)
-
-
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("kind", "seed"),
@@ -391,7 +366,5 @@ def test_a_search_goes_along_the_circle() -> None:
 
 
 def test_starts_are_many_or_few() -> None:
-    data, _ = slow_noise()
-
     with pytest.raises(ValueError, match='starts=\'some\' must be "many" or "few"'):
-        armrig.armax(data, na=2, nb=2, nc=3, starts="some")  # type: ignore[arg-type]
+        armrig.armax(hard(1)[0], na=2, nb=2, nc=3, starts="some")  # type: ignore[arg-type]

@@ -62,7 +62,7 @@ def test_an_input_of_one_frequency_is_refused() -> None:
 
 
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])
-def test_a_model_without_a_steady_kalman_gain_says_so(focus: Focus) -> None:
+def test_a_model_without_a_steady_kalman_gain_is_reported(focus: Focus) -> None:
     n = Structure(na=2, nb=2, nc=2, nk=1)
     ones = np.ones(4)
     facts = {"weights": "cva", "canonical_correlations": ones, "suggested_order": 2}

@@ -371,18 +371,3 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
     assert iv4(seen, na=2, nb=2, nk=2).N == 9
     with pytest.raises(ValueError, match=r"determine only|instruments determine"):
         iv4(Dataset(u=np.ones(50), y=bj_data(1).y[:50], Ts=1), na=1, nb=2)
-
-
-@pytest.mark.exhaustive
-def test_the_four_stages_make_instruments_as_sharp_as_the_noise_allows() -> None:
-    """Their deviations are those of Box-Jenkins with the true noise model, within 10 %.
-
-    Any filtered input would be consistent, with twice the deviation.
-    """
-    seeds = range(20)
-    instruments = np.mean([iv4(bj_data(seed), na=2, nb=2).std for seed in seeds], axis=0)
-
-    fits = [bj(bj_data(seed), nb=2, nc=1, nd=1, nf=2) for seed in seeds[:5]]
-
-    sharpest = np.mean([fit.std for fit in fits], axis=0)[[4, 5, 0, 1]]
-    np.testing.assert_allclose(instruments, sharpest, rtol=0.1)

@@ -34,7 +34,7 @@ def _runs(forgetting: float) -> list[RarxState]:
 
 
 @pytest.mark.parametrize(("na", "nb", "nk"), [(2, 2, 1), (0, 3, 0), (1, 1, 2), (3, 1, 1)])
-def test_without_forgetting_it_is_the_estimate_of_all_samples(na: int, nb: int, nk: int) -> None:
+def test_an_estimate_without_forgetting_is_that_of_all_samples(na: int, nb: int, nk: int) -> None:
     valid = np.ones(400, dtype=np.bool_)
     valid[[100, 200, 201]] = False
     one = _data(1)
@@ -142,7 +142,7 @@ def test_parameters_stay_when_the_samples_no_longer_determine_them() -> None:
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
-def test_the_unit_of_u_decides_nothing(unit: float) -> None:
+def test_the_unit_of_u_changes_no_recursive_estimate(unit: float) -> None:
     data = _data(1, 80)
     data = data.replaced(u=unit * data.u, step=None)
 

@@ -103,7 +103,7 @@ def test_every_input_can_be_described_and_shown(u: NDArray[np.float64]) -> None:
     plt.close(d.plot())
 
 
-def test_half_of_the_power_is_told_by_its_frequency() -> None:
+def test_half_of_the_power_is_reported_by_its_frequency() -> None:
     """A line with four tenths of the power, and a faster line with the rest."""
     t = 0.02 * np.arange(8000)
     for slow, half in ((0.4, 50.0), (0.6, 10.0)):
@@ -114,29 +114,3 @@ def test_half_of_the_power_is_told_by_its_frequency() -> None:
         (told,) = re.findall(r"half of the power below (\S+) rad/s \(Nyquist 157.1 rad/s\)", said)
         assert float(told) == pytest.approx(half, abs=1.0)
         assert said.startswith("input of 8000 samples at 0.02 s (160 s), ")
-
-
-def test_the_figure_of_an_input_shows_its_first_samples_its_spectrum_and_its_levels() -> None:
-    u = white_noise(1200, seed=2)
-    described = describe_input(u, 0.02)
-    figure = described.plot()
-    time, spectrum, levels = figure.axes
-    few = describe_input(staircase(90, 3), 0.02).plot()
-
-    (line,) = time.lines
-    np.testing.assert_allclose(line.get_xdata(), 0.02 * np.arange(1000))
-    np.testing.assert_array_equal(line.get_ydata(), u[:1000])
-    assert time.get_xlabel() == "$t$ [s], the first 1000 of 1200 samples"
-    assert few.axes[0].get_xlabel() == "$t$ [s]"
-    np.testing.assert_allclose(spectrum.lines[0].get_xdata(), described.omega[1:-1])
-    assert spectrum.get_xlim() == pytest.approx((described.omega[1], np.pi / 0.02))
-    heights, widths = ([getattr(bar, f"get_{k}")() for bar in levels.patches] for k in SIZES)
-    np.testing.assert_allclose(heights, 100 * described.shares)
-    assert widths == pytest.approx([np.ptp(described.levels) / 10] * 10)
-    assert few.axes[2].patches[0].get_width() == pytest.approx(0.1)  # type: ignore[attr-defined]
-    assert "order at least 50" in time.get_title(loc="left")
-    plt.close(figure)
-    plt.close(few)
-
-
-SIZES = ("height", "width")

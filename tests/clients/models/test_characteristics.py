@@ -85,22 +85,7 @@ def _moved(fit: armrig.Fit, theta: np.ndarray) -> armrig.Fit:
 
 
 def _any_fit() -> armrig.Fit:
-    none = np.zeros((2, 2))
-    return armrig.Fit(
-        structure="oe",
-        A=np.ones(1),
-        B=np.array([0.0, 1.0]),
-        F=np.array([1.0, -0.5]),
-        nk=1,
-        covariance=none,
-        covariance_robust=none,
-        noise_variance=1.0,
-        loss=1.0,
-        N=100,
-        Ts=1.0,
-        fit_percent=0.0,
-        whiteness=0.5,
-    )
+    return made(F=(1.0, -0.5), structure="oe", Ts=1.0)
 
 
 def test_a_resonance_is_the_peak_of_the_gain_to_rounding() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +14,6 @@ from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-if TYPE_CHECKING:
-    pass
 
 B, F = np.array([0, 0, 1.0, 0.5]), np.array([1, -1.2, 0.6])
 
@@ -51,15 +48,6 @@ def test_a_fit_cannot_be_changed(fit: Fit) -> None:
 def test_a_frequency_beyond_nyquist_is_refused(fit: Fit) -> None:
     with pytest.raises(ValueError, match=r"outside 0 to 31.4159 rad/s \(pi/Ts\)"):
         fit.frequency_response([1.0, 40.0])
-
-
-def test_an_integrator_has_infinite_gain_at_rest() -> None:
-    u = np.random.default_rng(0).standard_normal(300)
-    y = filtered([0, 1], [1, -1.7, 0.7], u) + np.random.default_rng(1).standard_normal(300)
-
-    integrating = oe(Dataset(u=u, y=y, Ts=1), nb=1, nf=2, integrator=True)
-
-    assert np.isinf(np.abs(integrating.frequency_response([0.0]).G[0]))
 
 
 def test_near_rest_an_integrator_is_as_exact_as_anywhere() -> None:

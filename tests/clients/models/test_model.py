@@ -45,16 +45,6 @@ def test_a_model_answers_as_the_fit_of_the_same_polynomials(fit: armrig.Fit) -> 
     assert model.names == fit.names
 
 
-def test_nothing_in_a_model_is_uncertain(fit: armrig.Fit) -> None:
-    model = claimed(fit)
-
-    assert not model.trusted_covariance.any()
-    assert not model.poles().std.any()
-    assert not model.frequency_response([1.0, 10.0]).std_magnitude.any()
-    assert not model.step_response(10).std.any()
-    assert fit.poles().std.any()
-
-
 def test_the_physics_of_alpha_is_that_of_the_arm() -> None:
     """The pulse response is C Phi^(k-1) Gamma of the second output, without an integrator."""
     A, B, C = arm_matrices(ArmParameters())

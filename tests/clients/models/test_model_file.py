@@ -180,7 +180,7 @@ def test_each_finding_keeps_all_that_it_says(fit: Fit) -> None:
         ('{"format": "armrig model", "version": 3, "armrig": "9.9"}', "version 3.* armrig 9.9"),
     ],
 )
-def test_what_a_file_is_instead_of_a_model_is_said(content: str, said: str) -> None:
+def test_a_file_that_is_no_model_is_described(content: str, said: str) -> None:
     with pytest.raises(FileError, match=f"m.json .*{said}"):
         fit_of(content, "m.json")
 

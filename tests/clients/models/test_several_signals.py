@@ -261,33 +261,6 @@ def test_poles_of_equal_denominators_count_once() -> None:
     np.testing.assert_allclose(np.poly(found), determinant[:4], atol=1e-9)
 
 
-def test_a_model_is_described_output_by_output() -> None:
-    start = Start(name="x", loss=1.0, iterations=3, converged=False)
-    F = vectors([(1, -1.2, 0.52)] * 3, [(1, -0.5)] * 3)
-    fit = fit_of(
-        replace(apart(), F=F), converged=False, starts=(start,),
-        findings=(warning("gaps", "a < b"),),
-    )  # fmt: skip
-
-    lines = repr(fit).splitlines()
-
-    assert lines[:4] == [
-        "BJ(nb=2, nf=2, nk=1): u [V], v [A], w to 2 outputs, Ts 0.1 s, "
-        f"{fit.theta.size} parameters",
-        "  a [rad]  fit  80.50 % one step ahead, loss 0.05, N 90, residuals white (p = 0.500, "
-        "portmanteau)",
-        "  b [m]    fit  -3.25 % one step ahead, loss 0.1, N 95, residuals coloured (p < 0.001, "
-        "Ljung-Box)",
-        "  correlation of the noise: a and b -0.50",
-    ]
-    assert lines[4].startswith("  poles: 0.6000 ± 0.4000i (std ")
-    assert "), 0.5000 (std " in lines[4]
-    assert lines[4].count("(std") == 2
-    assert lines[5:] == ["  NOT CONVERGED", "  warning: a < b"]
-    assert "a &lt; b" in fit._repr_html_()
-    assert "CONVERGED" not in repr(replace(fit, starts=()))
-
-
 def noise_free(system: StateSpace, N: int = 60) -> tuple[Signals, Array]:
     """Return outputs from another initial state, a third of them missing, a from sample 4 on."""
     rng = np.random.default_rng(5)
@@ -421,15 +394,6 @@ def test_outputs_are_compared_at_their_measured_samples() -> None:
     assert second.rms_error == pytest.approx((np.sqrt(35 / 3), np.sqrt(8 / 3)))
     assert second.fit_percent == pytest.approx((100 * (1 - np.sqrt(35) / spread), 0.0))
     assert (first.on_estimation_data, second.on_estimation_data) == (False, True)
-    assert repr(compared()).splitlines() == [
-        "2 samples ahead; initial state estimated from these data by least squares",
-        "  first",
-        "    a     fit    0.00 %  rms 1.633 rad",
-        "    long  fit -164.58 %  rms 4.32",
-        "  second  (estimation data)",
-        "    a     fit -109.17 %  rms 3.416 rad",
-        "    long  fit    0.00 %  rms 1.633",
-    ]
     assert [f.about for f in compared().findings] == ["own data"]
     unbounded: Any = Constant(np.inf, 0.0)
     row = compare(compared().data, unbounded)[0]

@@ -11,7 +11,7 @@ from armrig.models.structure import (
     free_columns,
     offset_from_ramp,
 )
-from armrig.models.structure_table import DESCRIBED, OF_SEVERAL, users, with_article
+from armrig.models.structure_table import with_article
 from armrig.numerics.polynomial import filtered
 
 
@@ -75,16 +75,3 @@ def test_an_article_is_that_of_the_spoken_letter() -> None:
     spelled = {letter: with_article(letter).split()[0] for letter in "ABCDEFHJLMNPRSTUVX"}
 
     assert {letter for letter, article in spelled.items() if article == "an"} == set("AEFHLMNRSX")
-
-
-def test_an_argument_has_its_users() -> None:
-    assert users("nf") == ["oe", "bj"]
-    assert users("offset") == ["armax", "oe", "bj", "ararx"]
-    assert users("integrator") == ["armax", "oe", "bj", "n4sid", "ararx"]
-    assert users("focus") == ["n4sid"]
-    assert users("na") == ["arx", "armax", "iv4", "ararx"]
-    assert set(users("nk")) == set(users("stable")) == {*users("na"), *users("nf"), "n4sid"}
-    assert set(OF_SEVERAL) == {"arx", "armax", "oe", "bj", "n4sid", "ss"}
-    assert {name for name, row in DESCRIBED.items() if not row.closed_loop} == {
-        *("oe", "iv4", "n4sid", "channel"),
-    }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -25,9 +24,6 @@ from armrig.numerics.confidence_regions import (
 from armrig.numerics.polynomial import filtered
 
 from tests.clients.models.made_fits import made
-
-if TYPE_CHECKING:
-    pass
 
 NEAR = (0.85 + 0.02j, 0.85 - 0.02j, 0.5)
 PLAIN = (0.83 + 0.35j, 0.83 - 0.35j, 0.7)

@@ -6,9 +6,6 @@ import numpy as np
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import (
     evaluate,
-    filtered,
-    impulse,
-    lagged,
     reduced,
     reflected,
     roots,
@@ -58,13 +55,6 @@ def test_stable_is_what_the_roots_say() -> None:
 
     assert told == [bool(np.all(np.abs(np.roots(p)) < 1.0)) for p in polynomials]
     assert 100 < sum(told) < 250
-
-
-def test_a_filter_begins_at_rest_and_a_lag_with_zeros() -> None:
-    """1/(1 - 0.5 q^-1) halves a pulse each sample."""
-    np.testing.assert_allclose(impulse([1, -0.5], 4), [1, 0.5, 0.25, 0.125])
-    np.testing.assert_allclose(filtered([0, 2], [1], np.ones(3)), [0, 2, 2])
-    np.testing.assert_array_equal(lagged(np.array([1.0, 2.0]), [0, 1, 5]), [[1, 0, 0], [2, 1, 0]])
 
 
 def test_rows_of_zeros_change_a_basis_only_by_rows_of_zeros() -> None:

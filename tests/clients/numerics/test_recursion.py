@@ -21,13 +21,6 @@ def test_the_blocks_give_what_the_steps_give(N: int) -> None:
     np.testing.assert_allclose(recursion(Phi, w, x0), np.array(expected), rtol=1e-12, atol=1e-12)
 
 
-def test_one_right_hand_side_keeps_its_shape() -> None:
-    x = recursion(np.array([[0.5j]]), np.ones((7, 1)), np.ones(1))
-
-    assert x.shape == (8, 1)
-    assert x[1, 0] == 1 + 0.5j
-
-
 @pytest.mark.parametrize("N", [0, 1, 2, 3, 10, 101])
 def test_free_responses_are_the_recursion_without_input(N: int) -> None:
     rng = np.random.default_rng(N)

@@ -3,27 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from armrig.numerics.regressors import arx_rows, complete, in_blocks, past
+from armrig.numerics.regressors import arx_rows, in_blocks
 from hypothesis import given
 from hypothesis import strategies as st
 
 NAN = np.nan
-
-
-def test_samples_before_the_first_are_not_known() -> None:
-    x = np.array([1.0, 2.0, 3.0])
-
-    np.testing.assert_array_equal(past(x, [0, 1, 3]), [[1, NAN, NAN], [2, 1, NAN], [3, 2, NAN]])
-    np.testing.assert_array_equal(past(x, [7]), np.full((3, 1), NAN))
-    assert past(x, []).shape == (3, 0)
-
-
-def test_a_row_is_complete_where_every_column_is_known() -> None:
-    M = np.array([[1.0, NAN], [2.0, 2.0], [3.0, 3.0]])
-    y = np.array([1.0, 1.0, NAN])
-
-    assert complete(M, y).tolist() == [False, True, False]
-    assert complete(M[:, :0], y).tolist() == [True, True, False]
 
 
 @given(

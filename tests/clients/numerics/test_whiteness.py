@@ -46,7 +46,7 @@ def test_many_samples_make_it_chi_squared() -> None:
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_what_was_fitted_is_allowed_for_as_the_formula_says(known: bool) -> None:
+def test_the_test_accounts_for_fitted_parameters_by_its_formula(known: bool) -> None:
     rng = np.random.default_rng(1)
     lags, sizes = 5, (80, 60)
     Psi = [rng.standard_normal((n, 3)).cumsum(axis=0) for n in sizes]

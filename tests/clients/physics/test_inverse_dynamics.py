@@ -141,14 +141,6 @@ def test_an_acceleration_without_noise_has_no_p_value() -> None:
     assert np.isnan(smoothed_noise_p_value([alone], h, 1))
 
 
-def test_fixed_parameters_carry_their_uncertainty_in(make: Make) -> None:
-    """J_1 is proportional to 1/R_m."""
-    fit = armrig.inverse_dynamics(make(), fixed_std={"R_m": 0.0321})
-
-    assert fit.influence["J_1"]["R_m"] == pytest.approx(-1, abs=1e-4)
-    assert fit.std["J_1"] == pytest.approx(np.hypot(fit.std_noise["J_1"], 0.01 * fit.values["J_1"]))
-
-
 def test_friction_that_is_known_is_part_of_the_balance(make: Make) -> None:
     truth = ArmParameters(b_1=0.05)
     data = make(p=truth)

@@ -66,16 +66,25 @@ def test_friction_s_sensitivity_is_in_shares_of_the_back_emf() -> None:
     np.testing.assert_allclose(by, (4 * bits[1] - 3 * bits[0] - bits[2]) / 2e-4, atol=1e-6)
 
 
-def test_inertias_and_spring_leave_the_steady_speed_alone() -> None:
-    """R_m does not change it either if there is no friction."""
-    by = armrig.step_sensitivities(P, np.linspace(0, 10, 1001))
-
-    for name in ("J_1", "J_2", "K_lin", "R_m"):
-        assert abs(by[name][-1]) < 1e-6
-    assert by["K_m"][-1] == by["N"][-1] == pytest.approx(-1.8623, abs=1e-4)
-
-
 def test_a_pair_of_roots_is_written_once() -> None:
     z = np.array([0.0, -2.5, -1.0 + 3.0j, -1.0 - 3.0j, 4.0j, -4.0j])
 
     assert _roots(z) == "0, -2.500, -1.000 ± 3.000i, ±4.000i"
+
+
+def test_an_explanation_gives_the_reasons() -> None:
+    text = armrig.characteristics().explain()
+
+    assert "1.8623 rad/s per V" in text
+    assert "accelerates J_1 only" in text
+    assert "nor on R_m" in text
+    assert "nor on R_m" not in armrig.characteristics(ArmParameters(b_1=0.1)).explain()
+
+
+def test_impossible_arguments_are_refused() -> None:
+    with pytest.raises(ValueError, match="equidistant from 0"):
+        armrig.step_sensitivities(P, [0.0, 0.1, 0.3])
+    with pytest.raises(ValueError, match="'J' is none of J_1"):
+        armrig.step_sensitivities(P, T, names=["J"])
+    with pytest.raises(ValueError, match="state='beta' is none of"):
+        step_response(P, T, state="beta")

@@ -10,19 +10,15 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.models.characteristics import overlapping
 from armrig.validation.advice.advice import Advice
 from armrig.validation.advice.data_advice import examine_fit_of
 from armrig.validation.advice.model_advice import _about_integrator, _about_poles
-from numpy.typing import NDArray
 
 from tests.clients.validation.plants import of_second_order, switched, under_control
 from tests.sampling import sampled
 
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
-
-Vector = NDArray[np.float64]
 
 
 def told(found: Advice) -> set[str]:
@@ -41,8 +37,8 @@ def test_good_data_need_no_advice_but_on_arx(plant: HandoutPlant) -> None:
 def test_slow_data_are_advised_on_as_fast_ones(Ts: float) -> None:
     """One sample per hour."""
     rng = np.random.default_rng(1)
-    u = rng.choice([-1.0, 1.0], 1000)
-    y = np.convolve(u, [0, 0.5, 0.3, 0.1])[:1000] + 0.1 * rng.standard_normal(1000)
+    u = rng.choice([-1.0, 1.0], 400)
+    y = np.convolve(u, [0, 0.5, 0.3, 0.1])[:400] + 0.1 * rng.standard_normal(400)
 
     found = armrig.advice(Dataset(u=u, y=y, Ts=Ts))
 
@@ -67,17 +63,6 @@ def test_the_right_model_needs_no_advice(plant: HandoutPlant) -> None:
     fit = armrig.oe(plant.dataset(1), nb=4, nf=4, integrator=True, starts="few")
 
     assert told(armrig.advice(fit)) == set()
-
-
-@pytest.mark.exhaustive
-def test_an_order_too_high_shows_in_a_pole_and_a_zero_that_cancel(plant: HandoutPlant) -> None:
-    """Most models with two more orders show it, none with the right order."""
-    data = [plant.dataset(seed, N=1500) for seed in range(3)]
-    right = [overlapping(armrig.oe(d, nb=4, nf=4, integrator=True, starts="few")) for d in data]
-    high = [overlapping(armrig.oe(d, nb=6, nf=6, integrator=True, starts="few")) for d in data]
-
-    assert sum(map(bool, right)) == 0
-    assert sum(map(bool, high)) >= 2
 
 
 def test_an_arx_model_of_the_angle_gets_advice_on_each_fault(plant: HandoutPlant) -> None:

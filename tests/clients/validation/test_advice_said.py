@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.data.finding import Finding
 from armrig.data.step import LINE, Step
 from armrig.models.fit import Fit
-from armrig.numerics.quantities import NBSP
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation.advice import data_advice, model_advice
-from armrig.validation.advice.advice import Advice
 from armrig.validation.advice.data_advice import Tested as OfData
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.multivariable.residual_test import SignalsResidualTest
 from armrig.validation.power import lack_of_power
-from armrig.validation.residual_figure import plot_residual_test
-from armrig.validation.residuals import ResidualTest, _possible
+from armrig.validation.residuals import _possible
 from armrig_core.errors import InputError
-from matplotlib.figure import Figure
 
 from tests.clients.models.made_fits import made
 
@@ -178,30 +172,6 @@ def test_a_model_needs_an_excitation_of_as_many_orders_as_parameters(fit: Fit, n
 
 
 @pytest.mark.parametrize(
-    ("orders", "lower"),
-    [
-        ({"structure": "oe", "F": (1, -0.8)}, "nb and nf"),
-        ({"structure": "arx", "A": (1, -0.8)}, "nb and na"),
-        ({"structure": "n4sid", "A": (1, -0.8)}, "order"),
-    ],
-)
-def test_a_pair_that_cancels_asks_for_the_orders_of_its_structure(
-    orders: dict[str, Any], lower: str
-) -> None:
-    fit = made(**orders)
-    pairs = [(0.5 + 0.25j, 0.5 + 0.26j, 0.9), (0.8 + 0j, 0.81 + 0j, 0.5)]
-
-    found = model_advice._about_overlap(fit, pairs)
-
-    assert found.text == (
-        "pole and zero 0.500 ± 0.250i and 0.500 ± 0.260i, 0.800 and 0.810 (z plane) cannot be "
-        "distinguished: they cancel, and the order is too high by the number of pairs; lower "
-        f"{lower}"
-    )
-    assert model_advice._about_overlap(fit, []).level == "good"
-
-
-@pytest.mark.parametrize(
     ("zero", "pole", "near"),
     [(0.9999, 0.998, True), (0.9899, 0.992, False), (0.992, 0.9899, False)],
 )
@@ -232,21 +202,6 @@ def test_a_first_coefficient_within_its_robust_deviation_may_be_a_delay(
     assert [*model_advice._about_first_coefficient(made(B=(0, b, 1)))] == []
 
 
-def test_advice_begins_with_what_needs_action() -> None:
-    good = Finding(level="good", about="order", text="fine")
-    bad = Finding(level="warning", about="feedback", text="act")
-    advice = Advice(of="600 samples", findings=(good, bad, good))
-
-    assert repr(advice).splitlines() == [
-        "advice on 600 samples: 1 to act on",
-        "! feedback  act",
-        "  order     fine",
-        "  order     fine",
-    ]
-    assert advice.warnings == ("act",)
-    assert repr(replace(advice, findings=(good,))).startswith("advice on 600 samples: nothing to")
-
-
 @pytest.mark.parametrize(
     ("allowance", "own", "powerless"),
     [(10.0, False, False), (10.1, False, True), (1e6, True, False), (float("nan"), False, False)],
@@ -260,59 +215,11 @@ def test_bands_ten_times_as_wide_have_no_power(
     assert not said or "correlations by a factor of 10, so these tests find nothing" in said
 
 
-def residual(**fields: Any) -> ResidualTest:
-    values: dict[str, Any] = {
-        "e": np.array([1.0, np.nan, 2.0, -1.0]),
-        "lags": np.arange(4),
-        "autocorrelation": np.array([1.0, 0.5, -0.25, 0.1]),
-        "autocorrelation_band": 0.4,
-        "whiteness": 0.5,
-        "whiteness_test": "portmanteau test",
-        "ljung_box": 0.4,
-        "cross_lags": np.arange(-3, 4),
-        "cross_correlation": np.linspace(-0.3, 0.9, 7),
-        "cross_band": 0.258,
-        "cross_std": np.array([0.1, 0.2, 0.1, 0.3, 0.1, 0.2, 0.4]),
-        "missing_dynamics": 0.25,
-        "feedback": 0.0099,
-        "on_estimation_data": True,
-        "source": "",
-    }
-    return ResidualTest(**(values | fields))
-
-
 @pytest.mark.parametrize(("L", "N", "longest"), [(6, 10, 5), (0, 10, 5), (2, 1, 1), (6, 11, 5)])
 def test_at_most_half_of_the_residuals_are_lags(L: int, N: int, longest: int) -> None:
     with pytest.raises(InputError, match=f"lags={L} must be 1 to {longest}, half of the {N} res"):
         _possible(L, N)
     assert _possible(longest, N) == longest
-
-
-def test_the_figure_of_residuals_has_bands_of_99_percent() -> None:
-    ax = plot_residual_test(residual(), ax=Figure().add_subplot())
-
-    below = ax.figure.axes[1]
-    band = below.collections[0].get_paths()[0].vertices
-    assert band[:, 1].max() == pytest.approx(2.58 * 0.4)
-    assert band[:, 1].min() == pytest.approx(-2.58 * 0.4)
-    assert np.min(ax.patches[0].get_xy(), axis=None) == pytest.approx(-0.4)
-    points = [
-        np.asarray(line.get_ydata(), float)
-        for panel in (ax, below)
-        for line in panel.lines
-        if len(line.get_xdata()) in (3, 7)
-    ]
-    assert any(np.allclose(y, [0.5, -0.25, 0.1]) for y in points if y.size == 3)
-    assert any(np.allclose(y, np.linspace(-0.3, 0.9, 7)) for y in points if y.size == 7)
-    assert ax.get_ylim() == pytest.approx((-0.575, 0.575))
-    assert below.get_ylim() == pytest.approx((-1.15 * 1.032, 1.15 * 1.032))
-    texts = []
-    for panel in (ax, below):
-        legend = panel.get_legend()
-        texts += [text.get_text() for text in legend.get_texts()] + [legend.get_title().get_text()]
-    said = " ".join(texts).replace(NBSP, " ")
-    assert "residuals white: p = 0.500" in said
-    assert "no feedback: p = 0.010; no dynamics missing: p = 0.250" in said
 
 
 def signals_test(**fields: Any) -> SignalsResidualTest:
@@ -377,31 +284,3 @@ def test_a_model_is_rejected_by_any_joint_test_below_1_percent(
     )
 
     assert test.rejects is rejects
-
-
-def test_each_panel_of_several_signals_shows_its_own_pair() -> None:
-    test = signals_test()
-
-    axes = test.plot().axes
-
-    panels = [ax for ax in axes if ax.texts or ax.collections]
-    assert len(panels) == 2 * 4
-    for i in range(2):
-        for j in range(-1, 3):
-            panel = panels[4 * i + 1 + j]
-            values = test.cross_correlation[i, j] if j >= 0 else test.autocorrelation[i, i, 1:]
-            lines = [np.asarray(line.get_ydata(), float) for line in panel.lines]
-            assert any(y.size == values.size and np.allclose(y, values) for y in lines)
-            heads = " ".join(text.get_text() for text in panel.texts)
-            if j < 0:
-                assert f"white: p = {(0.25, 0.75)[i]:.3f}" in heads
-                continue
-            p = float(test.feedback_by_pair[i, j])
-            assert f"dynamics from {test.inputs[j]}: p" in heads
-            assert f"feedback: p = {p:.3f}" in heads
-            band = panel.collections[0].get_paths()[0].vertices[:, 1]
-            assert band.max() == pytest.approx(2.58 * test.cross_std[i, j].max())
-    known = [50, 45]
-    for i, panel in enumerate((panels[0], panels[4])):
-        band = panel.collections[0].get_paths()[0].vertices[:, 1]
-        assert band.max() == pytest.approx(2.58 / np.sqrt(known[i]))

@@ -47,16 +47,6 @@ def test_the_fit_percent_is_the_textbook_s() -> None:
     assert not row.on_estimation_data
 
 
-def test_missing_samples_do_not_count() -> None:
-    fit, fresh = oe(data(1), nb=2, nf=2, starts="few"), data(2)
-    valid = np.random.default_rng(0).random(fresh.N) > 0.2
-    holed = Dataset(u=fresh.u, y=np.where(valid, fresh.y, 1e9), Ts=1, valid=valid)
-
-    assert compare(holed, fit)[0].rms_error == pytest.approx(0.3, rel=0.1)
-    assert np.isnan(residuals(fit, holed).e[~valid]).all()
-    assert residuals(fit, holed).whiteness > 0.01
-
-
 def test_the_velocity_fit_shows_errors_that_the_angle_fit_hides(plant: HandoutPlant) -> None:
     """A first-order chassis without the arm: nearly 100 % on the angle, visibly bad on its rate."""
     poor = oe(plant.dataset(1), nb=2, nf=2, integrator=True, starts="few")

@@ -59,8 +59,6 @@ def row(name: str, rms: float, t: ModelCharacteristics | None = None, **fields: 
 @pytest.mark.parametrize(
     ("sizes", "own", "said"),
     [
-        ((0.5,), (False,), "m0 has an error of 0.5 rms."),
-        ((0.5, 0.2), (True, False), "m1 is closest to these data, 0.2 rms against 0.5 of m0."),
         (
             (0.2, 0.5, 0.3999),
             (False, True, False),
@@ -86,7 +84,7 @@ def test_the_closest_model_is_named_with_its_error(
     assert explanation(rows)[0] == said
 
 
-def test_what_differs_is_compared_with_the_physics_wherever_it_stands() -> None:
+def test_differences_are_relative_to_the_physics_in_any_order() -> None:
     """A difference counts beyond 2.58 σ of both models, and beyond a thousandth."""
     physics = row("physics", 1.0, figures({"overshoot": -8.0}, std=0.03), model=PHYSICS)
     fit = row("fit", 1.1, figures({"gain": 1.12, "bandwidth": 4.2, "overshoot": 8.0}, std=0.04))

@@ -16,14 +16,11 @@ from armrig.validation.feedback_and_delay.delay import (
     _readings,
     determined_lags,
 )
-from armrig.validation.feedback_and_delay.delay_result import Delay
-from armrig.validation.feedback_and_delay.figures import plot_delay
-from armrig.validation.feedback_and_delay.lag_tests import Before, LagTests
+from armrig.validation.feedback_and_delay.lag_tests import LagTests
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, _is_exact, _remarks, open_loop
 from armrig.validation.feedback_and_delay.sims import FUTURE, Sims, sims
 from armrig.validation.feedback_and_delay.smooth_onset import _averaged, possible
 from armrig_core.errors import InputError
-from matplotlib.figure import Figure
 
 
 def response(*, integrating: bool = False, **fields: Any) -> ImpulseResponse:
@@ -48,85 +45,6 @@ def response(*, integrating: bool = False, **fields: Any) -> ImpulseResponse:
         "warnings": (),
     }
     return ImpulseResponse(**(values | fields))
-
-
-def found(**fields: Any) -> Delay:
-    values: dict[str, Any] = {
-        "nk": 3,
-        "interval": (3, 3),
-        "may_be_feedback": False,
-        "p_values": {1: 0.5, 2: 0.25, 3: 1e-5},
-        "before": Before(k=2, found=0.61, predicted=5.44, p_value=1e-6),
-        "misfit": {},
-        "arx_loss": {0: 3.0, 1: 2.0, 2: 1.5, 3: 1.0, 4: 1.25},
-        "response": response(),
-        "integrator": False,
-        "na": 4,
-        "t_q": None,
-        "quantum": 0.0,
-        "largest_step": 5.0,
-        "remarks": (),
-        "acceleration": 98.0,
-        "output": "theta_1",
-        "Ts": 0.01,
-        "unit": "rad",
-        "input_unit": "V",
-        "source": "",
-    }
-    return Delay(**(values | fields))
-
-
-def test_a_delay_is_printed_with_its_last_tests() -> None:
-    assert repr(found()).splitlines() == [
-        "nk = 3: 2 samples (20 ms) in addition to the hold (level 0.1 %)",
-        "  lags 1 to 2: their coefficients together, p = 0.250: not shown to matter",
-        "  lags 1 to 3: their coefficients together, p < 0.001: u acts there",
-        "  lag 2 alone: its coefficient is 0.6σ, and would be 5.4σ or more if u acted there "
-        "first, p < 0.001: ruled out",
-    ]
-    late = found(
-        nk=1, interval=(1, 4), before=Before(k=0, found=0.6, predicted=1.0, p_value=0.4),
-        p_values={1: 1e-9}, misfit={1: 4.567, 2: 123.4}, t_q=0.0123, remarks=("a remark", "b"),
-    )  # fmt: skip
-    assert repr(late).splitlines() == [
-        "nk between 1 and 4: not determined at this Ts and noise (level 0.1 %)",
-        "  lag 1: its coefficient, p < 0.001: u acts there",
-        "  lag 0 alone: its coefficient is 0.6σ, and would be 1.0σ or more if u acted there "
-        "first, p = 0.400: not ruled out",
-        "  near the noise, the shape of the onset decides: a smooth onset at lag 1, 2 has chi² "
-        "4.57, 123 (limit 9.21 at the level 1 %)",
-        "  quantisation hides theta_1 for t_q = 12 ms: no delay",
-        "  note: a remark",
-        "  note: b",
-    ]
-    brief = late.brief().splitlines()
-    assert brief[0] == "nk between 1 and 4: not determined at this Ts and noise (level 0.1 %)"
-    assert "take nk = 1, since one coefficient too many" in brief[1]
-    assert "or at a Ts above 10 ms" in brief[1]
-    assert brief[2:] == ["  note: a remark", "  note: b"]
-    assert found().brief() == repr(found()).splitlines()[0]
-
-
-def test_the_figure_of_a_delay_has_the_lags_and_the_losses() -> None:
-    for integrating, unit in ((False, "[rad/V]"), (True, "[rad/s/V]")):
-        answer = found(response=response(integrating=integrating))
-
-        ax, below, *_ = plot_delay(answer, ax=Figure().add_subplot()).figure.axes
-
-        (points,) = (line for line in ax.lines if line.get_marker() == "o")
-        g = 0.1 * np.arange(1, 11) * (-10 if integrating else 1)
-        np.testing.assert_allclose(np.asarray(points.get_ydata()), g)
-        band = ax.collections[0].get_paths()[0].vertices[:, 1]
-        assert band.max() == pytest.approx(3.29 * (1.0 if integrating else 0.1))
-        (losses,) = (line for line in below.lines if line.get_label() == "ARX model")
-        assert np.asarray(losses.get_xdata()).tolist() == [0, 1, 2, 3, 4]
-        expected = 200 * np.log([3.0, 2.0, 1.5, 1.0, 1.25])
-        np.testing.assert_allclose(np.asarray(losses.get_ydata()), expected)
-        assert unit in ax.get_ylabel()
-        marks = [
-            line for panel in (ax, below) for line in panel.lines if line.get_label() == "nk = 3"
-        ]
-        assert [line.get_xdata()[0] for line in marks] == [3, 3]
 
 
 def of_lags(p_values: Any, coefficient: Any, std: Any, answer: Any, first: int = 0) -> LagTests:

@@ -130,7 +130,7 @@ def test_other_processes_find_the_same(elsewhere: ProcessPoolExecutor) -> None:
     np.testing.assert_array_equal(here.rms, there.rms)
 
 
-def test_what_fails_is_reported_and_does_not_stop_the_search() -> None:
+def test_a_failed_candidate_is_reported_and_does_not_stop_the_search() -> None:
     data = _data(1, [1.0], [1.0], 80)
 
     found = search(data, families=("arx",), orders=(1, 2, 30))

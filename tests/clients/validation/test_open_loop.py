@@ -10,7 +10,6 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.data.merging import merge
 from armrig.excitation import multisine, prbs, telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.validation.feedback_and_delay.sims import Sims, sims
@@ -129,16 +128,6 @@ def test_a_missing_output_costs_its_own_row_only(plant: HandoutPlant) -> None:
     assert rows - with_gap(half + 1).N > 3 * half
     long = with_gap(500)
     assert whole.N - 500 - 2 * (long.p + 4) == long.N
-
-
-def test_nothing_is_carried_from_one_experiment_to_the_next(plant: HandoutPlant) -> None:
-    parts = [plant.dataset(seed, N=1000) for seed in (4, 5)]
-    moved = parts[1].replaced(y=parts[1].y + 1000.0, u=parts[1].u + 100.0, step=None)
-
-    together, apart = sims(merge(parts)), sims(merge([parts[0], moved]))
-
-    assert 2 * (1000 - together.p - 4) == together.N
-    assert apart.p_value == pytest.approx(together.p_value, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from armrig.data.finding import Finding, warning
 from armrig.numerics.criteria import batch_means
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import model_search
-from armrig.validation.figures import plot_search
 from armrig.validation.model_search import _ranked
 from armrig.validation.multivariable.search import (
     SignalsCandidate,
@@ -25,13 +24,10 @@ from armrig.validation.recommended_structures import (
     Recommendation,
     Recommended,
     _busiest,
-    _neighbours,
-    _of_order,
     _trimmed,
 )
 from armrig.validation.search_result import Candidate, Scored, SearchResult
 from armrig.validation.structure_hints import (
-    StructureHints,
     _agreed,
     _confirmed,
     _end_of_step,
@@ -39,7 +35,6 @@ from armrig.validation.structure_hints import (
     _sign,
     _stays,
 )
-from matplotlib.figure import Figure
 
 from tests.clients.models.made_fits import made
 
@@ -121,28 +116,6 @@ def test_findings_of_the_chosen_model_are_reasons(family: str, expected: list[st
     assert ("short" in reasons) == (family == "oe")
 
 
-def test_the_figure_of_a_search_counts_what_it_does_not_draw() -> None:
-    ranked = (scored("oe", 3), scored("oe", 2), scored("arx", 4), scored("arx", 1), scored("oe", 1))
-    rms = np.array([0.5, 0.6, 0.7, 501.0, 1e9])
-    numbers = {"excess": np.zeros(5), "excess_std": np.zeros(5)}
-    found = result(ranked=ranked, rms=rms, chosen_index=1, horizon=3, **numbers)
-
-    ax = plot_search(found, ax=Figure().add_subplot())
-
-    lines = {line.get_label(): line for line in ax.lines}
-    assert np.asarray(lines["OE"].get_xdata()).tolist() == [4, 6]
-    assert np.asarray(lines["OE"].get_ydata()).tolist() == [0.6, 0.5]
-    assert np.asarray(lines["ARX"].get_ydata()).tolist() == [0.7]
-    ring = lines["chosen: OE[2 2 1]"]
-    assert (ring.get_xdata(), ring.get_ydata()) == ([4.0], [0.6])
-    legend = ax.get_legend()
-    assert legend is not None
-    texts = [text.get_text() for text in legend.get_texts()] + [legend.get_title().get_text()]
-    assert any("2 more models have over 1000 times the least error" in text for text in texts)
-    assert ax.get_ylabel() == "rms error, 3 ahead [rad/s]"
-    assert ax.get_ylim() == pytest.approx((0.4, 0.91))
-
-
 @pytest.mark.parametrize("integrates", [False, True])
 @pytest.mark.parametrize("asked", [None, False, True])
 def test_an_offset_is_estimated_if_one_of_the_data_sets_has_a_level(
@@ -206,55 +179,6 @@ def test_models_are_ranked_at_the_samples_that_all_of_them_predict() -> None:
         ranking.usable[0].error[0] = 1.0
 
 
-def hints(**fields: Any) -> StructureHints:
-    structures = (
-        Recommended(nb=3, nf=3, nk=1, integrator=True),
-        Recommended(nb=2, nf=3, nk=2, integrator=False),
-    )
-    values: dict[str, Any] = {
-        "structures": structures,
-        "integrator": True,
-        "integrator_shown": True,
-        "low_slope": -20.25,
-        "low_slope_std": 0.1,
-        "low_band": np.array([0.1, 0.2]),
-        "high_slope": -41.2,
-        "high_band": np.array([20.0, 30.0, 41.25]),
-        "relative_degree": 2,
-        "resonances": (18.04, 40.0),
-        "antiresonances": (15.7,),
-        "phase_delay": 0.0061,
-        "nk_interval": (1, 1),
-        "singular_values": np.array([1.0, 0.5, 0.04, 0.03, 0.02, 0.01, 0.005]),
-        "threshold": 0.0456,
-        "order": 3,
-        "trusted": 50.0,
-        "spectrum": SimpleNamespace(Ts=0.01),
-        "response": None,
-    }
-    return StructureHints(**(values | fields))
-
-
-def test_hints_are_told_with_their_numbers() -> None:
-    assert repr(hints()).splitlines() == [
-        "structure hints: begin with oe(data, nb=3, nf=3, nk=1, integrator=True)",
-        "  integrator: |G| has a slope of −20.2 dB a decade at low frequency (0 without one, −20 "
-        "with one): y integrates: fix a pole at 1",
-        "  shape of the rate: resonances at 18, 40 rad/s (two poles each), antiresonance at 15.7 "
-        "rad/s (two zeros)",
-        "  order: Hankel singular values 1, 0.5, 0.04, 0.03, 0.02, 0.01 …, uncertainty alone "
-        "causes up to 0.046: 2 stand out, and the integrator",
-        "  roll-off: −41 dB a decade from 20 to 41.2 rad/s: 2 more poles than zeros up to these "
-        "frequencies",
-        "  phase: in addition to the lag of the roll-off, the phase lags like a delay of 6.1 ms; "
-        "the hold causes 5 ms of this delay",
-        "  delay: u acts at lag 1: no input delay (nk = 1)",
-        "  try also: oe(data, nb=2, nf=3, nk=2, integrator=False)",
-    ]
-    assert hints().explain().startswith("- integrator: |G| has")
-    assert (hints().nb, hints().nf, hints().nk) == (3, 3, 1)
-
-
 def recommendation(B: Any, F: Any, *, integrator: bool = False) -> Recommendation:
     s = Recommended(nb=1, nf=1, nk=1, integrator=integrator)
     return Recommendation(
@@ -310,37 +234,6 @@ def test_a_rate_stays_or_returns_by_three_deviations_of_its_end(
     assert _sign(SimpleNamespace(decaying=(sign * np.array([1.0, -0.5]), None))) == np.sign(sign)  # type: ignore[arg-type]
 
 
-def test_neighbours_differ_by_one_pole_or_one_b_at_an_end() -> None:
-    def of(nb: int, nf: int, nk: int) -> set[tuple[int, int, int]]:
-        s = Recommended(nb=nb, nf=nf, nk=nk, integrator=False)
-        return {(t.nb, t.nf, t.nk) for t in _neighbours(s)}
-
-    poles = (2, 3, 4)
-    inner = {(2, 2), (3, 1), (1, 3), (2, 1), (2, 3), (1, 2), (3, 2)}
-    assert of(2, 3, 2) == {(nb, nf, nk) for nf in poles for nb, nk in inner}
-    # nk is not less than 1 without a direct term; nb is not less than 1; nf is 1 to 7.
-    assert {nk for _, _, nk in of(2, 3, 1)} == {1, 2}
-    assert {nk for _, _, nk in of(2, 3, 0)} == {0, 1}
-    assert min(nb for nb, _, _ in of(1, 3, 2)) == 1
-    assert {nf for _, nf, _ in of(2, 1, 2)} == {1, 2}
-    assert {nf for _, nf, _ in of(2, 7, 2)} == {6, 7}
-
-
-def test_a_denominator_gets_roots_or_loses_some() -> None:
-    F = np.real(np.poly([0.9, 0.5 + 0.4j, 0.5 - 0.4j]))
-
-    same, more, fewer = ([*_of_order(F, nf)] for nf in (3, 5, 2))
-
-    np.testing.assert_allclose(same, [F])
-    for f, root in zip(more, (0.3, 0.8), strict=True):
-        expected = [0.9, 0.5 + 0.4j, 0.5 - 0.4j, root, root]
-        np.testing.assert_allclose(f, np.real(np.poly(expected)), atol=1e-12)
-    assert fewer
-    assert all(f.size == 3 for f in fewer)
-    for f in fewer:
-        assert any(np.isclose(np.roots(f)[:, None], [[0.9, 0.5 + 0.4j]], atol=1e-6).ravel())
-
-
 def test_long_data_are_cut_to_where_the_input_changes() -> None:
     N = 9000
     u = np.zeros(N)
@@ -391,7 +284,7 @@ def of_several(
     )  # fmt: skip
 
 
-def test_a_search_of_several_signals_is_told() -> None:
+def test_a_search_of_several_signals_is_ranked_and_explained() -> None:
     rng = np.random.default_rng(4)
     base = 1.0 + 0.1 * rng.standard_normal(90)
     near = rng.standard_normal(90)

@@ -66,17 +66,6 @@ def test_the_tests_of_a_true_model_pass(missing: float) -> None:
     assert 0.2 < np.mean(p) < 0.8
 
 
-@pytest.mark.parametrize("missing", sampled([0.0, 0.2]))
-def test_each_output_of_its_own_estimate_has_the_test_of_one_output(missing: float) -> None:
-    fit = estimated(0, missing)
-
-    found = armrig.residuals(fit, plant(0, missing=missing))
-
-    for white, quality in zip(found.white_by_output, fit.quality, strict=True):
-        assert white.p_value == pytest.approx(quality.white.p_value, rel=0.02)
-        assert white.test == quality.white.test
-
-
 def test_the_residuals_of_a_joint_estimate_have_no_part_that_was_estimated() -> None:
     """Rows with orders of their own and correlated noise are weighted together."""
     data = plant(0)

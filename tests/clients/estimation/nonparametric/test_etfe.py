@@ -37,19 +37,6 @@ def test_whole_periods_without_noise_give_the_exact_response(second: Any) -> Non
     assert "periods of 200 samples" in found.method
 
 
-def test_the_response_of_the_arm_s_angle_is_exact(arm: Any) -> None:
-    """The drift due to the mean of the input is no error.
-
-    The transient after 2 s remains: exp(-8.05 * 2) of its beginning.
-    """
-    u = repeated(np.random.default_rng(2))
-
-    found = etfe(arm.dataset(u))
-
-    np.testing.assert_allclose(found.G, arm.response(found.omega), rtol=1e-4, atol=1e-7)
-    np.testing.assert_allclose(found.std_phase * np.abs(found.G), found.std_magnitude)
-
-
 def test_two_periods_are_enough_for_a_response_but_not_for_its_deviation(second: Any) -> None:
     data = noisy(1, 0.0, periods=2)
 

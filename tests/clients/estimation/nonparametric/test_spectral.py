@@ -109,14 +109,6 @@ def test_frequencies_are_even_unless_the_window_is_logarithmic(second: Any) -> N
     np.testing.assert_allclose(found.omega, np.pi / data.Ts * np.arange(1, 129) / 128)
 
 
-def test_welch_and_blackman_tukey_agree(second: Any) -> None:
-    data = second.dataset(np.random.default_rng(2), 8000)
-    a = spa(data, 60, OMEGA, integrator=False)
-    b = spa(data, 120, OMEGA, method="welch", integrator=False)
-
-    assert np.all(np.abs(a.G - b.G) < 5 * (a.std_magnitude + b.std_magnitude))
-
-
 def resonant(seed: int, std: float = 0.3) -> Dataset:
     """Return a system with a pole pair of radius 0.98 at 0.5 rad a sample."""
     rng = np.random.default_rng([seed, 2])

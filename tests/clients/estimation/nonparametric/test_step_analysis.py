@@ -27,7 +27,6 @@ from armrig.estimation.nonparametric.step_answer import DRAWS, Answer, _reached,
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import with_std
 from armrig.numerics.step_times import lag_of_angle
-from armrig.recordings.example import example_recording
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
@@ -367,7 +366,7 @@ def test_noise_is_not_reported_as_an_overshoot() -> None:
     assert "noise hides a possible overshoot" in repr(loud)
 
 
-def test_what_has_no_step_is_refused() -> None:
+def test_data_without_a_step_are_refused() -> None:
     still = Dataset(u=np.ones(100), y=np.zeros(100), Ts=TS)
     deaf = Dataset(u=first_order().u, y=np.random.default_rng(1).standard_normal(400), Ts=TS)
 
@@ -403,13 +402,6 @@ def test_a_step_without_a_known_level_before_it_is_left_out(integrator: bool) ->
     assert found.tau == pytest.approx(TAU, rel=0.1)
     with pytest.raises(InputError, match=r"y.* has fewer than 2 samples .* u's 1 step: record"):
         step_analysis(part, integrator=integrator)
-
-
-def test_the_steps_of_a_telegraph_signal_are_analysed_despite_the_dead_band() -> None:
-    recording = example_recording()
-
-    for output in ("theta_1", "velocity"):
-        step_analysis(recording.dataset(output))
 
 
 @pytest.mark.parametrize(("before", "is_told"), [(20, True), (60, True), (160, False)])

@@ -35,7 +35,7 @@ def through_potentiometer(data: Dataset, seed: int) -> Dataset:
 @pytest.mark.parametrize("output", sampled(["theta_1", "angle"]))
 def test_hints_on_the_arm_are_its_four_poles_and_its_notch(arm: Any, output: str) -> None:
     """Four poles, one of them at 1; a notch near 15.7 rad/s; no delay."""
-    data = arm.telegraph().replaced(step=None, output=output)
+    data = arm.telegraph(N=2000).replaced(step=None, output=output)
 
     found = structure_hints(data)
 
@@ -67,20 +67,6 @@ def test_a_slow_pole_is_no_integrator(pole: float) -> None:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("offset", sampled([0.0, 2.0]))
-def test_a_circuit_that_has_the_arm_s_names_does_not_integrate(offset: float) -> None:
-    """theta_1 counts as integrating unless the response of its rate surely decays."""
-    rng = np.random.default_rng(1)
-    u = telegraph(1500, 0.05, seed=1)
-    y = offset + filtered([0, 0.02], np.poly([0.92, 0.86]), u) + 0.005 * rng.standard_normal(1500)
-
-    found = structure_hints(Dataset(u=u, y=y, Ts=0.01, output="theta_1"))
-
-    assert not found.integrator
-    assert "no integrator" in found.explain()
-
-
-@pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", sampled([1, 2]))
 def test_a_response_longer_than_its_lags_has_no_other_resonances(
     sampled: Callable[[float], Any], seed: int
@@ -109,24 +95,6 @@ def test_noise_causes_no_resonance() -> None:
         found += sum(map(len, _extremes(response, np.array([0.02, 3.1]))))
 
     assert found <= 4
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("delay", sampled([3, 0]))
-def test_a_resonant_system_with_a_delay(delay: int) -> None:
-    rng = np.random.default_rng(1)
-    u = rng.standard_normal(3000)
-    y = filtered([0] * (1 + delay) + [1], np.poly(0.9 * np.exp(np.array([0.5j, -0.5j]))), u)
-    data = Dataset(u=u, y=np.real(y) + 0.3 * rng.standard_normal(3000), Ts=1.0)
-
-    found = structure_hints(data)
-
-    assert not found.integrator
-    assert found.order == 2
-    assert found.nk == 1 + delay
-    assert len(found.resonances) == 1
-    assert found.resonances[0] == pytest.approx(0.5, abs=0.1)
-    assert found.trusted > 2.0  # 0.4 where y is not aligned
 
 
 @pytest.mark.exhaustive

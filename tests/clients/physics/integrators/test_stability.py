@@ -130,12 +130,6 @@ def test_only_real_roots_count() -> None:
     assert _positive_roots(np.array([-4.0, 6.0, -4.0, 1.0])) == pytest.approx([2.0])
 
 
-def test_an_integrator_next_to_a_decay_does_not_count() -> None:
-    A = np.diag([0.0, -5.0])
-
-    assert stability_limit(A, "forward_euler") == pytest.approx(0.4)
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_a_system_twice_as_fast_needs_half_the_step(method: str, params: ArmParameters) -> None:
     A, _, _ = arm_matrices(params)
@@ -150,10 +144,3 @@ def test_a_complex_system_is_refused(name: str) -> None:
 
     with pytest.raises(ValueError, match=f"{name} is complex: give the real system of twice"):
         system(**asked)
-
-
-def test_a_complex_matrix_has_no_stability_limit() -> None:
-    """A real matrix of twice the size has a limit."""
-    with pytest.raises(ValueError, match="A is complex"):
-        stability_limit(np.array([[-1 + 1j]]))
-    assert stability_limit([[-1.0, -1.0], [1.0, -1.0]]) == pytest.approx(1.0)
