@@ -126,7 +126,7 @@ def test_a_state_in_a_trace_of_version_1_is_that_of_today() -> None:
     assert trace.restored(msgspec.msgpack.encode(fields), b"", 1) == trace.restored(data, b"")
 
 
-def test_a_trace_of_a_later_version_is_not_guessed_at() -> None:
+def test_trace_of_a_later_version_is_refused() -> None:
     with pytest.raises(msgspec.DecodeError, match="trace of version 3: 1 to 2 are known"):
         trace.steps_of(msgspec.msgpack.encode([]), 3)
 
@@ -222,7 +222,7 @@ def test_the_trace_begins_after_the_start_and_ends_before_the_end() -> None:
     assert [type(r) for r in bench.of(RunStarted)] == [RunStarted]
 
 
-def test_the_keys_of_a_trace_outlive_the_names_of_the_fields() -> None:
+def test_keys_of_a_trace_are_independent_of_field_names() -> None:
     """A trace of version 2 has these; another name of the field makes no other version."""
     fields = msgspec.msgpack.decode(trace.written_state(driven().loop.state))
 

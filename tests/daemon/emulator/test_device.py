@@ -145,7 +145,7 @@ def test_an_exchange_keeps_its_times() -> None:
     assert sample.t_ns == t_r + 2 * CONVERSION_NS + SAMPLE_NS
 
 
-def test_a_sample_does_not_know_of_its_own_u() -> None:
+def test_reading_precedes_the_effect_of_its_own_u() -> None:
     """y_k is read just before u_k acts."""
     samples = []
     for u in (0, 65535):
@@ -341,7 +341,7 @@ def test_whatever_comes_the_voltage_stays_in_range_and_off_outside_run(
         assert changes[-1].t_ns <= last_ns + 101 * MS
 
 
-def test_another_seed_gives_other_noise_and_another_boot_id() -> None:
+def test_seed_changes_noise_and_boot_id() -> None:
     """Otherwise the test before would prove little."""
     replies = []
     for seed in (1, 2):

@@ -449,7 +449,7 @@ def test_the_same_bytes_at_the_same_times_give_the_same_answers(
 
 @settings(max_examples=30)
 @given(SCRIPT, st.sampled_from([0.0, 500.0, -500.0]), st.booleans())
-def test_a_sleeper_until_something_can_be_seen_misses_nothing(
+def test_visible_time_is_early_enough_for_every_frame(
     script: list[tuple[int, bytes | Message]], ppm: float, model_baud: bool
 ) -> None:
     emulated = EmulatorSettings(baud=BAUD, boot_ms=5, clock_ppm=ppm, model_baud=model_baud)
