@@ -20,10 +20,7 @@ from armrig_daemon.pipe import State as StateRecord
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import (
-    Cause,
-    ConfigReply,
-)
+from armrig_protocol.messages import Cause, ConfigReply
 from armrig_protocol.messages import State as DeviceState
 
 from tests.daemon.virtual_bench import LEASE, MS, Bench, codes

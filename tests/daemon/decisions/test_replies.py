@@ -6,13 +6,7 @@ import pytest
 from armrig_daemon.decisions import setpoints
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import device_facts
-from armrig_daemon.decisions.state import (
-    Phase,
-    RequestKind,
-    RoundTrip,
-    State,
-    Wakeup,
-)
+from armrig_daemon.decisions.state import Phase, RequestKind, RoundTrip, State, Wakeup
 from armrig_daemon.pipe import Log
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.messages import (

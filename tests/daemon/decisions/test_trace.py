@@ -20,18 +20,7 @@ from armrig_daemon.decisions.state import (
     Tick,
     Wakeup,
 )
-from armrig_daemon.pipe import (
-    Answer,
-    Arm,
-    Disarm,
-    Order,
-    Reset,
-    Run,
-    RunStarted,
-    Set,
-    Stop,
-    Trace,
-)
+from armrig_daemon.pipe import Answer, Arm, Disarm, Order, Reset, Run, RunStarted, Set, Stop, Trace
 
 from tests.daemon.decision_states import driven
 from tests.daemon.virtual_bench import LEASE, Bench, codes

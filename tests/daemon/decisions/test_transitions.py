@@ -7,14 +7,7 @@ from armrig_daemon import pipe
 from armrig_daemon.decisions import transitions
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import NO_DEVICE, config
-from armrig_daemon.decisions.state import (
-    Phase,
-    RequestKind,
-    SetPeriod,
-    State,
-    Tick,
-    Wakeup,
-)
+from armrig_daemon.decisions.state import Phase, RequestKind, SetPeriod, State, Tick, Wakeup
 from armrig_daemon.pipe import Answer, Log, Reset
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.frame import config_crc

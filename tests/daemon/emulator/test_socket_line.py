@@ -18,14 +18,7 @@ from armrig_daemon.emulator.real_time import emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.loop import link as link_module
-from armrig_daemon.loop.link import (
-    READ,
-    Link,
-    LinkError,
-    NoPortError,
-    TakenPortError,
-    open_link,
-)
+from armrig_daemon.loop.link import READ, Link, LinkError, NoPortError, TakenPortError, open_link
 
 FRAME = bytes(range(1, 27))  # an EXCHANGE has 26 bytes
 
