@@ -16,15 +16,7 @@ from armrig_core.telemetry import Sample, decode_sample
 from armrig_daemon.config import ArmSettings, Config, Device, Limits, Recording, Rig, Timing
 from armrig_daemon.decisions.state import ServiceGone
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import (
-    Arm,
-    Calibrate,
-    Reset,
-    Run,
-    Set,
-    Stop,
-    Trace,
-)
+from armrig_daemon.pipe import Arm, Calibrate, Reset, Run, Set, Stop, Trace
 
 from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 

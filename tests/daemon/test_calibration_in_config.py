@@ -51,7 +51,7 @@ def test_a_calibration_is_named_relative_to_the_file_that_names_it(tmp_path: Pat
     assert found.made.file == str(path)
 
 
-def test_the_environment_may_name_it(tmp_path: Path) -> None:
+def test_environment_may_name_the_calibration(tmp_path: Path) -> None:
     below = _config(tmp_path, "[calibration.alpha]\nzero_counts = 5.0")
 
     variable = {"ARMRIG_CALIBRATION_FILE": str(_calibration(tmp_path))}

@@ -90,7 +90,7 @@ def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, complaint: st
     assert "\n" not in str(refusal.value)
 
 
-def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
+def test_missing_configuration_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nowhere\.toml: there is no such file"):
         load([tmp_path / "nowhere.toml"], {}, {})
 
@@ -107,7 +107,7 @@ def test_the_later_layer_wins_key_by_key(tmp_path: Path) -> None:
     assert (config.limits.u_max_v, config.device.port) == (3.0, "/dev/y")
 
 
-def test_what_lies_below_gives_way_to_whatever_is_said(tmp_path: Path) -> None:
+def test_defaults_of_a_command_have_the_lowest_precedence(tmp_path: Path) -> None:
     user, below = tmp_path / "user.toml", {"device": {"watchdog_ms": 250}}
     user.write_text("[device]\nwatchdog_ms = 100\nbaud = 115200")
 
@@ -162,7 +162,7 @@ def test_the_rig_that_runs_are_rehearsed_on_is_the_handout_s_but_for_what_is_giv
 
 
 @pytest.mark.parametrize("key", ["oversampling = 255", "rail_ticks = 65535"])
-def test_what_config_can_say_is_taken(tmp_path: Path, key: str) -> None:
+def test_limits_of_the_wire_are_accepted(tmp_path: Path, key: str) -> None:
     """The ends of the fields on the wire; 255 conversions take 53 ms."""
     device = _load(tmp_path, f"[timing]\nTs = 0.1\n[device]\n{key}").device
 
@@ -215,7 +215,7 @@ def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
         load([path], {}, {})
 
 
-def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+def test_configuration_file_must_be_a_regular_file(tmp_path: Path) -> None:
     path = tmp_path / "armrig.toml"
     os.mkfifo(path)
 

@@ -20,10 +20,7 @@ from armrig_daemon.pipe import State as StateRecord
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import (
-    Cause,
-    ConfigReply,
-)
+from armrig_protocol.messages import Cause, ConfigReply
 from armrig_protocol.messages import State as DeviceState
 
 from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
@@ -109,7 +106,7 @@ def test_a_value_that_is_not_allowed_is_never_sent(
     assert max((s.u_cmd_v for s in bench.samples), default=0.0) <= volts[1] + 1e-3
 
 
-def test_a_release_is_never_too_early(bench: Bench) -> None:
+def test_disarm_during_a_start_stops_the_device(bench: Bench) -> None:
     """S6: a release during the start does not leave the device driven."""
     bench.arm()
     bench.order(pipe.Set(order=7, lease=LEASE, n=1, code=code_of(2.0)))

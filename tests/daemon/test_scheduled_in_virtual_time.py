@@ -174,12 +174,12 @@ def test_a_device_clock_that_drifts_keeps_its_own_time(ppm: float) -> None:
 def test_the_drift_of_the_device_is_found_and_reported(ppm: float, scheduled: bool) -> None:
     """Within three of its own standard deviations."""
     bench = Bench(clock_ppm=ppm)
-    volts = telegraph(3000)
+    volts = telegraph(1500)
     bench.arm()
     bench.order(
         pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=scheduled)
     )
-    bench.run_for(30_500)
+    bench.run_for(15_500)
 
     last = bench.of(Clock)[-1]
     assert last.drift_ppm == pytest.approx(ppm, abs=3 * last.drift_std_ppm + 0.01)

@@ -31,7 +31,7 @@ def test_the_committed_image_is_what_the_sources_give(tmp_path: Path) -> None:
     assert image.read_bytes() == HEX.read_bytes(), "run `make firmware` and commit the image"
 
 
-def test_without_a_harness_it_is_said_how_to_build_one(tmp_path: Path) -> None:
+def test_missing_harness_names_the_make_target(tmp_path: Path) -> None:
     with pytest.raises(OperationError, match="build it in a checkout by `make fil`") as error:
         harness_program({}, tmp_path)
     assert "\n" not in str(error.value)

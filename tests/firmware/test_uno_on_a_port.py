@@ -70,7 +70,7 @@ def test_a_host_that_opens_the_port_meets_the_firmware(port: Path) -> None:
 @pytest.mark.exhaustive
 @pytest.mark.real_time
 @needs_simavr
-def test_it_does_what_the_protocol_says_in_real_time_too(port: Path) -> None:
+def test_conformance_of_the_uno_in_real_time(port: Path) -> None:
     arguments = ["conformance", "--device", str(port), "--motor-unplugged", "--json"]
 
     ended = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)

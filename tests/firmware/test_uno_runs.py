@@ -150,7 +150,7 @@ def test_every_u_is_at_its_k_and_on_the_pin(bench: UnoBench, ts_us: int, seconds
     assert figures.interrupts_off_max <= 16 * 16  # 16 us
 
 
-def test_the_host_paces_as_well(bench: UnoBench) -> None:
+def test_exchange_mode_on_the_pin(bench: UnoBench) -> None:
     """Exchange mode at 200 Hz."""
     volts = telegraph(1000)
 

@@ -137,7 +137,7 @@ def test_one_flipped_bit_never_gives_another_message(message: Message, where: in
 
 
 @given(st.lists(st.binary(max_size=300), max_size=20))
-def test_what_is_left_over_is_bounded(pieces: list[bytes]) -> None:
+def test_pending_bytes_are_bounded(pieces: list[bytes]) -> None:
     pending = b""
     for piece in pieces:
         pending, _ = feed(pending, piece.replace(b"\0", b"\x01"))

@@ -4,27 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from armrig_daemon.emulator import (
-    device,
-    reception,
-    requests,
-    transitions,
-    transmission,
-)
+from armrig_daemon.emulator import device, reception, requests, transitions, transmission
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol import cobs, decoder
 from armrig_protocol.crc import crc32
 from armrig_protocol.frame import Spoilt
-from armrig_protocol.messages import (
-    Cause,
-    Hello,
-    HelloReply,
-    Message,
-    Pong,
-    Sample,
-    State,
-    Stop,
-)
+from armrig_protocol.messages import Cause, Hello, HelloReply, Message, Pong, Sample, State, Stop
 
 from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, changed_answers, other_handler
 

@@ -4,21 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from armrig_daemon.emulator import (
-    configuration,
-    converter,
-    device,
-    guards,
-    sampling,
-    transitions,
-)
+from armrig_daemon.emulator import configuration, converter, device, guards, sampling, transitions
 from armrig_daemon.emulator.firmware import Firmware
-from armrig_protocol.messages import (
-    Exchange,
-    Message,
-    Sample,
-    State,
-)
+from armrig_protocol.messages import Exchange, Sample, State
 
 from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, changed_answers, other_handler
 
@@ -42,15 +30,9 @@ def _raw_code(patch: Patch) -> None:
 
 
 def _exchange_during_cal(patch: Patch) -> None:
-    def free(old: Any) -> Any:
-        def handler(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
-            if fw.cal is not None:
-                return []
-            return old(fw, now_ns, m)
-
-        return handler
-
-    other_handler(patch, Exchange, free)
+    other_handler(
+        patch, Exchange, lambda old: lambda fw, t, m: [] if fw.cal is not None else old(fw, t, m)
+    )
 
 
 def _m_means_nothing(patch: Patch) -> None:

@@ -21,7 +21,7 @@ from armrig_protocol.messages import (
     State,
 )
 
-from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, other_handler
+from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, any_value, other_handler
 
 
 def _accepts(patch: Patch, **fields: int) -> None:
@@ -34,24 +34,17 @@ def _accepts(patch: Patch, **fields: int) -> None:
     )
 
 
-def _any_nonce_starts(patch: Patch) -> None:
-    other_handler(patch, Start, lambda old: lambda fw, t, m: old(fw, t, m._replace(nonce=fw.nonce)))
-
-
 def _takes_cal(patch: Patch, **fields: int) -> None:
     other_handler(patch, Cal, lambda old: lambda fw, t, m: old(fw, t, m._replace(**fields)))
 
 
 def _answers(patch: Patch, kind: type[Message]) -> None:
     """Answer frames of a kind that need no answer."""
-
-    def answering(old: Any) -> Any:
-        def handler(fw: Firmware, now_ns: int, m: Any) -> list[Message]:
-            return old(fw, now_ns, m) or [fw.answer(TYPES[kind], m.seq, Code.OK)]
-
-        return handler
-
-    other_handler(patch, kind, answering)
+    other_handler(
+        patch,
+        kind,
+        lambda old: lambda fw, t, m: old(fw, t, m) or [fw.answer(TYPES[kind], m.seq, Code.OK)],
+    )
 
 
 def _estop_in_estop(patch: Patch, *, code: Code, token: int) -> None:
@@ -121,7 +114,9 @@ _BOUNDS = "CAL with n = 0, n > 1024"
 SPOILT: dict[str, SpoiltDevice] = {
     "any watchdog is taken": SpoiltDevice(partial(_accepts, watchdog_ms=100), _VALUES),
     "any range is taken": SpoiltDevice(partial(_accepts, u_min=0, u_max=65_535), _VALUES),
-    "any nonce starts": SpoiltDevice(_any_nonce_starts, "START needs the nonce"),
+    "any nonce starts": SpoiltDevice(
+        partial(any_value, of=(Start,), name="nonce"), "START needs the nonce"
+    ),
     "CAL of any channel is taken": SpoiltDevice(partial(_takes_cal, channel=0), _BOUNDS),
     "KEEPALIVE is answered": SpoiltDevice(partial(_answers, kind=Keepalive), "in any state but"),
     "ESTOP in ESTOP draws a token": SpoiltDevice(

@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace as dataclass_replace
+from functools import partial
 from typing import Any
 
-from armrig_daemon.emulator import (
-    queue,
-    setpoints,
-    timer,
-    transitions,
-)
+from armrig_daemon.emulator import queue, setpoints, timer, transitions
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_daemon.emulator.queue import SetpointQueue
-from armrig_protocol.messages import (
-    Cause,
-    Config,
-    Message,
-    Setpoints,
-)
+from armrig_protocol.messages import Cause, Config, Message, Setpoints
 
 from tests.daemon.conformance.spoiling import Patch, SpoiltDevice
 
@@ -26,10 +17,6 @@ from tests.daemon.conformance.spoiling import Patch, SpoiltDevice
 def _one_shifted(patch: Patch, by_ns: int) -> None:
     due = timer.Timer.due_ns.fget
     patch.setattr(timer.Timer, "due_ns", property(lambda self: due(self) + by_ns * (self.k == 17)))
-
-
-def _one_early(patch: Patch) -> None:
-    _one_shifted(patch, -5_000)
 
 
 def _starts_at_once(patch: Patch) -> None:
@@ -136,7 +123,7 @@ def _late_repeat_steps(patch: Patch) -> None:
 
 
 SPOILT: dict[str, SpoiltDevice] = {
-    "one sample is 5 us early": SpoiltDevice(_one_early, "within 1 us"),
+    "one sample is 5 us early": SpoiltDevice(partial(_one_shifted, by_ns=-5_000), "within 1 us"),
     "START samples at once": SpoiltDevice(_starts_at_once, "one Ts after START"),
     "each u is one sample late": SpoiltDevice(_one_sample_late, "Sample k applies u[k]"),
     "HOLD does not hold": SpoiltDevice(_hold_is_zero, "empty queue sets"),

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
-from armrig_daemon.emulator import (
-    firmware,
-    requests,
-    transitions,
-)
+from armrig_daemon.emulator import firmware, requests, transitions
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol.messages import (
     TYPES,
@@ -26,7 +23,13 @@ from armrig_protocol.messages import (
     Stop,
 )
 
-from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, changed_answers, other_handler
+from tests.daemon.conformance.spoiling import (
+    Patch,
+    SpoiltDevice,
+    any_value,
+    changed_answers,
+    other_handler,
+)
 
 
 def _hello_feeds(patch: Patch) -> None:
@@ -62,14 +65,6 @@ def _shifted_watchdog(patch: Patch, by_ns: int) -> None:
     patch.setattr(Firmware, "_set_watchdog", shifted)
 
 
-def _late_watchdog(patch: Patch) -> None:
-    _shifted_watchdog(patch, 2_000_000)
-
-
-def _early_watchdog(patch: Patch) -> None:
-    _shifted_watchdog(patch, -200_000)
-
-
 def _watchdog_in_run_only(patch: Patch) -> None:
     set_watchdog = Firmware._set_watchdog
 
@@ -81,19 +76,6 @@ def _watchdog_in_run_only(patch: Patch) -> None:
     patch.setattr(Firmware, "_set_watchdog", run_only)
 
 
-def _any_boot(patch: Patch) -> None:
-    other_handler(
-        patch, Arm, lambda arm: lambda fw, t, m: arm(fw, t, m._replace(boot_id=fw.boot_id))
-    )
-
-
-def _any_nonce(patch: Patch) -> None:
-    for kind in (Arm, Start):
-        other_handler(
-            patch, kind, lambda old: lambda fw, t, m: old(fw, t, m._replace(nonce=fw.nonce))
-        )
-
-
 def _one_nonce(patch: Patch) -> None:
     accept = Firmware.accept
 
@@ -102,12 +84,6 @@ def _one_nonce(patch: Patch) -> None:
         self.nonce = 77
 
     patch.setattr(Firmware, "accept", same)
-
-
-def _any_token(patch: Patch) -> None:
-    other_handler(
-        patch, ClearFault, lambda old: lambda fw, t, m: old(fw, t, m._replace(token=fw.token))
-    )
 
 
 def _one_token(patch: Patch) -> None:
@@ -171,14 +147,24 @@ def _slew_by_duty(patch: Patch) -> None:
 
 SPOILT: dict[str, SpoiltDevice] = {
     "HELLO feeds the watchdog": SpoiltDevice(_hello_feeds, "do not feed the watchdog"),
-    "the watchdog is 2 ms late": SpoiltDevice(_late_watchdog, "silence of the host"),
-    "the watchdog is 0.2 ms early": SpoiltDevice(_early_watchdog, "silence of the host"),
+    "the watchdog is 2 ms late": SpoiltDevice(
+        partial(_shifted_watchdog, by_ns=2_000_000), "silence of the host"
+    ),
+    "the watchdog is 0.2 ms early": SpoiltDevice(
+        partial(_shifted_watchdog, by_ns=-200_000), "silence of the host"
+    ),
     "READY goes to IDLE in a silence": SpoiltDevice(_ready_runs_out, "the watchdog is off"),
     "no watchdog in ARMED": SpoiltDevice(_watchdog_in_run_only, "silence of the host"),
-    "ARM of another boot arms": SpoiltDevice(_any_boot, "ARM with a wrong boot_id"),
-    "any nonce arms": SpoiltDevice(_any_nonce, "do not arm again"),
+    "ARM of another boot arms": SpoiltDevice(
+        partial(any_value, of=(Arm,), name="boot_id"), "ARM with a wrong boot_id"
+    ),
+    "any nonce arms": SpoiltDevice(
+        partial(any_value, of=(Arm, Start), name="nonce"), "do not arm again"
+    ),
     "one nonce for all": SpoiltDevice(_one_nonce, "has a new nonce"),
-    "any token clears": SpoiltDevice(_any_token, "Only CLEAR_FAULT"),
+    "any token clears": SpoiltDevice(
+        partial(any_value, of=(ClearFault,), name="token"), "Only CLEAR_FAULT"
+    ),
     "one token for all": SpoiltDevice(_one_token, "with a token"),
     "a code is clamped": SpoiltDevice(_clamps, "leads to FAULT(RANGE); only an EVENT"),
     "slew looks at the rounded duty": SpoiltDevice(_slew_by_duty, "A change above `slew` from the"),

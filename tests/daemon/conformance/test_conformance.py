@@ -33,7 +33,7 @@ from tests.daemon.conformance.spoilt_devices import AT_A_RAIL, SPOILT, UNPLUGGED
 UNO = {"queue": 256}
 SPOILT_SETTINGS = EmulatorSettings(boot_ms=5.0, **AT_A_RAIL)
 STORED = Path(__file__).with_name("results.txt")
-"""Frames of each rule, and what comes of the rule that finds a spoilt device."""
+"""Frames of each rule, and the finding of the rule that a spoilt device breaks."""
 SPOILT_DEVICES = "spoilt devices"
 
 

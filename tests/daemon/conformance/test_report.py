@@ -72,7 +72,7 @@ def test_a_program_gets_the_identity_in_hexadecimal_and_every_rule() -> None:
     assert json_of(None, [])["device"] == {}
 
 
-def test_what_came_is_named_as_in_the_protocol_or_by_its_number() -> None:
+def test_messages_are_shown_by_their_protocol_names() -> None:
     def of(kind: type[Message], **fields: int) -> Message:
         return kind._make([0] * len(kind._fields))._replace(**fields)
 

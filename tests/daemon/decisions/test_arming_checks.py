@@ -41,7 +41,7 @@ def _unmet(alter: Callable[[], dict[str, int]]) -> Bench:
 
 
 @pytest.mark.parametrize("state", [DeviceState.HOST, 8, 99, 255])
-def test_a_device_in_a_state_that_there_is_not_is_never_armed(state: int) -> None:
+def test_device_in_an_undefined_state_is_never_armed(state: int) -> None:
     rig = _unmet(lambda: {"state": state})
 
     rig.run_for(500)

@@ -121,7 +121,7 @@ def test_drift_and_offset_lie_within_their_own_deviations(
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 12, 20, 50])
-def test_a_young_map_knows_that_it_knows_little(n: int) -> None:
+def test_clock_map_of_few_exchanges_has_a_large_deviation(n: int) -> None:
     within = 0
     for seed in range(100):
         rig = Rig(seed=seed, drift_ppm=100)
@@ -131,7 +131,7 @@ def test_a_young_map_knows_that_it_knows_little(n: int) -> None:
     assert within >= 95
 
 
-def test_the_known_asymmetry_of_the_wire_is_corrected() -> None:
+def test_clock_map_corrects_the_known_asymmetry_of_the_wire() -> None:
     """A longer answer on a slow wire leaves no offset: 18 and 26 bytes at 9600 baud."""
     link = Link(request_ns=18_750_000, answer_ns=27_083_333)
 
@@ -143,7 +143,7 @@ def test_the_known_asymmetry_of_the_wire_is_corrected() -> None:
     assert wrong == pytest.approx((27_083_333 - 18_750_000) / 2, abs=1500)
 
 
-def test_the_bound_holds_for_an_asymmetry_that_nobody_knows() -> None:
+def test_clock_map_bounds_an_unknown_asymmetry() -> None:
     """A constant delay one way stays in the offset, at most half the least round trip."""
     rig = Rig(seed=1, wait_us=(1.0, 1.0), link=Link(request_ns=180_000, answer_ns=1_260_000))
 
@@ -154,7 +154,7 @@ def test_the_bound_holds_for_an_asymmetry_that_nobody_knows() -> None:
     assert abs(error) - 3 * std < estimate(clock).bound_ns < 502_000
 
 
-def test_a_coarse_clock_widens_the_deviation() -> None:
+def test_clock_map_of_a_coarse_device_clock_has_a_larger_deviation() -> None:
     """A step of 4 µs does not average out."""
     rig = Rig(seed=2, wait_us=(0.1, 0.1), resolution_us=4)
 
@@ -164,7 +164,7 @@ def test_a_coarse_clock_widens_the_deviation() -> None:
     assert abs(error) < 3 * std
 
 
-def test_stalled_exchanges_cost_nothing() -> None:
+def test_clock_map_ignores_stalled_exchanges() -> None:
     """One in ten waits for 300 ms in one direction."""
     for seed in range(20):
         rig = Rig(seed=seed, drift_ppm=100, stall_ns=300_000_000)
@@ -178,7 +178,7 @@ def test_stalled_exchanges_cost_nothing() -> None:
 
 @pytest.mark.parametrize("step_us", [-12_000_000, 400, -400, 30_000_000])
 @pytest.mark.parametrize("stall_ns", [0, 300_000_000])
-def test_the_map_finds_a_device_that_was_reset(step_us: int, stall_ns: int) -> None:
+def test_clock_map_restarts_after_a_reset_of_the_device(step_us: int, stall_ns: int) -> None:
     rig = Rig(seed=5, stall_ns=stall_ns)
     clock = follow(rig, 300)
     rig.first_us += step_us
@@ -192,7 +192,7 @@ def test_the_map_finds_a_device_that_was_reset(step_us: int, stall_ns: int) -> N
 
 @pytest.mark.parametrize("drift_per_s", sampled([-0.3, 0.01, 0.1]))
 @pytest.mark.parametrize("wait_us", [(20.0, 200.0), (3.0, 3.0)])
-def test_a_drift_that_changes_slowly_is_followed(
+def test_clock_map_follows_a_slowly_changing_drift(
     drift_per_s: float, wait_us: tuple[float, float]
 ) -> None:
     offsets = drifts = 0
@@ -211,7 +211,7 @@ def test_a_drift_that_changes_slowly_is_followed(
     assert drifts >= 27
 
 
-def test_a_longer_way_is_learnt() -> None:
+def test_clock_map_adapts_to_a_longer_round_trip() -> None:
     rig = Rig(seed=11, drift_ppm=100)
     clock = follow(rig, 300)
     rig.link = Link(request_ns=680_000, answer_ns=760_000)

@@ -140,7 +140,7 @@ def test_an_order_to_end_that_is_given_twice_is_followed_once() -> None:
 
 
 @pytest.mark.parametrize("gone", [{"link": None}, {"device": None}])
-def test_without_a_device_the_end_waits_for_nobody(gone: dict[str, object]) -> None:
+def test_quit_without_a_device_exits_at_once(gone: dict[str, object]) -> None:
     bench = driven()
     state = changed(
         bench.loop.state, run=ActiveRun("r", codes(1.0), -1), outcome="unplugged", **gone
@@ -164,7 +164,7 @@ def test_while_the_device_is_asked_something_an_order_waits(
     assert _refusal(bench, order, state) == f"busy with {want}: try again"
 
 
-def test_a_round_trip_of_the_greatest_age_allowed_still_arms() -> None:
+def test_arming_needs_a_fresh_round_trip() -> None:
     """S4: 50 ms at Ts 10 ms, and not a nanosecond more."""
     bench = rested()
     old = changed(bench.loop.state, last_round_trip_ns=bench.ports.now - 50 * MS)
@@ -175,7 +175,7 @@ def test_a_round_trip_of_the_greatest_age_allowed_still_arms() -> None:
     )
 
 
-def test_a_rig_of_which_no_sample_is_fresh_is_not_taken() -> None:
+def test_arming_needs_a_fresh_sample() -> None:
     bench = rested()
     none = changed(bench.loop.state, sampled_ns=0)
     oldest = changed(none, sampled_ns=bench.ports.now - 50 * MS)
@@ -271,7 +271,7 @@ def test_the_next_sample_is_shown_by_the_calibration_taken() -> None:
     "change",
     [{"phase": Phase.SAFE}, {"phase": Phase.FAULT}, {"device": None}],
 )
-def test_a_stop_where_nothing_turns_is_done_at_once(change: dict[str, object]) -> None:
+def test_stop_of_a_motor_at_rest_is_answered_at_once(change: dict[str, object]) -> None:
     bench = driven()
     decided = ordered(bench, pipe.Stop(order=6), changed(bench.loop.state, **change))
 
@@ -293,7 +293,7 @@ def test_a_stop_overtakes_whatever_is_asked_at_rest() -> None:
     "order", [pipe.Stop(order=8), pipe.Disarm(order=8, lease=LEASE, n=51)], ids=["stop", "release"]
 )
 @pytest.mark.parametrize("by", ["a trip", "another stop"])
-def test_a_stop_that_another_overtakes_is_granted(order: pipe.Stop | pipe.Disarm, by: str) -> None:
+def test_stop_overtaken_by_a_stop_is_answered(order: pipe.Stop | pipe.Disarm, by: str) -> None:
     bench = driven()
     told = ordered(bench, order)
     event: Event = Ordered(pipe.Stop(order=9))
@@ -311,7 +311,7 @@ def test_a_stop_that_another_overtakes_is_granted(order: pipe.Stop | pipe.Disarm
 # -- the lease's holder --------------------------------------------------------------------------
 
 
-def test_numbers_grow_by_one_at_least() -> None:
+def test_number_of_a_command_must_grow() -> None:
     """S5: the same number again is an old command."""
     bench = armed()
     state = bench.loop.state
@@ -331,7 +331,7 @@ def test_a_command_renews_the_lease_from_its_own_time_on() -> None:
     assert (lease.n, lease.renewed_ns) == (50, bench.ports.now)
 
 
-def test_a_voltage_in_force_is_changed_without_another_start() -> None:
+def test_set_of_a_driven_rig_changes_the_code() -> None:
     bench = driven()
     decided = ordered(bench, SET)
 
@@ -377,7 +377,7 @@ def test_a_voltage_by_hand_beyond_the_limits_or_the_slew_is_refused(
     assert answer.error == error
 
 
-def test_an_experiment_is_played_by_its_own_way() -> None:
+def test_run_begins_by_start_or_by_stop_for_a_configuration() -> None:
     bench = armed()
     for scheduled, want in ((False, RequestKind.START), (True, RequestKind.STOP)):
         order: pipe.Run = changed(RUN, scheduled=scheduled)

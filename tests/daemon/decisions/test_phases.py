@@ -40,7 +40,7 @@ def test_only_a_reset_leads_out_of_a_fault() -> None:
     assert {*TRANSITIONS[On.STARTED]} == {Phase.ARMED}
 
 
-def test_a_way_that_is_not_in_the_table_is_not_gone() -> None:
+def test_transition_outside_the_table_raises() -> None:
     latched = replace(rested().loop.state, phase=Phase.FAULT)
 
     with pytest.raises(KeyError):

@@ -6,13 +6,7 @@ import pytest
 from armrig_daemon.decisions import setpoints
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import device_facts
-from armrig_daemon.decisions.state import (
-    Phase,
-    RequestKind,
-    RoundTrip,
-    State,
-    Wakeup,
-)
+from armrig_daemon.decisions.state import Phase, RequestKind, RoundTrip, State, Wakeup
 from armrig_daemon.pipe import Log
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.messages import (
@@ -60,7 +54,7 @@ def _pong(state: State, **fields: int) -> Pong:
     return Pong(**{**known, "rx_us": 100, "tx_us": 150, **fields})
 
 
-def test_an_ack_of_the_very_request_proves_a_round_trip() -> None:
+def test_ack_of_the_awaited_request_proves_a_round_trip() -> None:
     """S4: an ACK of another frame, or a refusal, proves nothing."""
     bench = rested()
     now = bench.ports.now
@@ -95,7 +89,7 @@ def test_the_answer_to_the_newest_ping_proves_a_round_trip() -> None:
     assert older.state.link.last_round_trip_ns == now - 1 * MS
 
 
-def test_an_answer_to_an_older_ping_says_nothing_of_now() -> None:
+def test_answer_to_an_older_ping_proves_no_round_trip() -> None:
     """S4: a burst after a pause must not count as fresh."""
     bench = rested()
     state = changed(bench.loop.state, ping_ns=bench.ports.now - 7 * MS)
@@ -106,7 +100,7 @@ def test_an_answer_to_an_older_ping_says_nothing_of_now() -> None:
     assert decided.state == state
 
 
-def test_a_message_that_needs_no_answer_has_none() -> None:
+def test_status_frame_causes_no_action() -> None:
     bench = rested()
     decided = heard(bench, Status._make([int(DeviceState.READY)] + [0] * 13))
 
@@ -180,9 +174,7 @@ def test_a_device_that_latches_is_reported_with_its_own_cause(
     ("at", "waits"),
     [(DeviceState.FAULT, False), (DeviceState.ESTOP, False), (DeviceState.RUN, True)],
 )
-def test_a_device_that_has_stopped_itself_need_not_take_our_stop(
-    at: DeviceState, waits: bool
-) -> None:
+def test_refused_stop_of_a_latched_device_is_no_fault(at: DeviceState, waits: bool) -> None:
     """S6: the fault stays; while the device drives, STOP is sent again."""
     bench = driven()
     latched = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.DEVICE, "REV_LIMIT"))
@@ -197,7 +189,7 @@ def test_a_device_that_has_stopped_itself_need_not_take_our_stop(
     assert decided.state.fault == latched.fault
 
 
-def test_a_device_that_latches_after_our_own_trip_gives_its_token_only() -> None:
+def test_device_that_latches_after_a_trip_keeps_the_fault() -> None:
     bench = rested()
     state = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
     event = _event(state, token=7)._replace(state=int(DeviceState.FAULT))

@@ -93,7 +93,7 @@ def _order(decided: Decided, *kinds: type) -> list[str]:
 
 
 @pytest.mark.parametrize("flags", [0, UNDERRUN, RUN, RUN | UNDERRUN])
-def test_in_an_exchange_no_flag_excuses_another_code(flags: int) -> None:
+def test_wrong_code_in_an_exchange_is_a_fault_with_any_flag(flags: int) -> None:
     """S5: only a device with a queue can run out of setpoints."""
     bench = driven()
     state = _asked(bench)
@@ -108,7 +108,7 @@ def test_in_an_exchange_no_flag_excuses_another_code(flags: int) -> None:
     assert right.state.fault is None
 
 
-def test_a_run_that_plays_wrong_codes_in_a_fault_is_stopped_again_at_once() -> None:
+def test_wrong_code_of_a_run_in_a_fault_repeats_the_stop() -> None:
     """S5, S6: the device still drives by its own queue, so each such sample causes a STOP."""
     bench = _playing()
     latched = changed(bench.loop.state, phase=Phase.FAULT, fault=LATCHED)
@@ -320,7 +320,7 @@ def test_a_sample_answers_its_own_exchange_and_gives_up_those_before() -> None:
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_a_sample_of_before_is_none_though_its_k_is_awaited(known: bool) -> None:
+def test_old_sample_with_an_awaited_k_is_ignored(known: bool) -> None:
     """S5: the k began again, and an old sample is repeated."""
     bench = driven()
     state = _asked(bench)
@@ -332,7 +332,7 @@ def test_a_sample_of_before_is_none_though_its_k_is_awaited(known: bool) -> None
     assert len(_published(decided)) == (not known)
 
 
-def test_a_sample_of_no_exchange_of_ours_is_none() -> None:
+def test_sample_without_an_exchange_is_ignored() -> None:
     bench = rested()
     state = _asked(bench)
 
@@ -343,7 +343,7 @@ def test_a_sample_of_no_exchange_of_ours_is_none() -> None:
     assert decided.state == changed(state, pending=link.pending, device_seq=link.device_seq)
 
 
-def test_a_sample_that_has_heard_what_we_have_not_sent_is_none() -> None:
+def test_sample_with_an_echo_of_an_unsent_frame_is_ignored() -> None:
     """S4: a repeated old EXCHANGE caused it, with the k of an exchange on its way."""
     bench = rested()
     state, now = bench.loop.state, bench.ports.now
@@ -358,7 +358,7 @@ def test_a_sample_that_has_heard_what_we_have_not_sent_is_none() -> None:
     assert old.of(Publish) == []
 
 
-def test_a_sample_of_a_device_that_is_not_met_is_none() -> None:
+def test_sample_of_an_unknown_device_is_ignored() -> None:
     """S4: the sample proves nothing about the next device."""
     bench = rested()
     state = _asked(bench)
@@ -385,7 +385,7 @@ def test_at_rest_the_device_applies_nothing(u_k: int, trips: bool) -> None:
         assert decided.state.fault.id is Id.APPLIED
 
 
-def test_the_duty_of_the_device_is_what_it_is_compared_with() -> None:
+def test_applied_code_is_compared_with_the_rounded_code() -> None:
     """S5: 10 bits of duty round the code."""
     bench = driven()
     state = _asked(bench)
@@ -399,7 +399,7 @@ def test_the_duty_of_the_device_is_what_it_is_compared_with() -> None:
     assert f"applied code {held}, but code {held} was commanded" in as_sent.state.fault.cause
 
 
-def test_what_is_applied_after_a_trip_is_no_second_fault() -> None:
+def test_applied_code_after_a_trip_is_no_second_fault() -> None:
     bench = rested()
     state = changed(_asked(bench), phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
 
@@ -412,7 +412,7 @@ def test_what_is_applied_after_a_trip_is_no_second_fault() -> None:
 
 
 @pytest.mark.parametrize("way_is_known", [False, True])
-def test_without_a_map_of_the_clocks_a_sample_was_due_by_the_time_of_the_start(
+def test_schedule_of_a_sample_counts_from_the_start_without_a_clock_map(
     way_is_known: bool,
 ) -> None:
     bench = _playing()
@@ -427,7 +427,7 @@ def test_without_a_map_of_the_clocks_a_sample_was_due_by_the_time_of_the_start(
 
 
 @pytest.mark.parametrize("known", [7, 8])
-def test_eight_exchanges_make_a_map(known: int) -> None:
+def test_clock_map_needs_eight_exchanges_to_schedule_a_sample(known: int) -> None:
     """With one fewer, the start's own time is better."""
     bench = _playing()
     state = bench.loop.state
@@ -478,7 +478,7 @@ def test_a_sample_that_is_ahead_reports_the_missing_ones_before_it() -> None:
     assert decided.state.run.due == run.due + 4
 
 
-def test_only_what_the_device_has_heard_proves_a_round_trip() -> None:
+def test_echo_proves_the_round_trip_of_its_frame() -> None:
     """S4: the age is that of the newest frame whose echo has come."""
     bench = _playing()
     state = bench.loop.state

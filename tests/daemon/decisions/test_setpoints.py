@@ -124,7 +124,7 @@ IS_IDLE = _received(Ack(int(DeviceState.IDLE), 0, 0, 0, 1))
         (1, 0, 0, 0, [(0, 1)]),
     ],
 )
-def test_as_many_frames_are_sent_as_there_is_room_for(
+def test_refill_fills_the_room_of_the_queue(
     samples: int, base: int, held: int, sent: int, frames: list[tuple[int, int]]
 ) -> None:
     state = _state(samples, base=base, held=held, sent=sent)
@@ -136,7 +136,7 @@ def test_as_many_frames_are_sent_as_there_is_room_for(
 
 
 @pytest.mark.parametrize(("after_ns", "again"), [(30 * MS, False), (30 * MS + 1, True)])
-def test_what_the_device_does_not_show_in_time_is_sent_again(after_ns: int, again: bool) -> None:
+def test_unconfirmed_setpoints_are_sent_again(after_ns: int, again: bool) -> None:
     state = _state(100, base=0, held=24, sent=100, moved_ns=NOW - after_ns)
 
     after, actions = setpoints.refill(state, NOW)
@@ -147,7 +147,7 @@ def test_what_the_device_does_not_show_in_time_is_sent_again(after_ns: int, agai
 
 
 @pytest.mark.parametrize(("sent", "moved_ns"), [(24, NOW), (48, 7)])
-def test_the_time_counts_from_the_first_frame_that_is_not_shown(sent: int, moved_ns: int) -> None:
+def test_time_to_resend_counts_from_the_first_unconfirmed_frame(sent: int, moved_ns: int) -> None:
     state = _state(100, base=0, held=24, sent=sent, moved_ns=7)
     with_nothing_late = changed(state, queue=changed(state.queue, moved_ns=7))
 
@@ -160,7 +160,7 @@ def test_the_time_counts_from_the_first_frame_that_is_not_shown(sent: int, moved
     "change",
     [{"queue": None}, {"run": None}, {"device": None}, {"phase": Phase.FAULT}],
 )
-def test_nothing_is_sent_where_nothing_is_to_be_played(change: dict[str, object]) -> None:
+def test_refill_without_a_playable_run_sends_nothing(change: dict[str, object]) -> None:
     state = changed(_state(), **change)
 
     assert setpoints.refill(state, NOW) == (state, [])
@@ -252,12 +252,12 @@ def test_what_the_device_holds_is_what_its_newest_sample_says(
 
 
 @pytest.mark.parametrize("gone", ["queue", "run"])
-def test_without_a_run_nothing_is_counted(gone: str) -> None:
+def test_queue_report_without_a_run_is_ignored(gone: str) -> None:
     state = changed(_state(), **{gone: None})
     assert setpoints.note_queue(state, NOW, 5, 6) == (state, [])
 
 
-def test_what_the_device_holds_makes_room_for_more() -> None:
+def test_refill_follows_a_queue_report() -> None:
     state = changed(_state(held=512, sent=512), phase=Phase.ACTIVE)
 
     _, actions = setpoints.note_queue(state, NOW, 48, 464)
@@ -271,7 +271,7 @@ def test_what_the_device_holds_makes_room_for_more() -> None:
 @pytest.mark.parametrize(
     ("since_ns", "pings"), [(PING_INTERVAL_US * 1000, 1), (PING_INTERVAL_US * 1000 - 1, 0)]
 )
-def test_the_device_is_asked_for_its_clock_so_often(since_ns: int, pings: int) -> None:
+def test_ping_interval_of_a_scheduled_run(since_ns: int, pings: int) -> None:
     state = _running(ping_ns=NOW - since_ns)
 
     after, actions = setpoints.tick(state, NOW)
@@ -293,7 +293,7 @@ def test_a_device_that_drives_on_after_a_trip_gets_stop_again_and_again() -> Non
     assert waiting == (after, [])
 
 
-def test_a_tick_in_a_scheduled_run_looks_after_it() -> None:
+def test_tick_of_a_scheduled_run_sends_ping() -> None:
     state = _running(ping_ns=0)
 
     decided = Decided(state, NOW + 30 * MS, Tick(state.k + 3, NOW + 30 * MS))
@@ -348,7 +348,7 @@ def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
     ("back_us", "taken"),
     [(-1, True), (0, True), (1, False), (1 << 30, False), (1 - (1 << 31), True), (1 << 31, False)],
 )
-def test_a_sample_of_an_earlier_run_is_none_of_this_one(back_us: int, taken: bool) -> None:
+def test_sample_of_an_earlier_run_is_ignored(back_us: int, taken: bool) -> None:
     """S5: within one boot it has the number that is due, and an older stamp."""
     state = changed(_running(), t_us=(5 << 32) + 2_000)
     sample = device_sample(
@@ -389,7 +389,7 @@ def test_a_run_may_begin_at_k_0(k_first: int) -> None:
     "change",
     [{"run": None}, {"device": None}, {"run": ActiveRun("r", codes(1.0), -1, scheduled=True)}],
 )
-def test_a_sample_without_a_run_that_has_started_is_none(change: dict[str, object]) -> None:
+def test_sample_before_the_start_of_a_run_is_ignored(change: dict[str, object]) -> None:
     state = _running()
     sample = device_sample(state, k=10, flags=int(Flag.RUN))
     without = changed(state, **change)
@@ -423,7 +423,7 @@ def test_a_sample_outside_run_says_nothing_of_what_was_applied() -> None:
     assert after.fault is None
 
 
-def test_the_end_reports_all_samples_that_never_came() -> None:
+def test_end_of_a_run_reports_the_missing_samples() -> None:
     """L2: each with the voltage of its own setpoint, as the duty gives it."""
     state = _running(due=97)
 
@@ -462,7 +462,7 @@ def test_an_outage_with_too_many_pieces_is_reported_by_its_end() -> None:
     ("due", "after_ns", "is_over"),
     [(100, 0, True), (99, 1000 * MS - 1, False), (99, 1000 * MS, True), (0, 1000 * MS, True)],
 )
-def test_a_run_whose_end_was_not_heard_is_over_when_it_must_be(
+def test_run_without_an_end_event_is_complete_after_its_duration(
     due: int, after_ns: int, is_over: bool
 ) -> None:
     state = _running(due=due)
@@ -478,7 +478,7 @@ def test_a_run_whose_end_was_not_heard_is_over_when_it_must_be(
         assert decided.state.asked.want is RequestKind.CONFIGURE
 
 
-def test_only_the_step_from_run_to_idle_is_an_end() -> None:
+def test_run_ends_only_by_the_step_from_run_to_idle() -> None:
     over = _running(due=100)
 
     for before, now in ((5, 3), (3, 2)):

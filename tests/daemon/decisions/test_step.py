@@ -48,7 +48,7 @@ def _code(decided: Decided) -> int:
     return found.u
 
 
-def test_at_the_start_nothing_is_known() -> None:
+def test_initial_state_of_the_core_knows_no_device() -> None:
     rules = rested().loop.state.rules
 
     state = core_step.start(rules)
@@ -63,7 +63,7 @@ def test_at_the_start_nothing_is_known() -> None:
 # -- when it wants to be woken -------------------------------------------------------------------
 
 
-def test_the_core_wants_to_be_woken_for_its_request_or_for_the_device_s_watchdog() -> None:
+def test_wake_time_is_that_of_the_request_or_of_the_device_watchdog() -> None:
     """A third of the watchdog after the last frame, so that two may be lost."""
     state = changed(rested().loop.state, last_send_ns=1000)
 
@@ -71,7 +71,7 @@ def test_the_core_wants_to_be_woken_for_its_request_or_for_the_device_s_watchdog
     assert core_step.wake_ns(awaiting(state, RequestKind.STOP, sent_ns=7)) == 7 + 20 * MS
 
 
-def test_before_the_first_tick_none_was_missed() -> None:
+def test_first_tick_reports_no_missed_tick() -> None:
     state = core_step.start(rested().loop.state.rules)
 
     first = Decided(state, 10_000 * MS, Tick(7, 9_999 * MS)).state
@@ -115,7 +115,7 @@ def test_a_link_that_comes_up_begins_again() -> None:
         ({"device": None}, "not known: the device does not answer; its watchdog stops it"),
     ],
 )
-def test_what_is_known_of_the_motor_is_said_as_it_is(change: dict[str, object], words: str) -> None:
+def test_state_of_the_motor_in_words(change: dict[str, object], words: str) -> None:
     state = driven().loop.state
 
     assert motor(changed(state, **change)).startswith(words)
@@ -213,7 +213,7 @@ def test_no_more_exchanges_wait_than_are_allowed(waiting: int, sends: int) -> No
 
 
 @pytest.mark.parametrize(("late_ns", "fault"), [(50 * MS, None), (50 * MS + 1, Id.PAUSE)])
-def test_a_pause_is_one_from_its_limit_on(late_ns: int, fault: Id | None) -> None:
+def test_pause_above_its_limit_is_a_fault(late_ns: int, fault: Id | None) -> None:
     """S4: 50 ms at Ts 10 ms, counted from the last tick."""
     bench = driven()
     state = changed(bench.loop.state, last_round_trip_ns=bench.ports.now + late_ns)
@@ -247,7 +247,7 @@ def test_the_limits_grow_with_the_sampling_time(
 
 
 @pytest.mark.parametrize(("age_ns", "stale"), [(50 * MS, False), (50 * MS + 1, True)])
-def test_a_round_trip_is_stale_from_its_limit_on(age_ns: int, stale: bool) -> None:
+def test_round_trip_above_its_limit_is_stale(age_ns: int, stale: bool) -> None:
     """S4: STOP in the same tick if the motor may turn; at rest the device gets a HELLO."""
     driving, resting = driven(), rested()
     now = driving.ports.now + TS
@@ -269,7 +269,7 @@ def test_a_round_trip_is_stale_from_its_limit_on(age_ns: int, stale: bool) -> No
         assert (ask.state.device, ask.state.phase, ask.state.link.sent) == (None, Phase.INIT, ())
 
 
-def test_a_stale_device_that_is_being_asked_already_is_not_asked_twice() -> None:
+def test_stale_device_gets_no_second_request() -> None:
     bench = rested()
     old = changed(bench.loop.state, last_round_trip_ns=bench.ports.now - 60 * MS)
     asking = awaiting(old, RequestKind.CONFIGURE)
@@ -283,7 +283,7 @@ def test_a_stale_device_that_is_being_asked_already_is_not_asked_twice() -> None
 
 
 @pytest.mark.parametrize(("silent_ns", "trips"), [(3000 * MS, False), (3000 * MS + 1, True)])
-def test_a_service_is_frozen_from_its_limit_on(silent_ns: int, trips: bool) -> None:
+def test_silence_of_the_service_above_its_limit_is_a_fault(silent_ns: int, trips: bool) -> None:
     bench = driven()
     now = bench.ports.now + TS
     rules = changed(bench.loop.state.rules, service_ns=3000 * MS)
@@ -293,7 +293,7 @@ def test_a_service_is_frozen_from_its_limit_on(silent_ns: int, trips: bool) -> N
 
 
 @pytest.mark.parametrize(("allowed", "trips"), [(0, False), (2, True), (3, True), (4, False)])
-def test_as_many_missed_ticks_as_are_asked_for_stop_the_motor(allowed: int, trips: bool) -> None:
+def test_stop_after_missed_ticks_in_a_row(allowed: int, trips: bool) -> None:
     """Three in a row here; 0 disables the limit."""
     bench = driven()
     now = bench.ports.now + 4 * TS
@@ -458,7 +458,7 @@ def _told(state: State, end: int, u_before: int | None = None) -> list[tuple[int
     return [(g.k_first, g.count, round(g.u_held_v, 3)) for g in told]
 
 
-def test_what_was_held_in_a_gap_is_reported_piece_by_piece() -> None:
+def test_gap_is_reported_in_pieces_of_constant_voltage() -> None:
     """L2: first the previous code, then that of each lost exchange."""
     state = changed(rested().loop.state, last_reported_k=9, applied=code_of(1.0), absent=())
     lost = missing(12, 1, GapCode.FRAME_LOST, code_of(2.0), 1, 2)
@@ -483,7 +483,7 @@ def test_the_sample_after_a_gap_has_the_code_held_last() -> None:
     assert _told(three, 14, code_of(3.0)) == [(10, 3, 2.0), (13, 1, 3.0)]
 
 
-def test_what_comes_after_a_sample_is_kept_for_the_next() -> None:
+def test_missing_samples_after_a_sample_are_kept_for_the_next() -> None:
     state = changed(rested().loop.state, last_reported_k=9, absent=())
     before, across, behind = (missing(k, 2, GapCode.HOST_LATE, None, 1, 2) for k in (10, 11, 12))
     known = note(note(note(state, before), across), behind)
@@ -493,7 +493,7 @@ def test_what_comes_after_a_sample_is_kept_for_the_next() -> None:
     assert (after.last_reported_k, after.absent) == (11, (across, behind))
 
 
-def test_before_the_first_sample_nothing_is_missed() -> None:
+def test_no_gap_before_the_first_sample() -> None:
     state = changed(
         rested().loop.state,
         last_reported_k=-1,
@@ -534,9 +534,7 @@ def _scheduled(due: int, phase: Phase, now_after_ns: int = 0) -> tuple[State, li
     ("now_after_ns", "missing"),
     [(0, 0), (19 * MS, 0), (20 * MS, 1), (55 * MS, 4), (10_000 * MS, 8)],
 )
-def test_a_trip_reports_what_the_device_would_have_sampled_by_now(
-    now_after_ns: int, missing: int
-) -> None:
+def test_trip_reports_the_samples_due_so_far_as_a_gap(now_after_ns: int, missing: int) -> None:
     """L2: t_zero + i Ts is past for more samples than the two that came."""
     after, actions = _scheduled(2, Phase.FAULT, now_after_ns)
 
@@ -564,7 +562,7 @@ def test_a_run_that_leaves_the_limits_is_stopped_in_that_tick() -> None:
 
 
 @pytest.mark.parametrize("phase", [Phase.FAULT, Phase.SAFE])
-def test_a_run_in_exchange_mode_ends_with_what_was_asked_for(phase: Phase) -> None:
+def test_run_in_exchange_mode_ends_with_the_last_requested_sample(phase: Phase) -> None:
     """L2: the device samples nothing that the host does not request."""
     state = changed(rested().loop.state, phase=phase, outcome="why", last_reported_k=109, absent=())
     run = ActiveRun("r", codes(*[1.0] * 20), 100, due=12)
@@ -601,7 +599,7 @@ def test_a_stop_in_good_order_reports_no_gap_of_unsampled_ticks() -> None:
 # -- the trace -----------------------------------------------------------------------------------
 
 
-def test_a_trace_of_a_kind_that_there_is_not_is_refused() -> None:
+def test_trace_of_an_unknown_event_is_refused() -> None:
     step = msgspec.msgpack.encode([(5, [(7, b"")], [])])
 
     with pytest.raises(msgspec.DecodeError, match="event of kind 7: 0 to 6 are known"):

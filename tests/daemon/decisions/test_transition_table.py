@@ -362,6 +362,7 @@ ROWS: dict[str, Row] = {
     "a daemon whose service is gone stops": Row(
         driven, {}, None, ServiceGone(), "active, awaits STOP, held; sends Stop"
     ),
+    "no KEEPALIVE over a line that is down": Row(rested, {"link": None}, None, Wakeup(), "safe"),
     "S4: no KEEPALIVE in a fault while the device drives": Row(
         driven, IN_FAULT, None, Wakeup(), "fault, held"
     ),

@@ -7,14 +7,7 @@ from armrig_daemon import pipe
 from armrig_daemon.decisions import transitions
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import NO_DEVICE, config
-from armrig_daemon.decisions.state import (
-    Phase,
-    RequestKind,
-    SetPeriod,
-    State,
-    Tick,
-    Wakeup,
-)
+from armrig_daemon.decisions.state import Phase, RequestKind, SetPeriod, State, Tick, Wakeup
 from armrig_daemon.pipe import Answer, Log, Reset
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.frame import config_crc
@@ -87,7 +80,7 @@ def test_a_request_is_tried_five_times(want: RequestKind) -> None:
     assert answer.error == f"the device does not answer {want}"
 
 
-def test_where_nothing_was_asked_nothing_is_asked_again() -> None:
+def test_retry_without_a_request_does_nothing() -> None:
     state = rested().loop.state
 
     assert state.asked is None
@@ -159,7 +152,7 @@ def test_a_fault_is_cleared_when_the_device_is_idle(state: DeviceState) -> None:
 
 
 @pytest.mark.parametrize("state", list(DeviceState))
-def test_a_stop_has_its_effect_where_the_motor_cannot_turn(state: DeviceState) -> None:
+def test_stop_is_confirmed_by_a_state_without_voltage(state: DeviceState) -> None:
     bench = driven()
     at = awaiting(bench.loop.state, RequestKind.STOP)
 
@@ -180,7 +173,7 @@ def _met(bench: Bench, before: State, **fields: int) -> Decided:
     return heard(bench, reply, before)
 
 
-def test_a_device_is_met_at_the_time_of_the_question() -> None:
+def test_round_trip_of_hello_counts_from_the_request() -> None:
     """S4: the age of the round trip counts from the question."""
     bench = rested()
     waiting = _one_sent(bench)
@@ -254,7 +247,7 @@ def _reply(state: State, **fields: int) -> ConfigReply:
 
 
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_the_device_is_asked_for_the_rules(scheduled: bool) -> None:
+def test_config_frame_contains_the_rules(scheduled: bool) -> None:
     """Rest at 0 V, and 0 V if a queue runs dry."""
     rules = changed(
         rested().loop.state.rules, code_min=9, code_max=60_000, slew=5, watchdog_ms=60, turns=7
@@ -340,7 +333,7 @@ def test_an_accepted_configuration_is_in_force_from_then_on(order: pipe.Arm | Re
         assert arm.boot_id == state.clock.boot_id
 
 
-def test_a_scheduled_configuration_slows_our_own_ticks_down() -> None:
+def test_scheduled_configuration_sets_the_host_period_to_10_ms() -> None:
     """The device paces; the daemon looks after it each 10 ms."""
     bench = armed()
     bench.loop.state = changed(bench.loop.state, ts_us=5_000, pace_us=5_000)
@@ -357,14 +350,14 @@ def test_a_scheduled_configuration_slows_our_own_ticks_down() -> None:
     assert decided.of(SetPeriod) == [SetPeriod(10_000, state.k + 1)]
 
 
-def test_the_same_pace_is_not_begun_again() -> None:
+def test_equal_period_is_not_set_again() -> None:
     bench = rested()
     state = awaiting(bench.loop.state, RequestKind.CONFIGURE, ts_us=10_000)
 
     assert heard(bench, _reply(state), state).of(SetPeriod) == []
 
 
-def test_a_configuration_that_nobody_waits_for_is_none() -> None:
+def test_unrequested_config_reply_is_ignored() -> None:
     bench = rested()
     reply = _reply(awaiting(bench.loop.state, RequestKind.CONFIGURE, ts_us=20_000))
 

@@ -110,7 +110,7 @@ def test_status_reports_what_a_fresh_device_has_counted() -> None:
     ("u", "k", "seq", "samples"),
     [(100, 2, None, True), (101, 2, None, False), (100, 1, None, False), (100, 2, 1, False)],
 )
-def test_a_wait_for_a_sample_may_sleep_through_its_conversions(
+def test_visible_time_skips_the_conversions_of_a_sample(
     u: int, k: int, seq: int | None, samples: bool
 ) -> None:
     host = Host().reach(State.RUN, u_max=100)
@@ -147,7 +147,7 @@ def test_the_wire_gives_its_next_piece_before_it_has_arrived() -> None:
     assert wire.first() != frame
 
 
-def test_a_sleeper_through_conversions_is_woken_for_what_comes_meanwhile() -> None:
+def test_visible_time_includes_frames_during_conversions() -> None:
     host = Host().reach(State.RUN)
     host.put(Exchange, k=1, u=50)
     host.put(Ping, host_ns=7)

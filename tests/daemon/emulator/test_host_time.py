@@ -17,7 +17,7 @@ stalls = st.lists(
 """For each wait: how long it was meant to be, and how much longer it was."""
 
 
-def test_without_tolerance_it_is_given_the_host_s_time() -> None:
+def test_clock_without_tolerance_is_the_host_clock() -> None:
     time = HostTime(5, tolerates_stalls=False)
 
     assert time.given_ns(700 * MS) == 700 * MS
@@ -25,7 +25,7 @@ def test_without_tolerance_it_is_given_the_host_s_time() -> None:
     assert time.held_up_ns == 0
 
 
-def test_a_stall_is_taken_off_but_for_10_ms() -> None:
+def test_stall_above_10_ms_is_removed_from_the_clock() -> None:
     time = HostTime(0, tolerates_stalls=True)
 
     assert time.given_ns(40 * MS, due_ns=35 * MS) == 40 * MS

@@ -114,7 +114,7 @@ def _told(settings: dict[str, Any]) -> list[str]:
     return heard.lines
 
 
-def test_what_odd_devices_answer_is_what_they_answered() -> None:
+def test_answers_of_odd_devices_are_those_stored() -> None:
     lines = [line for name, settings in DEVICES.items() for line in (f"# {name}", *_told(settings))]
 
     compare(Path(__file__).with_name("odd_devices.txt"), "\n".join(lines) + "\n")

@@ -53,7 +53,7 @@ def test_any_duration_is_exact(dt_ns: int, u: float) -> None:
 
 
 @given(first=st.integers(0, SECOND_NS), second=st.integers(0, SECOND_NS))
-def test_where_time_is_cut_does_not_matter(first: int, second: int) -> None:
+def test_advance_in_two_steps_equals_one_step(first: int, second: int) -> None:
     plant = build(HANDOUT)
 
     x = advance(plant, advance(plant, REST, 2.0, first), 2.0, second)
@@ -110,7 +110,7 @@ def test_coulomb_friction_takes_its_share_of_the_terminal_speed() -> None:
     assert x[2] == pytest.approx((2.0 - 0.02 * HANDOUT.R_m / back_emf) / back_emf, rel=1e-5)
 
 
-def test_with_0_v_energy_only_goes() -> None:
+def test_energy_decreases_at_0_v() -> None:
     plant = build(HANDOUT, coulomb_nm=0.05, stiffening=2.0)
     x: State = (0.0, 0.6, 3.0, 0.0)
 

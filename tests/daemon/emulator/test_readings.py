@@ -150,7 +150,7 @@ def test_cal_under_way_is_lost_by_a_reset() -> None:
     assert host.ask(Hello, version=2, schema=0)
 
 
-def test_a_writer_of_the_bytes_need_not_wake_before_cal_ends() -> None:
+def test_visible_time_of_cal_is_its_end() -> None:
     host = Host()
     host.put(Cal, channel=0, zero=0, n=300)
     host.wait(2 * MS)

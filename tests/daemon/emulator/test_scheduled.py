@@ -17,6 +17,7 @@ from armrig_protocol.messages import (
     Cause,
     ClearFault,
     Config,
+    Estop,
     Event,
     Exchange,
     Flag,
@@ -397,6 +398,7 @@ COMMANDS = st.one_of(
         [
             Keepalive(0, 0),
             Stop(0, 0),
+            Estop(0, 0),
             Start(0, 0, 0, 0),
             Start(0, 0, 5, 0),
             Ping(0, 0, 5),
@@ -405,9 +407,9 @@ COMMANDS = st.one_of(
             Config(0, 0, **CONFIG),
             Arm(0, 0, 0, 0, 0),
             ClearFault(0, 0, 0),
-            Exchange(0, 0, 0, 30_000),
         ]
     ),
+    st.builds(lambda u: Exchange(0, 0, 0, u), st.integers(0, 65535)),
     st.builds(
         lambda k0, n: Setpoints(0, 0, k0, n, 0, (*U[k0 : k0 + n], *(0,) * (24 - n))),
         st.integers(0, 40),
@@ -415,22 +417,32 @@ COMMANDS = st.one_of(
     ),
 )
 SCRIPT = st.lists(st.tuples(st.integers(0, 20 * MS), COMMANDS), max_size=40)
-OPENING: list[tuple[int, bytes | Message]] = [
-    (1 * MS, Hello(0, 0, VERSION, SCHEMA_HASH)),
-    (1 * MS, Config(0, 0, **SCHEDULED)),
-    (1 * MS, Arm(0, 0, 0, 0, 0)),
-    (1 * MS, Setpoints(0, 0, 0, 24, 0, tuple(U[:24]))),
-    (1 * MS, Start(0, 0, 0, 0)),
-]
+
+
+def opening(mode: Mode) -> list[tuple[int, bytes | Message]]:
+    """Return the way to RUN; in exchange mode SETPOINTS are refused."""
+    return [
+        (1 * MS, Hello(0, 0, VERSION, SCHEMA_HASH)),
+        (1 * MS, Config(0, 0, **{**SCHEDULED, "mode": mode})),
+        (1 * MS, Arm(0, 0, 0, 0, 0)),
+        (1 * MS, Setpoints(0, 0, 0, 24, 0, tuple(U[:24]))),
+        (1 * MS, Start(0, 0, 0, 0)),
+    ]
 
 
 @settings(max_examples=25)
-@given(SCRIPT, st.lists(st.integers(0, 1 * S), max_size=20), st.sampled_from([0.0, 123.4]))
+@given(
+    SCRIPT,
+    st.lists(st.integers(0, 1 * S), max_size=20),
+    st.sampled_from([0.0, 123.4]),
+    st.sampled_from(list(Mode)),
+)
 def test_the_same_bytes_at_the_same_times_give_the_same_answers(
-    script: list[tuple[int, bytes | Message]], looks: list[int], ppm: float
+    script: list[tuple[int, bytes | Message]], looks: list[int], ppm: float, mode: Mode
 ) -> None:
+    """S1, S3: 0 to 5 V, in RUN only, and 0 V a watchdog after the last bytes."""
     emulated = EmulatorSettings(baud=BAUD, boot_ms=5, seed=3, clock_ppm=ppm)
-    sent = bytes_of(emulated, OPENING + script)
+    sent = bytes_of(emulated, opening(mode) + script)
     outputs = []
     for extra in ([], looks):
         changes: list[Change] = []
@@ -440,21 +452,23 @@ def test_the_same_bytes_at_the_same_times_give_the_same_answers(
         for t_ns, data in acts:
             replies += device.advance(t_ns)
             device.receive(t_ns, data)
+        last_ns = t_ns + device.rx_backlog_ns(t_ns)
         outputs.append((replies + device.advance(2 * S), changes))
 
     assert outputs[0] == outputs[1]
     assert all(0 <= c.volts <= 5 and (c.volts == 0 or c.state is State.RUN) for c in changes)
     assert device.board.volts == 0.0
+    assert all(c.t_ns <= last_ns + 251 * MS for c in changes)
 
 
 @settings(max_examples=30)
-@given(SCRIPT, st.sampled_from([0.0, 500.0, -500.0]), st.booleans())
-def test_a_sleeper_until_something_can_be_seen_misses_nothing(
-    script: list[tuple[int, bytes | Message]], ppm: float, model_baud: bool
+@given(SCRIPT, st.sampled_from([0.0, 500.0, -500.0]), st.booleans(), st.sampled_from(list(Mode)))
+def test_visible_time_is_early_enough_for_every_frame(
+    script: list[tuple[int, bytes | Message]], ppm: float, model_baud: bool, mode: Mode
 ) -> None:
     emulated = EmulatorSettings(baud=BAUD, boot_ms=5, clock_ppm=ppm, model_baud=model_baud)
     device = Device(emulated, 0)
-    for t_ns, data in [*bytes_of(emulated, OPENING + script), (1 * S, b"")]:
+    for t_ns, data in [*bytes_of(emulated, opening(mode) + script), (1 * S, b"")]:
         while (due_ns := device.visible_ns()) < t_ns:
             early = device.advance(due_ns - 1)
             assert all(left >= due_ns for left, _ in early)

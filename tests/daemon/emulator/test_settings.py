@@ -33,7 +33,7 @@ def test_an_empty_table_is_the_demo(tmp_path: Path) -> None:
     assert (settings.coulomb_nm, settings.stiffening) == (0.0, 0.0)
 
 
-def test_keys_take_their_place(tmp_path: Path) -> None:
+def test_settings_of_the_file_replace_the_defaults(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text("[emulator]\nadc_bits = 12\nseed = 9\n[emulator.arm]\nJ_2 = 0.005\n")
 

@@ -18,14 +18,7 @@ from armrig_daemon.emulator.real_time import emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.loop import link as link_module
-from armrig_daemon.loop.link import (
-    READ,
-    Link,
-    LinkError,
-    NoPortError,
-    TakenPortError,
-    open_link,
-)
+from armrig_daemon.loop.link import READ, Link, LinkError, NoPortError, TakenPortError, open_link
 
 FRAME = bytes(range(1, 27))  # an EXCHANGE has 26 bytes
 
@@ -287,7 +280,7 @@ def test_a_folder_that_others_can_write_to_is_refused(emulator: Emulator) -> Non
         open_link(f"unix:{folder}/link/rig.sock", 115_200)
 
 
-def test_what_is_no_socket_is_left_alone(tmp_path: Path) -> None:
+def test_other_files_are_not_replaced_by_the_socket(tmp_path: Path) -> None:
     path = tmp_path / "notes"
     path.write_text("mine")
 

@@ -77,7 +77,9 @@ class Device:
 
 
 @pytest.mark.parametrize("answered", [1, 3])
-def test_three_are_sent_and_one_answer_is_enough(line: tuple[int, str], answered: int) -> None:
+def test_estop_is_sent_three_times_and_needs_one_answer(
+    line: tuple[int, str], answered: int
+) -> None:
     """The first two may be lost."""
     with Device(line[0], answered) as device:
         assert _patient(line)
@@ -94,7 +96,7 @@ def test_half_a_frame_of_a_killed_daemon_costs_no_estop(line: tuple[int, str]) -
     assert sound == [Estop(0, 0), Estop(0, 1), Estop(0, 2)]
 
 
-def test_a_device_that_does_not_answer_is_waited_for_no_longer(line: tuple[int, str]) -> None:
+def test_estop_gives_up_without_an_answer(line: tuple[int, str]) -> None:
     before = time.monotonic()
     with Device(line[0], answered=0) as device:
         assert not estop(line[1], BAUD)
@@ -118,7 +120,7 @@ def test_an_answer_of_another_state_is_none(line: tuple[int, str]) -> None:
         assert not estop(line[1], BAUD)
 
 
-def test_to_a_port_that_another_holds_not_a_byte_is_sent(line: tuple[int, str]) -> None:
+def test_estop_sends_nothing_to_a_port_in_use(line: tuple[int, str]) -> None:
     daemon = Link(line[1], BAUD)
     os.write(line[0], b"for the daemon")
 
@@ -130,7 +132,7 @@ def test_to_a_port_that_another_holds_not_a_byte_is_sent(line: tuple[int, str]) 
     daemon.close()
 
 
-def test_a_daemon_that_is_dying_is_waited_for(line: tuple[int, str]) -> None:
+def test_estop_waits_for_a_dying_daemon(line: tuple[int, str]) -> None:
     """The daemon gives its port back a moment after systemd calls `armrigd estop`."""
     holder = os.open(line[1], os.O_RDWR | os.O_NOCTTY)
     fcntl.flock(holder, fcntl.LOCK_EX)
@@ -156,7 +158,7 @@ def test_a_port_that_is_not_there_is_said() -> None:
         ({"SERVICE_RESULT": "watchdog", "EXIT_CODE": "dumped", "EXIT_STATUS": "ABRT"}, True),
     ],
 )
-def test_what_systemd_says_of_a_service_decides(environ: dict[str, str], failed: bool) -> None:
+def test_result_of_the_service_decides_on_estop(environ: dict[str, str], failed: bool) -> None:
     assert _has_failed(environ) is failed
 
 

@@ -59,7 +59,7 @@ def test_what_the_line_takes_only_in_part_is_a_loss_of_the_line(
     link.close()
 
 
-def test_a_line_with_nothing_on_it_is_not_gone(terminal: tuple[int, str]) -> None:
+def test_silent_line_is_not_lost(terminal: tuple[int, str]) -> None:
     master, port = terminal
     link = Link(port, 115_200)
 
@@ -89,7 +89,7 @@ def test_no_more_is_read_at_once_than_a_record_holds(terminal: tuple[int, str]) 
     link.close()
 
 
-def test_a_port_is_ours_alone(terminal: tuple[int, str]) -> None:
+def test_port_is_opened_exclusively(terminal: tuple[int, str]) -> None:
     _, port = terminal
     link = Link(port, 115_200)
 

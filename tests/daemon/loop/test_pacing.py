@@ -34,7 +34,7 @@ def test_another_period_begins_one_period_from_now() -> None:
 
 
 @given(st.integers(0, 10**6))
-def test_another_number_for_the_next_tick_leaves_the_beat(now_ns: int) -> None:
+def test_renumbered_tick_keeps_the_phase(now_ns: int) -> None:
     pace = change(PACE, k=70, period_ns=1000, now_ns=now_ns)
 
     ahead_ns = pace.due_ns(70) - now_ns

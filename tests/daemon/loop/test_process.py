@@ -95,7 +95,7 @@ def test_a_record_that_nobody_takes_does_not_hide_the_end_of_the_service(
     assert ports.wait(realtime.now_ns() + MS) == []
 
 
-def test_what_comes_at_once_is_handed_on_in_pieces_and_without_another_wait(
+def test_large_input_is_returned_in_pieces_without_waiting(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     tty.setraw(pipes["slave"])
@@ -184,9 +184,7 @@ def test_a_loop_that_fails_says_estop_three_times(
     assert _read(pipes["master"], len(half + wanted)) == half + wanted
 
 
-def test_a_loop_that_fails_without_a_line_fails_as_it_would(
-    ports: ProcessPorts, pipes: dict[str, int]
-) -> None:
+def test_stop_hard_without_a_line_does_nothing(ports: ProcessPorts, pipes: dict[str, int]) -> None:
     os.close(pipes.pop("master"))
     ports.stop_hard()
 
@@ -194,7 +192,7 @@ def test_a_loop_that_fails_without_a_line_fails_as_it_would(
     ports.stop_hard()
 
 
-def test_a_line_that_was_lost_is_opened_again_in_its_time(
+def test_lost_line_is_opened_again_after_the_interval(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     now_ns = realtime.now_ns()
@@ -227,7 +225,7 @@ def test_a_line_that_was_opened_again_is_read_when_it_is_readable(
     assert ports.wait(0) == []
 
 
-def test_what_a_run_left_is_collected_once_and_not_looked_at_again(ports: ProcessPorts) -> None:
+def test_tidy_collects_and_freezes_the_objects_of_a_run(ports: ProcessPorts) -> None:
     """A later collection would take longer, the more objects there are."""
     kept = [[k] for k in range(1000)]
     collections, frozen = ports.collections, gc.get_freeze_count()

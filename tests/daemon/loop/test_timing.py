@@ -42,7 +42,7 @@ def test_nothing_counted_is_all_zero() -> None:
     assert (timing.n, timing.p50, timing.max) == (0, 0.0, 0.0)
 
 
-def test_a_night_asleep_is_counted_in_bounded_time() -> None:
+def test_histogram_counts_a_long_suspend_in_bounded_time() -> None:
     """A suspend of ten hours at 1 kHz missed 36 million ticks."""
     histogram = Histogram()
 
