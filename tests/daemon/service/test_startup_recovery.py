@@ -97,9 +97,13 @@ def test_an_unexpected_error_in_one_file_does_not_stop_the_recovery_of_others(
         written(tmp_path, DATA, f"1-{name}.mcap.active")
     init = Rewriter.__init__
 
+    begun: list[Rewriter] = []
+
     def broken(self: Rewriter, *args: object) -> None:
-        monkeypatch.setattr(Rewriter, "__init__", init)
-        raise RuntimeError("unexpected")
+        begun.append(self)
+        if len(begun) == 1:
+            raise RuntimeError("unexpected")
+        init(self, *args)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Rewriter, "__init__", broken)
     left_over = StartupRecovery(tmp_path, "1", lambda: None)
