@@ -63,7 +63,6 @@ def test_it_lasts_no_longer_than_its_authority(tmp_path: Path) -> None:
 
 
 def test_a_certificate_is_good_for_one_purpose(authority: Path) -> None:
-    """An operator's certificate is none for a rig, and a rig's none for an operator."""
     rig = pki.issue_to_rig(authority, "1", ["localhost"]).path
     alice = pki.issue_to_person(authority, "alice", "operators").path
 

@@ -72,7 +72,6 @@ def test_the_oldest_go_until_the_rest_takes_no_more_than_it_may(tmp_path: Path) 
 def test_a_limit_is_exceeded_by_one_byte_or_one_second(
     tmp_path: Path, more: int, removed: int
 ) -> None:
-    """By one byte, or by one second."""
     runs = [_run(tmp_path, f"1-{name}.mcap", days) for name, days in (("a", 30), ("b", 2))]
     total = sum(run.stat().st_size for run in runs)
 
