@@ -172,20 +172,3 @@ def test_no_program_reads_a_sentence() -> None:
 
     assert not sorted(unknown)
     assert found.keys() >= ALLOWED.keys()
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        'if "look wrong" in warning: ...',
-        'if why == "the run ended": ...',
-        'error.endswith(": try again")',
-        'why, _, _ = str(err).partition("; recorded in ")',
-        're.sub("then `reset`", "", text)',
-        'any("order 1)" in step for step in history)',
-        'line.removeprefix("open loop: ")',
-        'SAID = (("level", "where u is 0"),)\nany(phrase in text for _, phrase in SAID)',
-    ],
-)
-def test_a_search_in_prose_is_seen(source: str) -> None:
-    assert list(read_sentences(ast.parse(source)))

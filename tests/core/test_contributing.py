@@ -65,20 +65,6 @@ def test_contributing_names_a_function_for_each_hop() -> None:
     assert [hop for of_one in hops for hop in of_one if not _SPAN.search(hop)] == []
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "`clients/armrig/gone.py`",
-        "`tests/gone/`",
-        "`clients/armrig/models/fit.py: Fit.gone`",
-        "`firmware_protocol/firmware/core/rig_motor.c: gone`",
-        "```\nmake gone\n```",
-    ],
-)
-def test_a_missing_file_name_or_target_is_found(text: str) -> None:
-    assert len(lacking(text)) == 1
-
-
 def test_the_name_of_a_decision_is_its_heading() -> None:
     files = sorted((ROOT / "docs" / "decisions").glob("*-*.md"))
     titles = [file.read_text(encoding="utf-8").partition("\n")[0] for file in files]

@@ -8,7 +8,6 @@ from armrig_core.owned_session import (
     LANES,
     listening,
     os_error_number,
-    owned_session,
     strangers,
     transport,
 )
@@ -51,23 +50,6 @@ def test_every_query_is_answered_in_a_queue_that_drops() -> None:
     assert {key for rule in others for key in rule["key_exprs"]} == {
         *("rig/*/history", "rig/*/schema/**", "rig/*/cmd/stop", "rig/*/cmd/stop/*"),
     }
-
-
-def test_others_neither_publish_nor_answer_nor_find_the_session() -> None:
-    config = owned_session("unixsock-stream//a", most_received=8)
-
-    assert config["listen"] == {"endpoints": ["unixsock-stream//a"]}
-    assert config["scouting"] == {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
-    denied = {
-        (rule["flows"][0], message)
-        for rule in config["access_control"]["rules"]
-        for message in rule["messages"]
-        if rule["permission"] == "deny"
-    }
-    asks = ("put", "delete", "declare_queryable", "reply", "liveliness_token")
-    assert denied == {*(("ingress", message) for message in asks), ("egress", "query")}
-    assert config["qos"] == LANES
-    assert config["transport"] == {**transport(8), "unicast": strangers(1000)}
 
 
 @pytest.mark.parametrize(

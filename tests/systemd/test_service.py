@@ -220,7 +220,6 @@ def test_a_reload_brings_the_new_configuration_and_keeps_the_priority(rig: Rig) 
 
 
 def test_a_service_is_not_restarted_after_five_failures_in_a_minute(rig: Rig) -> None:
-    """Five starts in a minute."""
     state = ""
     for _ in range(6):
         wait_for(lambda: rig.is_active() or state_of(rig) == "failed")

@@ -15,7 +15,6 @@ KILLS = 20
 
 @pytest.mark.exhaustive
 def test_no_moment_to_be_killed_at_costs_what_was_acknowledged(tmp_path: Path) -> None:
-    """Twenty moments."""
     program = [sys.executable, killed_writer.__file__, tmp_path, str(KILLS), "1"]
     subprocess.run(list(map(str, program)), check=True, timeout=300)
 

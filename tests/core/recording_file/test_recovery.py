@@ -98,21 +98,6 @@ def test_recovery_keeps_all_complete_records_at_any_cut(tmp_path: Path, off: int
         done.path.unlink()
 
 
-@pytest.mark.parametrize(
-    ("part", "missing"), [({}, 5 + 5), ({"part": 2, "part_k_first": 43}, 2 + 5)]
-)
-def test_only_samples_that_were_due_count_as_missing(
-    tmp_path: Path, part: dict[str, int], missing: int
-) -> None:
-    messages = [gap(35, 10, 1.0), *(sample(k) for k in range(45, 95)), gap(95, 20, 1.0)]
-    about = manifest(k_first=40, samples=60, **part)
-    data = recorded(messages, manifest=about, outcome=None)
-
-    done = RECOVERY.recover(written(tmp_path, data, LEFT))
-
-    assert done.outcome == Outcome(outcome=CUT_OFF, samples=50, missing=missing, code="cut_off")
-
-
 def test_the_file_says_that_it_was_recovered(tmp_path: Path) -> None:
     cut = _edges(DATA)[-20] + 7
     left = written(tmp_path, DATA[:cut], LEFT)

@@ -72,7 +72,6 @@ def test_the_oldest_go_until_the_rest_takes_no_more_than_it_may(tmp_path: Path) 
 def test_a_limit_is_exceeded_by_one_byte_or_one_second(
     tmp_path: Path, more: int, removed: int
 ) -> None:
-    """By one byte, or by one second."""
     runs = [_run(tmp_path, f"1-{name}.mcap", days) for name, days in (("a", 30), ("b", 2))]
     total = sum(run.stat().st_size for run in runs)
 
@@ -213,21 +212,19 @@ def test_a_partly_removed_run_is_removed_at_the_next_time(
     for n, outcome in ((1, CONTINUED), (2, CONTINUED), (3, COMPLETE)):
         _run(tmp_path, f"1-a.part-000{n}.mcap", 40, outcome=outcome)
     _run(tmp_path, "1-b.mcap", 1)
-    unlink = Path.unlink
+    unlink, removed = Path.unlink, []
 
     def once(path: Path, **options: Any) -> None:
-        monkeypatch.setattr(Path, "unlink", _refused)
+        if removed:
+            raise OSError(30, "Read-only file system")
+        removed.append(path)
         unlink(path, **options)
 
     monkeypatch.setattr(Path, "unlink", once)
     (report,) = _retention(tmp_path).apply(NOW_S)
-    monkeypatch.setattr(Path, "unlink", unlink)
+    monkeypatch.undo()
 
     assert not report.is_removed
     assert "reading or removing it failed: Read-only file system" in report.text
     assert [removal.is_removed for removal in _retention(tmp_path).apply(NOW_S)] == [True]
     assert _names(tmp_path) == {"1-b.mcap"}
-
-
-def _refused(path: Path, **options: Any) -> None:
-    raise OSError(30, "Read-only file system")

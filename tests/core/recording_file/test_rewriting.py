@@ -87,7 +87,6 @@ def test_every_record_is_copied_with_every_field(first: Path, tmp_path: Path) ->
 
 
 def test_chunks_of_the_copy_have_1_mib(first: Path, tmp_path: Path) -> None:
-    """1 MiB and one message at most; only the last chunk may be smaller."""
     copy = tmp_path / "copy"
 
     compact(first, copy)

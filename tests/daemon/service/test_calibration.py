@@ -39,7 +39,6 @@ def test_an_accepted_calibration_is_unchanged_except_for_its_file() -> None:
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({"made": None}, "does not say how it was made"),
         ({"made": replace(MADE, raw_sha256="0" * 64)}, "samples next to it are not the samples"),
         ({"made": replace(MADE, rig="1")}, "of rig 1, device abc, and this is rig 2, device abc"),
         ({"made": replace(MADE, device_uid="d")}, "of rig 2, device d, and this is rig 2, dev"),

@@ -13,32 +13,8 @@ from armrig_protocol.messages import Flag
 MS = 1_000_000
 
 
-def _after(
-    samples: int,
-    *,
-    ts_ms: int = 10,
-    u: float = 0.0,
-    step: int = 0,
-    y0: int = 20_000,
-    flags: int = 0,
-    before: Readings | None = None,
-) -> Readings:
-    """Return the readings after samples in which theta_1 goes on by `step` counts."""
-    readings = before or Readings()
-    newest = readings.newest
-    first = 0 if newest is None else newest.k + 1
-    for k in range(first, first + samples):
-        counts = (y0 + step * k) % 65536
-        t_ns = k * ts_ms * MS
-        angle = nan if flags & Flag.ADC0_RAIL else 0.5
-        alpha = 0 if flags & Flag.ADC1_RAIL else 32768
-        sample = Sample(k, t_ns, t_ns, t_ns // 1000, angle, 0.0, u, u, counts, alpha, flags)
-        readings = updated(readings, sample)
-    return readings
-
-
-def _objection(readings: Readings, *, alpha_is_read: bool = True) -> str:
-    found = objection(readings, turns_per_volt_s=0.3, alpha_is_read=alpha_is_read)
+def _objection(readings: Readings) -> str:
+    found = objection(readings, turns_per_volt_s=0.3, alpha_is_read=True)
     if found is None:
         return ""
     passes = found.error.endswith(": try again")
@@ -49,12 +25,13 @@ def _objection(readings: Readings, *, alpha_is_read: bool = True) -> str:
 
 def test_a_rig_of_which_nothing_was_read_yet_is_not_armed() -> None:
     assert _objection(Readings()) == "no sample has come from the rig yet: try again"
-    assert _objection(_after(1)) == ""
+    assert _objection(updated(Readings(), _sample(0))) == ""
 
 
 def test_the_newest_angle_is_the_start_of_a_rehearsal() -> None:
-    assert theta_1_rad(_after(1)) == 0.5
-    assert theta_1_rad(_after(1, flags=Flag.ADC0_RAIL)) is None
+    railed = _sample(10)._replace(theta_1_rad=nan)
+    assert theta_1_rad(updated(Readings(), _sample(0))) == 0.5
+    assert theta_1_rad(updated(Readings(), railed)) is None
     assert theta_1_rad(Readings()) is None
 
 

@@ -42,17 +42,6 @@ def test_a_line_that_the_journal_does_not_read_has_no_priority() -> None:
     assert journal_prefix("error", stderr, f"{stderr.st_dev}:{stderr.st_ino + 1}") is None
 
 
-def test_a_line_for_the_journal_does_not_name_its_program(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stderr = os.fstat(2)
-    monkeypatch.setenv("JOURNAL_STREAM", f"{stderr.st_dev}:{stderr.st_ino}")
-
-    print_line("warning", "no link")
-
-    assert capfd.readouterr().err == "<4>no link\n"
-
-
 def _fields(entry: bytes) -> dict[str, str]:
     """Return the fields of an entry, as the journal reads them."""
     found = {}

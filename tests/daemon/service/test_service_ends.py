@@ -97,7 +97,7 @@ def test_a_service_ends_with_the_code_that_systemd_acts_on(
         monkeypatch.setattr(service_module.realtime, name, lambda *_, **__: True)
     service = Service(Config(), "unixsock-stream/nowhere", tmp_path)
     for name in ("_connect", "_announce", "_serve"):
-        monkeypatch.setattr(service, name, lambda *_, **__: None)
+        setattr(service, name, lambda *_, **__: None)
     service._quitting, service._restarts = quits, restarts
 
     assert service.run() == exit_code
