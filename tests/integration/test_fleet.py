@@ -11,11 +11,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-import zenoh
 from armrig.cli import main
 from armrig.rig.client import Rig
-from armrig.rig.session import open_connection
-from armrig_core.history import encode_past
 
 from tests.integration.fleet_lab import (
     RIGS,
@@ -25,7 +22,6 @@ from tests.integration.fleet_lab import (
     connected,
     publish,
     recorded_k,
-    sample,
 )
 from tests.integration.processes import Bench, newest, wait_for
 
@@ -109,54 +105,6 @@ def test_a_rig_that_sends_nonsense_ends_its_own_recording_alone(
     }
     assert "not a message of armrigd" in recorder.recorded["2"].why
     assert files["2"].outcome.startswith("the recorder ended: ")
-
-
-def test_a_rig_speaks_for_itself_alone(lab: FleetLab, stack: ExitStack) -> None:
-    """Another rig's certificate publishes and answers under rig 1, and nobody receives it.
-
-    The control: under its own id the same is passed on.
-    """
-    stack.enter_context(lab.router())
-    thief = stack.enter_context(_opened(lab, "rig-2"))
-    answer = encode_past(bytes(16), 0, 0, [("sample", sample(0))])
-    tokens = []
-    for rig in ("1", "2"):
-        thief.declare_queryable(
-            f"rig/{rig}/history", lambda query: query.reply(query.key_expr, answer)
-        )
-        tokens.append(thief.liveliness().declare_token(f"rig/{rig}/alive"))
-    heard: set[str] = set()
-    with open_connection(lab.endpoint, rig="1", certificate=lab.made / "bob.pem").session as bob:
-        bob.declare_subscriber("rig/*/sample", lambda s: heard.add(str(s.key_expr)))
-
-        def is_heard() -> bool:
-            thief.put("rig/1/sample", sample(0))
-            thief.put("rig/2/sample", sample(0))
-            return "rig/2/sample" in heard
-
-        wait_for(is_heard, WITHIN_S)
-        alive = {str(r.ok.key_expr) for r in bob.liveliness().get("rig/*/alive") if r.ok}
-        answered = {
-            rig: [r for r in bob.get(f"rig/{rig}/history", timeout=WITHIN_S) if r.ok]
-            for rig in ("1", "2")
-        }
-
-    assert heard == {"rig/2/sample"}
-    assert alive == {"rig/2/alive"}
-    assert (answered["1"], len(answered["2"])) == ([], 1)
-
-
-def _opened(lab: FleetLab, who: str) -> zenoh.Session:
-    pem = str(lab.made / f"{who}.pem")
-    tls = {"root_ca_certificate": str(lab.made / "authority.pem"), "enable_mtls": True}
-    tls |= {"connect_private_key": pem, "connect_certificate": pem}
-    config = {
-        "mode": "client",
-        "connect": {"endpoints": [lab.endpoint]},
-        "scouting": {"multicast": {"enabled": False}},
-        "transport": {"link": {"tls": tls}},
-    }
-    return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
 
 
 _HOLDER = """
