@@ -117,7 +117,7 @@ def _recorded(bench: Bench) -> armrig.Recording:
         return armrig.load(rig.run(np.full(100, 1.0)))
 
 
-def test_ctrl_c_while_it_turns_leaves_the_rig_at_0_v_and_no_file(bench: Bench) -> None:
+def test_ctrl_c_during_a_calibration_leaves_the_rig_at_0_v_and_no_file(bench: Bench) -> None:
     bench.emulate()
     bench.serve()
     output = bench.folder / "calibration.toml"

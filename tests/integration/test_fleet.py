@@ -64,7 +64,7 @@ def test_nothing_is_lost_while_the_router_is_restarted(lab: FleetLab, stack: Exi
     assert not any("lost" in line for line in told)
 
 
-def test_a_rig_that_comes_later_is_taken_in(lab: FleetLab, stack: ExitStack) -> None:
+def test_a_rig_that_starts_later_is_recorded_too(lab: FleetLab, stack: ExitStack) -> None:
     stack.enter_context(lab.router())
     first = stack.enter_context(lab.daemon("1"))
     publish([first], range(100))

@@ -71,7 +71,7 @@ def test_strangers_that_request_runs_do_not_prevent_the_holder_s_run(served: Ben
         ("renew", {"lease": "0" * 32, "n": 1}),
     ],
 )
-def test_a_flood_hides_neither_the_client_nor_its_end(
+def test_a_flood_hides_neither_the_signs_nor_the_end_of_a_client(
     served: Bench, name: str, fields: dict[str, object]
 ) -> None:
     """There are three attempts.

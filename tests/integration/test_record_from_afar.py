@@ -82,7 +82,7 @@ class Recorder:
         return [armrig.load(file.path) for file in self.recording.done]
 
 
-def test_a_late_recorder_gets_what_is_kept(where: str, tmp_path: Path) -> None:
+def test_a_late_recorder_receives_the_kept_messages(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
         publish([daemon], range(1000))
         with open_session(where, rig="1") as session:
@@ -110,7 +110,7 @@ def test_a_late_recorder_gets_what_is_kept(where: str, tmp_path: Path) -> None:
     assert verify(found.path).passed
 
 
-def test_what_is_lost_for_good_is_a_gap(where: str, tmp_path: Path) -> None:
+def test_lost_samples_are_a_gap_of_the_recording(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
         daemon._history = History(bytes(16), most_bytes=100 * 87)
         publish([daemon], range(50))
@@ -177,7 +177,7 @@ def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path:
         (["--rig", "9"], "no reply from rig 9"),
     ],
 )
-def test_what_cannot_be_recorded_is_reported(
+def test_a_mistake_of_the_record_command_is_reported(
     where: str,
     tmp_path: Path,
     published: Publisher,
@@ -197,7 +197,7 @@ def test_what_cannot_be_recorded_is_reported(
 
 
 @pytest.mark.parametrize(("number", "code"), sampled([(15, 128 + 15), (2, 0), (1, 128 + 1)]))
-def test_a_signal_ends_it_with_a_whole_file(
+def test_a_signal_ends_the_recorder_with_a_complete_file(
     where: str, tmp_path: Path, published: Publisher, number: int, code: int
 ) -> None:
     path = tmp_path / "a.mcap"
@@ -215,7 +215,9 @@ def test_a_signal_ends_it_with_a_whole_file(
     assert len(ks) >= came
 
 
-def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
+def test_a_remote_recording_has_the_samples_of_the_daemon_s_recording(
+    bench: Bench, tmp_path: Path
+) -> None:
     bench.configure()
     bench.emulate()
     bench.serve()

@@ -84,7 +84,7 @@ def test_a_port_that_is_not_there_is_waited_for(bench: Bench) -> None:
     assert "Traceback" not in daemon.said
 
 
-def test_a_port_that_is_taken_is_said(served: Bench) -> None:
+def test_a_port_in_use_is_reported(served: Bench) -> None:
     second = served.start("armrig_daemon", "run", "--config", str(served.config), "--rig", "2")
 
     assert second.popen.wait(WITHIN_S) == EX_CONFIG

@@ -1,4 +1,4 @@
-"""What the page shows of a story: its own scripts run in node, on a browser of stubs."""
+"""The page on a browser of stubs: its own scripts run in node, and tell a story."""
 
 from __future__ import annotations
 
