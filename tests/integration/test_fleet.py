@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -124,41 +124,33 @@ def test_a_voltage_held_through_a_router_that_dies_falls_to_0_v(
     bench.configure(watchdog_ms=250, more=lab.access("1"))
     bench.emulate()
     bench.serve()
-    router = subprocess.Popen([sys.executable, "-m", "armrig", *lab.router_command()])
-    holder = None
-    try:
-        with bench.rig() as rig:
-            holder = _holding(lab, bench, rig)
-
+    router = bench.start("armrig", *lab.router_command())
+    with bench.rig() as rig:
+        with _holding(lab, bench, rig):
             router.kill()
             wait_for(lambda: bench.volts() == 0.0, WITHIN_S)
             wait_for(lambda: rig.status().owner == "", WITHIN_S)
-            assert rig.status().reason.startswith("the lease ran out")
-    finally:
-        for program in filter(None, (holder, router)):
-            program.kill()
-            program.wait()
+        assert rig.status().reason.startswith("the lease ran out")
 
 
-def _holding(lab: FleetLab, bench: Bench, rig: Rig) -> subprocess.Popen[bytes]:
-    """Return alice's program once it holds 2 V by its lease."""
-    alice = str(lab.made / "alice.pem")
-
-    def begun() -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-c", _HOLDER, lab.endpoint, alice], stderr=subprocess.DEVNULL
-        )
-
-    holder = begun()
+@contextmanager
+def _holding(lab: FleetLab, bench: Bench, rig: Rig) -> Iterator[None]:
+    """Have alice's program hold 2 V by its lease."""
+    arguments = _HOLDER, lab.endpoint, str(lab.made / "alice.pem")
+    holder = bench.client(*arguments)
 
     def holds() -> bool:
         nonlocal holder
         if holder.poll() is not None:  # the daemon has not found its router yet
-            holder = begun()
+            holder = bench.client(*arguments)
         return bench.volts() > 1.9 and rig.status().owner == "a test (certificate alice)"
 
-    wait_for(holds, WITHIN_S)
-    return holder
+    try:
+        wait_for(holds, WITHIN_S)
+        yield
+    finally:
+        holder.kill()
+        holder.wait()
 
 
 def test_a_router_ends_in_order_at_a_signal(lab: FleetLab) -> None:

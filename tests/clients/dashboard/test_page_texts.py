@@ -1,4 +1,4 @@
-"""The page on a browser of stubs: its own scripts run in node, and tell a story."""
+"""The story of page_story.txt: the page's own scripts run in node, on a browser of stubs."""
 
 from __future__ import annotations
 
