@@ -153,6 +153,15 @@ def _holding(lab: FleetLab, bench: Bench, rig: Rig) -> Iterator[None]:
         holder.wait()
 
 
+def test_a_router_that_cannot_listen_reports_the_reason(
+    lab: FleetLab, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*lab.router_command(), "--listen", "tls/192.0.2.1:7447"]) == 1
+
+    said = " ".join(capsys.readouterr().err.split())
+    assert "Cannot assign requested address; check that the host is this machine" in said
+
+
 def test_a_router_ends_in_order_at_a_signal(lab: FleetLab) -> None:
     command = [sys.executable, "-m", "armrig", *lab.router_command()]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as router:
