@@ -131,12 +131,12 @@ def text(page: Any, selector: str) -> str:
 @pytest.mark.exhaustive
 def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, served: Bench) -> None:
     with opened(browser, client.url) as page:
-        show_step(page, "1")
+        show_step(page, "2")
         assert "the chassis turns" in text(page, "#preview-lines")
         page.fill("#field-high", "3.5")
         assert not page.is_enabled("#run")
         assert served.voltage_changes()[-1][1] == 0.0
-        run_step(page, served, "1")
+        run_step(page, served, "2")
         page.wait_for_selector("#recording:not([hidden])")
         page.wait_for_selector("#look:not([hidden])")
         assert "is recorded" in text(page, "#running-text")
