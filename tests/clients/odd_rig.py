@@ -23,11 +23,6 @@ from armrig_core.manifest import Outcome
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
 
-from tests.benchmarks.host_timing import targets
-from tests.benchmarks.host_timing.machine import Machine
-from tests.benchmarks.host_timing.results import Result, lines
-from tests.benchmarks.host_timing.rounds import Plan
-from tests.benchmarks.host_timing.targets import Rate
 from tests.clients.made_recordings import manifest, of_the_arm, recorded, written
 
 TS_NS = 40_000_000
@@ -179,36 +174,6 @@ def _host(root: Path) -> Host:
         free_bytes=(1 << 30) - 1,
     )
     return Host(root=root, granted=granted)
-
-
-def odd_benchmark() -> None:
-    """Print a benchmark of two rates; at the second one the line was not quiet."""
-    slow, fast = Rate(rate_hz=500), Rate(rate_hz=2000)
-    for i, name in enumerate(targets.DEFINITIONS):
-        times = (3.0 + i) * np.arange(1, 301) ** 0.5
-        slow.add(name, times[:100])
-        slow.add(name, times[100:])
-        if name not in (targets.REFERENCE, targets.DAEMON, targets.PIPED):
-            fast.add(name, times[::2])
-    for rate, lost in ((slow, 0), (fast, 2)):
-        for what, n in (("asked", 400), ("lost", lost), ("misplaced", 1)):
-            rate.count(f"scheduled {what}", n)
-            rate.count(f"scheduled {what}", n)
-    fast.remarks += ["exchange: ended", "exchange: ended", "scheduled: too late"]
-    machine = Machine(
-        kernel="6.12.48",
-        preemption="lazy",
-        cpus=2,
-        processor="an odd one",
-        governor="performance, schedutil",
-        virtual=True,
-        fifo=False,
-        memory_lock=True,
-        load=2.5,
-    )
-    plan = Plan(rates_hz=(500, 2000), seconds=20.0, burners=3)
-    result = Result(machine=machine, plan=plan, rates=[slow, fast])
-    print(*(line for line in lines(result) if len(line) < 120), sep="\n")
 
 
 def odd_plan(**changes: Any) -> Any:

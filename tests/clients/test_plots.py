@@ -25,43 +25,28 @@ from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
 from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
-from armrig.plots.captions import _fits, in_mathtext, legend, named, named_by_run, signature, symbol
+from armrig.plots.captions import _fits, in_mathtext, named, named_by_run, signature, symbol
 from armrig.plots.layout import (
-    COLOURS,
     decibels,
-    finish,
-    high_axes,
     logarithmic,
-    panels,
-    pens,
-    rows,
     save,
-    shade,
-    stems,
 )
 from armrig.recordings.figures import plot_overview
 from armrig.recordings.loading import load
 from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
-from armrig.validation.comparison import compare
-from armrig.validation.comparison_figure import plot_comparison
-from armrig.validation.residuals import residuals
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.text import Text
-from scipy.special import chdtri, ndtri
-
-from tests.clients.handout_plant import HandoutPlant
 
 
 def said(ax: Axes) -> list[str]:
-    """Return the lines of the legend."""
     legend = ax.get_legend()
     assert legend is not None
     return [text.get_text() for text in legend.get_texts()]
@@ -81,13 +66,11 @@ Plot = Callable[[Study, Recording, Axes | None], Axes]
 
 @pytest.fixture(scope="module")
 def recording(three_recordings: tuple[Path, Path, Path]) -> Recording:
-    """Give the validation recording."""
     return load(three_recordings[2])
 
 
 @pytest.fixture(scope="module")
 def done(three_recordings: tuple[Path, Path, Path]) -> Study:
-    """Give a study of all three."""
     return study([load(path) for path in three_recordings])
 
 
@@ -161,16 +144,6 @@ def test_a_plot_without_axes_makes_them(plot: Plot, done: Study, recording: Reco
 
     assert ax.has_data()
     assert len(plt.get_fignums()) == 1
-
-
-def test_models_differ_without_colour(done: Study) -> None:
-    """Dashes and width separate the models; the first curve is the widest and hides no other."""
-    ax = plots.plot_step(*(m.model for m in done.models), ax=Figure().add_subplot())
-
-    styles = [(str(line.get_linestyle()), line.get_linewidth()) for line in ax.lines]
-    widths = [width for _, width in styles]
-    assert len(set(styles)) == len(styles) == 3
-    assert widths[0] >= 1.5 * max(widths[1:])
 
 
 _SIZES = {"default": (6.4, 4.8), "column": (84 / 25.4, 2.7)}
@@ -250,27 +223,6 @@ def test_the_histogram_reports_its_percentiles(recording: Recording) -> None:
     assert said == [*expected, f"max {late.max():.3g} µs"]
 
 
-def test_every_sample_is_in_the_histogram(recording: Recording) -> None:
-    ax = plots.plot_timing(recording, quantity="lateness", ax=Figure().add_subplot())
-
-    counted = sum(patch.get_height() for patch in ax.patches)  # type: ignore[attr-defined]
-    assert counted == recording.samples.size
-
-
-def test_the_bode_band_holds_95_percent(done: Study) -> None:
-    """1.96 standard deviations of the magnitude above the curve if it is linearised, in dB."""
-    fit = done.best.fit
-    omega = np.geomspace(30.0, 100.0, 20)  # away from the notch at 16 rad/s
-    ax = plots.plot_bode(fit, omega=omega, ax=Figure().add_subplot())
-
-    answer = fit.frequency_response(omega)
-    upper = 20 * np.log10(np.abs(answer.G) + 1.96 * answer.std_magnitude)
-    edge = ax.collections[0].get_paths()[0].vertices
-    heights = np.asarray(edge)[:, 1]
-    assert all(np.min(np.abs(heights - v)) < 1e-4 for v in upper)
-    assert said(ax) == ["OE[4 4 1], 95 % linearised"]
-
-
 def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
     fit = hardly_a_pair()
     ax = plots.plot_poles_zeros(fit, ax=Figure().add_subplot())
@@ -289,35 +241,6 @@ def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
     assert legend.get_title().get_text().splitlines() == ["× poles, ○ zeros", left_out]
 
 
-def test_a_pole_and_a_zero_that_cancel_are_framed() -> None:
-    rng = np.random.default_rng(0)
-    u = rng.standard_normal(1000)
-    y = filtered([0, 1.0], [1, -0.8], u) + 0.5 * rng.standard_normal(1000)
-    data = Dataset(u=u, y=y, Ts=1.0)
-    right, high = (oe(data, nb=n, nf=n) for n in (1, 2))
-
-    assert "cannot be distinguished" in said(
-        plots.plot_poles_zeros(high, ax=Figure().add_subplot())
-    )
-    assert len(said(plots.plot_poles_zeros(right, ax=Figure().add_subplot()))) == 1
-
-
-def test_spectral_analysis_is_drawn_with_a_model_as_dots(done: Study) -> None:
-    fit, estimate = done.best.fit, spectral_reference(done.estimation)
-    ax = plots.plot_bode(fit, estimate, ax=Figure().add_subplot())
-
-    dots, hollow = (line for line in ax.lines if line.get_marker() == "o")
-    omega, level = (np.asarray(x, dtype=np.float64) for x in dots.get_data())
-    near = (omega > 20) & (omega < 60)
-    assert np.count_nonzero(near) > 5
-    modelled = 20 * np.log10(np.abs(fit.frequency_response(omega[near]).G))
-    assert np.median(np.abs(level[near] - modelled)) < 0.8
-    assert estimate.coherence is not None
-    weak = estimate.omega[estimate.coherence < 0.5]
-    np.testing.assert_array_equal(hollow.get_xdata(), weak)
-    assert said(ax)[-2:] == ["not explained by the input", "Blackman-Tukey, 95 %"]
-
-
 def test_the_bars_of_a_phase_are_in_degrees_as_its_axis(done: Study) -> None:
     """From the dot to 1.96 standard deviations on both sides; the estimate has them in rad."""
     estimate = spectral_reference(done.estimation)
@@ -330,21 +253,6 @@ def test_the_bars_of_a_phase_are_in_degrees_as_its_axis(done: Study) -> None:
     assert segments.shape[0] > 5
     lengths = np.minimum(2 * HALF_WIDTH * std, 360.0)
     np.testing.assert_allclose(np.ptp(segments[:, :, 1], axis=1), lengths)
-
-
-def test_the_bode_plot_takes_a_control_system(done: Study) -> None:
-    import control
-    from armrig_core.arm import ArmParameters, arm_matrices
-
-    A, B, C = arm_matrices(ArmParameters())
-    system = control.ss(A, B, C[:1], 0)
-    omega = np.array([0.5, 1.0, 2.0])
-    ax = plots.plot_bode(
-        done.reference.model, system, omega=omega, labels=["a", "b"], ax=Figure().add_subplot()
-    )
-
-    sampled, continuous = (np.asarray(line.get_ydata()) for line in ax.lines)
-    np.testing.assert_allclose(sampled, continuous, atol=0.01)
 
 
 def test_a_phase_is_a_lag_in_degrees() -> None:
@@ -394,48 +302,6 @@ def test_figures_name_a_run_where_it_is_known(recording: Recording) -> None:
     assert outside.get_title("right") == f"recording {recording.short_hash}"
 
 
-def test_a_test_s_figure_names_its_level_and_band(plant: HandoutPlant) -> None:
-    data = plant.dataset(1)
-    loop = armrig.open_loop(data).plot(ax=Figure().add_subplot())
-    late = armrig.delay(data).plot(ax=Figure().add_subplot())
-
-    legend = loop.axes[0].get_legend()
-    assert legend is not None
-    assert "level 5\xa0%" in legend.get_title().get_text().replace("\n", " ")
-    assert len(said(loop.axes[0])) == 2
-    assert [len(said(ax)) for ax in late.axes] == [2, 3]
-
-
-def test_the_figure_of_a_delay_is_at_the_level_of_its_tests(plant: HandoutPlant) -> None:
-    """Otherwise a lag without a significant test would leave the band."""
-    late = armrig.delay(plant.dataset(1))
-    response, losses = late.plot(ax=Figure().add_subplot()).axes
-
-    (dotted,) = [line for line in losses.lines if line.get_linestyle() == ":"]
-    assert dotted.get_ydata()[0] == pytest.approx(chdtri(1, late.level), rel=1e-3)
-    (band,) = [c for c in response.collections if isinstance(c, PolyCollection)]
-    std = late.response.decaying[1][late.response.lags == late.nk]
-    heights = np.abs(band.get_paths()[0].vertices[:, 1])
-    assert np.abs(heights / (ndtri(1 - late.level / 2) * std) - 1).min() < 1e-3
-
-
-def test_each_line_of_a_step_and_of_a_sampling_time_has_a_name(done: Study) -> None:
-    step = plots.plot_physical_step(ax=Figure().add_subplot())
-    sampling = armrig.sampling_time(done.estimation).plot(ax=Figure().add_subplot())
-
-    assert said(step)[-1] == "steady speed and initial slope, handout"
-    assert "−3 dB" in said(sampling.axes[1])
-
-
-def test_the_bode_plot_has_hertz_above(done: Study) -> None:
-    ax = plots.plot_bode(done.best.fit, ax=Figure().add_subplot())
-    (above,) = ax.child_axes
-    ax.figure.draw_without_rendering()
-
-    assert np.asarray(above.get_xlim()) * 2 * np.pi == pytest.approx(np.asarray(ax.get_xlim()))
-    assert "dB" in ax.get_ylabel()
-
-
 def test_a_ramp_is_shown_without_its_slope(done: Study, recording: Recording) -> None:
     ax = plots.plot_data(recording, ax=Figure().add_subplot())
 
@@ -459,56 +325,7 @@ def test_a_step_keeps_its_ramp(done: Study) -> None:
     np.testing.assert_array_equal(shown, step.theta_1)
 
 
-def test_a_jitter_of_nothing_is_no_histogram(recording: Recording) -> None:
-    samples = recording.samples.copy()
-    samples["t_sched_ns"] = np.arange(samples.size) * 10_000_000
-    samples["t_host_ns"] = samples["t_sched_ns"] + 824_000
-    ax = plots.plot_timing(
-        replace(recording, samples=samples), quantity="lateness", ax=Figure().add_subplot()
-    )
-
-    assert not ax.patches
-    assert [t.get_text() for t in ax.texts] == [
-        f"{samples.size} samples, all\n824 µs, to the microsecond"
-    ]
-
-
-def test_errors_are_shown_against_the_best_model(done: Study) -> None:
-    table = compare(done.validation, *_models(done))
-    ax = plots.plot_compare(done.validation, *_models(done), table=table, ax=Figure().add_subplot())
-
-    below = ax.figure.axes[1]
-    best = min(table.rows, key=lambda row: row.rms_error)
-    differences = [row.y - best.y for row in table.rows if row is not best]
-    lines = [np.asarray(line.get_ydata()) for line in below.lines]
-    for difference in differences:
-        assert any(y.shape == difference.shape and np.allclose(y, difference) for y in lines)
-
-
-def test_a_test_of_residuals_and_a_comparison_show_themselves(done: Study) -> None:
-    fit, data = done.best.fit, done.validation
-
-    tested = residuals(fit, data).plot(ax=Figure().add_subplot())
-    compared = compare(data, fit, labels=["mine"]).plot(ax=Figure().add_subplot())
-
-    assert [ax.get_ylabel() for ax in tested.axes] == ["$r_e$(lag)", "$r_{eu}$(lag)"]
-    assert said(compared.axes[1]) == ["measured − mine"]
-    assert tested.axes[0].get_title("right") == compared.axes[0].get_title("right") != ""
-
-
-def test_residuals_name_the_levels_of_band_and_test(done: Study) -> None:
-    """A bar outside its band of 99 % does not contradict a joint test at 1 %."""
-    ax = plots.plot_residuals(done.best.fit, done.validation, ax=Figure().add_subplot())
-
-    for panel in ax.figure.axes:
-        legend = panel.get_legend()
-        assert legend is not None
-        assert said(panel) == ["99 % band of each lag"]
-        read = " ".join(legend.get_title().get_text().replace("\xa0", " ").split())
-        assert "(joint test, level 1 %)" in read
-
-
-def test_a_stretched_axis_says_so_and_its_numbers_do_not_overlap(done: Study) -> None:
+def test_a_logarithmic_scale_is_named_and_its_numbers_do_not_overlap(done: Study) -> None:
     figure = Figure(figsize=(6.4, 2.6), layout="constrained")
     models = _models(done)
     far = replace(done.best.fit, B=np.append(0.0, 2.0 * done.best.fit.B[1:]))
@@ -539,52 +356,6 @@ def test_the_labels_of_a_comparison_do_not_overlap(done: Study) -> None:
 
     upper, lower = (ax.yaxis.label.get_window_extent() for ax in figure.axes)
     assert lower.y1 < upper.y0
-
-
-def test_the_numbers_of_a_stretched_axis_reach_near_its_end(plant: HandoutPlant) -> None:
-    """A number at 0.01 alone says nothing about an error of 0.08."""
-    ax = Figure().add_subplot()
-    data = plant.dataset(1, 600)
-    rows = [Line("near", 0.003, data.y + 0.003), Line("far", 0.08, data.y + 0.08)]
-
-    plot_comparison(data, rows, ax=ax)
-
-    ticks = ax.figure.axes[1].get_yticks()
-    assert float(np.max(ticks)) == pytest.approx(0.05)
-
-
-@dataclass(frozen=True)
-class Line:
-    """A model's output in a comparison."""
-
-    name: str
-    rms_error: float
-    y: np.ndarray
-
-
-def test_identical_errors_need_no_logarithm(done: Study) -> None:
-    oe = done.best.fit
-    ax = plots.plot_compare(done.validation, oe, oe, ax=Figure().add_subplot())
-
-    assert ax.figure.axes[1].get_yscale() == "linear"
-
-
-def test_a_fit_shows_itself(done: Study) -> None:
-    fit = done.best.fit
-
-    figure = fit.plot()
-
-    labels = [(ax.get_xlabel(), ax.get_ylabel()) for ax in figure.axes]
-    assert {x for x, _ in labels} >= {r"$\omega$ [rad/s]", "$t$ [s]", "Re $z$"}
-    bands = [ax for ax in figure.axes if ax.collections]
-    assert len(bands) == 3  # magnitude, phase, step
-    [roots] = [ax for ax in figure.axes if ax.get_xlabel() == "Re $z$"]
-    fixed = 1  # the pole at 1 has no region
-    regions = len(fit.poles()) + len(fit.zeros()) - fixed
-    assert len(roots.lines) == 3 + 2 + regions  # circle and axes, poles and zeros
-    signed = [ax.get_title(loc="right") for ax in figure.axes]
-    assert signed.count(f"recording {fit.source[:12]}") == 3
-    assert len(plt.get_fignums()) == 1
 
 
 def test_a_recording_and_its_data_show_themselves(recording: Recording) -> None:
@@ -624,32 +395,6 @@ def test_a_figure_of_axes_in_a_part_of_a_figure_is_the_whole_one(recording: Reco
     assert recording.plot(ax=ax) is whole
 
 
-def test_a_plot_is_saved_with_one_more_word(recording: Recording, tmp_path: Path) -> None:
-    begins = {"svg": b"<?xml", "png": b"\x89PNG"}
-    figure = recording.dataset("alpha")[:300].plot()
-    for ending in begins:
-        figure.savefig(tmp_path / f"data.{ending}")
-
-    found = {ending: (tmp_path / f"data.{ending}").read_bytes() for ending in begins}
-    assert all(found[ending].startswith(begin) for ending, begin in begins.items())
-
-
-def test_the_step_of_models_that_integrate_is_their_rate(done: Study) -> None:
-    integrating = [m.model for m in done.models if m.model.integrator]
-    ax = plots.plot_step(*integrating, ax=Figure().add_subplot())
-    rng = np.random.default_rng(1)
-    u = rng.standard_normal(300)
-    data = Dataset(u=u, y=filtered([0, 0.5], [1, -0.5], u), Ts=done.best.fit.Ts, output="theta_1")
-    mixed = plots.plot_step(
-        done.best.fit, oe(data, nb=1, nf=1, integrator=False), ax=Figure().add_subplot()
-    )
-
-    assert ax.get_ylabel() == r"$\dot\theta_1$ [rad/s/V]"
-    last = [float(np.asarray(line.get_ydata())[-1]) for line in ax.lines]
-    assert last == pytest.approx([1.8623] * len(integrating), rel=0.02)
-    assert mixed.get_ylabel() == r"$\theta_1$ [rad/V]"
-
-
 @pytest.mark.parametrize("integrator", [True, False])
 def test_a_step_response_begins_at_zero(integrator: bool, done: Study) -> None:
     rng = np.random.default_rng(1)
@@ -669,20 +414,6 @@ def letters(figure: Figure) -> dict[str, str]:
     """Return the label of the y axis of each panel that has a letter."""
     marked = [(ax, text.get_text()) for ax in figure.axes for text in ax.texts]
     return {mark: ax.get_ylabel() for ax, mark in marked if re.fullmatch(r"\([a-z]\)", mark)}
-
-
-def test_the_panels_of_a_result_have_letters(done: Study, recording: Recording) -> None:
-    tested = residuals(done.best.fit, done.validation)
-    figure = Figure()
-    mine, other = figure.subplots(1, 2)
-    tested.plot(ax=mine)
-    alone = plots.plot_step(done.best.fit, ax=Figure().add_subplot()).figure.figure
-    plots.letter(alone)
-
-    shown = letters(tested.plot(ax=Figure().add_subplot()))
-    assert shown == {"(a)": "$r_e$(lag)", "(b)": "$r_{eu}$(lag)"}
-    assert letters(figure) == letters(alone) == {}
-    assert other in figure.axes
 
 
 def test_the_letters_of_several_results_go_on_from_one_to_the_next(recording: Recording) -> None:
@@ -811,17 +542,7 @@ def test_symbols_and_powers_of_ten_are_in_mathtext() -> None:
     assert [named("theta_1", "rad"), named("flow", "")] == [r"$\theta_1$ [rad]", "flow [–]"]
 
 
-def test_many_curves_have_different_pens_and_two_times_as_many_begin_again() -> None:
-    many = pens(2 * len(COLOURS))
-
-    assert [pen["color"] for pen in many] == [*COLOURS, *COLOURS]
-    assert len({str(pen) for pen in many}) == len(COLOURS)
-    assert max(pen["lw"] for pen in many) == many[0]["lw"]
-    assert pens(1) == [{"color": plots.BLUE, "ls": "-", "lw": 1.4}]
-    assert pens(0) == []
-
-
-def test_a_magnitude_of_nothing_has_decibels() -> None:
+def test_a_magnitude_of_zero_has_minus_300_decibels() -> None:
     np.testing.assert_allclose(
         decibels(np.array([10.0, -0.1, 3j, 0.0])), [20, -20, 20 * np.log10(3), -300]
     )
@@ -846,70 +567,3 @@ def test_a_logarithmic_axis_has_plain_numbers(way: str, high: float, ticks: list
     assert shown == pytest.approx(ticks)
     assert axis.get_major_formatter()(20.0) == "20"
     assert axis.get_minor_formatter()(20.0) == ""
-
-
-@pytest.mark.parametrize(("size", "beside"), [((9.0, 2.0), True), ((4.0, 4.0), False)])
-def test_panels_without_a_common_axis_are_side_by_side_in_a_wide_place(
-    size: tuple[float, float], beside: bool
-) -> None:
-    for sharex in (False, True):
-        ax, second = panels(Figure(figsize=size).add_subplot(), 0.25, sharex=sharex)
-
-        first, other = ax.get_position(), second.get_position()
-        if beside and not sharex:
-            assert first.x1 < other.x0
-            assert other.width == pytest.approx(first.width / 3)
-        else:
-            assert other.y1 < first.y0
-            assert other.height == pytest.approx(first.height / 3)
-        assert ax.get_shared_x_axes().joined(ax, second) == sharex
-        assert ax.xaxis.get_tick_params().get("labelbottom", True) != sharex
-
-
-def test_rows_are_of_equal_height_with_one_axis_of_time() -> None:
-    every = rows(high_axes(5), 5)
-
-    figure = every[0].figure.figure
-    assert figure.get_size_inches() == pytest.approx((6.4, 5.75))
-    assert high_axes(2).figure.figure.get_size_inches()[1] == pytest.approx(3.6)
-    heights = [ax.get_position().height for ax in every]
-    assert heights == pytest.approx([heights[0]] * 5)
-    shown = [ax.xaxis.get_tick_params().get("labelbottom", True) for ax in every]
-    assert shown == [False] * 4 + [True]
-    finish(*every, xlim=(1.0, 3.0))
-    assert {ax.get_xlim() for ax in every} == {(1.0, 3.0)}
-    spines = [side for side, spine in every[2].spines.items() if spine.get_visible()]
-    assert spines == ["left", "bottom"]
-
-
-def test_a_gap_is_shaded_half_a_sample_beyond_its_samples() -> None:
-    ax = Figure().add_subplot()
-
-    shade(ax, np.array([False, True, True, False, False, True]), 0.2, first=3.0)
-    stems(ax, np.array([1.0, 4.0]), np.array([-2.0, 0.5]), "#123456")
-
-    edges = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in ax.patches]  # type: ignore[attr-defined]
-    assert np.ravel(edges) == pytest.approx([2.9, 3.1, 3.5, 3.9])
-    assert ax.get_legend_handles_labels()[1] == ["dead band or missing sample"]
-    (lines,) = ax.collections
-    assert [path.vertices.tolist() for path in lines.get_paths()] == [  # type: ignore[union-attr]
-        [[1.0, 0.0], [1.0, -2.0]],
-        [[4.0, 0.0], [4.0, 0.5]],
-    ]
-
-
-def test_a_legend_takes_the_room_of_its_notes_and_of_what_is_below_it() -> None:
-    """Each further line is as high as the others; without names and notes there is none."""
-    heights = []
-    for notes in ((), ("one",), ("one", "two")):
-        ax = Figure().add_subplot()
-        ax.plot([0, 1], label="curve")
-        heights.append((legend(ax, *notes), legend(ax, *notes, lift=30.0)))
-
-    (none, lifted), (one, _), (two, _) = heights
-    assert lifted == pytest.approx(none + 30.0)
-    assert two - one == pytest.approx(one - none)
-    assert one > none + 10
-    empty = Figure().add_subplot()
-    assert legend(empty, lift=7.0) == 7.0
-    assert empty.get_legend() is None

@@ -40,7 +40,7 @@ def test_another_encoding_is_reported_with_the_way_out(
     assert str(refused.value) == said
 
 
-def test_no_more_is_read_than_allowed_and_nothing_is_waited_for(tmp_path: Path) -> None:
+def test_reading_is_limited_and_never_blocks(tmp_path: Path) -> None:
     long, pipe = tmp_path / "long", tmp_path / "pipe"
     long.write_bytes(b"12345")
     os.mkfifo(pipe)

@@ -53,7 +53,7 @@ def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, says: str) ->
         client_settings([_file(tmp_path / "armrig.toml", text)], {})
 
 
-def test_a_file_of_the_daemon_s_alone_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_file_of_the_daemon_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(path: Path, most: int) -> str:
         raise PermissionError(13, "Permission denied", str(path))
 

@@ -43,15 +43,6 @@ def _written(path: Path, text: str) -> Path:
     return path
 
 
-def test_a_credential_contains_its_owner_and_its_end(authority: Path) -> None:
-    issued = pki.issue_to_person(authority, "alice", "operators", days=30)
-
-    found = read_credential(issued.path, "client")
-
-    assert found.name == "alice"
-    assert found.expires == issued.expires
-
-
 def test_the_certificates_between_its_own_and_the_authority_s_are_sent_along(
     authority: Path, tmp_path: Path
 ) -> None:
@@ -96,60 +87,45 @@ def test_a_certificate_is_good_in_its_time(
     assert re.search(rf"is not valid before {begins} \d\d:\d\d UTC: check the clock", _refused(new))
 
 
-def test_what_another_authority_signed_is_refused(authority: Path, tmp_path: Path) -> None:
-    key, certificate, _ = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
-    pki.make_authority(tmp_path / "forged")
-    other = _blocks(tmp_path / "forged" / "authority.pem")[0]
-
-    found = _written(tmp_path / "alice.pem", key + certificate + other)
-
-    assert _refused(found).startswith("not signed by the authority in the file")
-
-
-def test_the_key_must_be_that_of_the_certificate(authority: Path, tmp_path: Path) -> None:
-    key = _blocks(pki.issue_to_person(authority, "alice", "operators").path)[0]
-    bob = _blocks(pki.issue_to_person(authority, "bob", "operators").path)
-
-    found = _written(tmp_path / "bob.pem", key + bob[1] + bob[2])
-
-    assert _refused(found) == "the key does not belong to the certificate"
+@pytest.fixture(scope="module")
+def blocks(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Return key, certificate and authority of alice (kca) and bob (KCA), and spoilt ones."""
+    folder = tmp_path_factory.mktemp("blocks")
+    pki.make_authority(folder / "pki")
+    pki.make_authority(folder / "forged")
+    k, c, a = _blocks(pki.issue_to_person(folder / "pki", "alice", "operators").path)
+    bob = _blocks(pki.issue_to_person(folder / "pki", "bob", "operators").path)
+    named = {**dict(zip("KCA", bob, strict=True)), "k": k, "c": c, "a": a}
+    spoilt = {
+        f"{name}!": re.sub(r"\n[^-]{20}", "\nAAAAAAAAAAAAAAAAAAAA", named[name], count=1)
+        for name in "kca"
+    }
+    forged = _blocks(folder / "forged" / "authority.pem")[0]
+    locked = k.replace("PRIVATE KEY", "ENCRYPTED PRIVATE KEY")
+    return {**named, **spoilt, "forged": forged, "locked": locked}
 
 
 @pytest.mark.parametrize(
-    ("kept", "says"),
+    ("content", "says"),
     [
-        ([], "0 private keys and 0 certificates"),
-        ([1, 2], "0 private keys and 2 certificates"),
-        ([0, 1], "1 private keys and 1 certificates"),
-        ([0, 0, 1, 2], "2 private keys and 2 certificates"),
+        ("k c forged", "not signed by the authority in the file"),
+        ("k C A", "the key does not belong to the certificate"),
+        ("", "0 private keys and 0 certificates"),
+        ("c a", "0 private keys and 2 certificates"),
+        ("k c", "1 private keys and 1 certificates"),
+        ("k k c a", "2 private keys and 2 certificates"),
+        ("k! c a", "its key or a certificate is damaged"),
+        ("k c! a", "its key or a certificate is damaged"),
+        ("k c a!", "its key or a certificate is damaged"),
+        ("locked c a", r".*without a passphrase"),
     ],
 )
-def test_all_three_must_be_there(
-    authority: Path, tmp_path: Path, kept: list[int], says: str
+def test_a_credential_has_one_key_its_certificate_and_the_authority_of_both(
+    blocks: dict[str, str], tmp_path: Path, content: str, says: str
 ) -> None:
-    blocks = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
+    path = _written(tmp_path / "a.pem", "".join(blocks[name] for name in content.split()))
 
-    assert _refused(_written(tmp_path / "a.pem", "".join(blocks[i] for i in kept))).startswith(says)
-
-
-def test_a_damaged_file_is_refused(authority: Path, tmp_path: Path) -> None:
-    blocks = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
-    for at in range(3):
-        spoilt = list(blocks)
-        spoilt[at] = re.sub(r"\n[^-]{20}", "\nAAAAAAAAAAAAAAAAAAAA", blocks[at], count=1)
-
-        assert _refused(_written(tmp_path / "a.pem", "".join(spoilt))) == (
-            "its key or a certificate is damaged"
-        )
-
-
-def test_a_key_with_a_passphrase_is_refused(authority: Path, tmp_path: Path) -> None:
-    key, certificate, signer = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
-    locked = key.replace("PRIVATE KEY", "ENCRYPTED PRIVATE KEY")
-
-    assert "without a passphrase" in _refused(
-        _written(tmp_path / "a.pem", locked + certificate + signer)
-    )
+    assert re.match(says, _refused(path))
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o440, 0o420, 0o404, 0o402, 0o644])
@@ -166,14 +142,14 @@ def test_a_key_that_others_than_its_owner_may_read_is_refused(authority: Path, m
     assert read_credential(path, "client").name == "alice"
 
 
-def test_a_command_that_corrects_a_mode_can_be_pasted(tmp_path: Path) -> None:
+def test_the_chmod_command_quotes_its_path(tmp_path: Path) -> None:
     path = tmp_path / "a key;.pem"
     path.touch(mode=0o644)
 
     assert _refused(path).endswith(f": `chmod 400 '{path}'`")
 
 
-def test_the_file_that_is_read_is_judged_and_not_one_before_it(
+def test_the_mode_of_the_opened_credential_is_checked(
     authority: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The mode, or the file itself, may change just before it is opened."""

@@ -54,7 +54,7 @@ def test_a_group_may_read_the_facts_and_nobody_else(socket: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[" * 5000, '{"pid": "1", "port": "", "baud": 1}'])
-def test_a_file_without_facts_tells_nothing(text: str, socket: Path) -> None:
+def test_a_lock_file_without_facts_is_ignored(text: str, socket: Path) -> None:
     missing = read_facts(socket)
     lock_path(socket).write_text(text)
 

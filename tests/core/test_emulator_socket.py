@@ -19,7 +19,7 @@ from armrig_core.errors import InputError
 LONGEST = "/" + "a" * 106
 
 
-def test_a_port_names_a_socket_by_its_prefix() -> None:
+def test_a_port_with_the_prefix_unix_is_a_socket() -> None:
     assert socket_path("/dev/ttyACM0") is None
     assert socket_path("unix") is None
     assert socket_path("unix:/run/rig.sock") == Path("/run/rig.sock")

@@ -72,7 +72,7 @@ def test_a_damaged_image_is_refused_with_its_line(
         read_image(_written(tmp_path / "a.hex", *records))
 
 
-def test_what_follows_the_end_is_no_part_of_the_image(tmp_path: Path) -> None:
+def test_lines_after_the_end_record_are_ignored(tmp_path: Path) -> None:
     path = _written(tmp_path / "a.hex", _record(0, 0, b"ab"), END, "a comment")
 
     assert read_image(path).data == b"ab"

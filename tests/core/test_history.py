@@ -49,6 +49,6 @@ def test_an_answer_that_is_cut_or_changed_is_refused_or_read(
         encode_past(bytes(16), 0, 0, [("event", bytes(ANSWER_LIMIT))]),
     ],
 )
-def test_what_is_no_answer_is_refused(data: bytes) -> None:
+def test_a_malformed_history_reply_is_refused(data: bytes) -> None:
     with pytest.raises(MalformedReplyError):
         decode_past(data)

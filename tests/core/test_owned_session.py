@@ -22,7 +22,7 @@ def test_a_stranger_s_handshake_over_tls_has_three_seconds() -> None:
     assert strangers(7) == {"accept_timeout": 3000, "accept_pending": 4096, "max_sessions": 7}
 
 
-def test_a_client_that_does_not_read_is_waited_for_20_ms_at_most() -> None:
+def test_a_blocked_client_is_closed_after_20_ms() -> None:
     made = transport(5)["link"]
 
     assert made["rx"]["max_message_size"] == 5

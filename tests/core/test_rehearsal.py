@@ -115,7 +115,7 @@ def test_a_deflection_is_refused_where_it_first_happens() -> None:
     assert "reached at u[100], 1 s" in str(refusal.value)
 
 
-def test_the_rig_is_the_one_that_is_given() -> None:
+def test_the_rehearsal_uses_the_given_arm_parameters() -> None:
     u = _telegraph(500)
     softer = replace(P, K_lin=P.K_lin / 4)
 

@@ -87,7 +87,7 @@ def test_a_second_signal_interrupts() -> None:
         assert ended.is_set()
 
 
-def test_a_signal_other_than_ctrl_c_is_handed_on() -> None:
+def test_sigterm_reaches_the_previous_handler_after_the_wait() -> None:
     received: list[int] = []
     before = {
         signal.SIGTERM: signal.signal(signal.SIGTERM, lambda number, _: received.append(number)),

@@ -29,15 +29,6 @@ samples = st.builds(Sample, *(_KINDS[kind] for _, kind in SAMPLE_FIELDS))
 
 
 @given(samples)
-def test_protobuf_reads_what_was_packed(sample: Sample) -> None:
-    message = protobuf.message_class(protobuf.SAMPLE)()
-
-    message.ParseFromString(encode_sample(sample))
-
-    assert tuple(getattr(message, name) for name, _ in SAMPLE_FIELDS) == sample
-
-
-@given(samples)
 def test_packed_is_what_protobuf_writes(sample: Sample) -> None:
     message = protobuf.message_class(protobuf.SAMPLE)(**sample._asdict())
 

@@ -13,11 +13,11 @@ codes = st.integers(0, 65535)
 
 
 @given(codes)
-def test_a_code_is_the_code_of_its_voltage(code: int) -> None:
+def test_code_and_voltage_convert_both_ways(code: int) -> None:
     assert code_of(volts_of(code)) == code
 
 
-def test_the_ends_are_the_rig_s() -> None:
+def test_code_0_is_0_v_and_code_65535_is_5_v() -> None:
     """0 is 0 V and 65535 is 5 V, exactly."""
     assert (volts_of(0), volts_of(65535)) == (0.0, 5.0)
 

@@ -47,7 +47,7 @@ def now_ns() -> int:
     return time.monotonic_ns()
 
 
-def test_nothing_comes_and_the_deadline_ends_the_wait_never_early(waiter: Waiter) -> None:
+def test_a_wait_never_ends_before_its_deadline(waiter: Waiter) -> None:
     """A wait that ends early would make the loop spin; the timer counts in ns."""
     for wait_ns in (1, 999, 50_123, 1_500_001):
         due = now_ns() + wait_ns
@@ -87,7 +87,7 @@ def test_a_pipe_is_ready_for_as_long_as_it_can_be_read(
     assert waiter.ready() == []
 
 
-def test_a_terminal_is_ready_once_for_all_that_it_holds(
+def test_a_terminal_is_reported_ready_once_per_arrival(
     waiter: Waiter, terminal: tuple[int, int]
 ) -> None:
     """A second wait would wait for the kernel's worker."""

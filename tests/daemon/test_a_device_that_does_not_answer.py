@@ -127,7 +127,7 @@ def test_a_device_that_answers_has_nothing_said_of_its_line() -> None:
     assert bench.of(StateRecord)[-1].line == ""
     silent = _silent(bench)
 
-    met = heard(bench, bench.loop.state.device._replace(seq=1), silent)  # type: ignore[union-attr]
+    met = heard(bench, bench.loop.state.device._replace(seq=1), silent)
 
     assert unanswered(silent) != ""
     assert unanswered(met.state) == ""

@@ -48,7 +48,6 @@ def test_a_calibration_is_named_relative_to_the_file_that_names_it(tmp_path: Pat
     found = load([_config(tmp_path, '[calibration]\nfile = "c.toml"')], {}, {}).calibration
 
     assert found.theta_1.zero_counts == 1000.0
-    assert found.made is not None
     assert found.made.file == str(path)
 
 
@@ -112,7 +111,6 @@ def _attached(folder: Path, config: Config) -> bytes | None:
     runs.end(COMPLETE)
     assert done.wait(30)
     content = read(path.with_suffix("")) or read(path)
-    assert content is not None
     return content.attachments.get(CALIBRATION_RAW)
 
 

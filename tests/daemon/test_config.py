@@ -35,7 +35,6 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ("[timing]\nTz = 1", r"timing\.Tz = 1: no such key; allowed are Ts, priority"),
         ("[timng]\nTs = 1", r"timng = .*: no such key; allowed are rig, device"),
         ("[timing]\nTs = '10 ms'", r"timing\.Ts = '10 ms': expected `float`, got `str`"),
-        ("[timing]\nTs = 2", r"timing\.Ts = 2: expected `float` <= 1"),
         ("[timing]\nTs = 0.0100001", r"Ts = 0.0100001 must be a whole number of microseconds"),
         (
             "[timing]\nTs = 0.001",
@@ -43,15 +42,12 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ),
         ("[limits]\nu_max_v = 6", r"limits\.u_max_v = 6: expected `float` <= 5"),
         ("[limits]\nu_max_v = nan", r"limits\.u_max_v = nan"),
-        ("[limits]\nu_min_v = -1", r"limits\.u_min_v = -1: expected `float` >= 0"),
         ("[limits]\nu_min_v = 4\nu_max_v = 3", r"limits: u_min_v = 4.0 must not be above"),
         ("[limits]\nu_min_v = 4\nu_min_v = 3", r"line 3: u_min_v = 3: given twice; .* once"),
         ("[limits]\nu_min_v = 4\n[rig]\n[limits]\n", r"line 4: \[limits\]: given twice"),
         ("limits = {u_min_v = 4, u_min_v = 3}", r"line 1: .*u_min_v = 3}: given twice"),
         ("[limits]\nu_min_v 4", "not a TOML file"),
         ("[limits]\nrevolutions = 0.004", r"revolutions = 0\.004 must be a whole number of hund"),
-        ("[limits]\nrevolutions = 656", r"limits\.revolutions = 656: expected `float` <= 655"),
-        ("[limits]\nalpha_rad = -0.1", r"limits\.alpha_rad = -0\.1: expected `float` >= 0"),
         ("[limits]\nalpha_rad = true", r"limits\.alpha_rad = True: expected `float`, got `bool`"),
         (
             "[device]\noversampling = 0",
@@ -68,11 +64,6 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
             r"exchange mode with \[device\] oversampling = 16: at least 0\.004368 s, or a higher "
             "baud rate, or less oversampling$",
         ),
-        ("[motor]\nrest_v = 2.5", r"motor: rest_v = 2\.5 must be 0: every stop .* is 0 V"),
-        ("[motor]\nenable_line = true", r"motor\.enable_line = True: no such key; allowed are"),
-        ("[arm]\nJ_1 = 0", r"arm\.J_1 = 0: expected `float` > 0"),
-        ("[arm]\nJ_1 = inf", r"arm\.J_1 = inf: expected `float` <= 1000000"),
-        ("[arm]\nJ_3 = 1", r"arm\.J_3 = 1: no such key; allowed are J_1, J_2"),
         (
             "[device]\nport = '/dev/tty\x9b'",
             r"device: port = '/dev/tty\\x9b' must have only print",
@@ -86,7 +77,6 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
             "[device]\nport = 'unix:'",
             r"device: unix:: the path has 0 B; .*; name a socket in your own folder",
         ),
-        ("[device]\nwatchdog_ms = 0", r"device\.watchdog_ms = 0: expected `int` >= 20"),
         ("[rig]\nid = '../1'", r"rig id '\.\./1': use 1 to 40 characters, each a-z, 0-9 or -"),
         ("[emulator]\nbaud = 1", r"emulator: baud=1 must be from 9600"),
         ("[calibration.theta_1]\nrad_per_count = 0.0", r"calibration\.theta_1: rad_per_count=0\.0"),
@@ -179,13 +169,6 @@ def test_what_config_can_say_is_taken(tmp_path: Path, key: str) -> None:
     assert f"{key.split()[0]}={key.split()[2]}" in repr(device)
 
 
-def test_the_rules_of_the_core_are_the_configuration_s() -> None:
-    rules = Config().rules()
-
-    assert (rules.code_min, rules.code_max, rules.slew, rules.turns) == (0, 65535, 0, 0)
-    assert rules.ts_us == 10_000
-
-
 def test_each_key_of_the_core_s_rules_reaches_them(tmp_path: Path) -> None:
     rules = _load(
         tmp_path,
@@ -245,8 +228,8 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Give the machine's folder of configurations; the user has none."""
     folder = tmp_path / "etc"
     folder.mkdir()
-    monkeypatch.setattr(recording_directory, "SYSTEM", folder / "armrig.toml")
-    monkeypatch.setattr(config_module, "SYSTEM", folder / "armrig.toml")
+    for module in (recording_directory, config_module):
+        monkeypatch.setattr(module, "SYSTEM", folder / "armrig.toml")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "user"))
     return folder
 

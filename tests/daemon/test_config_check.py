@@ -46,18 +46,6 @@ def test_a_file_that_the_daemon_takes_is_reported_in_one_line(tmp_path: Path) ->
     assert said.count("\n") == 1
 
 
-@pytest.mark.parametrize(("text", "notes"), [("rest_v = 0.0", 1), ("rest_v = 0", 1), ("", 0)])
-def test_a_rest_voltage_of_0_is_taken_and_said_to_mean_nothing(
-    tmp_path: Path, text: str, notes: int
-) -> None:
-    file = tmp_path / "new.toml"
-    file.write_text(f"[motor]\n{text}\n")
-
-    code, said = _armrigd("config", "--check", file)
-
-    assert (code, said.count("motor.rest_v = 0 has no effect: remove it")) == (0, notes)
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -53,7 +53,7 @@ def test_the_example_as_it_is_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_the_values_of_the_example_are_the_defaults(tmp_path: Path) -> None:
-    config = _with_all_keys(tmp_path, "file", "cpu", "rest_v")
+    config = _with_all_keys(tmp_path, "file", "cpu")
 
     assert config.arm.parameters() == Config().arm.parameters()
     assert config.emulator.arm_parameters() == EmulatorSettings().arm_parameters()

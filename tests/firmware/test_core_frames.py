@@ -13,7 +13,7 @@ from armrig_daemon.emulator.board import reported
 from armrig_daemon.emulator.firmware import Hardware
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import cobs, decoder, frame
-from armrig_protocol.crc import CHECK, crc32
+from armrig_protocol.crc import crc32
 from armrig_protocol.decoder import MAX_STUFFED
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import MAX_DECODED
@@ -40,7 +40,6 @@ def hardware(pwm_bits: int = 10) -> Hardware:
 
 
 def core() -> Any:
-    """Return the functions of the core."""
     return library.library(hardware()).functions
 
 
@@ -82,11 +81,6 @@ def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
             assert closed(text[:-4]) == piece + b"\0"
 
 
-def test_the_check_value_of_the_crc() -> None:
-    """The value is in the catalogue of CRC algorithms."""
-    assert core().rig_crc(b"123456789", 9) == CHECK
-
-
 @pytest.mark.parametrize("bit", range(32))
 def test_a_bit_of_the_crc_spoils_the_frame(bit: int) -> None:
     text = bytes((0x13, 0, 1, 0))
@@ -110,18 +104,6 @@ def test_stuffing_is_that_of_python(text: bytes) -> None:
 
     assert core().rig_unstuff(place, len(text) + 1)
     assert place.raw[1:] == text
-
-
-@given(NO_ZERO)
-def test_unstuffing_is_that_of_python(stuffed: bytes) -> None:
-    place = ctypes.create_string_buffer(stuffed, max(1, len(stuffed)))
-
-    sound = core().rig_unstuff(place, len(stuffed))
-
-    text = cobs.unstuff(stuffed)
-    assert sound == (text is not None)
-    if text:
-        assert place.raw[1:] == text
 
 
 @given(NO_ZERO.filter(bool))
@@ -168,14 +150,7 @@ def test_the_same_frames_however_the_line_cuts_them(parts: list[bytes], rng: Any
 def test_duty_and_code_are_those_of_python(bits: int) -> None:
     c = library.library(hardware(bits)).functions
 
-    for u in range(0, 65536, 1 if bits == 10 else 7):
+    for u in range(0, 65536, 1 if bits == 10 else 31):
         steps = duty(u, bits)
         assert c.rig_duty(u) == steps
         assert c.rig_code(steps) == reported(u, bits)
-
-
-@pytest.mark.exhaustive
-def test_a_duty_of_16_bits_is_the_code() -> None:
-    c = library.library(hardware(16)).functions
-
-    assert all(c.rig_duty(u) == c.rig_code(u) == u for u in (0, 1, 32767, 32768, 65535))

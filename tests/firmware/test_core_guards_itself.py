@@ -17,7 +17,6 @@ from armrig_protocol.messages import (
     Status,
 )
 
-from tests.daemon.emulator import emulated_host
 from tests.daemon.emulator.emulated_host import MS, US, Host, S, only
 from tests.daemon.emulator.test_readings import reading
 from tests.firmware.core_device import CoreDevice
@@ -28,10 +27,9 @@ pytestmark = needs("cc", "make")
 
 
 @pytest.fixture
-def host(monkeypatch: pytest.MonkeyPatch) -> Host:
+def host() -> Host:
     """Return a host with a device that has the C core."""
-    monkeypatch.setattr(emulated_host, "Device", CoreDevice)
-    return Host()
+    return Host(kind=CoreDevice)
 
 
 def test_a_code_that_no_check_let_through_is_not_driven(host: Host) -> None:

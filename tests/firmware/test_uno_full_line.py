@@ -107,7 +107,6 @@ def test_the_daemon_s_own_load_costs_nothing_at_the_shortest_ts(baud: int) -> No
     bench = UnoBench(Config(device=Device(baud=baud, watchdog_ms=250)))
     try:
         told = bench.loop.state.device
-        assert told is not None
         ts_us = max(told.ts_min_us, scheduled_us(baud, told.skew_us))
         volts = telegraph(2000)
 

@@ -8,13 +8,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
-import serial
-from armrig_protocol import decoder
-from armrig_protocol.frame import encode
-from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
+from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.serial_line import SerialLine
 
 from tests.firmware.uno_host import broken, harness
 from tests.tools import needs
@@ -48,7 +47,6 @@ def test_a_pin_that_is_high_at_reset_is_a_line_and_an_exit_code(tmp_path: Path) 
     environ = os.environ | {"ARMRIG_FIL": str(harness())}
     command = [*COMMAND, "emulate", "--hex", str(image), "--port", str(tmp_path / "uno")]
     with subprocess.Popen(command, env=environ, stderr=subprocess.PIPE, text=True) as emulator:
-        assert emulator.stderr is not None
         said = next(line for line in emulator.stderr if "enable line is low" in line)
         emulator.terminate()
         rest = emulator.stderr.read()
@@ -61,7 +59,8 @@ def test_a_pin_that_is_high_at_reset_is_a_line_and_an_exit_code(tmp_path: Path) 
 
 @needs_simavr
 def test_a_host_that_opens_the_port_meets_the_firmware(port: Path) -> None:
-    reply = _greet(port)
+    with closing(SerialLine(str(port), 500_000)) as line:
+        reply = Host(line).hello(30_000)
 
     assert reply.firmware != 0
     assert (reply.queue, reply.pwm_bits) == (256, 10)
@@ -81,18 +80,6 @@ def test_it_does_what_the_protocol_says_in_real_time_too(port: Path) -> None:
     assert (ended.returncode, told["broken"]) == (0, 0)
     assert len(told["rules"]) > 80
     assert told["device"]["firmware"] != "0"
-
-
-def _greet(port: Path) -> HelloReply:
-    pending = b""
-    with serial.Serial(str(port), 500_000, timeout=0.2, exclusive=True) as line:
-        for seq in range(1, 300):
-            line.write(b"\0" + encode(Hello(0, seq, VERSION, SCHEMA_HASH)))
-            pending, received = decoder.feed(pending, line.read(200))
-            for one in received:
-                if isinstance(one, HelloReply):
-                    return one
-    raise AssertionError("no answer")
 
 
 def test_without_the_harness_it_ends_with_one_line(tmp_path: Path) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from random import Random
 
 import pytest
 from armrig_core.commands import Set
 
-from tests.fuzz import bombs, cuts, data_files, files, frames, mutation, recoveries, requests
+from tests.fuzz import bombs, cuts, data_files, files, frames, recoveries, requests
 from tests.sampling import sampled
 
 
@@ -29,11 +28,11 @@ def test_any_fields_give_an_allowed_command_or_a_refusal() -> None:
 
 
 def test_any_file_gives_its_beginning_or_is_refused_in_a_line() -> None:
-    found = files.fuzz(1_000, seed=1)
+    found = files.fuzz(500, seed=1)
 
-    assert found["cut"] > 500
-    assert found["whole"] > 100
-    assert found["refused"] > 25
+    assert found["cut"] > 250
+    assert found["whole"] > 50
+    assert found["refused"] > 12
 
 
 def test_any_unfinished_file_is_recovered_or_stays_as_it_is() -> None:
@@ -64,16 +63,3 @@ def test_a_file_made_to_cost_memory_costs_64_mib_at_most(name: str, tmp_path: Pa
     cost = bombs.cost_mib(bombs.BOMBS[name](), tmp_path)
 
     assert 0.1 < cost <= bombs.MOST_MIB  # it was read at all
-
-
-def test_a_file_that_yields_nothing_costs_64_mib_at_most(tmp_path: Path) -> None:
-    cost = bombs.cost_mib(bombs.BOMBS["events"](), tmp_path, alone=True)
-
-    assert 0.1 < cost <= bombs.MOST_MIB  # it was read at all
-
-
-def test_the_same_seed_gives_the_same_inputs() -> None:
-    data = files.corpus()
-    a, b = (mutation.mutated(data[0], Random(7), data) for _ in range(2))
-
-    assert a == b != data[0]

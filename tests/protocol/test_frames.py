@@ -13,8 +13,8 @@ import pytest
 from armrig_protocol import cobs
 from armrig_protocol.crc import CHECK, crc32
 from armrig_protocol.decoder import MAX_STUFFED, Received, feed
-from armrig_protocol.frame import Spoilt, Unknown, encode, wire_length
-from armrig_protocol.messages import ARRAYS, LAYOUTS, MESSAGES, Exchange, Message, Sample, Setpoints
+from armrig_protocol.frame import Spoilt, Unknown, encode
+from armrig_protocol.messages import ARRAYS, LAYOUTS, MESSAGES, Exchange, Message
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -152,8 +152,3 @@ def test_no_frame_is_cut_out_of_one_that_is_too_long() -> None:
 
     assert _feed_in_pieces([longest, b"\0"]) == [Unknown(0, 1, 0xFF)]
     assert _feed_in_pieces([longest + b"x", b"\0"]) == [Spoilt("length")]
-
-
-def test_the_frames_take_what_the_design_of_the_budget_says() -> None:
-    """SAMPLE 36, EXCHANGE 16 and SETPOINTS 64 bytes on the wire."""
-    assert (wire_length(Sample), wire_length(Exchange), wire_length(Setpoints)) == (36, 16, 64)

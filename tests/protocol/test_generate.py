@@ -9,7 +9,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from armrig_protocol import generate
 from armrig_protocol.generate import ROOT, generated, main
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
 
@@ -93,19 +92,18 @@ def test_the_header_compiles_and_its_sizes_hold(tmp_path: Path) -> None:
 
 
 def test_what_differs_from_the_schema_is_named_and_then_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     root = _copy(tmp_path)
     for path in ("armrig_protocol/messages.py", "firmware/rig_protocol.h"):
         (root / path).parent.mkdir()
         shutil.copy(ROOT / path, root / path)
-    monkeypatch.setattr(generate, "ROOT", root)
     header = root / "firmware" / "rig_protocol.h"
     sound = header.read_text()
     header.write_text(sound + "\n")
     (root / "armrig_protocol" / "messages.py").unlink()
 
-    codes = [main(["--check"]), main([]), main(["--check"]), main([])]
+    codes = [main(arguments, root) for arguments in (["--check"], [], ["--check"], [])]
 
     assert codes == [1, 0, 0, 0]
     said = [line.removeprefix(f"{root}/") for line in capsys.readouterr().out.splitlines()]
@@ -120,9 +118,7 @@ def test_what_differs_from_the_schema_is_named_and_then_written(
 
 
 def test_without_a_checkout_nothing_is_generated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(generate, "ROOT", tmp_path)
-
-    assert main([]) == 2
+    assert main([], tmp_path) == 2
     assert f"{tmp_path}: no schema.toml; run this in a checkout" in capsys.readouterr().err

@@ -13,7 +13,9 @@ from tests.tools import needs
 
 ROOT = Path(__file__).parents[2]
 UNITS = sorted((ROOT / "deploy" / "systemd").glob("*.service"))
-SERVICE = (ROOT / "docs" / "service.md").read_text(encoding="utf-8")
+SERVICE, ACCESS = (
+    (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8") for page in ("service", "access")
+)
 OVER_NETWORK = ("armrig-recorder.service", "armrig-router.service")
 WITHOUT_NETWORK = (
     "PrivateNetwork=yes\nIPAddressDeny=any\nRestrictAddressFamilies=~AF_INET AF_INET6\n"
@@ -79,6 +81,15 @@ def test_a_unit_with_network_is_exposed_as_the_page_says(name: str, tmp_path: Pa
 
     assert f"is {as_installed} for the router and for the recorder" in SERVICE
     assert f"`IPAddressAllow=` lowers (improves) the score to {for_a_lab}" in SERVICE
+
+
+def test_a_daemon_with_a_network_is_exposed_as_the_page_says(tmp_path: Path) -> None:
+    unit = _with_our_program(ROOT / "deploy" / "systemd" / "armrigd@.service", tmp_path)
+    (network,) = re.findall(r"```ini\n\[Service\]\n(.*?)```", ACCESS, re.DOTALL)
+
+    scores = _score(unit), _score(unit, more=network)
+
+    assert "reports increases from {} to {}:".format(*scores) in ACCESS
 
 
 def test_a_unit_starts_nothing_that_a_small_system_has_not() -> None:

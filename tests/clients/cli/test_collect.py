@@ -27,44 +27,6 @@ from tests.sampling import sampled
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["blackbox", "--high", "5.5"], "high=5.5 V is outside the rig's 0 to 5 V"),
-        (["blackbox", "--low", "-1"], "low=-1.0 V is outside the rig's 0 to 5 V"),
-        (["blackbox", "--low", "nan"], "low=nan V is outside the rig's 0 to 5 V"),
-        (["blackbox", "--a", "2"], "a=2.0 is a probability, 0 <= a <= 1"),
-        (["step", "--high", "9"], "high=9.0 V is outside the rig's 0 to 5 V"),
-    ],
-)
-def test_a_voltage_outside_the_rigs_range_is_refused_before_a_rig_is_asked(
-    arguments: list[str],
-    said: str,
-    daemon: FakeDaemon,
-    where: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["collect", *arguments, "--connect", where]) == 1
-
-    assert told(capsys) == f"armrig: {said}\n"
-    assert daemon.asked == []
-
-
-def test_collect_plays_the_telegraph_that_was_asked_for(
-    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["collect", "blackbox", "--seconds", "2", "--seed", "7", "--connect", where]
-
-    assert main(arguments) == 0
-
-    assert capsys.readouterr().out == "/nowhere/run.mcap\n"
-    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
-    assert len(run.u) == 200
-    assert set(run.u) == {0.5, 4.5}
-    assert run.experiment == "blackbox"
-    assert run.details == {"input": "telegraph", "a": 0.05, "low": 0.5, "high": 4.5, "seed": 7}
-
-
-@pytest.mark.parametrize(
     ("arguments", "kinds", "own"),
     [
         (["blackbox", "--a", "0.3", "--seed", "5", "--validation"], 2, {"a": 0.3, "seed": 5}),
@@ -109,25 +71,6 @@ def test_every_option_of_a_collection_reaches_its_plan(
     assert arguments[0] != "step" or (step[:35].max(), step[35:].min()) == (1.25, 3.5)
 
 
-def test_collect_step_steps_when_it_was_asked_to(daemon: FakeDaemon, where: str) -> None:
-    arguments = ["collect", "step", "--seconds", "1", "--at", "0.4", "--Ts", "0.02", "--json"]
-
-    assert main([*arguments, "--connect", where]) == 0
-
-    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
-    assert run.u == [0.5] * 20 + [4.5] * 30
-
-
-def test_collect_greybox_plays_what_a_black_box_does(daemon: FakeDaemon, where: str) -> None:
-    daemon.arm_removed = True
-
-    assert main(["collect", "greybox", "--seconds", "2", "--connect", where]) == 0
-
-    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
-    assert run.experiment == "greybox"
-    assert run.details["input"] == "telegraph"
-
-
 def test_collect_greybox_refuses_a_rig_with_its_arm_on(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -150,49 +93,6 @@ def test_collect_blackbox_says_where_the_arm_is_off(
 
     said = capsys.readouterr().err
     assert ("rig 1 has no arm ([arm] removed)" in said) == arm_removed
-
-
-def test_collect_staircase_goes_up_and_down_again(daemon: FakeDaemon, where: str) -> None:
-    arguments = ["collect", "staircase", "--levels", "3", "--seconds", "1", "--connect", where]
-
-    assert main(arguments) == 0
-
-    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
-    stairs = np.repeat([0.5, 2.5, 4.5, 2.5, 0.5], 20)
-    np.testing.assert_array_equal(run.u, stairs)
-
-
-def test_collect_bla_plays_periods_with_other_phases(
-    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["--period", "0.5", "--periods", "3", "--realisations", "2", "--connect", where]
-
-    assert main(["collect", "bla", *arguments]) == 0
-
-    played = [r for r in daemon.asked if isinstance(r, commands.Run)]
-    one, two = (np.array(r.u).reshape(3, 50) for r in played)
-    assert capsys.readouterr().out == "/nowhere/run.mcap\n" * 2
-    for u in (one, two):
-        np.testing.assert_array_equal(u, np.tile(u[0], (3, 1)))
-    assert np.std(one) == pytest.approx(np.std(two), rel=1e-12)
-    assert np.abs(one - two).max() > 0.5
-    assert [r.details["realisation"] for r in played] == [0, 1]
-
-
-def test_collect_bla_takes_the_length_of_a_recording(
-    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["collect", "bla", "--seconds", "1.5", "--periods", "3", "--realisations", "1"]
-    arguments += ["--connect", where]
-
-    assert main(arguments) == 0
-    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
-    capsys.readouterr()
-    assert main([*arguments, "--period", "0.5"]) == 1
-
-    u = np.array(run.u).reshape(3, 50)
-    np.testing.assert_array_equal(u, np.tile(u[0], (3, 1)))
-    assert "--seconds 1.5 with --period 0.5: give only one of these two options" in told(capsys)
 
 
 @pytest.mark.parametrize(
@@ -255,16 +155,11 @@ def test_collect_plays_a_file_of_ones_own(daemon: FakeDaemon, where: str, tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--input", "csv"], "--file CSV plays a file"),
         (["--input", "prbs", "--file", "FILE"], "or give --input csv"),
         (["--file", "FILE", "--seconds", "3"], "--seconds 3: a file has its own length"),
-        (["--file", "FILE", "--validation"], "--validation: csv would repeat the same input"),
         (["--input", "chirp", "--validation"], "--validation: chirp would repeat the same input"),
         (["--file", "FILE", "--Ts", "0.02"], "t=0.01 s, but Ts=0.02 s gives 0.02 s"),
-        (["--file", "/nowhere.csv"], "/nowhere.csv: No such file or directory"),
         (["--input", "prbs", "--a", "0"], "a=0.0: a prbs switches with a probability of more"),
-        (["--name", "My run"], "--name My run: at most 31 of a-z, 0-9 and -"),
-        (["--high", "6"], "high=6.0 V is outside the rig's 0 to 5 V"),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, list) else "",
 )
@@ -428,21 +323,6 @@ def test_what_nohup_ignores_stays_ignored() -> None:
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
-
-
-def test_a_program_gets_the_result_of_a_stop_in_json(
-    where: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with FakeDaemon(where):
-        assert main(["stop", "--connect", where, "--json"]) == 0
-        assert main(["reset", "--connect", where, "--json"]) == 0
-
-    said = capsys.readouterr()
-    assert [json.loads(line) for line in said.out.splitlines()] == [
-        {"rig": "1", "stopped": True},
-        {"rig": "1", "was_latched": True},
-    ]
-    assert said.err == ""
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +21,6 @@ from tests.clients.made_recordings import manifest, recorded, sample, written
 from tests.clients.told import told
 
 
-@pytest.mark.exhaustive
-def test_report_writes_a_pdf_and_says_where(
-    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pdf = tmp_path / "r.pdf"
-
-    assert main(["report", *map(str, three_recordings), "-o", str(pdf)]) == 0
-
-    said = capsys.readouterr()
-    assert said.out == f"{pdf}\n"
-    assert said.err.splitlines()[-1] == "next: armrig report --handout --questions reasons.toml"
-    assert pdf.read_bytes().startswith(b"%PDF-")
-
-
 def test_a_figure_of_a_saved_model_has_the_run_that_its_data_validate(tmp_path: Path) -> None:
     """The model names its recording by hash, and `armrig ls` knows no hash."""
     of, drawn = "0000000b", Figure().add_subplot()
@@ -49,51 +33,6 @@ def test_a_figure_of_a_saved_model_has_the_run_that_its_data_validate(tmp_path: 
     write_plot(tmp_path / "a.svg", model=lambda ax: sign(drawn, source))
 
     assert drawn.get_title("right") == "recording @0000000b"
-
-
-@pytest.mark.exhaustive
-def test_the_source_of_a_report_is_to_be_typeset_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-
-    assert main(["report", "--handout", "--source", "my source"]) == 0
-
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last == "next: armrig report --from 'my source' -o report-2.pdf"
-    assert main(shlex.split(last)[2:]) == 0
-
-
-def test_report_gives_a_program_its_recordings(
-    three_recordings: tuple[Path, ...],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    pdf = tmp_path / "r.pdf"
-    step, recording, _ = three_recordings
-    files = (recording, recording, step)
-    # The messages need no figures and no typesetting, which take most of the time.
-    monkeypatch.setattr("armrig.report.document.write_figures", lambda *_: {})
-    monkeypatch.setattr("armrig.report.typesetting.compiled", lambda _: (b"%PDF-", []))
-
-    assert main(["report", *map(str, files), "-o", str(pdf), "--json"]) == 0
-
-    hashes = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
-    said = capsys.readouterr()
-    assert json.loads(said.out) == {"report": str(pdf), "recordings": hashes}
-    assert "judged on their own estimation data" in said.err
-
-
-def test_a_report_that_cannot_be_written_is_reported_in_one_line(
-    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pdf = tmp_path / "no" / "r.pdf"
-
-    assert main(["report", *map(str, three_recordings), "-o", str(pdf)]) == 1
-
-    said = told(capsys)
-    assert said.startswith(f"armrig: -o {pdf}: there is no directory {pdf.parent}")
 
 
 @pytest.mark.parametrize("name", ["estimation.mcap", "other.mcap", "other.pdf", "r.txt", "."])
@@ -189,18 +128,6 @@ def test_a_figure_in_a_folder_never_replaces_a_recording(tmp_path: Path) -> None
         write_plot(tmp_path / "*.png", **drawn)
 
     assert [*tmp_path.iterdir()] == [path]
-
-
-def test_a_figure_never_replaces_a_recording(
-    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = three_recordings[0]
-    before = path.read_bytes()
-
-    assert main(["info", str(path), "--plot", str(path)]) == 1
-
-    assert "is an input file, which would be lost" in told(capsys)
-    assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])

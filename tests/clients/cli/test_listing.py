@@ -67,19 +67,6 @@ def test_a_folder_that_is_named_is_listed_by_its_files(
     assert (found["folder"], found["recordings"][0]["recording"]) == (str(synced), str(path))
 
 
-@pytest.mark.parametrize(
-    ("name", "why"), [("none", "No such file or directory"), ("file", "Not a directory")]
-)
-def test_what_is_no_folder_is_reported(
-    tmp_path: Path, name: str, why: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-
-    assert main(["ls", str(tmp_path / name)]) == 1
-
-    assert f"{tmp_path / name}: {why}" in capsys.readouterr().err
-
-
 def test_each_recording_has_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("a\nb.mcap", f"{'x' * 200}.mcap", "plain.mcap"):
         written(tmp_path, recording(experiment="y" * 3000), name)
@@ -134,20 +121,6 @@ def test_what_is_not_whole_is_named(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "and 2 more; `armrig info FILE` shows the damage" in " ".join(
         capsys.readouterr().err.split()
     )
-
-
-def test_info_shows_no_more_of_a_text_than_a_person_reads(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = written(tmp_path, recording(details={"why": "z" * 5000}))
-
-    assert main(["info", str(path)]) == 0
-    shown = capsys.readouterr().out
-    assert main(["info", str(path), "--json"]) == 0
-
-    assert max(map(len, shown.splitlines())) < 1100
-    assert "zzz…; --json shows all of it" in shown
-    assert "z" * 5000 in capsys.readouterr().out
 
 
 def test_a_recording_whose_name_begins_with_an_at_sign_is_read(

@@ -25,6 +25,7 @@ from armrig.cli.model_output import (
 from armrig.data.finding import Finding, warning
 from armrig.models.responses import Roots
 from armrig.numerics.whiteness import Whiteness
+from armrig.validation import answer as answers
 from armrig.validation.answer import answer, simulated_to
 
 NBSP = "\u00a0"
@@ -260,3 +261,24 @@ def test_a_search_shows_five_models_and_two_more_reasons() -> None:
     found: Any = SimpleNamespace(table=lambda n: f"{n} models", reasons=list("abcde"))
 
     assert short_search_lines(found) == ["5 models", "- b", "- c"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, "pass: white (p = 0.400, T), no dynamics missing (p = 0.300), no feedback seen (p"),
+        (
+            {"white": _white(0.001)},
+            "do not pass: they are coloured (p = 0.001, T): look at the noi",
+        ),
+        ({"missing_dynamics": 0.001}, "do not pass: dynamics are missing (p = 0.001): look at the"),
+        ({"feedback": 0.001}, "do not pass: there is feedback (p = 0.001): look at the experiment"),
+        ({"feedback": 0.001, "missing_dynamics": 0.001}, "the test of feedback (p = 0.001) is not"),
+        ({"powerless": "u is constant"}, "tests of its residuals have no power: u is constant"),
+        ({"missing_dynamics": np.nan}, "Residuals white (p = 0.400, T); too few samples"),
+    ],
+)
+def test_a_sentence_names_the_failed_tests_of_the_residuals(
+    changes: dict[str, Any], said: str
+) -> None:
+    assert said in answers.tests_sentence(_tests(**changes))

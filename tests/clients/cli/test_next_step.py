@@ -80,25 +80,6 @@ def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
     command.make_context("armrig", words)  # raises where an option or a value is not taken
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        ("model", "armrig model --set "),
-        ("model --set J_1=0.002", "armrig lab"),
-        ("ls", "armrig info @0000000a/validation"),
-        ("info @0000000a", "armrig plot @0000000a"),
-        ("integrate", "armrig report --handout @0000000a @0000000a/validation -o report.pdf"),
-    ],
-)
-def test_a_command_ends_with_what_comes_next(
-    pair: Path, arguments: str, expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(arguments.split()) == 0
-
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith(f"next: {expected}")
-
-
 def test_the_report_is_of_the_newest_step_pair_and_chassis(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -269,22 +250,6 @@ def _unpaired(pair: Path) -> None:
     next(pair.glob("*-validation-*")).unlink()
 
 
-def test_no_line_records_a_pair_again_or_starts_a_second_lab(
-    pair: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rigs: list[str] = []
-    monkeypatch.setattr("armrig.rig.session.local_rigs", lambda: rigs)
-
-    collects = [next_line("sampling", Ts=Ts) for Ts in (0.01, 0.005)]
-    starts = next_line("simulate")
-    rigs.append("1")
-
-    assert collects[0] == "next: armrig plot @0000000a"
-    assert collects[1].startswith("next: armrig collect blackbox --Ts 0.005 ")
-    assert starts == "next: armrig lab"
-    assert next_line("simulate") == "next: " + AFTER["lab"].format(rig="")
-
-
 def test_a_report_leads_to_the_questions_and_these_to_the_answers(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -304,59 +269,6 @@ def test_a_step_that_was_made_again_replaces_the_first(pair: Path) -> None:
         written(pair, data, f"1-{experiment}-20261120T140000-{run_id}.mcap")
 
     assert next_line("calibrate", rig="") == "next: armrig sampling @first-again -o sampling.png"
-
-
-def test_a_program_gets_no_next_line(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for arguments in ("model", "ls", "info @0000000a", "integrate"):
-        assert main([*arguments.split(), "--json"]) == 0
-
-    assert "next:" not in "".join(capsys.readouterr())
-
-
-@pytest.mark.exhaustive
-def test_the_way_from_a_structure_to_its_validation(
-    three_recordings: tuple[Path, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    estimation, validation = map(str, three_recordings[1:])
-    typed = ["hints", estimation]
-    walked = []
-    for _ in range(4):
-        walked.append(typed[0])
-        assert main(typed) == 0
-        last = capsys.readouterr().err.splitlines()[-1]
-        typed = shlex.split(last.removeprefix("next: armrig "))
-        if walked[-1] == "hints":
-            typed += ["--validate", validation]
-
-    assert walked == ["hints", "identify", "compare", "check"]
-    assert (tmp_path / "model.json").exists()
-    assert (tmp_path / "compare.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_recording_elsewhere_is_named_by_its_path(
-    pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import numpy as np
-
-    path = written(tmp_path, of_the_arm(np.full(50, 1.0)), "my run.mcap")
-
-    assert main(["info", str(path)]) == 0
-
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last == f"next: armrig plot '{path}'"
-    assert re.search(r"'.* .*'", last)
-
-
-def test_the_report_has_the_sinusoid_that_was_solved(
-    pair: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["integrate", "--omega", "5", "--amplitude", "2"]) == 0
-
-    assert " --omega 5 --amplitude 2 -o report.pdf" in capsys.readouterr().err
 
 
 OE: dict[str, Any] = {"structure": "oe", "orders": {"nb": 4, "nf": 3}, "nk": 2}

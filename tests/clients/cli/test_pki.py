@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
@@ -22,26 +21,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     assert main(["pki", "ca"]) == 0
     return tmp_path / "pki"
-
-
-def test_a_laboratory_is_set_up_in_four_commands(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["pki", "rig", "1", "--host", "lab-1.example.edu", "--host", "192.0.2.7"]) == 0
-    assert main(["pki", "operator", "alice"]) == 0
-    assert main(["pki", "observer", "bob", "--days", "30"]) == 0
-    assert main(["pki", "list"]) == 0
-
-    listed = capsys.readouterr().out.splitlines()[-3:]
-    assert [line.split()[:2] for line in listed] == [
-        ["alice", "operators"],
-        ["bob", "observers"],
-        ["rig-1", "rig"],
-    ]
-    people = read_access_list(here / "access.toml")
-    assert (people.operators, people.observers) == (("alice",), ("bob",))
-    assert read_credential(here / "rig-1.pem", "rig").name == "rig-1"
-    assert read_credential(here / "bob.pem", "client").name == "bob"
 
 
 def test_an_authority_that_is_no_certificate_is_reported(
@@ -231,27 +210,6 @@ def test_what_is_not_allowed_is_reported(
     assert main(["pki", *command]) == 1
     assert says in capsys.readouterr().err
     assert sorted(here.iterdir()) == before
-
-
-def test_without_an_authority_nothing_is_signed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-
-    assert main(["pki", "rig", "1", "--host", "localhost"]) == 1
-    assert "there is no such file; `armrig pki ca` writes one" in capsys.readouterr().err
-
-
-def test_programs_get_json(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    capsys.readouterr()
-    assert main(["pki", "operator", "alice", "--json"]) == 0
-
-    told = json.loads(capsys.readouterr().out)
-    assert (told["name"], told["role"], Path(told["path"]).name) == (
-        "alice",
-        "operators",
-        "alice.pem",
-    )
 
 
 def test_without_the_library_it_says_how_to_get_it(tmp_path: Path) -> None:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import armrig
 import numpy as np
 import pytest
-from armrig.cli.replay import Replay, _messages, _version, replay
+from armrig.cli.replay import Replay, _messages, replay
 from armrig_core.commands import Run
-from armrig_core.protobuf import ABSENT
 from armrig_core.telemetry import decode_sample, encode_sample
 from armrig_core.topics import stream_of
 from armrig_daemon.config import Config
@@ -133,8 +131,3 @@ def test_warnings_and_errors_of_the_core_are_those_that_are_told() -> None:
         *(("warning", "a warning"), ("error", "a error")),
     ]
     assert told[0].t == pytest.approx(1.5, abs=1e-8)
-
-
-def test_a_trace_without_a_version_is_of_version_1() -> None:
-    for version, known in ((ABSENT["fixed64"], 1), (1, 1), (3, 3)):
-        assert _version(SimpleNamespace(version=version)) == known

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from armrig.cli import main, record
+from armrig.cli.rig import _WATCH_HEADING, _sample_line
 from armrig.rig.live_gaps import LiveGap
 from armrig.rig.replies import RefusedError
 from armrig_core.codes import COMPLETE, RefusalCode
@@ -194,6 +195,16 @@ def test_a_rig_that_is_ready_leads_to_its_first_recording(
     assert said.err.startswith(f"next: armrig {goes_on}") if goes_on else not said.err
     facts = json.loads(capsys.readouterr().out)
     assert (facts["rig"], facts["phase"]) == ("7", report.get("phase", "safe"))
+
+
+def test_a_line_of_watch_has_its_units() -> None:
+    volts = {"u_applied_v": 1.25, "u_cmd_v": 3.0}
+    one = sample(42)._replace(**volts, theta_1_rad=-1.0, alpha_rad=0.5, t_host_ns=0)
+
+    line = _sample_line(one._replace(t_sched_ns=-7_500))
+
+    assert line.split() == ["42", "1.250", "-57.30", "28.65", "7.5"]
+    assert len(line) == len(_WATCH_HEADING)
 
 
 def test_samples_and_gaps_are_watched_in_lines_and_in_json(

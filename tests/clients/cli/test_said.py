@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -42,7 +43,10 @@ OF_A_HOST = {"lab", "doctor"}
 AGAIN = "If this is what the command is to say: make stored"
 SLOW = {"hints", "report", "batch", "host", "compare", "identify_noise"}
 FILES = sorted(SAID.rglob("*.txt"))
-DATA = Path(__file__).parents[2] / "data" / "0.1.0"
+DATA = Path(__file__).parents[2] / "data" / "0.2.0"
+WHOLE = re.compile(r"--(verbose|json|help)|-v\b|^armrigd?$")
+"""Commands that print all that they know."""
+SCREEN_LINES = 23
 
 
 @pytest.fixture(scope="session")
@@ -222,3 +226,11 @@ def test_every_command_is_in_a_file() -> None:
     for program, app in (("armrig", armrig_app()), ("armrigd", armrigd_app)):
         for name in get_command(app).commands.keys() - OF_A_HOST:
             assert f"$ {program} {name}" in text
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_an_answer_without_verbose_fits_a_screen(file: Path) -> None:
+    answers = re.findall(r"^\$ (.*)\n((?:  .*\n)*)", file.read_text(encoding="utf-8"), re.MULTILINE)
+    long = {line: text.count("\n") for line, text in answers if not WHOLE.search(line)}
+
+    assert {line: n for line, n in long.items() if n > SCREEN_LINES} == {}

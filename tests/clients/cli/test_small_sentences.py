@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,8 +14,8 @@ import typer
 from armrig.cli import main, options, record, recording_info
 from armrig.cli.options import agree, print_table, question, warned
 from armrig.cli.parameters import cases, changes, physics_beside
-from armrig.cli.reporting import _report_ignored, _report_study
-from armrig.cli.usage_errors import _in_whole_units, _plainly
+from armrig.cli.reporting import _report_ignored
+from armrig.cli.usage_errors import _in_whole_units
 from armrig_core.arm import ArmParameters
 from armrig_core.codes import COMPLETE
 from armrig_core.errors import InputError, OperationError
@@ -87,18 +86,6 @@ def test_a_value_with_a_prefix_is_offered_in_whole_units(
     assert _in_whole_units(number, unit) == whole
 
 
-def test_a_wrong_value_is_answered_in_our_words() -> None:
-    for theirs, came, ours in (
-        ("Invalid value for '--from': 'a' is not a valid float.", "", "--from: 'a' is not a valid"),
-        ("--Ts: Input should be a valid number, unable to parse", "0,5", "a number, decimals have"),
-        ("--Ts: Input should be a valid number, unable", "10 ms", "without its unit, such as 0.01"),
-        ("--na: Input should be a valid integer, unable", "1:4", "integer; --search tries several"),
-        ("--na: Input should be a valid integer, unable", "x", "--na x: must be an integer"),
-        ("--kind: 'ocho' is not one of 'echo', 'bar'.", "", "'bar': did you mean echo?"),
-    ):
-        assert ours in _plainly(theirs, came)
-
-
 def test_a_question_leaves_room_for_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     text = "word " * 12
 
@@ -161,21 +148,6 @@ def _recorded_file(name: str) -> Any:
     return SimpleNamespace(path=Path(name), samples=len(name), missing=2, outcome="complete")
 
 
-def test_a_remote_recording_says_each_file_and_goes_on_with_the_last(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    done: Any = SimpleNamespace(done=[_recorded_file("a.mcap"), _recorded_file("a.2.mcap")])
-
-    record._say(done, json=False)
-
-    said = capsys.readouterr()
-    assert said.out.splitlines() == [
-        "a.mcap: 6 samples, 2 missing, complete",
-        "a.2.mcap: 8 samples, 2 missing, complete",
-    ]
-    assert said.err == "next: armrig info a.2.mcap\n"
-
-
 def test_a_remote_recording_that_ends_early_names_its_last_file(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -209,21 +181,6 @@ def test_a_remote_recording_replaces_no_file(tmp_path: Path) -> None:
             record._checked(tmp_path / name)
 
 
-def test_a_router_counts_the_names_of_each_right(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    people = SimpleNamespace(rigs="a", operators="bc", observers="def")
-    opened = nullcontext(), people
-    monkeypatch.setattr("armrig.lab.router.open_router", lambda *_: opened)
-    ended = SimpleNamespace(wait=lambda: None)
-    monkeypatch.setattr("armrig.cli.router.until_signal", lambda: nullcontext(ended))
-
-    assert main(["router", "--listen", "tls/a:1"]) == 0
-
-    said = "router at tls/a:1: 1 rigs, 2 may drive and 3 may watch; Ctrl-C ends the router"
-    assert capsys.readouterr().err == f"{said}\n"
-
-
 def test_a_report_names_the_recordings_that_give_no_model(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -237,19 +194,6 @@ def test_a_report_names_the_recordings_that_give_no_model(
     used = "the models are estimated from a.mcap and validated on b.mcap"
     assert f"c.mcap is only listed in the report: {used}" in said
     assert said.count("is only listed") == 1
-
-
-def test_a_recovered_file_says_what_was_kept_and_cut_off() -> None:
-    how: dict[str, Any] = {"when": "2026-11-20T13:00:05.123+01:00", "armrig": "1.2"}
-    how |= {"kept_bytes": 900, "cut_off_bytes": 70, "damage": "torn"}
-
-    said = recording_info._recovered(SimpleNamespace(**how))  # type: ignore[arg-type]
-
-    assert said == (
-        "2026-11-20 13:00:05 by armrig 1.2: 900 B were kept, the last 70 B were cut off; torn"
-    )
-    how |= {"cut_off_bytes": 0, "damage": ""}
-    assert recording_info._recovered(SimpleNamespace(**how)).endswith(" 900 B were kept")  # type: ignore[arg-type]
 
 
 def test_a_long_text_is_cut_at_its_end_and_a_spread_has_its_figures() -> None:
@@ -273,26 +217,3 @@ def test_a_name_of_the_package_in_another_case_is_answered_with_the_right_one(
 ) -> None:
     with pytest.raises(AttributeError, match=rf"'{name}'; did you mean armrig\.{known}\?"):
         getattr(armrig, name)
-
-
-@pytest.mark.parametrize("digests", ["aa", "ab"])
-def test_a_report_says_that_its_models_are_judged_on_their_own_data(
-    digests: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    estimation, validation = (SimpleNamespace(digest=digest) for digest in digests)
-    done = SimpleNamespace(estimation=estimation, validation=validation)
-    typeset: list[Any] = []
-    monkeypatch.setattr("armrig.cli.recorded_data.loaded", lambda *_: [])
-    monkeypatch.setattr("armrig.report.study.study", lambda *_, **__: done)
-    monkeypatch.setattr("armrig.report.document.report", lambda *_, **how: typeset.append(how))
-    source = Path("source")
-
-    _report_study([], Path("r.pdf"), None, source, orders=None, outputs=[])  # type: ignore[arg-type]
-
-    said = "judged on their own estimation data"
-    [how] = typeset
-    assert (said in capsys.readouterr().err) == (digests == "aa")
-    assert [remark[0] == "T" and said in remark for remark in how["remarks"]] == (
-        [True] if digests == "aa" else []
-    )
-    assert how["source"] == source

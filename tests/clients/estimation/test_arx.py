@@ -66,7 +66,7 @@ def test_rows_that_touch_a_missing_sample_are_left_out() -> None:
     np.testing.assert_allclose(fit.A, [1, -1.2, 0.6], atol=1e-9)
 
 
-def test_nothing_is_carried_over_the_boundary_of_two_experiments() -> None:
+def test_rows_do_not_span_two_experiments() -> None:
     """Each experiment begins in a state of its own."""
     data = merge([simulated(1, 40), simulated(2, 40)[15:]])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import armrig
 import numpy as np
@@ -41,27 +42,27 @@ def dataset(seed: int = 1, N: int = 1000, std: float = 0.2, noise: str = "normal
     return Dataset(u=u, y=filtered(B, F, u) + std * e, Ts=0.1)
 
 
-def spoilt(data: Dataset) -> Dataset:
-    """Return the data with five wrong samples."""
+@cache
+def spoilt_and_marked() -> tuple[Dataset, Dataset]:
+    """Return data with five wrong samples, and the same data with these samples missing."""
+    data = dataset()
     y = data.y.copy()
     y[[101, 333, 334, 600, 871]] += 1e6 * np.array([1, -1, 1, 1, -1])
-    return data.replaced(y=y, step=None)
+    data = data.replaced(y=y, step=None)
+    return data, armrig.hampel(data)
 
 
 def about(fit: Fit, word: str) -> list[str]:
-    """Return the warnings with that word."""
     return [w for w in fit.warnings if word in w]
 
 
 @estimators
 def test_outliers_that_the_model_follows_are_reported(estimate: Callable[[Dataset], Fit]) -> None:
-    data = spoilt(dataset())
-
-    fit, mended = estimate(data), estimate(armrig.hampel(data))
+    fit, marked = map(estimate, spoilt_and_marked())
 
     assert about(fit, "5 samples of y look wrong (101, 333, 334, 600, 871)")
     assert about(fit, "mark them missing (hampel)")
-    assert not about(mended, "hampel")
+    assert not about(marked, "hampel")
 
 
 @pytest.mark.parametrize(
@@ -168,7 +169,7 @@ def test_the_level_without_input_has_its_sign_its_unit_and_its_deviations(
     assert not level_without_input(data, least=1.1 * sigmas)
 
 
-def test_data_that_show_no_level_have_none() -> None:
+def test_data_without_a_level_have_no_finding() -> None:
     u = np.random.default_rng(9).standard_normal(200)
     data = Dataset(u=u, y=filtered([0, 1.0], [1, -0.5], u), Ts=1.0)
 

@@ -35,7 +35,7 @@ def _with(option: str) -> Request:
 
 
 @pytest.mark.parametrize("option", OPTIONS)
-def test_what_is_typed_after_a_model_asks_for_the_same(
+def test_options_of_a_request_are_parsed_to_the_same_request(
     option: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request, asked, tasks = _with(option), list[Any](), list[Any]()
@@ -72,13 +72,13 @@ def test_an_option_of_another_structure_is_refused(
         assert f"{typed} goes with --structure {' or '.join(users(option))}" in said
 
 
-def test_an_order_and_a_delay_of_0_are_asked_for() -> None:
+def test_an_order_and_a_delay_of_0_reach_the_estimator() -> None:
     fit = Request(structure="armax", orders={"na": 1, "nb": 1, "nc": 0}, nk=0).estimated(DATA)
 
     assert fit.orders == {"na": 1, "nb": 1, "nc": 0, "nk": 0}
 
 
-def test_a_model_is_asked_for_again_with_its_orders() -> None:
+def test_the_request_of_a_fit_has_its_orders_and_options() -> None:
     request = Request(structure="n4sid", orders={"order": None}, weights="moesp", stable=True)
     fit = request.estimated(DATA)
 
@@ -126,7 +126,7 @@ def test_a_tenth_of_the_samples_is_the_most_of_parameters_and_of_nk(samples: int
             require_sensible(samples=samples, nk=nk, na=na, nb=1)
 
 
-def test_another_structure_takes_what_it_can_of_a_request() -> None:
+def test_a_request_of_another_structure_keeps_common_options() -> None:
     """An output-error model has no projection whose weights could be chosen."""
     request = Request(structure="n4sid", orders={"order": 2}, nk=3, weights="moesp", stable=True)
 

@@ -95,34 +95,12 @@ def test_sixteen_samples_have_a_spectrum() -> None:
     assert np.sum(density) > 0
 
 
-def test_a_spectrum_leaves_out_what_it_cannot_use() -> None:
-    x = np.cos(0.5 * np.arange(4000))
-    holed = x.copy()
-    holed[[1000, 1003, 2500]] = np.nan
-
-    omega, density = power_spectrum([holed, x[:7]], 1.0)
-
-    assert omega[np.argmax(density)] == pytest.approx(0.5, abs=omega[1])
-    assert np.sum(density) * omega[1] == pytest.approx(0.5, rel=0.02)
-    with pytest.raises(ValueError, match="longest stretch without a gap has 7 samples"):
-        power_spectrum([x[:7]], 1.0)
-
-
 @pytest.mark.parametrize("u", [telegraph(3000, 0.1), np.ones(40), np.array([1.0]), white_noise(12)])
 def test_every_input_can_be_described_and_shown(u: NDArray[np.float64]) -> None:
     d = describe_input(u, 0.01)
 
     assert f"input of {u.size} samples at 0.01 s" in repr(d)
-    figure = d.plot()
-    figure.canvas.draw()
-    plt.close(figure)
-
-
-def test_what_is_no_input_is_refused() -> None:
-    with pytest.raises(ValueError, match="u is not finite at 1"):
-        describe_input([1.0, np.nan], 0.01)
-    with pytest.raises(ValueError, match="Ts=0 must be finite"):
-        describe_input([1.0, 2.0], 0)
+    plt.close(d.plot())
 
 
 def test_half_of_the_power_is_told_by_its_frequency() -> None:

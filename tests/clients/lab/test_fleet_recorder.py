@@ -24,6 +24,8 @@ class _Rigs:
         self.told: list[str] = []
         self.of_samples: Exception | None = None
         self.of_end: Exception | None = None
+        self.missing_bytes = 0
+        monkeypatch.setattr(shutil, "disk_usage", self._disk_usage)
         monkeypatch.setattr(fleet_recorder, "RemoteRecording", self._recording)
         monkeypatch.setattr(fleet_recorder, "RemoteRecorder", self._recorder)
         session: Any = None
@@ -50,6 +52,9 @@ class _Rigs:
         self.began += 1
         return SimpleNamespace(begin=lambda: True, record=lambda _: self._end(self.of_samples))
 
+    def _disk_usage(self, _: Path) -> Any:
+        return SimpleNamespace(free=fleet_recorder._MIN_FREE_BYTES - self.missing_bytes)
+
     @staticmethod
     def _end(error: Exception | None) -> None:
         if error is not None:
@@ -58,7 +63,6 @@ class _Rigs:
 
 @pytest.fixture
 def rigs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> _Rigs:
-    """Give rigs whose recordings have no error."""
     return _Rigs(monkeypatch, tmp_path)
 
 
@@ -100,10 +104,8 @@ def test_a_rig_is_recorded_again_after_a_full_disk_with_a_pause_and_room(
     missing_bytes: int,
     times: int,
 ) -> None:
-    free = SimpleNamespace(free=fleet_recorder._MIN_FREE_BYTES - missing_bytes)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
     monkeypatch.setattr(fleet_recorder, "_DISK_PAUSE_S", pause_s)
-    rigs.of_samples = error
+    rigs.of_samples, rigs.missing_bytes = error, missing_bytes
 
     rigs.record()
     recorded = rigs.record()
@@ -111,22 +113,10 @@ def test_a_rig_is_recorded_again_after_a_full_disk_with_a_pause_and_room(
     assert rigs.began == times
     files = [f"file {k}-{i}" for k in range(times) for i in range(2)]
     assert [str(file) for file in recorded.files] == files
-
-
-def test_a_recording_that_ends_in_order_after_a_full_disk_is_the_last(
-    rigs: _Rigs, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    free = SimpleNamespace(free=fleet_recorder._MIN_FREE_BYTES)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
-    monkeypatch.setattr(fleet_recorder, "_DISK_PAUSE_S", 0.0)
-    rigs.of_samples = DiskError("full")
-    rigs.record()
     rigs.of_samples = None
-    rigs.record()
-
-    rigs.record()
-
-    assert rigs.began == 2
+    for _ in range(2):  # a recording that ends in order is the last
+        rigs.record()
+    assert rigs.began == times + (times == 2)
 
 
 def test_all_rigs_are_recorded_until_the_last_of_them_has_ended(

@@ -39,7 +39,6 @@ def drawn_line(ax: Axes, label: str) -> tuple[Vector, Vector]:
 
 
 def axes_of(figure: Any) -> list[Axes]:
-    """Return the panels of the figure of an axis."""
     return list(figure.figure.axes)
 
 
@@ -77,7 +76,6 @@ def test_a_band_of_a_bode_plot_is_1_96_deviations_wide() -> None:
 
 
 def spectrum(omega: Vector, G: Any, **fields: Any) -> SpectralEstimate:
-    """Return an estimate of a frequency response."""
     values: dict[str, Any] = {
         "std_magnitude": np.full(omega.size, 0.1),
         "std_phase": np.full(omega.size, 0.05),
@@ -91,32 +89,6 @@ def spectrum(omega: Vector, G: Any, **fields: Any) -> SpectralEstimate:
         "source": "",
     }
     return SpectralEstimate(omega=omega, G=np.asarray(G, complex), **(values | fields))
-
-
-def test_dots_have_bars_and_are_hollow_where_u_explains_less_than_half() -> None:
-    omega = np.array([1.0, 3.0, 9.0, 20.0])
-    coherence = np.array([0.9, 0.51, 0.49, 0.1])
-    found = spectrum(omega, [1.0, 0.5, np.nan, 0.2], coherence=coherence)
-
-    ax = plot_bode(found, omega=[0.5, 30.0], ax=Figure().add_subplot())
-
-    below = axes_of(ax)[1]
-    hollow = drawn_line(ax, "not explained by the input")
-    assert hollow[0].tolist() == [20.0]
-    assert hollow[1] == pytest.approx([20 * np.log10(0.2)])
-    containers: list[Any] = [panel.containers[0] for panel in (ax, below)]
-    assert containers[0].get_label() == "spa, 95 %"
-    dots, _, (bars,) = containers[0]
-    assert dots.get_xdata().tolist() == [1.0, 3.0, 20.0]
-    ends = [segment[:, 1] for segment in bars.get_segments()]
-    G = np.array([1.0, 0.5, 0.2])
-    expected = 20 * np.log10(G[:, None] + 1.96 * 0.1 * np.array([-1, 1]))
-    np.testing.assert_allclose(ends, expected, atol=1e-2)
-    lengths = [np.ptp(segment[:, 1]) for segment in containers[1][2][0].get_segments()]
-    np.testing.assert_allclose(lengths, 2 * np.degrees(1.96 * 0.05), rtol=1e-3)
-    cut = plot_bode(found, omega=[1.0, 3.0], labels=("mine",), ax=Figure().add_subplot())
-    assert cut.containers[0].get_label() == "mine"
-    assert cut.containers[0][0].get_xdata().tolist() == [1.0, 3.0]  # type: ignore[index]
 
 
 def test_dots_are_on_the_turn_of_the_model_beside_them() -> None:
@@ -133,19 +105,6 @@ def test_dots_are_on_the_turn_of_the_model_beside_them() -> None:
     np.testing.assert_allclose(y, np.interp(omega, *curve.T), atol=1.0)
 
 
-def test_many_dots_are_thinned_evenly_on_the_logarithmic_axis() -> None:
-    omega = np.linspace(0.05, 31.0, 700)
-
-    ax = plot_bode(spectrum(omega, np.ones(700)), ax=Figure().add_subplot())
-
-    shown: Any = ax.containers[0]
-    x = np.asarray(shown[0].get_xdata())
-    assert 30 <= x.size <= 40
-    assert (x[0], x[-1]) == (pytest.approx(omega[omega >= ax.get_xlim()[0]][0]), omega[-1])
-    steps = np.diff(np.log(x[x > 1]))
-    assert steps.max() < 2.5 * steps.min()
-
-
 class Continuous:
     """A system like those of python-control, 3/(s + 2), or its value at z."""
 
@@ -156,7 +115,6 @@ class Continuous:
         self.dt = dt
 
     def __call__(self, s: Any) -> Any:
-        """Return the response."""
         return 3 / (s + 2)
 
 
@@ -249,14 +207,3 @@ def test_a_complex_pair_that_cancels_is_framed_above_and_below() -> None:
     assert np.asarray(frame.get_xdata()) == pytest.approx([0.6, 0.6], abs=1e-6)
     assert np.sort(np.asarray(frame.get_ydata())) == pytest.approx([-0.4005, 0.4005], abs=1e-6)
     assert frame.get_label() == "cannot be distinguished"
-
-
-def test_the_region_of_a_real_pole_is_a_bar() -> None:
-    ax = plot_poles_zeros(lag(std=0.02), ax=Figure().add_subplot())
-
-    bars = [line for line in ax.lines if line.get_marker() == "|"]
-    assert np.asarray(bars[0].get_xdata()) == pytest.approx(
-        [0.8 - 1.96 * 0.004, 0.8 + 1.96 * 0.004], abs=1e-5
-    )
-    assert np.asarray(bars[0].get_ydata()).tolist() == [0.0, 0.0]
-    assert not [line for line in plot_poles_zeros(lag()).lines if line.get_marker() == "|"]

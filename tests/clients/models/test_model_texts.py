@@ -144,17 +144,6 @@ def test_an_equation_is_typeset_from_its_first_lag(whole: Fit, direct: Fit) -> N
     assert r"A(q)\,y(t) &= B(q)\,u(t) + \frac{1}{D(q)}\,e(t)" in noise
 
 
-def test_a_notebook_shows_both_deviations_of_each_coefficient(whole: Fit) -> None:
-    text = whole._repr_html_()
-
-    assert text.count("<tr>") == 8
-    for row in ("b2</td><td>0.25</td><td>0.03</td><td>0.06", "f1</td><td>-1.5</td><td>0.007</td>"):
-        assert f"<tr><td>{row}" in text
-    assert "<b>PEM(na=1, nb=2, nc=1, nd=1, nf=2, nk=2)</b>, Ts 0.1 s, N 100" in text
-    assert "Fit 91.23 % one step ahead on estimation data, loss 0.03; residuals white" in text
-    assert "<ul><li>a &lt; b</li><li>another</li></ul>" in text
-
-
 def test_a_summary_has_the_ranges_of_linear_deviations() -> None:
     """The gain is 1.5/(0.5 · 0.1); the relative variances of B(1), A(1) and F(1) add up."""
     fit = made(
@@ -200,19 +189,6 @@ def test_a_summary_of_a_complex_pair_has_both_signs_in_its_facts() -> None:
         assert widths == pytest.approx(2 * 1.96 * deviations, rel=1e-3)
         assert np.mean(pole["imaginary_magnitude"]) == pytest.approx(0.4)
     assert sum(line.startswith("  pole") for line in repr(found).splitlines()) == 1
-
-
-def test_only_the_gain_of_a_rate_is_per_second() -> None:
-    fit = made(F=np.convolve([1, -1], [1, -0.8]).tolist(), integrator=True)
-
-    found = summary(fit)
-
-    assert "  gain (rate)     50 rad/V/s" in repr(found)
-    assert found.facts()["of_the_rate"] is True
-    assert "rad/s/s" not in repr(found)
-    assert "/s" not in summary(made(F=(1, -0.8))).gain_unit
-    nameless = made(F=fit.F.tolist(), integrator=True, unit="")
-    assert "  gain (rate)     50\n" in repr(summary(nameless))
 
 
 def test_a_pair_that_cancels_is_in_the_summary() -> None:

@@ -28,7 +28,6 @@ ONE = np.ones(1)
 
 
 def vectors(*rows: Any) -> Any:
-    """Return nested tuples of arrays."""
     return tuple(tuple(np.array(p, float) for p in row) for row in rows)
 
 
@@ -158,7 +157,7 @@ def test_the_noise_of_the_state_space_is_that_of_the_polynomials(form: Polynomia
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_theta_is_put_back_where_it_was_taken(name: str) -> None:
+def test_theta_is_replaced_at_its_own_places(name: str) -> None:
     form: Any = FORMS[name]()
     theta = np.arange(1.0, form.theta.size + 1)
 
@@ -391,11 +390,9 @@ class Constant:
     label = "constant"
 
     def __init__(self, *y: float) -> None:
-        """Predict these outputs."""
         self.y = np.array(y)
 
     def predict(self, data: Signals, horizon: int | None = 1) -> Array:
-        """Return the numbers."""
         return np.tile(self.y, (data.u.shape[0], 1))
 
     def estimated_from(self, data: Signals) -> bool:
@@ -457,20 +454,6 @@ def test_a_panel_for_each_output_has_the_fits_of_its_models() -> None:
             np.testing.assert_array_equal(line.get_ydata(), row.y[:, i])
     assert "rad" in panels[0].get_ylabel()
     assert panels[1].get_xlim() == (0.0, 1.5)
-
-
-def test_models_that_cannot_be_compared_are_refused() -> None:
-    data, model = compared().data, Constant(1.0, 2.0)
-    one: Any = fit_of(apart())["a", "u"]
-
-    for models, labels, said in (
-        ((), None, "at least one model"),
-        ((one,), None, "a Fit has one output"),
-        ((model,), ("a", "b"), "give a name for each of 1 models"),
-        ((model, model), "ab", "labels='ab': give a name for each of 2 models"),
-    ):
-        with pytest.raises((InputError, TypeError), match=said):
-            compare(data, *models, labels=labels)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", FORMS)

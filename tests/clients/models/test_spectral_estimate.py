@@ -86,31 +86,6 @@ def test_the_rate_of_an_estimate_is_its_difference_quotient() -> None:
     assert (bare.unit, bare.noise_spectrum, bare.nonlinear_std) == ("", None, None)
 
 
-def test_an_estimate_is_printed_in_rad_per_s_and_degrees() -> None:
-    omega = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 31.0])
-    G = [2.0, 2j, -1.0, 0.5 - 0.5j, 0.25, 0.125]
-    std = np.array([0.1, np.nan, 0.1, 0.1, 0.1, 0.02])
-    coherence = np.linspace(1.0, 0.0, 6)
-    found = estimate(
-        omega, G, std_magnitude=std, std_phase=std / 2, coherence=coherence, integrator=True,
-        notes=("a note", "another"),
-    )  # fmt: skip
-
-    lines = repr(found).splitlines()
-
-    assert lines[:3] == [
-        "frequency response to theta_1: by hand, Hann",
-        "  6 frequencies, 1 … 31 rad/s (Nyquist 31.42), 60 samples at 0.1 s",
-        "  y integrates: the response of its rate was estimated, then integrated",
-    ]
-    assert lines[3] == "          1 rad/s  |G| 2 ± 0.1, arg G 0.0 ± 2.9°, coherence 1.000"
-    assert lines[4] == "          2 rad/s  |G| 2, arg G 90.0°, coherence 0.800"
-    assert lines[7] == "         31 rad/s  |G| 0.125 ± 0.02, arg G 0.0 ± 0.57°, coherence 0.000"
-    assert lines[8:] == ["  note: a note", "  note: another"]
-    assert "integrates" not in repr(estimate(omega, G))
-    assert "coherence" not in repr(estimate(omega, G))
-
-
 def test_slopes_are_those_of_the_bands_at_each_end() -> None:
     """First decade -20 dB, then -60 dB a decade; one frequency is not believed."""
     omega = np.geomspace(0.1, 30.0, 60)

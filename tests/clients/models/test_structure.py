@@ -10,7 +10,6 @@ from armrig.models.structure import (
     Structure,
     free_columns,
     offset_from_ramp,
-    transient_count,
 )
 from armrig.models.structure_table import DESCRIBED, OF_SEVERAL, users, with_article
 from armrig.numerics.polynomial import filtered
@@ -59,19 +58,6 @@ def test_the_ramp_of_an_offset_gives_back_the_offset() -> None:
     assert offset_from_ramp(B, F, slope, 1.5) == pytest.approx(1.5 - 0.6)
     assert offset_from_ramp(B, F, -slope, 1.5) == pytest.approx(1.5 + 0.6)
     assert np.isnan(offset_from_ramp(np.array([0.0, 1.0, -1.0]), F, slope, 1.5))
-
-
-@pytest.mark.parametrize(
-    ("degrees", "integrator", "n"),
-    [((3, 2), False, 3), ((2, 4), False, 4), ((3, 2), True, 2), ((0, 0), True, 0)],
-)
-def test_a_state_has_a_pulse(degrees: tuple[int, int], integrator: bool, n: int) -> None:
-    numerator, denominator = degrees
-    found = transient_count(
-        numerator_degree=numerator, denominator_degree=denominator, integrator=integrator
-    )
-
-    assert found == n
 
 
 def test_free_columns_are_delayed_responses_then_level_and_ramp() -> None:

@@ -14,7 +14,6 @@ from tests.clients.models.made_fits import made
 
 
 def subspace(**orders: Any) -> SubspaceFit:
-    """Return a subspace model with these polynomials."""
     fit = made(structure="n4sid", **orders)
     known = {f.name: getattr(fit, f.name) for f in fields(Fit)}
     correlations = np.array([0.99999, 0.95, 0.3, 0.2, 0.1, 0.05, 0.04, 0.03, 0.02, 0.01, 0.001])

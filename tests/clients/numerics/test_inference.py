@@ -22,7 +22,6 @@ def fitted(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def regression(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Inference]:
-    """Return a regression and its inference, in two experiments."""
     Phi, y, theta = fitted(seed, C)
     e, blocks = np.split(y - Phi @ theta, [150]), np.split(Phi, [150])
     return Phi, y, theta, infer(e, blocks, score="exogenous", y=y)
@@ -111,7 +110,7 @@ def test_what_else_was_estimated_costs_degrees_of_freedom() -> None:
     assert by_span.noise_variance == pytest.approx(plain.noise_variance * (N - D) / (N - D - 1))
 
 
-def test_coloured_residuals_are_found_out_and_white_ones_are_not() -> None:
+def test_coloured_residuals_are_rejected_and_white_residuals_are_not() -> None:
     for C, white in (([1.0], True), ([1.0, 0.9], False)):
         Phi, y, theta, found = regression(4, C)
         e = [y - Phi @ theta]

@@ -23,7 +23,7 @@ def test_with_and_without_a_basis_the_answer_is_the_same() -> None:
     np.testing.assert_array_equal(M, before)
 
 
-def test_nothing_explains_nothing() -> None:
+def test_a_matrix_of_zeros_or_without_columns_explains_nothing() -> None:
     Y = np.ones((3, 2))
 
     assert not least_squares(np.zeros((3, 2)), Y).any()

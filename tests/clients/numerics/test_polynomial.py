@@ -67,23 +67,6 @@ def test_a_filter_begins_at_rest_and_a_lag_with_zeros() -> None:
     np.testing.assert_array_equal(lagged(np.array([1.0, 2.0]), [0, 1, 5]), [[1, 0, 0], [2, 1, 0]])
 
 
-def test_roots_are_in_q_and_values_in_q_inverse() -> None:
-    """1 - 0.5 q^-1 vanishes at q = 0.5, so at q^-1 = 2."""
-    np.testing.assert_allclose(roots([1, -0.5]), [0.5])
-    np.testing.assert_allclose(evaluate([1, -0.5], np.array([2.0])), [0.0])
-
-
-def test_columns_that_depend_on_others_are_left_out() -> None:
-    a, b = np.random.default_rng(0).standard_normal((2, 50))
-    M = np.column_stack([a, 1e-9 * b, a + b, np.zeros(50)])
-
-    basis = orthonormal(M)
-
-    assert basis.rank == 2
-    np.testing.assert_allclose(M @ basis.coefficients(a - 2 * b), a - 2 * b, atol=1e-12)
-    np.testing.assert_allclose(basis.without(a - 2 * b), 0, atol=1e-12)
-
-
 def test_rows_of_zeros_change_a_basis_only_by_rows_of_zeros() -> None:
     rng = np.random.default_rng(1)
     M, y, rows = rng.standard_normal((20, 2)), rng.standard_normal(30), np.arange(30) % 3 != 1

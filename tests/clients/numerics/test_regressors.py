@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 NAN = np.nan
 
 
-def test_what_lies_before_the_first_sample_is_not_known() -> None:
+def test_samples_before_the_first_are_not_known() -> None:
     x = np.array([1.0, 2.0, 3.0])
 
     np.testing.assert_array_equal(past(x, [0, 1, 3]), [[1, NAN, NAN], [2, 1, NAN], [3, 2, NAN]])

@@ -13,7 +13,7 @@ MASKS = st.lists(st.booleans(), max_size=40).map(lambda x: np.array(x, dtype=np.
 
 
 @given(MASKS)
-def test_stretches_cover_what_is_true_and_none_touches_another(mask: np.ndarray) -> None:
+def test_stretches_cover_the_mask_and_do_not_touch(mask: np.ndarray) -> None:
     found = stretches(mask)
 
     marked = np.zeros(mask.size, dtype=np.bool_)

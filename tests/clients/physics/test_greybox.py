@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.physics.grey_box.estimate import no_model, worse_with_friction
+from armrig.physics.grey_box.estimate import worse_with_friction
 from armrig.physics.grey_box.fit import below_zero
 from armrig.physics.grey_box.parameters import Friction, free_names
 from armrig.physics.systems import ArmParameters, arm, chassis
@@ -123,20 +123,12 @@ def test_friction_of_any_size_is_found(make: Make, scale: float) -> None:
         assert fit.std[name] < 0.05 * abs(getattr(truth, name))
 
 
-def test_a_search_that_ends_at_its_bound_says_so(make: Make) -> None:
+def test_a_search_that_ends_at_its_bound_is_reported(make: Make) -> None:
     """The start is 600 000 times too large."""
     fit = armrig.greybox(make(), fixed=ArmParameters(J_1=1e3))
 
     [said] = [w for w in fit.warnings if "ended at its bound" in w]
     assert said.startswith("the search for J_1 ended at its bound, a factor 162755 from its start")
-
-
-def test_a_model_that_explains_less_than_a_constant_says_so() -> None:
-    """The initial angle alone is a constant."""
-    [said] = no_model(-10.26)
-
-    assert said.startswith("the fit is -10.3 %, below 0: a constant explains the output better")
-    assert not [*no_model(0.0)]
 
 
 def test_friction_is_no_hint_where_it_is_estimated(make: Make) -> None:
@@ -232,7 +224,7 @@ def test_a_friction_that_is_not_there_is_zero_within_its_sd(make: Make) -> None:
     assert np.abs(values).max() < 4
 
 
-def test_a_reading_in_steps_is_noticed(make: Make) -> None:
+def test_quantised_readings_are_reported(make: Make) -> None:
     lsb = np.deg2rad(352) / 1024
     for noise, warned in ((0.1, True), (0.5, False)):
         data = make(std=noise * lsb)
@@ -265,7 +257,9 @@ def test_parameters_that_replace_each_other_are_refused(make: Make) -> None:
         ({"model": lambda p: arm(p).sample(0.1)}, "continuous time"),
     ],
 )
-def test_the_impossible_is_refused(make: Make, changes: dict[str, Any], message: str) -> None:
+def test_impossible_arguments_are_refused(
+    make: Make, changes: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         armrig.greybox(make(N=200), **changes)
 
@@ -297,12 +291,6 @@ def test_data_of_another_output_are_refused(make: Make) -> None:
             estimator(velocity)  # type: ignore[operator]
 
 
-def test_too_few_samples_are_refused(make: Make) -> None:
-    """One parameter, two states, an offset and one more sample."""
-    with pytest.raises(ValueError, match="4 samples are too few to estimate J_1"):
-        armrig.greybox(make(N=4))
-
-
 def test_a_model_of_one_s_own(make: Make) -> None:
     import control
 
@@ -317,17 +305,11 @@ def test_a_model_of_one_s_own(make: Make) -> None:
     assert fit.values["J_1"] == pytest.approx(HANDOUT.J_1, rel=1e-9)
 
 
-def test_the_result_speaks(make: Make) -> None:
-    fit = armrig.greybox(make())
+def test_a_simulation_is_that_of_the_model_of_the_fit(make: Make) -> None:
+    fit, u = armrig.greybox(make()), np.ones(50)
 
-    assert "J_1" in repr(fit)
-    assert "kg m²" in fit.explain()
-    assert fit.to_control().nstates == 2
-    np.testing.assert_allclose(fit.correlation, [[1.0]])
-    u = np.ones(50)
     np.testing.assert_allclose(fit.simulate(u), angle(u, fit.fixed), atol=1e-12)
-    with pytest.raises(ValueError, match="read-only"):
-        fit.covariance[0, 0] = 1.0
+    assert fit.to_control().nstates == 2
 
 
 def test_figures_of_a_fit_are_those_of_its_values_and_deviations(make: Make) -> None:
@@ -349,7 +331,7 @@ def test_figures_of_a_fit_are_those_of_its_values_and_deviations(make: Make) -> 
     assert below_zero(other.values, {"J_1": 3.0, "b_1": np.inf}) == []
 
 
-def test_parameters_that_are_correlated_say_so(make: Make) -> None:
+def test_the_correlation_of_parameters_is_that_of_their_covariance(make: Make) -> None:
     fit = armrig.greybox(make(N=1000), free=("J_1", "K_m"))
 
     C, s = fit.covariance, fit.std

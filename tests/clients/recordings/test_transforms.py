@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, nan, pi, remainder, tau
+from math import inf, nan, remainder, tau
 from pathlib import Path
 
 import numpy as np
@@ -26,13 +26,6 @@ def rec(tmp_path: Path) -> Recording:
     """Return a run of the arm through the dead band, with missing samples."""
     u = np.full(N, 4.0)
     return load(written(tmp_path, of_the_arm(u, missing=slice(50, 60), start=2.5)))
-
-
-def test_the_arm_is_at_the_sum_of_both_frame_angles() -> None:
-    found = frame_angles(transforms(pi / 3, -pi / 6, 0).encode())
-
-    assert found == {("rig", "chassis"): pytest.approx(pi / 3), ("chassis", "arm"): -pi / 6}
-    assert sum(found.values()) == pytest.approx(pi / 6)
 
 
 @pytest.mark.parametrize(

@@ -24,9 +24,8 @@ from armrig.report.recording_facts import role, treatment
 from armrig.report.study import AssessedFit, Orders, Study, assessed, study
 from armrig.report.typesetting import recorded as recorded_at
 from armrig.report.typesetting import typeset
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.arm import ArmParameters
 from armrig_core.calibration import Calibration, Figure, Made
-from armrig_core.errors import FileError
 from matplotlib import figure
 from matplotlib.text import Text
 
@@ -146,15 +145,6 @@ def test_recordings_get_the_roles_that_their_order_says(done: Study) -> None:
     assert [role(done, r) for r in done.recordings] == ["step", "estimation", "validation"]
 
 
-def test_one_recording_is_cut_in_two(three_recordings: tuple[Path, ...]) -> None:
-    halved = study([load(three_recordings[1])])
-
-    assert halved.halves
-    assert halved.estimation.N + halved.validation.N == 1500
-    assert not any(m.comparison.on_estimation_data for m in halved.models)
-    assert role(halved, halved.recordings[0]) == "estimation and validation"
-
-
 def test_every_step_of_treatment_is_reported_in_words(three_recordings: tuple[Path, ...]) -> None:
     step, first, second = (load(path) for path in three_recordings)
 
@@ -236,11 +226,6 @@ def test_a_step_or_a_staircase_with_a_name_is_not_identified_from(
     assert [role(found, r) for r in found.recordings] == ["staircase", "estimation", "validation"]
 
 
-def test_a_step_alone_is_nothing_to_identify_from(three_recordings: tuple[Path, ...]) -> None:
-    with pytest.raises(FileError, match="armrig collect blackbox"):
-        study([load(three_recordings[0])])
-
-
 def test_orders_too_high_for_the_data_are_refused(tmp_path: Path) -> None:
     short = load(written(tmp_path, recorded([sample(k) for k in range(20)])))
 
@@ -250,47 +235,11 @@ def test_orders_too_high_for_the_data_are_refused(tmp_path: Path) -> None:
         study([short], orders=Orders(nb=0))
 
 
-def test_the_physics_as_a_model_is_the_physics() -> None:
-    """Its impulse response is C Phi^(k-1) Gamma, and its F has the root 1."""
-    A, B, C = arm_matrices(ArmParameters())
-    data = study_data()
-    Phi, Gamma = zero_order_hold(A, B, data.Ts)
-    fit = physical_model(ArmParameters(), data)
-    pulse = np.zeros(50)
-    pulse[0] = 1.0
-
-    expected = [0.0]
-    x = Gamma[:, 0]
-    for _ in range(49):
-        expected.append(float(C[0] @ x))
-        x = Phi @ x
-
-    np.testing.assert_allclose(fit.simulate(pulse), expected, rtol=1e-9, atol=1e-15)
-    assert abs(np.polyval(fit.F, 1.0)) < 1e-12
-
-
 def test_the_oe_model_meets_the_physics(done: Study) -> None:
     """Through recording, unwrapping and estimation: median deviation below one per cent."""
     assert done.best.name == "OE"
     assert np.median(done.best.deviation) < 0.01
     assert done.best.comparison.rms_error < 0.006  # one step of ten bits
-
-
-def test_the_verdict_says_what_came_out(done: Study) -> None:
-    said = " ".join(conclusions(done))
-
-    assert "For simulation and control use the OE model" in said
-    assert "5 samples are missing" in said
-    assert "\n" not in said
-
-
-def test_the_verdict_changes_with_the_facts(done: Study) -> None:
-    rms_error = done.best.comparison.rms_error
-    agreeing = [
-        replace(m, comparison=replace(m.comparison, rms_error=rms_error)) for m in done.estimated
-    ]
-
-    assert "disagree" not in " ".join(conclusions(replace(done, estimated=tuple(agreeing))))
 
 
 def test_the_report_says_where_the_models_leave_the_physics(done: Study) -> None:
@@ -393,11 +342,6 @@ def test_the_best_model_is_reported_wherever_it_stands(done: Study, of_three: St
     assert f"the {of_three.best.name} model simulates" in abstract(of_three)
 
 
-def test_the_figures_show_all_three_models(drawn: dict[str, figure.Figure]) -> None:
-    for name in ("compare", "velocity", "bode", "step_poles", "residuals"):
-        assert all(model in texts(drawn[name]) for model in ("ARMAX", "ARX", "OE")), name
-
-
 def test_residuals_that_were_not_tested_are_not_called_coloured(done: Study) -> None:
     untested = replace(done.best, fit=replace(done.best.fit, whiteness=float("nan")))
 
@@ -406,24 +350,6 @@ def test_residuals_that_were_not_tested_are_not_called_coloured(done: Study) -> 
     assert "on the estimation data, residuals not tested (too few, or all zero)." in said
     assert "coloured" not in said
     assert not untested.fit.trusts_robust
-
-
-def test_the_sample_after_the_dead_band_is_counted_and_named(done: Study) -> None:
-    rows = {name: values for name, *values in content(done, ())["facts"]}
-
-    hidden = [np.count_nonzero(r.present & ~r.valid) for r in done.recordings]
-    assert rows["in the dead band, or just after"] == [str(n) for n in hidden]
-
-
-def test_a_truncated_recording_is_named_in_the_report(
-    three_recordings: tuple[Path, ...], tmp_path: Path
-) -> None:
-    whole = three_recordings[1].read_bytes()
-    cut = load(written(tmp_path, whole[: len(whole) * 3 // 4], "cut.mcap"))
-    done = study([cut, load(three_recordings[2])])
-
-    assert cut.truncated
-    assert "cut.mcap is incomplete" in " ".join(content(done, ())["remarks"])
 
 
 def test_the_notes_of_a_recording_are_in_the_report(done: Study, of_three: Study) -> None:
@@ -435,16 +361,6 @@ def test_the_notes_of_a_recording_are_in_the_report(done: Study, of_three: Study
     told = content(replace(done, recordings=(many, *done.recordings[1:])), ())["notes"]
     assert len(told) == 21
     assert told[-1].endswith(": 5 more notes")
-
-
-def test_a_file_cut_off_after_its_outcome_is_reported_in_the_table(done: Study) -> None:
-    step, *others = done.recordings
-    cut = replace(step, truncated=True, cut_off=True, damage="the file is cut off")
-
-    told = content(replace(done, recordings=(cut, *others)), ())
-    rows = {name: values for name, *values in told["facts"]}
-
-    assert rows["outcome"] == ["complete, but the file cut off", "complete", "complete"]
 
 
 def test_models_are_compared_up_to_nyquist() -> None:
@@ -473,17 +389,6 @@ def test_a_rig_that_was_not_calibrated_is_reported_once(done: Study) -> None:
         judged = replace(done, recordings=recordings)
         assert " ".join(conclusions(judged)).count("was not calibrated") == told
         assert ["calibrated", *[when] * len(recordings)] in content(judged, [])["facts"]
-
-
-def test_one_that_was_not_calibrated_among_others_is_named(done: Study) -> None:
-    made = Made(date="2026-11-20T04:00:00+01:00", rig="1", device_uid="0001", armrig="0.1.0")
-    step, *others = done.recordings
-    good = (replace(r, calibration=Calibration(made=made)) for r in others)
-
-    said = conclusions(replace(done, recordings=(step, *good)))
-
-    [remark] = [s for s in said if "calibrated" in s]
-    assert remark.startswith(f"{step.path.name}: the rig was not calibrated")
 
 
 def test_the_units_of_the_data_are_reported_with_their_basis(done: Study) -> None:

@@ -22,7 +22,6 @@ import pytest
 from armrig.excitation import telegraph
 from armrig.models.characteristics import model_characteristics
 from armrig.numerics.quantities import NBSP
-from armrig.recordings.daemon_reports import Note
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.report.answers import QUESTIONS, Answers, Student
@@ -36,7 +35,6 @@ from armrig.report.section import Section
 from armrig.report.study import Assessed, best_first
 from armrig.report.typesetting import compiled, typeset
 from armrig_core.arm import ArmParameters
-from armrig_core.calibration import Calibration, Driver
 from armrig_core.errors import OperationError
 from armrig_core.manifest import Outcome
 
@@ -369,15 +367,6 @@ def test_more_than_ten_pages_are_refused_with_the_longest_sections() -> None:
         check_length([*fits[:-1], ("end", 11.2)])
 
 
-def test_the_cover_has_the_handout_s_fields() -> None:
-    template = Path(armrig.__file__ or "").parent / "report" / TEMPLATE
-
-    text = template.read_text(encoding="utf-8")
-
-    for field in ("Name (student ", "Civic registration number:", "Approved (date, sign):"):
-        assert field in text
-
-
 def test_changed_parameters_and_the_sinusoid_are_those_given() -> None:
     cases = {"handout": ArmParameters(), "R_m=6.42": ArmParameters(R_m=6.42)}
 
@@ -415,26 +404,6 @@ def test_an_emulated_rig_is_named_on_the_cover(
     assert remarks(first, *others) == [
         f"The rig was emulated in {first.path.name}: these are not measurements of a real rig."
     ]
-
-
-@pytest.mark.exhaustive
-def test_different_calibrations_are_a_warning_on_the_cover(
-    three: list[Recording], without: HandoutStudy, tmp_path: Path
-) -> None:
-    first, *others = three
-    other = replace(first, calibration=Calibration(driver=Driver(gain=1.1)))
-
-    def warnings(*recordings: Recording) -> list[str]:
-        source = tmp_path / f"source-{len(list(tmp_path.iterdir()))}"
-        study = replace(without, recordings=recordings)
-        handout_report(study, tmp_path / "report.pdf", source=source)
-        found: list[str] = json.loads((source / "data.json").read_text())["warnings"]
-        return found
-
-    assert warnings(first, *others) == []
-    [warning] = warnings(other, *others)
-    named = " and ".join(r.path.name for r in others)
-    assert f"2 different calibrations ({first.path.name}; {named})" in warning
 
 
 def test_a_step_beyond_the_limit_is_marked(without: HandoutStudy) -> None:
@@ -635,21 +604,6 @@ def test_complete_recordings_come_before_those_that_ended_early(
     found = handout_study([early, whole, unknown, whole])
 
     assert found.recordings == (whole, whole, early, unknown)
-
-
-@pytest.mark.usefixtures("only_values")
-def test_the_notes_of_the_recordings_are_on_the_cover(
-    three: list[Recording], without: HandoutStudy, tmp_path: Path
-) -> None:
-    step, first, _ = three
-    noted = replace(first, notes=(Note(t=1.5, text="#panic()", owner="Ada"),))
-    source = tmp_path / "source"
-
-    study = replace(without, recordings=(step, noted))
-    handout_report(study, tmp_path / "report.pdf", source=source)
-
-    told = json.loads((source / "data.json").read_text())["notes"]
-    assert told == [f"@{first.manifest.run_id} at 1.50{NBSP}s, Ada: #panic()"]
 
 
 @pytest.mark.exhaustive

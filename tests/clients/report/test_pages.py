@@ -131,15 +131,6 @@ def test_the_results_are_on_the_first_page_and_the_device_in_the_appendix(of_stu
     assert headings["Recordings"] > headings["Comparison with the physics"]
 
 
-@pytest.mark.exhaustive
-def test_the_best_model_comes_first_in_the_handout_s_report(of_handout: Made) -> None:
-    sections = {s["number"]: s for s in of_handout.values["sections"]}
-
-    coefficients, validation = sections["3.3"]["tables"]
-    assert coefficients["header"] == ["k", "OE, b_k", "OE, f_k", "ARX, a_k", "ARX, b_k"]
-    assert [row[0] for row in validation["rows"]] == ["OE", "ARX"]
-
-
 def test_a_text_of_a_figure_is_enlarged_to_seven_points(tmp_path: Path) -> None:
     figure = Figure()
     figure.add_subplot().set_xlabel("$K_{lin}$", fontsize=8)

@@ -125,16 +125,8 @@ def test_data_without_noise_give_the_delay_exactly(integrates: bool) -> None:
         assert (found.nk, found.interval) == (4, (4, 4))
 
 
-def test_a_pure_delay_is_found_exactly() -> None:
-    u = np.random.default_rng(0).standard_normal(400)
-
-    found = armrig.delay(Dataset(u=u, y=np.append(np.zeros(3), u[:-3]), Ts=1.0))
-
-    assert (found.nk, found.interval) == (3, (3, 3))
-
-
 @pytest.mark.parametrize("Ts", sampled([0.02, 0.01, 0.005], 2))
-def test_an_unnamed_output_that_integrates_is_found_to(Ts: float) -> None:
+def test_an_unnamed_output_that_integrates_is_recognised(Ts: float) -> None:
     data = unnamed(arm(1, Ts=Ts, N=3000))
 
     found = armrig.delay(data)
@@ -199,13 +191,6 @@ def test_the_time_that_quantisation_hides_is_separate(plant: HandoutPlant) -> No
     assert "Quantisation is no delay" in found.explain()
 
 
-def test_without_quantisation_there_is_no_hidden_time(plant: HandoutPlant) -> None:
-    found = armrig.delay(plant.dataset(1))
-
-    assert found.t_q is None
-    assert "Quantisation" not in found.explain()
-
-
 def test_an_input_that_follows_from_its_own_past_is_refused() -> None:
     """A constant, a sine, and twenty sines in a narrow band."""
     t, k = np.arange(1000), np.arange(1, 21)
@@ -234,14 +219,6 @@ def test_an_input_that_does_not_act_is_reported() -> None:
 
     with pytest.raises(ValueError, match="no response to u above the noise"):
         armrig.delay(data)
-
-
-def test_the_level_of_the_tests_is_reported(plant: HandoutPlant) -> None:
-    found = armrig.delay(plant.dataset(1, N=500))
-
-    assert found.level == 0.001
-    assert "level 0.1 %" in repr(found)
-    assert "a level of 0.1 %" in found.explain()
 
 
 def angle(u: Vector, Ts: float, finer: int = 1) -> Vector:
@@ -277,7 +254,7 @@ def test_at_a_short_sampling_time_the_shape_of_the_onset_decides(samples: int) -
 
 
 @pytest.mark.exhaustive
-def test_half_a_sample_is_neither_of_its_neighbours() -> None:
+def test_a_delay_of_half_a_sample_leaves_both_neighbours_possible() -> None:
     found = armrig.delay(arm(2, delayed=1.5))
 
     assert found.interval == (2, 3)
@@ -333,14 +310,6 @@ def test_a_direct_term_and_feedback_without_delay_look_the_same() -> None:
         found = armrig.delay(Dataset(u=u, y=y, Ts=1.0))
         assert (found.nk, found.interval) == (nk, (0, nk))
         assert "feedback looks the same as a direct term" in found.brief()
-
-
-def test_a_gain_without_dynamics_is_a_direct_term() -> None:
-    u, e = np.random.default_rng(1).standard_normal((2, 1000))
-
-    found = armrig.delay(Dataset(u=u, y=0.5 * u + 0.1 * e, Ts=1.0))
-
-    assert (found.nk, found.interval) == (0, (0, 0))
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,6 @@ def data(seed: int, N: int, B: list[float] | None = None) -> Dataset:
 
 
 def two_experiments() -> Dataset:
-    """Return two experiments of other lengths."""
     return merge([data(2, 180), data(3, 130)])
 
 

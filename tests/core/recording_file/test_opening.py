@@ -38,13 +38,13 @@ def test_a_link_of_another_user_is_not_followed(
         regular_file(link)
 
 
-def test_no_link_is_followed_where_none_may_be(link: Path) -> None:
+def test_a_link_is_refused_where_links_are_not_allowed(link: Path) -> None:
     with pytest.raises(DamageError, match="a link is not followed"):
         regular_file(link, may_be_link=False)
 
 
 @pytest.mark.parametrize("kind", ["pipe", "folder"])
-def test_what_is_no_regular_file_is_not_waited_for(tmp_path: Path, kind: str) -> None:
+def test_a_pipe_or_folder_is_refused_without_waiting(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "it"
     os.mkfifo(path) if kind == "pipe" else path.mkdir()
 

@@ -41,7 +41,7 @@ def _names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-def test_without_a_limit_nothing_is_asked(tmp_path: Path) -> None:
+def test_retention_without_limits_is_off(tmp_path: Path) -> None:
     assert not _retention(tmp_path, keep_days=0.0).is_asked
 
 
@@ -69,7 +69,9 @@ def test_the_oldest_go_until_the_rest_takes_no_more_than_it_may(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("more", "removed"), [(1, 0), (-1, 1)])
-def test_a_limit_may_be_reached(tmp_path: Path, more: int, removed: int) -> None:
+def test_a_limit_is_exceeded_by_one_byte_or_one_second(
+    tmp_path: Path, more: int, removed: int
+) -> None:
     """By one byte, or by one second."""
     runs = [_run(tmp_path, f"1-{name}.mcap", days) for name, days in (("a", 30), ("b", 2))]
     total = sum(run.stat().st_size for run in runs)
@@ -107,7 +109,7 @@ def test_nothing_goes_by_its_age_if_the_newest_run_is_old_too(tmp_path: Path) ->
     assert [removal.is_removed for removal in retention.apply(NOW_S)] == [True, True]
 
 
-def test_a_long_run_goes_as_a_whole(tmp_path: Path) -> None:
+def test_a_run_in_parts_is_removed_as_a_whole(tmp_path: Path) -> None:
     parts = [
         _run(tmp_path, f"1-a.part-000{n}.mcap", days, outcome=outcome)
         for n, days, outcome in ((1, 40, CONTINUED), (2, 29, COMPLETE))
@@ -133,7 +135,7 @@ def _spoil(path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [_cut, _spoil])
-def test_what_cannot_be_read_to_its_end_stays_and_is_reported_once(
+def test_a_damaged_recording_is_not_removed_and_is_reported_once(
     tmp_path: Path, damage: Any
 ) -> None:
     broken = _run(tmp_path, "1-a.mcap", 40)
@@ -152,9 +154,7 @@ def test_what_cannot_be_read_to_its_end_stays_and_is_reported_once(
 
 
 @pytest.mark.parametrize("outcome", [None, CONTINUED])
-def test_a_run_that_does_not_say_how_it_ended_stays(
-    tmp_path: Path, outcome: Outcome | None
-) -> None:
+def test_a_run_without_an_outcome_is_not_removed(tmp_path: Path, outcome: Outcome | None) -> None:
     _run(tmp_path, "1-a.part-0001.mcap", 40, outcome=outcome)
     _run(tmp_path, "1-b.mcap", 1)
 
@@ -164,7 +164,7 @@ def test_a_run_that_does_not_say_how_it_ended_stays(
     assert _names(tmp_path) == {"1-a.part-0001.mcap", "1-b.mcap"}
 
 
-def test_a_run_with_a_part_of_another_rig_stays(tmp_path: Path) -> None:
+def test_a_run_with_a_part_of_another_rig_is_not_removed(tmp_path: Path) -> None:
     _run(tmp_path, "1-a.part-0001.mcap", 40, outcome=CONTINUED)
     _run(tmp_path, "1-a.part-0002.mcap", 40, rig="2")
     _run(tmp_path, "1-b.mcap", 1)
@@ -195,7 +195,7 @@ def test_nothing_else_in_the_folder_is_touched(tmp_path: Path) -> None:
     assert [*_retention(tmp_path, owner=os.geteuid() + 1).apply(NOW_S)] == []
 
 
-def test_a_file_that_somebody_holds_stays_until_it_is_free(tmp_path: Path) -> None:
+def test_a_locked_recording_is_removed_only_after_its_release(tmp_path: Path) -> None:
     path = _run(tmp_path, "1-a.mcap", 40)
     _run(tmp_path, "1-b.mcap", 1)
     retention = _retention(tmp_path)
@@ -207,7 +207,7 @@ def test_a_file_that_somebody_holds_stays_until_it_is_free(tmp_path: Path) -> No
     assert [removal.is_removed for removal in retention.apply(NOW_S)] == [True]
 
 
-def test_what_a_loss_of_power_left_of_a_run_goes_the_next_time(
+def test_a_partly_removed_run_is_removed_at_the_next_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for n, outcome in ((1, CONTINUED), (2, CONTINUED), (3, COMPLETE)):

@@ -12,19 +12,6 @@ def test_the_budget_is_that_of_request_conversions_and_answer() -> None:
     assert exchange_us(1_000_000) == 520 + 208
 
 
-@pytest.mark.parametrize(("ts_us", "baud"), [(2000, 500_000), (1000, 1_000_000), (5000, 115_200)])
-def test_what_fits_is_taken(ts_us: int, baud: int) -> None:
-    """500 Hz at 500 kbaud, 1 kHz at 1 Mbaud, 200 Hz at 115 200."""
-    check(ts_us, baud)
-
-
-def test_scheduled_mode_counts_each_direction_by_itself() -> None:
-    """1 kHz at 500 kbaud, 2 kHz at 1 Mbaud, 200 Hz at 115 200."""
-    for ts_us, baud in ((1000, 500_000), (500, 1_000_000), (5000, 115_200)):
-        check(ts_us, baud, scheduled=True)
-        assert scheduled_us(baud) > ts_us / 2
-
-
 @pytest.mark.parametrize("scheduled", [False, True])
 @pytest.mark.parametrize("baud", [115_200, 500_000, 1_000_000])
 def test_what_is_1_us_too_short_is_refused(baud: int, scheduled: bool) -> None:
@@ -56,10 +43,4 @@ def test_each_conversion_of_an_oversampled_reading_takes_its_time(m: int, schedu
 
 def test_without_oversampling_the_refusal_names_none() -> None:
     with pytest.raises(ValueError, match=r"exchange mode: .* a higher baud rate$"):
-        check(1000, 500_000)
-
-
-def test_what_does_not_fit_is_refused_with_the_way_out() -> None:
-    """1 kHz at 500 kbaud does not fit."""
-    with pytest.raises(ValueError, match=r"Ts=0.001 s .* at least 0.001248 s, or a higher baud"):
         check(1000, 500_000)

@@ -51,7 +51,6 @@ def test_a_sample_was_asked_for_one_conversion_before_its_trigger(
     t_us: int, rx: int, tx: int
 ) -> None:
     state = _fresh()
-    assert state.device is not None
     assert state.device.skew_us == 104
     sent = Sent(1, 2, 3, NOW - 2_000_000, 4)
 

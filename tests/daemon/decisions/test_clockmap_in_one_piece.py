@@ -292,7 +292,7 @@ def test_a_device_clock_that_jumps_between_its_stamps_says_nothing(
 @pytest.mark.parametrize("ask", [clockmap.host_ns_at, clockmap.std_ns_at])
 def test_a_map_that_knows_nothing_says_so(ask: object) -> None:
     with pytest.raises(ValueError, match="knows no exchange"):
-        ask(clockmap.start(LINK), 5)  # type: ignore[operator]
+        ask(clockmap.start(LINK), 5)
 
 
 @pytest.mark.parametrize(

@@ -84,16 +84,6 @@ def test_the_witness_sees_changes_and_nothing_else() -> None:
     ]
 
 
-def test_the_arm_moves_under_the_voltage_it_had() -> None:
-    board = make_board()
-
-    board.latch(1_000_000_000, 65535, Cause.REQUEST)
-    assert board.motion(1_000_000_000) == (0.0, 0.0, 0.0, 0.0)
-
-    board.release(1_001_000_000, State.IDLE, Cause.REQUEST)
-    assert board.motion(1_001_000_000)[2] == pytest.approx(5 * 98.40 * 1e-3, rel=0.05)
-
-
 def test_an_ideal_sensor_has_no_dead_band() -> None:
     """A turn is 65536 codes on both joints."""
     settings = EmulatorSettings(

@@ -74,8 +74,9 @@ class Heard:
     def listen(self, ms: float) -> None:
         """Note what comes within a time, with a sign of life now and then."""
         came = self.host.alive(ms) if ms > 40 else self.host.listen(ms)
-        self.lines += [_line(message) for message in came if type(message).__name__ != "Pong"]
-        self.lines.append(f"  {self.device.board.volts:.5g} V")
+        shown = [_line(message) for message in came if type(message).__name__ != "Pong"]
+        shown = shown or ["  nothing"]
+        self.lines += [*shown[:-1], f"{shown[-1]}; {self.device.board.volts:.5g} V"]
 
 
 def _told(settings: dict[str, Any]) -> list[str]:

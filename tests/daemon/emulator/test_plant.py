@@ -61,15 +61,6 @@ def test_where_time_is_cut_does_not_matter(first: int, second: int) -> None:
     np.testing.assert_allclose(x, advance(plant, REST, 2.0, first + second), atol=1e-10)
 
 
-def test_a_run_of_an_hour_does_not_drift() -> None:
-    plant = build(HANDOUT)
-    x = advance(plant, REST, 1.0, 20 * SECOND_NS)
-
-    after = advance(plant, x, 1.0, 3600 * SECOND_NS)
-
-    assert after[0] - x[0] == pytest.approx(3600 / (HANDOUT.N * HANDOUT.K_m), rel=1e-9)
-
-
 def test_without_the_arm_the_chassis_turns_alone() -> None:
     plant = build(HANDOUT, arm_removed=True)
 
@@ -84,7 +75,7 @@ def test_below_the_coulomb_torque_the_chassis_sticks() -> None:
     holding = 0.1
     plant = build(HANDOUT, coulomb_nm=holding)
 
-    x = advance(plant, REST, 0.99 * holding / HANDOUT.torque_per_volt, 10 * SECOND_NS)
+    x = advance(plant, REST, 0.99 * holding / HANDOUT.torque_per_volt, SECOND_NS)
 
     assert x == REST
 
@@ -113,18 +104,10 @@ def test_coulomb_friction_takes_its_share_of_the_terminal_speed() -> None:
     """The speed is lower by T_c R_m / (N K_m)²."""
     plant = build(HANDOUT, coulomb_nm=0.02)
 
-    x = advance(plant, REST, 2.0, 20 * SECOND_NS)
+    x = advance(plant, REST, 2.0, 2 * SECOND_NS)
 
     back_emf = HANDOUT.N * HANDOUT.K_m
     assert x[2] == pytest.approx((2.0 - 0.02 * HANDOUT.R_m / back_emf) / back_emf, rel=1e-5)
-
-
-def test_viscous_friction_takes_its_share_of_the_terminal_speed() -> None:
-    p = ArmParameters(b_1=0.05)
-
-    x = advance(build(p), REST, 2.0, 20 * SECOND_NS)
-
-    assert x[2] == pytest.approx(2.0 * p.torque_per_volt / p.damping, rel=1e-9)
 
 
 def test_with_0_v_energy_only_goes() -> None:
@@ -144,7 +127,7 @@ def test_a_turning_chassis_comes_to_rest_and_stays() -> None:
     x: State = (0.0, 0.03, 0.5, -0.5)
 
     x = advance(plant, x, 0.0, 200 * MILLISECOND_NS)
-    later = advance(plant, x, 0.0, 10 * SECOND_NS)
+    later = advance(plant, x, 0.0, SECOND_NS)
 
     assert (x[2], later[2]) == (0.0, 0.0)
     assert later[0] == x[0]

@@ -19,11 +19,6 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(7)
 
 
-def test_in_the_middle_of_its_track_the_wiper_has_half_the_voltage() -> None:
-    assert wiper(TURNING, 0.0) == pytest.approx(0.5)
-    assert wiper(ENDING, 0.0) == pytest.approx(0.5)
-
-
 @given(st.floats(-100, 100), st.integers(-20, 20))
 def test_a_shaft_that_turns_on_reads_the_same_each_turn(angle: float, turns: int) -> None:
     once, again = wiper(TURNING, angle), wiper(TURNING, angle + turns * tau)

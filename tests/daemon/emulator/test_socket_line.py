@@ -90,17 +90,6 @@ def _stranger(path: Path) -> socket.socket:
     return stranger
 
 
-def test_bytes_pass_unchanged_both_ways(emulator: Emulator, host: Link) -> None:
-    data = bytes(range(256))
-
-    host.write(data)
-    emulator.line.write(data)
-
-    assert emulator.read() == data
-    assert host.read() == data
-    assert host.read() == b""
-
-
 def test_no_more_is_read_at_once_than_a_record_holds(emulator: Emulator, host: Link) -> None:
     sent = [bytes([i]) * 100 for i in range(60)]
     for frame in sent:
@@ -183,20 +172,6 @@ def test_a_program_that_ignores_the_lock_does_not_get_at_the_rig(
         assert stranger.recv(1) == b""
 
 
-def test_a_flood_of_connections_ends_at_each_turn(emulator: Emulator, host: Link) -> None:
-    with ExitStack() as stack:
-        for _ in range(9):
-            stack.enter_context(_stranger(emulator.path))
-        with pytest.raises(BlockingIOError):
-            stack.enter_context(_stranger(emulator.path))
-        host.write(b"from the host")
-
-        for _ in range(3):
-            assert not emulator.was_opened()
-
-        assert emulator.read() == b"from the host"
-
-
 @pytest.mark.parametrize("opener", ["host", "emulator"])
 def test_a_program_of_another_user_is_refused(
     emulator: Emulator, monkeypatch: pytest.MonkeyPatch, opener: str
@@ -230,13 +205,6 @@ def test_a_device_that_does_not_read_is_a_loss_of_the_line(emulator: Emulator, h
     host.write(FRAME)
 
 
-def test_what_is_taken_in_part_is_a_loss_of_the_line(emulator: Emulator, host: Link) -> None:
-    with pytest.raises(LinkError, match="accepts no more bytes, because the device does not"):
-        host.write(bytes(1_000_000))
-
-    assert emulator.read()
-
-
 @pytest.mark.parametrize("use", [Link.read, lambda link: link.write(b"a frame")])
 def test_an_emulator_that_is_gone_is_a_loss_of_the_line(
     tmp_path: Path, use: Callable[[Link], object]
@@ -251,21 +219,6 @@ def test_an_emulator_that_is_gone_is_a_loss_of_the_line(
     host.close()
     with pytest.raises(NoPortError, match=r"it is not there; start `armrigd emulate --port unix:/"):
         emulator.host()
-
-
-def test_a_host_that_stalls_gets_late_what_it_did_not_read(emulator: Emulator, host: Link) -> None:
-    sent = [b"%26d" % i for i in range(1500)]
-    for frame in sent:
-        emulator.line.write(frame)
-    assert emulator.line.backlog.waiting_bytes
-
-    come = b""
-    while emulator.line.backlog.waiting_bytes or len(come) < 26 * 1500:
-        come += host.read()
-        assert not emulator.was_opened()
-
-    assert come == b"".join(sent)
-    assert emulator.line.backlog.dropped_frames == 0
 
 
 def test_the_socket_is_for_its_user_alone(emulator: Emulator) -> None:

@@ -33,11 +33,9 @@ def line() -> Iterator[tuple[int, str]]:
     os.close(slave)
 
 
-@pytest.fixture
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wait longer for the port and for an answer than the command does."""
-    monkeypatch.setattr(estop_module, "WITHIN_S", 30.0)
-    monkeypatch.setattr(estop_module, "_PORT_WAIT_S", 30.0)
+def _patient(line: tuple[int, str]) -> bool:
+    """Send ESTOP, and wait longer for the port and for an answer than the command does."""
+    return estop(line[1], BAUD, within_s=30.0, port_wait_s=30.0)
 
 
 class Device:
@@ -78,20 +76,18 @@ class Device:
                     os.write(self._master, b"\0" + encode(BOOTED))
 
 
-@pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("answered", [1, 3])
 def test_three_are_sent_and_one_answer_is_enough(line: tuple[int, str], answered: int) -> None:
     """The first two may be lost."""
     with Device(line[0], answered) as device:
-        assert estop(line[1], BAUD)
+        assert _patient(line)
 
     assert device.heard == [Estop(0, 0), Estop(0, 1), Estop(0, 2)]
 
 
-@pytest.mark.usefixtures("patient")
 def test_half_a_frame_of_a_killed_daemon_costs_no_estop(line: tuple[int, str]) -> None:
     with Device(line[0], answered=2, pending=encode(Estop(0, 9))[:4]) as device:
-        assert estop(line[1], BAUD)
+        assert _patient(line)
 
     spoilt, *sound = device.heard
     assert isinstance(spoilt, Spoilt)
@@ -107,11 +103,10 @@ def test_a_device_that_does_not_answer_is_waited_for_no_longer(line: tuple[int, 
     assert time.monotonic() - before >= WITHIN_S
 
 
-@pytest.mark.usefixtures("patient")
 def test_a_device_that_has_booted_meanwhile_gets_estop_again(line: tuple[int, str]) -> None:
     """Opening the port reset the device, and it discarded what came before it was ready."""
     with Device(line[0], answered=4, boots=True) as device:
-        assert estop(line[1], BAUD)
+        assert _patient(line)
 
     assert len(device.heard) == 6
 
@@ -135,7 +130,6 @@ def test_to_a_port_that_another_holds_not_a_byte_is_sent(line: tuple[int, str]) 
     daemon.close()
 
 
-@pytest.mark.usefixtures("patient")
 def test_a_daemon_that_is_dying_is_waited_for(line: tuple[int, str]) -> None:
     """The daemon gives its port back a moment after systemd calls `armrigd estop`."""
     holder = os.open(line[1], os.O_RDWR | os.O_NOCTTY)
@@ -143,7 +137,7 @@ def test_a_daemon_that_is_dying_is_waited_for(line: tuple[int, str]) -> None:
     threading.Timer(0.05, os.close, [holder]).start()
 
     with Device(line[0], answered=1):
-        assert estop(line[1], BAUD)
+        assert _patient(line)
 
 
 def test_a_port_that_is_not_there_is_said() -> None:

@@ -26,11 +26,11 @@ def test_orders_from_before_a_pause_are_read_after_the_tick_that_trips() -> None
     wait = bench.ports.wait
 
     def frozen(until_ns: int) -> list[Event]:
-        bench.ports.wait = wait  # type: ignore[method-assign]
+        bench.ports.wait = wait
         bench.ports._advance(until_ns + 300 * MS)
         return [Ordered(Set(order=50, lease=LEASE, n=2, code=code_of(4.0)))]
 
-    bench.ports.wait = frozen  # type: ignore[method-assign]
+    bench.ports.wait = frozen
     bench.run_for(100)
 
     assert _answer(bench, 50).error
@@ -54,7 +54,7 @@ def test_a_line_that_is_never_quiet_keeps_no_order_waiting() -> None:
             stopping_ns.append(bench.ports.now)
         return [*wait(bench.ports.now), Received(b"\xff")]
 
-    bench.ports.wait = noisy  # type: ignore[method-assign]
+    bench.ports.wait = noisy
     bench.run_for(600)
     ordered_ns = bench.ports.now
     bench.order(Stop(order=60))

@@ -11,6 +11,7 @@ import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from unittest import mock
 
 import msgspec
 import pytest
@@ -18,9 +19,9 @@ from armrig_core.emulator_socket import lock_path
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
 from armrig_daemon.loop import process, realtime
-from armrig_daemon.loop.link import READ, Link, TakenPortError
+from armrig_daemon.loop.link import READ, TakenPortError
 from armrig_daemon.loop.process import REOPEN_NS, ProcessPorts, Settings
-from armrig_daemon.pipe import Alive, Host, Log, Reset, Run, Stop, record_bytes, take_records
+from armrig_daemon.pipe import Alive, Host, Log, record_bytes, take_records
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 from msgspec.structs import replace
@@ -94,12 +95,6 @@ def test_a_record_that_nobody_takes_does_not_hide_the_end_of_the_service(
     assert ports.wait(realtime.now_ns() + MS) == []
 
 
-def test_a_late_wakeup_is_reported_as_late(ports: ProcessPorts) -> None:
-    past = realtime.now_ns() - MS
-
-    assert past + MS <= ports.sleep_until(past) <= realtime.now_ns()
-
-
 def test_what_comes_at_once_is_handed_on_in_pieces_and_without_another_wait(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
@@ -117,25 +112,6 @@ def test_what_comes_at_once_is_handed_on_in_pieces_and_without_another_wait(
     assert max(map(len, come)) <= READ
 
 
-def test_bytes_that_come_while_others_wait_are_a_piece_of_their_own(
-    ports: ProcessPorts, pipes: dict[str, int]
-) -> None:
-    tty.setraw(pipes["slave"])
-    sent = bytes(range(1, 251)) * 12
-    os.write(pipes["master"], sent)
-    come, written = b"", False
-    while len(come) < len(sent) + 4:
-        (event,) = ports.wait(realtime.now_ns() + 30_000 * MS)
-        assert isinstance(event, Received)
-        come += event.data
-        if not written:
-            written = True
-            os.write(pipes["master"], b"more")
-            select.select([pipes["slave"]], [], [])  # it is there
-
-    assert come == sent + b"more"
-
-
 def test_a_line_that_is_cut_is_read_to_its_end_and_then_said_to_be_gone(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
@@ -151,14 +127,15 @@ def test_a_line_that_is_cut_is_read_to_its_end_and_then_said_to_be_gone(
 
 
 def test_a_line_that_hung_up_is_read_on_though_it_is_reported_once(
-    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+    ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     tty.setraw(pipes["slave"])
     os.write(pipes["master"], b"last words")
     ((fd, _),) = ports._waiter.wait_until(realtime.now_ns() + 30_000 * MS)
     told = [[], [(fd, select.EPOLLIN | select.EPOLLHUP)]]
-    monkeypatch.setattr(ports._waiter, "wait_until", lambda _until_ns: told.pop())
-    monkeypatch.setattr(ports._waiter, "ready", list)
+    ports._waiter = SimpleNamespace(
+        wait_until=lambda _: told.pop(), ready=list, forget=lambda _: None
+    )
 
     assert ports.wait(0) == [Received(b"last words")]
     os.close(pipes.pop("master"))
@@ -217,24 +194,11 @@ def test_a_loop_that_fails_without_a_line_fails_as_it_would(
     ports.stop_hard()
 
 
-def test_an_order_may_come_in_pieces(ports: ProcessPorts, pipes: dict[str, int]) -> None:
-    play = Run(lease="a" * 32, n=1, run_id="r", codes=bytes(range(256)))
-    data = record_bytes(Stop()) + record_bytes(play) + record_bytes(Reset())
-
-    taken = []
-    for at in range(0, len(data), 100):
-        os.write(pipes["orders_in"], data[at : at + 100])
-        taken += ports.wait(realtime.now_ns() + 100 * MS)
-
-    assert taken == [Ordered(Stop()), Ordered(play), Ordered(Reset())]
-
-
 def test_a_line_that_was_lost_is_opened_again_in_its_time(
-    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+    ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     now_ns = realtime.now_ns()
-    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns)
-    assert ports.now_ns() == now_ns
+    ports.now_ns = lambda: now_ns
     os.close(pipes.pop("master"))
     assert [type(event) for event in ports.wait(now_ns + 10_000 * MS)] == [LinkDown]
 
@@ -247,7 +211,7 @@ def test_a_line_that_was_lost_is_opened_again_in_its_time(
 
 
 def test_a_line_that_was_opened_again_is_read_when_it_is_readable(
-    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+    ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     os.close(pipes.pop("master"))
     now_ns = realtime.now_ns() + 30_000 * MS
@@ -255,10 +219,10 @@ def test_a_line_that_was_opened_again_is_read_when_it_is_readable(
     master, pipes["another"] = os.openpty()
     pipes["master"] = master
     ports._settings = replace(ports._settings, port=os.ttyname(pipes["another"]))
-    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns + REOPEN_NS)
+    ports.now_ns = lambda: now_ns + REOPEN_NS
     assert ports.wait(now_ns) == [LinkUp()]
 
-    monkeypatch.setattr(Link, "read", lambda _: pytest.fail("nobody said that there is more"))
+    ports._link.read = lambda: pytest.fail("nobody said that there is more")
 
     assert ports.wait(0) == []
 
@@ -301,43 +265,6 @@ def emulator(tmp_path: Path) -> Iterator[socket.socket]:
         yield listener
 
 
-def test_a_socket_is_a_line_as_a_serial_port_is(
-    pipes: dict[str, int], emulator: socket.socket, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now_ns = realtime.now_ns()
-    settings = Settings(
-        rules=Config().rules(),
-        port=f"unix:{emulator.getsockname()}",
-        baud=115_200,
-        priority=0,
-        cpu=None,
-        spin_ns=50_000,
-    )
-    ports = ProcessPorts(settings, pipes["orders_out"], pipes["records_in"])
-    assert ports.wait(now_ns) == [LinkUp()]
-    device, _ = emulator.accept()
-    sent = bytes(range(250)) * 40
-    device.sendall(sent)
-
-    come = b""
-    while len(come) < len(sent):
-        (event,) = ports.wait(now_ns + 30_000 * MS)
-        assert isinstance(event, Received)
-        come += event.data
-
-    assert come == sent
-    device.close()
-    assert [type(event) for event in ports.wait(now_ns + 30_000 * MS)] == [LinkDown]
-    now_ns = realtime.now_ns() + REOPEN_NS
-    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns)
-    assert ports.wait(now_ns) == [LinkUp()]
-    assert ports.write(b"HELLO") is None
-    device, _ = emulator.accept()
-    assert device.recv(100) == b"HELLO"
-    device.close()
-    assert [type(event) for event in ports.wait(now_ns + 10_000 * MS)] == [LinkDown]
-
-
 class _Ports:
     """Ports of a program whose loop ends at once."""
 
@@ -359,16 +286,20 @@ class _Ports:
 
 
 @pytest.fixture
-def program(monkeypatch: pytest.MonkeyPatch) -> _Ports:
+def program() -> Iterator[_Ports]:
     """Give the ports of a program that changes nothing of this process."""
     ports = _Ports()
-    monkeypatch.setattr(process, "ProcessPorts", lambda *_: ports)
-    monkeypatch.setattr(process, "SignalPipe", lambda: None)
-    monkeypatch.setattr(process, "Loop", lambda *_: SimpleNamespace(run=lambda: None))
-    for name in ("end_with_parent", "ignore_signals"):
-        monkeypatch.setattr(realtime, name, lambda: None)
-    monkeypatch.setattr(realtime, "prepare", lambda *_: {"fifo": 0, "refused": []})
-    return ports
+    loop = SimpleNamespace(run=lambda: None)
+    prepared = {"fifo": 0, "refused": []}
+    with (
+        mock.patch.multiple(
+            process, ProcessPorts=lambda *_: ports, SignalPipe=lambda: None, Loop=lambda *_: loop
+        ),
+        mock.patch.multiple(
+            realtime, end_with_parent=int, ignore_signals=int, prepare=lambda *_: prepared
+        ),
+    ):
+        yield ports
 
 
 def _main(pipes: dict[str, int]) -> int:

@@ -28,7 +28,7 @@ SENT = Calibration(
 CONFIG = Config(rig=Rig(id="2"))
 
 
-def test_it_is_taken_as_it_came_but_for_the_file_which_the_daemon_has_not_read() -> None:
+def test_an_accepted_calibration_is_unchanged_except_for_its_file() -> None:
     found = checked_calibration(SENT, RAW, CONFIG, {"uid": "abc"})
 
     assert found == replace(SENT, made=replace(MADE, file=""))
@@ -49,6 +49,8 @@ def test_it_is_taken_as_it_came_but_for_the_file_which_the_daemon_has_not_read()
         ({"alpha": Potentiometer(wraps=True)}, "alpha.wraps = true: must be false"),
     ],
 )
-def test_what_is_not_of_this_rig_is_refused(fields: dict[str, Any], said: str) -> None:
+def test_a_calibration_of_another_rig_or_device_is_refused(
+    fields: dict[str, Any], said: str
+) -> None:
     with pytest.raises(ValueError, match=said):
         checked_calibration(replace(SENT, **fields), RAW, CONFIG, {"uid": "abc"})

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from armrig_daemon.pipe import Alive, Host, Log, Run, record_bytes
+from armrig_daemon.pipe import Alive, Run
 
 from tests.daemon.loop_ends import LoopEnds
 
@@ -41,17 +41,3 @@ def test_orders_to_a_loop_that_is_gone_wait_for_nothing(loop: LoopEnds) -> None:
     loop.child.order(RUN)
 
     assert not loop.child.is_behind
-
-
-def test_records_come_whole_however_the_pipe_cuts_them(loop: LoopEnds) -> None:
-    records = [Log(t_host_ns=1, level="info", message="a word"), Host(granted={"fifo": 1})]
-    data = b"".join(map(record_bytes, records))
-
-    taken = []
-    for byte in data:
-        os.write(loop.records_fd, bytes([byte]))
-        said = loop.child.records()
-        assert said is not None
-        taken += said
-
-    assert taken == records

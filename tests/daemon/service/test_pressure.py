@@ -6,10 +6,9 @@ from math import isnan
 from pathlib import Path
 
 import pytest
-from armrig_core.codes import COMPLETE, Ending, OutcomeCode, RefusalCode
-from armrig_daemon.pipe import Distribution, State, Timing
+from armrig_core.codes import RefusalCode
+from armrig_daemon.pipe import Distribution, Timing
 from armrig_daemon.service import pressure
-from armrig_protocol.messages import Cause
 from msgspec.structs import replace
 
 QUIET = Distribution(p50=0, p90=0, p99=0, p999=0, max=0, n=100, missed=0)
@@ -51,27 +50,6 @@ def test_a_kernel_without_pressure_information_is_no_error(
     assert isnan(pressure.Pressure(path).read()[0])
 
 
-@pytest.mark.parametrize(
-    ("p99_us", "watchdog_ms", "refused"),
-    [
-        (99_000.0, 100, False),
-        (101_000.0, 100, True),
-        (49_000.0, 50, False),
-        (51_000.0, 50, True),
-        (99_000.0, 250, False),
-        (101_000.0, 250, True),
-    ],
-)
-def test_a_host_that_pauses_again_and_again_is_not_armed(
-    p99_us: float, watchdog_ms: int, *, refused: bool
-) -> None:
-    """More than 1 % of its ticks are later than the watchdog, or 100 ms."""
-    timing = _timing(replace(QUIET, p99=p99_us, p999=150_000.0, max=150_000.0))
-
-    assert bool(pressure.untimely(timing, watchdog_ms, "load 3 on 2 processors")) is refused
-    assert pressure.untimely(None, watchdog_ms, "load 3 on 2 processors") is None
-
-
 def test_a_host_that_woke_late_may_be_armed_a_second_later() -> None:
     timing = _timing(replace(QUIET, p99=264e3, p999=264e3, max=264e3, missed=26))
 
@@ -85,36 +63,6 @@ def test_a_host_that_woke_late_may_be_armed_a_second_later() -> None:
     assert "load 3 on 2 processors" in error
     assert "`armrig doctor`" in error
     assert error.endswith(": try again")
-
-
-@pytest.mark.parametrize(
-    ("fault", "cause", "named"),
-    [
-        ("pause", Cause.NONE, True),
-        ("stale", Cause.NONE, True),
-        ("missed", Cause.NONE, True),
-        ("device", Cause.WATCHDOG, True),
-        ("device", Cause.REV_LIMIT, False),
-        ("link", Cause.NONE, False),
-    ],
-)
-def test_a_run_that_load_may_have_ended_says_the_load(
-    fault: str, cause: Cause, named: bool
-) -> None:
-    ended = Ending(OutcomeCode.FAULT, "why: no WATCHDOG")
-
-    said = pressure.with_load(ended, _state(fault, cause), "load 3 on 2 processors")
-
-    load = " (load 3 on 2 processors; see `armrig doctor`)" if named else ""
-    assert said == (OutcomeCode.FAULT, ended.text + load)
-
-
-def test_a_run_that_something_else_ended_says_nothing_of_load() -> None:
-    late = _state("pause")
-    stopped = Ending(OutcomeCode.STOPPED, late.reason)
-
-    assert pressure.with_load(stopped, late, "load 3") == stopped
-    assert pressure.with_load(COMPLETE, _state(""), "load 3") == COMPLETE
 
 
 @pytest.mark.parametrize(
@@ -155,17 +103,4 @@ def _timing(lateness_us: Distribution) -> Timing:
         device_tick_error_us=QUIET,
         link_round_trip_us=QUIET,
         queue_depth=QUIET,
-    )
-
-
-def _state(fault: str, cause: Cause = Cause.NONE) -> State:
-    return State(
-        t_host_ns=0,
-        phase="fault" if fault else "safe",
-        reason="the host paused for 264 ms",
-        owner="",
-        ts_us=10_000,
-        device={},
-        fault=fault,
-        device_cause=cause,
     )

@@ -19,7 +19,6 @@ def errors(seed: int, N: int, A: Array = A1) -> Array:
 
 
 def covariances(e: Array) -> Array:
-    """Return the covariances of lags 0 and 1."""
     e = e - e.mean(axis=0)
     return np.array([e.T @ e, e[1:].T @ e[:-1]]) / len(e)
 

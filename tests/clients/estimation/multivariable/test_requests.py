@@ -34,7 +34,6 @@ def signals(N: int = 120, seed: int = 1, Ts: float = 0.5) -> Signals:
 
 
 def each(value: dict[str, int]) -> dict[tuple[str, str], int]:
-    """Return an order of each output for each channel."""
     return {(output, input): n for output, n in value.items() for input in ("u", "v")}
 
 
@@ -117,7 +116,7 @@ def test_an_output_that_does_not_integrate_has_one_root_less(
     }
 
 
-def test_an_order_that_leaves_no_coefficient_is_refused() -> None:
+def test_an_order_without_a_free_coefficient_is_refused() -> None:
     of = {"structure": "oe", "integrating": ("b",)}
     request: Any = SignalsRequest(orders={"nb": 2, "nf": 1}, **of)  # type: ignore[arg-type]
 
@@ -351,7 +350,7 @@ def test_all_outputs_have_one_score_and_converge_together(
     assert [x.text for x in fit.findings] == ["the search of b did not converge in 7 steps"]
 
 
-def test_a_start_s_loss_is_that_of_its_whitened_errors() -> None:
+def test_the_loss_of_a_start_value_is_that_of_its_whitened_errors() -> None:
     """An output alone is weighted by its variance."""
     rng = np.random.default_rng(3)
     u, e = rng.standard_normal((2, 200, 2))

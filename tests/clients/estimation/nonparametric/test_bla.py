@@ -116,7 +116,7 @@ def test_a_dead_band_in_every_period_costs_no_more_than_its_samples() -> None:
     assert ratio == pytest.approx(1, abs=0.08)
 
 
-def test_what_a_pwm_rounds_excites_no_line() -> None:
+def test_rounding_of_the_pwm_excites_no_line() -> None:
     """A multisine rounded to a duty of 10 bits keeps its lines."""
     u = excitation.multisine(500, range(1, 126))
     applied = np.round(u / 5 * 1023) / 1023 * 5
@@ -176,7 +176,7 @@ def test_one_realisation_cannot_determine_distortion() -> None:
     assert "one realisation" in repr(found)
 
 
-def test_what_is_not_periodic_is_refused(second: Any) -> None:
+def test_an_input_without_a_period_is_refused(second: Any) -> None:
     other = Dataset(u=np.tile(np.arange(50.0), 4), y=np.zeros(200), Ts=1.0)
 
     with pytest.raises(ValueError, match="got none"):

@@ -36,7 +36,7 @@ def test_the_autocorrelation_is_that_at_the_lags(second: Any, lags: int) -> None
 
 
 @pytest.mark.parametrize("order", sampled([0, None]))
-def test_the_band_holds_its_share_where_there_is_no_relation(order: int | None) -> None:
+def test_the_band_of_independent_signals_has_its_confidence_level(order: int | None) -> None:
     """1 % of the lags lie outside for coloured u and y, whitened or not."""
     outside = []
     for seed in range(200):
@@ -77,7 +77,7 @@ def test_an_angle_is_correlated_by_its_rate(arm: Any) -> None:
         ([0, 0, 0, 1, 2, 0, 0], None, 0),
     ],
 )
-def test_what_is_outside_the_band_is_told_before_and_after_lag_0(
+def test_correlations_outside_the_band_are_counted_before_and_after_lag_0(
     g: list[float], first: int | None, before: int
 ) -> None:
     found = Correlation(
@@ -104,7 +104,7 @@ def test_the_dryer_answers_at_lag_3(reference: Callable[[str], NDArray[np.float6
     assert "first lag >= 0 outside: 3" in repr(found)
 
 
-def test_what_cannot_be_correlated_is_refused() -> None:
+def test_a_constant_input_and_too_many_lags_are_refused() -> None:
     with pytest.raises(ValueError, match="u is constant"):
         correlation(Dataset(u=np.ones(50), y=np.zeros(50), Ts=1.0), integrator=False)
     with pytest.raises(ValueError, match="lower lags"):

@@ -59,7 +59,7 @@ def test_realisations_of_a_multisine_are_found_to_integrate(arm: Any) -> None:
     assert REASON in repr(found)
 
 
-def test_the_data_decide_only_where_nobody_else_does(arm: Any) -> None:
+def test_data_decide_on_an_integrator_that_neither_name_nor_argument_gives(arm: Any) -> None:
     data = arm.telegraph(N=1000)
 
     assert integration(data, None).notes == ()
@@ -68,7 +68,7 @@ def test_the_data_decide_only_where_nobody_else_does(arm: Any) -> None:
     assert integration(unnamed(data), integrator=True).notes == ()
 
 
-def test_a_slow_output_that_is_pulled_back_is_not_taken_as_integrating() -> None:
+def test_a_slow_output_that_returns_is_not_taken_as_integrating() -> None:
     """A pole at 0.95 and 2000 samples are enough to see it."""
     rng = np.random.default_rng(1)
     u = rng.standard_normal(2000)

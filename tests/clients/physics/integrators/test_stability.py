@@ -72,7 +72,7 @@ def test_the_handout_s_arm() -> None:
 def test_a_step_is_stable_just_inside_the_limit_and_not_just_outside(
     method: str, params: ArmParameters
 ) -> None:
-    """The solution itself shows it, for the handout's arm and ten others."""
+    """The solution itself shows it, for the handout's arm and four others."""
     A, _, _ = arm_matrices(params)
     limit = stability_limit(A, method)
 

@@ -160,16 +160,6 @@ def test_each_figure_of_a_row_is_the_model_s_own(folder: Path, identified: Path)
     assert judged["model_of"] == recording.sha256
 
 
-def test_a_table_says_how_it_was_made(identified: Path) -> None:
-    """The table contains no time of day, so that the same task gives the same bytes."""
-    header = json.loads(
-        pyarrow_parquet.read_table(str(identified)).schema.metadata[b"armrig.batch"]
-    )
-    assert header["task"] == "identify"
-    assert json.loads(header["options"])["orders"] == {"na": 4, "nb": 4}
-    assert {"armrig", "numpy", "scipy", "python", "folder"} <= header.keys()
-
-
 def test_a_header_names_the_choice_and_what_is_none_is_no_option(folder: Path) -> None:
     header = header_of(ARX, folder, ["2", "1"], ["step", "bla"])
 
@@ -193,18 +183,6 @@ def test_only_the_rigs_and_experiments_asked_for(folder: Path) -> None:
     assert not names & {OTHER_RIG, BROKEN, CUT}
 
 
-def test_a_row_says_of_which_rig_a_recording_is(folder: Path, tmp_path: Path) -> None:
-    fit = armrig.arx(armrig.load(folder / "a-01.mcap").dataset(), na=4, nb=4)
-    rows = {
-        r["recording"]: r
-        for r in done(folder, Validate(model=model_text(fit)), tmp_path / "v.parquet")
-    }
-    assert (rows[OTHER_RIG]["rig"], rows["a-02.mcap"]["rig"]) == ("2", "1")
-    assert rows["a-01.mcap"]["on_estimation_data"] is True
-    alone = armrig.compare(armrig.load(folder / "a-02.mcap").dataset(), fit)[0]
-    assert rows["a-02.mcap"]["fit_percent"] == alone.fit_percent
-
-
 def test_verify_says_of_each_what_verify_says(folder: Path, tmp_path: Path) -> None:
     rows = {r["recording"]: r for r in done(folder, Verify(), tmp_path / "v.parquet")}
     for name in ("a-03.mcap", CUT):
@@ -223,21 +201,6 @@ def test_verify_says_of_each_what_verify_says(folder: Path, tmp_path: Path) -> N
 def test_no_two_columns_have_one_name(task: Task) -> None:
     of_all = {*OF_THE_FILE, *OF_THE_RUN, *OF_THE_RESULT}
     assert not of_all & OF_THE_TASK[name_of(task)].keys()
-
-
-@pytest.mark.exhaustive
-def test_report_writes_a_pdf_for_each(folder: Path, tmp_path: Path) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    for name in ("a-00.mcap", STEP):
-        shutil.copy2(folder / name, few)
-    rows = done(few, report(folder=str(tmp_path)), tmp_path / "reports.parquet")
-    assert [row["report"] for row in rows] == ["a-00.pdf", None]
-    assert (tmp_path / "a-00.pdf").read_bytes().startswith(b"%PDF-")
-    assert "nothing to identify from" in rows[1]["problem"]
-    (tmp_path / "a-00.pdf").unlink()
-    done(few, report(folder=str(tmp_path)), tmp_path / "reports.parquet")
-    assert (tmp_path / "a-00.pdf").exists()
 
 
 def test_a_report_that_is_gone_is_made_again(
@@ -457,12 +420,6 @@ def test_a_model_of_something_else_is_not_judged_by_an_angle(folder: Path, tmp_p
     assert "the model's output is temp" in rows[0]["problem"]
 
 
-def test_two_at_one_table_are_refused(folder: Path, tmp_path: Path) -> None:
-    table = tmp_path / "models.parquet"
-    with Progress(table, {"digest": "held"}), pytest.raises(OperationError, match="batch uses it"):
-        done(folder, ARX, table)
-
-
 def test_a_line_that_was_torn_by_a_kill_is_done_again(tmp_path: Path) -> None:
     table, header = tmp_path / "t.parquet", {"task": "x"}
     with Progress(table, header) as progress:
@@ -656,65 +613,6 @@ def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path:
     assert table.read_bytes() == whole
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        (["verify", "FOLDER", "-o", "x.csv"], "ends in .parquet"),
-        (["verify", "nowhere", "-o", "x.parquet"], "nowhere"),
-        (["verify", "FOLDER", "-o", "no/x.parquet"], "there is no directory no; create it first"),
-        (["verify", "FOLDER", "-o", "x.parquet", "--rig", "9"], "no recording is of the chosen"),
-        (["validate", "FOLDER", "--model", "no.json", "-o", "x.parquet"], "no.json"),
-        (["identify", "FOLDER", "-o", "x.parquet", "--structure", "arx", "--nf", "3"], "--nf"),
-        (
-            ["verify", "FOLDER", "-o", "x.parquet", "--scheduler", "tcp://h:1", "--workers", "2"],
-            "--workers",
-        ),
-    ],
-)
-def test_what_cannot_be_done_is_said_in_a_line(
-    given: list[str],
-    said: str,
-    folder: Path,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    code = main(["batch", *(str(folder) if word == "FOLDER" else word for word in given)])
-    assert code != 0
-    err = capsys.readouterr().err
-    assert said in err
-    assert "Traceback" not in err
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_the_command_reports_its_results(
-    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    for name in ("a-00.mcap", BROKEN):
-        shutil.copy2(folder / name, few)
-    table = tmp_path / "models.parquet"
-    given = [
-        "batch",
-        "identify",
-        str(few),
-        "-o",
-        str(table),
-        "--structure",
-        "arx",
-        "--workers",
-        "1",
-    ]
-    assert main(given) == 1
-    out = capsys.readouterr().out
-    assert out.startswith(f"{table}: 2 recordings; 1 without a result\n  {BROKEN}: ")
-    assert main([*given, "--json"]) == 1
-    facts = json.loads(capsys.readouterr().out)
-    assert (facts["rows"], facts["done_before"], list(facts["problems"])) == (2, 1, [BROKEN])
-
-
 def test_a_name_that_is_no_text_stops_nothing(folder: Path, tmp_path: Path) -> None:
     few = Path(os.fsdecode(os.fsencode(tmp_path) + b"/f\xfcnf"))
     few.mkdir()
@@ -746,22 +644,6 @@ def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("one_thread")
-def test_a_failed_check_is_reported_next_to_broken_files(
-    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    for name in (CUT, BROKEN):
-        shutil.copy2(folder / name, few)
-    given = ["batch", "verify", str(few), "-o", str(tmp_path / "v.parquet"), "--workers", "1"]
-    assert main(given) == 1
-    said = capsys.readouterr()
-    assert f"1 without a result\n  {BROKEN}: " in said.out
-    assert f"1 failed a check: {CUT}; the table contains the checks" in said.err
-    assert f"\n  {CUT}: file failed: the file is cut off: it ends " in said.out
-
-
-@pytest.mark.usefixtures("one_thread")
 def test_damage_is_reported_with_the_result(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -778,13 +660,6 @@ def test_damage_is_reported_with_the_result(
     assert "\n  none.mcap: the file is cut off: it ends " in said
     assert "; saved: 0 samples, " in said
     assert "none.mcap: none of its 0 samples shows theta_1; record again" in said
-
-
-def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "taken").touch()
-    task = report(folder=str(tmp_path / "taken"))
-    problem = row_of(task, items_in(folder, rigs=["1"])[0])["problem"]
-    assert problem == f"{tmp_path}/taken: File exists"
 
 
 @pytest.mark.parametrize(
@@ -806,8 +681,3 @@ def test_a_problem_is_a_line(
     monkeypatch.setattr("armrig.report.batch.rows.load", refused)
 
     assert row_of(Verify(), items_in(folder)[0])["problem"] == problem
-
-
-def test_no_recording_however_made_raises(folder: Path) -> None:
-    item = items_in(folder)[0]._replace(path=str(folder / "gone.mcap"))
-    assert "gone.mcap" in row_of(Verify(), item)["problem"]
