@@ -167,7 +167,7 @@ def test_a_daemon_that_cannot_listen_does_not_start(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("level", ["socket", "certificate", "password"])
-def test_nothing_listens_but_what_is_said(bench: Bench, level: str) -> None:
+def test_a_daemon_listens_only_where_it_is_configured(bench: Bench, level: str) -> None:
     """A1: nothing, or one port of TCP; no multicast, no gossip, no second port."""
     made = certificates(bench.folder)
     port = free_port()
@@ -184,7 +184,7 @@ def test_nothing_listens_but_what_is_said(bench: Bench, level: str) -> None:
 
 
 @pytest.mark.parametrize("more", [(), ("visitors", "foxglove")], ids=str)
-def test_a_dashboard_listens_on_the_ports_that_it_says_alone(
+def test_a_dashboard_listens_only_on_the_ports_that_it_prints(
     lab: Laboratory, more: tuple[str, ...]
 ) -> None:
     """A4: the page on the loopback; further ports for visitors and Foxglove on request."""
@@ -232,7 +232,7 @@ def _is_answered(session: zenoh.Session, key: str) -> bool:
     return any(reply.ok is not None for reply in session.get(key, timeout=WITHIN_S))
 
 
-def test_another_s_zenoh_id_gives_no_rights(lab: Laboratory) -> None:
+def test_the_zenoh_id_of_another_client_gives_no_rights(lab: Laboratory) -> None:
     with _connected(lab, "alice", "a11ce") as alice:
         assert _is_answered(alice, "rig/1/cmd/status/alice")
         with pytest.raises(zenoh.ZError):

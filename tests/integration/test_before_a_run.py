@@ -12,14 +12,10 @@ from armrig_core.rehearsal import rehearse
 from tests.integration.processes import Bench
 
 
-def _serve(bench: Bench, emulator: str = "", more: str = "") -> None:
-    bench.configure(more=f"{emulator}\n{more}")
+def test_a_run_that_would_leave_a_limit_never_begins(bench: Bench) -> None:
+    bench.configure(more="adc_noise_v = 0.0\n[limits]\nrevolutions = 1.5")
     bench.emulate()
     bench.serve()
-
-
-def test_a_run_that_would_leave_a_limit_never_begins(bench: Bench) -> None:
-    _serve(bench, "adc_noise_v = 0.0", "[limits]\nrevolutions = 1.5")
     u = armrig.telegraph(400, 0.1, low=1.0, high=4.0, seed=1)
     turns = rehearse(u, 0.02).revolutions
     answers: list[RunAccepted] = []

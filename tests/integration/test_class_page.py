@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -16,7 +13,7 @@ from armrig_daemon import config
 from armrig_daemon.config import EX_CONFIG
 from armrig_daemon.emulator.settings import EmulatorSettings
 
-from tests.integration.processes import Bench
+from tests.integration.processes import WITHIN_S, Bench
 
 PAGE = (Path(__file__).parents[2] / "docs" / "class.md").read_text(encoding="utf-8")
 SAID = [text.strip() for text in re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)]
@@ -26,20 +23,16 @@ LINES = [
 THERE = "unixsock-stream//run/armrig/1.sock"
 
 
-def _armrig(bench: Bench, line: str) -> subprocess.CompletedProcess[str]:
-    """Run a command of the page on the bench's rig."""
-    arguments = shlex.split(
-        line.replace(THERE, bench.endpoint).replace("--seconds 30", "--seconds 2")
-    )
-    command = [sys.executable, "-m", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-
-
 @pytest.mark.exhaustive
 def test_the_commands_of_a_student_are_taken(served: Bench) -> None:
     lines = [line for line in LINES if line.startswith("armrig ") and THERE in line]
 
-    done = {line.split()[1]: _armrig(served, line) for line in lines if "watch" not in line}
+    done = {}
+    for line in lines:
+        here = line.replace(THERE, served.endpoint).replace("--seconds 30", "--seconds 2")
+        _, name, *arguments = shlex.split(here)
+        if name != "watch":
+            done[name] = served.armrig(name, *arguments)
 
     assert [*done] == ["status", "collect", "stop"]
     assert {name: run.returncode for name, run in done.items()} == dict.fromkeys(done, 0)
@@ -69,18 +62,12 @@ def test_a_held_rig_is_refused_with_its_holder(served: Bench) -> None:
 
 
 def test_a_second_daemon_of_the_same_rig_is_refused(served: Bench) -> None:
-    second = subprocess.run(
-        [sys.executable, "-m", "armrig_daemon", "run", "--port", served.folder / "no-port"],
-        env={**os.environ, "XDG_RUNTIME_DIR": str(served.folder)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    second = served.start("armrig_daemon", "run", "--port", str(served.folder / "no-port"))
 
-    assert second.returncode == EX_CONFIG
+    assert second.popen.wait(WITHIN_S) == EX_CONFIG
     (said,) = [text for text in SAID if "already runs" in text]
-    assert f"armrigd: error: {said.replace(THERE, served.endpoint)}" in second.stderr.splitlines()
+    assert f"armrigd: error: {said.replace(THERE, served.endpoint)}" in second.said.splitlines()
+    assert served.settled() == "safe"
 
 
 def test_the_configuration_of_the_page_is_taken(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ def page(served: Bench, _page: Client) -> Client:
     return _page
 
 
-def test_samples_come_in_the_stream(page: Client) -> None:
+def test_the_stream_has_each_sample_once_in_order(page: Client) -> None:
     """Each row is later than the row before.
 
     The first live rows may repeat the last of the past; the page discards them.
@@ -51,7 +51,7 @@ def test_samples_come_in_the_stream(page: Client) -> None:
     assert {row[1] for row in live[-50:]} == {0.0}
 
 
-def test_the_past_comes_first(page: Client, served: Bench) -> None:
+def test_a_new_viewer_receives_the_past_first(page: Client, served: Bench) -> None:
     began = page.wait("live", lambda seen: seen["rows"])["rows"][-1][0]
     with watched(served) as anew:
         anew.wait("live", lambda seen: not seen["is_stale"])
@@ -84,7 +84,7 @@ def test_an_experiment_runs_and_is_recorded(page: Client, served: Bench) -> None
     )
 
 
-def test_stop_ends_a_run_of_the_page(page: Client, served: Bench) -> None:
+def test_a_stop_of_the_page_ends_its_own_run(page: Client, served: Bench) -> None:
     begin(page, served)
     assert page.ask("/api/stop", {"owner": "somebody"}) == (200, {"stopped": True})
 
@@ -93,7 +93,7 @@ def test_stop_ends_a_run_of_the_page(page: Client, served: Bench) -> None:
     assert "stopped by somebody" in page.first("run")["error"]
 
 
-def test_stop_ends_another_s_run(page: Client, served: Bench) -> None:
+def test_a_stop_of_the_page_ends_the_run_of_another_client(page: Client, served: Bench) -> None:
     with served.rig() as other:
         hold(other, served, 1.0, "somebody else")
         assert page.ask("/api/stop", {})[0] == 200
@@ -136,7 +136,7 @@ def test_a_stranger_commands_nothing(
     assert served.settled() == "safe"
 
 
-def test_a_thousand_connections_keep_nobody_from_a_stop(page: Client, served: Bench) -> None:
+def test_a_thousand_connections_prevent_no_stop(page: Client, served: Bench) -> None:
     begin(page, served)
     with ExitStack() as links:
         opened = [
@@ -158,9 +158,7 @@ def test_a_thousand_connections_keep_nobody_from_a_stop(page: Client, served: Be
     ],
     ids=["a body that does not come", "answers that are not read", "a body, with the token"],
 )
-def test_questions_that_do_not_end_keep_nobody_from_a_stop(
-    page: Client, served: Bench, asked: str
-) -> None:
+def test_requests_that_do_not_end_prevent_no_stop(page: Client, served: Bench, asked: str) -> None:
     begin(page, served)
     with ExitStack() as links:
         for _ in range(MOST + 10):

@@ -131,12 +131,12 @@ def text(page: Any, selector: str) -> str:
 @pytest.mark.exhaustive
 def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, served: Bench) -> None:
     with opened(browser, client.url) as page:
-        show_step(page, "1")
+        show_step(page, "2")
         assert "the chassis turns" in text(page, "#preview-lines")
         page.fill("#field-high", "3.5")
         assert not page.is_enabled("#run")
         assert served.voltage_changes()[-1][1] == 0.0
-        run_step(page, served, "1")
+        run_step(page, served, "2")
         page.wait_for_selector("#recording:not([hidden])")
         page.wait_for_selector("#look:not([hidden])")
         assert "is recorded" in text(page, "#running-text")
@@ -189,7 +189,7 @@ def test_a_notice_covers_no_chart_moves_nothing_and_takes_no_click(
 
 
 @pytest.mark.exhaustive
-def test_a_finger_finds_each_button(browser: Any, client: Client) -> None:
+def test_each_button_is_large_enough_for_a_finger(browser: Any, client: Client) -> None:
     """At least 44 pixels high and wide, on a phone and on a tablet."""
     for size in (PHONE, {"width": 320, "height": 640}, {"width": 1024, "height": 768}):
         with opened(browser, client.url, size, has_touch=True, is_mobile=True) as page:
@@ -231,7 +231,7 @@ def test_the_space_bar_stops_wherever_the_focus_is(
             bring_to_rest(served)
 
 
-def test_as_many_tabs_as_a_browser_has_connections_hold_up_no_stop(
+def test_a_stop_is_sent_though_tabs_use_all_connections(
     browser: Any, client: Client, served: Bench
 ) -> None:
     """A browser has six to a server, and each tab's stream takes one."""
@@ -249,7 +249,7 @@ def test_as_many_tabs_as_a_browser_has_connections_hold_up_no_stop(
         assert served.volts() == 0.0
 
 
-def test_a_run_that_is_still_to_be_sent_is_not_sent_after_a_stop(
+def test_a_stop_withdraws_a_run_that_is_not_sent_yet(
     browser: Any, client: Client, served: Bench
 ) -> None:
     with opened(browser, client.url) as page:
@@ -271,7 +271,7 @@ def test_a_run_that_is_still_to_be_sent_is_not_sent_after_a_stop(
         assert len(served.voltage_changes()) == before
 
 
-def test_another_s_markup_is_text(browser: Any, client: Client, served: Bench) -> None:
+def test_markup_in_a_name_is_shown_as_text(browser: Any, client: Client, served: Bench) -> None:
     begin(client, served, {"kind": "csv", "text": "u\n" + "1\n" * 12_000, "file": MARKUP})
     client.ask("/api/stop", {"owner": MARKUP})
     client.wait("run", lambda seen: not seen["is_going"])
@@ -340,7 +340,7 @@ def test_a_recording_is_identified_and_reported(
 
 
 @pytest.mark.exhaustive
-def test_it_fits_the_screen(browser: Any, client: Client) -> None:
+def test_the_page_fits_the_screen(browser: Any, client: Client) -> None:
     with opened(browser, client.url) as page:
         for theme, size in itertools.product(("light", "dark"), (WIDE, PHONE)):
             page.emulate_media(color_scheme=theme)

@@ -46,7 +46,7 @@ def test_a_stop_reaches_the_device_of_a_dead_daemon(bench: Bench) -> None:
     )
 
 
-def test_a_daemon_that_lives_is_not_disturbed(served: Bench) -> None:
+def test_an_estop_does_not_disturb_a_living_daemon(served: Bench) -> None:
     stop = served.start("armrig_daemon", "estop", "--config", str(served.config))
 
     pid = served.processes[1].popen.pid

@@ -134,7 +134,7 @@ def test_kill_9_of_both(run: Run) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_it_in_good_order(run: Run, number: signal.Signals) -> None:
+def test_a_signal_ends_the_daemon_in_good_order(run: Run, number: signal.Signals) -> None:
     """0 V, a complete file that says why it ended, exit code 0."""
     told_ns = run.daemon.kill(number)
 
@@ -157,7 +157,7 @@ def test_ctrl_c_reaches_both_processes(run: Run) -> None:
     assert "Traceback" not in run.daemon.said
 
 
-def test_a_loop_that_is_frozen_is_stopped_by_the_device(run_of_many: Run) -> None:
+def test_the_device_stops_the_motor_of_a_frozen_loop(run_of_many: Run) -> None:
     """After SIGCONT old frames start nothing, and the fault stays."""
     run = run_of_many
     freeze(run.loop_pid)

@@ -93,7 +93,7 @@ def test_a_lab_that_is_killed_takes_its_daemon_along(
     bench.serve()
 
 
-def test_more_signals_change_nothing(bench: Bench) -> None:
+def test_repeated_signals_change_nothing(bench: Bench) -> None:
     """SIGTERM again and again, to the service and to its loop."""
     bench.emulate()
     daemon = bench.serve()

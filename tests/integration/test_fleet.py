@@ -7,15 +7,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
-import zenoh
 from armrig.cli import main
 from armrig.rig.client import Rig
-from armrig.rig.session import open_connection
-from armrig_core.history import encode_past
 
 from tests.integration.fleet_lab import (
     RIGS,
@@ -25,7 +22,6 @@ from tests.integration.fleet_lab import (
     connected,
     publish,
     recorded_k,
-    sample,
 )
 from tests.integration.processes import Bench, newest, wait_for
 
@@ -68,7 +64,7 @@ def test_nothing_is_lost_while_the_router_is_restarted(lab: FleetLab, stack: Exi
     assert not any("lost" in line for line in told)
 
 
-def test_a_rig_that_comes_later_is_taken_in(lab: FleetLab, stack: ExitStack) -> None:
+def test_a_rig_that_starts_later_is_recorded_too(lab: FleetLab, stack: ExitStack) -> None:
     stack.enter_context(lab.router())
     first = stack.enter_context(lab.daemon("1"))
     publish([first], range(100))
@@ -111,54 +107,6 @@ def test_a_rig_that_sends_nonsense_ends_its_own_recording_alone(
     assert files["2"].outcome.startswith("the recorder ended: ")
 
 
-def test_a_rig_speaks_for_itself_alone(lab: FleetLab, stack: ExitStack) -> None:
-    """Another rig's certificate publishes and answers under rig 1, and nobody receives it.
-
-    The control: under its own id the same is passed on.
-    """
-    stack.enter_context(lab.router())
-    thief = stack.enter_context(_opened(lab, "rig-2"))
-    answer = encode_past(bytes(16), 0, 0, [("sample", sample(0))])
-    tokens = []
-    for rig in ("1", "2"):
-        thief.declare_queryable(
-            f"rig/{rig}/history", lambda query: query.reply(query.key_expr, answer)
-        )
-        tokens.append(thief.liveliness().declare_token(f"rig/{rig}/alive"))
-    heard: set[str] = set()
-    with open_connection(lab.endpoint, rig="1", certificate=lab.made / "bob.pem").session as bob:
-        bob.declare_subscriber("rig/*/sample", lambda s: heard.add(str(s.key_expr)))
-
-        def is_heard() -> bool:
-            thief.put("rig/1/sample", sample(0))
-            thief.put("rig/2/sample", sample(0))
-            return "rig/2/sample" in heard
-
-        wait_for(is_heard, WITHIN_S)
-        alive = {str(r.ok.key_expr) for r in bob.liveliness().get("rig/*/alive") if r.ok}
-        answered = {
-            rig: [r for r in bob.get(f"rig/{rig}/history", timeout=WITHIN_S) if r.ok]
-            for rig in ("1", "2")
-        }
-
-    assert heard == {"rig/2/sample"}
-    assert alive == {"rig/2/alive"}
-    assert (answered["1"], len(answered["2"])) == ([], 1)
-
-
-def _opened(lab: FleetLab, who: str) -> zenoh.Session:
-    pem = str(lab.made / f"{who}.pem")
-    tls = {"root_ca_certificate": str(lab.made / "authority.pem"), "enable_mtls": True}
-    tls |= {"connect_private_key": pem, "connect_certificate": pem}
-    config = {
-        "mode": "client",
-        "connect": {"endpoints": [lab.endpoint]},
-        "scouting": {"multicast": {"enabled": False}},
-        "transport": {"link": {"tls": tls}},
-    }
-    return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
-
-
 _HOLDER = """
 import sys
 from armrig.rig.client import Rig
@@ -176,41 +124,42 @@ def test_a_voltage_held_through_a_router_that_dies_falls_to_0_v(
     bench.configure(watchdog_ms=250, more=lab.access("1"))
     bench.emulate()
     bench.serve()
-    router = subprocess.Popen([sys.executable, "-m", "armrig", *lab.router_command()])
-    holder = None
-    try:
-        with bench.rig() as rig:
-            holder = _holding(lab, bench, rig)
-
+    router = bench.start("armrig", *lab.router_command())
+    with bench.rig() as rig:
+        with _holding(lab, bench, rig):
             router.kill()
             wait_for(lambda: bench.volts() == 0.0, WITHIN_S)
             wait_for(lambda: rig.status().owner == "", WITHIN_S)
-            assert rig.status().reason.startswith("the lease ran out")
-    finally:
-        for program in filter(None, (holder, router)):
-            program.kill()
-            program.wait()
+        assert rig.status().reason.startswith("the lease ran out")
 
 
-def _holding(lab: FleetLab, bench: Bench, rig: Rig) -> subprocess.Popen[bytes]:
-    """Return alice's program once it holds 2 V by its lease."""
-    alice = str(lab.made / "alice.pem")
-
-    def begun() -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-c", _HOLDER, lab.endpoint, alice], stderr=subprocess.DEVNULL
-        )
-
-    holder = begun()
+@contextmanager
+def _holding(lab: FleetLab, bench: Bench, rig: Rig) -> Iterator[None]:
+    """Have alice's program hold 2 V by its lease."""
+    arguments = _HOLDER, lab.endpoint, str(lab.made / "alice.pem")
+    holder = bench.client(*arguments)
 
     def holds() -> bool:
         nonlocal holder
         if holder.poll() is not None:  # the daemon has not found its router yet
-            holder = begun()
+            holder = bench.client(*arguments)
         return bench.volts() > 1.9 and rig.status().owner == "a test (certificate alice)"
 
-    wait_for(holds, WITHIN_S)
-    return holder
+    try:
+        wait_for(holds, WITHIN_S)
+        yield
+    finally:
+        holder.kill()
+        holder.wait()
+
+
+def test_a_router_that_cannot_listen_reports_the_reason(
+    lab: FleetLab, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*lab.router_command(), "--listen", "tls/192.0.2.1:7447"]) == 1
+
+    said = " ".join(capsys.readouterr().err.split())
+    assert "Cannot assign requested address; check that the host is this machine" in said
 
 
 def test_a_router_ends_in_order_at_a_signal(lab: FleetLab) -> None:

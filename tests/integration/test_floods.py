@@ -13,6 +13,7 @@ from contextlib import contextmanager
 import pytest
 from armrig_core import commands
 
+from tests.integration.driving import begin
 from tests.integration.processes import Bench, wait_for
 from tests.integration.test_dead_man import DEAD_MAN_S, LATE_S, RUNNER
 
@@ -71,7 +72,7 @@ def test_strangers_that_request_runs_do_not_prevent_the_holder_s_run(served: Ben
         ("renew", {"lease": "0" * 32, "n": 1}),
     ],
 )
-def test_a_flood_hides_neither_the_client_nor_its_end(
+def test_a_flood_hides_neither_the_signs_nor_the_end_of_a_client(
     served: Bench, name: str, fields: dict[str, object]
 ) -> None:
     """There are three attempts.
@@ -94,13 +95,8 @@ def _killed_in_a_flood(
     bench: Bench, name: str, fields: dict[str, object]
 ) -> tuple[float, commands.LastRun]:
     """Return when a run whose client is killed came to 0 V, in s after that, and how it ended."""
-    before = len(bench.voltage_changes())
-    client = subprocess.Popen(
-        [sys.executable, "-c", RUNNER, bench.endpoint, "1000", "scheduled", str(DEAD_MAN_S)],
-        stderr=subprocess.DEVNULL,
-    )
+    client = begin(bench, 50, RUNNER, "1000", "scheduled", str(DEAD_MAN_S))
     try:
-        wait_for(lambda: len(bench.voltage_changes()) > before + 50)
         with _flooded(bench, name, **fields):
             time.sleep(2 * DEAD_MAN_S)
             client.send_signal(signal.SIGKILL)

@@ -6,9 +6,7 @@ import json
 import subprocess
 import sys
 import tempfile
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ import zenoh
 from armrig.cli import main
 from armrig.recordings.recording import Recording
 from armrig.recordings.verification import verify
-from armrig.rig.remote_recording import STARTED_ANEW, RemoteRecording
+from armrig.rig.remote_recording import RemoteRecording
 from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import open_session
 from armrig_core import protobuf
@@ -27,8 +25,8 @@ from armrig_core.codes import COMPLETE
 from armrig_daemon.service.history import History
 from armrig_daemon.service.publish import Session
 
-from tests.integration.fleet_lab import publish, recorded_k, sample, state
-from tests.integration.processes import Bench, wait_for
+from tests.integration.fleet_lab import Publisher, publish, recorded_k
+from tests.integration.processes import Bench, newest, wait_for
 from tests.sampling import sampled
 
 
@@ -84,7 +82,7 @@ class Recorder:
         return [armrig.load(file.path) for file in self.recording.done]
 
 
-def test_a_late_recorder_gets_what_is_kept(where: str, tmp_path: Path) -> None:
+def test_a_late_recorder_receives_the_kept_messages(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
         publish([daemon], range(1000))
         with open_session(where, rig="1") as session:
@@ -112,7 +110,7 @@ def test_a_late_recorder_gets_what_is_kept(where: str, tmp_path: Path) -> None:
     assert verify(found.path).passed
 
 
-def test_what_is_lost_for_good_is_a_gap(where: str, tmp_path: Path) -> None:
+def test_lost_samples_are_a_gap_of_the_recording(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
         daemon._history = History(bytes(16), most_bytes=100 * 87)
         publish([daemon], range(50))
@@ -133,54 +131,17 @@ def test_what_is_lost_for_good_is_a_gap(where: str, tmp_path: Path) -> None:
     assert len(recorder.told) == 1
 
 
-def test_a_restarted_daemon_begins_a_file(where: str, tmp_path: Path) -> None:
-    with Session(where, "1", lambda: None) as daemon:
-        publish([daemon], range(30))
-        session = open_session(where, rig="1")
-        recorder = Recorder(session, tmp_path / "a.mcap")
-        recorder.take()
-    with session:
-        assert recorder.source.next_piece() is None
-        with Session(where, "1", lambda: None) as daemon:
-            publish([daemon], range(40))
-            assert recorder.take().is_new_life
-        first, second = recorder.files()
-
-    assert recorded_k(first.path) == list(range(30))
-    assert first.outcome is not None
-    assert first.outcome.outcome == STARTED_ANEW
-    assert recorded_k(second.path) == list(range(40))
-    assert [first.path.name, second.path.name] == ["a.mcap", "a-2.mcap"]
-    assert recorder.told == [STARTED_ANEW]
-
-
 @pytest.fixture
-def published(where: str) -> Iterator[Callable[[], int]]:
-    """Publish samples until the end; give a function that returns their number."""
-    with Session(where, "1", lambda: None) as daemon:
-        stop, k = threading.Event(), 0
-
-        def until_stopped() -> None:
-            nonlocal k
-            while not stop.wait(0.001):
-                if k % 100 == 0:
-                    daemon.put("state", state(k))
-                daemon.put("sample", sample(k))
-                k += 1
-
-        thread = threading.Thread(target=until_stopped)
-        thread.start()
-        try:
-            yield lambda: k
-        finally:
-            stop.set()
-            thread.join()
+def published(where: str) -> Iterator[Publisher]:
+    """Publish samples until the end."""
+    with Session(where, "1", lambda: None) as daemon, Publisher(daemon) as published:
+        yield published
 
 
 def test_the_command_records_until_its_time_is_over(
     where: str,
     tmp_path: Path,
-    published: Callable[[], int],
+    published: Publisher,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -216,10 +177,10 @@ def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path:
         (["--rig", "9"], "no reply from rig 9"),
     ],
 )
-def test_what_cannot_be_recorded_is_reported(
+def test_a_mistake_of_the_record_command_is_reported(
     where: str,
     tmp_path: Path,
-    published: Callable[[], int],
+    published: Publisher,
     arguments: list[str],
     told: str,
     monkeypatch: pytest.MonkeyPatch,
@@ -227,8 +188,7 @@ def test_what_cannot_be_recorded_is_reported(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("there.mcap").touch()
-    while published() < 5:
-        time.sleep(0.01)
+    published.wait_for_more(5)
 
     assert main(["record", "--from", where, "--seconds", "1", *arguments]) == 1
 
@@ -237,16 +197,14 @@ def test_what_cannot_be_recorded_is_reported(
 
 
 @pytest.mark.parametrize(("number", "code"), sampled([(15, 128 + 15), (2, 0), (1, 128 + 1)]))
-def test_a_signal_ends_it_with_a_whole_file(
-    where: str, tmp_path: Path, published: Callable[[], int], number: int, code: int
+def test_a_signal_ends_the_recorder_with_a_complete_file(
+    where: str, tmp_path: Path, published: Publisher, number: int, code: int
 ) -> None:
     path = tmp_path / "a.mcap"
     command = [sys.executable, "-m", "armrig", "record", "--from", where, "-o", str(path)]
     with subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE) as process:
-        while not path.with_name("a.mcap.active").exists():
-            assert process.poll() is None
-            time.sleep(0.05)
-        came = published()
+        wait_for(path.with_name("a.mcap.active").exists)
+        came = published.k
         process.send_signal(number)
         out = process.communicate(timeout=60)[0]
 
@@ -257,7 +215,9 @@ def test_a_signal_ends_it_with_a_whole_file(
     assert len(ks) >= came
 
 
-def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
+def test_a_remote_recording_has_the_samples_of_the_daemon_s_recording(
+    bench: Bench, tmp_path: Path
+) -> None:
     bench.configure()
     bench.emulate()
     bench.serve()
@@ -271,7 +231,8 @@ def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
             with bench.rig() as rig:
                 rig.arm("a test", Ts=0.01)
                 there = armrig.load(rig.run(np.full(150, 1.0)))
-            time.sleep(1.0)
+            afar = path.with_name("afar.mcap.active")
+            wait_for(lambda: newest(afar, "k") >= there.samples["k"][-1])
         finally:
             process.send_signal(2)
         out: Any = process.communicate(timeout=60)[0]

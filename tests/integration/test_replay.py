@@ -11,7 +11,7 @@ from tests.sampling import sampled
 
 
 @pytest.mark.parametrize("pacing", sampled(["scheduled", "exchange"]))
-def test_a_real_run_is_decided_again_to_the_last_bit(served: Bench, pacing: str) -> None:
+def test_replay_repeats_the_decisions_of_a_real_run(served: Bench, pacing: str) -> None:
     u = armrig.telegraph(400, 0.1, low=0.0, high=5.0, seed=1)
     with served.rig() as rig:
         rig.arm("a test", Ts=0.005)

@@ -15,7 +15,7 @@ from tests.integration.processes import Bench, wait_for
 from tests.sampling import sampled
 
 
-def test_both_programs_say_what_they_serve(bench: Bench) -> None:
+def test_the_daemon_and_the_emulator_print_what_they_serve(bench: Bench) -> None:
     bench.configure(more="[limits]\nu_max_v = 4.5")
     emulator = bench.emulate()
     daemon = bench.serve()

@@ -53,7 +53,7 @@ def test_an_error_is_told_in_the_page_s_words_or_as_a_fault_of_armrig(
     assert (found[0], found[1][: len(said)]) == (status, said)
 
 
-def test_an_address_that_there_is_not_is_told_in_a_line() -> None:
+def test_an_unknown_address_is_refused_in_one_line() -> None:
     app = application([Route("/does", answered(_of_numpy), methods=["POST"])])
 
     assert asked(app, "/did") == (404, b'{"error":"no such address"}')

@@ -71,7 +71,7 @@ def test_a_wrap_inside_of_the_dead_band_ends_a_bin() -> None:
         assert found[:, 4].round().tolist() == [359, 2]
 
 
-def test_what_is_not_known_hides_nothing() -> None:
+def test_unknown_angles_hide_no_known_angle() -> None:
     nan = float("nan")
     rows = _binned(_samples([nan, 5, nan, nan, nan, nan, nan, nan, nan, nan] + [nan] * 10))
 

@@ -124,7 +124,7 @@ def test_a_visitor_stops_in_no_name_of_its_choice(driver: Any) -> None:
     assert driver.given == [("stop", VISITOR)]
 
 
-def test_a_stop_that_is_not_delivered_is_told(driver: Any) -> None:
+def test_an_undelivered_stop_is_reported(driver: Any) -> None:
     driver.error = RigError("no daemon")
 
     found = asked(_app(driver, Feed(), may_command=True), "/api/stop", b"{}")
@@ -132,7 +132,7 @@ def test_a_stop_that_is_not_delivered_is_told(driver: Any) -> None:
     assert found == (502, b'{"error":"no daemon"}')
 
 
-def test_without_a_rig_a_preview_tells_why(driver: Any) -> None:
+def test_a_preview_without_a_rig_reports_the_reason(driver: Any) -> None:
     feed = Feed()
     feed.trouble = "the service of rig 1 has stopped"
 
@@ -144,7 +144,7 @@ def test_without_a_rig_a_preview_tells_why(driver: Any) -> None:
 @pytest.mark.parametrize(
     ("file", "stored"), [("a/mine.csv", "mine.csv"), ("u.txt", "u.txt"), ("", "input.csv")]
 )
-def test_of_a_file_of_the_user_the_name_alone_is_stored(file: str, stored: str) -> None:
+def test_only_the_name_of_a_user_s_file_is_stored(file: str, stored: str) -> None:
     plan = plan_of(Experiment(kind="csv", file=file, text="u\n1\n2\n"), "Ada")
 
     assert plan.details == {"input": "csv", "file": stored}

@@ -42,7 +42,7 @@ def table() -> Table:
     return Table()
 
 
-def test_the_oldest_that_asks_nothing_gives_way(table: Table) -> None:
+def test_the_oldest_connection_without_a_request_is_closed_first(table: Table) -> None:
     table.add("a", is_asked=True)
     table.add("b")
     table.add("c", is_asked=True, is_unread=True)
@@ -52,7 +52,7 @@ def test_the_oldest_that_asks_nothing_gives_way(table: Table) -> None:
     assert table.closed == ["b"]
 
 
-def test_else_the_oldest_that_does_not_read_gives_way_and_at_last_the_new_one(table: Table) -> None:
+def test_the_oldest_unread_connection_is_closed_next_and_the_new_one_last(table: Table) -> None:
     table.add("a", is_asked=True)
     table.add("b", is_asked=True, is_unread=True)
     table.add("c", is_asked=True, is_unread=True)
@@ -62,7 +62,7 @@ def test_else_the_oldest_that_does_not_read_gives_way_and_at_last_the_new_one(ta
     assert table.closed == ["b", "c", "f"]
 
 
-def test_one_that_has_left_makes_room_and_the_end_closes_the_rest(table: Table) -> None:
+def test_a_closed_connection_makes_room_and_the_end_closes_all(table: Table) -> None:
     for name in "abc":
         table.add(name)
     table.all.remove(table.address("b"))

@@ -90,7 +90,7 @@ class SlowDaemon(FakeDaemon):
         return super()._carry_out(request)
 
 
-def test_the_end_waits_for_an_arming(where: str) -> None:
+def test_the_end_of_a_driver_waits_for_an_arming(where: str) -> None:
     with SlowDaemon(where) as daemon:
         driver = Driver(rig="1", connect=daemon.endpoint)
         arming = threading.Thread(target=driver.arm, args=("a page", None))

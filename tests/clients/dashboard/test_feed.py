@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import replace as other
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,9 +13,10 @@ import pytest
 from armrig.dashboard import feed as feed_module
 from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, LATE_US, Feed
 from armrig.dashboard.stream import live_facts
-from armrig_core.commands import StatusReport
 from armrig_core.telemetry import Sample
+from msgspec.structs import replace
 
+from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import event, gap, note, sample
 
 
@@ -176,7 +177,7 @@ def test_the_coarse_past_begins_where_the_fine_part_ends() -> None:
 
 @pytest.mark.parametrize(("age_s", "is_stale"), [(0.3, False), (0.301, True), (np.inf, True)])
 def test_data_are_stale_beyond_the_limit(age_s: float, is_stale: bool) -> None:
-    facts = live_facts(replace(Feed().news(), age_s=age_s), None)
+    facts = live_facts(other(Feed().news(), age_s=age_s), None)
 
     assert facts["is_stale"] is is_stale
     assert facts["age_s"] == (None if age_s == np.inf else age_s)
@@ -207,10 +208,10 @@ def test_at_another_sampling_time_the_model_starts_again() -> None:
         for Ts, part in ((0.01, range(100)), (0.02, range(100, 300)))
     )
     for feed, Ts in ((changed, 0.01), (fresh, 0.02)):
-        feed.status = _status(Ts)
+        feed.status = replace(FakeDaemon("there").status(), Ts=Ts)
         feed.set_model(wanted=True)
     changed.add_samples(first)
-    changed.status = _status(0.02)
+    changed.status = fresh.status
 
     for feed in (changed, fresh):
         feed.add_samples(second)
@@ -219,24 +220,6 @@ def test_at_another_sampling_time_the_model_starts_again() -> None:
     assert lines is not None
     assert lines[0].startswith("rate of")
     assert changed.model_lines() == lines
-
-
-def _status(Ts: float) -> StatusReport:
-    return StatusReport(
-        rig="1",
-        version="0.1.0",
-        phase="safe",
-        reason="",
-        owner="",
-        Ts=Ts,
-        u_min=0.0,
-        u_max=5.0,
-        endpoint="",
-        device={},
-        host={},
-        last_run=None,
-        recordings="",
-    )
 
 
 def test_the_histogram_is_of_the_last_minute_and_of_what_came_live(

@@ -81,5 +81,5 @@ def test_a_rig_without_samples_for_three_seconds_is_connected_again(
     assert (periods - n) * foxglove._PERIOD_S == pytest.approx(3.0, abs=0.05)
 
 
-def test_the_end_ends_it_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_end_of_the_server_ends_its_stream_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _passed_on(monkeypatch, {}, most=3) == ({n: [] for n in (*STREAMS, "transforms")}, 4)

@@ -1,4 +1,4 @@
-"""What the page shows of a story: its own scripts run in node, on a browser of stubs."""
+"""The story of page_story.txt: the page's own scripts run in node, on a browser of stubs."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def test_the_newest_recordings_are_listed_first_and_the_damaged_ones_with_the_re
     assert any(line.startswith("damaged: broken.mcap: ") for line in told["left_out"])
 
 
-def test_a_folder_that_there_is_not_is_told_with_the_way_out(tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported_with_a_remedy(tmp_path: Path) -> None:
     routes = _Routes(tmp_path / "none")
     routes._folder = lambda: tmp_path / "none"  # type: ignore[method-assign]
 
@@ -94,7 +94,7 @@ def test_a_folder_that_there_is_not_is_told_with_the_way_out(tmp_path: Path) -> 
         ("report", {}, [("report", "d")]),
     ],
 )
-def test_a_question_about_a_recording_is_passed_on_as_it_was_asked(
+def test_a_request_about_a_recording_is_forwarded_unchanged(
     folder: Path, path: str, more: dict[str, Any], asks: list[tuple[Any, ...]]
 ) -> None:
     routes = _Routes(folder)
@@ -123,7 +123,7 @@ def test_a_validation_recording_is_that_of_its_own_recording(
     "file",
     ["link.mcap", "folder.mcap", "none.mcap", "a.mca", "../a.mcap", "./a.mcap", "", "x/a.mcap"],
 )
-def test_what_is_no_recording_in_the_folder_is_refused(folder: Path, file: str) -> None:
+def test_a_file_that_is_no_recording_of_the_folder_is_refused(folder: Path, file: str) -> None:
     (folder / "a.mca").touch()
     (folder / "folder.mcap").mkdir()
     (folder / "link.mcap").symlink_to(folder / "a.mcap")
@@ -137,9 +137,7 @@ def test_what_is_no_recording_in_the_folder_is_refused(folder: Path, file: str) 
 
 
 @pytest.mark.parametrize("more", [{"start": -1}, {"stop": 1e8}, {"output": "beta"}, {"End": 1}])
-def test_a_question_with_a_value_that_there_is_not_is_refused(
-    folder: Path, more: dict[str, Any]
-) -> None:
+def test_a_request_with_an_invalid_value_is_refused(folder: Path, more: dict[str, Any]) -> None:
     assert _answer(_Routes(folder), "curves", file="a.mcap", **more)[0] == 400
 
 

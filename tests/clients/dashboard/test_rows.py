@@ -66,7 +66,7 @@ def test_a_wrap_breaks_the_line(pixels: int) -> None:
         assert None in low
 
 
-def test_what_does_not_wrap_may_jump() -> None:
+def test_a_signal_without_wraps_may_jump() -> None:
     """A rate that jumps by more than 180 °/s is one line."""
     [[_, low, _]] = _drawn([0.0] * 50 + [300.0] * 50, pixels=400, wraps=False)
 
@@ -182,7 +182,7 @@ def test_a_wrap_hides_no_sample() -> None:
         assert x == sorted(x)
 
 
-def test_what_comes_before_the_past_is_drawn_after_it() -> None:
+def test_live_rows_before_the_past_are_drawn_after_it() -> None:
     rows = [[t / 10, 0, 0, t, t, 0, 0, 0, 0] for t in range(6)]
     times = _run(
         f"const sent = {json.dumps(rows)}; const kept = new rows.Rows();"

@@ -80,7 +80,7 @@ def test_the_page_and_the_visitors_have_the_ports_that_were_asked_for(tmp_path: 
     assert len(served.fingerprint) == 95
 
 
-def test_a_port_that_was_asked_for_and_is_in_use_is_told() -> None:
+def test_a_requested_port_in_use_is_reported() -> None:
     with closing(_listening(HOST, 0, None)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(RigError, match=f"^port {port} of {HOST}: .*; take another --port$"):

@@ -143,7 +143,7 @@ def test_viewers_that_come_at_once_are_let_in_one_after_the_other() -> None:
     assert min(np.diff(times)) > 0.9 * OPEN_S
 
 
-def test_only_so_many_viewers_wait_to_be_let_in() -> None:
+def test_the_number_of_waiting_viewers_is_limited() -> None:
     async def tried() -> None:
         stream = Stream(Feed(), Driver(rig="1", connect=None), [], may_command=True)
         first = [

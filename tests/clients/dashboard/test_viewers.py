@@ -8,7 +8,7 @@ import pytest
 from armrig.dashboard.viewers import MOST_VIEWERS, TooManyViewersError, Viewer, Viewers
 
 
-def test_there_are_so_many_and_no_more() -> None:
+def test_the_number_of_viewers_is_limited() -> None:
     async def tried() -> None:
         viewers = Viewers()
         for _ in range(MOST_VIEWERS):
