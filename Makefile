@@ -14,10 +14,10 @@ demo: .venv/run $(if $(FIRMWARE),fil)
 	$(BIN)/armrig demo $(if $(FIRMWARE),--firmware)
 
 # Three tests at a time, because a quarter of their time is waiting. The order is drawn; ORDER=… (the
-# seed in the first lines of a run) repeats an order. COVERAGE=1 does the work of `make coverage`, too.
+# seed in the first lines of a run) repeats an order. `make test-all` runs the other tests.
 SEVERAL = $(BIN)/pytest -n 3 --dist worksteal -p randomly --randomly-dont-reset-seed $(if $(ORDER),--randomly-seed $(ORDER))
 test: .venv/dev
-	$(SEVERAL) -m "not exhaustive and not timed and not machine" $(if $(COVERAGE),--cov --cov-config=tests/coverage.toml)
+	$(SEVERAL) -m "not exhaustive and not timed and not machine"
 
 # The tests that `make test` leaves out. The timed tests run alone, also if an earlier test failed.
 test-all: .venv/dev
