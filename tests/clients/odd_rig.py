@@ -23,7 +23,7 @@ from armrig_core.manifest import Outcome
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
 
-from tests.clients.made_recordings import manifest, of_the_arm, recorded, written
+from tests.clients.made_recordings import manifest, recorded, written
 
 TS_NS = 40_000_000
 K_FIRST = 1234
@@ -183,12 +183,6 @@ def odd_plan(**changes: Any) -> Any:
     fields: dict[str, Any] = {"experiment": "ramp", "details": {}, "seconds": 0.35, "Ts": 0.04}
     fields |= {"make": lambda N, Ts: Ts * np.arange(N or 7), "pacing": "exchange", "owner": "Ada"}
     return Collection(**(fields | changes))
-
-
-def odd_model_data(folder: str) -> Path:
-    """Write a recording of the handout's arm."""
-    u = telegraph(240, 0.2, low=1.0, high=3.5, seed=6)
-    return written(Path(folder), of_the_arm(u, missing=slice(70, 72), rig="lab-2"), "arm.mcap")
 
 
 def odd_report() -> Any:
