@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -33,7 +33,7 @@ _LAB = """
 import signal, sys
 from armrig.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
-sys.exit(main(["lab", *sys.argv[1:]]))
+sys.exit(main(["lab"]))
 """
 
 
@@ -46,15 +46,15 @@ def folders(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFa
         monkeypatch.setenv(name, str(directory))
 
 
-@contextmanager
-def started(said: Path, until: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Give a lab after this line of its output."""
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Give a lab whose rig is ready."""
+    said = tmp_path / "said"
     with said.open("w") as out:
-        program = [sys.executable, "-c", _LAB, *arguments]
-        process = subprocess.Popen(program, stdout=out, stderr=out, text=True)
+        process = subprocess.Popen([sys.executable, "-c", _LAB], stdout=out, stderr=out, text=True)
         try:
             until_s = time.monotonic() + _PATIENCE_S
-            while until not in said.read_text():
+            while "rig ready, 0 V" not in said.read_text():
                 assert process.poll() is None, said.read_text()
                 assert time.monotonic() < until_s, said.read_text()
                 time.sleep(0.1)
@@ -62,13 +62,6 @@ def started(said: Path, until: str, *arguments: str) -> Iterator[subprocess.Pope
         finally:
             process.terminate()
             process.wait(_PATIENCE_S)
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """Give a lab whose rig is ready."""
-    with started(tmp_path / "said", "rig ready, 0 V") as process:
-        yield process
 
 
 def of_this_test() -> list[str]:
