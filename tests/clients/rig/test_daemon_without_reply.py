@@ -5,13 +5,11 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
-import tempfile
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import zenoh
@@ -54,13 +52,12 @@ class Service(FakeDaemon):
         self.folder = services / "1"
         self.held: list[zenoh.Query] = []
         self.is_silent = self.dies_with_its_run = False
-        self.falls_silent: Callable[[], object] = object
-        """Function that is called when it falls silent at the end of its run."""
         super().__init__(endpoint("1", self.folder))
 
     def _answer(self, query: zenoh.Query) -> None:
         if self.is_silent:
-            self.held.append(query)
+            if not self.dies_with_its_run:
+                self.held.append(query)
             return
         super()._answer(query)
 
@@ -69,7 +66,6 @@ class Service(FakeDaemon):
         report = super().status()
         if self.dies_with_its_run and report.last_run and report.last_run.finished:
             self.is_silent = True
-            self.falls_silent()
         return report
 
     def die(self) -> None:
@@ -79,28 +75,15 @@ class Service(FakeDaemon):
 
 
 @pytest.fixture
-def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+def service(services: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
     """Give the service of rig 1 on a machine where services are installed."""
-    with (
-        tempfile.TemporaryDirectory(prefix="armrig-") as temporary,
-        tempfile.TemporaryDirectory(prefix="armrig-") as login,
-    ):
-        monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-        monkeypatch.setenv("XDG_RUNTIME_DIR", login)
-        services, etc = Path(temporary) / "armrig", Path(temporary) / "etc"
-        etc.mkdir()
-        for name in ("armrigd@.service", "1.toml"):
-            (etc / name).touch()
-        monkeypatch.setattr(session, "SERVICES", PurePosixPath(services))
-        monkeypatch.setattr(session, "UNIT", etc / "armrigd@.service")
-        monkeypatch.setattr(session, "of_rig", lambda rig: etc / f"{rig}.toml")
-        monkeypatch.setattr(silent_daemon, "service_owners", lambda: {os.getuid()})
-        (services / "1").mkdir(parents=True)
-        services.chmod(0o755)
-        (services / "1").chmod(0o750)
-        with Service(services) as service:
-            yield service
-            service.held.clear()
+    for name in ("armrigd@.service", "1.toml"):
+        (tmp_path / name).touch()
+    monkeypatch.setattr(session, "UNIT", tmp_path / "armrigd@.service")
+    monkeypatch.setattr(session, "of_rig", lambda rig: tmp_path / f"{rig}.toml")
+    with Service(services) as service:
+        yield service
+        service.held.clear()
 
 
 def test_a_stopped_service_is_reported_on_open_and_new_connections(service: Service) -> None:
@@ -142,11 +125,8 @@ def test_each_command_reports_a_stopped_service(
     assert capsys.readouterr().err == f"armrig: {SAID}\n"
 
 
-def test_a_collection_reports_the_outcome_and_the_stopped_service(
-    service: Service, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_collection_reports_the_outcome_and_the_stopped_service(service: Service) -> None:
     service.outcome, service.dies_with_its_run = "the daemon was ended", True
-    service.falls_silent = partial(monkeypatch.setattr, client, "REPLY_S", 0.1)
 
     with pytest.raises(RigError) as told:
         collect(PLAN, rig="1", connect=None, tell=lambda _: None, shown=_unseen)
@@ -174,7 +154,6 @@ def test_a_recorder_reports_each_long_silence_once_with_its_length(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock, told, session = [0.0], list[str](), None
-    monkeypatch.setattr(remote_recording, "_QUERY_INTERVAL_S", 0.0)
     monkeypatch.setattr(remote_recording.time, "monotonic", lambda: clock[0])
     recording = RemoteRecording(
         path=tmp_path / "a.mcap", rig="7", endpoint="tls/lab:7447", tell=told.append
@@ -182,7 +161,8 @@ def test_a_recorder_reports_each_long_silence_once_with_its_length(
     recorder = RemoteRecorder(session, recording)  # type: ignore[arg-type]
     recorder._row = _Pauses(clock, (1.05, 4.05), (5.05, 6.05), (7.05, 12.05))
 
-    recorder.record(threading.Event(), 15.0)
+    ended: Any = SimpleNamespace(is_set=lambda: False, wait=lambda _: False)
+    recorder.record(ended, 15.0)
 
     assert told == [
         "rig 7 does not answer; waiting for it",
@@ -194,10 +174,9 @@ def test_a_recorder_reports_each_long_silence_once_with_its_length(
 
 
 def test_a_dead_daemon_of_this_user_does_not_hide_a_silent_service(
-    service: Service, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    service: Service, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """ESTOP would reach the device of the dead daemon, which is another one."""
-    monkeypatch.setattr("armrig.cli.rig.subprocess.run", None)
     own = Path(os.environ["XDG_RUNTIME_DIR"]) / "armrig"
     service.die()
     for folder, pid in ((own, 1), (service.folder, os.getpid())):
@@ -236,11 +215,9 @@ def _alive(socket: Path) -> Iterator[None]:
 @pytest.mark.usefixtures("_alive")
 @pytest.mark.parametrize("command", ["stop", "status"])
 def test_a_living_daemon_that_does_not_answer_is_named_with_what_stops_the_motor(
-    command: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    command: str, socket: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(silent_daemon, "_REOPENED_S", 0.0)
+    socket.touch()
 
     assert main([command]) == 1
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import pwd
 import socket
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
-from types import SimpleNamespace
 
 import armrig
 import pytest
@@ -21,6 +19,7 @@ from armrig_core.endpoint import endpoint
 from armrig_core.topics import PLAYED
 
 from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.rig.conftest import SERVICE_UID
 
 # Most of these tests give a directory to another user.
 pytestmark = pytest.mark.root
@@ -113,27 +112,14 @@ def test_a_missing_directory_is_reported_as_no_rig(directory: Path) -> None:
         pass
 
 
-SERVICE_UID = 4711
-
-
 @pytest.fixture
-def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def service(services: Path) -> Iterator[Path]:
     """Give the folder of a rig's service on a machine where its user runs it, with one in it."""
     if os.getuid() != 0:
         pytest.skip("only root can give a directory to another user")
-    with (
-        tempfile.TemporaryDirectory(prefix="armrig-") as temporary,
-        tempfile.TemporaryDirectory(prefix="armrig-") as login,
-    ):
-        monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-        monkeypatch.setenv("XDG_RUNTIME_DIR", login)
-        monkeypatch.setattr(session, "SERVICES", PurePosixPath(temporary) / "armrig")
-        monkeypatch.setattr(silent_daemon, "service_owners", lambda: {0, SERVICE_UID})
-        found = Path(temporary) / "armrig" / "1"
-        found.mkdir(mode=0o750, parents=True)
-        os.chown(found, SERVICE_UID, SERVICE_UID)
-        with FakeDaemon(endpoint("1", found)):
-            yield found
+    os.chown(services / "1", SERVICE_UID, SERVICE_UID)
+    with FakeDaemon(endpoint("1", services / "1")):
+        yield services / "1"
 
 
 def test_the_service_of_this_machine_is_found(service: Path) -> None:
@@ -173,19 +159,14 @@ def test_a_service_s_folder_that_may_be_a_stranger_s_is_refused(
         pass
 
 
+@pytest.mark.parametrize(("user", "uids"), [("nobody", {NOBODY}), ("nobody-here", set())])
 def test_root_and_the_service_s_user_own_a_service_s_folder(
-    monkeypatch: pytest.MonkeyPatch,
+    user: str, uids: set[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def user(name: str) -> SimpleNamespace:
-        if name != "armrig":
-            raise KeyError(name)
-        return SimpleNamespace(pw_uid=977)
+    assert silent_daemon.SERVICE_USER == "armrig"
+    monkeypatch.setattr(silent_daemon, "SERVICE_USER", user)
 
-    monkeypatch.setattr(pwd, "getpwnam", user)
-    there = silent_daemon.service_owners()
-    monkeypatch.setattr(silent_daemon, "SERVICE_USER", "nobody-here")
-
-    assert (there, silent_daemon.service_owners()) == ({0, 977}, {0})
+    assert silent_daemon.service_owners() == {0} | uids
 
 
 def test_a_user_outside_the_group_gets_the_reason(
