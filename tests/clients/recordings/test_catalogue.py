@@ -65,15 +65,17 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Have an index kept for the smallest folder, and give the names of the files opened.
+def opened(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> list[str]:
+    """Have an index kept for so few files, by default one, and give the names of the files opened.
 
-    The clock that says whether a file is settled is a minute ahead.
+    The clock that says whether a file is settled is by default a minute ahead.
     """
+    worth_keeping, ahead_s = getattr(request, "param", (1, 60))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(catalogue_module, "WORTH_KEEPING", 1)
-    ahead = NOW_NS() + 60_000_000_000
-    monkeypatch.setattr(catalogue_module, "now_ns", lambda: ahead)
+    monkeypatch.setattr(catalogue_module, "WORTH_KEEPING", worth_keeping)
+    monkeypatch.setattr(catalogue_module, "now_ns", lambda: NOW_NS() + ahead_s * 10**9)
     names: list[str] = []
 
     def counted(path: Path) -> RecordingSummary:
@@ -186,10 +188,10 @@ def test_a_catalogue_opens_only_new_and_changed_files(folder: Path, opened: list
     assert opened == [new.name]
 
 
+@pytest.mark.parametrize("opened", [(2, 60)], indirect=True)
 def test_the_index_is_written_again_only_for_enough_new_files(
-    folder: Path, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, opened: list[str]
 ) -> None:
-    monkeypatch.setattr(catalogue_module, "WORTH_KEEPING", 2)
     catalogue(folder)
     [index] = index_files(tmp_path)
     written_ns = index.stat().st_mtime_ns
@@ -257,11 +259,9 @@ def test_a_file_that_changed_is_read_again(
     assert found == catalogue(folder) != before
 
 
-def test_a_file_that_was_just_written_is_not_trusted(
-    folder: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("opened", [(1, 0)], indirect=True)
+def test_a_file_that_was_just_written_is_not_trusted(folder: Path, opened: list[str]) -> None:
     """Within a tick of the file system's clock a file may change and keep its times."""
-    monkeypatch.setattr(catalogue_module, "now_ns", NOW_NS)
     catalogue(folder)
     opened.clear()
 
