@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -64,7 +62,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Daemon]:
 
 
 @pytest.mark.parametrize(
-    ("options", "typed", "is_used", "said"),
+    ("options", "answer", "is_used", "said"),
     [
         ((), "\n", True, "Load the calibration into the running daemon now? [Y/n]"),
         ((), "n\n", False, "not in use\n"),
@@ -86,15 +84,15 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Daemon]:
 )
 def test_the_running_daemon_loads_a_calibration_after_consent(
     options: tuple[str, ...],
-    typed: str | None,
+    answer: str | None,
     is_used: bool,
     said: str,
     daemon: _Daemon,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    typed: Callable[[str | None], None],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(sys, "stdin", _Terminal(typed) if typed else io.StringIO())
+    typed(answer)
     output = tmp_path / "c.toml"
     given = [*_files(tmp_path), "--save", str(output), "--connect", daemon.endpoint, *options]
 
@@ -147,7 +145,10 @@ def test_calibrate_keeps_its_file_if_the_daemon_refuses(
 
 
 def test_the_person_is_led_through_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    typed: Callable[[str | None], None],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     _files(tmp_path)
     plans: list[Plan] = []
@@ -158,7 +159,7 @@ def test_the_person_is_led_through_it(
         return Collected(path, 0, 0.01, None, "", None)
 
     monkeypatch.setattr(collection, "collect", collect)
-    monkeypatch.setattr(sys, "stdin", _Terminal("\ny\n\n0.97\n\n"))
+    typed("\ny\n\n0.97\n\n")
     output = tmp_path / "c.toml"
 
     code = main(["calibrate", "--volts", "1", "--volts", "2", "--save", str(output)])
@@ -181,11 +182,6 @@ def test_the_person_is_led_through_it(
         assert text in said
     assert said.index("Is a voltmeter at the motor's terminals?") < said.index("will turn at")
     assert read_calibration(output).driver.gain == pytest.approx(0.97, rel=2e-3)
-
-
-class _Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
 
 
 @pytest.mark.parametrize("given", [(), ("--rest",), ("--rest", "--turns", "--by-hand")])

@@ -6,12 +6,11 @@ the present output; read the difference by `git diff`.
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from difflib import unified_diff
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -132,13 +131,15 @@ def _recorded(
 
 
 @pytest.fixture
-def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(
+    made: Path, tmp_path: Path, typed: Callable[[None], None], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Path]:
     """Change into a copy of the folder, without files of this machine."""
     here = tmp_path / "here"
     shutil.copytree(made, here)
     (here / ".home").mkdir()
     monkeypatch.chdir(here)
-    monkeypatch.setattr("sys.stdin", io.StringIO())
+    typed(None)
     # Whether this machine has a programmer is no command's doing; none of them starts it.
     programmer = made / "programs" / "avrdude"
     programmer.parent.mkdir(exist_ok=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import armrig
@@ -64,39 +64,44 @@ def test_a_value_with_a_prefix_is_offered_in_whole_units(
     assert _in_whole_units(number, unit) == whole
 
 
-def test_a_question_leaves_room_for_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """Give a terminal, whose columns a test may set; 0: there is none."""
+    terminal = SimpleNamespace(columns=0)
+    monkeypatch.setattr(options, "_columns", lambda _: terminal.columns)
+    return terminal
+
+
+def test_a_question_leaves_room_for_the_answer(terminal: SimpleNamespace) -> None:
     text = "word " * 12
 
-    for columns, widest in ((50, 34), (33, 17), (32, len(text)), (0, len(text))):
-        monkeypatch.setattr(options, "_columns", lambda _, columns=columns: columns)
+    for terminal.columns, widest in ((50, 34), (33, 17), (32, len(text)), (0, len(text))):
         lines = question(text).split("\n")
 
         assert max(map(len, lines)) <= widest
-        assert (len(lines) == 1) == (columns <= 32)
+        assert (len(lines) == 1) == (terminal.columns <= 32)
         assert not any(line.startswith(" ") for line in lines)
 
 
-def test_an_action_requires_consent(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-    monkeypatch.setattr("typer.confirm", lambda text, err: asked.append(text) or "yes" in text)
-    terminal = SimpleNamespace(isatty=lambda: True)
-    monkeypatch.setattr(sys, "stdin", terminal)
-
-    agree("no", yes=True)
-    agree("yes", yes=False)
+def test_an_action_requires_consent(
+    typed: Callable[[str | None], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    typed("y\nn\n")
+    agree("first", yes=True)
+    agree("second", yes=False)
     with pytest.raises(OperationError, match="nothing was done"):
-        agree("no", yes=False)
-    terminal.isatty = lambda: False
+        agree("third", yes=False)
+    typed(None)
     with pytest.raises(OperationError, match="no terminal for the question: --yes agrees"):
-        agree("yes", yes=False)
-    assert asked == ["yes", "no"]
+        agree("fourth", yes=False)
+    assert capsys.readouterr().err == "second [y/N]:third [y/N]:"
 
 
 def test_values_of_a_table_are_aligned(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    terminal: SimpleNamespace, capsys: pytest.CaptureFixture[str]
 ) -> None:
     print_table(("a", "first"), ("longer", "one two three"))
-    monkeypatch.setattr(options, "_columns", lambda _: 18)
+    terminal.columns = 18
     print_table(("longer", "one two three"))
 
     assert capsys.readouterr().out.splitlines() == [

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -45,6 +45,16 @@ class _EmulatedDevice(Device):
 
     def close(self) -> None:
         """Nothing is held."""
+
+
+class _Deaf(_EmulatedDevice):
+    """A firmware that does not answer."""
+
+    def __init__(self, flash: bytes, now_ns: int) -> None:
+        super().__init__(EmulatorSettings(), now_ns)
+
+    def receive(self, now_ns: int, data: bytes) -> None:
+        """Read nothing."""
 
 
 def _another_firmware(flash: bytes, now_ns: int) -> _EmulatedDevice:
@@ -109,11 +119,8 @@ def test_a_board_that_runs_another_firmware_afterwards_is_reported(
 
 
 @pytest.mark.exhaustive
-def test_a_program_that_does_not_answer_is_reported(
-    monkeypatch: pytest.MonkeyPatch, capsys: Said
-) -> None:
-    monkeypatch.setattr("armrig.lab.flash.avrdude.greeting", lambda port, baud: None)
-    with Uno(_another_firmware) as uno:
+def test_a_program_that_does_not_answer_is_reported(capsys: Said) -> None:
+    with Uno(_Deaf) as uno:
         assert main(["flash", "--port", uno.port, "--yes", "--baud", "1000000"]) == 1
 
     assert "does not answer at 1000000 baud" in capsys.readouterr().err
@@ -223,16 +230,15 @@ def test_no_daemon_takes_the_port_while_it_is_written() -> None:
 
 
 def test_the_motor_is_asked_for_before_a_byte_is_sent(
-    monkeypatch: pytest.MonkeyPatch, capsys: Said
+    typed: Callable[[str], None], capsys: Said
 ) -> None:
-    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
-    monkeypatch.setattr("typer.confirm", lambda text, err: print(text) and False)
+    typed("n\n")
     with Uno(_another_firmware) as uno:
         assert main(["flash", "--port", uno.port]) == 1
 
     said = capsys.readouterr()
     assert command.MOTOR in said.out
-    assert "nothing was done" in said.err
+    assert "Write the board? [y/N]:armrig: nothing was done" in said.err
     assert set(uno.flash) == {0xFF}
 
 
