@@ -8,6 +8,8 @@ import re
 import signal
 from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager
+from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -140,3 +142,11 @@ def pytest_runtest_makereport(
         report.outcome = "failed"
         report.longrepr = f"skipped, where ARMRIG_REQUIRE_ALL=1: {report.longrepr}"
     return report
+
+
+@pytest.fixture
+def tolerate(monkeypatch: pytest.MonkeyPatch) -> Callable[[timedelta], None]:
+    """Give a function that sets how long before its issue a certificate becomes valid."""
+    from armrig.lab import pki
+
+    return partial(monkeypatch.setattr, pki, "_CLOCK_TOLERANCE")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -72,12 +73,12 @@ def test_a_certificate_is_good_for_one_purpose(authority: Path) -> None:
 
 
 def test_a_certificate_is_good_in_its_time(
-    authority: Path, monkeypatch: pytest.MonkeyPatch
+    authority: Path, tolerate: Callable[[timedelta], None]
 ) -> None:
-    monkeypatch.setattr(pki, "_CLOCK_TOLERANCE", 10 * DAY)
+    tolerate(10 * DAY)
     old = pki.issue_to_person(authority, "alice", "operators", days=-1).path
     old_rig = pki.issue_to_rig(authority, "1", ["localhost"], days=-1).path
-    monkeypatch.setattr(pki, "_CLOCK_TOLERANCE", -DAY)
+    tolerate(-DAY)
     new = pki.issue_to_person(authority, "bob", "operators").path
 
     assert "has expired: `armrig pki renew`" in _refused(old)

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig_core import recording_directory
 from armrig_core.arm import ArmParameters
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.errors import InputError
 from armrig_core.volts import code_of
-from armrig_daemon import config as config_module
 from armrig_daemon.config import ArmSettings, Config, Limits, load, load_installed
 from armrig_daemon.decisions.state import Rules
 
@@ -221,17 +219,6 @@ def test_configuration_file_must_be_a_regular_file(tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match=r"armrig\.toml: not a regular file$"):
         load([path], {}, {})
-
-
-@pytest.fixture
-def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Give the machine's folder of configurations; the user has none."""
-    folder = tmp_path / "etc"
-    folder.mkdir()
-    for module in (recording_directory, config_module):
-        monkeypatch.setattr(module, "SYSTEM", folder / "armrig.toml")
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "user"))
-    return folder
 
 
 def test_the_file_of_a_rig_has_precedence_over_that_of_all(machine: Path, tmp_path: Path) -> None:

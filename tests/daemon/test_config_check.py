@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 from armrig.lab import pki
-from armrig_core import recording_directory
-from armrig_daemon import config as config_module
 from armrig_daemon.command_line import app
 from armrig_daemon.config import EX_CONFIG
 from typer.testing import CliRunner
@@ -23,12 +21,10 @@ def _armrigd(*arguments: str | Path) -> tuple[int, str]:
 
 
 @pytest.fixture
-def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def machine(machine: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Give the folder of the machine's configurations; the shell has a variable of its own."""
-    for module in (recording_directory, config_module):
-        monkeypatch.setattr(module, "SYSTEM", tmp_path / "armrig.toml")
     monkeypatch.setenv("ARMRIG_LIMITS_U_MAX_V", "2")
-    return tmp_path
+    return machine
 
 
 def test_a_file_that_the_daemon_takes_is_reported_in_one_line(tmp_path: Path) -> None:

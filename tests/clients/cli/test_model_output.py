@@ -30,6 +30,14 @@ def _finding(about: str, level: Any = "warning") -> Finding:
     return Finding(level=level, about=about, text=f"text of {about}")
 
 
+@pytest.fixture
+def advised(monkeypatch: pytest.MonkeyPatch) -> list[Finding]:
+    """Give the findings of the advice, which a test may extend."""
+    findings: list[Finding] = []
+    monkeypatch.setattr(model_output, "advice", lambda _: SimpleNamespace(findings=findings))
+    return findings
+
+
 @pytest.mark.parametrize(
     ("doubts", "estimation", "advice", "lines", "acts"),
     [
@@ -61,10 +69,9 @@ def test_each_finding_is_reported_once(
     advice: str,
     lines: list[str],
     acts: str,
-    monkeypatch: pytest.MonkeyPatch,
+    advised: list[Finding],
 ) -> None:
-    findings = [*map(_finding, advice.split()), _finding("delay", "good")]
-    monkeypatch.setattr(model_output, "advice", lambda _: SimpleNamespace(findings=findings))
+    advised += [*map(_finding, advice.split()), _finding("delay", "good")]
     of: Any = SimpleNamespace(findings=[warning(x, f"text of {x}") for x in estimation.split()])
     doubted = [_finding(about) for about in doubts.split()]
 
@@ -72,8 +79,8 @@ def test_each_finding_is_reported_once(
     assert to_act_on(of, doubted) == set(acts.split())
 
 
-def test_the_remedy_of_a_finding_is_acted_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(model_output, "advice", lambda _: SimpleNamespace(findings=[]))
+@pytest.mark.usefixtures("advised")
+def test_the_remedy_of_a_finding_is_acted_on() -> None:
     findings = [warning("not_converged", "x", "order"), warning("level", "x", "integrator")]
     of: Any = SimpleNamespace(findings=[*findings, warning("unstable", "x")])
 
