@@ -386,14 +386,11 @@ def test_changed_parameters_and_the_sinusoid_are_those_given() -> None:
 
 @pytest.mark.usefixtures("only_values")
 def test_an_emulated_rig_is_named_on_the_cover(
-    done: HandoutStudy, without: HandoutStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    done: HandoutStudy, without: HandoutStudy, tmp_path: Path
 ) -> None:
     emulated = msgspec.structs.replace(done.recordings[0].manifest, host={"port": "emulated"})
     first = replace(done.recordings[0], manifest=emulated)
     others = done.recordings[1:]
-
-    for name in ("physical_sections", "identification_sections", "numerical_sections"):
-        monkeypatch.setattr(f"armrig.report.handout.{name}", lambda _: [])
 
     def remarks(*recordings: Recording) -> list[str]:
         source = tmp_path / f"source-{len(list(tmp_path.iterdir()))}"
@@ -569,10 +566,7 @@ def test_names_and_reasons_are_in_the_values_of_the_report(
     assert told["recordings"] == [[step.path.name, run_name(step), *about]]
 
 
-def test_complete_recordings_come_before_those_that_ended_early(
-    three: list[Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("armrig.report.handout_study.recommend_step", lambda *_, **__: None)
+def test_complete_recordings_come_before_those_that_ended_early(three: list[Recording]) -> None:
     whole = replace(
         three[0], manifest=msgspec.structs.replace(three[0].manifest, experiment="calibrate")
     )
