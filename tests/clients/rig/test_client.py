@@ -293,15 +293,10 @@ def test_a_stream_ends_when_the_process_of_its_daemon_does(
                 pass
 
 
-@pytest.fixture
-def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
-
-
-@pytest.mark.usefixtures("_impatient")
 def test_silence_of_a_living_daemon_is_waited_through(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
     looked = threading.Event()
     is_alive = telemetry_stream._is_alive
 
@@ -322,7 +317,6 @@ def test_silence_of_a_living_daemon_is_waited_through(
     thread.join()
 
 
-@pytest.mark.usefixtures("_impatient")
 def test_a_stream_of_a_rig_that_is_not_there_ends(daemon: FakeDaemon, where: str) -> None:
     with pytest.raises(NoReplyError, match="rig 2: its daemon stopped"):
         next(stream("rig/2/sample", connect=where))
