@@ -55,7 +55,7 @@ def test_a_motor_that_is_driven_on_is_noted_two_periods_after_the_end_of_run(sta
     assert noted == [Violated(50_001 + 2 * PERIOD, OUTSIDE)]
 
 
-def test_a_motor_that_is_off_in_time_or_in_run_is_not_noted() -> None:
+def test_a_motor_switched_off_in_time_or_driven_in_a_run_is_not_noted() -> None:
     noted: list[Violated] = []
     pins = started(noted)
 
