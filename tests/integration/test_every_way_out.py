@@ -169,7 +169,7 @@ def test_the_device_stops_the_motor_of_a_frozen_loop(run_of_many: Run) -> None:
     assert run.bench.volts() == 0.0
 
 
-def test_a_rig_plugged_in_again_samples_at_0_v(run_of_many: Run) -> None:
+def test_a_rig_plugged_in_again_is_in_fault_until_a_reset(run_of_many: Run) -> None:
     run = run_of_many
     run.emulator.end()
     wait_for(lambda: run.bench.phase() == "fault")
