@@ -37,7 +37,7 @@ def test_a_port_with_the_prefix_unix_is_a_socket() -> None:
         ("", r"unix:: the path has 0 B; .*; name a socket in your own folder"),
     ],
 )
-def test_a_path_that_no_socket_can_have_is_refused(path: str, complaint: str) -> None:
+def test_an_impossible_socket_path_is_refused(path: str, complaint: str) -> None:
     """The kernel counts bytes, not characters."""
     with pytest.raises(ValueError, match=complaint):
         socket_path(f"unix:{path}")
@@ -58,7 +58,7 @@ def test_a_folder_that_others_can_write_to_is_a_fault(
 
 
 @pytest.mark.parametrize(("uid", "is_trusted"), [(1000, True), (0, True), (1001, False)])
-def test_a_folder_is_this_user_s_or_root_s(
+def test_a_folder_must_belong_to_this_user_or_root(
     monkeypatch: pytest.MonkeyPatch, uid: int, is_trusted: bool
 ) -> None:
     found = os.stat_result((stat.S_IFDIR | 0o755, 0, 0, 1, uid, 0, 0, 0, 0, 0))

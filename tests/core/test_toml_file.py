@@ -55,7 +55,7 @@ def test_tables_of_sixty_four_levels_are_read() -> None:
         toml_tables(nested(65))
 
 
-def test_a_file_is_refused_with_the_reader_s_words(tmp_path: Path) -> None:
+def test_a_file_is_refused_with_the_message_of_the_reader(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text("a = ")
     with pytest.raises(FileError, match=r"not a TOML file: Invalid value \(at end of document\)"):
