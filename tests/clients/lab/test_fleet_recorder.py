@@ -119,7 +119,7 @@ def test_a_rig_is_recorded_again_after_a_full_disk_with_a_pause_and_room(
     assert rigs.began == times + (times == 2)
 
 
-def test_all_rigs_are_recorded_until_the_last_of_them_has_ended(
+def test_recording_continues_until_the_last_rig_has_ended(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     ended, begun, goes_on, errors = threading.Event(), list[str](), list[str](), list[str]()
