@@ -54,7 +54,7 @@ def test_an_undetermined_model_has_no_criterion() -> None:
     assert np.isnan([aic(np.nan, 2, 10), mdl(np.nan, 2, 10), fpe(np.nan, 2, 10)]).all()
 
 
-def test_batches_allow_for_samples_that_depend_on_their_neighbours() -> None:
+def test_batches_account_for_correlated_samples() -> None:
     """The mean of an autoregression scatters by this deviation over runs, not by s / sqrt(N)."""
     from scipy.signal import lfilter
 
