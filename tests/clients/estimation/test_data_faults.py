@@ -106,7 +106,7 @@ def test_few_residuals_show_no_wrong_samples(known: int, is_told: bool) -> None:
 @pytest.mark.parametrize(
     ("N", "levels", "is_told"), [(100, 45, False), (100, 55, True), (400, 90, False), (400, 110, 1)]
 )
-def test_columns_look_swapped_from_50_levels_and_a_quarter_of_the_samples_on(
+def test_swapped_columns_are_reported_from_50_levels_and_a_quarter_on(
     N: int, levels: int, is_told: bool
 ) -> None:
     u = np.arange(float(N)) % levels
@@ -218,7 +218,7 @@ def test_an_integrator_has_a_level_of_its_own() -> None:
     assert not about(armrig.n4sid(data, 2, integrator=True), "at u = 0")
 
 
-def test_with_offset_true_the_model_is_right() -> None:
+def test_the_model_with_an_offset_is_unbiased() -> None:
     data = dataset(std=0.05)
     fit = armrig.oe(data.replaced(y=data.y + 5.0, step=None), nb=2, nf=2, offset=True)
 

@@ -134,7 +134,7 @@ def test_an_integrating_angle_without_an_integrator_causes_a_warning(plant: Hand
     assert not any("integrator" in w for w in n4sid(plant.dataset(1), 4, integrator=True).warnings)
 
 
-def test_an_integrator_that_only_the_data_show_causes_a_warning() -> None:
+def test_an_integrator_shown_only_by_the_data_causes_a_warning() -> None:
     rng = np.random.default_rng(3)
     u = np.repeat(rng.choice([-1.0, 1.0], 60), 10)
     v = filtered([1.0], [1.0, -0.9], rng.standard_normal(600))
@@ -217,7 +217,7 @@ def test_poles_are_reflected_and_an_integrator_stays(integrator: bool) -> None:
 
 
 @pytest.mark.parametrize("missing", [False, True])
-def test_noise_is_not_estimated_from_what_was_before_the_first_sample(missing: bool) -> None:
+def test_noise_is_not_estimated_from_the_time_before_the_first_sample(missing: bool) -> None:
     """The noise begins far from 0, and A y looks back on it."""
     structure = Structure(nb=2, nf=2, nk=1)
     parts, v, e = [], list[Vector](), 0.3 * np.random.default_rng(3).standard_normal((2, 500))
@@ -283,7 +283,7 @@ def _excess(fit: SubspaceFit, C: ArrayLike, D: ArrayLike) -> float:
     return float(np.mean((own - e) ** 2) / np.mean(e**2))
 
 
-def test_the_noise_model_of_short_data_is_as_good_as_it_can_be() -> None:
+def test_the_noise_model_of_short_data_has_nearly_the_least_error() -> None:
     """12 parameters from 300 samples cost 4 % of loss; a horizon of 10 samples costs 29 %."""
     data = [_of_fourth_order(seed, 300, C4, A4)[0] for seed in range(12)]
 
