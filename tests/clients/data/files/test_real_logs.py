@@ -142,7 +142,7 @@ def test_rows_that_a_resampling_leaves_out_are_counted(tmp_path: Path) -> None:
     assert codes_of(data.history)[-1] == DOUBT
 
 
-def test_a_mean_interval_of_few_minutes_is_a_doubt(tmp_path: Path) -> None:
+def test_a_mean_interval_of_few_minutes_causes_a_warning(tmp_path: Path) -> None:
     short = armrig.load_data(log(tmp_path / "a.csv", stamps("%H:%M", 3)))
     long = armrig.load_data(log(tmp_path / "b.csv", stamps("%H:%M", 12)))
 
@@ -254,7 +254,7 @@ def test_uneven_times_are_resampled_only_if_asked(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("separator", [";", "\t"])
-def test_a_number_is_read_as_its_column_says(
+def test_the_notation_of_a_column_decides_how_a_number_is_read(
     cells: str, mark: Any, read: list[float] | None, separator: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "a.csv"
@@ -306,7 +306,7 @@ def test_a_counter_that_wraps_is_named_and_unwrapped(modulus: float, tmp_path: P
     np.testing.assert_allclose(np.diff(mended.y), np.diff(counts), atol=1e-6 * modulus)
 
 
-def test_a_range_that_is_not_a_usual_one_is_not_guessed(tmp_path: Path) -> None:
+def test_an_unusual_range_is_not_guessed(tmp_path: Path) -> None:
     u, rate = plant(400)
     counts = np.cumsum(rate - 10) * 9
     table = np.column_stack([0.1 * np.arange(400), u, np.floor(counts % 1337)])
