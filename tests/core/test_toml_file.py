@@ -39,7 +39,7 @@ def test_a_key_of_sixteen_parts_is_read() -> None:
 
 
 @pytest.mark.parametrize("begin", ["", "a = 1\n", "a = {"])
-def test_a_key_of_seventeen_parts_is_refused_wherever_it_is(begin: str) -> None:
+def test_a_key_of_seventeen_parts_is_refused_at_any_place(begin: str) -> None:
     key = ".".join(f'"k {i}"' if i % 2 else f"k{i}" for i in range(17))
 
     with pytest.raises(FileError, match="nested too deeply: a key has at most 16 parts"):

@@ -313,7 +313,7 @@ def test_the_loop_ends_when_the_device_is_seen_stopped(driven: Bench) -> None:
     assert driven.volts == 0.0
 
 
-def test_the_loop_ends_even_when_the_device_is_gone(driven: Bench) -> None:
+def test_the_loop_ends_after_the_loss_of_the_device_too(driven: Bench) -> None:
     began = driven.ports.now
     driven.ports.to_device = lambda _: b""
 

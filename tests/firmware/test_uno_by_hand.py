@@ -205,7 +205,7 @@ def test_an_oversampled_reading_is_the_mean_of_conversions_one_skew_apart() -> N
 
 
 @pytest.mark.parametrize("ts_us", [1000, 2000])
-def test_a_reading_is_of_its_own_channel_while_the_supply_is_measured(ts_us: int) -> None:
+def test_a_supply_measurement_does_not_change_the_channel_of_a_reading(ts_us: int) -> None:
     with powered() as host:
         host.arm(mode=1, ts_us=ts_us, watchdog_ms=250)
         host.uno.stuck = lambda _, channel: 300 + 400 * channel

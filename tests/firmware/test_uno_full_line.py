@@ -120,7 +120,7 @@ def test_the_load_of_the_daemon_costs_no_sample_at_the_shortest_ts(baud: int) ->
 
 
 @pytest.mark.parametrize("baud", BAUDS)
-def test_each_gap_in_what_was_received_is_counted(baud: int) -> None:
+def test_each_gap_in_the_received_bytes_is_counted(baud: int) -> None:
     """The byte that found the ring full, and the overrun after it."""
     with powered(baud=baud) as host:
         host.hello()

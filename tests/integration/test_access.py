@@ -167,7 +167,7 @@ def test_a_daemon_that_cannot_listen_does_not_start(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("level", ["socket", "certificate", "password"])
-def test_a_daemon_listens_only_where_it_is_configured(bench: Bench, level: str) -> None:
+def test_a_daemon_listens_only_at_configured_endpoints(bench: Bench, level: str) -> None:
     """A1: nothing, or one port of TCP; no multicast, no gossip, no second port."""
     made = certificates(bench.folder)
     port = free_port()

@@ -204,7 +204,7 @@ def test_each_button_is_large_enough_for_a_finger(browser: Any, client: Client) 
 
 
 @pytest.mark.exhaustive
-def test_a_projector_shows_plots_phase_and_stop_alone(browser: Any, client: Client) -> None:
+def test_a_projector_shows_only_plots_phase_and_stop_button(browser: Any, client: Client) -> None:
     with opened(browser, client.url, WIDE) as page:
         page.click("#projector")
         size = "(id) => parseFloat(getComputedStyle(document.getElementById(id)).fontSize)"

@@ -167,7 +167,7 @@ def test_a_report_with_names_and_reasons_is_typeset_again_from_its_source(
     assert json.loads(Path("source/data.json").read_text())["students"][0]["name"] == "Ada"
 
 
-def test_questions_are_text_whatever_the_name_of_their_file(
+def test_the_questions_are_text_under_any_file_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -164,7 +164,7 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
         ({"output": "alpha"}, False),
     ],
 )
-def test_an_integrator_is_suggested_for_an_oe_model_of_the_angle_alone(
+def test_an_integrator_is_suggested_only_for_an_oe_model_of_the_angle(
     changes: dict[str, Any], is_hinted: bool
 ) -> None:
     of: dict[str, Any] = {"structure": "oe", "output": "theta_1", "integrator": False}

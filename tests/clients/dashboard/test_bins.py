@@ -57,7 +57,7 @@ def test_a_wrap_ends_a_bin() -> None:
     assert rows[:, 4].round().tolist() == [359, 2]
 
 
-def test_less_than_half_a_turn_is_no_wrap() -> None:
+def test_a_change_below_half_a_turn_is_not_a_wrap() -> None:
     assert _binned(_samples([0, 170])).shape[0] == 1
 
 

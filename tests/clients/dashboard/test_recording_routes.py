@@ -123,7 +123,7 @@ def test_a_validation_recording_belongs_to_its_estimation_recording(
     "file",
     ["link.mcap", "folder.mcap", "none.mcap", "a.mca", "../a.mcap", "./a.mcap", "", "x/a.mcap"],
 )
-def test_a_file_that_is_no_recording_of_the_folder_is_refused(folder: Path, file: str) -> None:
+def test_a_file_that_is_not_a_recording_of_the_folder_is_refused(folder: Path, file: str) -> None:
     (folder / "a.mca").touch()
     (folder / "folder.mcap").mkdir()
     (folder / "link.mcap").symlink_to(folder / "a.mcap")

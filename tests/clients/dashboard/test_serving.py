@@ -60,7 +60,7 @@ def test_the_page_has_both_names_of_this_machine_and_a_single_use_code(tmp_path:
     assert recordings == (200, b'{"released":false}')
 
 
-def test_the_page_and_the_visitors_have_the_ports_that_were_asked_for(tmp_path: Path) -> None:
+def test_the_page_and_the_visitors_have_the_requested_ports(tmp_path: Path) -> None:
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
     with closing(_listening(HOST, 0, None)) as one, closing(_listening(HOST, 0, None)) as two:
         port, share_port = (free.getsockname()[1] for free in (one, two))
@@ -166,7 +166,7 @@ def test_a_rig_without_samples_is_connected_again_after_two_seconds_and_two_samp
     assert feed.news().newest == (sample(round(100 * last_s)) if last_s else None)
 
 
-def test_the_status_is_asked_for_twice_a_second_and_after_each_change(
+def test_the_status_is_requested_twice_a_second_and_after_each_change(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def state(**changed: str) -> Any:

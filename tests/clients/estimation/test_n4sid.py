@@ -100,7 +100,9 @@ def test_the_arm_is_found_as_well_as_by_output_error(plant: HandoutPlant) -> Non
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_the_dead_band_of_a_potentiometer_costs_little(plant: HandoutPlant, seed: int) -> None:
+def test_the_dead_band_of_a_potentiometer_hardly_increases_the_error(
+    plant: HandoutPlant, seed: int
+) -> None:
     """Quantised to 10 bits, 5 % missing in gaps of all lengths."""
     data = plant.through_potentiometer(plant.dataset(seed), seed)
 
@@ -192,7 +194,7 @@ def test_the_deviation_of_a_pole_is_that_of_its_coefficients() -> None:
     assert _pole_std(np.array([1.0, -0.5]), 0.5, np.array([[0.04]])) == pytest.approx(0.2)
 
 
-def test_gaps_and_several_experiments_cost_only_their_windows() -> None:
+def test_gaps_and_several_experiments_remove_only_their_windows() -> None:
     valid = np.ones(2000, dtype=np.bool_)
     valid[::37] = False
     one = _data(1)
@@ -205,7 +207,7 @@ def test_gaps_and_several_experiments_cost_only_their_windows() -> None:
 
 
 @pytest.mark.parametrize("integrator", [False, True])
-def test_poles_are_reflected_and_an_integrator_stays(integrator: bool) -> None:
+def test_unstable_poles_are_reflected_and_an_integrator_is_kept(integrator: bool) -> None:
     at_1 = np.array([1.0, -1.0]) if integrator else np.ones(1)
     outside, inside = np.array([1.0, -0.9, -0.52]), np.array([1.0, -0.9, 0.2])  # 1.3, -0.4
 

@@ -196,7 +196,7 @@ def test_the_backcast_state_is_the_least_squares_estimate() -> None:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("std", [0.01, 0.3])
-def test_resonant_systems_are_found_from_their_data_alone(std: float) -> None:
+def test_resonant_systems_are_identified_without_start_values(std: float) -> None:
     missed = []
     for seed in range(25):
         rng = np.random.default_rng([seed, 99])

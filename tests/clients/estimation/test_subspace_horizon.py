@@ -129,7 +129,7 @@ def test_the_memory_of_the_predictor_minimises_aic() -> None:
     assert len(set(orders)) > 2
 
 
-def test_a_state_costs_three_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_state_counts_as_three_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second state is worth 3 log N = 20.7 for 1000 windows."""
     w = windows(signals(1009), past=5, future=5)
     found = projection(w, "cva")

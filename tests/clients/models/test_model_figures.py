@@ -62,7 +62,7 @@ def test_the_phase_of_an_estimate_is_drawn_within_half_a_turn_of_the_model() -> 
 
 
 @pytest.mark.parametrize(("Ts", "n"), [(0.1, 50), (0.02, 50), (0.01, 100), (2.0, 50)])
-def test_a_step_is_as_long_as_a_second_or_50_samples(Ts: float, n: int) -> None:
+def test_the_length_of_a_step_is_at_least_a_second_or_50_samples(Ts: float, n: int) -> None:
     ax = plot_step(lag(Ts=Ts), labels=("a",), ax=Figure().add_subplot())
     short = plot_step(lag(Ts=Ts), n=7, labels=("a",), ax=Figure().add_subplot())
 

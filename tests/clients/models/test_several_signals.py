@@ -223,7 +223,7 @@ def test_a_channel_has_the_signals_and_numbers_of_its_output_and_input() -> None
             fit[channel]  # type: ignore[index]
 
 
-def test_responses_of_all_channels_are_those_of_each() -> None:
+def test_the_joint_response_contains_the_response_of_each_channel() -> None:
     fit, omega = fit_of(apart()), np.array([0.5, 9.0])
 
     G, step = fit.frequency_response(omega), fit.step_response(7)

@@ -96,7 +96,7 @@ def test_missing_residuals_do_not_change_the_result(samples: int, test: Test) ->
     assert holed.white.p_value == pytest.approx(cut.white.p_value, rel=1e-9)
 
 
-def test_nuisance_parameters_cost_degrees_of_freedom() -> None:
+def test_nuisance_parameters_reduce_the_degrees_of_freedom() -> None:
     Phi, y, theta, plain = regression(3, [1.0])
     e = y - Phi @ theta
     span = orthonormal(np.ones((N, 1))).Q
@@ -127,7 +127,7 @@ def test_the_noise_is_unknown_with_as_many_parameters_as_samples() -> None:
         infer([e], [Phi[:4]], nuisance=1, score="exogenous")
 
 
-def test_a_fitted_autoregression_costs_the_ljung_box_test_degrees_of_freedom() -> None:
+def test_a_fitted_autoregression_reduces_the_ljung_box_degrees_of_freedom() -> None:
     """At most all degrees but one."""
     Phi, y, theta, _ = regression(7, [1.0])
     e = y - Phi @ theta

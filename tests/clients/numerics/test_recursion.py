@@ -42,7 +42,7 @@ def test_free_responses_are_the_recursion_without_input(N: int) -> None:
     ids=["real modes", "a pair", "one eigenvector"],
 )
 @pytest.mark.parametrize("ny", [1, 2])
-def test_responses_are_those_of_each_signal_at_each_state(
+def test_the_response_is_computed_for_each_signal_and_state(
     Phi: NDArray[np.float64], ny: int
 ) -> None:
     rng = np.random.default_rng(4)

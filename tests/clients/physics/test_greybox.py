@@ -131,7 +131,7 @@ def test_a_search_that_ends_at_its_bound_is_reported(make: Make) -> None:
     assert said.startswith("the search for J_1 ended at its bound, a factor 162755 from its start")
 
 
-def test_coulomb_friction_is_found_where_the_chassis_stops(make: Make) -> None:
+def test_coulomb_friction_is_estimated_from_stops_of_the_chassis(make: Make) -> None:
     data = make(p=ArmParameters(b_1=5e-3), coulomb_nm=0.02, low=0.0, high=5.0)
 
     neglected, fit = armrig.greybox(data), armrig.greybox(data, friction="both")

@@ -80,7 +80,7 @@ def test_sensitivities_through_stops_and_starts(name: str) -> None:
     )
 
 
-def test_the_response_with_friction_is_that_of_the_emulator() -> None:
+def test_the_response_with_friction_equals_that_of_the_emulator() -> None:
     """The emulator splits each 0.1 ms; the angles agree to a fraction of a converter step."""
     u = telegraph(2000, 0.02, 0.0, 5.0, seed=4)
     V = 0.02 / P.torque_per_volt

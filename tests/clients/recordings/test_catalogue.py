@@ -381,7 +381,7 @@ def test_a_text_may_have_4096_characters(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("started", ["yesterday", "2026-11-20T05:00:00", "9999-12-31T23:00-05:00"])
-def test_an_invalid_start_date_is_no_time(tmp_path: Path, started: str) -> None:
+def test_an_invalid_start_date_is_not_a_time(tmp_path: Path, started: str) -> None:
     with_metadata(tmp_path, manifest(started=started).metadata())
 
     found = catalogue(tmp_path)
@@ -390,7 +390,7 @@ def test_an_invalid_start_date_is_no_time(tmp_path: Path, started: str) -> None:
     assert found.to_pandas()["started"].isna().all()
 
 
-def test_an_index_of_thousands_of_records_costs_two_reads(tmp_path: Path) -> None:
+def test_an_index_of_thousands_of_records_is_read_in_two_reads(tmp_path: Path) -> None:
     """Otherwise a file of 8 MB would cause reads of terabytes."""
     path = with_metadata(tmp_path, manifest().metadata())
     data = path.read_bytes()

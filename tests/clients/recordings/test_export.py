@@ -182,7 +182,7 @@ def test_octave_reads_the_mat_file(rec: Recording) -> None:
     assert digest == rec.sha256
 
 
-def test_octave_s_iddata_takes_the_mat_file_as_it_is(rec: Recording) -> None:
+def test_octave_s_iddata_accepts_the_mat_file_unchanged(rec: Recording) -> None:
     path = rec.path.with_name("run.mat")
     write_mat(rec, path, output="alpha")
 

@@ -95,7 +95,7 @@ def test_each_row_contains_the_phase_at_its_time(odd: Recording) -> None:
     assert odd.turns_unknown == (207,)
 
 
-def test_the_data_are_cut_where_u_or_the_turns_are_not_known(odd: Recording) -> None:
+def test_the_data_are_divided_where_u_or_the_turns_are_unknown(odd: Recording) -> None:
     theta_1, alpha, rate = odd.dataset(), odd.dataset("alpha"), odd.dataset("velocity")
     known = np.flatnonzero(np.isfinite(odd.u))
 
@@ -425,7 +425,7 @@ def test_turns_are_lost_after_a_gap_longer_than_a_quarter_of_a_second(
 
 
 @pytest.mark.parametrize(("changes", "is_searched"), [(19, False), (20, True)])
-def test_outliers_are_searched_where_the_input_changes_twenty_times(
+def test_outliers_are_searched_if_the_input_changes_twenty_times(
     odd: Recording, changes: int, is_searched: bool
 ) -> None:
     """Fewer changes determine no model that separates an outlier from a swing."""

@@ -360,7 +360,7 @@ def test_recordings_of_several_calibrations_are_grouped(sound: Recording) -> Non
     ("experiment", "is_poor"),
     [("step", True), ("staircase-monday", True), ("stepper", False), ("blackbox-step", False)],
 )
-def test_a_step_is_poor_for_estimation_and_says_little_in_validation(
+def test_a_step_is_a_poor_input_for_estimation_and_validation(
     sound: Recording, experiment: str, is_poor: bool
 ) -> None:
     kind = experiment.partition("-")[0]

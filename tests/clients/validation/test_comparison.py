@@ -104,7 +104,7 @@ def test_feedback_shows_at_negative_lags() -> None:
     assert "feedback" in repr(tested)
 
 
-def test_the_band_is_wider_where_residuals_and_input_are_both_coloured() -> None:
+def test_the_band_is_wider_if_residuals_and_input_are_both_coloured() -> None:
     """P/(N R_e(0) R_u(0)), P = sum R_e(k) R_u(k); 1/N only if one of them is white."""
     N, a, c = 20_000, 0.1, 0.8
     rng = np.random.default_rng(4)

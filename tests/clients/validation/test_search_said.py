@@ -321,7 +321,7 @@ def test_a_search_of_several_signals_is_ranked_and_explained() -> None:
 
 
 @pytest.mark.parametrize(("direct", "free"), [(False, 3 * (2 + 6)), (True, 3 * (2 + 6) + 6)])
-def test_the_coordinates_of_the_state_are_no_parameters(direct: bool, free: int) -> None:
+def test_the_coordinates_of_the_state_do_not_count_as_parameters(direct: bool, free: int) -> None:
     """Three states, two inputs, three outputs."""
     D = np.full((3, 2), float(direct))
     matrices = np.zeros((3, 3)), np.zeros((3, 2)), np.zeros((3, 3)), D, np.zeros((3, 3))

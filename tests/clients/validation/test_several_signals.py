@@ -122,7 +122,7 @@ def test_a_delay_too_long_shows_only_in_its_pair() -> None:
         found["u2", "y1"]
 
 
-def test_delayed_common_noise_is_rejected_by_the_joint_test_alone() -> None:
+def test_only_the_joint_test_rejects_delayed_common_noise() -> None:
     """y2 contains the noise of y1 three samples later: each output alone is white."""
     data, other = plant(0), plant(100)
     rng = np.random.default_rng(5)

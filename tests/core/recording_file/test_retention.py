@@ -92,7 +92,7 @@ def test_the_newest_run_is_kept_at_any_age_and_size(tmp_path: Path) -> None:
     assert _names(tmp_path) == {"1-b.mcap"}
 
 
-def test_no_run_is_removed_by_its_age_if_the_newest_is_as_old(tmp_path: Path) -> None:
+def test_no_run_is_removed_by_age_if_the_newest_run_is_too_old(tmp_path: Path) -> None:
     """The clock of this machine may be set days ahead."""
     for name, days in (("a", 90), ("b", 61)):
         _run(tmp_path, f"1-{name}.mcap", days)

@@ -60,7 +60,7 @@ def tried(
     ],
     ids=str,
 )
-def test_the_emulated_device_does_what_the_protocol_says(
+def test_the_emulated_device_passes_all_rules_of_the_protocol(
     settings: dict[str, float], resets: bool
 ) -> None:
     emulated = EmulatorSettings(boot_ms=5.0, **{**UNPLUGGED, **settings})
@@ -346,6 +346,6 @@ def test_a_limit_counts_from_the_time_at_which_it_was_set() -> None:
     conversation.listen(5)
 
 
-def test_every_rule_has_a_section_and_a_sentence_of_its_own() -> None:
+def test_every_rule_has_a_section_and_a_unique_sentence() -> None:
     assert {rule.section for rule in RULES} == {1, 2, 3, 4, 5, 6, 7}
     assert len({rule.sentence for rule in RULES}) == len(RULES)

@@ -172,7 +172,9 @@ def test_a_latched_device_is_reported_with_its_cause(cause: int, detail: int, wo
     ("at", "waits"),
     [(DeviceState.FAULT, False), (DeviceState.ESTOP, False), (DeviceState.RUN, True)],
 )
-def test_refused_stop_of_a_latched_device_is_no_fault(at: DeviceState, waits: bool) -> None:
+def test_a_refused_stop_of_a_latched_device_does_not_cause_a_fault(
+    at: DeviceState, waits: bool
+) -> None:
     """S6: the fault stays; while the device drives, STOP is sent again."""
     bench = driven()
     latched = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.DEVICE, "REV_LIMIT"))

@@ -399,7 +399,7 @@ def test_applied_code_is_compared_with_the_rounded_code() -> None:
     assert f"applied code {held}, but code {held} was commanded" in as_sent.state.fault.cause
 
 
-def test_applied_code_after_a_trip_is_no_second_fault() -> None:
+def test_the_applied_code_after_a_trip_does_not_cause_a_second_fault() -> None:
     bench = rested()
     state = changed(_asked(bench), phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
 

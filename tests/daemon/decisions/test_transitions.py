@@ -283,7 +283,7 @@ def test_an_accepted_configuration_has_the_time_of_its_request() -> None:
     assert decided.state.configuration.asked_ns == bench.ports.now - 7
 
 
-def test_a_device_that_refuses_an_oversampling_is_reported_with_the_way_out() -> None:
+def test_a_device_that_refuses_oversampling_is_reported_with_the_remedy() -> None:
     bench = rested()
     rules = changed(bench.loop.state.rules, oversampling=16)
     state = awaiting(

@@ -141,7 +141,7 @@ def test_an_exchange_has_the_documented_timing() -> None:
     assert sample.t_ns == t_r + 2 * CONVERSION_NS + SAMPLE_NS
 
 
-def test_reading_precedes_the_effect_of_its_own_u() -> None:
+def test_a_reading_precedes_the_effect_of_the_u_of_its_exchange() -> None:
     """y_k is read just before u_k acts."""
     samples = []
     for u in (0, 65535):

@@ -127,5 +127,5 @@ def test_the_duty_before_the_latch_is_compared_with_the_code_before(
     assert noted == ([Violated(100_000 + PERIOD, OTHER_CODE)] if differs else [])
 
 
-def test_each_violation_has_a_sentence_of_its_own() -> None:
+def test_each_violation_has_a_different_sentence() -> None:
     assert len({sentence(what) for what in Violation}) == len(Violation)

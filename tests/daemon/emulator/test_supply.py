@@ -82,7 +82,7 @@ def test_a_restored_supply_clears_the_flag_but_not_the_fault() -> None:
 
 
 @pytest.mark.parametrize("state", [State.IDLE, State.READY])
-def test_a_low_supply_at_rest_is_reported_and_is_no_fault(state: State) -> None:
+def test_a_low_supply_at_rest_is_reported_without_a_fault(state: State) -> None:
     host = Host(LOW).reach(state)
 
     assert only(Sample, host.ask(Exchange, k=2, u=0)).flags & Flag.VCC_LOW

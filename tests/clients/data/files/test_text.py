@@ -66,7 +66,7 @@ def test_each_notation_of_a_table_gives_the_same_numbers(text: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", "  "])
-def test_columns_without_names_are_asked_for_by_number(separator: str, tmp_path: Path) -> None:
+def test_columns_without_names_are_selected_by_number(separator: str, tmp_path: Path) -> None:
     path = written(tmp_path, table(separator, names=""), "data.dat")
 
     data = load_data(path, input="2", signal="3", time="1")
@@ -76,7 +76,7 @@ def test_columns_without_names_are_asked_for_by_number(separator: str, tmp_path:
     assert (data.output, data.Ts, data.N) == ("y", 0.1, 4)
 
 
-def test_a_column_ends_where_the_rows_do_with_names_or_without(tmp_path: Path) -> None:
+def test_a_column_has_the_length_of_the_table_with_or_without_names(tmp_path: Path) -> None:
     """A separator at the end of each row makes an empty last column."""
     last = written(tmp_path, "u,y\n1,\n2,\n3,\n", "last.csv")
     none = written(tmp_path, "1,5,\n2,6,\n", "none.csv")

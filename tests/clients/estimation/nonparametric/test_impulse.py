@@ -114,7 +114,9 @@ def test_the_posterior_equals_the_formula_of_the_textbook(second: Any) -> None:
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("unit", [1e-3, 1e6])
-def test_the_unit_of_u_scales_the_response_alone(second: Any, kernel: Kernel, unit: float) -> None:
+def test_the_unit_of_u_changes_only_the_scale_of_the_response(
+    second: Any, kernel: Kernel, unit: float
+) -> None:
     """The search for the kernel's scale begins at the scale of the data."""
     data = second.dataset(np.random.default_rng(3), 150)
     scaled = Dataset(u=unit * data.u, y=data.y, Ts=data.Ts)

@@ -88,7 +88,7 @@ def test_the_dead_time_is_not_part_of_the_time_constant() -> None:
 
 
 @pytest.mark.exhaustive
-def test_the_reported_deviations_are_those_of_many_runs() -> None:
+def test_the_reported_deviations_equal_the_scatter_of_many_runs() -> None:
     """Gain, 63 % time, equivalent time and settling time, in 40 runs."""
     found = of_a_first_order_system()
 

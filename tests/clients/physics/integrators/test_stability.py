@@ -81,7 +81,7 @@ def test_a_step_is_stable_just_inside_the_limit_and_not_just_outside(
 
 
 @pytest.mark.parametrize("h", [0.001, 2.001])
-def test_growth_is_that_of_the_second_half_of_the_steps(h: float) -> None:
+def test_the_growth_is_measured_over_the_second_half_of_the_steps(h: float) -> None:
     """Forward Euler multiplies a decay by 1 - h, in each of the last 1000 steps of 2000."""
     assert growth([[-1.0, 0.0], [0.0, 0.0]], "forward_euler", h, n=2000) == pytest.approx(
         abs(1 - h) ** 1000

@@ -245,7 +245,7 @@ def test_a_missing_report_is_written_again(
     assert [row["report"] for row in rows] == ["a-00.pdf", "a-01.pdf"]
 
 
-def test_a_report_has_its_orders_and_the_doubts_about_both_recordings(
+def test_a_report_has_its_orders_and_the_findings_on_both_recordings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paths = [tmp_path / name for name in ("short.mcap", "other.mcap")]
@@ -486,7 +486,7 @@ def no_file_above(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_costs_no_result(folder: Path, tmp_path: Path) -> None:
+def test_a_full_disk_loses_no_result(folder: Path, tmp_path: Path) -> None:
     table = tmp_path / "models.parquet"
     said = f"{table.name}{SUFFIX}: File too large; results so far are kept"
     with no_file_above(20_000), pytest.raises(OperationError, match=said):
@@ -494,7 +494,7 @@ def test_a_full_disk_costs_no_result(folder: Path, tmp_path: Path) -> None:
     assert 0 < len(computed(folder, ARX, table)) < MANY + 4
 
 
-def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: Path) -> None:
+def test_a_disk_too_full_for_the_table_loses_no_result(folder: Path, tmp_path: Path) -> None:
     table = tmp_path / "v.parquet"
     said = f"{table.name}: File too large; all results are kept"
     with no_file_above(8000), pytest.raises(OperationError, match=said):
@@ -609,7 +609,7 @@ def test_a_killed_batch_continues_to_the_same_table(
 
 @pytest.mark.exhaustive
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are seen in /proc")
-def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path: Path) -> None:
+def test_a_killed_worker_loses_no_row(lab: tuple[Path, bytes], tmp_path: Path) -> None:
     folder, whole = lab
     table = tmp_path / "models.parquet"
     with started(folder, table, "--workers", "2") as process:
