@@ -24,7 +24,7 @@ WITH_PIPX = "pipx install ."
     [(("python3", "python3-venv"), LINES), (("pipx",), f"{WITH_PIPX}\n. ~/.profile\n{DEMO}")],
     ids=["venv", "pipx"],
 )
-def test_the_demo_of_the_readme_runs_on_a_minimal_debian(
+def test_the_demo_of_the_readme_runs_on_an_empty_debian(
     packages: tuple[str, ...], lines: str, tmp_path: Path
 ) -> None:
     if why := missing() or empty_debian.missing():

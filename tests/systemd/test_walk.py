@@ -143,7 +143,7 @@ def _with_yes(text: str) -> str:
     return re.sub(r"(?m)^(armrig service install.*)$", r"\1 --yes", text)
 
 
-def test_the_pages_lead_from_an_empty_machine_to_a_network_recording(lab: Lab) -> None:
+def test_the_pages_lead_from_the_installation_to_a_network_recording(lab: Lab) -> None:
     machine = lab.machine
 
     # The service, with an emulated rig in place of a board.
