@@ -58,7 +58,7 @@ def test_a_folder_that_others_can_write_to_is_a_fault(
 
 
 @pytest.mark.parametrize(("uid", "is_trusted"), [(1000, True), (0, True), (1001, False)])
-def test_a_folder_must_belong_to_this_user_or_root(
+def test_a_folder_is_this_user_s_or_root_s(
     monkeypatch: pytest.MonkeyPatch, uid: int, is_trusted: bool
 ) -> None:
     found = os.stat_result((stat.S_IFDIR | 0o755, 0, 0, 1, uid, 0, 0, 0, 0, 0))
