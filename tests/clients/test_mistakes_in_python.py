@@ -136,7 +136,7 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
 @pytest.mark.parametrize(
     ("call", "raised", "way_out"), [m[1:] for m in MISTAKES], ids=[m[0] for m in MISTAKES]
 )
-def test_a_mistake_is_refused_with_the_way_out(
+def test_a_wrong_argument_is_refused_with_the_remedy(
     call: Any,
     raised: type[Exception],
     way_out: str,
@@ -154,7 +154,7 @@ def test_a_mistake_is_refused_with_the_way_out(
     assert len(message) <= 260
 
 
-def test_swapped_columns_are_doubted_by_the_model() -> None:
+def test_the_model_warns_of_swapped_columns() -> None:
     """An output of two levels looks like an input."""
     fit = armrig.arx(armrig.Dataset(u=Y, y=U, Ts=0.01), na=2, nb=2)
 

@@ -105,7 +105,7 @@ def shown(request: pytest.FixtureRequest, done: Study, recording: Recording) -> 
     return request.param, given, PLOTS[request.param](done, recording, given)
 
 
-def test_a_plot_draws_into_the_axes_it_is_given(shown: Shown) -> None:
+def test_a_plot_draws_into_the_given_axes(shown: Shown) -> None:
     _, given, ax = shown
     assert ax is given
     assert ax.has_data()
@@ -120,14 +120,14 @@ def test_a_plot_names_its_recording(shown: Shown, done: Study) -> None:
     assert ax.get_title(loc="right") == f"recording {source[:12]}"
 
 
-def test_every_axis_says_what_it_shows(shown: Shown) -> None:
+def test_every_axis_has_a_label(shown: Shown) -> None:
     panels = shown[1].figure.axes
     assert all(panel.get_ylabel() for panel in panels)
     assert panels[-1].get_xlabel()
 
 
 @EVERY
-def test_a_plot_without_axes_makes_them(plot: Plot, done: Study, recording: Recording) -> None:
+def test_a_plot_without_axes_creates_them(plot: Plot, done: Study, recording: Recording) -> None:
     ax = plot(done, recording, None)
 
     assert ax.has_data()
@@ -144,7 +144,7 @@ _SIZES = {"default": (6.4, 4.8), "column": (84 / 25.4, 2.7)}
         *(("default", name) for name in ("jitter", "compare", "residuals")),
     ],
 )
-def test_the_names_are_above_the_data(
+def test_the_legend_is_above_the_data(
     place: str, name: str, done: Study, recording: Recording
 ) -> None:
     size = _SIZES[place]
@@ -177,7 +177,7 @@ def test_colours_differ_in_lightness(done: Study) -> None:
     assert abs(first - second) > 0.1
 
 
-def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
+def test_a_pole_zero_figure_reports_its_draws_and_the_omitted_ones() -> None:
     fit = hardly_a_pair()
     ax = plots.plot_poles_zeros(fit, ax=Figure().add_subplot())
 
@@ -221,7 +221,7 @@ def test_phases_agree_after_a_zero_that_is_hardly_damped() -> None:
     np.testing.assert_allclose(growing[-100:], damped[-100:], atol=1.0)
 
 
-def test_figures_name_a_run_where_it_is_known(recording: Recording) -> None:
+def test_figures_name_a_run_if_it_is_known(recording: Recording) -> None:
     with named_by_run({recording.sha256: "0000000b"}):
         inside = plots.plot_data(recording, ax=Figure().add_subplot())
     outside = plots.plot_data(recording, ax=Figure().add_subplot())
@@ -308,7 +308,7 @@ def test_every_result_plots_a_figure_that_can_be_saved() -> None:
     } == {}
 
 
-def test_a_figure_of_axes_in_a_part_of_a_figure_is_the_whole_one(recording: Recording) -> None:
+def test_the_figure_of_axes_in_a_subfigure_is_the_whole_figure(recording: Recording) -> None:
     whole = Figure()
     ax = whole.subfigures(1, 2)[1].add_subplot()
 
@@ -336,7 +336,7 @@ def letters(figure: Figure) -> dict[str, str]:
     return {mark: ax.get_ylabel() for ax, mark in marked if re.fullmatch(r"\([a-z]\)", mark)}
 
 
-def test_the_letters_of_several_results_go_on_from_one_to_the_next(recording: Recording) -> None:
+def test_the_panel_letters_continue_across_several_results(recording: Recording) -> None:
     figure = Figure()
     for ax, name in zip(figure.subplots(1, 2), ("theta_1", "alpha"), strict=True):
         recording.dataset(name).plot(ax=ax)
@@ -356,7 +356,7 @@ def test_two_scales_of_one_panel_have_one_letter(recording: Recording) -> None:
     assert list(letters(figure)) == ["(a)", "(b)"]
 
 
-def test_a_figure_that_is_written_has_letters(done: Study, tmp_path: Path) -> None:
+def test_a_saved_figure_has_panel_letters(done: Study, tmp_path: Path) -> None:
     figure = Figure(layout="constrained")
     plots.plot_bode(done.best.fit, ax=figure.add_subplot())
 
@@ -372,7 +372,7 @@ def test_a_figure_that_is_written_has_letters(done: Study, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("ending", "date"), [("svg", b"<dc:date>"), ("PDF", b"CreationDate")])
-def test_equal_figures_are_equal_files(ending: str, date: bytes, tmp_path: Path) -> None:
+def test_equal_figures_give_equal_files(ending: str, date: bytes, tmp_path: Path) -> None:
     """Without a date; the ids in an SVG are not random."""
     written = []
     for name in ("first", "second"):
@@ -387,7 +387,7 @@ def test_equal_figures_are_equal_files(ending: str, date: bytes, tmp_path: Path)
 
 
 @pytest.mark.parametrize("result", ["recording", "dataset", "sampling time", "comparison"])
-def test_a_notebook_shows_words_and_figure(result: str, done: Study, recording: Recording) -> None:
+def test_a_notebook_shows_text_and_figure(result: str, done: Study, recording: Recording) -> None:
     data = recording.dataset()
     shown = {
         "recording": lambda: recording,

@@ -66,7 +66,7 @@ def test_a_calibration_file_is_read_back_exactly(calibration: Calibration, tmp_p
         (bytes(RAW_LIMIT + 1), "more than the 1048576 B allowed"),
     ],
 )
-def test_samples_that_are_not_its_own_are_refused(
+def test_missing_or_changed_samples_of_a_calibration_are_refused(
     samples: bytes | None, said: str, tmp_path: Path
 ) -> None:
     path = _written(tmp_path)

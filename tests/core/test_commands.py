@@ -67,7 +67,7 @@ def test_a_command_is_read_with_its_fields() -> None:
         ("calibrate", _calibration("", '"raw": "no base64!"'), r"Invalid base64.*\$.raw"),
     ],
 )
-def test_what_is_not_allowed_is_refused(name: str, payload: str, complaint: str) -> None:
+def test_a_forbidden_field_of_a_command_is_refused(name: str, payload: str, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         parse(name, payload.encode())
 

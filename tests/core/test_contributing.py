@@ -55,7 +55,7 @@ def test_names_on_the_pages_for_maintainers_exist(page: str) -> None:
     assert lacking((ROOT / page).read_text(encoding="utf-8")) == set()
 
 
-def test_contributing_names_a_function_for_each_hop() -> None:
+def test_contributing_names_a_function_for_each_step_of_a_sample() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
     flows = re.findall(r"^## The flow of .*?(?=^## )", text, re.MULTILINE | re.DOTALL)

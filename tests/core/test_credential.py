@@ -44,7 +44,7 @@ def _written(path: Path, text: str) -> Path:
     return path
 
 
-def test_the_certificates_between_its_own_and_the_authority_s_are_sent_along(
+def test_the_intermediate_certificates_of_a_credential_are_sent(
     authority: Path, tmp_path: Path
 ) -> None:
     key, own, root = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
@@ -56,14 +56,14 @@ def test_the_certificates_between_its_own_and_the_authority_s_are_sent_along(
     assert found.certificate == (own + between).encode()
 
 
-def test_it_lasts_no_longer_than_its_authority(tmp_path: Path) -> None:
+def test_a_certificate_expires_no_later_than_its_authority(tmp_path: Path) -> None:
     made = x509.load_pem_x509_certificate(pki.make_authority(tmp_path, days=5).read_bytes())
     issued = pki.issue_to_person(tmp_path, "alice", "operators", days=30)
 
     assert read_credential(issued.path, "client").expires == made.not_valid_after_utc
 
 
-def test_a_certificate_is_good_for_one_purpose(authority: Path) -> None:
+def test_a_certificate_is_valid_for_one_purpose(authority: Path) -> None:
     rig = pki.issue_to_rig(authority, "1", ["localhost"]).path
     alice = pki.issue_to_person(authority, "alice", "operators").path
 
@@ -72,7 +72,7 @@ def test_a_certificate_is_good_for_one_purpose(authority: Path) -> None:
     assert _refused(alice, "rig").startswith("the certificate has another purpose")
 
 
-def test_a_certificate_is_good_in_its_time(
+def test_a_certificate_is_valid_within_its_period(
     authority: Path, tolerate: Callable[[timedelta], None]
 ) -> None:
     tolerate(10 * DAY)
@@ -129,7 +129,7 @@ def test_a_credential_has_one_key_its_certificate_and_the_authority_of_both(
 
 
 @pytest.mark.parametrize("mode", [0o440, 0o420, 0o404, 0o402])
-def test_a_key_that_others_than_its_owner_may_read_is_refused(authority: Path, mode: int) -> None:
+def test_a_key_readable_by_other_users_is_refused(authority: Path, mode: int) -> None:
     """The group of a service's files is that of the students."""
     path = pki.issue_to_person(authority, "alice", "operators").path
     path.chmod(mode)
@@ -177,7 +177,7 @@ def test_a_user_who_cannot_change_a_key_s_mode_gets_the_command_for_root(authori
     assert _refused(path, "rig").endswith(f": `chown root {name} && chmod 400 {name}`")
 
 
-def test_a_file_that_is_not_there_is_reported_with_what_makes_it(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported_with_the_command_that_creates_it(tmp_path: Path) -> None:
     assert (
         _refused(tmp_path / "a.pem", "rig") == "there is no such file; `armrig pki rig` writes one"
     )

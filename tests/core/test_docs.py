@@ -23,7 +23,7 @@ def test_no_page_has_a_placeholder() -> None:
 
 
 @pytest.mark.parametrize("package", FOLDERS)
-def test_the_architecture_has_a_line_for_each_room(package: str) -> None:
+def test_the_architecture_page_has_a_line_for_each_package(package: str) -> None:
     page = (ROOT / "ARCHITECTURE.md").read_text()
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
     contracts = settings["tool"]["importlinter"]["contracts"]
@@ -59,7 +59,7 @@ def test_each_page_that_a_page_links_to_exists() -> None:
         ("armrig_daemon", "Daemon: nothing touches the world but these edges"),
     ],
 )
-def test_a_new_module_is_pure_or_a_named_edge(package: str, contract: str) -> None:
+def test_a_module_is_pure_or_a_listed_edge(package: str, contract: str) -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
     (pure,) = (c for c in settings["contracts"] if c["name"] == contract)
 

@@ -37,7 +37,7 @@ def test_a_port_with_the_prefix_unix_is_a_socket() -> None:
         ("", r"unix:: the path has 0 B; .*; name a socket in your own folder"),
     ],
 )
-def test_a_path_that_no_socket_can_have_is_refused(path: str, complaint: str) -> None:
+def test_an_impossible_socket_path_is_refused(path: str, complaint: str) -> None:
     """The kernel counts bytes, not characters."""
     with pytest.raises(ValueError, match=complaint):
         socket_path(f"unix:{path}")

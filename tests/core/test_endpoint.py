@@ -51,7 +51,7 @@ def test_a_directory_that_others_can_write_to_is_refused(mode: int, uid: int, wr
         ({}, "/tmp/armrig-7"),
     ],
 )
-def test_the_sockets_of_a_service_a_login_and_a_script_are_apart(
+def test_a_service_a_login_and_a_script_have_separate_sockets(
     environ: dict[str, str], directory: str
 ) -> None:
     found = socket_directory(environ, uid=7, temporary="/tmp")
@@ -63,7 +63,7 @@ def test_the_sockets_of_a_service_a_login_and_a_script_are_apart(
     ("rig", "folder", "length"),
     [("1", "/" + "a" * 99, 107), ("12", "/" + "a" * 99, 108), ("1", "/" + "ä" * 50, 108)],
 )
-def test_an_endpoint_is_as_long_as_a_socket_s_path_may_be(
+def test_the_length_of_an_endpoint_is_limited_to_that_of_a_socket_path(
     rig: str, folder: str, length: int
 ) -> None:
     """The kernel counts bytes, and takes 107."""
@@ -92,7 +92,7 @@ def test_the_address_of_a_network_endpoint_is_read(
         assert check_listen(where) == where[:3]
 
 
-def test_paths_of_credentials_begin_at_the_folder_of_their_file(
+def test_paths_of_credentials_are_relative_to_the_folder_of_their_file(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("HOME", "/home/ada")

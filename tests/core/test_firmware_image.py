@@ -23,7 +23,7 @@ def _written(path: Path, *records: str) -> Path:
     return path
 
 
-def test_the_bytes_are_at_their_addresses_whatever_the_order(tmp_path: Path) -> None:
+def test_the_bytes_are_placed_by_address_in_any_order_of_records(tmp_path: Path) -> None:
     """A segment counts 16 bytes, a linear address counts 65536; a gap is erased flash."""
     path = _written(
         tmp_path / "a.hex",

@@ -53,7 +53,7 @@ def made(*arguments: str, path: str = os.environ["PATH"]) -> str:
         ),
     ],
 )
-def test_an_unsuitable_python_is_named_with_the_way_out(
+def test_an_unsuitable_python_is_reported_with_the_remedy(
     tmp_path: Path, text: str, reason: str
 ) -> None:
     python = program(tmp_path / "python", text)
@@ -124,7 +124,7 @@ KNOWN = {"name": "c", "version": "2", "vulns": [{"id": "CVE-1", "fix_versions": 
         ([KNOWN, CLEAN], 1, 1, "c 2: CVE-1, fixed in 3\n2 of 2 packages were audited\n"),
     ],
 )
-def test_an_audit_in_which_every_package_was_skipped_is_no_success(
+def test_an_audit_that_skipped_every_package_is_a_failure(
     packages: list[object], code: int, exits: int, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = json.dumps({"dependencies": packages})
@@ -134,6 +134,6 @@ def test_an_audit_in_which_every_package_was_skipped_is_no_success(
     assert capsys.readouterr().out == said
 
 
-def test_an_audit_that_fails_is_no_success() -> None:
+def test_a_failed_audit_is_a_failure() -> None:
     assert audit.main([sys.executable, "-c", "raise SystemExit(2)"]) == 2
     assert audit.main([sys.executable, "-c", ""]) == 1

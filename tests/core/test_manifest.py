@@ -40,7 +40,7 @@ MADE: dict[str, Any] = {
         ({"k_first": (1 << 62) - 3}, range((1 << 62) - 3, 1 << 62)),
     ],
 )
-def test_from_its_first_sample_on_a_file_lacks_what_is_due(
+def test_the_manifest_determines_which_samples_of_a_file_are_due(
     fields: dict[str, int], due: range
 ) -> None:
     assert Manifest(**MADE, **fields).due == due
@@ -74,7 +74,7 @@ def _nested(levels: int) -> Any:
         ({"details": _nested(32)}, "details is nested more than 32 levels deep"),
     ],
 )
-def test_whole_numbers_have_64_bit_and_values_at_most_32_levels(
+def test_integers_have_64_bit_and_values_at_most_32_levels(
     fields: dict[str, Any], says: str
 ) -> None:
     made = Manifest(**{**MADE, **fields})
@@ -93,6 +93,8 @@ def test_whole_numbers_have_64_bit_and_values_at_most_32_levels(
         ("", "", False),
     ],
 )
-def test_a_rig_is_emulated_by_its_device_or_its_port(uid: str, port: str, emulated: bool) -> None:
+def test_the_device_or_the_port_shows_that_a_rig_is_emulated(
+    uid: str, port: str, emulated: bool
+) -> None:
     """The simulated Uno draws an identity of its own, so the port decides."""
     assert is_emulated(uid=uid, port=port) is emulated

@@ -24,7 +24,7 @@ INFINITE = resource.RLIM_INFINITY
         (INFINITE, INFINITE, []),
     ],
 )
-def test_the_limit_is_raised_as_far_as_it_may_be_and_never_lowered(
+def test_the_limit_is_raised_to_its_maximum_and_never_lowered(
     soft: int, hard: int, set_to: list[tuple[int, int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = limit(monkeypatch, files=(soft, hard))
@@ -34,7 +34,7 @@ def test_the_limit_is_raised_as_far_as_it_may_be_and_never_lowered(
     assert given == set_to
 
 
-def test_the_open_files_are_counted_and_too_many_to_count_are_the_limit(
+def test_open_files_are_counted_up_to_the_limit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     before = open_files.count()
@@ -52,7 +52,7 @@ def test_the_open_files_are_counted_and_too_many_to_count_are_the_limit(
     assert open_files.count() == 77
 
 
-def test_a_full_table_is_reported_once_and_so_is_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_table_and_its_end_are_each_reported_once(monkeypatch: pytest.MonkeyPatch) -> None:
     limit(monkeypatch, files=(64, 64))
     found = iter([56, 57, 64, 56, 10])
     monkeypatch.setattr(open_files, "count", lambda: next(found))

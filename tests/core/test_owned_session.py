@@ -13,7 +13,7 @@ from armrig_core.owned_session import (
 )
 
 
-def test_a_stranger_s_handshake_over_tls_has_three_seconds() -> None:
+def test_an_unauthenticated_tls_handshake_is_limited_to_three_seconds() -> None:
     assert listening("tls/h:1") == {
         "listen": {"endpoints": ["tls/h:1#tls_handshake_timeout_ms=3000"]}
     }
@@ -56,5 +56,5 @@ def test_every_query_is_answered_in_a_queue_that_drops() -> None:
     ("text", "number"),
     [("in use (os error 98)", 98), ("(os error 13) at x", 13), ("error 5", None)],
 )
-def test_the_number_of_an_error_is_found_in_its_text(text: str, number: int | None) -> None:
+def test_the_number_of_an_error_is_read_from_its_text(text: str, number: int | None) -> None:
     assert os_error_number(RuntimeError(text)) == number

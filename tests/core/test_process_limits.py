@@ -41,7 +41,7 @@ def limit(
         (INFINITE, (10, 20), r"limited to 20, .* needs 32: .*`ulimit -n 32`"),
     ],
 )
-def test_a_program_with_too_low_a_limit_is_refused_with_the_way_out(
+def test_a_program_with_too_low_a_limit_is_refused_with_the_remedy(
     space: int, files: tuple[int, int], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limit(monkeypatch, space=space, files=files)
@@ -86,7 +86,7 @@ def _limited(ulimit: str, *arguments: str, folder: Path) -> tuple[int, list[str]
         ("armrig collect", ["armrig", "collect", "step"], 1, "-n 10"),
     ],
 )
-def test_a_program_that_would_fail_later_does_not_start(
+def test_a_limit_that_would_fail_later_is_refused_at_the_start(
     program: str, arguments: list[str], code: int, ulimit: str, tmp_path: Path
 ) -> None:
     done, lines = _limited(ulimit, *arguments, folder=tmp_path)
@@ -96,7 +96,7 @@ def test_a_program_that_would_fail_later_does_not_start(
 
 
 @pytest.mark.parametrize("ulimit", ["-v 100000", "-n 10"])
-def test_no_limit_refuses_a_stop(ulimit: str, tmp_path: Path) -> None:
+def test_a_stop_is_sent_at_any_limit(ulimit: str, tmp_path: Path) -> None:
     """The port does not exist, so both programs have tried to stop the motor."""
     code, lines = _limited(
         ulimit, "armrig_daemon", "estop", "--port", str(tmp_path / "none"), folder=tmp_path

@@ -19,7 +19,7 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_recordings_are_looked_for_as_configured_then_of_the_user_then_of_the_service(
+def test_the_configured_folder_precedes_those_of_user_and_service(
     service: Path, tmp_path: Path
 ) -> None:
     away = tmp_path / "away"

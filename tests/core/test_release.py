@@ -130,7 +130,7 @@ def test_a_folder_in_the_clone_of_another_project_is_refused(sources: Sources) -
 
 
 @pytest.mark.parametrize("name", ["CHANGELOG.md", "note.txt"])
-def test_a_file_that_is_not_committed_is_refused(sources: Sources, name: str) -> None:
+def test_an_uncommitted_file_is_refused(sources: Sources, name: str) -> None:
     """A file that only the user's own settings ignore counts: the source archive contains it."""
     sources.git("tag", "v1.2.0")
     (sources.folder / ".git" / "info" / "exclude").write_text("note.txt\n")
@@ -180,7 +180,7 @@ def test_a_changelog_or_a_citation_of_another_release_is_refused(
     assert sources.refusal() == f'{refusal}commit, and type "git tag --force v1.2.0"'
 
 
-def test_the_citation_is_that_of_the_newest_release() -> None:
+def test_the_citation_names_the_newest_release() -> None:
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     version, date = re.findall(r"^## (\S+) - (\S+)$", changelog, re.MULTILINE)[0]
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()

@@ -39,7 +39,7 @@ def test_a_key_of_sixteen_parts_is_read() -> None:
 
 
 @pytest.mark.parametrize("begin", ["", "a = 1\n", "a = {"])
-def test_a_key_of_seventeen_parts_is_refused_wherever_it_is(begin: str) -> None:
+def test_a_key_of_seventeen_parts_is_refused_at_any_place(begin: str) -> None:
     key = ".".join(f'"k {i}"' if i % 2 else f"k{i}" for i in range(17))
 
     with pytest.raises(FileError, match="nested too deeply: a key has at most 16 parts"):
@@ -55,7 +55,7 @@ def test_tables_of_sixty_four_levels_are_read() -> None:
         toml_tables(nested(65))
 
 
-def test_a_file_is_refused_with_the_reader_s_words(tmp_path: Path) -> None:
+def test_a_file_is_refused_with_the_message_of_the_reader(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text("a = ")
     with pytest.raises(FileError, match=r"not a TOML file: Invalid value \(at end of document\)"):

@@ -55,12 +55,14 @@ def test_a_wait_never_ends_before_its_deadline(waiter: Waiter) -> None:
         assert now_ns() >= due
 
 
-def test_a_deadline_that_has_passed_is_not_waited_for(waiter: Waiter) -> None:
+def test_a_wait_for_a_past_deadline_returns_at_once(waiter: Waiter) -> None:
     assert waiter.wait_until(now_ns() - LONG_NS) == []
     assert waiter.wait_until(-1) == []
 
 
-def test_the_same_deadline_can_be_waited_for_again(waiter: Waiter, pipe: tuple[int, int]) -> None:
+def test_a_wait_can_be_repeated_for_the_same_deadline(
+    waiter: Waiter, pipe: tuple[int, int]
+) -> None:
     reader, writer = pipe
     waiter.watch(reader)
     due = now_ns() + 20 * MS
@@ -115,7 +117,7 @@ def test_a_terminal_never_holds_more_than_one_read_takes(
         come += len(os.read(slave, TERMINAL_BYTES))
 
 
-def test_room_on_a_terminal_is_reported_if_it_is_wanted(
+def test_room_on_a_terminal_is_reported_on_request(
     waiter: Waiter, terminal: tuple[int, int]
 ) -> None:
     master, slave = terminal

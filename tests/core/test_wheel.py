@@ -61,7 +61,7 @@ def test_an_installed_armrig_finds_its_glossary_and_its_firmware(unpacked: Path)
     assert image == unpacked / IMAGE
 
 
-def test_nothing_of_the_harness_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
+def test_no_file_of_the_test_harness_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
     """The harness is GPL."""
     harness = {path.read_bytes() for path in (ROOT / "firmware_protocol" / "simavr").glob("*.[ch]")}
 

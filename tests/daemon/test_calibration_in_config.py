@@ -61,7 +61,7 @@ def test_environment_may_name_the_calibration(tmp_path: Path) -> None:
     assert found.alpha.zero_counts == 32768.0
 
 
-def test_a_value_over_a_calibration_is_not_a_measured_one(tmp_path: Path) -> None:
+def test_a_value_that_overrides_a_calibration_is_not_measured(tmp_path: Path) -> None:
     """Its sentence of origin is removed."""
     _calibration(tmp_path)
     below = _config(tmp_path, '[calibration]\nfile = "c.toml"')
@@ -136,5 +136,7 @@ def _attached(folder: Path, config: Config) -> bytes | None:
         ),
     ],
 )
-def test_where_a_calibration_comes_from_is_told(calibration: Calibration, sentence: str) -> None:
+def test_the_configuration_reports_the_origin_of_a_calibration(
+    calibration: Calibration, sentence: str
+) -> None:
     assert Config(calibration=calibration).calibration_sentence == sentence

@@ -86,7 +86,7 @@ def test_an_option_of_the_emulator_overrides_its_file(
     assert announced in given["started"]
 
 
-def test_the_options_override_the_file_that_is_named(
+def test_command_line_options_override_the_named_file(
     tmp_path: Path, stopped: list[tuple[str, int]]
 ) -> None:
     file = tmp_path / "a.toml"
@@ -158,7 +158,7 @@ def test_the_conformance_of_one_device_is_tested(options: list[str]) -> None:
     assert "give either --device DEVICE, or --firmware" in said
 
 
-def test_no_motor_is_driven_unless_a_person_says_that_it_is_unplugged() -> None:
+def test_conformance_needs_confirmation_that_the_motor_is_unplugged() -> None:
     code, said = _armrigd("conformance", "--device", "/dev/a")
 
     assert code == 1
@@ -207,7 +207,7 @@ def test_the_results_of_a_device_are_printed_and_decide_the_exit_code(
 
 
 @pytest.mark.parametrize("has_daemon", [True, False])
-def test_a_stall_of_the_emulator_is_told_to_its_daemon_or_to_its_user(
+def test_a_stall_of_the_emulator_is_reported_to_its_daemon_or_its_user(
     has_daemon: bool, emulated: list[Any]
 ) -> None:
     out, into = os.pipe()
@@ -222,9 +222,7 @@ def test_a_stall_of_the_emulator_is_told_to_its_daemon_or_to_its_user(
     os.close(out)
 
 
-def test_no_file_is_overwritten_by_the_socket(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_socket_overwrites_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "link").symlink_to("nowhere")
     with socket.socket(socket.AF_UNIX) as listening:

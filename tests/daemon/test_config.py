@@ -80,7 +80,9 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ("[calibration.theta_1]\nrad_per_count = 0.0", r"calibration\.theta_1: rad_per_count=0\.0"),
     ],
 )
-def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
+def test_a_forbidden_configuration_value_is_refused(
+    tmp_path: Path, text: str, complaint: str
+) -> None:
     with pytest.raises(InputError, match=complaint) as refusal:
         _load(tmp_path, text)
 
@@ -133,7 +135,7 @@ def test_a_mistyped_variable_is_refused(name: str, text: str, complaint: str) ->
     assert str(refusal.value).startswith("environment: ")
 
 
-def test_a_variable_that_a_page_names_and_that_is_no_key_stops_nothing() -> None:
+def test_a_documented_variable_that_is_not_a_key_is_ignored() -> None:
     """docs/firmware.md names ARMRIG_FIL, which may be set permanently."""
     named = {"ARMRIG_FIL": "/opt/fil", "ARMRIG_CLIENT_CONNECT": "tls/lab.example.edu:7447"}
 
@@ -147,7 +149,7 @@ def test_a_variable_that_is_given_twice_is_refused() -> None:
         load([], environ, {})
 
 
-def test_the_rig_that_runs_are_rehearsed_on_is_the_handout_s_but_for_what_is_given(
+def test_the_rehearsed_rig_has_the_handout_s_parameters_unless_configured(
     tmp_path: Path,
 ) -> None:
     config = _load(tmp_path, "[arm]\nJ_2 = 0.005\nremoved = true")
@@ -192,7 +194,9 @@ def test_each_key_of_the_core_s_rules_reaches_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("slew_v", "codes"), [(0.2, 2622), (1.0, 13108), (5.0, 65535)])
-def test_no_step_of_the_slew_is_too_steep_for_its_codes(slew_v: float, codes: int) -> None:
+def test_the_slew_limit_in_codes_allows_every_step_of_the_slew_voltage(
+    slew_v: float, codes: int
+) -> None:
     """The rounding of both ends may add one code."""
     rules = Config(limits=Limits(slew_v=slew_v)).rules()
 
@@ -234,7 +238,7 @@ def test_the_file_of_a_rig_has_precedence_over_that_of_all(machine: Path, tmp_pa
     assert (of_1.u_max_v, of_1.u_min_v, of_1.slew_v) == (4.5, 0.1, 3)
 
 
-def test_a_service_reads_the_machines_files_alone(machine: Path, tmp_path: Path) -> None:
+def test_a_service_reads_only_the_files_of_the_machine(machine: Path, tmp_path: Path) -> None:
     """A file that its own user can write must not widen its limits."""
     (machine / "1.toml").write_text("[limits]\nslew_v = 2")
     (tmp_path / "user" / "armrig").mkdir(parents=True)
@@ -249,7 +253,7 @@ def test_a_service_whose_rig_has_no_file_is_refused(machine: Path) -> None:
         load_installed({}, {"rig": {"id": "l"}}, system=True)
 
 
-def test_a_file_that_is_another_rigs_is_refused(machine: Path) -> None:
+def test_the_file_of_another_rig_is_refused(machine: Path) -> None:
     (machine / "2.toml").write_text("[rig]\nid = '1'")
 
     with pytest.raises(InputError, match=r"2\.toml: rig\.id = '1': the file belongs to rig '2'"):

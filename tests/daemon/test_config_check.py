@@ -27,7 +27,7 @@ def machine(machine: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return machine
 
 
-def test_a_file_that_the_daemon_takes_is_reported_in_one_line(tmp_path: Path) -> None:
+def test_a_valid_configuration_file_is_reported_in_one_line(tmp_path: Path) -> None:
     pki.make_authority(tmp_path)
     pki.issue_to_rig(tmp_path, "2", ["localhost"])
     pki.issue_to_person(tmp_path, "alice", "operators")
@@ -52,7 +52,7 @@ def test_a_file_that_the_daemon_takes_is_reported_in_one_line(tmp_path: Path) ->
         ('[calibration]\nfile = "none.toml"\n', "calibration.file = 'none.toml'"),
     ],
 )
-def test_a_file_that_the_daemon_refuses_is_refused_in_its_words(
+def test_the_check_refuses_a_file_with_the_message_of_the_daemon(
     tmp_path: Path, text: str, says: str
 ) -> None:
     file = tmp_path / "new.toml"
@@ -72,7 +72,9 @@ def test_a_file_that_the_daemon_refuses_is_refused_in_its_words(
         ('[access]\nnames = "access.toml"\n', "[access] names is given, but listen is not"),
     ],
 )
-def test_the_files_of_access_are_checked(tmp_path: Path, text: str, says: str) -> None:
+def test_the_check_includes_the_files_of_the_access_control(
+    tmp_path: Path, text: str, says: str
+) -> None:
     file = tmp_path / "new.toml"
     file.write_text(text)
 
@@ -82,7 +84,7 @@ def test_the_files_of_access_are_checked(tmp_path: Path, text: str, says: str) -
     assert says in said
 
 
-def test_a_rig_s_own_file_is_read_as_its_service_reads_it(machine: Path) -> None:
+def test_the_check_reads_the_file_of_a_rig_like_its_service(machine: Path) -> None:
     (machine / "armrig.toml").write_text("[limits]\nu_max_v = 4.5\n")
     (machine / "2.toml").write_text("[limits]\nu_min_v = 1\n")
     (machine / "3.toml").write_text('[rig]\nid = "2"\n')
@@ -95,7 +97,7 @@ def test_a_rig_s_own_file_is_read_as_its_service_reads_it(machine: Path) -> None
     assert (code, "the file belongs to rig '3'" in said) == (EX_CONFIG, True)
 
 
-def test_the_file_of_all_rigs_is_read_as_any_file(machine: Path) -> None:
+def test_the_check_reads_the_common_file_of_all_rigs_like_any_file(machine: Path) -> None:
     (machine / "armrig.toml").write_text("[limits]\nu_min_v = 0.5\nu_max_v = 4.5\n")
 
     code, said = _armrigd("config", "--check", machine / "armrig.toml")

@@ -45,7 +45,7 @@ def test_every_key_of_the_schema_is_documented_once() -> None:
     assert all(meaning and description for meaning, description in described)
 
 
-def test_the_example_as_it_is_changes_nothing(tmp_path: Path) -> None:
+def test_the_unedited_example_equals_the_default_configuration(tmp_path: Path) -> None:
     path = tmp_path / "armrig.toml"
     path.write_text(example(), encoding="utf-8")
 

@@ -45,7 +45,7 @@ def driven(bench: Bench) -> Bench:
 # -- the ordinary way ----------------------------------------------------------------------------
 
 
-def test_every_sample_of_a_run_has_its_own_u(bench: Bench) -> None:
+def test_every_sample_of_a_run_has_the_u_of_its_k(bench: Bench) -> None:
     """S5: u[k] at its k, k without a break, 0 V before and after."""
     volts = [0.5, 4.5, 1.0, 5.0, 0.0, 2.5] * 50
     bench.arm()
@@ -63,7 +63,7 @@ def test_every_sample_of_a_run_has_its_own_u(bench: Bench) -> None:
     assert bench.volts == 0.0
 
 
-def test_another_sampling_time_holds_for_one_owner(bench: Bench) -> None:
+def test_a_changed_sampling_time_ends_with_the_lease_of_its_owner(bench: Bench) -> None:
     """The owner's Ts from arming on, the configured Ts afterwards."""
     answer = bench.arm(ts_us=20_000)
     assert answer.body["Ts"] == 0.02
@@ -88,7 +88,7 @@ def test_another_sampling_time_holds_for_one_owner(bench: Bench) -> None:
     ("limits", "volts"),
     [(Limits(u_max_v=4.5), (1.0, 4.5, 4.6, 5.0)), (Limits(slew_v=1.0), (1.0, 2.0, 3.5))],
 )
-def test_a_value_that_is_not_allowed_is_never_sent(
+def test_a_forbidden_value_is_never_sent(
     limits: Limits, volts: tuple[float, ...], scheduled: bool
 ) -> None:
     """S1: the service checks the whole input; the core checks each code as it sends it."""
@@ -123,7 +123,7 @@ def test_disarm_during_a_start_stops_the_device(bench: Bench) -> None:
 # -- what goes wrong -----------------------------------------------------------------------------
 
 
-def test_answers_that_do_not_come_stop_the_motor(driven: Bench) -> None:
+def test_missing_answers_of_the_device_stop_the_motor(driven: Bench) -> None:
     """S4: one-way loss; the device still receives, and gets STOP within the age limit."""
     driven.ports.from_device = lambda _: b""
     for n in range(1, 4):
@@ -137,7 +137,7 @@ def test_answers_that_do_not_come_stop_the_motor(driven: Bench) -> None:
     assert "no answer" in driven.loop.state.reason
 
 
-def test_commands_that_do_not_arrive_stop_the_motor(driven: Bench) -> None:
+def test_lost_commands_stop_the_motor(driven: Bench) -> None:
     """S3: the device's own watchdog, 100 ms after the last frame that it took in."""
     driven.ports.to_device = lambda _: b""
 
@@ -148,7 +148,7 @@ def test_commands_that_do_not_arrive_stop_the_motor(driven: Bench) -> None:
     assert driven.volts == 0.0
 
 
-def test_a_link_that_comes_back_arms_nothing(driven: Bench) -> None:
+def test_a_restored_link_does_not_arm_the_rig(driven: Bench) -> None:
     """S6 and T1: sampling is back within 2 s, latched at 0 V until a reset and an arm."""
     driven.ports.send(driven.ports.now, LinkDown("unplugged"))
     driven.run_for(200)
@@ -169,7 +169,7 @@ def test_a_link_that_comes_back_arms_nothing(driven: Bench) -> None:
     assert not driven.arm().error
 
 
-def test_a_port_that_fails_under_a_trip_is_reported_last(driven: Bench) -> None:
+def test_a_port_failure_during_a_trip_is_in_the_last_state(driven: Bench) -> None:
     driven.ports.write = lambda _: LinkDown("gone")
     driven.lateness_ns = 60 * MS  # a pause: it trips, and the STOP is the first frame that fails
     driven.run_for(20)
@@ -180,7 +180,7 @@ def test_a_port_that_fails_under_a_trip_is_reported_last(driven: Bench) -> None:
     assert last.motor.startswith("not known")
 
 
-def test_a_configuration_that_was_altered_on_the_way_is_not_taken() -> None:
+def test_a_configuration_altered_during_transmission_is_rejected() -> None:
     rig = Bench.__new__(Bench)
     VirtualRig.__init__(rig, Config().rules(), EmulatorSettings(boot_ms=0.0))
     rig._number = 0
@@ -200,7 +200,7 @@ def test_a_configuration_that_was_altered_on_the_way_is_not_taken() -> None:
 
 
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_a_session_that_is_played_again_does_not_move_the_motor(
+def test_a_replayed_session_of_host_frames_does_not_move_the_motor(
     bench: Bench, scheduled: bool
 ) -> None:
     """S6: all frames of the host, byte for byte at their times, in the same boot."""
@@ -236,7 +236,7 @@ def test_a_session_that_is_played_again_does_not_move_the_motor(
     assert volts == {0.0}
 
 
-def test_a_shorter_sampling_time_does_not_look_like_a_pause() -> None:
+def test_a_shorter_sampling_time_is_not_mistaken_for_a_pause() -> None:
     bench = Bench(Config(timing=Timing(Ts=0.5)))
     between_ticks = bench.ports.now + 300 * MS
 
@@ -313,7 +313,7 @@ def test_the_loop_ends_when_the_device_is_seen_stopped(driven: Bench) -> None:
     assert driven.volts == 0.0
 
 
-def test_the_loop_ends_even_when_the_device_is_gone(driven: Bench) -> None:
+def test_the_loop_ends_after_the_loss_of_the_device_too(driven: Bench) -> None:
     began = driven.ports.now
     driven.ports.to_device = lambda _: b""
 
@@ -336,7 +336,7 @@ def test_a_limit_of_the_configuration_reaches_the_device() -> None:
 
 
 @pytest.mark.parametrize("ahead_ns", [1, 123_456, 3_000_001])
-def test_an_order_of_a_later_time_is_handed_on_at_that_time(bench: Bench, ahead_ns: int) -> None:
+def test_an_order_for_a_later_time_is_delivered_at_that_time(bench: Bench, ahead_ns: int) -> None:
     at_ns = bench.ports.now + ahead_ns
     bench.order(Alive(), at_ns)
     bench.order(Reset(order=1), at_ns)

@@ -105,7 +105,7 @@ def try_every(kind: str, way: int | str, *, scheduled: bool, stride: int = 1) ->
 
 @pytest.mark.parametrize(("kind", "way"), CASES)
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_whatever_call_of_the_loop_fails_the_motor_stops_in_time(
+def test_the_motor_stops_in_time_if_any_system_call_of_the_loop_fails(
     kind: str, way: int | str, *, scheduled: bool
 ) -> None:
     assert try_every(kind, way, scheduled=scheduled, stride=1 if kind == "orders" else STRIDE)
@@ -186,7 +186,7 @@ def try_every_disk_call(directory: Path) -> tuple[int, int]:
     return tried, told
 
 
-def test_whatever_call_of_the_recorder_fails_a_file_is_left_that_loads(tmp_path: Path) -> None:
+def test_the_file_loads_after_a_failure_of_any_system_call_of_the_recorder(tmp_path: Path) -> None:
     tried, told = try_every_disk_call(tmp_path)
 
     # The compact copy fails without a word: the first is complete.

@@ -67,7 +67,7 @@ def assert_aligned(bench: Bench, volts: list[float], missing: int = 0) -> None:
     ("ts_us", "baud"), [(10_000, 500_000), (1_000, 500_000), (500, 1_000_000), (250_000, 115_200)]
 )
 @pytest.mark.parametrize("queue", [512, 256])
-def test_every_u_is_at_its_k(ts_us: int, baud: int, queue: int) -> None:
+def test_every_u_is_applied_at_its_k(ts_us: int, baud: int, queue: int) -> None:
     """From 4 Hz to 2 kHz; an Uno's queue is enough."""
     bench = Bench(Config(device=Device(baud=baud)), queue=queue)
     volts = telegraph(20 if ts_us > 100_000 else 2000)
@@ -90,7 +90,7 @@ def _losing(share: float, length: int, seed: int = 3) -> Callable[[bytes], bytes
 
 
 @pytest.mark.parametrize("queue", [512, 256])
-def test_setpoints_that_are_lost_are_sent_again(queue: int) -> None:
+def test_lost_setpoints_are_sent_again(queue: int) -> None:
     """Three frames of ten are lost: go-back-N by `queued` fills the queue."""
     bench = Bench(queue=queue)
     bench.ports.to_device = _losing(0.3, SETPOINTS)
@@ -121,7 +121,7 @@ def test_a_stall_longer_than_the_watchdog_ends_at_0_v() -> None:
     assert gap.u_held_v == 0.0
 
 
-def test_answers_that_do_not_come_stop_a_scheduled_run() -> None:
+def test_missing_answers_of_the_device_stop_a_scheduled_run() -> None:
     """S4: one-way loss; the age limit is the watchdog's, and STOP goes out at once."""
     bench = Bench()
     play(bench, telegraph(1000))
@@ -135,7 +135,7 @@ def test_answers_that_do_not_come_stop_a_scheduled_run() -> None:
     assert "no answer" in bench.loop.state.reason
 
 
-def test_after_a_trip_no_setpoint_and_no_life_is_sent() -> None:
+def test_after_a_trip_no_setpoint_and_no_keepalive_is_sent() -> None:
     """S4, S6: STOP does not arrive, so the watchdog stops the motor."""
     bench = Bench()
     play(bench, telegraph(1000))
@@ -157,7 +157,7 @@ def test_after_a_trip_no_setpoint_and_no_life_is_sent() -> None:
 
 
 @pytest.mark.parametrize("ppm", [-100.0, 100.0])
-def test_a_device_clock_that_drifts_keeps_its_own_time(ppm: float) -> None:
+def test_a_scheduled_run_keeps_the_period_of_a_drifting_device_clock(ppm: float) -> None:
     bench = Bench(clock_ppm=ppm)
     volts = telegraph(2000)
 
@@ -171,7 +171,9 @@ def test_a_device_clock_that_drifts_keeps_its_own_time(ppm: float) -> None:
 
 @pytest.mark.parametrize("ppm", [-100.0, 100.0])
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_the_drift_of_the_device_is_found_and_reported(ppm: float, scheduled: bool) -> None:
+def test_the_drift_of_the_device_clock_is_estimated_and_reported(
+    ppm: float, scheduled: bool
+) -> None:
     """Within three of its own standard deviations."""
     bench = Bench(clock_ppm=ppm)
     volts = telegraph(1500)
@@ -201,7 +203,7 @@ def test_the_lateness_of_a_scheduled_sample_does_not_grow_with_the_drift() -> No
     assert max(late_ns) - min(late_ns) < 1 * MS  # a PONG of 0.5 ms may be in the way
 
 
-def test_the_state_reports_the_period_of_the_samples_that_come() -> None:
+def test_the_state_reports_the_period_of_the_following_samples() -> None:
     bench = Bench(Config(timing=Timing(Ts=0.02)))
     assert not bench.arm(5_000).error
     order = pipe.Run(

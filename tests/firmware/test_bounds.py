@@ -27,7 +27,9 @@ pytestmark = needs("cc", "make")
         ({"oversampling": 0, "ts_us": 2**32 - 1}, Code.BAD_VALUE),
     ],
 )
-def test_a_configuration_at_its_bounds(fields: dict[str, int], code: int) -> None:
+def test_a_configuration_is_accepted_exactly_up_to_its_bounds(
+    fields: dict[str, int], code: int
+) -> None:
     """One code is a range, too; the shortest Ts grows with the oversampling."""
     both = BothDevices(INSTANT)
     both.wait(1 * MS)

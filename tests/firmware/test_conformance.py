@@ -20,7 +20,9 @@ pytestmark = needs("cc", "make")
     [(True, {"queue": 256}), (False, {"baud": 1_000_000})],
     ids=str,
 )
-def test_the_c_core_does_what_the_protocol_says(settings: dict[str, int], resets: bool) -> None:
+def test_the_c_core_passes_all_rules_of_the_protocol(
+    settings: dict[str, int], resets: bool
+) -> None:
     emulated = EmulatorSettings(boot_ms=5.0, **AT_A_RAIL, **settings)
     device = CoreDevice(emulated, 0)
 

@@ -280,7 +280,7 @@ def flipped(wire: bytes, at: int) -> bytes:
     return bytes(spoilt)
 
 
-def test_both_devices_answer_every_byte_alike() -> None:
+def test_the_c_and_python_devices_answer_every_byte_identically() -> None:
     """In both modes, with all guards; at the same nanosecond."""
     run_state_machine_as_test(
         SameAnswers,

@@ -42,7 +42,7 @@ HALF = 32768
 
 
 @pytest.mark.parametrize("watchdog_ms", [20, 100, 250])
-def test_silence_is_0_v_within_the_watchdog_and_a_millisecond(watchdog_ms: int) -> None:
+def test_a_silent_host_stops_the_motor_within_the_watchdog_and_1_ms(watchdog_ms: int) -> None:
     """S3: nothing more comes, as after a kill -9 of the daemon."""
     with powered() as host:
         host.start(watchdog_ms=watchdog_ms)
@@ -71,7 +71,7 @@ def test_a_stop_acts_within_a_millisecond_of_its_last_byte(kind: type) -> None:
 
 
 @pytest.mark.parametrize("boot_loader", [False, True])
-def test_a_reset_in_run_is_0_v_at_once(boot_loader: bool) -> None:
+def test_a_reset_in_run_stops_the_motor_at_once(boot_loader: bool) -> None:
     """S1: as the port is opened; a boot loader is deaf for a second, and hides the cause."""
     with powered(boot_loader=boot_loader) as host:
         host.start()
@@ -99,7 +99,7 @@ def test_a_reset_in_run_is_0_v_at_once(boot_loader: bool) -> None:
 @pytest.mark.parametrize(
     ("version", "told"), [(0x0803, 10), (0x0406, 10), (0x0404, 0), (0xFFFF, 0)], ids=hex
 )
-def test_the_cause_of_a_reset_is_what_optiboot_hands_on(version: int, told: int) -> None:
+def test_the_cause_of_a_reset_is_read_from_optiboot(version: int, told: int) -> None:
     """In r2, from 4.6 on; r2 of an older loader is undefined."""
     with powered(boot_loader=True) as host:
         host.uno.harness.optiboot(version, 10)
@@ -130,7 +130,7 @@ def test_the_first_period_after_0_v_has_the_new_duty(between: str) -> None:
         assert_low_outside_run(host)
 
 
-def test_a_slow_eeprom_is_no_reason_to_be_reset() -> None:
+def test_a_slow_eeprom_does_not_cause_a_reset() -> None:
     """On a first boot 32 bytes are written, which takes longer than the hardware's watchdog."""
     uno = switch_on(EmulatorSettings(), 0)
     try:
@@ -144,7 +144,7 @@ def test_a_slow_eeprom_is_no_reason_to_be_reset() -> None:
         uno.close()
 
 
-def test_zero_is_the_pin_disconnected_and_not_a_spike() -> None:
+def test_a_duty_of_0_disconnects_the_pin_without_a_spike() -> None:
     """A duty of 0 in RUN: no edge in 100 periods."""
     with powered() as host:
         host.start()
@@ -158,7 +158,7 @@ def test_zero_is_the_pin_disconnected_and_not_a_spike() -> None:
         assert host.last(Sample).u_k == 0
 
 
-def test_theta_1_is_held_where_hello_says() -> None:
+def test_theta_1_is_held_at_the_time_that_hello_declares() -> None:
     """`hold_us` after `t_us`, alpha `skew_us` before it, by the cycles of the board."""
     with powered() as host:
         hello = host.hello()
@@ -180,7 +180,7 @@ def test_theta_1_is_held_where_hello_says() -> None:
         assert max(begins) - min(begins) <= 1000
 
 
-def test_oversampling_is_the_mean_of_conversions_one_skew_apart() -> None:
+def test_an_oversampled_reading_is_the_mean_of_conversions_one_skew_apart() -> None:
     """Sixteen of each channel, alternating."""
     with powered() as host:
         host.arm(ts_us=10_000, oversampling=16)
@@ -205,7 +205,7 @@ def test_oversampling_is_the_mean_of_conversions_one_skew_apart() -> None:
 
 
 @pytest.mark.parametrize("ts_us", [1000, 2000])
-def test_a_reading_is_of_its_own_channel_while_the_supply_is_measured(ts_us: int) -> None:
+def test_a_supply_measurement_does_not_change_the_channel_of_a_reading(ts_us: int) -> None:
     with powered() as host:
         host.arm(mode=1, ts_us=ts_us, watchdog_ms=250)
         host.uno.stuck = lambda _, channel: 300 + 400 * channel
@@ -223,7 +223,7 @@ def test_a_reading_is_of_its_own_channel_while_the_supply_is_measured(ts_us: int
         assert host.last(Status).vcc_mv == pytest.approx(4600, abs=25)
 
 
-def test_a_low_supply_is_a_fault() -> None:
+def test_a_low_supply_causes_a_fault() -> None:
     """By the bandgap: 3.9 V."""
     with powered() as host:
         host.start()
@@ -237,7 +237,7 @@ def test_a_low_supply_is_a_fault() -> None:
         assert_low_outside_run(host)
 
 
-def test_boots_are_counted_in_a_ring_and_no_two_are_the_same() -> None:
+def test_boots_are_counted_in_a_ring_and_have_unique_numbers() -> None:
     """Places 0 to 59 of 64 hold the counts 1 to 60: ten boots go on at place 60, and then at 0."""
     with powered() as host:
         boots = [n.to_bytes(4, "little") for n in range(1, 61)]
@@ -258,7 +258,7 @@ def test_boots_are_counted_in_a_ring_and_no_two_are_the_same() -> None:
         assert counts == [*range(65, 71), *range(7, 65)]
 
 
-def test_a_count_that_power_failure_has_torn_is_counted_again() -> None:
+def test_a_count_torn_by_a_power_failure_is_not_reused() -> None:
     with powered() as host:
         for _ in range(3):
             host.uno.reset(host.now)
@@ -284,7 +284,7 @@ def _check(data: bytes) -> bytes:
     return (zlib.crc32(data) ^ 0xFFFFFFFF).to_bytes(4, "little")
 
 
-def test_a_stopped_converter_is_0_v_by_the_hardware_s_watchdog() -> None:
+def test_the_hardware_watchdog_stops_the_motor_if_the_converter_stops() -> None:
     """S1: while the host feeds the device's own watchdog."""
     with powered() as host:
         host.start(mode=1, watchdog_ms=250, underrun=1, hold=255)

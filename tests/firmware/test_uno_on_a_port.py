@@ -41,7 +41,9 @@ def port(tmp_path: Path) -> Iterator[Path]:
 
 
 @needs("cc", "make", "simavr", "avr-gcc")
-def test_a_pin_that_is_high_at_reset_is_a_line_and_an_exit_code(tmp_path: Path) -> None:
+def test_a_pin_that_is_high_at_reset_is_reported_in_a_line_and_the_exit_code(
+    tmp_path: Path,
+) -> None:
     low = "    PORTB = 0;\n    DDRB = PWM_PIN;\n"
     image = broken(tmp_path, "boards/uno/motor.c", low, low.replace("0", "PWM_PIN"))
     environ = os.environ | {"ARMRIG_FIL": str(harness())}
@@ -58,7 +60,7 @@ def test_a_pin_that_is_high_at_reset_is_a_line_and_an_exit_code(tmp_path: Path) 
 
 
 @needs_simavr
-def test_a_host_that_opens_the_port_meets_the_firmware(port: Path) -> None:
+def test_a_host_that_opens_the_port_receives_the_hello_of_the_firmware(port: Path) -> None:
     with closing(SerialLine(str(port), 500_000)) as line:
         reply = Host(line).hello(30_000)
 
@@ -70,7 +72,7 @@ def test_a_host_that_opens_the_port_meets_the_firmware(port: Path) -> None:
 @pytest.mark.exhaustive
 @pytest.mark.real_time
 @needs_simavr
-def test_conformance_of_the_uno_in_real_time(port: Path) -> None:
+def test_the_uno_passes_conformance_in_real_time(port: Path) -> None:
     arguments = ["conformance", "--device", str(port), "--motor-unplugged", "--json"]
 
     ended = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)
@@ -82,7 +84,7 @@ def test_conformance_of_the_uno_in_real_time(port: Path) -> None:
     assert told["device"]["firmware"] != "0"
 
 
-def test_without_the_harness_it_ends_with_one_line(tmp_path: Path) -> None:
+def test_a_missing_harness_is_reported_in_one_line(tmp_path: Path) -> None:
     environ = os.environ | {"ARMRIG_FIL": str(tmp_path / "none")}
 
     ended = subprocess.run(

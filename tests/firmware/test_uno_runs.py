@@ -136,7 +136,9 @@ def index_of_hold(bench: UnoBench, sample: Sample) -> int:
 
 
 @pytest.mark.parametrize(("ts_us", "seconds"), sampled([(2000, 3), (2000, 10), (1000, 10)]))
-def test_every_u_is_at_its_k_and_on_the_pin(bench: UnoBench, ts_us: int, seconds: int) -> None:
+def test_every_u_is_applied_at_its_k_and_at_the_pin(
+    bench: UnoBench, ts_us: int, seconds: int
+) -> None:
     """At 1 kHz and at 500 Hz, with PING and STATUS: no byte is lost."""
     volts = telegraph(seconds * 1_000_000 // ts_us)
 
@@ -150,7 +152,7 @@ def test_every_u_is_at_its_k_and_on_the_pin(bench: UnoBench, ts_us: int, seconds
     assert figures.interrupts_off_max <= 16 * 16  # 16 us
 
 
-def test_exchange_mode_on_the_pin(bench: UnoBench) -> None:
+def test_every_u_of_exchange_mode_is_applied_at_the_pin(bench: UnoBench) -> None:
     """Exchange mode at 200 Hz."""
     volts = telegraph(1000)
 

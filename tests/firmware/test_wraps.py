@@ -45,7 +45,7 @@ def in_run(*, after_ns: int = 1 * MS, **config: int) -> BothDevices:
     return both
 
 
-def test_k_of_exchange_wraps() -> None:
+def test_the_k_of_an_exchange_wraps() -> None:
     """Half a circle ahead is not ahead."""
     both = in_run()
     half = 1 << 31
@@ -87,7 +87,7 @@ def test_the_device_clock_wraps(mode: Mode, ahead_us: int) -> None:
     assert max(times) - min(times) > 1 << 31
 
 
-def test_a_run_longer_than_32_bits_of_its_index() -> None:
+def test_a_run_may_be_longer_than_32_bits_of_its_index() -> None:
     """The queue continues across 2^32; the second index 0 is not the first sample."""
     both = in_run(after_ns=300 * US, mode=Mode.SCHEDULED, slew=2000, watchdog_ms=250)
     last = 2**32 - 4  # as after 49.7 days

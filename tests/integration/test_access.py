@@ -93,7 +93,7 @@ def test_a_local_user_stops_the_rig_without_any_certificate(lab: Laboratory) -> 
             rig.set(1.0)
 
 
-def test_an_observer_watches_and_does_nothing(lab: Laboratory) -> None:
+def test_an_observer_can_watch_and_cannot_command(lab: Laboratory) -> None:
     with lab.rig("bob") as rig:
         assert next(samples(rig)).u_applied_v == 0.0
         assert settled(rig) == "safe"
@@ -103,7 +103,7 @@ def test_an_observer_watches_and_does_nothing(lab: Laboratory) -> None:
 
 
 @pytest.mark.parametrize("who", ["eve", "wrong"])
-def test_a_client_on_no_list_gets_no_answer(lab: Laboratory, who: str) -> None:
+def test_a_client_on_no_access_list_gets_no_answer(lab: Laboratory, who: str) -> None:
     with lab.rig(who) as rig:
         with pytest.raises(NoReplyError, match="not permitted"):
             rig.status()
@@ -111,7 +111,7 @@ def test_a_client_on_no_list_gets_no_answer(lab: Laboratory, who: str) -> None:
             next(rig.stream())
 
 
-def test_a_run_that_is_too_long_for_a_network_is_refused_by_the_client(lab: Laboratory) -> None:
+def test_a_run_too_long_for_the_network_is_refused_by_the_client(lab: Laboratory) -> None:
     """The daemon would drop it, because it keeps no message of that size."""
     with lab.rig("alice") as rig:
         rig.arm("a test")
@@ -167,7 +167,7 @@ def test_a_daemon_that_cannot_listen_does_not_start(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("level", ["socket", "certificate", "password"])
-def test_a_daemon_listens_only_where_it_is_configured(bench: Bench, level: str) -> None:
+def test_a_daemon_listens_only_at_configured_endpoints(bench: Bench, level: str) -> None:
     """A1: nothing, or one port of TCP; no multicast, no gossip, no second port."""
     made = certificates(bench.folder)
     port = free_port()

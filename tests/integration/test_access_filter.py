@@ -69,7 +69,9 @@ def _held(line: Namespaces) -> Iterator[int]:
         holder.communicate("\n")
 
 
-def test_the_packet_filter_limits_a_stranger_s_connections(line: Namespaces, bench: Bench) -> None:
+def test_the_packet_filter_limits_the_connections_of_an_unknown_host(
+    line: Namespaces, bench: Bench
+) -> None:
     made = certificates(bench.folder)
     where = by_certificate(bench, made, f"tls/{namespaces.ADDRESSES['rig']}:{PORT}")
     bench.emulate()

@@ -119,7 +119,9 @@ def _worked(counts: dict[str, int]) -> dict[str, int]:
 
 
 @pytest.mark.parametrize(("way", "who"), STRANGERS)
-def test_a_client_without_permission_hears_and_does_nothing(tried: Try, way: str, who: str) -> None:
+def test_a_client_without_permission_receives_and_changes_nothing(
+    tried: Try, way: str, who: str
+) -> None:
     found = tried(way, True).by[who]
 
     assert found["links"] == (0 if who in NOT_LET_IN else TIMES[way])
@@ -129,7 +131,9 @@ def test_a_client_without_permission_hears_and_does_nothing(tried: Try, way: str
 
 @pytest.mark.parametrize("way", WHO)
 @pytest.mark.parametrize("who", PERMITTED)
-def test_a_client_on_the_list_does_what_the_list_says(tried: Try, way: str, who: str) -> None:
+def test_a_client_has_exactly_the_permissions_of_the_access_list(
+    tried: Try, way: str, who: str
+) -> None:
     found, times = tried(way, True).by[who], TIMES[way]
     heard, alive = _worked(found["subscribe"]), _worked(found["liveliness"])
     wild = {"rig/1/*", "rig/*/sample"} if way == "router" else {"rig/1/*"}
@@ -147,7 +151,7 @@ def test_a_client_on_the_list_does_what_the_list_says(tried: Try, way: str, who:
 
 
 @pytest.mark.parametrize("way", WHO)
-def test_nothing_forged_reaches_a_listener(tried: Try, way: str) -> None:
+def test_no_forged_message_reaches_a_listener(tried: Try, way: str) -> None:
     """No sample, no token, no reply."""
     watcher = tried(way, True).watcher
 
@@ -156,7 +160,7 @@ def test_nothing_forged_reaches_a_listener(tried: Try, way: str) -> None:
 
 
 @pytest.mark.parametrize("way", WHO)
-def test_the_daemon_takes_only_an_operator_s_commands(tried: Try, way: str) -> None:
+def test_the_daemon_accepts_commands_only_from_an_operator(tried: Try, way: str) -> None:
     log = tried(way, True).log
     taken = [line.split(": by ")[1] for line in log.splitlines() if ": by " in line]
 
@@ -165,7 +169,9 @@ def test_the_daemon_takes_only_an_operator_s_commands(tried: Try, way: str) -> N
 
 
 @pytest.mark.parametrize(("way", "who"), EVERYBODY)
-def test_without_the_guard_everybody_does_everything(tried: Try, way: str, who: str) -> None:
+def test_any_client_has_every_permission_without_access_control(
+    tried: Try, way: str, who: str
+) -> None:
     """The control: the same attempts, and all of them succeed."""
     unguarded, times = tried(way, False), TIMES[way]
     found, forged = unguarded.by[who], _worked(unguarded.watcher["forged"])
@@ -181,12 +187,12 @@ def test_without_the_guard_everybody_does_everything(tried: Try, way: str, who: 
     assert forged[f"TOKEN {FORGED}"] > 0
 
 
-def test_without_the_guard_replies_are_forged(tried: Try) -> None:
+def test_replies_can_be_forged_without_access_control(tried: Try) -> None:
     """The control of the watcher."""
     assert any(_worked(found["overhear"]) for found in tried("daemon", False).by.values())
 
 
-def test_every_key_of_the_rig_was_tried() -> None:
+def test_the_matrix_covers_every_key_of_the_rig() -> None:
     keys = every_key("bob")
 
     assert len(keys) == len(set(keys))

@@ -12,7 +12,7 @@ from armrig_core.rehearsal import rehearse
 from tests.integration.processes import Bench
 
 
-def test_a_run_that_would_leave_a_limit_never_begins(bench: Bench) -> None:
+def test_a_run_predicted_to_exceed_a_limit_is_refused(bench: Bench) -> None:
     bench.configure(more="adc_noise_v = 0.0\n[limits]\nrevolutions = 1.5")
     bench.emulate()
     bench.serve()

@@ -24,7 +24,7 @@ THERE = "unixsock-stream//run/armrig/1.sock"
 
 
 @pytest.mark.exhaustive
-def test_the_commands_of_a_student_are_taken(served: Bench) -> None:
+def test_the_commands_of_the_page_for_students_are_valid(served: Bench) -> None:
     lines = [line for line in LINES if line.startswith("armrig ") and THERE in line]
 
     done = {}
@@ -48,7 +48,7 @@ def test_the_group_may_open_the_socket_and_read_recordings(served: Bench) -> Non
     assert oct(recording.stat().st_mode & 0o777) == "0o640"
 
 
-def test_a_held_rig_is_refused_with_its_holder(served: Bench) -> None:
+def test_a_held_rig_is_refused_with_the_name_of_its_holder(served: Bench) -> None:
     with served.rig() as holder, Rig("1", connect=served.endpoint) as other:
         holder.arm("group 3")
         with pytest.raises(RefusedError) as refused:
@@ -70,7 +70,7 @@ def test_a_second_daemon_of_the_same_rig_is_refused(served: Bench) -> None:
     assert served.settled() == "safe"
 
 
-def test_the_configuration_of_the_page_is_taken(tmp_path: Path) -> None:
+def test_the_configuration_of_the_page_is_valid(tmp_path: Path) -> None:
     (text,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
     path = tmp_path / "armrig.toml"
     path.write_text(text)
@@ -80,7 +80,7 @@ def test_the_configuration_of_the_page_is_taken(tmp_path: Path) -> None:
     assert (limits.u_max_v, limits.revolutions, limits.alpha_rad) == (4.5, 40.0, 0.8)
 
 
-def test_a_group_s_own_emulated_rig_is_what_the_page_says() -> None:
+def test_the_page_configures_the_emulated_rig_of_a_group() -> None:
     (line,) = [line for line in LINES if line.startswith("ARMRIG_")]
     environ = dict(word.split("=", 1) for word in shlex.split(line) if word.startswith("ARMRIG_"))
 

@@ -28,7 +28,7 @@ def _started(bench: Bench, *more: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.exhaustive
-def test_a_device_at_a_port_is_proved_though_the_host_stalls(bench: Bench) -> None:
+def test_a_device_at_a_port_passes_conformance_on_a_stalling_host(bench: Bench) -> None:
     """All rules in real time, with 300 ms of SIGSTOP now and then."""
     asks = _started(bench, "--json")
     for _ in range(4):
@@ -49,7 +49,9 @@ def test_a_device_at_a_port_is_proved_though_the_host_stalls(bench: Bench) -> No
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM]))
-def test_an_interruption_leaves_the_device_at_0_v(bench: Bench, number: signal.Signals) -> None:
+def test_an_interrupted_conformance_test_stops_the_device(
+    bench: Bench, number: signal.Signals
+) -> None:
     """Exit code 130, and one line; not by the watchdog, but by STOP."""
     asks = _started(bench)
     assert asks.stdout is not None

@@ -51,7 +51,7 @@ def test_the_stream_has_each_sample_once_in_order(page: Client) -> None:
     assert {row[1] for row in live[-50:]} == {0.0}
 
 
-def test_a_new_viewer_receives_the_past_first(page: Client, served: Bench) -> None:
+def test_a_new_viewer_receives_the_history_first(page: Client, served: Bench) -> None:
     began = page.wait("live", lambda seen: seen["rows"])["rows"][-1][0]
     with watched(served) as anew:
         anew.wait("live", lambda seen: not seen["is_stale"])
@@ -65,7 +65,7 @@ def test_a_new_viewer_receives_the_past_first(page: Client, served: Bench) -> No
     assert seen[0][0] < began < seen[-1][0]
 
 
-def test_an_experiment_runs_and_is_recorded(page: Client, served: Bench) -> None:
+def test_an_experiment_of_the_page_is_recorded(page: Client, served: Bench) -> None:
     before = len(served.voltage_changes())
     short = STEP | {"seconds": 1.0, "name": "page"}
     begin(page, served, short)
@@ -84,7 +84,7 @@ def test_an_experiment_runs_and_is_recorded(page: Client, served: Bench) -> None
     )
 
 
-def test_a_stop_of_the_page_ends_its_own_run(page: Client, served: Bench) -> None:
+def test_the_stop_button_ends_a_run_of_the_page(page: Client, served: Bench) -> None:
     begin(page, served)
     assert page.ask("/api/stop", {"owner": "somebody"}) == (200, {"stopped": True})
 
@@ -93,14 +93,14 @@ def test_a_stop_of_the_page_ends_its_own_run(page: Client, served: Bench) -> Non
     assert "stopped by somebody" in page.first("run")["error"]
 
 
-def test_a_stop_of_the_page_ends_the_run_of_another_client(page: Client, served: Bench) -> None:
+def test_the_stop_button_ends_the_run_of_another_client(page: Client, served: Bench) -> None:
     with served.rig() as other:
         hold(other, served, 1.0, "somebody else")
         assert page.ask("/api/stop", {})[0] == 200
         wait_for(lambda: served.volts() == 0.0)
 
 
-def test_arm_and_release(page: Client, served: Bench) -> None:
+def test_the_page_arms_and_releases_the_rig(page: Client, served: Bench) -> None:
     assert page.ask("/api/arm", {"owner": "me"}) == (200, {"armed": True})
     page.wait("status", lambda seen: seen["owner"] == "me")
     assert page.ask("/api/release", {}) == (200, {"released": True})
@@ -126,7 +126,7 @@ COMMANDS = ("arm", "release", "reset", "preview", "run", "stop", "recordings", "
     [{"Host": "evil.example:8807"}, {"Origin": "https://evil.example"}, {"Authorization": None}],
     ids=str,
 )
-def test_a_stranger_commands_nothing(
+def test_an_unauthorised_request_is_refused(
     page: Client, served: Bench, headers: dict[str, str | None]
 ) -> None:
     refused = [page.ask(f"/api/{name}", {"owner": "evil"}, **headers) for name in COMMANDS]
@@ -158,7 +158,7 @@ def test_a_thousand_connections_prevent_no_stop(page: Client, served: Bench) -> 
     ],
     ids=["a body that does not come", "answers that are not read", "a body, with the token"],
 )
-def test_requests_that_do_not_end_prevent_no_stop(page: Client, served: Bench, asked: str) -> None:
+def test_unfinished_requests_prevent_no_stop(page: Client, served: Bench, asked: str) -> None:
     begin(page, served)
     with ExitStack() as links:
         for _ in range(MOST + 10):
@@ -184,7 +184,7 @@ def _is_open(link: socket.socket) -> bool:
         return False
 
 
-def test_the_end_of_a_dashboard_waits_for_no_viewer(served: Bench) -> None:
+def test_a_dashboard_ends_without_waiting_for_its_viewers(served: Bench) -> None:
     with socket.socket() as link:
         with watched(served) as page:
             begin(page, served)
@@ -200,7 +200,7 @@ def test_the_end_of_a_dashboard_waits_for_no_viewer(served: Bench) -> None:
                 pass
 
 
-def test_a_recording_is_shown_and_sent_as_it_was_made(page: Client, served: Bench) -> None:
+def test_the_page_shows_and_sends_a_recording_unchanged(page: Client, served: Bench) -> None:
     file = recorded(page, STEP | {"seconds": 2.0})
 
     _, listed = page.ask("/api/recordings", {})

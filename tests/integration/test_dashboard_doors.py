@@ -37,7 +37,7 @@ def doors(served: Bench) -> Iterator[tuple[Client, Client]]:
         yield own, visitor
 
 
-def test_a_visitor_watches_and_stops(doors: tuple[Client, Client], served: Bench) -> None:
+def test_a_visitor_can_watch_and_stop(doors: tuple[Client, Client], served: Bench) -> None:
     _, visitor = doors
     assert visitor.first("hello")["may_command"] is False
     assert not visitor.first("live")["is_stale"]
@@ -47,7 +47,7 @@ def test_a_visitor_watches_and_stops(doors: tuple[Client, Client], served: Bench
         wait_for(lambda: served.volts() == 0.0)
 
 
-def test_a_visitor_commands_nothing_else(doors: tuple[Client, Client], served: Bench) -> None:
+def test_a_visitor_has_no_command_except_stop(doors: tuple[Client, Client], served: Bench) -> None:
     own, visitor = doors
     rest = ("note", "preview", "recordings", "mcap", "identify")
     for command in ("arm", "release", "reset", "run", *rest):
@@ -58,7 +58,7 @@ def test_a_visitor_commands_nothing_else(doors: tuple[Client, Client], served: B
     assert served.settled() == "safe"
 
 
-def test_without_tls_there_is_no_door(doors: tuple[Client, Client]) -> None:
+def test_a_visitor_s_port_refuses_requests_without_tls(doors: tuple[Client, Client]) -> None:
     _, visitor = doors
     plain = Client(visitor.url.replace("https:", "http:"))
     with pytest.raises(OSError):  # noqa: PT011  # reset, or closed
@@ -91,7 +91,7 @@ def _heard(link: Any, most: int) -> tuple[dict[str, Any], list[dict[str, Any]], 
     return greeting, channels, payloads
 
 
-def test_foxglove_hears_what_its_layout_shows_and_commands_nothing(served: Bench) -> None:
+def test_foxglove_receives_the_signals_of_its_layout_and_cannot_command(served: Bench) -> None:
     pytest.importorskip("foxglove", reason="no foxglove-sdk")
     sync_client = pytest.importorskip("websockets.sync.client", reason="no websockets")
     from armrig.dashboard.foxglove import foxglove
@@ -124,7 +124,7 @@ def test_foxglove_hears_what_its_layout_shows_and_commands_nothing(served: Bench
     assert served.voltage_changes() == before
 
 
-def test_the_page_s_program_sends_what_plotjuggler_s_layout_draws(served: Bench) -> None:
+def test_the_program_of_the_page_sends_the_signals_of_plotjuggler_s_layout(served: Bench) -> None:
     """PlotJuggler joins the keys of nested JSON by slashes; a NaN would end its server."""
     page = Path(__file__).parents[2] / "docs" / "dashboard.md"
     (program,) = re.findall(r"```python\n(# plot\.py.*?)```", page.read_text("utf-8"), re.DOTALL)

@@ -129,7 +129,9 @@ def text(page: Any, selector: str) -> str:
 
 
 @pytest.mark.exhaustive
-def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, served: Bench) -> None:
+def test_the_page_previews_an_experiment_before_it_runs(
+    browser: Any, client: Client, served: Bench
+) -> None:
     with opened(browser, client.url) as page:
         show_step(page, "2")
         assert "the chassis turns" in text(page, "#preview-lines")
@@ -143,7 +145,7 @@ def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, serv
         assert not page.is_enabled("#run")
 
 
-def test_run_is_beside_preview_and_a_run_is_in_view(
+def test_the_run_button_is_next_to_preview_and_a_run_stays_in_view(
     browser: Any, client: Client, served: Bench
 ) -> None:
     with opened(browser, client.url, {"width": 1024, "height": 700}) as page:
@@ -202,7 +204,7 @@ def test_each_button_is_large_enough_for_a_finger(browser: Any, client: Client) 
 
 
 @pytest.mark.exhaustive
-def test_a_projector_shows_plots_phase_and_stop_alone(browser: Any, client: Client) -> None:
+def test_a_projector_shows_only_plots_phase_and_stop_button(browser: Any, client: Client) -> None:
     with opened(browser, client.url, WIDE) as page:
         page.click("#projector")
         size = "(id) => parseFloat(getComputedStyle(document.getElementById(id)).fontSize)"
@@ -249,7 +251,7 @@ def test_a_stop_is_sent_though_tabs_use_all_connections(
         assert served.volts() == 0.0
 
 
-def test_a_stop_withdraws_a_run_that_is_not_sent_yet(
+def test_a_stop_withdraws_a_run_that_has_not_been_sent(
     browser: Any, client: Client, served: Bench
 ) -> None:
     with opened(browser, client.url) as page:
@@ -289,7 +291,7 @@ def test_markup_in_a_name_is_shown_as_text(browser: Any, client: Client, served:
         assert "owned" not in page.title()
 
 
-def test_another_origin_s_page_commands_nothing(
+def test_a_command_from_a_page_of_another_origin_is_refused(
     browser: Any, client: Client, served: Bench
 ) -> None:
     """Neither without a preflight request (no-cors) nor with the token."""
@@ -374,7 +376,7 @@ def test_long_words_of_a_recording_are_broken(browser: Any, client: Client, serv
             until(page, lambda most=size["width"]: page.evaluate(_WIDTH) <= most)
 
 
-def test_what_a_browser_is_started_with_opens_once(browser: Any, served: Bench) -> None:
+def test_the_address_on_a_browser_command_line_opens_once(browser: Any, served: Bench) -> None:
     """Other users can read it in `ps`."""
     with dashboard(Settings(connect=served.endpoint)) as found:
         code = found.browser_url.partition("#once=")[2]
@@ -394,7 +396,7 @@ def test_what_a_browser_is_started_with_opens_once(browser: Any, served: Bench) 
     assert (status, list(told)) == (403, ["error"])
 
 
-def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: Bench) -> None:
+def test_a_visitor_has_the_view_and_only_the_stop_button(browser: Any, served: Bench) -> None:
     """The visitor's page has no experiment, no arming, no recordings, no reset."""
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
     with (
@@ -408,7 +410,9 @@ def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: 
         )
 
 
-def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> None:
+def test_the_page_shows_a_killed_daemon_as_stale_until_it_restarts(
+    browser: Any, bench: Bench
+) -> None:
     bench.configure(watchdog_ms=250)
     bench.emulate()
     daemon = bench.serve()
@@ -432,7 +436,7 @@ def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> 
         assert not page.is_visible("#stale")
 
 
-def test_a_stop_that_did_not_arrive_says_what_to_do_until_that_is_done(
+def test_an_undelivered_stop_shows_its_remedy_until_it_is_confirmed(
     browser: Any, client: Client, served: Bench
 ) -> None:
     with watched(served) as short:

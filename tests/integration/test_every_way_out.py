@@ -86,7 +86,7 @@ def _reads_up_to_the_last_flush(run: Run, flushed_ns: int) -> None:
     assert recording.samples["t_host_ns"][-1] >= flushed_ns
 
 
-def test_kill_9_of_the_service(run: Run) -> None:
+def test_a_killed_service_leaves_the_motor_at_0_v_and_a_recoverable_file(run: Run) -> None:
     """The loop sees its pipes end and stops the motor; the next start completes the file."""
     flushed_ns = run.flushed_ns()
     killed_ns = run.daemon.kill()
@@ -107,7 +107,7 @@ def test_kill_9_of_the_service(run: Run) -> None:
     assert f"{path}: recovered, {left.samples.size} samples" in daemon.said
 
 
-def test_kill_9_of_the_loop(run: Run) -> None:
+def test_a_killed_loop_leaves_the_motor_at_0_v_and_a_complete_file(run: Run) -> None:
     """The device's watchdog stops the motor; the service closes the recording and exits with 1."""
     os.kill(run.loop_pid, signal.SIGKILL)
     killed_ns = time.monotonic_ns()
@@ -121,7 +121,7 @@ def test_kill_9_of_the_loop(run: Run) -> None:
     assert outcome(recording) == "the loop ended"
 
 
-def test_kill_9_of_both(run: Run) -> None:
+def test_a_killed_daemon_leaves_the_motor_at_0_v(run: Run) -> None:
     """Only the device's watchdog is left."""
     flushed_ns = run.flushed_ns()
     freeze(run.daemon.popen.pid)  # or it may see the loop's end before its own
@@ -169,7 +169,7 @@ def test_the_device_stops_the_motor_of_a_frozen_loop(run_of_many: Run) -> None:
     assert run.bench.volts() == 0.0
 
 
-def test_the_rig_is_unplugged_and_plugged_in_again(run_of_many: Run) -> None:
+def test_a_rig_plugged_in_again_is_in_fault_until_a_reset(run_of_many: Run) -> None:
     run = run_of_many
     run.emulator.end()
     wait_for(lambda: run.bench.phase() == "fault")

@@ -34,7 +34,7 @@ def _ends_in_good_order(bench: Bench, daemon: Process, number: signal.Signals) -
         assert bench.went_to_0_v_after(told_ns) < STOPPED_S
 
 
-def test_a_signal_while_nobody_answers(bench: Bench) -> None:
+def test_a_signal_during_the_wait_for_a_device_ends_the_daemon(bench: Bench) -> None:
     master, slave = pty.openpty()
     bench.port = Path(os.ttyname(slave))
     bench.configure()
@@ -46,7 +46,7 @@ def test_a_signal_while_nobody_answers(bench: Bench) -> None:
     os.close(slave)
 
 
-def test_a_signal_while_a_hand_holds_a_voltage(bench: Bench) -> None:
+def test_a_signal_during_a_manual_voltage_stops_the_motor(bench: Bench) -> None:
     bench.emulate()
     daemon = bench.serve()
     with bench.rig() as rig:
@@ -56,7 +56,7 @@ def test_a_signal_while_a_hand_holds_a_voltage(bench: Bench) -> None:
     check_volts(bench)
 
 
-def test_a_signal_in_an_exchange_run_and_in_a_fault(bench: Bench) -> None:
+def test_a_signal_ends_the_daemon_in_an_exchange_run_and_in_a_fault(bench: Bench) -> None:
     emulator = bench.emulate()
     daemon = bench.serve()
     with driven(bench, pacing="exchange"):
@@ -71,9 +71,7 @@ def test_a_signal_in_an_exchange_run_and_in_a_fault(bench: Bench) -> None:
         _ends_in_good_order(bench, daemon, signal.SIGINT)
 
 
-def test_a_lab_that_is_killed_takes_its_daemon_along(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_lab_ends_its_daemon(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """`kill -9`: 0 V, the run recorded up to then, the socket free for the next lab."""
     monkeypatch.setenv("XDG_STATE_HOME", str(bench.folder))
     bench.emulate()
@@ -93,7 +91,7 @@ def test_a_lab_that_is_killed_takes_its_daemon_along(
     bench.serve()
 
 
-def test_repeated_signals_change_nothing(bench: Bench) -> None:
+def test_repeated_signals_do_not_change_the_end_of_the_daemon(bench: Bench) -> None:
     """SIGTERM again and again, to the service and to its loop."""
     bench.emulate()
     daemon = bench.serve()

@@ -30,7 +30,7 @@ MANIFEST = Manifest(
 )
 
 
-def test_the_disk_is_full_in_the_middle_of_a_run(bench: Bench) -> None:
+def test_a_disk_that_fills_during_a_run_stops_it_and_keeps_its_samples(bench: Bench) -> None:
     """RLIMIT_FSIZE."""
     bench.emulate()
     daemon = bench.serve()
@@ -61,7 +61,7 @@ def test_the_disk_is_full_in_the_middle_of_a_run(bench: Bench) -> None:
         assert not armrig.load(rig.run([1.0, 4.0])).truncated
 
 
-def test_the_directory_is_moved_in_the_middle_of_a_run(bench: Bench) -> None:
+def test_a_directory_moved_during_a_run_keeps_its_recording(bench: Bench) -> None:
     bench.emulate()
     daemon = bench.serve()
     elsewhere = bench.folder / "elsewhere"
@@ -87,7 +87,9 @@ def test_the_directory_is_moved_in_the_middle_of_a_run(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".active", ".compact", ""])
-def test_a_link_that_waits_at_the_name_is_not_written_through(tmp_path: Path, suffix: str) -> None:
+def test_a_symbolic_link_at_a_name_of_a_recording_is_not_followed(
+    tmp_path: Path, suffix: str
+) -> None:
     directory, elsewhere = tmp_path / "recordings", tmp_path / "elsewhere"
     directory.mkdir()
     elsewhere.write_text("precious")
@@ -107,7 +109,7 @@ def test_a_link_that_waits_at_the_name_is_not_written_through(tmp_path: Path, su
     assert elsewhere.read_text() == "precious"
 
 
-def test_a_link_that_takes_the_place_of_a_file_is_not_written_through(tmp_path: Path) -> None:
+def test_a_symbolic_link_that_replaces_an_open_file_is_not_followed(tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.write_text("precious")
     directory = tmp_path / "recordings"

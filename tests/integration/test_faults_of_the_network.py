@@ -62,7 +62,7 @@ def _client(bench: Bench, program: str, *arguments: object) -> Iterator[subproce
         client.communicate()
 
 
-def test_subscribers_that_do_not_read_cost_the_run_nothing(bench: Bench) -> None:
+def test_subscribers_that_do_not_read_cost_no_sample_of_the_run(bench: Bench) -> None:
     bench.emulate()
     daemon = bench.serve()
     with _client(bench, SLOW), _client(bench, SLOW) as stopped:
@@ -78,7 +78,7 @@ def test_subscribers_that_do_not_read_cost_the_run_nothing(bench: Bench) -> None
 
 
 @pytest.mark.parametrize("size", [MOST_LOCAL_BYTES - (1 << 20), MOST_LOCAL_BYTES + (8 << 20)])
-def test_a_payload_that_is_too_large_disturbs_nobody(bench: Bench, size: int) -> None:
+def test_an_oversized_payload_disturbs_no_client(bench: Bench, size: int) -> None:
     bench.emulate()
     daemon = bench.serve()
     with driven(bench, samples=300), _client(bench, HUGE, size) as client:

@@ -41,7 +41,7 @@ def stack() -> Iterator[ExitStack]:
         yield stack
 
 
-def test_nothing_is_lost_while_the_router_is_restarted(lab: FleetLab, stack: ExitStack) -> None:
+def test_a_restart_of_the_router_loses_no_sample(lab: FleetLab, stack: ExitStack) -> None:
     router = lab.router()
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
     told: list[str] = []
@@ -84,7 +84,7 @@ def test_a_rig_that_starts_later_is_recorded_too(lab: FleetLab, stack: ExitStack
     assert {one.why for one in recorder.recorded.values()} == {""}
 
 
-def test_a_rig_that_sends_nonsense_ends_its_own_recording_alone(
+def test_a_rig_that_sends_invalid_messages_ends_only_its_recording(
     lab: FleetLab, stack: ExitStack
 ) -> None:
     stack.enter_context(lab.router())
@@ -176,7 +176,7 @@ def test_a_router_ends_in_order_at_a_signal(lab: FleetLab) -> None:
     assert (router.returncode, rest) == (0, "")
 
 
-def test_one_command_records_the_rigs_that_are_named_and_reports_one_that_is_not_there(
+def test_one_command_records_the_named_rigs_and_reports_a_missing_rig(
     lab: FleetLab, stack: ExitStack, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stack.enter_context(lab.router())
@@ -194,7 +194,9 @@ def test_one_command_records_the_rigs_that_are_named_and_reports_one_that_is_not
     assert "rig 3: no sample arrived, so it has no recording" in said.err
 
 
-def test_the_rig_of_a_session_is_the_client_s(lab: FleetLab, stack: ExitStack) -> None:
+def test_a_session_at_a_router_receives_only_the_samples_of_its_rig(
+    lab: FleetLab, stack: ExitStack
+) -> None:
     stack.enter_context(lab.router())
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
     with Publisher(*daemons), Rig("3", connect=lab.endpoint) as rig:

@@ -53,7 +53,7 @@ def _flooded(bench: Bench, name: str, **fields: object) -> Iterator[None]:
         stranger.communicate()
 
 
-def test_strangers_that_request_runs_do_not_prevent_the_holder_s_run(served: Bench) -> None:
+def test_run_requests_of_other_clients_do_not_prevent_the_run_of_the_holder(served: Bench) -> None:
     with (
         _flooded(served, "run", lease="0" * 32, n=1, u=[1.0, 2.0] * 10_000),
         served.rig() as rig,

@@ -102,7 +102,7 @@ def test_a_run_is_complete_if_its_router_returns(connect: str, router: Router) -
 
 
 @pytest.mark.timed
-def test_a_client_without_a_link_ends_after_the_time_of_its_dead_man(
+def test_a_client_that_lost_its_link_ends_after_its_dead_man_time(
     connect: str, router: Router, bench: Bench
 ) -> None:
     lost_ns: list[int] = []

@@ -110,7 +110,7 @@ def test_a_late_recorder_receives_the_kept_messages(where: str, tmp_path: Path) 
     assert verify(found.path).passed
 
 
-def test_lost_samples_are_a_gap_of_the_recording(where: str, tmp_path: Path) -> None:
+def test_lost_samples_are_a_gap_in_the_recording(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
         daemon._history = History(bytes(16), most_bytes=100 * 87)
         publish([daemon], range(50))
@@ -159,7 +159,7 @@ def test_the_command_records_until_its_time_is_over(
     assert facts["samples"] == armrig.load(facts["recording"]).N > 0
 
 
-def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path: Path) -> None:
+def test_every_message_published_before_the_end_is_recorded(where: str, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with Session(where, "1", lambda: None) as daemon:
         publish([daemon], range(20_000))

@@ -16,7 +16,7 @@ from tests.integration.driving import hold
 from tests.integration.processes import WITHIN_S, Bench, wait_for
 
 
-def test_a_run_comes_back_as_a_recording(served: Bench) -> None:
+def test_the_client_receives_the_recording_of_its_run(served: Bench) -> None:
     u = armrig.telegraph(300, 0.1, low=0.0, high=5.0, seed=1)
 
     with served.rig() as rig:
@@ -32,7 +32,7 @@ def test_a_run_comes_back_as_a_recording(served: Bench) -> None:
     assert not recording.truncated
 
 
-def test_a_client_that_checks_nothing_is_refused_by_the_daemon(served: Bench) -> None:
+def test_an_invalid_voltage_of_an_unchecked_client_is_refused(served: Bench) -> None:
     """S1: the service checks by itself."""
     before = len(served.voltage_changes())
     with served.rig() as rig:
@@ -46,7 +46,7 @@ def test_a_client_that_checks_nothing_is_refused_by_the_daemon(served: Bench) ->
     assert {volts for _, volts in served.voltage_changes()[before:]} <= {0.0}
 
 
-def test_the_voltage_follows_the_hand_and_the_stop(served: Bench) -> None:
+def test_the_motor_voltage_follows_a_manual_voltage_and_a_stop(served: Bench) -> None:
     before = len(served.voltage_changes())
     with served.rig() as rig:
         hold(rig, served, 2.0)
@@ -66,7 +66,7 @@ def test_a_bad_configuration_is_refused_in_one_line(bench: Bench) -> None:
     assert daemon.said.count("\n") == 1
 
 
-def test_a_port_that_is_not_there_is_waited_for(bench: Bench) -> None:
+def test_the_daemon_waits_for_a_missing_port(bench: Bench) -> None:
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
     wait_for(lambda: bench.phase() == "init")
     with bench.rig() as rig:

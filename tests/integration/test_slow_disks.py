@@ -83,7 +83,7 @@ def test_a_disk_that_stops_for_good_is_reported_and_the_next_run_begins(
 
 
 @pytest.mark.exhaustive
-def test_sigterm_says_what_a_disk_that_does_not_answer_may_have_lost(
+def test_sigterm_reports_what_an_unresponsive_disk_may_have_lost(
     bench: Bench, served: Serve
 ) -> None:
     daemon = served(DEAD_C)

@@ -72,7 +72,7 @@ def _rows(printed: str) -> list[list[str]]:
     return [*csv.reader(printed.splitlines())]
 
 
-def test_the_environment_has_no_armrig(programs: Programs) -> None:
+def test_the_environment_of_the_page_s_programs_has_no_armrig(programs: Programs) -> None:
     """Otherwise the other tests of this page would prove nothing."""
     for module in ("armrig", "armrig_core", "numpy"):
         command = [programs.python, "-I", "-c", f"import {module}"]
@@ -89,7 +89,9 @@ def test_the_subscriber_prints_each_sample(served: Bench, programs: Programs) ->
     assert {float(row[2]) for row in rows} == {0.0}
 
 
-def test_the_recorder_records_what_is_published(served: Bench, programs: Programs) -> None:
+def test_the_recorder_of_the_page_records_every_published_message(
+    served: Bench, programs: Programs
+) -> None:
     file = programs.folder / "recorded.mcap"
     program = programs.start("record.py", served.endpoint, str(file))
     assert program.stdout is not None
@@ -117,7 +119,9 @@ def test_the_recorder_records_what_is_published(served: Bench, programs: Program
     assert len({c.topic for _, c, _ in messages}) >= 4
 
 
-def test_the_reader_reads_what_armrig_reads(served: Bench, programs: Programs) -> None:
+def test_the_reader_of_the_page_reads_the_same_values_as_armrig(
+    served: Bench, programs: Programs
+) -> None:
     with served.rig() as rig:
         rig.arm("a test")
         path = rig.run([1.0, 4.0] * 50)
@@ -131,7 +135,9 @@ def test_the_reader_reads_what_armrig_reads(served: Bench, programs: Programs) -
         np.testing.assert_array_equal(column, samples[name].astype(np.float64))
 
 
-def test_the_daemon_is_asked_and_stopped(served: Bench, programs: Programs) -> None:
+def test_the_page_s_program_reads_the_status_and_stops_the_rig(
+    served: Bench, programs: Programs
+) -> None:
     status = json.loads(programs.run("ask.py", served.endpoint, "status"))
     with served.rig() as rig:
         rig.arm("a test")

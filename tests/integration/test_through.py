@@ -51,7 +51,7 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> list[armrig.Fit]:
 
 
 @pytest.mark.exhaustive
-def test_the_frequency_response_is_the_plant_s(fits: list[armrig.Fit]) -> None:
+def test_the_estimated_frequency_response_equals_that_of_the_plant(fits: list[armrig.Fit]) -> None:
     """Within 5 % rms over 0.5 to 60 rad/s, in every seed."""
     _, G = _true()
 
@@ -74,7 +74,7 @@ def test_every_coefficient_is_within_3_sigma(fits: list[armrig.Fit]) -> None:
 
 
 @pytest.mark.exhaustive
-def test_the_standard_deviations_are_not_too_large_either(fits: list[armrig.Fit]) -> None:
+def test_the_standard_deviations_are_not_too_large(fits: list[armrig.Fit]) -> None:
     """Over seeds the estimates scatter as reported."""
     true, _ = _true()
     at = [fits[0].names.index(name) for name in ("b1", "b2", "b3", "b4")]

@@ -80,7 +80,7 @@ def _deaf(bench: Bench, noise: int) -> Iterator[None]:
         1,
     ),
 )
-def test_a_device_that_does_not_answer_is_reported_with_the_way_out(
+def test_an_unanswering_device_is_reported_with_the_remedy(
     bench: Bench, noise: int, said: str
 ) -> None:
     with _deaf(bench, noise):

@@ -54,7 +54,7 @@ def _event(vector: dict[str, Any]) -> Received:
 
 
 @pytest.mark.parametrize("vector", VECTORS, ids=[v["doc"] for v in VECTORS])
-def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
+def test_encoding_and_decoding_match_the_golden_vectors(vector: dict[str, Any]) -> None:
     wire = bytes.fromhex(vector["wire"])
     expected = [_event(dict(event)) for event in vector["events"]]
 
@@ -73,7 +73,7 @@ def test_every_message_has_a_vector() -> None:
     assert {message.__name__ for message in MESSAGES.values()} <= named
 
 
-def test_the_worked_frame_is_in_the_protocol() -> None:
+def test_the_protocol_page_contains_the_encoding_of_its_example() -> None:
     text = (Path(__file__).parents[2] / "firmware_protocol/PROTOCOL.md").read_text()
 
     wire = encode(Exchange(0, 2, 256, 32768))
@@ -81,7 +81,7 @@ def test_the_worked_frame_is_in_the_protocol() -> None:
     assert f"\n{wire.hex(' ')}\n" in text
 
 
-def test_the_crc_is_that_of_the_catalogue() -> None:
+def test_the_crc_equals_the_check_value_of_the_catalogue() -> None:
     """CRC-32/ISO-HDLC of 123456789 is CBF43926."""
     assert crc32(b"123456789") == CHECK
 
@@ -145,7 +145,7 @@ def test_pending_bytes_are_bounded(pieces: list[bytes]) -> None:
         assert len(pending) <= MAX_STUFFED + 1
 
 
-def test_no_frame_is_cut_out_of_one_that_is_too_long() -> None:
+def test_an_overlong_frame_is_spoilt_and_not_truncated() -> None:
     text = b"\xff\x00\x01\x00".ljust(MAX_STUFFED - 5, b"x")
     longest = cobs.stuff(text + crc32(text).to_bytes(4, "little"))
     assert len(longest) == MAX_STUFFED

@@ -27,7 +27,7 @@ def test_every_invariant_holds_under_faults() -> None:
     assert not done.lateness()
 
 
-def test_an_end_that_was_asked_for_reports_no_fault() -> None:
+def test_a_requested_end_reports_no_fault() -> None:
     """In one seed of the 2500 tried, several frames after the last STOP came together."""
     assert simulate(draw(2327)).violation is None
 
@@ -52,7 +52,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     assert simulate(draw(8)).digest != first.digest
 
 
-def test_a_story_changes_nothing(tmp_path: Path) -> None:
+def test_writing_a_story_does_not_change_the_outcome(tmp_path: Path) -> None:
     outcome = story.write(draw(7), tmp_path / "7.txt")
 
     text = (tmp_path / "7.txt").read_text(encoding="utf-8")

@@ -67,7 +67,7 @@ def test_a_run_with_too_many_repeated_tests_fails(pytester: pytest.Pytester, mos
     assert (result.ret == pytest.ExitCode.TESTS_FAILED) == (most == 0)
 
 
-def test_each_monitor_measures_two_stalls_as_one_if_little_is_between_them() -> None:
+def test_each_monitor_merges_two_stalls_with_a_short_interval() -> None:
     host = Host()
     for monitor in host._monitors:
         began_ns = time.monotonic_ns()

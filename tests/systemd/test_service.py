@@ -37,7 +37,7 @@ def _errors(rig: Rig, since: int) -> list[str]:
     return [line for priority, line in rig.said()[since:] if priority == "3"]
 
 
-def test_the_loop_has_its_priority_and_knows_it(rig: Rig) -> None:
+def test_the_loop_has_its_priority_and_reports_it(rig: Rig) -> None:
     """The priority comes from systemd, because its sandbox prevents a request for it.
 
     One thread of the service keeps it: that thread only waits for the end of the loop. Inside the
@@ -65,7 +65,7 @@ def test_systemd_and_the_journal_show_the_state_of_the_service(rig: Rig) -> None
     assert not [line for _, line in said if line.startswith(("armrigd:", "<"))]
 
 
-def test_a_member_of_the_group_operates_the_rig_and_nobody_else(rig: Rig) -> None:
+def test_only_a_member_of_the_group_can_operate_the_rig(rig: Rig) -> None:
     machine = rig.machine
     for user in ("student", "stranger"):
         machine.run("useradd", "--no-create-home", *(["-G", "armrig"] * (user == "student")), user)
@@ -90,7 +90,7 @@ def _about(machine: Machine, **fields: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in found.splitlines()]
 
 
-def test_the_journal_can_be_asked_what_a_line_is_about(rig: Rig) -> None:
+def test_the_journal_can_be_filtered_by_the_subject_of_a_line(rig: Rig) -> None:
     machine = rig.machine
     rig.drive()
     rig.armrig("stop", "--owner", "the next")
@@ -196,7 +196,7 @@ def test_a_hanging_service_or_loop_is_restarted_by_the_watchdog(rig: Rig, second
     second.machine.systemctl("stop", second.unit)
 
 
-def test_a_reload_brings_the_new_configuration_and_keeps_the_priority(rig: Rig) -> None:
+def test_a_reload_applies_the_new_configuration_and_keeps_the_priority(rig: Rig) -> None:
     machine, path = rig.machine, Path("/etc/armrig/1.toml")
     before = machine.path(path).read_text()
     machine.write(path, before + "[limits]\nu_max_v = 4.5\n")

@@ -143,7 +143,7 @@ def _with_yes(text: str) -> str:
     return re.sub(r"(?m)^(armrig service install.*)$", r"\1 --yes", text)
 
 
-def test_from_nothing_to_a_recording_over_the_network(lab: Lab) -> None:
+def test_the_pages_lead_from_the_installation_to_a_network_recording(lab: Lab) -> None:
     machine = lab.machine
 
     # The service, with an emulated rig in place of a board.
@@ -184,7 +184,7 @@ def test_from_nothing_to_a_recording_over_the_network(lab: Lab) -> None:
     assert lab.alice("armrig record --seconds 1 -o copy.mcap && armrig info copy.mcap")
 
 
-def test_a_revoked_client_is_out_after_a_reload(lab: Lab) -> None:
+def test_a_revoked_client_is_refused_after_a_reload(lab: Lab) -> None:
     lab.alice(CHANGE)
     lab.script("cp /home/alice/pki/rig-1.pem /home/alice/pki/access.toml .\n" + PUT)
     lab.alice("armrig status")
@@ -228,7 +228,7 @@ def test_a_second_rig_is_reached_through_the_lab_s_router(lab: Lab) -> None:
     assert "safe" in looked
 
 
-def test_a_recorder_records_all_rigs_and_what_a_kill_left_is_completed(lab: Lab) -> None:
+def test_a_recorder_records_all_rigs_and_recovers_files_of_a_killed_one(lab: Lab) -> None:
     lab.alice(NAME_RECORDER)
     lab.script("cp /home/alice/pki/recorder.pem /home/alice/pki/access.toml .")
     lab.script("\n".join(line for line in ROUTE.splitlines() if "access.toml" in line))

@@ -74,7 +74,7 @@ def test_output_without_a_histogram_is_refused(printed: str) -> None:
         turns.cyclictest_lateness_us(printed)
 
 
-def test_percentiles_are_those_of_all_rounds_together() -> None:
+def test_percentiles_are_computed_over_all_rounds() -> None:
     made = Rate(rate_hz=1000)
     made.add(targets.DAEMON, np.arange(500.0))
     made.add(targets.DAEMON, np.arange(500.0, 1001.0))
@@ -101,7 +101,7 @@ def test_an_input_at_the_index_of_its_neighbour_is_misplaced() -> None:
     assert targets.misplaced(u, off, 10, 10) == 1
 
 
-def test_cpu_time_per_tick_is_that_between_readings_during_the_run() -> None:
+def test_cpu_time_per_tick_is_measured_between_readings_during_the_run() -> None:
     ticks_ns = np.arange(0, 1_000, 10)
     readings = [(-50, 0), (5, 1_000_000), (505, 6_000_000), (985, 6_960_000), (2000, 99_000_000)]
 
@@ -223,7 +223,7 @@ def test_a_short_run_measures_all_programs(
 
 
 @pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGKILL]))
-def test_no_program_is_left_after_an_early_end(number: signal.Signals) -> None:
+def test_no_program_keeps_running_after_an_early_end(number: signal.Signals) -> None:
     command = [sys.executable, "-m", "tests.benchmarks.host_timing", "--rates", "1000"]
     with running(command, cwd=turns.ROOT, stderr=subprocess.DEVNULL) as bench:
         wait_for(lambda: children(bench.pid))

@@ -78,7 +78,7 @@ def test_an_assumption_reaches_the_tests_of_a_given_structure(
         (["--signal", "temp,heater"], "--assume settling is for one output and one input"),
     ],
 )
-def test_an_assumption_that_cannot_hold_is_refused(
+def test_a_contradictory_assumption_is_refused(
     options: list[str], why: str, telegraph: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     line = f"identify {telegraph} --structure oe --nb 1 --nf 1 --input heater".split()
@@ -114,7 +114,7 @@ def test_a_constant_input_does_not_show_a_level(
     assert "u is constant: gain and level cannot be distinguished" in err
 
 
-def test_a_search_needs_an_input_that_moves_in_both_parts(
+def test_a_search_needs_an_input_that_changes_in_both_parts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Without a response in the second half, the search chose a double integrator."""
@@ -134,7 +134,7 @@ def test_a_search_needs_an_input_that_moves_in_both_parts(
     )
 
 
-def test_a_search_is_cut_where_the_input_moves_in_both_parts() -> None:
+def test_a_search_splits_the_data_so_that_the_input_changes_in_both_parts() -> None:
     """The pulses end at sample 160 of 400."""
     u = np.append(np.tile(np.repeat([0.0, 2.0], 20), 4), np.zeros(240))
 

@@ -144,7 +144,7 @@ def test_calibrate_keeps_its_file_if_the_daemon_refuses(
     assert read_calibration(output).made is not None
 
 
-def test_the_person_is_led_through_it(
+def test_calibrate_guides_the_user_through_each_step(
     tmp_path: Path,
     typed: Callable[[str | None], None],
     monkeypatch: pytest.MonkeyPatch,
@@ -203,7 +203,7 @@ def _wanted(**changes: Any) -> _Wanted:
     return _Wanted(**given | changes)
 
 
-def test_a_person_is_asked_to_deflect_the_arm_before_that_is_recorded() -> None:
+def test_calibrate_requests_a_deflection_before_it_records_the_arm() -> None:
     done: list[str] = []
     ask: Any = SimpleNamespace(ready=done.append)
     play: Any = SimpleNamespace(rest=lambda experiment, s: done.append(f"{experiment} {s:g} s"))
@@ -216,7 +216,7 @@ def test_a_person_is_asked_to_deflect_the_arm_before_that_is_recorded() -> None:
     assert done[2].endswith("hold it for 3 s.")
 
 
-def test_readings_that_are_given_are_not_asked_for() -> None:
+def test_calibrate_does_not_request_readings_given_as_options() -> None:
     done: list[str] = []
     ask: Any = SimpleNamespace(ready=lambda _: None)
     play: Any = SimpleNamespace(
@@ -234,7 +234,7 @@ def test_readings_that_are_given_are_not_asked_for() -> None:
     ("text", "reading"),
     [("65535=10", (65535, 10.0)), ("1=0.01", (1, 0.01)), ("32768=5.1", (32768, 5.1))],
 )
-def test_a_reading_may_be_of_any_code_and_of_another_supply(
+def test_a_meter_reading_may_be_at_any_code_and_with_another_supply(
     text: str, reading: tuple[int, float]
 ) -> None:
     assert meter_reading(text) == reading
@@ -255,7 +255,7 @@ def test_turns_may_have_the_rig_s_largest_voltage_and_any_time_up_to_ten_minutes
 
 
 @pytest.mark.parametrize("other", [{"device": {"uid": "beef"}}, {"rig": "9"}])
-def test_recordings_of_two_rigs_or_of_two_devices_give_no_calibration(
+def test_recordings_of_different_rigs_or_devices_are_refused(
     other: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = _files(tmp_path)
@@ -267,7 +267,7 @@ def test_recordings_of_two_rigs_or_of_two_devices_give_no_calibration(
     assert not (tmp_path / "c.toml").exists()
 
 
-def test_the_file_of_a_calibration_is_of_its_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_name_of_a_calibration_file_contains_its_rig(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", "/of/mine")
 
     assert _default("7") == Path("/of/mine/armrig/calibration-7.toml")
@@ -280,7 +280,7 @@ def test_the_file_of_a_calibration_is_of_its_rig(monkeypatch: pytest.MonkeyPatch
         ("[device]\n", "exists and is not a calibration"),
     ],
 )
-def test_calibrate_replaces_only_its_own_files(text: str, said: str, tmp_path: Path) -> None:
+def test_calibrate_replaces_only_calibration_files(text: str, said: str, tmp_path: Path) -> None:
     other, own = tmp_path / "other.toml", tmp_path / "own.toml"
     other.write_text(text)
     made = Made(**dict.fromkeys(("date", "rig", "device_uid", "armrig"), "1"), raw_sha256="ab")

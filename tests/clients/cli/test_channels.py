@@ -31,7 +31,7 @@ REFUSED = typer.BadParameter
         ((), (), ""),
     ],
 )
-def test_a_column_is_named_for_each_signal_of_the_model_or_for_none(
+def test_columns_are_named_for_all_signals_of_the_model_or_none(
     outputs: tuple[str, ...], inputs: tuple[str, ...], said: str
 ) -> None:
     if not said:

@@ -80,7 +80,7 @@ def read(name: str, capsys: pytest.CaptureFixture[str]) -> str:
         ("@1-step-20261120T130000-0000000a", "0000000a"),
     ],
 )
-def test_a_recording_has_names(
+def test_a_recording_can_be_selected_by_several_names(
     folder: Path, name: str, run_id: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert read(name, capsys) == run_id
@@ -140,7 +140,7 @@ def test_an_ambiguous_name_is_refused_with_the_list(
         ["calibrate", "--turns", "@x"],
     ],
 )
-def test_every_command_that_takes_a_recording_takes_a_name(
+def test_every_command_with_a_recording_argument_accepts_a_name(
     folder: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(arguments) == 1
@@ -148,7 +148,7 @@ def test_every_command_that_takes_a_recording_takes_a_name(
     assert "@x: no finished recording in" in capsys.readouterr().err
 
 
-def test_the_short_name_of_a_recording_means_no_other(folder: Path, tmp_path: Path) -> None:
+def test_the_short_name_of_a_recording_is_unique(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     again = put(folder, "blackbox-monday", at="15:00:00", run_id="00000010")
     alone = put(tmp_path / "other", "step")
@@ -190,7 +190,7 @@ def test_the_folder_of_recordings_comes_from_the_configuration(
     assert f"{file}: [recording] directory must be the path of" in capsys.readouterr().err
 
 
-def test_ls_lists_as_many_as_asked_for_or_all(
+def test_ls_lists_the_requested_number_of_recordings_or_all(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = []
@@ -202,7 +202,7 @@ def test_ls_lists_as_many_as_asked_for_or_all(
     assert found == [(2, True), (5, False), (5, False)]
 
 
-def test_ls_says_what_a_recording_validates_where_its_name_does_not(
+def test_ls_shows_the_estimation_recording_that_a_recording_validates(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["ls"]) == 0

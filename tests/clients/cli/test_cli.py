@@ -30,7 +30,7 @@ HEAVY = ("numpy", "scipy", "zenoh", "mcap", "matplotlib", "typst", "control", "r
 
 
 @pytest.mark.parametrize("program", ["import armrig", "import armrig.cli"])
-def test_nothing_heavy_is_imported_before_it_is_needed(program: str) -> None:
+def test_no_large_package_is_imported_before_it_is_needed(program: str) -> None:
     checked = f"import sys; {program}; print(sorted(set({HEAVY!r}) & set(sys.modules)))"
 
     done = subprocess.run([sys.executable, "-c", checked], capture_output=True, check=True)
@@ -58,7 +58,7 @@ def test_a_stop_imports_only_what_it_needs(daemon: FakeDaemon, where: str) -> No
     }
 
 
-def test_every_public_name_is_there() -> None:
+def test_every_public_name_can_be_imported() -> None:
     assert all(getattr(armrig, name) is not None for name in armrig.__all__)
     assert armrig.__version__ == VERSION
     assert set(armrig.__all__) < set(dir(armrig))
@@ -96,7 +96,7 @@ def test_ctrl_c_during_an_import_is_reported_in_one_line(
 
 
 @pytest.mark.parametrize("which", [[], ["--all"]])
-def test_ctrl_c_before_a_recorder_records_is_not_lost(
+def test_ctrl_c_during_the_start_of_a_recorder_ends_it(
     which: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Python only prints a KeyboardInterrupt in a callback of an import, and goes on."""
@@ -141,7 +141,7 @@ def test_a_named_pipe_is_refused_without_waiting(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("pipe", ["cat", "head -n 2"])
-def test_watch_into_a_pipe_gives_a_line_for_each_sample(
+def test_watch_prints_a_line_for_each_sample_to_a_pipe(
     pipe: str, daemon: FakeDaemon, where: str
 ) -> None:
     count = ["--count", "3"] if pipe == "cat" else []
@@ -171,7 +171,7 @@ def test_watch_into_a_pipe_gives_a_line_for_each_sample(
     assert watching.returncode == (0 if pipe == "cat" else 128 + signal.SIGPIPE)
 
 
-def test_without_a_command_there_is_help_and_exit_code_2(
+def test_armrig_without_a_command_prints_help_and_has_exit_code_2(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main([]) == 2

@@ -103,7 +103,7 @@ def test_collect_blackbox_reports_a_removed_arm(
         (["--periods", "2"], 10.0, 1000),
     ],
 )
-def test_each_recording_of_a_bla_is_of_whole_periods_and_names_them(
+def test_each_recording_of_a_bla_has_whole_periods_and_names_them(
     given: list[str], seconds: float, samples: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Any] = []
@@ -202,7 +202,7 @@ def test_collect_prints_the_verdict_on_the_data(
     assert {f["about"]: f["level"] for f in verdict["findings"]}["signal"] == "warning"
 
 
-def test_data_that_cannot_be_used_are_a_failure_and_end_the_collection(
+def test_unusable_data_are_a_failure_and_end_the_collection(
     daemon: FakeDaemon, where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     daemon.recording = str(written(tmp_path, of_the_arm(np.full(500, 2.0))))
@@ -328,7 +328,7 @@ def test_a_signal_that_ends_a_collection_stops_the_rig(
     assert b"Traceback" not in said
 
 
-def test_a_command_keeps_ignoring_signals_that_nohup_ignores() -> None:
+def test_a_command_ignores_the_signals_that_nohup_ignores() -> None:
     """A command started with nohup is meant to outlive its terminal."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
@@ -358,7 +358,7 @@ def test_a_command_keeps_ignoring_signals_that_nohup_ignores() -> None:
     ],
     ids=lambda x: " ".join(x) if isinstance(x, list) else "",
 )
-def test_a_length_that_cannot_be_played_is_refused_before_a_rig_is_asked(
+def test_an_impossible_length_is_refused_before_connecting(
     arguments: list[str],
     said: str,
     daemon: FakeDaemon,
@@ -371,7 +371,7 @@ def test_a_length_that_cannot_be_played_is_refused_before_a_rig_is_asked(
     assert daemon.asked == []
 
 
-def test_a_length_too_great_for_the_daemons_sampling_time_gives_the_rig_back(
+def test_a_length_too_great_for_the_sampling_time_releases_the_rig(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["collect", "blackbox", "--seconds", "80000", "--connect", where]) == 1

@@ -62,7 +62,7 @@ def test_saved_models_and_the_physics_are_compared_at_the_horizon_on_the_part(
         assert rig.F.tolist() == armrig.physical_model(p, data).F.tolist()
 
 
-def test_models_are_the_same_by_their_polynomials_and_their_sampling_time() -> None:
+def test_models_with_equal_polynomials_and_sampling_time_are_the_same() -> None:
     of = {name: np.array([1.0, 0.5, -0.25]) for name in "ABCDF"} | {"Ts": 0.01}
 
     def model(**changes: Any) -> Any:

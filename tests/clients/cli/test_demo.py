@@ -128,7 +128,7 @@ def test_a_rig_that_tripped_before_its_run_is_armed_again(where: str) -> None:
     assert "again: " in out.getvalue()
 
 
-def test_a_rig_that_trips_after_a_refusal_is_reset(
+def test_a_rig_tripped_after_a_refusal_is_reset(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     daemon = LateTrippingDaemon(where, refusals=[LATE], ends=[])

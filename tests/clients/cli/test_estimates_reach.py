@@ -28,7 +28,7 @@ NOTHING: dict[str, Any] = {
 }
 
 
-def test_an_integration_recommends_for_its_methods_its_input_and_its_tolerance(
+def test_the_recommended_step_depends_on_methods_input_and_tolerance(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     calls: list[dict[str, Any]] = []
@@ -64,7 +64,7 @@ def _asked(**options: Any) -> dict[str, Any]:
     return NOTHING | options
 
 
-def test_the_options_of_several_signals_make_their_request() -> None:
+def test_the_options_of_several_signals_reach_their_request() -> None:
     def of_several(shared: bool = False, **options: Any) -> SignalsRequest:
         integrating = ("theta_1",)
         return requested_of_several(_asked(**options), integrating=integrating, shared=shared)
@@ -109,7 +109,7 @@ def test_the_next_command_reads_the_same_data() -> None:
         *(("csv:ab12", "y", False), ("csv:ab12", "alpha", False)),
     ],
 )
-def test_an_integrator_is_doubted_for_what_does_not_integrate_on_the_rig(
+def test_an_integrator_for_a_stable_output_of_the_rig_causes_a_warning(
     source: str, output: str, is_told: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _warn_of_integrator(Dataset(u=np.ones(2), y=np.ones(2), Ts=1.0, source=source, output=output))

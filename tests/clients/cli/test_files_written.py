@@ -83,7 +83,7 @@ def test_a_report_never_replaces_another_kind_of_file(
 
 
 @pytest.mark.parametrize("there", [True, False])
-def test_a_folder_takes_a_figure_for_each_subject(
+def test_a_figure_for_each_subject_is_written_to_a_folder(
     there: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "figures"
@@ -97,7 +97,7 @@ def test_a_folder_takes_a_figure_for_each_subject(
     assert f"figures: {files[0]}, {files[1]}" in capsys.readouterr().err
 
 
-def test_figures_that_are_replaced_are_named(
+def test_the_command_names_figures_that_it_replaces(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "step.png").touch()
@@ -112,7 +112,7 @@ def test_figures_that_are_replaced_are_named(
 
 
 @pytest.mark.parametrize(("n", "height"), [(1, 7.0), (2, 3.6), (5, 3.6)])
-def test_one_figure_stays_on_a_screen(n: int, height: float, tmp_path: Path) -> None:
+def test_a_figure_with_many_panels_fits_a_screen(n: int, height: float, tmp_path: Path) -> None:
     """At most 1600 pixels high: more subjects take more columns."""
     drawn: dict[str, Any] = {f"panel_{k}": lambda ax: ax.plot(0, 0) for k in range(n)}
 
@@ -135,7 +135,7 @@ def test_a_figure_in_a_folder_never_replaces_a_recording(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])
-def test_an_input_is_known_by_another_name(
+def test_an_input_path_is_recognised_under_another_name(
     link: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data, other = tmp_path / "data.csv", tmp_path / "other.csv"
@@ -167,7 +167,7 @@ def test_a_report_with_names_and_reasons_is_typeset_again_from_its_source(
     assert json.loads(Path("source/data.json").read_text())["students"][0]["name"] == "Ada"
 
 
-def test_questions_are_text_whatever_the_name_of_their_file(
+def test_the_questions_are_text_under_any_file_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -55,7 +55,7 @@ def test_plot_reports_the_speed_without_noise_of_the_converter(
     assert max(-low, high) < 0.1
 
 
-def test_simulate_and_compare_show_the_handouts_with_the_changed_parameters(
+def test_simulate_and_compare_show_handout_and_changed_parameters(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The rig has the handout's parameters here: they fit better than a heavier arm's (2.3)."""

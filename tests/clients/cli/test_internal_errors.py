@@ -26,7 +26,7 @@ def _faulty(*_: Any) -> None:
 
 
 @pytest.mark.parametrize("options", [[], ["--debug"]], ids=["plain", "debug"])
-def test_an_error_of_numpy_is_an_internal_one(
+def test_an_error_of_numpy_is_an_internal_error(
     options: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

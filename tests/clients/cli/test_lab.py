@@ -98,7 +98,7 @@ def test_a_lab_ends_all_its_processes(number: signal.Signals, lab: subprocess.Po
 
 
 @pytest.mark.exhaustive
-def test_a_second_lab_is_refused_with_the_first(lab: subprocess.Popen[str]) -> None:
+def test_a_second_lab_is_refused_while_the_first_runs(lab: subprocess.Popen[str]) -> None:
     second = subprocess.run(
         [sys.executable, "-m", "armrig", "lab"], capture_output=True, text=True, check=False
     )
@@ -220,7 +220,7 @@ def test_a_lab_prints_each_change_once(
         assert len(said) == 5
 
 
-def test_lines_to_copy_are_not_folded() -> None:
+def test_lines_to_copy_are_not_wrapped() -> None:
     words = "word " * 12
     text = f"next: {words}\nin a browser: {words}\n{words}"
 

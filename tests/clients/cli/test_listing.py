@@ -57,7 +57,7 @@ def test_each_recording_has_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert len(plain.removeprefix(str(tmp_path))) < 140
 
 
-def test_an_outcome_has_a_column_of_its_own(
+def test_the_list_has_a_column_for_the_outcome(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     written(tmp_path, recording(), "whole.mcap")
@@ -76,7 +76,7 @@ def test_an_outcome_has_a_column_of_its_own(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="names are text there")
 @pytest.mark.parametrize("command", ["verify", "info", "ls"])
-def test_a_name_that_is_no_text_is_reported_to_programs(
+def test_a_file_name_that_is_not_text_is_escaped_in_json(
     tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = os.fsdecode(bytes(tmp_path) + b"/a\xff.mcap")
@@ -89,7 +89,9 @@ def test_a_name_that_is_no_text_is_reported_to_programs(
         assert found["recording"] == f"{tmp_path}/a\\udcff.mcap"
 
 
-def test_damaged_recordings_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_names_damaged_recordings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for i in range(5):
         written(tmp_path, recording()[:5000], f"{i}.mcap")
 

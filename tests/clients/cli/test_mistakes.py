@@ -147,7 +147,7 @@ REFUSED = [
 
 @pytest.mark.parametrize(("line", "way_out"), REFUSED, ids=[line for line, _ in REFUSED])
 @pytest.mark.usefixtures("folder")
-def test_a_mistake_is_refused_with_the_way_out(
+def test_an_invalid_command_line_is_refused_with_the_remedy(
     line: str, way_out: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code = main(shlex.split(line))
@@ -173,7 +173,7 @@ DOUBTED = [
 
 @pytest.mark.parametrize(("line", "doubt"), DOUBTED, ids=[line for line, _ in DOUBTED])
 @pytest.mark.usefixtures("folder")
-def test_a_doubt_is_printed_before_any_number(
+def test_a_warning_about_the_data_precedes_the_results(
     line: str, doubt: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with redirect_stderr(sys.stdout):  # in the order in which they are written
@@ -186,7 +186,7 @@ def test_a_doubt_is_printed_before_any_number(
     assert sum(doubt in text for text in before) == 1
 
 
-def test_a_file_beyond_5_v_is_not_played(
+def test_a_file_with_voltages_above_5_v_is_not_played(
     folder: Path, where: str, daemon: FakeDaemon, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code = main(["collect", "blackbox", "--file", "high.csv", "--connect", where])

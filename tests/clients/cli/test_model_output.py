@@ -80,7 +80,7 @@ def test_each_finding_is_reported_once(
 
 
 @pytest.mark.usefixtures("advised")
-def test_the_remedy_of_a_finding_is_acted_on() -> None:
+def test_the_next_command_applies_the_remedy_of_a_finding() -> None:
     findings = [warning("not_converged", "x", "order"), warning("level", "x", "integrator")]
     of: Any = SimpleNamespace(findings=[*findings, warning("unstable", "x")])
 
@@ -116,7 +116,7 @@ def test_the_tests_of_the_residuals_have_a_line_each() -> None:
     ]
 
 
-def test_lag_0_of_the_input_is_one_of_the_dynamics() -> None:
+def test_lag_0_of_the_input_counts_among_the_dynamics() -> None:
     """Outside are two of three lags of whiteness, two of three of the dynamics, and no other."""
     for changes, said in (
         ({}, "4 of 8 lags are outside"),
@@ -130,7 +130,7 @@ def test_lag_0_of_the_input_is_one_of_the_dynamics() -> None:
     assert lags_outside(one).startswith("1 of 5 lags is outside")
 
 
-def test_an_answer_has_the_fits_and_the_deviation_to_trust() -> None:
+def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
     of: Any = SimpleNamespace(
         **{"heading": "ARX", "output": "alpha", "fit_percent": 91.239, "structure": "arx"},
         **{"whiteness": 0.4, "white": _white(0.4), "trusts_robust": False},
@@ -171,7 +171,7 @@ def test_an_answer_has_the_fits_and_the_deviation_to_trust() -> None:
         ({"output": "alpha"}, False),
     ],
 )
-def test_an_integrator_is_suggested_for_an_oe_model_of_the_angle_alone(
+def test_an_integrator_is_suggested_only_for_an_oe_model_of_the_angle(
     changes: dict[str, Any], is_hinted: bool
 ) -> None:
     of: dict[str, Any] = {"structure": "oe", "output": "theta_1", "integrator": False}
@@ -181,7 +181,7 @@ def test_an_integrator_is_suggested_for_an_oe_model_of_the_angle_alone(
     assert said == ("the angle theta_1 integrates: try --integrator" if is_hinted else "")
 
 
-def test_a_search_shows_five_models_and_two_more_reasons() -> None:
+def test_a_search_shows_at_most_five_models_and_two_more_reasons() -> None:
     found: Any = SimpleNamespace(table=lambda n: f"{n} models", reasons=list("abcde"))
 
     assert short_search_lines(found) == ["5 models", "- b", "- c"]

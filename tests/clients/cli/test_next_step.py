@@ -84,7 +84,7 @@ OPENED = {name for name, line in AFTER.items() if line.startswith("{opener}")}
 
 
 @pytest.mark.parametrize("after", sorted(AFTER.keys() - OPENED))
-def test_the_command_line_accepts_each_next_line(after: str) -> None:
+def test_every_suggested_command_is_valid(after: str) -> None:
     words = shlex.split(AFTER[after].format(**VALUES))
     command = _command_line()
 
@@ -94,7 +94,7 @@ def test_the_command_line_accepts_each_next_line(after: str) -> None:
     command.make_context("armrig", words)  # raises where an option or a value is not taken
 
 
-def test_the_report_is_of_the_newest_step_pair_and_chassis(
+def test_the_report_uses_the_newest_step_pair_and_chassis_recordings(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     put(pair, "step-first", "0000000c")
@@ -115,7 +115,7 @@ def test_the_report_is_of_the_newest_step_pair_and_chassis(
         ("greybox-chassis", "armrig greybox @chassis -o chassis.png"),
     ],
 )
-def test_the_next_line_leads_to_the_chassis_alone(
+def test_the_next_command_records_the_chassis_without_the_arm(
     pair: Path,
     three_recordings: tuple[Path, ...],
     recorded_before: str | None,
@@ -132,7 +132,7 @@ def test_the_next_line_leads_to_the_chassis_alone(
     assert any("remove the arm" in line for line in lines) == (recorded_before is None)
 
 
-def test_after_the_chassis_alone_comes_the_integration(
+def test_the_next_command_after_the_chassis_is_the_integration(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = of_the_arm(telegraph(300, 0.05, seed=1), experiment="greybox-chassis")
@@ -143,7 +143,7 @@ def test_after_the_chassis_alone_comes_the_integration(
     assert capsys.readouterr().err.splitlines()[-1] == "next: armrig integrate -o integrate.png"
 
 
-def test_the_report_is_of_complete_recordings_that_belong_together(
+def test_the_report_uses_complete_recordings_that_belong_together(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = [
@@ -163,7 +163,7 @@ def test_the_report_is_of_complete_recordings_that_belong_together(
     assert report_of(capsys) == "@again @0000000a @0000000a/validation -o report.pdf"
 
 
-def test_the_report_is_of_one_calibration_and_has_the_answers(
+def test_the_report_uses_recordings_of_one_calibration_and_the_answers(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = [
@@ -179,7 +179,7 @@ def test_the_report_is_of_one_calibration_and_has_the_answers(
     assert report_of(capsys) == f"{files} --answers reasons.toml -o report.pdf"
 
 
-def test_a_step_whose_rise_is_hidden_is_made_again(
+def test_the_next_command_repeats_a_step_whose_rise_is_hidden(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import numpy as np
@@ -209,7 +209,7 @@ def test_a_step_whose_rise_is_hidden_is_made_again(
     assert last == wanted.replace("step --Ts", "step --rig 7 --connect tcp/far:7447 --Ts")
 
 
-def test_a_report_leads_to_the_questions_and_these_to_the_answers(
+def test_the_next_command_after_a_report_is_the_questions_then_the_answers(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["report", "--questions", "reasons.toml"]) == 0
@@ -220,7 +220,7 @@ def test_a_report_leads_to_the_questions_and_these_to_the_answers(
     assert goes_on == f"next: armrig report --handout {files} -o report.pdf"
 
 
-def test_a_step_that_was_made_again_replaces_the_first(pair: Path) -> None:
+def test_the_report_uses_the_repetition_of_a_step(pair: Path) -> None:
     next(pair.glob("*-validation-*")).unlink()
     put(pair, "step-first", "0000000e")
     put(pair, "step-first-again", "0000000f")
@@ -266,7 +266,7 @@ OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
         (PEM, "residuals", "", "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1"),
     ],
 )
-def test_the_next_estimation_does_what_the_findings_ask_for(
+def test_the_next_estimation_follows_the_findings(
     asked: dict[str, Any], about: str, how: str, wanted: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request = Request(**asked)
@@ -288,14 +288,14 @@ def test_the_next_estimation_does_what_the_findings_ask_for(
     assert options == wanted
 
 
-def test_a_rig_and_its_endpoint_are_named_where_they_are_not_the_defaults() -> None:
+def test_the_next_command_names_a_rig_and_endpoint_that_are_not_defaults() -> None:
     assert naming("1") == naming("1", None) == naming("1", "") == ""
     assert naming("7") == " --rig 7"
     assert naming("1", "tcp/a:1") == " --connect tcp/a:1"
     assert naming("7", "unixsock-stream/my rig") == " --rig 7 --connect 'unixsock-stream/my rig'"
 
 
-def test_the_report_gets_the_first_name_that_is_free(
+def test_the_report_gets_the_first_unused_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

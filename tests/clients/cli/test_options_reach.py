@@ -121,7 +121,7 @@ def _options(line: str) -> list[Any]:
 
 @pytest.mark.parametrize("line", WORK)
 @pytest.mark.usefixtures("folder")
-def test_an_option_is_refused_or_changes_the_arguments_of_the_work(
+def test_every_option_is_refused_or_reaches_its_function(
     line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[Any] = []
@@ -165,7 +165,7 @@ def test_an_option_is_refused_or_changes_the_arguments_of_the_work(
         ),
     ],
 )
-def test_a_dashboard_says_the_addresses_that_it_has(
+def test_the_dashboard_prints_its_addresses(
     options: list[str],
     lines: list[str],
     facts: dict[str, str | None],
@@ -212,7 +212,7 @@ def test_a_dashboard_says_the_addresses_that_it_has(
         ("a.parquet", ["--raw"], pd.read_parquet),
     ],
 )
-def test_an_export_has_the_format_the_signal_and_the_readings_that_were_asked_for(
+def test_the_options_of_export_select_format_signal_and_readings(
     name: str,
     options: list[str],
     read: Callable[[Path], Any],

@@ -53,7 +53,7 @@ def facts(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[s
     return dict(json.loads(out))
 
 
-def test_a_narrow_input_determines_no_delay_and_the_loop_is_reported_all_the_same(
+def test_feedback_is_reported_though_a_narrow_input_shows_no_delay(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     t = np.arange(600) * 0.01
@@ -71,7 +71,7 @@ def test_a_narrow_input_determines_no_delay_and_the_loop_is_reported_all_the_sam
     assert "u determines" in told["delay"]["remarks"][0]
 
 
-def test_a_figure_without_spectral_analysis_says_why(
+def test_a_figure_without_spectral_analysis_states_the_reason(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     y = made(N=60).y
@@ -110,9 +110,7 @@ def _write_with_outliers(path: Path) -> None:
     write(path, armrig.Dataset(u=data.u, y=y, Ts=TS))
 
 
-def test_wrong_samples_are_marked_where_it_is_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_outliers_are_marked_on_request(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _write_with_outliers(tmp_path / "data.csv")
     command = "identify data.csv --structure arx --na 2 --nb 2"
 
@@ -127,7 +125,7 @@ def test_wrong_samples_are_marked_where_it_is_asked_for(
     assert "marked 3 of 400 samples of y missing as outliers (samples 90, 200, 310)" in said
 
 
-def test_a_search_says_what_it_found_wrong_with_the_data(
+def test_a_search_reports_the_faults_of_the_data(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _write_with_outliers(tmp_path / "data.csv")

@@ -29,7 +29,7 @@ def _commands() -> dict[str, set[str]]:
     return {name: known for name, known in options.items() if "--calibration" in known}
 
 
-def test_every_command_that_reads_a_recording_takes_a_part_of_it() -> None:
+def test_every_command_that_reads_a_recording_accepts_a_part_of_it() -> None:
     found = _commands()
 
     assert len(found) > 8
@@ -38,7 +38,7 @@ def test_every_command_that_reads_a_recording_takes_a_part_of_it() -> None:
 
 
 @pytest.mark.parametrize(("t", "k"), [(0.07, 7), (0.57, 57), (0.065, 7), (0.071, 8)])
-def test_a_part_begins_and_ends_at_the_sample_that_is_due_then(t: float, k: int) -> None:
+def test_a_part_begins_and_ends_at_the_sample_due_at_its_time(t: float, k: int) -> None:
     """0.07 / 0.01 is 7 plus a rounding error."""
     data = Dataset(u=np.arange(100.0), y=np.zeros(100), Ts=0.01)
 
@@ -46,7 +46,7 @@ def test_a_part_begins_and_ends_at_the_sample_that_is_due_then(t: float, k: int)
     assert len(between(data, None, t)) == k
 
 
-def test_the_end_of_a_part_is_no_early_end_of_its_run(
+def test_the_end_of_a_part_is_not_reported_as_an_early_end_of_its_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     samples = turning([30_000 + 40 * (k % 50) for k in range(200)])
@@ -66,7 +66,7 @@ def test_the_end_of_a_part_is_no_early_end_of_its_run(
         (0, "the rig went away", ""),
     ],
 )
-def test_a_run_that_ended_early_is_named_before_it_is_used(
+def test_a_command_warns_before_it_uses_a_run_that_ended_early(
     asked: int, outcome: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ended = Outcome(outcome=outcome, samples=300, missing=0)

@@ -75,7 +75,7 @@ def _checked(name: str, failed: str, **of: Any) -> dict[str, Any]:
     ],
     ids=["good", "problem", "failed", "three", "five"],
 )
-def test_a_batch_says_what_has_no_result_is_damaged_or_fails_a_check(
+def test_a_batch_reports_missing_results_damage_and_failed_checks(
     rows: list[dict[str, Any]],
     code: int,
     head: str,
@@ -106,7 +106,7 @@ def test_a_batch_says_what_has_no_result_is_damaged_or_fails_a_check(
     }
 
 
-def test_a_fleet_says_each_file_and_each_rig_that_failed_or_was_silent(
+def test_a_fleet_reports_each_file_and_each_failed_or_silent_rig(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = SimpleNamespace(path=Path("a.mcap"), samples=20, missing=3, outcome="complete")
@@ -179,7 +179,7 @@ class _Hints(SimpleNamespace):
         (False, "", ""),
     ],
 )
-def test_the_line_after_the_hints_has_their_orders_or_tests_for_feedback(
+def test_the_command_after_the_hints_uses_their_orders_or_tests_feedback(
     integrator: bool,
     doubtful: str,
     given: str,
@@ -230,7 +230,7 @@ def test_a_demonstration_plays_a_step_and_two_telegraphs_with_seeds_in_a_row() -
             assert one.request == {"experiment": "blackbox", "details": details}
 
 
-def test_the_rig_of_a_demonstration_records_into_its_folder(tmp_path: Path) -> None:
+def test_a_demonstration_records_into_its_folder(tmp_path: Path) -> None:
     folder = tmp_path / 'a "folder"\\of mine'
     folder.mkdir()
 
@@ -243,7 +243,7 @@ def test_the_rig_of_a_demonstration_records_into_its_folder(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("virtual", "n_real", "why"), [(True, 0, ""), (False, 3, ""), (False, 1, "too busy")]
 )
-def test_a_demonstration_records_in_virtual_time_what_real_time_did_not(
+def test_a_demonstration_completes_missing_recordings_in_virtual_time(
     virtual: bool, n_real: int, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paths = [tmp_path / f"{i}.mcap" for i in range(3)]
@@ -280,7 +280,7 @@ def test_a_demonstration_records_in_virtual_time_what_real_time_did_not(
     assert ("the daemon's log: " in out.getvalue()) is not virtual
 
 
-def test_the_results_of_a_demonstration_are_those_of_its_models(tmp_path: Path) -> None:
+def test_a_demonstration_prints_the_results_of_its_models(tmp_path: Path) -> None:
     path = written(tmp_path, recorded([sample(k) for k in range(4)], manifest=manifest()))
     rec = armrig.load(path)
     of = {"oe": (0.5, 90.0, 80.0), "arx": (0.25, 95.125, None)}
@@ -312,7 +312,7 @@ def test_the_results_of_a_demonstration_are_those_of_its_models(tmp_path: Path) 
     assert "report r.pdf" in said
 
 
-def test_the_first_of_two_signals_ends_the_command_and_the_second_does_not_disturb_it(
+def test_a_second_signal_does_not_disturb_the_end_of_a_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stopped: list[str] = []
@@ -375,7 +375,7 @@ def test_an_error_of_the_system_names_the_file_and_what_to_do(
     assert capsys.readouterr().err.startswith(f"armrig: {said}")
 
 
-def test_a_firmware_may_fill_the_flash() -> None:
+def test_a_firmware_of_the_size_of_the_flash_is_accepted() -> None:
     from armrig.cli.flash import _check_size
     from armrig.lab.flash.avrdude import FLASH_BYTES
 

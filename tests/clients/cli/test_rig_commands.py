@@ -121,7 +121,7 @@ def test_a_stop_reports_the_motor_after_the_end_of_the_input(
         ),
     ],
 )
-def test_a_request_is_made_of_its_rig_and_closed(
+def test_a_command_sends_its_request_to_its_rig_and_disconnects(
     words: list[str],
     asked: tuple[str, ...],
     said: str,
@@ -142,7 +142,9 @@ def test_a_request_is_made_of_its_rig_and_closed(
     assert json.loads(capsys.readouterr().out) == {"rig": "7", **facts}
 
 
-def test_what_had_no_effect_is_said_so(rig: type[_Rig], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_request_without_effect_is_reported_as_such(
+    rig: type[_Rig], capsys: pytest.CaptureFixture[str]
+) -> None:
     rig.done = False
 
     assert main(["reset"]) == main(["note", "touched"]) == 0
@@ -179,7 +181,7 @@ def test_a_refusal_names_the_command_that_resets_this_rig(
         ({"phase": "fault", "reason": "link lost"}, ""),
     ],
 )
-def test_a_rig_that_is_ready_leads_to_its_first_recording(
+def test_the_status_of_a_ready_rig_suggests_its_first_recording(
     report: dict[str, Any],
     goes_on: str,
     rig: type[_Rig],
@@ -206,7 +208,7 @@ def test_a_line_of_watch_has_its_units() -> None:
     assert len(line) == len(_WATCH_HEADING)
 
 
-def test_samples_and_gaps_are_watched_in_lines_and_in_json(
+def test_watch_prints_samples_and_gaps_as_lines_or_json(
     rig: type[_Rig], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["watch", "--count", "3"]) == 0
@@ -222,7 +224,7 @@ def test_samples_and_gaps_are_watched_in_lines_and_in_json(
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan"])
-def test_a_recording_of_no_time_is_refused(
+def test_a_recording_of_zero_duration_is_refused(
     seconds: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["record", "--seconds", seconds, "--from", "tcp/nowhere:1"]) == 1
@@ -231,7 +233,7 @@ def test_a_recording_of_no_time_is_refused(
 
 
 @pytest.mark.parametrize("error", [None, OSError("disk full"), RuntimeError("lost")])
-def test_a_remote_recording_ends_with_its_reason(
+def test_a_remote_recording_reports_the_reason_of_its_end(
     error: Exception | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ended: list[Any] = []

@@ -202,7 +202,7 @@ def rig(folder: Path) -> Iterator[None]:
 @pytest.mark.parametrize(
     "file", without_slow(FILES, lambda file: file.stem in SLOW), ids=lambda file: file.stem
 )
-def test_a_command_says_what_it_said(
+def test_a_command_prints_the_stored_output(
     file: Path, folder: Path, request: pytest.FixtureRequest
 ) -> None:
     stored = file.read_text(encoding="utf-8")
@@ -221,7 +221,7 @@ def test_a_command_says_what_it_said(
         pytest.fail("\n".join([*lines, "", AGAIN]), pytrace=False)
 
 
-def test_every_command_is_in_a_file() -> None:
+def test_every_command_has_a_stored_output() -> None:
     text = "".join(file.read_text(encoding="utf-8") for file in FILES)
 
     for program, app in (("armrig", armrig_app()), ("armrigd", armrigd_app)):
@@ -230,7 +230,7 @@ def test_every_command_is_in_a_file() -> None:
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_an_answer_without_verbose_fits_a_screen(file: Path) -> None:
+def test_an_output_without_verbose_fits_a_screen(file: Path) -> None:
     answers = re.findall(r"^\$ (.*)\n((?:  .*\n)*)", file.read_text(encoding="utf-8"), re.MULTILINE)
     long = {line: text.count("\n") for line, text in answers if not WHOLE.search(line)}
 

@@ -90,7 +90,7 @@ def _table(horizon: int | None, **rms: list[float]) -> Any:
         (2, {"a": [3, 5]}, "Predicted 2 ahead, a fits y to 97.00 % (rms 3 rad) and z to 95.00 %"),
     ],
 )
-def test_the_model_of_the_least_error_is_named_for_each_output(
+def test_the_model_with_the_least_error_is_named_for_each_output(
     horizon: int | None, rms: dict[str, list[float]], said: str
 ) -> None:
     assert several_output.closest(_table(horizon, **rms)).startswith(said)
@@ -104,7 +104,7 @@ def test_the_model_of_the_least_error_is_named_for_each_output(
         ("csv:12", ("y", "z"), "check F --input w --signal alpha --detrend --from 1 --to 9"),
     ],
 )
-def test_a_validation_leads_to_the_physics_or_to_the_poorest_channel(
+def test_a_validation_suggests_the_physics_or_the_poorest_channel(
     source: str, outputs: tuple[str, ...], wanted: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     tests: Any = SimpleNamespace(poorest_pair=("alpha", "w"))
@@ -127,7 +127,7 @@ def test_a_validation_leads_to_the_physics_or_to_the_poorest_channel(
         ("csv:12", None, None, " --input u --signal theta_1"),
     ],
 )
-def test_a_comparison_leads_to_the_first_output_and_the_first_input(
+def test_a_comparison_suggests_the_first_output_and_the_first_input(
     source: str,
     signal: str | None,
     input_: str | None,

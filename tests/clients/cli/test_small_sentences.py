@@ -22,7 +22,7 @@ from armrig_core.errors import OperationError
         *(("J_2", 1 / 101, True), ("K_m", 1e-3, True), ("K_m", 1.0, False)),
     ],
 )
-def test_a_parameter_a_hundred_times_too_large_or_too_small_is_doubted(
+def test_a_parameter_wrong_by_a_factor_of_100_causes_a_warning(
     name: str, times: float, is_doubted: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     handout = getattr(ArmParameters(), name)
@@ -58,7 +58,7 @@ def test_changed_parameters_are_simulated_alone_and_together() -> None:
         ("1.2.3", "ms", "1.2.3"),
     ],
 )
-def test_a_value_with_a_prefix_is_offered_in_whole_units(
+def test_a_value_with_a_unit_prefix_is_converted_to_the_unit(
     number: str, unit: str, whole: str
 ) -> None:
     assert _in_whole_units(number, unit) == whole
@@ -72,7 +72,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     return terminal
 
 
-def test_a_question_leaves_room_for_the_answer(terminal: SimpleNamespace) -> None:
+def test_a_question_leaves_space_for_its_answer(terminal: SimpleNamespace) -> None:
     text = "word " * 12
 
     for terminal.columns, widest in ((50, 34), (33, 17), (32, len(text)), (0, len(text))):
@@ -125,8 +125,6 @@ def test_a_long_text_is_cut_at_its_end_and_a_spread_has_its_figures() -> None:
 
 
 @pytest.mark.parametrize(("name", "known"), [("dataset", "Dataset"), ("ARMAX", "armax")])
-def test_a_name_of_the_package_in_another_case_is_answered_with_the_right_one(
-    name: str, known: str
-) -> None:
+def test_a_misspelt_case_of_a_name_is_reported_with_the_right_name(name: str, known: str) -> None:
     with pytest.raises(AttributeError, match=rf"'{name}'; did you mean armrig\.{known}\?"):
         getattr(armrig, name)

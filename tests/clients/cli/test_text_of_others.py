@@ -94,7 +94,9 @@ def test_the_name_of_a_file_is_escaped_on_a_terminal(
     assert (told.out + told.err).replace("\n", "").isprintable()
 
 
-def test_a_line_on_standard_error_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_message_on_standard_error_is_escaped_to_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     tell(f"held by {HOSTILE}")
 
     assert capsys.readouterr().err == (
@@ -115,7 +117,7 @@ def test_the_name_of_a_file_is_escaped_next_to_a_spinner() -> None:
     assert HOSTILE[:7] not in shown.getvalue()
 
 
-def test_brackets_are_no_markup_next_to_a_bar() -> None:
+def test_brackets_next_to_a_progress_bar_are_not_markup() -> None:
     shown = StringIO()
     console = Console(file=shown, force_terminal=True, width=120)
 

@@ -62,7 +62,7 @@ def test_the_oldest_unread_connection_is_closed_next_and_the_new_one_last(table:
     assert table.closed == ["b", "c", "f"]
 
 
-def test_a_closed_connection_makes_room_and_the_end_closes_all(table: Table) -> None:
+def test_a_closed_connection_frees_its_place_and_the_end_closes_all(table: Table) -> None:
     for name in "abc":
         table.add(name)
     table.all.remove(table.address("b"))
@@ -77,7 +77,7 @@ def test_a_closed_connection_makes_room_and_the_end_closes_all(table: Table) -> 
     assert len(table.closed) == MOST
 
 
-def test_a_connection_is_asked_from_its_whole_request_to_the_end_of_its_answer() -> None:
+def test_a_connection_is_busy_from_its_request_to_the_end_of_its_response() -> None:
     seen: list[bool] = []
     table, made = Connections(), list[BoundedProtocol]()
 

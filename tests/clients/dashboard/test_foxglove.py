@@ -50,7 +50,7 @@ def _passed_on(
     return given, ends.waited
 
 
-def test_of_each_period_the_newest_sample_is_sent_with_its_angles_and_of_others_all(
+def test_each_period_sends_the_newest_sample_and_every_other_message(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     samples = [sample(k, theta_1_rad=0.1 * k, alpha_rad=-0.01 * k) for k in range(6)]

@@ -17,7 +17,7 @@ def test_a_pass_opens_once() -> None:
     assert [once.opens(code) for code in (b"wrong", b"right", b"right")] == [False, True, False]
 
 
-def test_a_pass_ends() -> None:
+def test_a_pass_expires() -> None:
     assert not Pass("right", until_s=time.monotonic() - 1).opens(b"right")
 
 
@@ -115,7 +115,7 @@ def test_permitted_requests_are_admitted_and_others_get_the_reason(
     ],
     ids=["several pieces", "the longest", "too long", "incomplete"],
 )
-def test_a_body_comes_in_pieces_and_is_bounded_as_a_whole(
+def test_the_size_limit_of_a_body_applies_to_the_sum_of_its_pieces(
     pieces: tuple[bytes | None, ...], status: int, body: str
 ) -> None:
     found, answered = _asked("POST", "/api/run", [HOST, TOKEN], pieces)

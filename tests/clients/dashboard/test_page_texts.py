@@ -17,7 +17,7 @@ PAGE = Path(armrig.dashboard.__file__).parent / "page"
 HERE = Path(__file__).parent
 
 
-def test_the_page_shows_the_stored_story(tmp_path: Path) -> None:
+def test_the_page_shows_the_stored_texts(tmp_path: Path) -> None:
     (tmp_path / "package.json").write_text('{"type": "module"}')
     for script in (*PAGE.glob("*.js"), HERE / "page_stage.js"):
         shutil.copy(script, tmp_path)

@@ -111,7 +111,7 @@ def test_a_request_about_a_recording_is_forwarded_unchanged(
 
 
 @pytest.mark.parametrize(("name", "validation"), [("a", "d"), ("b", None), ("c", "b"), ("d", None)])
-def test_a_validation_recording_is_that_of_its_own_recording(
+def test_a_validation_recording_belongs_to_its_estimation_recording(
     folder: Path, name: str, validation: str | None
 ) -> None:
     found = _Routes(folder)._validation_of(folder / f"{name}.mcap")
@@ -123,7 +123,7 @@ def test_a_validation_recording_is_that_of_its_own_recording(
     "file",
     ["link.mcap", "folder.mcap", "none.mcap", "a.mca", "../a.mcap", "./a.mcap", "", "x/a.mcap"],
 )
-def test_a_file_that_is_no_recording_of_the_folder_is_refused(folder: Path, file: str) -> None:
+def test_a_file_that_is_not_a_recording_of_the_folder_is_refused(folder: Path, file: str) -> None:
     (folder / "a.mca").touch()
     (folder / "folder.mcap").mkdir()
     (folder / "link.mcap").symlink_to(folder / "a.mcap")
@@ -141,7 +141,7 @@ def test_a_request_with_an_invalid_value_is_refused(folder: Path, more: dict[str
     assert _answer(_Routes(folder), "curves", file="a.mcap", **more)[0] == 400
 
 
-def test_a_process_that_died_is_begun_anew_by_the_next_question(folder: Path) -> None:
+def test_a_process_that_died_is_restarted_by_the_next_request(folder: Path) -> None:
     routes = _Routes(folder)
     routes._worker = worker = SimpleNamespace()  # type: ignore[assignment]
 
@@ -157,7 +157,7 @@ def test_a_process_that_died_is_begun_anew_by_the_next_question(folder: Path) ->
     assert routes._worker is None
 
 
-def test_the_folder_is_the_daemon_s_if_this_user_may_read_it(
+def test_the_folder_of_the_daemon_is_used_if_this_user_may_read_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = tmp_path / "own"
@@ -172,7 +172,7 @@ def test_the_folder_is_the_daemon_s_if_this_user_may_read_it(
     assert [before, there, routes._folder()] == [own, of_daemon, own]
 
 
-def test_a_file_that_grows_is_sent_in_the_size_that_was_told(folder: Path) -> None:
+def test_a_growing_file_is_sent_in_the_announced_size(folder: Path) -> None:
     path = folder / "a.mcap"
     data = path.read_bytes() + bytes(range(256)) * (1 << 11)  # longer than what is read at once
     path.write_bytes(data)

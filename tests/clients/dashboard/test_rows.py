@@ -66,7 +66,7 @@ def test_a_wrap_breaks_the_line(pixels: int) -> None:
         assert None in low
 
 
-def test_a_signal_without_wraps_may_jump() -> None:
+def test_a_jump_does_not_break_the_line_of_a_signal_without_wraps() -> None:
     """A rate that jumps by more than 180 °/s is one line."""
     [[_, low, _]] = _drawn([0.0] * 50 + [300.0] * 50, pixels=400, wraps=False)
 
@@ -80,7 +80,7 @@ def _times(times: list[float]) -> str:
 
 
 @pytest.mark.parametrize("Ts", [0.01, 0.3, 0.5, 1.0])
-def test_samples_at_any_sampling_time_are_a_line(Ts: float) -> None:
+def test_samples_are_joined_by_a_line_at_any_sampling_time(Ts: float) -> None:
     times = [k * Ts for k in range(20)] + [k * Ts + 20 * Ts + 1.0 for k in range(20)]
     spans = (5, 30, 300)
     views = [{"from": 0, "to": s, "pixels": 700 * s, "zero": 0, "wraps": True} for s in spans]
@@ -93,7 +93,7 @@ def test_samples_at_any_sampling_time_are_a_line(Ts: float) -> None:
         assert low[:40].count(None) == (1 if times[20] <= span else 0)
 
 
-def test_the_cursor_has_a_value_where_there_is_one() -> None:
+def test_the_cursor_shows_no_value_in_a_gap() -> None:
     times = [1.0 + k / 100 for k in range(100)] + [5.0 + k / 100 for k in range(100)]
     asked = [0.5, 1.0, 1.555, 3.0, 5.0, 7.0]
     held = _run(
@@ -103,7 +103,7 @@ def test_the_cursor_has_a_value_where_there_is_one() -> None:
     assert held == [None, 0, 55, None, 100, 199]
 
 
-def test_a_row_that_is_there_is_discarded_and_an_older_clock_begins_again() -> None:
+def test_a_repeated_row_is_discarded_and_an_older_clock_clears_the_rows() -> None:
     lengths = _run(
         "const kept = new rows.Rows(); const row = (t) => [t, 0, 0, 0, 0, 0, 0, 0, 0];"
         "kept.add([1000, 1001, 1002].map(row)); const a = kept.length;"
@@ -114,7 +114,7 @@ def test_a_row_that_is_there_is_discarded_and_an_older_clock_begins_again() -> N
     assert lengths == [3, 4, 2]
 
 
-def test_five_minutes_are_kept_and_no_more() -> None:
+def test_rows_of_the_last_five_minutes_are_kept() -> None:
     """The memory of the page is bounded at any rate of rows."""
     spans = _run(
         "const kept = new rows.Rows();"
@@ -129,7 +129,7 @@ def test_five_minutes_are_kept_and_no_more() -> None:
     assert spans[2] <= 40_000
 
 
-def test_rows_exactly_at_an_edge() -> None:
+def test_rows_exactly_at_an_edge_belong_to_the_view() -> None:
     found = _run(
         "const row = (t) => [t, 0, 0, t, t, 0, 0, 0, 0]; const made = (...times) => {"
         "const kept = new rows.Rows(); kept.add(times.map(row)); return kept; };"
@@ -152,7 +152,7 @@ def test_rows_exactly_at_an_edge() -> None:
     assert found["kept"] == [31, 4]
 
 
-def test_each_signal_is_drawn_from_its_own_columns() -> None:
+def test_each_signal_is_drawn_from_its_columns() -> None:
     sent = [[k / 64, *(10 * s + side + k for s in range(4) for side in (1, 2))] for k in range(7)]
     view = {"from": 0, "to": 5, "pixels": 64, "zero": 0, "wraps": False}
     drawn = _run(
@@ -173,7 +173,7 @@ def test_a_pixel_has_its_extremes_at_their_own_times() -> None:
     assert low[:4] == [5.0, 9.0, 2.0, 4.0]
 
 
-def test_a_wrap_hides_no_sample() -> None:
+def test_every_sample_next_to_a_wrap_is_drawn() -> None:
     """Each sample is drawn if a pixel has at most four."""
     lines = [[(350 + step * k) % 360 for k in range(100)] for step in (3.0, 110.0, -110.0)]
 
@@ -182,7 +182,7 @@ def test_a_wrap_hides_no_sample() -> None:
         assert x == sorted(x)
 
 
-def test_live_rows_before_the_past_are_drawn_after_it() -> None:
+def test_live_rows_received_before_the_history_are_drawn_after_it() -> None:
     rows = [[t / 10, 0, 0, t, t, 0, 0, 0, 0] for t in range(6)]
     times = _run(
         f"const sent = {json.dumps(rows)}; const kept = new rows.Rows();"

@@ -68,7 +68,7 @@ def test_a_masked_value_is_missing() -> None:
         ),
     ],
 )
-def test_a_bad_state_is_refused(arguments: dict[str, object], message: str) -> None:
+def test_an_invalid_dataset_is_refused(arguments: dict[str, object], message: str) -> None:
     good = {"u": [0.0, 1.0, 2.0], "y": [0.0, 1.0, 2.0], "Ts": 0.1}
 
     with pytest.raises(ValueError, match=message):
@@ -220,7 +220,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return armrig.load(written(folder, of_the_arm(armrig.telegraph(600, 0.05))))
 
 
-def test_estimators_and_tests_take_a_recording_for_its_dataset(recording: Any) -> None:
+def test_estimators_and_tests_accept_a_recording(recording: Any) -> None:
     data = recording.dataset()
     fit = armrig.arx(recording, na=4, nb=4)
 

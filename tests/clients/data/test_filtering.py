@@ -100,7 +100,7 @@ def test_resampling_keeps_straight_lines_and_their_trend() -> None:
     assert "resampled from 0.01 s to 0.05 s after a low-pass filter of 81" in slow.history[-1]
 
 
-def test_resampling_lets_no_alias_through() -> None:
+def test_resampling_suppresses_aliases() -> None:
     """Below 60 % of it a sine passes within 1 %; above it at most 1/400 remains."""
     n, factor = np.arange(6000), 5
     nyquist = np.pi / factor
@@ -119,7 +119,7 @@ def test_resampling_lets_no_alias_through() -> None:
 
 @settings(max_examples=25)
 @given(st.lists(st.integers(0, 599), max_size=3), st.integers(2, 6))
-def test_a_gap_stays_a_gap_at_the_slower_rate(holes: list[int], factor: int) -> None:
+def test_a_gap_remains_at_the_slower_rate(holes: list[int], factor: int) -> None:
     valid = np.ones(600, dtype=np.bool_)
     valid[holes] = False
     data = Dataset(u=np.arange(600), y=np.arange(600), Ts=1.0, valid=valid, starts=(0, 350))
@@ -144,7 +144,7 @@ def test_an_experiment_as_long_as_the_filter_is_resampled() -> None:
         resample(noise_free(32), 0.02)
 
 
-def test_gaps_everywhere_are_refused_before_nothing_is_left() -> None:
+def test_data_whose_gaps_would_remove_every_sample_are_refused() -> None:
     data = noise_free(300).replaced(valid=np.arange(300) % 30 > 0, step=None)
 
     with pytest.raises(ValueError, match="no stretch of y without a gap has the 33 samples"):
@@ -153,7 +153,7 @@ def test_gaps_everywhere_are_refused_before_nothing_is_left() -> None:
         prefilter(data, band=(0, 20.0))
 
 
-def test_the_same_rate_changes_nothing() -> None:
+def test_resampling_at_the_same_rate_does_not_change_the_data() -> None:
     data = noise_free(300)
 
     assert resample(data, 0.01) is data

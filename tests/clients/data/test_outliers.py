@@ -41,7 +41,7 @@ def marked(data: Dataset, treated: Dataset) -> list[int]:
 @pytest.mark.parametrize(
     ("noise", "seed"), [("of the output", 1), ("of the equation", 1), ("of the equation", 19)]
 )
-def test_wrong_samples_are_found_and_their_neighbours_are_not(noise: str, seed: int) -> None:
+def test_outliers_are_found_and_their_neighbours_are_not(noise: str, seed: int) -> None:
     """Single samples, a pair and three in a row, with errors far smaller than the range of y.
 
     With the seed 19 the search also marks a right sample, and later removes the mark.
@@ -59,7 +59,7 @@ def test_wrong_samples_are_found_and_their_neighbours_are_not(noise: str, seed: 
     ("where", "size"),
     [*((FIVE, size) for size in (1.0, 1e2, 1e4, 1e6)), ([700], 30.0)],
 )
-def test_outliers_of_any_size_cost_no_right_sample(where: list[int], size: float) -> None:
+def test_outliers_of_any_size_do_not_mark_a_correct_sample(where: list[int], size: float) -> None:
     """A model fitted to samples a million times too large would describe only these.
 
     One sample of six times the range of y spoilt the model, and 100 right samples were marked.
@@ -75,7 +75,7 @@ def test_outliers_do_not_depend_on_the_unit_of_y() -> None:
     assert marked(small, hampel(small)) == marked(data, hampel(data)) == [400, 900]
 
 
-def test_a_rare_pulse_that_the_input_made_is_no_outlier() -> None:
+def test_a_rare_pulse_caused_by_the_input_is_not_an_outlier() -> None:
     u = np.zeros(2000)
     u[[300, 900, 1400]] = 5.0
     y = filtered([0, 1.0, 0.5], [1.0], u) + 1e-4 * np.random.default_rng(1).standard_normal(2000)
@@ -116,7 +116,7 @@ def test_coloured_residuals_raise_no_more_alarms(plant: Any) -> None:
     assert alarms <= 2.5 + 4 * np.sqrt(50 * 0.05 * 0.95), alarms
 
 
-def test_the_angle_s_own_turns_are_no_outliers(plant: Any) -> None:
+def test_the_wraps_of_an_angle_are_not_outliers(plant: Any) -> None:
     """theta_1 runs over many turns; a sample that is wrong by 60 mrad is found."""
     data = plant.dataset(4)
     valid = np.arange(3000) % 150 >= 4
@@ -142,7 +142,7 @@ def test_a_wrong_sample_after_a_gap_is_found_as_any_other(after: int) -> None:
     assert marked(data, treated) == where
 
 
-def test_experiments_are_searched_each_by_itself() -> None:
+def test_each_experiment_is_searched_separately() -> None:
     first, second = clean(5), clean(6)
     high = second.replaced(y=second.y + 3.0, step=None)
 
@@ -159,7 +159,7 @@ def test_experiments_are_searched_each_by_itself() -> None:
         filtered([0, 0.1, 0.05], [1, -1.5, 0.7], telegraph(300, 0.02)),
     ],
 )
-def test_rounding_errors_are_no_outliers(y: NDArray[np.float64]) -> None:
+def test_rounding_errors_are_not_outliers(y: NDArray[np.float64]) -> None:
     """Without noise the robust standard deviation consists of rounding errors."""
     data = Dataset(u=telegraph(300, 0.02), y=y, Ts=0.01)
 

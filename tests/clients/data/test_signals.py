@@ -113,7 +113,7 @@ def test_equidistant_times_become_a_sampling_time() -> None:
     assert parts.Ts == pytest.approx(0.25)  # only the gap between the experiments is longer
 
 
-def test_slices_parts_and_experiments() -> None:
+def test_slices_parts_and_experiments_are_selected() -> None:
     signals = driven()
 
     assert signals[150:260].starts == (0, 50)
@@ -291,7 +291,7 @@ def test_a_pair_must_be_chosen() -> None:
         signals.dataset("fan", "valve")
 
 
-def test_an_option_of_one_pair_is_refused_for_several_with_those_that_there_are() -> None:
+def test_an_option_of_one_pair_is_refused_with_the_options_of_several() -> None:
     call: Any = armrig.oe
     said = "^offset= is for one output and one input; for several signals oe takes nb, nf, nk, "
     with pytest.raises(InputTypeError, match=said):
@@ -365,7 +365,7 @@ def written(
     return path
 
 
-def test_a_csv_with_names(tmp_path: Path) -> None:
+def test_a_csv_with_names_is_read(tmp_path: Path) -> None:
     found = armrig.load_signals(
         written(tmp_path, columns()), inputs=["u1", "u2"], outputs=["y2", "y1"]
     )
@@ -405,7 +405,7 @@ def test_a_missing_input_ends_an_experiment_and_a_missing_output_does_not(tmp_pa
         ({"inputs": ["u1"], "outputs": []}, "give at least one signal; give --signal"),
     ],
 )
-def test_wrong_columns_are_refused_with_the_way_out(
+def test_wrong_columns_are_refused_with_the_remedy(
     tmp_path: Path, asked: dict[str, Any], said: str
 ) -> None:
     path = written(tmp_path, columns())

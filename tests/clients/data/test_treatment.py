@@ -51,7 +51,7 @@ def test_each_experiment_loses_its_own_mean() -> None:
     )
 
 
-def test_a_treatment_is_known_by_its_code_in_merged_data_too() -> None:
+def test_a_treatment_keeps_its_code_in_merged_data() -> None:
     data = Dataset(u=np.arange(9.0), y=np.arange(9.0) ** 2, Ts=1)
 
     merged = merge([detrend(data), data])
@@ -61,7 +61,7 @@ def test_a_treatment_is_known_by_its_code_in_merged_data_too() -> None:
     assert codes_of(merged.history) == [MEAN, ""]
 
 
-def test_a_line_removed_from_the_angle_is_warned_of() -> None:
+def test_a_line_removed_from_the_angle_causes_a_warning() -> None:
     """theta_1 integrates by construction."""
     data = Dataset(u=np.ones(50), y=np.arange(50.0), Ts=1, output="theta_1")
 
@@ -92,7 +92,7 @@ def test_a_drift_under_a_stable_output_may_be_removed(seed: int) -> None:
     assert abs(np.mean(treated.y)) < 1e-9
 
 
-def test_real_data_with_a_stable_output_are_not_warned_of(
+def test_real_data_with_a_stable_output_cause_no_warning(
     reference: Callable[[str], NDArray[np.float64]],
 ) -> None:
     """The hair dryer does not integrate."""
@@ -104,7 +104,7 @@ def test_real_data_with_a_stable_output_are_not_warned_of(
     np.testing.assert_allclose(treated.y, y - np.polyval(np.polyfit(t, y, 1), t), atol=1e-9)
 
 
-def test_a_difference_is_missing_where_a_neighbour_is() -> None:
+def test_a_difference_is_missing_if_a_neighbour_is_missing() -> None:
     data = Dataset(
         u=np.zeros(7),
         y=[0, 1, 3, 6, 10, 0, 2],
@@ -231,7 +231,7 @@ def test_data_whose_gaps_leave_too_few_rows_have_no_drift() -> None:
     assert np.isfinite(drift(full_of_gaps, 2)[0].z)
 
 
-def test_an_angle_has_no_drift_but_an_offset_of_its_input() -> None:
+def test_an_angle_has_an_input_offset_instead_of_a_drift() -> None:
     angle = Dataset(u=np.ones(90), y=np.arange(90.0), Ts=1, output="theta_1")
 
     with pytest.raises(ValueError, match=r"theta_1 integrates its input.*free\[0\].offset"):

@@ -100,7 +100,7 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
     assert arx(late, na=1, nb=2, nk=9).N == 4
 
 
-def test_an_input_that_does_not_excite_is_refused() -> None:
+def test_an_input_without_excitation_is_refused() -> None:
     """A constant determines one number, not two."""
     rng = np.random.default_rng(0)
 

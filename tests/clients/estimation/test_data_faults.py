@@ -106,7 +106,7 @@ def test_few_residuals_show_no_wrong_samples(known: int, is_told: bool) -> None:
 @pytest.mark.parametrize(
     ("N", "levels", "is_told"), [(100, 45, False), (100, 55, True), (400, 90, False), (400, 110, 1)]
 )
-def test_columns_look_swapped_from_50_levels_and_a_quarter_of_the_samples_on(
+def test_swapped_columns_are_reported_from_50_levels_and_a_quarter_on(
     N: int, levels: int, is_told: bool
 ) -> None:
     u = np.arange(float(N)) % levels
@@ -178,7 +178,7 @@ def test_data_without_a_level_have_no_finding() -> None:
 
 
 @pytest.mark.parametrize("noise", sampled(["laplace", "normal"]))
-def test_noise_is_no_outlier_and_a_mean_of_the_input_no_offset(noise: str) -> None:
+def test_noise_is_not_an_outlier_and_a_mean_of_u_is_not_an_offset(noise: str) -> None:
     """40 runs of each noise."""
     for seed in range(40):
         fit = armrig.oe(dataset(seed, 500, noise=noise), nb=2, nf=2, starts="few")
@@ -187,7 +187,7 @@ def test_noise_is_no_outlier_and_a_mean_of_the_input_no_offset(noise: str) -> No
         assert not about(fit, "at u = 0")
 
 
-def test_steps_that_a_poor_model_misses_are_no_outliers() -> None:
+def test_steps_missed_by_a_poor_model_are_not_outliers() -> None:
     """Few large residuals, each after a step of the input: the order is too low."""
     u = np.repeat([0.0, 1.0, 0.0, 1.0, 0.0], 400)
     y = filtered([0, 0, 0, 0, 0, 1.0], [1.0, -0.3], u)
@@ -197,7 +197,7 @@ def test_steps_that_a_poor_model_misses_are_no_outliers() -> None:
 
 
 @pytest.mark.parametrize("name", ["arx", "iv4", "n4sid", "armax", "oe"])
-def test_an_offset_of_y_is_reported_with_the_way_out(name: str) -> None:
+def test_an_offset_of_y_is_reported_with_the_remedy(name: str) -> None:
     """The offset is 5 above any response to u."""
     data = dataset()
     data = data.replaced(y=data.y + 5.0, step=None)
@@ -209,7 +209,7 @@ def test_an_offset_of_y_is_reported_with_the_way_out(name: str) -> None:
     assert float(said.split("about ")[1].split()[0]) == pytest.approx(5.0, abs=0.3)
 
 
-def test_an_integrator_has_a_level_of_its_own() -> None:
+def test_an_integrator_has_a_separate_level() -> None:
     """The offset of the input is estimated with it, so that no other remedy is named."""
     data = dataset(N=300)
     data = data.replaced(y=data.y + 5.0, step=None)
@@ -218,7 +218,7 @@ def test_an_integrator_has_a_level_of_its_own() -> None:
     assert not about(armrig.n4sid(data, 2, integrator=True), "at u = 0")
 
 
-def test_with_offset_true_the_model_is_right() -> None:
+def test_the_model_with_an_offset_is_unbiased() -> None:
     data = dataset(std=0.05)
     fit = armrig.oe(data.replaced(y=data.y + 5.0, step=None), nb=2, nf=2, offset=True)
 
@@ -227,7 +227,7 @@ def test_with_offset_true_the_model_is_right() -> None:
 
 
 @pytest.mark.exhaustive
-def test_coloured_noise_is_no_offset() -> None:
+def test_coloured_noise_is_not_an_offset() -> None:
     """30 runs with noise filtered by a pole at 0.9, which an OE model leaves coloured."""
     for seed in range(30):
         data = dataset(seed, 500, std=0.0)

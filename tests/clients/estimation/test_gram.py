@@ -38,7 +38,7 @@ def test_the_gram_matrix_is_that_of_the_windows(sizes: list[int]) -> None:
     np.testing.assert_allclose(G, M.T @ M, atol=1e-11 * np.abs(G).max())
 
 
-def test_a_window_with_a_hole_is_left_out_and_the_triangle_is_theirs() -> None:
+def test_windows_with_a_missing_sample_are_omitted_from_the_factor() -> None:
     """In the order [U_f U_p Y_p Y_f], over the holes of two experiments."""
     parts = _signals(2, [500, 90])
     parts[0][1][[3, 40, 41, 250]] = np.nan

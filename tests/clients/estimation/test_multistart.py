@@ -72,7 +72,7 @@ def test_a_mode_that_fits_noise_is_moved_to_the_lowest_minimum() -> None:
     assert any("poorer minimum" in w for w in fit.warnings)
 
 
-def test_a_minimum_is_in_doubt_if_the_noise_is_strong_or_the_search_is_thorough() -> None:
+def test_a_minimum_is_uncertain_in_strong_noise_or_a_thorough_search() -> None:
     """With more than 30 coefficients it never is: a round of moved modes would take a minute."""
     rng = np.random.default_rng(1)
     u, e = rng.standard_normal((2, 400))
@@ -91,7 +91,7 @@ def test_a_minimum_is_in_doubt_if_the_noise_is_strong_or_the_search_is_thorough(
 
 
 @pytest.mark.exhaustive
-def test_a_search_by_a_part_of_the_data_ends_at_the_minimum_of_all_data() -> None:
+def test_a_search_that_starts_on_a_part_ends_at_the_minimum_of_all_data() -> None:
     rng = np.random.default_rng(2)
     N = 2 * prediction_error_fit.PART_SAMPLES + 1000
     u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
@@ -246,7 +246,7 @@ def test_denominators_of_a_start_are_stable_though_the_data_grow() -> None:
 
 
 @pytest.mark.parametrize("gaps", [[], [30], [30, 31, 60]])
-def test_a_start_at_rest_needs_no_samples_for_what_was_before_it(gaps: list[int]) -> None:
+def test_a_start_at_rest_reserves_no_samples_for_the_past(gaps: list[int]) -> None:
     """After a gap the noise model needs its own, at rest or not."""
     u, y = np.random.default_rng(2).standard_normal((2, 80))
     whole = Dataset(u=u, y=y, Ts=1.0)
@@ -352,7 +352,7 @@ def test_the_minimum_is_as_low_as_the_one_that_the_truth_leads_to(kind: str, see
     assert fit.loss * fit.N < least * (1 + 1e-4)
 
 
-def test_a_search_goes_along_the_circle() -> None:
+def test_a_search_follows_the_unit_circle() -> None:
     """C has a root on the circle; shortening each step would miss the other roots."""
     data, n, truth, _ = drawn_model("ARMAX", np.random.default_rng([1139, 3]))
     problem = problem_of(data, n)
@@ -365,6 +365,6 @@ def test_a_search_goes_along_the_circle() -> None:
     assert np.abs(roots(np.append(1.0, end.theta))).max() == pytest.approx(EDGE_MODULUS)
 
 
-def test_starts_are_many_or_few() -> None:
+def test_an_unknown_number_of_starts_is_refused() -> None:
     with pytest.raises(ValueError, match='starts=\'some\' must be "many" or "few"'):
         armrig.armax(hard(1)[0], na=2, nb=2, nc=3, starts="some")  # type: ignore[arg-type]

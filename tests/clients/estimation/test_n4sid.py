@@ -100,7 +100,9 @@ def test_the_arm_is_found_as_well_as_by_output_error(plant: HandoutPlant) -> Non
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_the_dead_band_of_a_potentiometer_costs_little(plant: HandoutPlant, seed: int) -> None:
+def test_the_dead_band_of_a_potentiometer_hardly_increases_the_error(
+    plant: HandoutPlant, seed: int
+) -> None:
     """Quantised to 10 bits, 5 % missing in gaps of all lengths."""
     data = plant.through_potentiometer(plant.dataset(seed), seed)
 
@@ -134,7 +136,7 @@ def test_an_integrating_angle_without_an_integrator_causes_a_warning(plant: Hand
     assert not any("integrator" in w for w in n4sid(plant.dataset(1), 4, integrator=True).warnings)
 
 
-def test_an_integrator_that_only_the_data_show_causes_a_warning() -> None:
+def test_an_integrator_shown_only_by_the_data_causes_a_warning() -> None:
     rng = np.random.default_rng(3)
     u = np.repeat(rng.choice([-1.0, 1.0], 60), 10)
     v = filtered([1.0], [1.0, -0.9], rng.standard_normal(600))
@@ -192,7 +194,7 @@ def test_the_deviation_of_a_pole_is_that_of_its_coefficients() -> None:
     assert _pole_std(np.array([1.0, -0.5]), 0.5, np.array([[0.04]])) == pytest.approx(0.2)
 
 
-def test_gaps_and_several_experiments_cost_only_their_windows() -> None:
+def test_gaps_and_several_experiments_remove_only_their_windows() -> None:
     valid = np.ones(2000, dtype=np.bool_)
     valid[::37] = False
     one = _data(1)
@@ -205,7 +207,7 @@ def test_gaps_and_several_experiments_cost_only_their_windows() -> None:
 
 
 @pytest.mark.parametrize("integrator", [False, True])
-def test_poles_are_reflected_and_an_integrator_stays(integrator: bool) -> None:
+def test_unstable_poles_are_reflected_and_an_integrator_is_kept(integrator: bool) -> None:
     at_1 = np.array([1.0, -1.0]) if integrator else np.ones(1)
     outside, inside = np.array([1.0, -0.9, -0.52]), np.array([1.0, -0.9, 0.2])  # 1.3, -0.4
 
@@ -217,7 +219,7 @@ def test_poles_are_reflected_and_an_integrator_stays(integrator: bool) -> None:
 
 
 @pytest.mark.parametrize("missing", [False, True])
-def test_noise_is_not_estimated_from_what_was_before_the_first_sample(missing: bool) -> None:
+def test_noise_is_not_estimated_from_the_time_before_the_first_sample(missing: bool) -> None:
     """The noise begins far from 0, and A y looks back on it."""
     structure = Structure(nb=2, nf=2, nk=1)
     parts, v, e = [], list[Vector](), 0.3 * np.random.default_rng(3).standard_normal((2, 500))
@@ -283,7 +285,7 @@ def _excess(fit: SubspaceFit, C: ArrayLike, D: ArrayLike) -> float:
     return float(np.mean((own - e) ** 2) / np.mean(e**2))
 
 
-def test_the_noise_model_of_short_data_is_as_good_as_it_can_be() -> None:
+def test_the_noise_model_of_short_data_has_nearly_the_least_error() -> None:
     """12 parameters from 300 samples cost 4 % of loss; a horizon of 10 samples costs 29 %."""
     data = [_of_fourth_order(seed, 300, C4, A4)[0] for seed in range(12)]
 

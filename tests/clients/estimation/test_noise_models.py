@@ -197,7 +197,7 @@ def test_an_input_offset_is_estimated_with_the_model(
     assert residuals(fit, moved).whiteness == pytest.approx(fit.whiteness, rel=1e-3)
 
 
-def test_the_initial_state_is_kept_where_an_f_test_says_so() -> None:
+def test_the_initial_state_is_kept_if_an_f_test_is_significant() -> None:
     rng = np.random.default_rng(7)
     u = rng.standard_normal(400)
     y = filtered(B, A, u) + filtered(C, D, 0.05 * rng.standard_normal(400))
@@ -285,7 +285,7 @@ def test_the_hair_dryer_has_a_coloured_noise(
     assert fit.loss < 0.9 * arx(seen, na=2, nb=2, nk=3).loss
 
 
-def test_instruments_are_not_biased_by_coloured_noise() -> None:
+def test_instrumental_variables_are_not_biased_by_coloured_noise() -> None:
     fits = [iv4(bj_data(seed), na=2, nb=2) for seed in range(200)]
     truth = [-1.2, 0.6, 1.0, 0.5]
 
@@ -335,7 +335,7 @@ def test_the_four_stages_are_those_of_the_textbook() -> None:
     assert fit.noise_variance == pytest.approx(v @ v / (n.size - 4))
 
 
-def test_instruments_leave_out_what_is_missing() -> None:
+def test_instrumental_variables_omit_missing_samples() -> None:
     whole = bj_data(1, N=3000)
     valid = np.random.default_rng(2).random(whole.N) > 0.01
     spoilt = Dataset(u=whole.u, y=np.where(valid, whole.y, 1e6), Ts=0.1, valid=valid)

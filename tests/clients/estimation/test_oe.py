@@ -92,7 +92,7 @@ def test_every_coefficient_of_the_plant_lies_inside_three_sigma(
     assert all((np.abs(fit.theta - plant.theta) < 3 * fit.std).all() for fit in fits)
 
 
-def test_missing_outputs_cost_only_their_own_rows() -> None:
+def test_missing_outputs_remove_only_their_rows() -> None:
     """OE uses no past y."""
     rng = np.random.default_rng(5)
     u = rng.standard_normal(400)
@@ -167,7 +167,7 @@ def test_an_initial_state_of_zero_lowers_the_deviations() -> None:
     assert (at_rest.std < estimated.std).all()
 
 
-def test_backcast_is_the_state_that_is_estimated() -> None:
+def test_the_backcast_state_is_the_least_squares_estimate() -> None:
     rng = np.random.default_rng(7)
     u = np.append(np.full(40, 2.0), rng.standard_normal(120))
     y = filtered([0, 1, 0.5], [1, -1.7, 0.8], u) + 0.3 * rng.standard_normal(160)
@@ -196,7 +196,7 @@ def test_backcast_is_the_state_that_is_estimated() -> None:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("std", [0.01, 0.3])
-def test_resonant_systems_are_found_from_their_data_alone(std: float) -> None:
+def test_resonant_systems_are_identified_without_start_values(std: float) -> None:
     missed = []
     for seed in range(25):
         rng = np.random.default_rng([seed, 99])
@@ -227,7 +227,7 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
         oe(holed, nb=1, nf=1)
 
 
-def test_an_input_that_does_not_excite_is_refused() -> None:
+def test_an_input_without_excitation_is_refused() -> None:
     y = np.random.default_rng(0).standard_normal(50)
 
     with pytest.raises(ValueError, match=r"u determines only . of 2 numerator.*richer input"):

@@ -42,7 +42,7 @@ def _plainly(parts: list[Dataset], na: int, nb: int, nk: int, skip: int) -> tupl
 
 
 @pytest.mark.parametrize("orders", [(1, 1, 0), (4, 3, 3), (2, 2, 2), (0, 2, 1), (3, 1, 3)])
-def test_each_loss_is_that_of_the_structure_s_own_least_squares(
+def test_each_loss_equals_that_of_a_separate_least_squares_fit(
     orders: tuple[int, int, int],
 ) -> None:
     valid = np.ones(600, dtype=np.bool_)
@@ -78,7 +78,7 @@ def test_the_true_orders_are_found() -> None:
     assert "mdl        chooses na=2, nb=2, nk=2" in repr(table)
 
 
-def test_validation_data_decide_where_there_are_some() -> None:
+def test_validation_data_decide_on_the_order_if_given() -> None:
     table = select_orders(_data(1, 3000), validation=_data(2, 3000))
 
     best, i = table.best(), table.chosen()
@@ -122,7 +122,7 @@ def test_validation_data_with_few_rows_have_a_batch_for_each_row() -> None:
     assert np.isfinite(table.batch_losses).all()
 
 
-def test_the_best_of_fewer_parameters_is_named() -> None:
+def test_the_table_names_the_best_structure_with_fewer_parameters() -> None:
     table = select_orders(_data(1, 1000), validation=_data(2, 1000))
     loss, d = table.values("validation"), table.parameters
     fewer = d < d[table.chosen()]

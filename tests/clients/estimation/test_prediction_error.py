@@ -62,7 +62,7 @@ def test_every_derivative_of_the_prediction_is_that_of_a_complex_step() -> None:
         (GENERAL, THETA),
     ],
 )
-def test_the_reduced_gradient_is_the_cost_s(
+def test_the_reduced_gradient_equals_that_of_the_cost(
     structure: Structure, theta: list[float], missing: float
 ) -> None:
     """Kaufman's Jacobian drops a term of the residual's derivative, none of the cost's."""
@@ -81,7 +81,7 @@ def test_the_reduced_gradient_is_the_cost_s(
 
 
 @pytest.mark.parametrize(("nc", "nd"), [(1, 2), (2, 1), (1, 0)])
-def test_a_root_on_the_circle_is_led_outwards_by_its_normal(nc: int, nd: int) -> None:
+def test_the_normal_of_a_root_on_the_circle_points_outwards(nc: int, nd: int) -> None:
     """The gradients of |z| of a root of C and of a pair of F, at their places in theta."""
     structure = Structure(nb=1, nc=nc, nd=nd, nf=3, nk=1)
     problem = PredictionErrorProblem(

@@ -34,7 +34,9 @@ def _runs(forgetting: float) -> list[RarxState]:
 
 
 @pytest.mark.parametrize(("na", "nb", "nk"), [(2, 2, 1), (0, 3, 0), (1, 1, 2), (3, 1, 1)])
-def test_an_estimate_without_forgetting_is_that_of_all_samples(na: int, nb: int, nk: int) -> None:
+def test_an_estimate_without_forgetting_equals_that_of_all_samples(
+    na: int, nb: int, nk: int
+) -> None:
     valid = np.ones(400, dtype=np.bool_)
     valid[[100, 200, 201]] = False
     one = _data(1)
@@ -49,7 +51,7 @@ def test_an_estimate_without_forgetting_is_that_of_all_samples(na: int, nb: int,
     np.testing.assert_array_equal(state.B[:nk], 0.0)
 
 
-def test_a_row_with_a_hole_forgets_nothing() -> None:
+def test_a_row_with_a_missing_sample_does_not_forget() -> None:
     one = _data(1, 200)
     valid = np.ones(200, dtype=np.bool_)
     valid[[50, 120, 121, 190]] = False
@@ -109,7 +111,7 @@ def test_the_noise_variance_holds_while_forgetting() -> None:
     assert abs(np.mean(variances) - 0.09) < 3 * np.std(variances) / np.sqrt(150)
 
 
-def test_a_step_leaves_the_state_before_it_as_it_was() -> None:
+def test_a_step_does_not_change_the_previous_state() -> None:
     state = rarx_step(rarx_start(na=1, nb=1), 1.0, 2.0)
     before = (state.R.copy(), state.u.copy(), state.y.copy())
 
@@ -128,7 +130,7 @@ def test_undetermined_parameters_have_infinite_deviations() -> None:
     assert np.isinf(state.std).all()
 
 
-def test_parameters_stay_when_the_samples_no_longer_determine_them() -> None:
+def test_parameters_that_the_samples_no_longer_determine_are_kept() -> None:
     """After 100 samples at one level, the excited samples weigh 0.5^100."""
     u = np.where(np.arange(140) < 40, _data(1, 140).u, 1.0)
     data = Dataset(u=u, y=filtered([0, 1.0, 0.5], [1, -0.4], u), Ts=1.0)
@@ -154,7 +156,7 @@ def test_the_unit_of_u_changes_no_recursive_estimate(unit: float) -> None:
     np.testing.assert_allclose(state.std, fit.std, rtol=1e-7)
 
 
-def test_as_many_samples_as_parameters_show_no_noise() -> None:
+def test_the_noise_is_unknown_with_as_many_samples_as_parameters() -> None:
     rng = np.random.default_rng(1)
     state = rarx_start(na=0, nb=3)
     for _ in range(7):  # the first row is that of the fourth sample

@@ -113,7 +113,7 @@ def _errors(fit: Fit, data: Dataset, B: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_a_stable_model_is_left_as_it_is(name: str) -> None:
+def test_a_stable_model_is_unchanged(name: str) -> None:
     data = _growing(0.9)
 
     free, inside = ESTIMATORS[name](data), ESTIMATORS[name](data, stable=True)
@@ -139,7 +139,7 @@ def test_a_stable_model_is_left_as_it_is(name: str) -> None:
         ({1.0 + 0.01j: 0.05, 1.0 - 0.01j: 0.05}, {}, "lower the orders, or reflect it"),
     ],
 )
-def test_the_remedy_is_that_of_the_pole_that_is_outside(
+def test_the_remedy_depends_on_which_polynomial_has_the_unstable_pole(
     poles: dict[complex, float], of: dict[str, Any], remedy: str
 ) -> None:
     found = SimpleNamespace(values=np.array([*poles], complex), std=np.array([*poles.values()]))
@@ -154,7 +154,7 @@ def test_the_remedy_is_that_of_the_pole_that_is_outside(
     assert ("set the option" in text) == (of.get("structure") == "bj")
 
 
-def test_an_integrator_by_construction_is_no_unstable_pole() -> None:
+def test_a_fixed_integrator_is_not_an_unstable_pole() -> None:
     data = _growing(1.0)
 
     fit = armax(data, na=2, nb=2, nc=1, integrator=True, stable=True)
@@ -180,7 +180,7 @@ def test_poles_on_the_circle_are_counted_among_the_reflected(
     assert not list(reflection_warnings(before, before))
 
 
-def test_roots_are_reflected_or_drawn_in() -> None:
+def test_roots_outside_the_circle_are_reflected_or_moved_inside() -> None:
     """Roots outside move to 1/z*, roots on the circle just inside; roots inside stay."""
     pair = 1.25 * np.exp(0.7j)
     inside = np.array([1.0, -0.5])

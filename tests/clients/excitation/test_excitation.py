@@ -33,7 +33,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 
-def test_a_telegraph_signal_switches_as_often_as_asked() -> None:
+def test_a_telegraph_signal_switches_with_the_requested_probability() -> None:
     """The probability is a per sample, within four standard deviations."""
     N, a = 20_000, 0.05
 
@@ -134,7 +134,7 @@ def test_no_signal_leaves_its_interval(N: int, low: float, width: float, seed: i
     ],
 )
 @pytest.mark.parametrize(("low", "high"), [(-1.0, 1.0), (0.0, 5.1), (3.0, 2.0), (np.nan, 1.0)])
-def test_no_kind_takes_an_interval_outside_the_rig_s(
+def test_an_interval_outside_that_of_the_rig_is_refused(
     make: Any, arguments: tuple[Any, ...], low: float, high: float
 ) -> None:
     with pytest.raises(ValueError, match=r"outside the rig's 0 to 5 V|must be below"):
@@ -161,7 +161,7 @@ def test_a_clock_holds_each_value() -> None:
 @pytest.mark.parametrize(
     ("N", "clock", "register"), [(60, 10, 3), (70, 10, 3), (71, 10, 4), (3, 1, 2), (4, 1, 3)]
 )
-def test_a_prbs_has_the_shortest_register_that_lasts(N: int, clock: int, register: int) -> None:
+def test_a_prbs_has_the_shortest_register_for_its_length(N: int, clock: int, register: int) -> None:
     """Seven clocks fill the period of three bits."""
     expected = prbs(N, clock, seed=5, register=register)
 
@@ -170,7 +170,7 @@ def test_a_prbs_has_the_shortest_register_that_lasts(N: int, clock: int, registe
 
 
 @pytest.mark.parametrize("distribution", ["uniform", "normal"])
-def test_noise_is_white_and_as_strong_as_said(distribution: Any) -> None:
+def test_noise_is_white_and_has_the_stated_variance(distribution: Any) -> None:
     """Lag correlations within four times 1/sqrt(N); variance within 2 % of the documented value."""
     N = 40_000
 
@@ -234,7 +234,7 @@ def test_a_chirp_reaches_its_last_frequency_after_its_last_sample(
     assert u[5] == pytest.approx(2.5 + 2 * np.sin(2 * np.pi * cycles))
 
 
-def test_a_staircase_stays_equally_long_on_every_level() -> None:
+def test_a_staircase_holds_each_level_equally_long() -> None:
     np.testing.assert_array_equal(staircase(7, [1, 3, 2]), [1, 1, 1, 3, 3, 2, 2])
     np.testing.assert_array_equal(staircase(4, 2, low=0, high=5), [0, 0, 5, 5])
     np.testing.assert_array_equal(staircase(3, 3, low=1, high=2), [1, 1.5, 2])
@@ -249,7 +249,7 @@ def test_a_staircase_stays_equally_long_on_every_level() -> None:
         "\ufeff1\n2\n3\n",
     ],
 )
-def test_a_file_is_read_as_people_write_them(tmp_path: Path, text: str) -> None:
+def test_a_file_is_read_in_each_common_notation(tmp_path: Path, text: str) -> None:
     path = tmp_path / "u.csv"
     path.write_text(text, encoding="utf-8")
 
@@ -290,7 +290,7 @@ def test_a_file_that_must_not_be_played_is_refused_by_its_row(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_input_by_name_is_as_long_and_inside(name: str) -> None:
+def test_every_input_by_name_has_the_requested_length_and_range(name: str) -> None:
     figures = {"a": 0.05, "low": 1.0, "high": 2.0, "seed": 5}
 
     u = named_signal(name, 700, 0.01, **figures)  # type: ignore[arg-type]
@@ -303,7 +303,7 @@ def test_every_input_by_name_is_as_long_and_inside(name: str) -> None:
     np.testing.assert_array_equal(u, again)
 
 
-def test_an_input_by_name_is_that_of_its_function() -> None:
+def test_an_input_by_name_equals_that_of_its_function() -> None:
     """A telegraph of probability 0.1 switches as often as a prbs of five samples."""
     expected = {
         "telegraph": telegraph(90, 0.1, 1.0, 2.0, 3),

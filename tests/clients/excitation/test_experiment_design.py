@@ -24,7 +24,7 @@ B, A = np.array([0, 1, 0.5]), np.array([1, -1.2, 0.6])
 RUNS, N = 200, 400
 
 
-def test_for_the_data_it_was_estimated_from_a_fit_predicts_its_own_std(plant: Any) -> None:
+def test_a_fit_predicts_its_std_for_its_estimation_data(plant: Any) -> None:
     """The arm with its integrator, gaps and two experiments: the same covariance, to 1 %."""
     first, second = plant.dataset(0, N=1500), plant.dataset(1, N=1500)
     holed = first.replaced(valid=np.arange(1500) % 70 > 3, step=None)
@@ -41,7 +41,7 @@ def test_for_the_data_it_was_estimated_from_a_fit_predicts_its_own_std(plant: An
 @pytest.mark.parametrize(
     "structure", sampled(["armax", "integrating bj", "integrating armax", "bj"], 2)
 )
-def test_models_with_a_noise_model_predict_their_own_std_too(structure: str) -> None:
+def test_models_with_a_noise_model_predict_their_std(structure: str) -> None:
     """On 4000 samples, within 10 %, because the noise of the data is one draw."""
     rng = np.random.default_rng(5)
     u, e = telegraph(4000, 0.3, seed=rng), 0.3 * rng.standard_normal(4000)
@@ -64,7 +64,7 @@ def test_models_with_a_noise_model_predict_their_own_std_too(structure: str) -> 
     np.testing.assert_allclose(predicted.std, fit.std, rtol=0.1)
 
 
-def test_coloured_noise_is_planned_for_as_theory_says() -> None:
+def test_the_plan_for_coloured_noise_agrees_with_theory() -> None:
     """ARMA(1, 1) noise has its asymptotic variance in closed form.
 
     For A = 1 + a/q, C = 1 + c/q: cov N = [[1/(1-a²), -1/(1-ac)], [-1/(1-ac), 1/(1-c²)]]^-1.
@@ -205,7 +205,7 @@ def test_impossible_arguments_of_a_plan_are_refused() -> None:
 
 
 @pytest.mark.parametrize("initial", ["estimate", "zero"])
-def test_a_gap_at_the_end_teaches_as_little_as_a_shorter_experiment(initial: Any) -> None:
+def test_a_gap_at_the_end_informs_like_a_shorter_experiment(initial: Any) -> None:
     """For a physical model and a black box; the planned length still contains the gap."""
     u = telegraph(300, 0.1)
     y, there = np.where(np.arange(300) < 180, 0.0, np.nan), np.arange(300) < 180
@@ -240,7 +240,7 @@ def test_each_experiment_adds_its_information() -> None:
 
 
 @pytest.mark.parametrize("structure", ["A", "F"])
-def test_an_integrator_from_a_known_state_is_known_better(structure: str) -> None:
+def test_a_known_initial_state_lowers_the_deviation_of_an_integrator(structure: str) -> None:
     """Initial state and offset are then not estimated."""
     u = telegraph(60, 0.1) - 2.5
     integrating = np.convolve(A, [1.0, -1.0])

@@ -67,7 +67,7 @@ def found(findings: list[HostCheck], name: str) -> HostCheck:
     return finding
 
 
-def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
+def test_a_suitable_host_has_only_good_findings(tmp_path: Path) -> None:
     findings = examine(host(tmp_path))
 
     assert {f.level for f in findings} == {"good"}
@@ -103,7 +103,7 @@ def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
     ],
     ids=lambda value: value if isinstance(value, str) and value[:1] != "#" else "",
 )
-def test_each_cost_of_timing_is_reported_with_the_remedy(
+def test_each_cause_of_poor_timing_is_reported_with_the_remedy(
     tmp_path: Path,
     name: str,
     files: dict[str, str],
@@ -121,7 +121,7 @@ def test_each_cost_of_timing_is_reported_with_the_remedy(
     assert not is_well(findings)
 
 
-def test_a_finding_without_a_remedy_here_is_a_note(tmp_path: Path) -> None:
+def test_a_finding_without_a_remedy_on_this_host_is_a_note(tmp_path: Path) -> None:
     files = {
         "proc/cpuinfo": "flags\t\t: fpu hypervisor tsc\n",
         "proc/sys/kernel/version": "#1 SMP PREEMPT_DYNAMIC @0",
@@ -133,7 +133,7 @@ def test_a_finding_without_a_remedy_here_is_a_note(tmp_path: Path) -> None:
     assert is_well(findings)
 
 
-def test_a_host_without_information_is_no_error(tmp_path: Path) -> None:
+def test_a_host_without_information_is_not_an_error(tmp_path: Path) -> None:
     findings = examine(Host(root=tmp_path, granted=Granted(**GRANTED)))
 
     assert {f.name for f in findings if f.level == "note"} == {
@@ -142,7 +142,7 @@ def test_a_host_without_information_is_no_error(tmp_path: Path) -> None:
     assert is_well(findings)
 
 
-def test_a_deep_idle_state_costs_where_the_loop_cannot_hold_it_off(tmp_path: Path) -> None:
+def test_a_deep_idle_state_is_reported_unless_the_loop_can_prevent_it(tmp_path: Path) -> None:
     """The loop writes /dev/cpu_dma_latency while it runs."""
     state = "sys/devices/system/cpu/cpu1/cpuidle/state3"
     made = host(tmp_path, {f"{state}/latency": "133", f"{state}/name": "C6"})
@@ -153,7 +153,7 @@ def test_a_deep_idle_state_costs_where_the_loop_cannot_hold_it_off(tmp_path: Pat
     assert found(examine(made), "idle states").level == "bad"
 
 
-def test_an_idle_state_that_is_disabled_costs_nothing(tmp_path: Path) -> None:
+def test_a_disabled_idle_state_is_not_reported(tmp_path: Path) -> None:
     state = "sys/devices/system/cpu/cpu0/cpuidle/state1"
     made = host(tmp_path, {f"{state}/latency": "300", f"{state}/disable": "1"})
     (tmp_path / "dev/cpu_dma_latency").unlink()
@@ -172,7 +172,7 @@ def test_an_idle_state_that_is_disabled_costs_nothing(tmp_path: Path) -> None:
         ({}, "unknown"),
     ],
 )
-def test_the_preemption_model_is_reported_by_the_first_that_knows(
+def test_the_preemption_model_is_read_from_the_first_available_source(
     tmp_path: Path, files: dict[str, str], model: str
 ) -> None:
     for name, content in files.items():
@@ -182,7 +182,7 @@ def test_the_preemption_model_is_reported_by_the_first_that_knows(
     assert preemption(tmp_path) == model
 
 
-def test_recordings_go_where_the_users_configuration_says(tmp_path: Path) -> None:
+def test_the_folder_of_recordings_is_that_of_the_user_s_configuration(tmp_path: Path) -> None:
     user = tmp_path / "user"
     for directory, content in (
         (tmp_path / "etc/armrig", '[recording]\ndirectory = "/srv/rig"\n'),
@@ -247,7 +247,7 @@ def test_a_brief_result_has_few_lines_and_the_remedies_of_an_ordinary_laptop(
 
 
 @pytest.mark.parametrize(("fifo", "code"), [(True, 0), (False, 1)])
-def test_the_exit_code_says_whether_all_is_well(
+def test_the_exit_code_is_0_only_if_all_findings_are_good(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -318,7 +318,7 @@ def test_a_daemon_that_answers_is_judged_and_not_the_calling_user(
     assert not [f for f in findings if "dialout" in str(f)]
 
 
-def test_the_daemon_s_refused_requests_are_reported_to_root_too(tmp_path: Path) -> None:
+def test_the_refused_requests_of_the_daemon_are_reported_to_root_too(tmp_path: Path) -> None:
     made = host(tmp_path, is_root=True)
 
     findings = examine(
@@ -338,7 +338,7 @@ def test_the_daemon_s_refused_requests_are_reported_to_root_too(tmp_path: Path) 
     assert found(none, "SCHED_FIFO").mend == "[timing] priority is 0"
 
 
-def test_a_stopped_service_leaves_its_permissions_unjudged(tmp_path: Path) -> None:
+def test_the_permissions_of_a_stopped_service_are_not_judged(tmp_path: Path) -> None:
     made = host(tmp_path, **NOBODY)
 
     findings = examine(dataclasses.replace(made, silent="the service of rig 1 has stopped"))

@@ -81,7 +81,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs("simavr")
-def test_the_firmware_is_written_read_back_and_answers(
+def test_the_firmware_is_written_verified_and_answers(
     tmp_path: Path, capsys: Said, patient: None
 ) -> None:
     image = read_image(shipped_image())
@@ -153,7 +153,7 @@ def test_a_board_that_is_refused_is_reported_in_one_line(
     ("efuse", "level", "is_set"),
     [(0xFD, "2.7 V", False), (0xFC, "4.3 V", True), (0x05, "2.7 V", False), (0xFF, "none", False)],
 )
-def test_the_brown_out_fuse_is_named(
+def test_the_brown_out_fuse_is_reported(
     efuse: int,
     level: str,
     is_set: bool,
@@ -171,7 +171,7 @@ def test_the_brown_out_fuse_is_named(
     assert ("avrdude -p atmega328p -c usbasp -U efuse:w:0xfc:m" in " ".join(said.split())) != is_set
 
 
-def test_a_programmer_that_is_not_there_is_no_boot_loader(
+def test_a_missing_programmer_is_not_reported_as_a_missing_boot_loader(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
     said = "echo 'unable to open programmer usbasp on port usb' >&2\nexit 1"
@@ -182,7 +182,7 @@ def test_a_programmer_that_is_not_there_is_no_boot_loader(
     assert "avrdude cannot read with usbasp: plug the programmer in" in capsys.readouterr().err
 
 
-def test_a_dry_run_says_all_and_sends_nothing(capsys: Said) -> None:
+def test_a_dry_run_prints_all_steps_and_sends_no_byte(capsys: Said) -> None:
     image = read_image(shipped_image())
     with Uno(_another_firmware) as uno:
         assert main(["flash", "--port", uno.port, "--dry-run"]) == 0
@@ -198,7 +198,7 @@ def test_a_dry_run_says_all_and_sends_nothing(capsys: Said) -> None:
     assert " ".join(json.loads(told)["command"]) in out
 
 
-def test_a_port_that_a_daemon_holds_is_left_alone(capsys: Said) -> None:
+def test_a_port_held_by_a_daemon_is_refused(capsys: Said) -> None:
     """The daemon's opening of the port locks it."""
     with Uno(_another_firmware) as uno:
         daemon = os.open(uno.port, os.O_RDWR | os.O_NOCTTY)
@@ -211,7 +211,7 @@ def test_a_port_that_a_daemon_holds_is_left_alone(capsys: Said) -> None:
     assert set(uno.flash) == {0xFF}
 
 
-def test_no_daemon_takes_the_port_while_it_is_written() -> None:
+def test_a_daemon_cannot_open_the_port_during_the_writing() -> None:
     """A daemon that systemd starts meanwhile finds the port taken."""
     from armrig_daemon.loop.link import Link, TakenPortError
 
@@ -222,7 +222,7 @@ def test_no_daemon_takes_the_port_while_it_is_written() -> None:
         Link(uno.port, 500_000).close()
 
 
-def test_the_motor_is_asked_for_before_a_byte_is_sent(
+def test_a_confirmation_for_the_motor_is_required_before_the_first_byte(
     typed: Callable[[str], None], capsys: Said
 ) -> None:
     typed("n\n")
@@ -235,7 +235,7 @@ def test_the_motor_is_asked_for_before_a_byte_is_sent(
     assert set(uno.flash) == {0xFF}
 
 
-def test_without_avrdude_it_says_how_to_get_it(
+def test_a_missing_avrdude_is_reported_with_its_installation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -268,7 +268,7 @@ def test_the_board_is_chosen_by_port_or_by_name(
     assert ("--port" in str(refused.value)) == (port is None)
 
 
-def test_a_board_is_known_by_the_name_that_stays(tmp_path: Path) -> None:
+def test_a_board_selected_by_its_persistent_name_keeps_it(tmp_path: Path) -> None:
     port = tmp_path / "ttyACM0"
     port.touch()
     link = tmp_path / "armrig-5563"
@@ -279,7 +279,7 @@ def test_a_board_is_known_by_the_name_that_stays(tmp_path: Path) -> None:
     assert board == Board(port=str(link), name=R3.name, is_uno=True)
 
 
-def test_boards_are_named_by_their_usb_ids(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_usb_ids_determine_the_names_of_boards(monkeypatch: pytest.MonkeyPatch) -> None:
     from serial.tools.list_ports_common import ListPortInfo
 
     def port(device: str, vid: int | None, pid: int | None, text: str) -> ListPortInfo:
@@ -354,7 +354,7 @@ def test_ctrl_c_reports_an_incomplete_program() -> None:
         ("Writing | " + 50 * "#" + " |\nVerifying | " + 9 * "#", (9, 50, "reading back")),
     ],
 )
-def test_progress_is_that_of_the_newest_bar(said: str, told: tuple[int, int, str]) -> None:
+def test_the_progress_is_read_from_the_newest_bar(said: str, told: tuple[int, int, str]) -> None:
     """A block is a fiftieth."""
     assert avrdude.progress(said) == told
 

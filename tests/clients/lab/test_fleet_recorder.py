@@ -117,7 +117,7 @@ def test_a_rig_is_recorded_again_after_a_full_disk_with_a_pause_and_room(
     assert rigs.began == times + (times == 2)
 
 
-def test_all_rigs_are_recorded_until_the_last_of_them_has_ended(rigs: _Rigs) -> None:
+def test_recording_continues_until_the_last_rig_has_ended(rigs: _Rigs) -> None:
     begun, goes_on, last = list[str](), list[str](), threading.Event()
 
     def record(rig: str, is_over: threading.Event) -> None:

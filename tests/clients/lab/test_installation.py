@@ -47,7 +47,7 @@ def _contents(root: Path) -> dict[str, str]:
     return {str(p.relative_to(root)): p.read_text() for p in root.rglob("*") if p.is_file()}
 
 
-def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) -> None:
+def test_the_files_of_the_rig_service_are_installed(tmp_path: Path, commands: Commands) -> None:
     before = os.umask(0o077)  # of a careful administrator
     try:
         installing(tmp_path).carry_out(commands)
@@ -96,7 +96,7 @@ def test_each_deployed_file_belongs_to_a_part(tmp_path: Path) -> None:
     assert {file.path for file in of_parts} == {file.path for file in files(tmp_path)}
 
 
-def test_installed_parts_are_renewed(tmp_path: Path, commands: Commands) -> None:
+def test_an_installation_renews_the_installed_parts(tmp_path: Path, commands: Commands) -> None:
     installing(tmp_path, ["router", "recorder"]).carry_out(commands)
     (tmp_path / ROUTER).write_text("[Unit]\n")
 
@@ -248,7 +248,7 @@ def test_the_state_of_each_part_is_reported(
     assert not any("armrigd@" in line for line in said)
 
 
-def test_without_anybody_to_agree_nothing_is_written(
+def test_no_file_is_written_without_consent(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["service", "install", "--root", str(tmp_path)]) == 1
@@ -278,7 +278,7 @@ def test_a_failed_or_missing_command_is_reported() -> None:
         installation.run_command(["no-such-command"])
 
 
-def test_a_drop_in_that_leads_nowhere_keeps_nothing_installed(tmp_path: Path) -> None:
+def test_a_dangling_drop_in_does_not_count_as_installed(tmp_path: Path) -> None:
     installing(tmp_path).carry_out(lambda _: None)
     drop_ins = tmp_path / "etc/systemd/system/armrigd@1.service.d"
     (drop_ins / "a.conf").mkdir(parents=True)
@@ -307,7 +307,7 @@ def test_a_drop_in_that_leads_nowhere_keeps_nothing_installed(tmp_path: Path) ->
         ("RestrictAddressFamilies=AF_UNIX\n", False),
     ],
 )
-def test_a_drop_in_stays_and_is_named(
+def test_an_uninstallation_keeps_and_names_a_drop_in(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, opens: bool
 ) -> None:
     drop_in = tmp_path / "etc/systemd/system/armrigd@1.service.d/override.conf"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 HANDOUT = ArmParameters()
 
 
-def test_the_physics_has_the_figures_that_follow_from_its_parameters(plant: HandoutPlant) -> None:
+def test_the_figures_of_the_physics_follow_from_its_parameters(plant: HandoutPlant) -> None:
     """Gain 1/(N K_m), anti-resonance sqrt(K_lin/J_2), the eigenvalues as poles, no deviations."""
     t = model_characteristics(physical_model(HANDOUT, plant.dataset(1)))
     eigenvalues = np.linalg.eigvals(arm_matrices(HANDOUT)[0])
@@ -51,7 +51,7 @@ def test_a_first_order_system_has_its_textbook_figures() -> None:
     assert t.poles == pytest.approx([-1 / tau])
 
 
-def test_the_deviations_of_the_slow_pair_of_real_poles_are_poor() -> None:
+def test_only_the_deviations_of_real_poles_are_sampled() -> None:
     F = np.real(np.poly([0.97 * np.exp(1j), 0.97 * np.exp(-1j), 0.9, 0.86]))
     P = 1e-6 * np.eye(5)
     fit = replace(_any_fit(), F=F, covariance=P, covariance_robust=P)
@@ -100,7 +100,7 @@ def test_a_resonance_is_the_peak_of_the_gain_to_rounding() -> None:
 
 
 @pytest.mark.parametrize("Ts", [0.002, 0.01])
-def test_the_times_of_a_model_are_those_of_the_step_analysis_whatever_Ts(Ts: float) -> None:
+def test_the_times_of_a_model_equal_the_step_analysis_at_any_Ts(Ts: float) -> None:
     """A chassis with a time constant of 20 ms, by its rate, and with a dead time."""
     pole = np.exp(-Ts / 0.02)
     # theta_1's answer to a held input: the integral of a first-order rate.
@@ -122,7 +122,7 @@ def test_the_times_of_a_model_are_those_of_the_step_analysis_whatever_Ts(Ts: flo
 
 
 @pytest.mark.parametrize("gain", [2.0, -3.0])
-def test_an_oscillator_has_the_textbook_s_figures_whatever_its_gain(gain: float) -> None:
+def test_an_oscillator_of_any_gain_has_the_figures_of_the_textbook(gain: float) -> None:
     """Damping 0.2 at 20 rad/s; z-plane sampling at 10 ms hardly moves the figures."""
     zeta, w, Ts = 0.2, 20.0, 0.01
     z = np.exp((-zeta + 1j * np.sqrt(1 - zeta**2)) * w * Ts)
@@ -174,7 +174,7 @@ def test_pairs_that_cancel_are_listed_once_and_the_closest_first() -> None:
     assert overlapping(sure) == []
 
 
-def test_the_pole_of_an_integrator_is_no_half_of_a_pair() -> None:
+def test_the_pole_of_an_integrator_is_not_part_of_a_pair() -> None:
     for letter in ("A", "F"):
         p = {letter: [1.0, -1.5, 0.5]}
         claimed = made(B=(0, 1, -0.999), **p, integrator=True, std=[0.1] * 4)

@@ -50,7 +50,7 @@ def test_an_overlap_has_a_code_and_its_times() -> None:
     assert found(data[200:], fit) == []
 
 
-def test_the_times_of_a_part_of_a_part_are_those_of_the_file() -> None:
+def test_the_times_of_a_part_of_a_part_refer_to_the_file() -> None:
     data = dataset()
     fit = armrig.arx(data[100:][50:200], na=1, nb=1)
 
@@ -70,7 +70,7 @@ def test_a_treatment_does_not_hide_the_overlap() -> None:
         assert finding.numbers == pytest.approx(dict(zip(("start", "stop"), times, strict=True)))
 
 
-def test_the_same_data_have_a_code_of_their_own() -> None:
+def test_identical_data_have_a_separate_code() -> None:
     data = dataset()
 
     [finding] = found(data, armrig.arx(data, na=1, nb=1))
@@ -78,7 +78,7 @@ def test_the_same_data_have_a_code_of_their_own() -> None:
     assert finding.about == "own data"
 
 
-def test_models_of_the_same_and_of_overlapping_data_have_their_own_findings() -> None:
+def test_models_of_identical_and_overlapping_data_have_separate_findings() -> None:
     """Each overlap has its model's name and its own times; the end is that of the shorter."""
     data = dataset()
     own, first, last = (armrig.arx(part, na=1, nb=1) for part in (data, data[:50], data[390:]))

@@ -50,7 +50,7 @@ def test_a_frequency_beyond_nyquist_is_refused(fit: Fit) -> None:
         fit.frequency_response([1.0, 40.0])
 
 
-def test_near_rest_an_integrator_is_as_exact_as_anywhere() -> None:
+def test_the_response_of_an_integrator_is_accurate_near_zero_frequency() -> None:
     """G tends to b / (F̃(1) i omega Ts), so no coefficients cancel."""
     rest = np.array([1, -1.3, 0.47])
     fit = Fit(
@@ -66,18 +66,18 @@ def test_near_rest_an_integrator_is_as_exact_as_anywhere() -> None:
 
 
 @pytest.mark.parametrize("n", [0, -1, 2.5, "3", None, True])
-def test_a_step_response_of_no_length_is_refused(fit: Fit, n: Any) -> None:
+def test_a_step_response_of_zero_length_is_refused(fit: Fit, n: Any) -> None:
     with pytest.raises(ValueError, match=f"n={n!r} must be an integer >= 1"):
         fit.step_response(n)
 
 
 @pytest.mark.parametrize("u", [[[1.0, 2.0], [3.0, 4.0]], [], 1.0])
-def test_an_input_that_is_no_row_is_not_simulated(fit: Fit, u: Any) -> None:
+def test_an_input_that_is_not_a_vector_is_refused(fit: Fit, u: Any) -> None:
     with pytest.raises(ValueError, match=r"u has shape \(.*\), but must be \(N,\), N >= 1"):
         fit.simulate(u)
 
 
-def test_the_criteria_are_the_textbook_s(fit: Fit) -> None:
+def test_the_criteria_equal_the_formulas_of_the_textbook(fit: Fit) -> None:
     assert fit.fpe == pytest.approx(fit.loss * (1 + 4 / 400) / (1 - 4 / 400))
     deviance = 400 * (np.log(2 * np.pi * fit.loss) + 1)
     assert fit.aic == pytest.approx(deviance + 8)
@@ -113,7 +113,7 @@ def test_an_arx_model_predicts_k_samples_by_its_difference_equation(k: int, seed
     assert np.isfinite(y[2 + k - 1 :]).all()
 
 
-def test_white_noise_is_known_as_well_as_its_variance(fit: Fit) -> None:
+def test_the_deviation_of_a_white_spectrum_is_that_of_its_variance(fit: Fit) -> None:
     """An output-error model has the spectrum lambda Ts, with the relative deviation sqrt(2/N)."""
     spectrum = fit.noise_spectrum([0.1, 10.0])
 
@@ -121,7 +121,7 @@ def test_white_noise_is_known_as_well_as_its_variance(fit: Fit) -> None:
     np.testing.assert_allclose(spectrum.std, spectrum.Phi * np.sqrt(2 / fit.N))
 
 
-def test_the_covariance_that_the_residuals_ask_for_is_trusted(fit: Fit) -> None:
+def test_the_trusted_covariance_depends_on_the_residuals(fit: Fit) -> None:
     d = fit.theta.size
     made_up = replace(fit, covariance=np.eye(d), covariance_robust=9 * np.eye(d))
     white, coloured = (replace(made_up, whiteness=p) for p in (0.5, 0.001))

@@ -31,7 +31,7 @@ def claimed(fit: armrig.Fit) -> Model:
     return Model(A=fit.A, B=fit.B, F=fit.F, nk=fit.nk, integrator=True, Ts=fit.Ts)
 
 
-def test_a_model_answers_as_the_fit_of_the_same_polynomials(fit: armrig.Fit) -> None:
+def test_a_model_responds_like_the_fit_with_the_same_polynomials(fit: armrig.Fit) -> None:
     model, omega = claimed(fit), np.geomspace(0.1, 50.0, 40)
     u = np.random.default_rng(0).standard_normal(60)
 
@@ -45,7 +45,7 @@ def test_a_model_answers_as_the_fit_of_the_same_polynomials(fit: armrig.Fit) -> 
     assert model.names == fit.names
 
 
-def test_the_physics_of_alpha_is_that_of_the_arm() -> None:
+def test_the_physical_model_of_alpha_is_that_of_the_arm() -> None:
     """The pulse response is C Phi^(k-1) Gamma of the second output, without an integrator."""
     A, B, C = arm_matrices(ArmParameters())
     data = armrig.Dataset(u=np.zeros(2), y=np.zeros(2), Ts=0.01, output="alpha", unit="rad")
@@ -63,7 +63,7 @@ def test_the_physics_of_alpha_is_that_of_the_arm() -> None:
     assert np.all(np.abs(np.roots(physics.F)) < 1)
 
 
-def test_a_pole_that_an_ill_conditioned_covariance_hardly_moves_has_a_deviation(
+def test_a_pole_has_a_deviation_with_an_ill_conditioned_covariance(
     fit: armrig.Fit,
 ) -> None:
     """J C J' is rounded below 0 if a direction that moves no pole has a large variance."""
@@ -95,7 +95,7 @@ def whole() -> armrig.Fit:
     )
 
 
-def test_python_control_takes_both_transfer_functions() -> None:
+def test_python_control_accepts_both_transfer_functions() -> None:
     """B/(A F) from u, C/(A D) from e."""
     fit, omega = whole(), np.array([0.3, 4.0, 20.0])
     x = np.exp(-1j * omega * fit.Ts)
@@ -110,7 +110,7 @@ def test_python_control_takes_both_transfer_functions() -> None:
 
 
 @pytest.mark.parametrize("integrating", ["", "a", "f"])
-def test_deviations_are_those_of_the_derivatives(integrating: str) -> None:
+def test_deviations_follow_from_the_derivatives(integrating: str) -> None:
     """Each of the parameters is moved alone: |G|, its phase, the step, the noise and the roots."""
     fit, omega = whole(), np.array([0.3, 4.0, 20.0])
     if integrating:
@@ -153,7 +153,7 @@ def test_deviations_are_those_of_the_derivatives(integrating: str) -> None:
     np.testing.assert_allclose(fit.zeros().covariance[:, 0, 0], variances[4], rtol=1e-4)
 
 
-def test_a_rate_is_the_difference_of_the_step_at_the_middle_of_each_interval() -> None:
+def test_a_rate_is_the_step_difference_at_the_middle_of_each_interval() -> None:
     for fit in (whole(), replace(whole(), Ts=0.02)):
         step, rate = fit.step_response(9), fit.step_response(8, rate=True)
 

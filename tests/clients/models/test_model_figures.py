@@ -47,7 +47,7 @@ def test_frequencies_end_at_the_highest_nyquist_frequency_of_the_models() -> Non
     assert drawn_line(given, "slow")[0].tolist() == [1.0, 2.0]
 
 
-def test_dots_are_on_the_turn_of_the_model_beside_them() -> None:
+def test_the_phase_of_an_estimate_is_drawn_within_half_a_turn_of_the_model() -> None:
     """The phase of the model is near -200°, that of the dots 160°."""
     omega = np.array([1.0, 2.0, 4.0, 8.0])
     fit = made(B=(0, -0.4), F=(1, -0.8))
@@ -62,7 +62,7 @@ def test_dots_are_on_the_turn_of_the_model_beside_them() -> None:
 
 
 @pytest.mark.parametrize(("Ts", "n"), [(0.1, 50), (0.02, 50), (0.01, 100), (2.0, 50)])
-def test_a_step_is_as_long_as_a_second_or_50_samples(Ts: float, n: int) -> None:
+def test_the_length_of_a_step_is_at_least_a_second_or_50_samples(Ts: float, n: int) -> None:
     ax = plot_step(lag(Ts=Ts), labels=("a",), ax=Figure().add_subplot())
     short = plot_step(lag(Ts=Ts), n=7, labels=("a",), ax=Figure().add_subplot())
 

@@ -37,7 +37,7 @@ def fit() -> Fit:
     return bj(merge(data(1).split(2)), nb=2, nc=1, nd=1, nf=2, starts="few")
 
 
-def test_a_saved_model_is_the_same_to_the_last_digit(fit: Fit, tmp_path: Path) -> None:
+def test_a_saved_model_is_loaded_exactly(fit: Fit, tmp_path: Path) -> None:
     for saved in (fit, arx(data(2), na=1, nb=1), replace(fit, whiteness=float("nan"))):
         saved.save(tmp_path / "model.json")
         loaded = load_fit(tmp_path / "model.json")
@@ -66,7 +66,7 @@ def test_a_model_file_is_plain_json(fit: Fit, tmp_path: Path) -> None:
     assert "θ" in text
 
 
-def test_the_keys_of_a_model_file_stay_as_they_are(fit: Fit, tmp_path: Path) -> None:
+def test_the_keys_of_a_model_file_equal_the_stored_keys(fit: Fit, tmp_path: Path) -> None:
     fit.save(tmp_path / "model.json")
 
     keys = set(json.loads((tmp_path / "model.json").read_text(encoding="utf-8")))
@@ -155,7 +155,7 @@ def test_free_responses_and_starts_are_loaded_unchanged(fit: Fit) -> None:
         assert getattr(loaded, name) == getattr(changed, name)
 
 
-def test_each_finding_keeps_all_that_it_says(fit: Fit) -> None:
+def test_a_saved_finding_keeps_all_its_fields(fit: Fit) -> None:
     """Numbers that are not finite, too."""
     findings = (
         warning("overlap", "first", start=1.5, stop=float("inf")),
@@ -180,13 +180,13 @@ def test_each_finding_keeps_all_that_it_says(fit: Fit) -> None:
         ('{"format": "armrig model", "version": 3, "armrig": "9.9"}', "version 3.* armrig 9.9"),
     ],
 )
-def test_a_file_that_is_no_model_is_described(content: str, said: str) -> None:
+def test_a_file_that_is_not_a_model_is_refused_with_its_kind(content: str, said: str) -> None:
     with pytest.raises(FileError, match=f"m.json .*{said}"):
         fit_of(content, "m.json")
 
 
 @pytest.mark.parametrize("name", ["covariance", "covariance_robust"])
-def test_a_covariance_of_another_size_is_damage(fit: Fit, name: str) -> None:
+def test_a_covariance_of_the_wrong_size_is_refused_as_damage(fit: Fit, name: str) -> None:
     content = json.loads(model_text(fit)) | {name: [[1.0, 0.0], [0.0, 1.0]]}
 
     with pytest.raises(FileError, match="damaged model: it has 6 parameters, and covariances of"):

@@ -26,7 +26,7 @@ def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("agreed", "converged"), [(True, False), (False, True), (True, True)])
-def test_agreement_and_convergence_are_different_questions(agreed: bool, converged: bool) -> None:
+def test_agreement_and_convergence_are_reported_separately(agreed: bool, converged: bool) -> None:
     start = Start(name="IV", loss=0.5, iterations=1, converged=converged)
     said = repr(made(starts=(start,), agreed=agreed, converged=converged))
 
@@ -49,7 +49,7 @@ def test_each_structure_has_its_equation(orders: dict[str, Any], expected: str) 
     assert form(made(**orders)) == expected
 
 
-def test_the_deviations_to_trust_are_named() -> None:
+def test_the_text_names_the_trustworthy_deviations() -> None:
     said = {
         whiteness_sentence(made(structure=structure, whiteness=p, curvature=curvature), "s", "r")
         for structure, p, curvature in (
@@ -170,7 +170,7 @@ def test_rejected_draws_are_counted_by_their_reason_and_model() -> None:
     assert left_out({"a": none, "c": None}, models=2) == []
 
 
-def test_an_unknown_covariance_leaves_no_deviation_known() -> None:
+def test_a_model_with_an_unknown_covariance_has_no_deviations() -> None:
     t = model_characteristics(made(F=(1, -0.8), std=(np.nan, 0.1)))
 
     assert np.isnan([*t.std.values()]).all()

@@ -101,7 +101,7 @@ FORMS = {"apart": apart, "joined": joined, "matrices": matrices}
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_each_channel_is_that_of_the_state_space_with_its_derivatives(name: str) -> None:
+def test_each_channel_and_its_derivatives_equal_those_of_the_state_space(name: str) -> None:
     form: Any = FORMS[name]()
     z = np.exp(1j * np.array([0.2, 1.0, 2.8]))
 
@@ -141,7 +141,7 @@ def without_denominators() -> Polynomials:
 
 
 @pytest.mark.parametrize("form", [apart(), joined(), without_denominators()])
-def test_the_noise_of_the_state_space_is_that_of_the_polynomials(form: Polynomials) -> None:
+def test_the_noise_spectra_of_state_space_and_polynomials_are_equal(form: Polynomials) -> None:
     """H = 1 + C inv(q - A) K in the innovations form, and inv(A) C/D of the rows."""
     model = form.realised()
     for z in np.exp(1j * np.array([0.2, 1.0, 2.8])):
@@ -157,7 +157,7 @@ def test_the_noise_of_the_state_space_is_that_of_the_polynomials(form: Polynomia
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_theta_is_replaced_at_its_own_places(name: str) -> None:
+def test_each_coefficient_of_theta_is_replaced_at_its_position(name: str) -> None:
     form: Any = FORMS[name]()
     theta = np.arange(1.0, form.theta.size + 1)
 
@@ -180,7 +180,7 @@ def test_theta_is_replaced_at_its_own_places(name: str) -> None:
         form.slice_of("x", 0, 0)
 
 
-def test_delays_of_a_state_space_are_chains_of_states() -> None:
+def test_the_delays_of_a_state_space_are_chains_of_states() -> None:
     form = matrices()
 
     system = form.realised()
@@ -223,7 +223,7 @@ def test_a_channel_has_the_signals_and_numbers_of_its_output_and_input() -> None
             fit[channel]  # type: ignore[index]
 
 
-def test_responses_of_all_channels_are_those_of_each() -> None:
+def test_the_joint_response_contains_the_response_of_each_channel() -> None:
     fit, omega = fit_of(apart()), np.array([0.5, 9.0])
 
     G, step = fit.frequency_response(omega), fit.step_response(7)
@@ -316,7 +316,7 @@ def test_a_prediction_ahead_leaves_the_noise_of_its_horizon() -> None:
     np.testing.assert_allclose(left[40:], expected[40:], atol=1e-3)
 
 
-def test_a_ramp_of_an_integrating_output_is_estimated_along() -> None:
+def test_the_ramp_of_an_integrating_output_is_estimated_with_the_model() -> None:
     """An offset of the inputs makes the ramp in a alone."""
     form = apart((True, False))
     rng = np.random.default_rng(7)
@@ -341,7 +341,7 @@ def test_a_ramp_of_an_integrating_output_is_estimated_along() -> None:
     np.testing.assert_allclose(clean, expected, atol=1e-9)
 
 
-def test_other_signals_are_refused_by_name() -> None:
+def test_signals_with_other_names_are_refused() -> None:
     fit = fit_of(apart())
     u, y = np.zeros((5, 3)), np.zeros((5, 2))
     names: dict[str, Any] = {"inputs": ["u", "v", "w"], "outputs": ["a", "b"]}
@@ -462,7 +462,7 @@ def test_a_file_keeps_each_field_of_each_form(name: str, tmp_path: Path) -> None
         ({"format": "x"}, "is a model of several signals|is no model file"),
     ],
 )
-def test_a_file_that_is_not_such_a_model_is_refused(
+def test_a_file_of_another_kind_of_model_is_refused(
     change: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "m.json"

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from tests.clients.models.made_fits import made_estimate
 
 
-def test_an_unknown_frequency_does_not_cost_the_phase_after_it() -> None:
+def test_the_phase_continues_after_an_unknown_frequency() -> None:
     """A delay of three samples turns the phase by more than a circle; one frequency is NaN."""
     omega = np.linspace(0.1, 3.0, 30)
     delay = -3 * np.where(np.arange(30) == 10, np.nan, omega)
@@ -98,7 +98,7 @@ def test_the_phase_that_the_roll_off_does_not_explain_is_a_delay(sign: float, de
     assert np.isnan(phase_delay(found, every[:0], -40.0, sign=sign, shown=0.0))
 
 
-def test_only_known_values_are_handed_to_python_control() -> None:
+def test_only_known_values_are_passed_to_python_control() -> None:
     omega = np.array([1.0, 2.0, 4.0])
 
     system = made_estimate(omega, [1.0, np.nan, 3j]).to_control()

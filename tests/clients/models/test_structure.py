@@ -38,7 +38,7 @@ from armrig.numerics.polynomial import filtered
         ({"nb": 2, "nf": 2, "nk": 1, "integrator": "f", "at_rest": True}, 0, 0, 0, 0),
     ],
 )
-def test_each_structure_has_its_unknowns(
+def test_each_structure_has_its_number_of_parameters(
     orders: dict[str, Any], memory: int, count: int, first: int, trend: int
 ) -> None:
     s = Structure(**orders)
@@ -48,7 +48,7 @@ def test_each_structure_has_its_unknowns(
     assert s.reach == orders["nk"] + orders["nb"] - 1
 
 
-def test_the_ramp_of_an_offset_gives_back_the_offset() -> None:
+def test_the_offset_is_recovered_from_its_ramp() -> None:
     """B/F̃ of the summed input: the slope is the gain times mean(u) - u0 = 0.6."""
     B, F = np.array([0.0, 0.2, 0.3]), np.array([1.0, -0.6, 0.1])
     u = np.full(400, 0.6)
@@ -70,7 +70,7 @@ def test_free_columns_are_delayed_responses_then_level_and_ramp() -> None:
     np.testing.assert_array_equal(free_columns(F, 4, count=2, drift=False), columns[:, :2])
 
 
-def test_an_article_is_that_of_the_spoken_letter() -> None:
+def test_the_indefinite_article_follows_the_spoken_letter() -> None:
     """An F, an L, an M, an N, an R, an S and an X begin with a vowel when they are spelled."""
     spelled = {letter: with_article(letter).split()[0] for letter in "ABCDEFHJLMNPRSTUVX"}
 

@@ -29,14 +29,14 @@ def test_each_structure_has_one_row_and_one_estimator() -> None:
 
 
 @EVERY
-def test_an_estimator_takes_what_its_row_says(kind: RegisteredStructure) -> None:
+def test_an_estimator_has_the_arguments_of_its_row(kind: RegisteredStructure) -> None:
     taken = inspect.signature(estimator(kind.name)).parameters
 
     assert set(taken) == {"data", "nk", "stable", *kind.orders, *kind.takes}
     assert kind.poles in kind.orders
 
 
-def test_the_page_has_the_table_of_structures() -> None:
+def test_the_page_contains_the_table_of_structures() -> None:
     page = (pages.DOCS / "experiments.md").read_text(encoding="utf-8")
 
     assert "\n".join(_row(kind) for kind in OFFERED.values()) in page

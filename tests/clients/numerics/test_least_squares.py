@@ -6,7 +6,7 @@ import numpy as np
 from armrig.numerics.least_squares import least_squares, orthonormal, without_span
 
 
-def test_with_and_without_a_basis_the_answer_is_the_same() -> None:
+def test_the_solution_does_not_depend_on_the_use_of_a_basis() -> None:
     rng = np.random.default_rng(1)
     M = rng.standard_normal((40, 6)) * 10.0 ** np.arange(-4, 8, 2)
     M[:, 3] = M[:, 0] * 1e3 + M[:, 1]

@@ -37,13 +37,13 @@ def test_a_root_on_the_circle_is_not_stable() -> None:
     assert stable([1.0])
 
 
-def test_a_coefficient_that_is_no_number_makes_no_stable_polynomial() -> None:
+def test_a_polynomial_with_a_coefficient_of_nan_is_not_stable() -> None:
     """The search asks for a trial step that overflowed."""
     assert not stable([1.0, np.nan])
     assert not stable([1.0, 0.5, np.inf])
 
 
-def test_stable_is_what_the_roots_say() -> None:
+def test_a_polynomial_is_stable_if_all_roots_are_inside_the_circle() -> None:
     """300 polynomials with real roots and pairs, on both sides of the circle."""
     rng = np.random.default_rng(28)
     polynomials = [

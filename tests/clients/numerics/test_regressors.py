@@ -16,7 +16,7 @@ NAN = np.nan
     st.integers(0, 4),
     st.sets(st.integers(0, 19), max_size=5),
 )
-def test_a_row_is_usable_if_all_that_it_looks_back_on_was_measured(
+def test_a_row_is_usable_if_all_its_lagged_samples_were_measured(
     na: int, nb: int, nk: int, missing: set[int]
 ) -> None:
     rng = np.random.default_rng(3)
@@ -35,7 +35,7 @@ def test_a_row_is_usable_if_all_that_it_looks_back_on_was_measured(
     np.testing.assert_array_equal(rows.y, y)
 
 
-def test_blocks_of_rows_are_the_matrix_again() -> None:
+def test_blocks_of_rows_equal_the_regressor_matrix() -> None:
     M = np.arange(14.0).reshape(7, 2)
 
     blocks = list(in_blocks(M, 3))

@@ -55,7 +55,7 @@ def _shown(p: ArmParameters, Ts: float) -> Iterator[tuple[str, float, float, flo
 
 @EVERY
 @pytest.mark.parametrize("Ts", sampled([0.01, 0.005]))
-def test_a_time_is_the_same_wherever_it_is_shown(p: ArmParameters, Ts: float) -> None:
+def test_a_time_is_equal_in_all_places_that_show_it(p: ArmParameters, Ts: float) -> None:
     """`armrig model`, `compare`, the step analysis and `armrig sampling` give one number."""
     truth = armrig.characteristics(p)
 

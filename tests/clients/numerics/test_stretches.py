@@ -31,7 +31,7 @@ def test_the_longest_stretch_is_counted_in_samples() -> None:
     assert longest(np.zeros(0, dtype=np.bool_)) == 0
 
 
-def test_a_signal_is_cut_where_it_changes() -> None:
+def test_a_signal_is_divided_at_its_changes() -> None:
     assert constant(np.array([1.0, 1.0, 2.0, 1.0])) == [slice(0, 2), slice(2, 3), slice(3, 4)]
     assert constant(np.array([np.nan, np.nan])) == [slice(0, 1), slice(1, 2)]
     assert constant(np.array([3.0])) == [slice(0, 1)]

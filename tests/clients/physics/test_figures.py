@@ -38,13 +38,13 @@ def test_the_arm_s_points_lie_on_the_edge_at_the_limit() -> None:
     assert sorted(np.abs(z + 1))[-3:] == pytest.approx([1.0, 1.0, 1.0])
 
 
-def test_an_edge_that_is_not_there_is_refused() -> None:
+def test_a_method_without_a_stability_edge_has_no_figure() -> None:
     with pytest.raises(ValueError, match="no figure is possible"):
         plot_stability_edge(A, "trapezoidal")
 
 
 @pytest.mark.parametrize("state", [0, 1, 3])
-def test_the_errors_of_a_solution_are_those_of_its_state(state: int) -> None:
+def test_the_error_figure_shows_the_errors_of_the_state(state: int) -> None:
     steps = {"heun": 0.01, "trapezoidal": 0.004}
     ax = plot_solution(PROBLEM, steps, state=state, label="x [m]", ax=Figure().add_subplot())
     below = ax.figure.axes[1]

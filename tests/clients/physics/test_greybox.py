@@ -62,7 +62,7 @@ def test_the_standard_deviation_is_that_of_repeated_experiments(make: Make) -> N
         assert np.abs(errors).max() < 4
 
 
-def test_missing_samples_and_several_experiments(make: Make) -> None:
+def test_missing_samples_and_several_experiments_do_not_bias_the_estimate(make: Make) -> None:
     parts = [make(seed, N=2000, offset=0.1 * seed) for seed in (1, 2)]
     holes = np.random.default_rng(0).random(2000) > 0.3
     parts[0] = Dataset(
@@ -96,7 +96,7 @@ def test_fixed_parameters_carry_their_uncertainty_into_the_estimate(make: Make) 
     assert "K_m +" in fit.explain()
 
 
-def test_viscous_friction_neglected_shifts_the_inertia_and_estimated_does_not(make: Make) -> None:
+def test_neglected_viscous_friction_biases_the_inertia(make: Make) -> None:
     """The hint of assignment 3.5 is to neglect the viscous friction."""
     data = make(p=ArmParameters(b_1=5e-3))
 
@@ -131,7 +131,7 @@ def test_a_search_that_ends_at_its_bound_is_reported(make: Make) -> None:
     assert said.startswith("the search for J_1 ended at its bound, a factor 162755 from its start")
 
 
-def test_coulomb_friction_is_found_where_the_chassis_stops(make: Make) -> None:
+def test_coulomb_friction_is_estimated_from_stops_of_the_chassis(make: Make) -> None:
     data = make(p=ArmParameters(b_1=5e-3), coulomb_nm=0.02, low=0.0, high=5.0)
 
     neglected, fit = armrig.greybox(data), armrig.greybox(data, friction="both")
@@ -142,7 +142,7 @@ def test_coulomb_friction_is_found_where_the_chassis_stops(make: Make) -> None:
     assert fit.values["b_1"] == pytest.approx(5e-3, rel=0.01)
 
 
-def test_an_input_both_ways_separates_friction_and_offset(make: Make) -> None:
+def test_an_input_of_both_signs_separates_friction_and_offset(make: Make) -> None:
     data = make(p=RUBS, coulomb_nm=0.02, shift=2.5, offset=0.3)
 
     poorer, fit = armrig.greybox(data, friction="viscous"), armrig.greybox(data, friction="both")
@@ -178,7 +178,7 @@ def test_a_richer_model_that_fits_worse_is_reported(make: Make) -> None:
     assert "with Coulomb friction" not in repr(poorer)
 
 
-def test_the_way_out_of_a_poorer_fit_is_that_of_its_input() -> None:
+def test_the_remedy_of_a_poorer_fit_depends_on_the_input() -> None:
     """Only a significant difference is reported: N ln(ratio) above 10."""
     u = armrig.telegraph(200, 0.1)
     data = Dataset(u=u, y=np.arange(200.0), Ts=Ts, valid=np.arange(200) >= 100)
@@ -195,7 +195,7 @@ def test_the_way_out_of_a_poorer_fit_is_that_of_its_input() -> None:
     assert "the input has one sign" in mixed
 
 
-def test_a_friction_that_is_not_there_is_zero_within_its_sd(make: Make) -> None:
+def test_an_absent_friction_is_zero_within_its_deviation(make: Make) -> None:
     """Otherwise its standard deviation would be wrong."""
     values = [
         off(armrig.greybox(make(s, N=2000), friction="viscous"), "b_1", 0.0) for s in range(15)
@@ -218,7 +218,7 @@ def test_quantised_readings_are_reported(make: Make) -> None:
     assert armrig.greybox(make()).quantum == 0
 
 
-def test_parameters_that_replace_each_other_are_refused(make: Make) -> None:
+def test_parameters_with_the_same_effect_are_refused(make: Make) -> None:
     """The chassis alone determines two numbers, a gain and a time constant."""
     with pytest.raises(ValueError, match="determine only 2 of 3 parameters"):
         armrig.greybox(make(), free=("J_1", "K_m", "R_m"))
@@ -256,7 +256,7 @@ def test_impossible_arguments_are_refused(
         (("J_1",), "coulomb", ("J_1", "T_c")),
     ],
 )
-def test_frictions_follow_the_other_parameters_and_none_is_there_twice(
+def test_frictions_are_listed_once_after_the_other_parameters(
     free: Any, friction: Friction | None, names: tuple[str, ...]
 ) -> None:
     assert free_names(free, friction) == names
@@ -272,7 +272,7 @@ def test_data_of_another_output_are_refused(make: Make) -> None:
             estimator(velocity)  # type: ignore[operator]
 
 
-def test_a_model_of_one_s_own(make: Make) -> None:
+def test_a_custom_model_is_estimated(make: Make) -> None:
     import control
 
     def mine(p: ArmParameters) -> control.StateSpace:
@@ -286,7 +286,7 @@ def test_a_model_of_one_s_own(make: Make) -> None:
     assert fit.values["J_1"] == pytest.approx(HANDOUT.J_1, rel=1e-9)
 
 
-def test_a_simulation_is_that_of_the_model_of_the_fit(make: Make) -> None:
+def test_a_simulation_uses_the_model_of_the_fit(make: Make) -> None:
     fit, u = armrig.greybox(make()), np.ones(50)
 
     np.testing.assert_allclose(fit.simulate(u), angle(u, fit.fixed), atol=1e-12)

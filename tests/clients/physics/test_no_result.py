@@ -49,7 +49,7 @@ def test_three_samples_are_too_few(
     assert "record longer" in said
 
 
-def test_an_inertia_that_nothing_moved_is_not_identifiable(
+def test_an_inertia_without_motion_is_not_identifiable(
     bad: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for more in ((), ("--json",)):
@@ -60,7 +60,7 @@ def test_an_inertia_that_nothing_moved_is_not_identifiable(
         assert "record longer with an input that changes often" in said
 
 
-def test_a_part_without_information_is_named(make: Make) -> None:
+def test_an_error_names_a_part_without_information(make: Make) -> None:
     data = make(N=2000)
     still = Dataset(
         u=np.where(np.arange(2000) < 900, data.u, 0.0),
@@ -75,7 +75,7 @@ def test_a_part_without_information_is_named(make: Make) -> None:
         armrig.split_study(still, (2,))
 
 
-def test_a_search_that_did_not_end_has_no_result(make: Make) -> None:
+def test_a_search_without_convergence_has_no_result(make: Make) -> None:
     fit = armrig.greybox(make(N=1000))
     fit.require_result()
 
@@ -83,7 +83,7 @@ def test_a_search_that_did_not_end_has_no_result(make: Make) -> None:
         replace(fit, converged=False).require_result()
 
 
-def test_a_friction_of_nothing_is_a_result(make: Make) -> None:
+def test_a_friction_of_zero_is_a_valid_result(make: Make) -> None:
     fit = armrig.greybox(make(N=2000), friction="viscous")
 
     assert fit.undetermined == ()

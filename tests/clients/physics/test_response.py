@@ -37,7 +37,7 @@ def moved(name: str, x: float) -> dict[str, float]:
     return {name: value + x if name == "b_1" else value * float(np.exp(x))}
 
 
-def test_the_model_is_sampled_as_the_core_samples_it() -> None:
+def test_the_model_is_sampled_like_in_the_core() -> None:
     A, B, _ = chassis_matrices(P)
     Phi, Gamma = zero_order_hold(A, B, Ts)
 
@@ -48,7 +48,7 @@ def test_the_model_is_sampled_as_the_core_samples_it() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_whole_rig_s_sensitivities(name: str) -> None:
+def test_the_sensitivities_of_the_rig_equal_finite_differences(name: str) -> None:
     physics = Physics(model=arm, fixed=P, output="alpha")
     x0, u0 = np.array([0.3, 0.1, 1.0, -2.0]), 0.2
 
@@ -80,7 +80,7 @@ def test_sensitivities_through_stops_and_starts(name: str) -> None:
     )
 
 
-def test_the_response_with_friction_is_that_of_the_emulator() -> None:
+def test_the_response_with_friction_equals_that_of_the_emulator() -> None:
     """The emulator splits each 0.1 ms; the angles agree to a fraction of a converter step."""
     u = telegraph(2000, 0.02, 0.0, 5.0, seed=4)
     V = 0.02 / P.torque_per_volt
@@ -92,7 +92,7 @@ def test_the_response_with_friction_is_that_of_the_emulator() -> None:
     assert np.abs(ours - rubbing(u, replace(P, b_1=0.0), 0.0)).max() > 0.5
 
 
-def test_without_friction_both_ways_agree() -> None:
+def test_zero_friction_gives_the_linear_response() -> None:
     sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
 
     np.testing.assert_allclose(
@@ -100,7 +100,7 @@ def test_without_friction_both_ways_agree() -> None:
     )
 
 
-def test_a_single_speed_is_braked_as_any_other() -> None:
+def test_the_special_case_of_one_speed_equals_the_general_friction() -> None:
     sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
     x0 = np.array([0.3, -20.0])
 
@@ -112,7 +112,7 @@ def test_a_single_speed_is_braked_as_any_other() -> None:
     np.testing.assert_allclose(frictions, expected, atol=1e-12)
 
 
-def test_a_direct_term_acts_at_once_and_an_offset_is_subtracted_before_it() -> None:
+def test_a_direct_term_acts_without_delay_on_the_input_less_its_offset() -> None:
     plain = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, ("J_1",), Ts)
     direct, x0 = replace(plain, D=0.7), np.zeros(2)
 
@@ -125,7 +125,7 @@ def test_a_direct_term_acts_at_once_and_an_offset_is_subtracted_before_it() -> N
     np.testing.assert_allclose(rubs.by_offset - rubs_plain.by_offset, -0.7, atol=1e-12)
 
 
-def test_the_columns_of_the_problem_with_friction_are_its_differences() -> None:
+def test_the_friction_derivatives_equal_finite_differences() -> None:
     """T_c acts as the voltage T_c R_m / (N K_m), so R_m changes both; two experiments, one gap."""
     names = ("R_m", "N", "b_1")
     parts = tuple(
@@ -149,7 +149,7 @@ def test_the_columns_of_the_problem_with_friction_are_its_differences() -> None:
         np.testing.assert_allclose(J[:, k], differences, atol=near, err_msg=str(k))
 
 
-def test_a_friction_may_act_as_its_square_in_a_model_of_one_s_own() -> None:
+def test_a_custom_model_may_depend_on_the_square_of_a_friction() -> None:
     """The derivative from above is exact to second order; below 0 the model goes on as a line."""
 
     def mine(p: ArmParameters) -> control.StateSpace:

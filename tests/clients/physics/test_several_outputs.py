@@ -47,7 +47,7 @@ def test_both_outputs_give_smaller_deviations_than_each_alone() -> None:
     assert both.output == "theta_1"
 
 
-def test_several_experiments_each_have_their_state() -> None:
+def test_each_of_several_experiments_has_its_initial_state() -> None:
     p, signals = simulated_arm(np.random.default_rng([3, 9]), 900, 2e-3)
     two = armrig.merge([signals[100:500], signals[600:]])  # type: ignore[arg-type]
 
@@ -67,7 +67,7 @@ def test_several_experiments_each_have_their_state() -> None:
         assert abs(fit.values[name] - getattr(p, name)) < 3.5 * fit.std[name]
 
 
-def test_arguments_that_do_not_suit_two_outputs_are_refused() -> None:
+def test_arguments_incompatible_with_two_outputs_are_refused() -> None:
     _, signals = simulated_arm(np.random.default_rng([3, 9]), 100, 5e-3)
     twice = Signals(
         u=np.column_stack([signals.u, signals.u[::-1]]),
@@ -109,7 +109,7 @@ def test_fixed_parameters_carry_their_uncertainty_into_both_forms() -> None:
         assert robust == pytest.approx(added, rel=1e-6)
 
 
-def test_the_weights_of_the_outputs_are_their_noise_whatever_they_were_first() -> None:
+def test_the_final_weights_of_the_outputs_do_not_depend_on_the_first() -> None:
     _, signals = simulated_arm(np.random.default_rng([3, 9]), 200, 2e-3)
     physics = tuple(
         Physics(model=armrig.arm, fixed=ArmParameters(), output=name) for name in signals.outputs

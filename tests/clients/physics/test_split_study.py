@@ -29,7 +29,7 @@ def test_the_standard_deviation_follows_the_law(make: Make) -> None:
     np.testing.assert_allclose(scaled / scaled[0], 1.0, atol=0.1)
 
 
-def test_the_parts_are_those_of_the_data(make: Make) -> None:
+def test_each_part_has_the_estimate_of_its_slice(make: Make) -> None:
     data = make(N=2000)
     valid = np.arange(2000) >= 100
     holed = Dataset(u=data.u, y=data.y, Ts=Ts, valid=valid, output="theta_1", unit="rad")
@@ -44,7 +44,7 @@ def test_the_parts_are_those_of_the_data(make: Make) -> None:
     assert study.splits[1].std[1] == second.std["J_1"]
 
 
-def test_pooling_and_the_test_of_the_parts_by_hand() -> None:
+def test_pooling_and_the_homogeneity_test_match_the_manual_calculation() -> None:
     """Two estimates, 1 ± 1 and 4 ± 2."""
     split = Split(
         k=2, N=np.array([100.0, 100.0]), values=np.array([1.0, 4.0]), std=np.array([1.0, 2.0])
@@ -84,7 +84,7 @@ def test_a_rig_that_changes_half_way_is_reported() -> None:
     assert "DIFFER" in study.explain()
 
 
-def test_the_parameter_that_was_asked_for_is_studied() -> None:
+def test_the_requested_parameter_is_studied() -> None:
     rng = np.random.default_rng(1)
     u, e = rng.standard_normal((2, 240))
     data = Dataset(u=u, y=filtered([0, 1.0, 0.3], [1, -0.6], u) + 0.3 * e, Ts=1.0)

@@ -15,7 +15,7 @@ P = ArmParameters()
 T = np.linspace(0.0, 1.0, 501)
 
 
-def test_the_handout_s_figures() -> None:
+def test_the_step_figures_equal_those_of_the_handout() -> None:
     """Assignment 2.2: steady speed, initial slope, poles and zeros."""
     seen = armrig.characteristics()
 
@@ -28,7 +28,7 @@ def test_the_handout_s_figures() -> None:
     np.testing.assert_allclose(np.sort(seen.zeros.imag), [-15.745, 15.745], atol=1e-3)
 
 
-def test_the_figures_are_those_of_the_response() -> None:
+def test_the_step_figures_match_the_simulated_response() -> None:
     p = ArmParameters(J_1=2.5e-3, K_lin=0.8, b_1=0.01)
     seen = armrig.characteristics(p)
 
@@ -39,14 +39,14 @@ def test_the_figures_are_those_of_the_response() -> None:
     np.testing.assert_allclose(np.sort_complex(G.zeros()), np.sort_complex(seen.zeros), atol=1e-6)
 
 
-def test_the_response_is_python_control_s() -> None:
+def test_the_response_equals_that_of_python_control() -> None:
     _, y = control.step_response(arm(P)[1, 0], T)
 
     np.testing.assert_allclose(step_response(P, T, state="alpha"), y, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["J_1", "J_2", "N", "K_lin", "R_m", "K_m"])
-def test_sensitivities_are_the_differences_for_one_per_cent(name: str) -> None:
+def test_sensitivities_are_the_changes_for_one_per_cent(name: str) -> None:
     """To first order: twice the second difference remains."""
     value = getattr(P, name)
     by = armrig.step_sensitivities(P, T, names=[name], u=2.0)[name]
@@ -57,7 +57,7 @@ def test_sensitivities_are_the_differences_for_one_per_cent(name: str) -> None:
     np.testing.assert_allclose(by, (up - down) / 2e-4, atol=1e-6)
 
 
-def test_friction_s_sensitivity_is_in_shares_of_the_back_emf() -> None:
+def test_the_sensitivity_to_friction_is_relative_to_the_back_emf() -> None:
     """b_1 may be 0."""
     d = (P.N * P.K_m) ** 2 / P.R_m
     by = armrig.step_sensitivities(P, T, names=["b_1"], model=chassis)["b_1"]

@@ -68,7 +68,7 @@ def test_a_calibration_finds_the_figures_of_an_unknown_rig(seed: int) -> None:
     st.floats(1.2, 6.0),
     st.integers(0, 2**31),
 )
-def test_a_turn_is_found_whatever_the_speed_and_direction(
+def test_a_turn_is_found_at_any_speed_in_both_directions(
     direction: int, omega: float, seed: int
 ) -> None:
     readings = made_turns(direction=direction, noise=32.0, seed=seed, omega=(omega, omega + 1))
@@ -108,7 +108,7 @@ def test_the_deviations_of_a_turn_hold_in_monte_carlo() -> None:
         ({"theta_1": np.tile([9000.0, 60_000.0], 1200)}, "did not turn in one direction"),
     ],
 )
-def test_a_run_that_shows_no_turns_is_refused_with_the_way_out(
+def test_a_run_without_full_turns_is_refused_with_the_remedy(
     change: dict[str, np.ndarray], said: str
 ) -> None:
     with pytest.raises(InputError, match=said) as refused:
@@ -142,7 +142,7 @@ def test_a_worn_track_is_reported() -> None:
         turning(replace(readings, theta_1=np.where(worn, 0.0, readings.theta_1)), 64.0)
 
 
-def test_a_spot_that_is_misread_now_and_then_changes_nothing() -> None:
+def test_an_occasional_misreading_does_not_change_the_calibration() -> None:
     """Up to 2 % of the samples on the track may show a rail."""
     readings = made_turns(noise=32.0)
     spot = (readings.theta_1 > 55_000) & (readings.theta_1 < 55_700)
@@ -236,7 +236,7 @@ def test_readings_are_columns_of_as_many_samples(t: np.ndarray, alpha: np.ndarra
         Readings(t=t, u=t, theta_1=t, alpha=alpha)
 
 
-def test_without_a_motor_zeros_are_found_and_the_sign_by_hand() -> None:
+def test_without_a_motor_zeros_and_the_sign_by_hand_are_determined() -> None:
     held = replace(still(), alpha=still().alpha - 3000.0)
     base = Calibration(theta_1=Potentiometer(rad_per_count=-1e-4))
 
@@ -253,7 +253,7 @@ def test_without_a_motor_zeros_are_found_and_the_sign_by_hand() -> None:
 
 @pytest.mark.parametrize("counts", [3000.0, -3000.0])
 @pytest.mark.parametrize("rad_per_count", [1e-4, -1e-4])
-def test_a_hand_that_deflects_the_arm_for_a_while_determines_its_sign(
+def test_a_lasting_deflection_by_hand_determines_the_sign_of_alpha(
     counts: float, rad_per_count: float
 ) -> None:
     """Then the arm hangs again, or swings a little to the other side."""
@@ -268,7 +268,7 @@ def test_a_hand_that_deflects_the_arm_for_a_while_determines_its_sign(
 
 
 @pytest.mark.parametrize("rad_per_count", [1e-4, -1e-4])
-def test_without_a_deflection_alpha_keeps_its_direction(rad_per_count: float) -> None:
+def test_the_direction_of_alpha_is_kept_without_a_deflection(rad_per_count: float) -> None:
     base = Calibration(
         theta_1=Potentiometer(rad_per_count=3e-4, wraps=False),
         alpha=Potentiometer(rad_per_count=rad_per_count, wraps=True),
@@ -317,7 +317,7 @@ def test_a_small_deflection_determines_no_sign() -> None:
     assert "alpha keeps the configured sign" in " ".join(estimate(still()).warnings)
 
 
-def test_a_meter_gives_the_line_through_its_readings() -> None:
+def test_the_driver_line_is_fitted_to_the_readings_of_the_meter() -> None:
     """Two readings give gain and offset, one gives the gain alone."""
     two = terminal_voltage([(1.0, 1.02), (4.0, 3.96)], 0.01)
     one = terminal_voltage([(2.0, 1.9)], 0.01)
@@ -390,7 +390,7 @@ def test_a_driver_above_the_rig_s_limit_is_reported_with_the_limit_to_set() -> N
     assert "u_max_v" not in " ".join(weak)
 
 
-def test_the_samples_are_compact_and_come_back_to_the_bit() -> None:
+def test_the_samples_are_compressed_without_loss() -> None:
     """The hash of the bytes names the samples."""
     sources = {"rest": still(), "turns": made_turns(noise=32.0)}
 

@@ -134,7 +134,7 @@ def test_no_chunk_is_unpacked(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert catalogue(folder).recordings[0].path == path
 
 
-def test_what_cannot_be_listed_is_named_with_the_reason(folder: Path) -> None:
+def test_an_unreadable_file_is_listed_with_the_reason(folder: Path) -> None:
     cut = written(folder, made(folder, 5).read_bytes()[:-20], "cut.mcap")
     text = written(folder, b"not a recording", "text.mcap")
     written(folder, b"", "1-step-20261120T140000-0000000f.mcap.active")
@@ -155,7 +155,7 @@ def test_what_cannot_be_listed_is_named_with_the_reason(folder: Path) -> None:
     assert "2 left out, 1 unfinished" in repr(found)
 
 
-def test_a_file_without_a_time_in_its_name_is_as_old_as_its_last_change(tmp_path: Path) -> None:
+def test_a_file_without_a_time_in_its_name_has_that_of_its_last_change(tmp_path: Path) -> None:
     for name, clock in (
         ("2-step-20261120T050000-00000001.mcap", "20200101T000000"),
         ("1-step-20261120T070000-00000002.mcap", "20200101T000000"),
@@ -170,7 +170,7 @@ def test_a_file_without_a_time_in_its_name_is_as_old_as_its_last_change(tmp_path
     assert newest_first(tmp_path / "none") == newest_first(tmp_path / "mine.mcap") == []
 
 
-def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     """An empty table would mean that nothing was recorded."""
     with pytest.raises(FileNotFoundError, match="none"):
         catalogue(tmp_path / "none")
@@ -217,7 +217,7 @@ def test_the_index_is_written_again_only_for_enough_new_files(
         ("mine.mcap", "0000000a", True, True),
     ],
 )
-def test_only_a_file_that_the_daemon_named_otherwise_need_not_be_opened(
+def test_a_file_is_opened_only_if_its_name_may_match_the_experiment(
     file: str, name: str, validation: bool, may: bool
 ) -> None:
     assert may_answer_to(Path(file), name, validation=validation) is may
@@ -260,7 +260,9 @@ def test_a_file_that_changed_is_read_again(
 
 
 @pytest.mark.parametrize("opened", [(1, 0)], indirect=True)
-def test_a_file_that_was_just_written_is_not_trusted(folder: Path, opened: list[str]) -> None:
+def test_the_index_entry_of_a_file_just_written_is_not_used(
+    folder: Path, opened: list[str]
+) -> None:
     """Within a tick of the file system's clock a file may change and keep its times."""
     catalogue(folder)
     opened.clear()
@@ -282,7 +284,7 @@ def test_a_file_that_was_just_written_is_not_trusted(folder: Path, opened: list[
         lambda text: b"\xff" * 100,
     ],
 )
-def test_an_index_that_is_not_ours_is_made_again(
+def test_an_invalid_index_is_rebuilt(
     folder: Path, tmp_path: Path, opened: list[str], spoilt: Callable[[bytes], bytes]
 ) -> None:
     cold = catalogue(folder)
@@ -310,7 +312,7 @@ def test_a_catalogue_without_a_cache_is_complete(
     assert len(opened) == 6
 
 
-def test_an_index_that_cannot_take_its_place_leaves_no_file(
+def test_an_index_that_cannot_be_renamed_leaves_no_file(
     folder: Path, tmp_path: Path, opened: list[str]
 ) -> None:
     assert len(catalogue(folder)) == 3
@@ -381,7 +383,7 @@ def test_a_text_may_have_4096_characters(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("started", ["yesterday", "2026-11-20T05:00:00", "9999-12-31T23:00-05:00"])
-def test_an_invalid_start_date_is_no_time(tmp_path: Path, started: str) -> None:
+def test_an_invalid_start_date_is_not_a_time(tmp_path: Path, started: str) -> None:
     with_metadata(tmp_path, manifest(started=started).metadata())
 
     found = catalogue(tmp_path)
@@ -390,7 +392,7 @@ def test_an_invalid_start_date_is_no_time(tmp_path: Path, started: str) -> None:
     assert found.to_pandas()["started"].isna().all()
 
 
-def test_an_index_of_thousands_of_records_costs_two_reads(tmp_path: Path) -> None:
+def test_an_index_of_thousands_of_records_is_read_in_two_reads(tmp_path: Path) -> None:
     """Otherwise a file of 8 MB would cause reads of terabytes."""
     path = with_metadata(tmp_path, manifest().metadata())
     data = path.read_bytes()

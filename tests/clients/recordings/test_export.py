@@ -39,7 +39,7 @@ def rec(tmp_path: Path) -> Recording:
     return load(written(folder, recorded(messages, manifest=manifest(k_first=0, samples=N))))
 
 
-def test_an_exported_csv_is_read_to_the_last_bit(rec: Recording) -> None:
+def test_an_exported_csv_is_read_back_exactly(rec: Recording) -> None:
     path = rec.path.with_name("daten für alle.csv")
     write_csv(rec, path, raw=True)
 
@@ -105,7 +105,7 @@ def test_raw_readings_are_exported_on_request(rec: Recording, raw: bool) -> None
         np.testing.assert_array_equal(table["theta_1_counts"].to_numpy(), counts)
 
 
-def test_a_file_names_its_run_its_output_and_its_sampling_time(rec: Recording) -> None:
+def test_an_exported_file_names_run_output_and_sampling_time(rec: Recording) -> None:
     path = rec.path.with_name("alpha.mat")
     write_mat(rec, path, output="alpha")
 
@@ -182,7 +182,7 @@ def test_octave_reads_the_mat_file(rec: Recording) -> None:
     assert digest == rec.sha256
 
 
-def test_octave_s_iddata_takes_the_mat_file_as_it_is(rec: Recording) -> None:
+def test_octave_s_iddata_accepts_the_mat_file_unchanged(rec: Recording) -> None:
     path = rec.path.with_name("run.mat")
     write_mat(rec, path, output="alpha")
 
@@ -238,7 +238,7 @@ def test_pandas_and_xarray_have_the_same_columns(rec: Recording) -> None:
         ("pyarrow", "parquet", lambda rec: write_parquet(rec, rec.path.with_name("x.parquet"))),
     ],
 )
-def test_a_package_that_is_missing_is_reported_with_its_remedy(
+def test_a_missing_package_is_reported_with_the_remedy(
     rec: Recording,
     package: str,
     extra: str,

@@ -39,7 +39,7 @@ BITS = list(product(_heads(), range(8 * _HEAD.size)))
 
 
 @pytest.mark.parametrize("part", sampled(range(8)))
-def test_no_bit_of_a_head_costs_a_sample(tmp_path: Path, part: int) -> None:
+def test_a_flipped_bit_of_a_header_loses_no_sample(tmp_path: Path, part: int) -> None:
     """Each record before the index: header, metadata, attachments, chunks and their indexes."""
     for at, bit in BITS[part::8]:
         spoilt = bytearray(DATA)
@@ -52,7 +52,7 @@ def test_no_bit_of_a_head_costs_a_sample(tmp_path: Path, part: int) -> None:
         assert recording.damage, (at, bit)
 
 
-def test_records_named_by_the_index_are_read_whole(tmp_path: Path) -> None:
+def test_records_listed_in_the_index_are_read_whole(tmp_path: Path) -> None:
     spoilt = bytearray(DATA)
     first = next(at for at in _heads() if DATA[at] == Opcode.ATTACHMENT)
     spoilt[first] ^= 0x40
@@ -139,7 +139,7 @@ def test_a_flipped_bit_of_the_calibration_leaves_the_samples(tmp_path: Path) -> 
         ("input.csv", "input", "the checksum of the attached input is wrong"),
     ],
 )
-def test_a_spoilt_attachment_is_named(tmp_path: Path, name: str, about: str, why: str) -> None:
+def test_a_damaged_attachment_is_named(tmp_path: Path, name: str, about: str, why: str) -> None:
     spoilt = bytearray(DATA)
     spoilt[_attachment(name)[-10]] ^= 1
 

@@ -72,7 +72,7 @@ def odd(path: Path) -> Recording:
     return load(path)
 
 
-def test_each_row_contains_the_state_at_its_time(odd: Recording) -> None:
+def test_each_row_contains_the_phase_at_its_time(odd: Recording) -> None:
     theta_1, alpha = angles()
     unknown = [120, *range(280, 284)]
 
@@ -95,7 +95,7 @@ def test_each_row_contains_the_state_at_its_time(odd: Recording) -> None:
     assert odd.turns_unknown == (207,)
 
 
-def test_the_data_are_cut_where_u_or_the_turns_are_not_known(odd: Recording) -> None:
+def test_the_data_are_divided_where_u_or_the_turns_are_unknown(odd: Recording) -> None:
     theta_1, alpha, rate = odd.dataset(), odd.dataset("alpha"), odd.dataset("velocity")
     known = np.flatnonzero(np.isfinite(odd.u))
 
@@ -262,7 +262,7 @@ def test_columns_and_summary_contain_the_values_of_the_file(path: Path, odd: Rec
     assert summary.size == path.stat().st_size
 
 
-def test_only_a_run_that_came_to_its_end_is_complete(path: Path) -> None:
+def test_only_a_run_that_reached_its_end_is_complete(path: Path) -> None:
     summary = summary_of(path)
 
     complete = [
@@ -326,7 +326,7 @@ def test_a_first_look_reports_the_drift_of_each_experiment(odd: Recording) -> No
     assert rows["drift, alpha 3"].startswith("a drift: 0.05 ± ")
 
 
-def test_a_chassis_that_swings_has_turned_between_its_extremes(odd: Recording) -> None:
+def test_a_swinging_chassis_turns_by_the_difference_of_its_extremes(odd: Recording) -> None:
     swinging = np.where(odd.valid, 4.0 * np.sin(tau * odd.t / 0.7), np.nan)
     found = Overview(recording=replace(odd, theta_1=swinging), outliers={}, drift={}, reasons={})
 
@@ -337,7 +337,7 @@ def test_a_chassis_that_swings_has_turned_between_its_extremes(odd: Recording) -
     )
 
 
-def test_an_outlier_is_reported_at_its_own_time(odd: Recording) -> None:
+def test_an_outlier_is_reported_with_its_time(odd: Recording) -> None:
     alpha = odd.alpha.copy()
     alpha[[90, 330, 450]] += 0.5
 
@@ -411,7 +411,7 @@ def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:
 
 
 @pytest.mark.parametrize(("Ts", "missing"), [(0.05, 5), (0.01, 25), (0.002, 125)])
-def test_turns_are_lost_with_the_first_sample_beyond_a_quarter_of_a_second(
+def test_turns_are_lost_after_a_gap_longer_than_a_quarter_of_a_second(
     Ts: float, missing: int
 ) -> None:
     """The interval before the sample that came back is unseen, too: n samples hide n + 1."""
@@ -425,7 +425,7 @@ def test_turns_are_lost_with_the_first_sample_beyond_a_quarter_of_a_second(
 
 
 @pytest.mark.parametrize(("changes", "is_searched"), [(19, False), (20, True)])
-def test_outliers_are_searched_where_the_input_changes_twenty_times(
+def test_outliers_are_searched_if_the_input_changes_twenty_times(
     odd: Recording, changes: int, is_searched: bool
 ) -> None:
     """Fewer changes determine no model that separates an outlier from a swing."""
@@ -438,7 +438,7 @@ def test_outliers_are_searched_where_the_input_changes_twenty_times(
     assert found.reasons.get("outliers", "").startswith(reason) is not is_searched
 
 
-def test_the_first_figure_shades_what_is_missing_half_a_sample_either_way(odd: Recording) -> None:
+def test_the_first_figure_shades_gaps_widened_by_half_a_sample(odd: Recording) -> None:
     found = replace(overview(odd), outliers={"alpha": odd.t[[33, 451]]})
 
     input_, of_theta_1, of_rate, of_alpha = found.plot().axes
@@ -471,7 +471,7 @@ def test_the_first_figure_shades_what_is_missing_half_a_sample_either_way(odd: R
         assert drawn == pytest.approx((np.column_stack([begins, ends]) - 0.5) * TS)
 
 
-def test_a_cut_file_reports_the_time_that_it_holds_with_what_is_missing_in_it(path: Path) -> None:
+def test_the_duration_of_a_cut_file_includes_its_missing_samples(path: Path) -> None:
     data = path.read_bytes()
     cut = path.with_suffix(".active")
     cut.write_bytes(data[: len(data) * 2 // 3])

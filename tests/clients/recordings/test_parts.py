@@ -70,7 +70,7 @@ def test_a_part_is_the_same_as_that_part_of_the_whole(long: Path, first: int, n:
     assert len(part.gaps) == (first < 50) + (first < 930 and end > 900)
 
 
-def test_samples_that_came_late_are_in_their_part(tmp_path: Path) -> None:
+def test_late_samples_belong_to_the_part_of_their_time(tmp_path: Path) -> None:
     late_ns = 5_000_000_000
     samples = [sample(k) for k in range(800)]
     samples[100:] = [s._replace(t_host_ns=s.t_host_ns + late_ns) for s in samples[100:]]
@@ -173,7 +173,7 @@ def test_a_file_may_have_more_samples_than_a_run(tmp_path: Path) -> None:
     assert rows.N == 3_600_000
 
 
-def test_one_stream_is_read_without_keeping_it(tmp_path: Path) -> None:
+def test_a_stream_is_read_without_storing_it(tmp_path: Path) -> None:
     messages = [m for k in range(300) for m in (sample(k), timing(k))]
     whole = recorded(messages, flush_every=20)
     path = written(tmp_path, whole)

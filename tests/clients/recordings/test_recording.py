@@ -93,7 +93,7 @@ def tried(path: Path) -> tuple[Recording | None, str]:
         return None, str(err)
 
 
-def test_a_recording_gives_back_what_was_recorded(tmp_path: Path) -> None:
+def test_a_recording_returns_the_recorded_values(tmp_path: Path) -> None:
     samples = [sample(k, u_applied_v=k / 100, alpha_counts=32768 + k) for k in range(7, 107)]
 
     rec = load(path := written(tmp_path, recorded(samples)))
@@ -111,7 +111,7 @@ def test_a_recording_gives_back_what_was_recorded(tmp_path: Path) -> None:
     assert not rec.theta_1.flags.writeable
 
 
-def test_of_two_attachments_of_one_name_the_first_counts(tmp_path: Path) -> None:
+def test_the_first_of_two_attachments_of_one_name_is_used(tmp_path: Path) -> None:
     first, second = (
         recorded([sample(0, u_applied_v=2.0)], calibration=Calibration(driver=Driver(gain=gain)))
         for gain in (1.5, 0.5)
@@ -135,7 +135,7 @@ def test_of_two_attachments_of_one_name_the_first_counts(tmp_path: Path) -> None
         ("run.bin", b"t,u,y\n", "is not a recording of the rig; .* also read other data"),
     ],
 )
-def test_another_file_than_a_recording_is_refused_with_what_reads_it(
+def test_a_file_of_another_kind_is_refused_with_the_function_that_reads_it(
     tmp_path: Path, name: str, content: bytes, why: str
 ) -> None:
     with pytest.raises(FileError, match=rf"{name}: {why}"):
@@ -163,7 +163,7 @@ def test_the_driver_s_line_holds_at_every_voltage_but_0(tmp_path: Path) -> None:
     np.testing.assert_allclose(rec.u, [0.0, 0.209, 0.29, 2.0, 0.0, 4.7])
 
 
-def test_a_note_is_known_by_its_field_and_never_read_as_a_line_of_the_daemon(
+def test_a_note_is_recognised_by_its_field_and_not_by_its_text(
     tmp_path: Path,
 ) -> None:
     """Some lines of the daemon count as disturbances of the timing."""
@@ -183,7 +183,7 @@ def test_a_note_is_known_by_its_field_and_never_read_as_a_line_of_the_daemon(
     assert [n.owner for n in part.notes] == ["Bob"]
 
 
-def test_a_missing_sample_has_its_row_and_the_voltage_that_was_held(tmp_path: Path) -> None:
+def test_a_missing_sample_has_a_row_with_the_held_voltage(tmp_path: Path) -> None:
     messages = [*(sample(k) for k in range(10)), gap(10, 3, 2.5), *(sample(k) for k in (13, 14))]
 
     rec = load(written(tmp_path, recorded(messages)))
@@ -209,7 +209,7 @@ def a_run(**changes: Any) -> Manifest:
     return manifest(**({"k_first": 40, "samples": 100} | changes))
 
 
-def test_samples_missing_at_both_ends_have_their_rows(tmp_path: Path) -> None:
+def test_samples_missing_at_both_ends_have_rows(tmp_path: Path) -> None:
     messages = [gap(40, 2, 0.0), *(sample(k) for k in range(42, 137)), gap(137, 3, 2.5)]
     ended = Outcome(outcome="complete", samples=95, missing=5)
 
@@ -243,7 +243,7 @@ STOPPED = Outcome(outcome="stopped", samples=18, missing=6)
         pytest.param([*CAME, HELD], None, 24, 6, 2, id="cut off after a gap"),
     ],
 )
-def test_a_run_has_as_many_rows_as_are_known(
+def test_the_number_of_rows_follows_from_manifest_outcome_and_samples(
     tmp_path: Path, messages: list[Any], ended: Outcome | None, N: int, missing: int, unknown: int
 ) -> None:
     """Without a gap record the voltage is unknown."""
@@ -271,7 +271,7 @@ def test_samples_after_a_cut_are_not_missing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("change", ["a chunk", "a checksum", "the end"])
-def test_samples_before_a_change_are_kept_and_not_called_cut_off(
+def test_samples_before_a_damage_are_kept_and_not_reported_as_cut_off(
     tmp_path: Path, change: str
 ) -> None:
     whole = bytearray(recorded([sample(k) for k in range(30)], flush_every=10))
@@ -294,7 +294,7 @@ def test_a_sample_outside_its_run_is_reported(tmp_path: Path, k: int) -> None:
 
 
 @pytest.mark.parametrize("claimed", [{"samples": 10**15}, {"k_first": 2**80}, {"Ts": 1e300}])
-def test_a_manifest_cannot_ask_for_all_memory(tmp_path: Path, claimed: dict[str, Any]) -> None:
+def test_a_manifest_cannot_exhaust_the_memory(tmp_path: Path, claimed: dict[str, Any]) -> None:
     with pytest.raises(FileError, match=r"run\.mcap: "):
         load(written(tmp_path, recorded([sample(50)], manifest=a_run(**claimed))))
 
@@ -345,7 +345,7 @@ def test_turns_are_counted_as_numpy_counts_them() -> None:
     assert np.isnan(found[~valid]).all()
 
 
-def test_a_sample_between_two_rails_shows_no_angle(tmp_path: Path) -> None:
+def test_a_sample_between_two_rail_readings_has_no_angle(tmp_path: Path) -> None:
     counts = [60000, 62000, 64000, 0, 31000, 0, 900, 1500, 3000]
 
     rec = load(written(tmp_path, recorded(turning(counts))))
@@ -354,7 +354,7 @@ def test_a_sample_between_two_rails_shows_no_angle(tmp_path: Path) -> None:
     assert rec.theta_1[7] == pytest.approx(POT.angle(1500) + tau)
 
 
-def test_the_first_sample_after_a_rail_is_not_believed_across_a_gap(tmp_path: Path) -> None:
+def test_the_first_sample_after_a_rail_and_a_gap_is_not_valid(tmp_path: Path) -> None:
     samples = turning([60000, 65500, 20000, 700, 1300])
 
     rec = load(written(tmp_path, recorded([*samples[:2], gap(2, 1, 1.0), *samples[3:]])))
@@ -412,7 +412,7 @@ def test_an_angle_that_a_file_lacks_is_not_0_rad(tmp_path: Path) -> None:
         np.testing.assert_array_equal(rec.samples["k"], np.arange(8))
 
 
-def test_the_code_of_a_gap_is_not_looked_for_in_its_sentence(tmp_path: Path) -> None:
+def test_the_code_of_a_gap_is_read_from_its_field_and_not_its_text(tmp_path: Path) -> None:
     """A release without codes sends the sentence alone; a later release may have other codes."""
     first, second = (gap(k, 1, 0.0, "a frame was lost") for k in (3, 6))
     second.code = "a code of tomorrow"
@@ -422,7 +422,7 @@ def test_the_code_of_a_gap_is_not_looked_for_in_its_sentence(tmp_path: Path) -> 
     assert [g.code for g in rec.gaps] == [GapCode.FRAME_LOST, "a code of tomorrow"]
 
 
-def test_a_stall_of_an_emulator_is_a_number_and_not_looked_for_in_a_sentence(
+def test_a_stall_of_an_emulator_is_read_from_its_field_and_not_its_text(
     tmp_path: Path,
 ) -> None:
     """Two stalls of 0.4 ms are one of 0.8 ms."""
@@ -436,7 +436,7 @@ def test_a_stall_of_an_emulator_is_a_number_and_not_looked_for_in_a_sentence(
     assert disturbances(rec).held_up_ms == 8
 
 
-def test_values_that_the_daemon_did_not_report_are_unknown(tmp_path: Path) -> None:
+def test_values_missing_in_the_reports_are_unknown(tmp_path: Path) -> None:
     report = timing(5)
     for name in ("collections", "cpu_pressure_percent", "run_queue"):
         report.ClearField(name)
@@ -466,7 +466,7 @@ def test_chunks_of_any_size_read_the_same(
     assert len(rec.timing) == 30
 
 
-def test_a_cut_file_gives_its_beginning_wherever_it_is_cut(tmp_path: Path) -> None:
+def test_a_file_cut_anywhere_is_read_up_to_the_cut(tmp_path: Path) -> None:
     """L3: a prefix without holes, or one line that names the file's kind.
 
     The file is cut at every byte near the beginning of a record, and at some bytes within;
@@ -494,7 +494,7 @@ def test_a_cut_file_gives_its_beginning_wherever_it_is_cut(tmp_path: Path) -> No
 
 @settings(max_examples=150)
 @given(st.data())
-def test_a_flipped_bit_is_found_or_does_no_harm(data: st.DataObject) -> None:
+def test_a_flipped_bit_is_detected_or_harmless(data: st.DataObject) -> None:
     at = data.draw(st.integers(0, len(SMALL) * 8 - 1))
     spoilt = bytearray(SMALL)
     spoilt[at // 8] ^= 1 << at % 8
@@ -522,7 +522,7 @@ def test_random_bytes_of_a_file_raise_no_other_error(noise: bytes, at: int) -> N
     ("k", "why"),
     [(1, "each k must be larger"), (1 << 62, "less than 2^62"), ((1 << 64) - 1, "less than 2^62")],
 )
-def test_an_index_that_does_not_rise_or_is_beyond_any_ends_the_reading(
+def test_a_sample_number_that_decreases_or_overflows_ends_the_reading(
     tmp_path: Path, k: int, why: str
 ) -> None:
     """Not every program has integers of 62 bit."""
@@ -582,7 +582,7 @@ def test_a_record_that_cannot_be_read_ends_the_reading(
     assert why in load(written(tmp_path, _with_record(opcode, body))).damage
 
 
-def test_a_chunk_that_declares_little_and_holds_much_is_not_unpacked(tmp_path: Path) -> None:
+def test_a_chunk_larger_than_its_declared_size_is_not_unpacked(tmp_path: Path) -> None:
     """Zeros that would fill 2 GB, in 64 kB of file."""
     packer = zstandard.ZstdCompressor().compressobj()
     packed = b"".join([*(packer.compress(bytes(1 << 24)) for _ in range(128)), packer.flush()])
@@ -659,7 +659,7 @@ def test_every_record_in_a_chunk_counts_by_its_length(
     ],
 )
 @pytest.mark.parametrize("within_a_chunk", [True, False])
-def test_every_record_is_work(
+def test_every_record_counts_towards_the_work_limit(
     tmp_path: Path, limited: Callable[..., None], record: bytes, within_a_chunk: bool
 ) -> None:
     limited(WORK_LIMIT=900, BYTES_PER_WORK=1 << 30)
@@ -670,7 +670,7 @@ def test_every_record_is_work(
     assert "more than 900 units of work with records" in rec.damage
 
 
-def test_samples_of_another_layout_and_their_runs_are_work(
+def test_samples_of_another_layout_count_towards_the_work_limit(
     tmp_path: Path, limited: Callable[..., None]
 ) -> None:
     limited(WORK_LIMIT=900, BYTES_PER_WORK=1 << 30)
@@ -682,7 +682,7 @@ def test_samples_of_another_layout_and_their_runs_are_work(
     assert 50 < rec.N < 500
 
 
-def test_names_of_other_programs_are_not_kept(tmp_path: Path) -> None:
+def test_names_of_channels_of_other_programs_are_not_stored(tmp_path: Path) -> None:
     foreign = b"A" * 100_000
     schema = _record(0x03, struct.pack("<HI", 77, len(foreign)) + foreign + bytes(8))
     metadata = _record(0x0C, struct.pack("<I", len(foreign)) + foreign + bytes(4))
@@ -740,7 +740,7 @@ def test_samples_are_kept_until_k_does_not_rise(packs: list[list[int]], spoilt: 
     assert failed == (len(expected) < len(all_k))
 
 
-def test_samples_do_not_keep_the_chunk_they_came_in() -> None:
+def test_samples_do_not_keep_their_chunk_in_memory() -> None:
     """One sample in each of many chunks of 8 MB must not keep all of them in memory."""
     chunk = _ROW_HEAD + telemetry.encode_sample(sample(0)) + bytes(100_000)
     rows = sample_rows.SampleRows()
@@ -762,7 +762,7 @@ def test_a_grid_has_no_more_rows_than_a_run(tmp_path: Path, limited: Callable[..
 
 
 @pytest.mark.parametrize(("came", "missing"), [(0, 200_000), (7, 200_070)])
-def test_a_grid_lacks_no_more_samples_than_it_may(came: int, missing: int) -> None:
+def test_a_grid_has_a_bounded_number_of_missing_samples(came: int, missing: int) -> None:
     """200 000, and ten more for each sample that came; one more is refused."""
     k = np.arange(came, dtype=np.uint64)
 
@@ -779,7 +779,7 @@ def test_a_grid_lacks_no_more_samples_than_it_may(came: int, missing: int) -> No
     st.lists(st.tuples(st.integers(0, 60), st.integers(0, 2**64), st.floats(-9, 9)), max_size=12)
     | st.lists(st.tuples(st.integers(0, 60), st.integers(0, 20), st.floats(-9, 9)), max_size=12)
 )
-def test_gaps_fill_rows_as_if_one_after_the_other(gaps: list[tuple[int, int, float]]) -> None:
+def test_gaps_fill_rows_as_if_applied_in_order(gaps: list[tuple[int, int, float]]) -> None:
     rows = grid.Grid(k_first=10, N=40, present=np.zeros(40, np.bool_), taken=slice(0))
     expected = np.full(40, nan)
     for k_first, count, value in gaps:
@@ -788,7 +788,7 @@ def test_gaps_fill_rows_as_if_one_after_the_other(gaps: list[tuple[int, int, flo
     np.testing.assert_array_equal(rows.filled(gaps), expected)
 
 
-def test_gaps_without_end_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_overlapping_gaps_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The work is rows plus gaps, not rows times gaps."""
     written_rows = 0
 
@@ -867,7 +867,7 @@ def test_a_file_is_read_once() -> None:
     assert file.count == len(data)
 
 
-def test_a_change_outside_the_chunks_is_found(tmp_path: Path) -> None:
+def test_a_change_outside_the_chunks_is_detected(tmp_path: Path) -> None:
     """The manifest has no checksum of its own, but the file has one over all data."""
     whole = recorded([sample(0)])
     assert whole.count(b'"seed":1') == 1
@@ -913,7 +913,7 @@ def _gap(t: float, count: int = 1, code: GapCode = GapCode.FRAME_LOST) -> Gap:
     return Gap(k_first=k, count=count, t=t, u_held_v=1.0, reason=code.sentence, code=code)
 
 
-def test_a_gap_alone_is_reported_as_it_is() -> None:
+def test_a_single_gap_is_reported_unchanged() -> None:
     assert gap_lines([_gap(3.25, 7)]) == ["7 samples at 3.250 s, a frame was lost"]
     assert gap_lines([]) == []
 

@@ -87,7 +87,7 @@ def test_a_recording_given_as_a_calibration_is_refused_with_the_remedy(tmp_path:
         load(one, two)
 
 
-def test_the_command_line_leads_from_the_parts_to_the_run(
+def test_the_name_of_a_run_selects_all_its_parts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _parts(tmp_path)

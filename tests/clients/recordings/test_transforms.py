@@ -32,7 +32,7 @@ def rec(tmp_path: Path) -> Recording:
     ("theta_1", "alpha", "left"),
     [(nan, 0.1, {"arm"}), (0.1, inf, {"chassis"}), (-inf, nan, set())],
 )
-def test_an_angle_that_is_not_known_leaves_its_frame_out(
+def test_the_frame_of_an_unknown_angle_is_omitted(
     theta_1: float, alpha: float, left: set[str]
 ) -> None:
     """A viewer would place a frame of NaN anywhere; infinity, in a foreign file, has no sine."""
@@ -40,7 +40,7 @@ def test_an_angle_that_is_not_known_leaves_its_frame_out(
 
 
 @pytest.mark.parametrize("offset_ns", [-4 * 10**18, 72 * 10**17])
-def test_times_that_foxglove_does_not_have_are_refused(
+def test_times_outside_the_range_of_foxglove_are_refused(
     offset_ns: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The offset of a recording's clocks may be of any size."""

@@ -68,7 +68,7 @@ def levels(verdict: DataVerdict) -> dict[str, str]:
     return {f.about: f.level for f in verdict.findings}
 
 
-def test_a_sound_recording_has_nothing_against_it(tmp_path: Path) -> None:
+def test_a_sound_recording_has_no_findings(tmp_path: Path) -> None:
     found = judged(tmp_path, armrig.telegraph(3000, 0.05))
 
     assert found.usable
@@ -127,7 +127,7 @@ def test_a_step_hidden_by_the_dead_band_is_reported_with_the_time_to_step(
     assert 2 <= len(hidden) <= 10
 
 
-def test_missing_samples_are_reported_and_many_are_warned_of(tmp_path: Path) -> None:
+def test_missing_samples_are_reported_and_many_cause_a_warning(tmp_path: Path) -> None:
     """One in a hundred may be missing."""
     u = armrig.telegraph(1000, 0.05)
 
@@ -140,7 +140,7 @@ def test_missing_samples_are_reported_and_many_are_warned_of(tmp_path: Path) -> 
     assert "15 of 1000 samples are missing" in many.summary
 
 
-def test_jitter_that_moves_the_angle_by_more_than_its_noise_is_warned_of(tmp_path: Path) -> None:
+def test_jitter_beyond_the_noise_of_the_angle_causes_a_warning(tmp_path: Path) -> None:
     """At 10 rad/s, a millisecond is a hundredth of a rad."""
     rng = np.random.default_rng(1)
 
@@ -168,7 +168,7 @@ def test_alpha_at_a_rail_is_reported_as_clipped(tmp_path: Path) -> None:
     assert found.usable
 
 
-def test_an_angle_that_never_shows_cannot_be_used(tmp_path: Path) -> None:
+def test_an_angle_without_a_valid_sample_is_unusable(tmp_path: Path) -> None:
     """A wire is loose, or the chassis is in the dead band."""
     found = data_verdict(by_hand(tmp_path, swinging(100, flags=int(Flag.ADC0_RAIL))))
 
@@ -214,7 +214,7 @@ def test_unusable_findings_precede_warnings(tmp_path: Path) -> None:
         (False, False, "good", "is removed"),
     ],
 )
-def test_a_greybox_recording_is_of_the_chassis_alone(
+def test_a_greybox_recording_must_be_without_the_arm(
     moves: bool, told_on: bool, level: str, said: str, tmp_path: Path
 ) -> None:
     made = [
@@ -230,7 +230,7 @@ def test_a_greybox_recording_is_of_the_chassis_alone(
     assert said in arm.text
 
 
-def test_a_gap_without_a_record_of_its_voltage_is_judged_all_the_same(tmp_path: Path) -> None:
+def test_a_gap_without_a_recorded_voltage_is_evaluated(tmp_path: Path) -> None:
     made = swinging(200)
     del made[100:103]
     messages = [gap(0, 5, 0.0), *made[5:]]
@@ -313,14 +313,14 @@ def changed(recording: Recording, **fields: Any) -> Recording:
     return replace(recording, manifest=msgspec.structs.replace(recording.manifest, **fields))
 
 
-def test_sound_recordings_of_one_rig_have_nothing_against_them(sound: Recording) -> None:
+def test_sound_recordings_of_one_rig_have_no_findings(sound: Recording) -> None:
     """The handout requires a recording of the chassis alone, too."""
     step, chassis = (changed(sound, experiment=name) for name in ("step", "greybox-chassis"))
 
     assert all_doubts([step, sound, sound]) == all_doubts([sound, sound, chassis]) == []
 
 
-def test_each_doubt_names_its_reason_and_the_file(sound: Recording) -> None:
+def test_each_finding_names_its_reason_and_its_file(sound: Recording) -> None:
     other_rig = changed(sound, rig="2")
     other_device = changed(sound, device=sound.manifest.device | {"uid": "9999"})
     calibration = msgspec.structs.replace(sound.calibration or Calibration(), driver=Driver(gain=2))
@@ -360,7 +360,7 @@ def test_recordings_of_several_calibrations_are_grouped(sound: Recording) -> Non
     ("experiment", "is_poor"),
     [("step", True), ("staircase-monday", True), ("stepper", False), ("blackbox-step", False)],
 )
-def test_a_step_is_poor_for_estimation_and_says_little_in_validation(
+def test_a_step_is_a_poor_input_for_estimation_and_validation(
     sound: Recording, experiment: str, is_poor: bool
 ) -> None:
     kind = experiment.partition("-")[0]
@@ -374,7 +374,7 @@ def test_a_step_is_poor_for_estimation_and_says_little_in_validation(
     assert doubts_of_pair(step, sound) == []
 
 
-def test_a_run_ends_early_before_the_end_of_an_input_that_it_had(sound: Recording) -> None:
+def test_an_incomplete_run_is_reported_unless_its_length_is_unknown(sound: Recording) -> None:
     def ended(code: str, **fields: Any) -> Recording:
         outcome = Outcome(outcome=f"it was {code}", samples=9, missing=0, code=code)
         return changed(replace(sound, outcome=outcome), **fields)
@@ -391,7 +391,7 @@ def test_a_run_ends_early_before_the_end_of_an_input_that_it_had(sound: Recordin
 
 
 @pytest.mark.parametrize(("fall", "is_reversed"), [(0.0, False), (0.49, False), (0.51, True)])
-def test_an_angle_may_fall_by_half_a_radian(
+def test_a_measured_angle_may_fall_by_half_a_radian_without_a_finding(
     sound: Recording, fall: float, is_reversed: bool
 ) -> None:
     """A chassis at rest shows no direction, and neither does a touch by hand."""

@@ -75,7 +75,7 @@ def failed(found: Verification) -> dict[str, str]:
     return {c.about: c.text for c in found.checks if c.result == "failed"}
 
 
-def test_a_run_as_requested_passes(tmp_path: Path) -> None:
+def test_a_run_that_matches_its_request_passes(tmp_path: Path) -> None:
     found = verified(tmp_path, [*run(), clock(100, 50), clock(200, 70)])
 
     assert found.passed
@@ -98,7 +98,7 @@ def test_reported_gaps_may_overlap(tmp_path: Path) -> None:
     assert failed(short)["samples"] == ("5 samples are missing without a gap record, from k=105 on")
 
 
-def test_checks_without_samples_are_not_made(tmp_path: Path) -> None:
+def test_checks_are_skipped_without_samples(tmp_path: Path) -> None:
     about = manifest(k_first=0, samples=N)
     ended = Outcome(outcome="stopped", samples=0, missing=0)
     found = verify(written(tmp_path, recorded([], manifest=about, outcome=ended, u=U.tolist())))
@@ -157,7 +157,7 @@ def test_a_file_that_is_cut_off_fails_and_can_still_be_loaded(tmp_path: Path) ->
         ({}, {"drift_std_ppm": 8.5}, False),  # what it may gain from there on
     ],
 )
-def test_clocks_may_differ_by_what_the_comparisons_do_not_know(
+def test_clocks_may_differ_by_the_uncertainty_of_their_comparison(
     tmp_path: Path, before: dict[str, float], after: dict[str, float], may: bool
 ) -> None:
     """50 µs in 1 s: both bounds, the reported drift, and six deviations of offset and drift."""
@@ -177,7 +177,7 @@ def test_clocks_may_differ_by_what_the_comparisons_do_not_know(
         (N, 44_000, False),
     ],
 )
-def test_a_clock_may_be_off_by_a_resonator_and_a_sample_at_either_end(
+def test_a_clock_may_differ_by_its_resonator_tolerance_and_two_samples(
     tmp_path: Path, n: int, gained_us: int, may: bool
 ) -> None:
     """A short run cannot determine the resonator's error."""
@@ -191,7 +191,7 @@ def test_a_clock_may_be_off_by_a_resonator_and_a_sample_at_either_end(
     assert ("clock" not in failed(found)) == may
 
 
-def test_a_later_sample_is_compared_with_its_own_voltage(tmp_path: Path) -> None:
+def test_each_sample_is_compared_with_the_voltage_of_its_number(tmp_path: Path) -> None:
     messages: list[Any] = run()
     messages[0:3] = [gap(0, 3, 0.0)]
     ended = Outcome(outcome="complete", samples=N - 3, missing=3)

@@ -105,7 +105,7 @@ def test_every_figure_names_its_recording(done: Study, drawn: dict[str, figure.F
     assert found["data"].index("@run-2") < found["data"].index("@run-3")
 
 
-def test_a_report_leaves_a_copy_of_each_figure(
+def test_a_report_writes_a_copy_of_each_figure(
     done: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def write(_: Study, root: Path) -> tuple[Path, ...]:
@@ -144,7 +144,7 @@ def test_a_report_has_the_date_of_its_newest_recording(done: Study) -> None:
     assert date("no date") == date() == "1970-01-01 00:00"
 
 
-def test_recordings_get_the_roles_that_their_order_says(done: Study) -> None:
+def test_the_order_of_recordings_determines_their_roles(done: Study) -> None:
     assert [role(done, r) for r in done.recordings] == ["step", "estimation", "validation"]
 
 
@@ -209,7 +209,7 @@ def test_a_step_or_a_staircase_with_a_name_is_not_identified_from(
     assert [role(found, r) for r in found.recordings] == ["staircase", "estimation", "validation"]
 
 
-def test_the_report_says_where_the_models_leave_the_physics(done: Study) -> None:
+def test_the_report_states_where_the_models_deviate_from_the_physics(done: Study) -> None:
     at = {"ARX": 20, "OE": 150}
     most = {"ARX": 0.5, "OE": 0.25}
 
@@ -260,7 +260,7 @@ def test_the_caption_of_a_step_names_the_first_step_which_the_figure_shows(
     assert re.findall(r"run-\d", told) == ["run-1"]
 
 
-def test_only_an_arx_model_is_biased_and_only_far_from_the_best(
+def test_only_an_arx_model_far_from_the_best_is_reported_as_biased(
     done: Study, of_three: Study
 ) -> None:
     def verdicts(study: Study, *errors: float) -> list[str]:
@@ -279,7 +279,7 @@ def test_only_an_arx_model_is_biased_and_only_far_from_the_best(
     assert verdicts(done, 0.0299, 0.01) == []
 
 
-def test_residuals_that_were_not_tested_are_not_called_coloured(done: Study) -> None:
+def test_untested_residuals_are_not_reported_as_coloured(done: Study) -> None:
     untested = replace(done.best, fit=replace(done.best.fit, whiteness=float("nan")))
 
     said = str(content(replace(done, estimated=(untested,)), ())["estimation"])
@@ -310,7 +310,7 @@ def test_models_are_compared_up_to_nyquist() -> None:
     assert found["omega"][-1] == pytest.approx(np.pi / 0.1)
 
 
-def test_a_rig_that_was_not_calibrated_is_reported_once(done: Study) -> None:
+def test_an_uncalibrated_rig_is_reported_once(done: Study) -> None:
     made = Made(date="2026-11-20T04:00:00+01:00", rig="1", device_uid="0001", armrig="0.1.0")
     good = tuple(replace(r, calibration=Calibration(made=made)) for r in done.recordings)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 
-def test_the_report_is_imported_from_the_room() -> None:
+def test_the_public_names_of_the_report_can_be_imported() -> None:
     from armrig.report import document, recording_facts, report, treatment
 
     assert report is document.report

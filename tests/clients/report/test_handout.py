@@ -139,7 +139,7 @@ def test_a_section_without_recordings_names_the_command(without: HandoutStudy) -
     }
 
 
-def test_recordings_fill_what_they_can(done: HandoutStudy) -> None:
+def test_recordings_fill_the_sections_that_they_support(done: HandoutStudy) -> None:
     lacking = [number for number, s in sections(done, "3").items() if s.lack]
 
     assert lacking == ["3.5", "3.6"]
@@ -148,7 +148,7 @@ def test_recordings_fill_what_they_can(done: HandoutStudy) -> None:
     assert done.refused == {}
 
 
-def test_each_answer_gives_its_own_figures(done: HandoutStudy) -> None:
+def test_each_answer_contains_its_figures(done: HandoutStudy) -> None:
     assert done.sampling is not None
     assert done.step is not None
     assert done.loop is not None
@@ -182,7 +182,7 @@ def test_each_answer_gives_its_own_figures(done: HandoutStudy) -> None:
     assert "($F$ = 1.25 with 5 and 777 degrees of freedom)" in found["3.7"].answer[0]
 
 
-def test_an_insignificant_extreme_of_a_spectrum_is_none(done: HandoutStudy) -> None:
+def test_an_insignificant_extreme_of_a_spectrum_is_not_reported(done: HandoutStudy) -> None:
     assert done.hints is not None
     hints = replace(done.hints, resonances=(31.0, 62.0), antiresonances=())
 
@@ -265,7 +265,7 @@ def test_the_comparison_has_each_characteristic_in_its_column(done: HandoutStudy
     ]
 
 
-def test_a_recording_without_its_arm_is_not_held_against_the_physics_in_silence(
+def test_a_comparison_of_a_recording_without_the_arm_is_annotated(
     done: HandoutStudy,
 ) -> None:
     assert done.black is not None
@@ -294,7 +294,7 @@ def test_a_recording_without_its_arm_is_not_held_against_the_physics_in_silence(
         (0.006, 0.03, 0.006, f"ARX and physics are equally close, with an rms error of 6{NBSP}"),
     ],
 )
-def test_the_model_that_is_closest_may_be_any(
+def test_the_answer_names_the_closest_of_all_models(
     done: HandoutStudy, arx: float, oe: float, physics: float, said: str
 ) -> None:
     assert done.black is not None
@@ -424,7 +424,7 @@ def test_a_step_beyond_the_limit_is_marked(without: HandoutStudy) -> None:
         ("\n#let", r"line 2: "),
     ],
 )
-def test_a_source_reads_nothing_outside_its_folder(text: str, message: str, tmp_path: Path) -> None:
+def test_a_source_reads_no_file_outside_its_folder(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "secret.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'/>")
     folder = tmp_path / "source"
     folder.mkdir()
@@ -466,7 +466,7 @@ def test_a_link_inside_a_source_with_a_relative_path_is_followed(
         ('#metadata(("2.1", float.nan)) <place>', "a #mark of the template is missing or changed"),
     ],
 )
-def test_marks_that_were_edited_are_named(text: str, message: str, tmp_path: Path) -> None:
+def test_edited_section_marks_are_reported(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / TEMPLATE).write_text(text)
 
     with pytest.raises(OperationError, match=message):
@@ -483,7 +483,7 @@ def test_a_name_with_underlines_is_typeset(text: str, tmp_path: Path) -> None:
     assert places
 
 
-def test_ctrl_c_ends_a_compiler_that_never_ends(
+def test_ctrl_c_ends_a_compiler_that_does_not_return(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Typst reacts to no signal, and a source may contain a loop."""
@@ -505,9 +505,7 @@ def test_ctrl_c_ends_a_compiler_that_never_ends(
     assert threads != [main_thread()]
 
 
-def test_a_folder_with_files_is_no_folder_for_a_source(
-    without: HandoutStudy, tmp_path: Path
-) -> None:
+def test_a_folder_with_files_is_refused_for_a_source(without: HandoutStudy, tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("mine")
 
     with pytest.raises(OperationError, match="contains files already; name a new folder"):
@@ -518,7 +516,7 @@ def test_a_folder_with_files_is_no_folder_for_a_source(
 
 @pytest.mark.exhaustive
 @pytest.mark.usefixtures("only_values")
-def test_a_run_that_ended_early_gives_way_to_a_complete_one_and_is_named(
+def test_a_complete_run_has_precedence_over_one_that_ended_early(
     three: list[Recording], without: HandoutStudy, tmp_path: Path
 ) -> None:
     step, first, second = three
@@ -540,7 +538,7 @@ def test_a_run_that_ended_early_gives_way_to_a_complete_one_and_is_named(
 
 
 @pytest.mark.usefixtures("only_values")
-def test_names_and_reasons_are_in_the_values_of_the_report(
+def test_the_values_of_the_report_contain_names_and_reasons(
     three: list[Recording], without: HandoutStudy, tmp_path: Path
 ) -> None:
     step = three[0]

@@ -131,7 +131,7 @@ def test_the_results_are_on_the_first_page_and_the_device_in_the_appendix(of_stu
     assert headings["Recordings"] > headings["Comparison with the physics"]
 
 
-def test_a_text_of_a_figure_is_enlarged_to_seven_points(tmp_path: Path) -> None:
+def test_the_text_of_a_figure_is_enlarged_to_seven_points(tmp_path: Path) -> None:
     figure = Figure()
     figure.add_subplot().set_xlabel("$K_{lin}$", fontsize=8)
 

@@ -68,7 +68,7 @@ def test_each_table_has_rows_for_each_output(both: Study) -> None:
     assert values["orders"] == "for θ₁ na = nb = nf = 4, nk = 1; for α na = nb = nf = 3, nk = 1"
 
 
-def test_a_report_may_be_of_alpha_alone(three_recordings: tuple[Path, Path, Path]) -> None:
+def test_a_report_may_have_only_the_output_alpha(three_recordings: tuple[Path, Path, Path]) -> None:
     found = study([load(path) for path in three_recordings], outputs=("alpha",))
 
     assert found.best.fit.orders == {"nb": 3, "nf": 3, "nk": 1}

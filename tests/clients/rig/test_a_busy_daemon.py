@@ -118,7 +118,7 @@ def test_a_reset_returns_whether_a_fault_was_latched(daemon: BusyDaemon) -> None
         assert rig.reset() is True
 
 
-def test_a_run_whose_client_is_refused_for_good_is_stopped(daemon: BusyDaemon) -> None:
+def test_a_permanent_refusal_stops_the_run_of_its_client(daemon: BusyDaemon) -> None:
     daemon.refusals["status"] = "not for you"
 
     with Rig(connect=daemon.endpoint) as rig:

@@ -46,12 +46,12 @@ def rig(daemon: FakeDaemon, where: str) -> Iterator[Rig]:
 
 
 @pytest.mark.parametrize("rig", ["", "Arm", "../1", "a b", "*"])
-def test_a_rig_id_that_cannot_be_a_key_is_refused(rig: str) -> None:
+def test_a_rig_id_that_is_not_a_valid_key_is_refused(rig: str) -> None:
     with pytest.raises(ValueError, match="each a-z, 0-9 or -"):
         Rig(rig)
 
 
-def test_a_run_is_sent_whole_and_waited_for(daemon: FakeDaemon, rig: Rig) -> None:
+def test_the_client_sends_a_whole_run_and_waits_for_its_end(daemon: FakeDaemon, rig: Rig) -> None:
     seen: list[tuple[int, int]] = []
     rig.arm("me", Ts=0.02)
     path = rig.run(
@@ -83,7 +83,7 @@ def test_a_sleep_during_a_run_is_reported_once(
     assert told == ["this computer slept for 30 s"]
 
 
-def test_a_run_with_a_dead_man_gives_signs_while_it_is_waited_for(
+def test_a_client_with_a_dead_man_sends_signs_of_life_during_its_run(
     daemon: FakeDaemon, rig: Rig
 ) -> None:
     daemon.polls_per_run = 4
@@ -101,9 +101,7 @@ def test_a_run_with_a_dead_man_gives_signs_while_it_is_waited_for(
     assert {r.lease for r in first} == {"0" * 32}
 
 
-def test_the_daemon_s_rehearsal_is_handed_over_before_the_run_is_waited_for(
-    daemon: FakeDaemon, rig: Rig
-) -> None:
+def test_the_rehearsal_is_returned_before_the_end_of_the_run(daemon: FakeDaemon, rig: Rig) -> None:
     daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
     seen: list[Any] = []
     rig.arm("me")
@@ -148,7 +146,7 @@ def test_the_author_of_a_note_is_named(daemon: FakeDaemon, rig: Rig) -> None:
     ]
 
 
-def test_a_daemon_that_is_older_than_notes_is_named_in_a_line(daemon: FakeDaemon, rig: Rig) -> None:
+def test_a_daemon_too_old_for_notes_is_reported_in_a_line(daemon: FakeDaemon, rig: Rig) -> None:
     daemon.refusals["note"] = "command 'note': allowed are arm, disarm"
 
     with pytest.raises(RefusedError) as refused:
@@ -158,7 +156,7 @@ def test_a_daemon_that_is_older_than_notes_is_named_in_a_line(daemon: FakeDaemon
     assert str(refused.value) == told
 
 
-def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(daemon: FakeDaemon, rig: Rig) -> None:
+def test_a_stop_without_a_name_is_sent_to_an_older_daemon(daemon: FakeDaemon, rig: Rig) -> None:
     carry_out = daemon._carry_out
 
     def earlier(request: commands.Request) -> Any:
@@ -180,16 +178,14 @@ def test_an_unconfirmed_stop_raises_an_error(daemon: FakeDaemon, rig: Rig, answe
         rig.stop()
 
 
-def test_without_arming_nothing_is_sent(daemon: FakeDaemon, rig: Rig) -> None:
+def test_a_command_without_arming_is_not_sent(daemon: FakeDaemon, rig: Rig) -> None:
     with pytest.raises(RefusedError, match=r"call arm\(owner\)"):
         rig.run([1.0])
 
     assert daemon.asked == []
 
 
-def test_a_voltage_outside_what_was_granted_never_leaves_the_client(
-    daemon: FakeDaemon, rig: Rig
-) -> None:
+def test_a_voltage_outside_the_granted_limits_is_not_sent(daemon: FakeDaemon, rig: Rig) -> None:
     daemon.limits_v = (0.5, 4.5)
     rig.arm("me")
     with pytest.raises(ValueError, match=r"u\[2\] = 4.8 V is outside 0.5 … 4.5 V"):
@@ -204,7 +200,7 @@ def test_a_voltage_outside_what_was_granted_never_leaves_the_client(
 
 
 @pytest.mark.parametrize("u", [[[1.0, 2.0], [3.0, 4.0]], 1.0, []])
-def test_an_input_that_is_no_row_of_voltages_is_refused(
+def test_an_input_that_is_not_a_vector_of_voltages_is_refused(
     u: Any, daemon: FakeDaemon, rig: Rig
 ) -> None:
     rig.arm("me")
@@ -214,7 +210,7 @@ def test_an_input_that_is_no_row_of_voltages_is_refused(
     assert "run" not in daemon.names()
 
 
-def test_a_run_whose_answer_was_lost_is_stopped(daemon: FakeDaemon, rig: Rig) -> None:
+def test_a_run_without_a_reply_is_stopped(daemon: FakeDaemon, rig: Rig) -> None:
     rig.arm("me")
     ask = rig._ask
 
@@ -253,7 +249,7 @@ def test_ctrl_c_during_a_run_stops_the_rig(daemon: FakeDaemon, rig: Rig) -> None
     assert daemon.names() == ["arm", "run", "stop"]
 
 
-def test_an_endpoint_that_is_none_is_reported() -> None:
+def test_an_invalid_endpoint_is_reported() -> None:
     with (
         pytest.raises(RigError, match="not a zenoh endpoint, such as"),
         Rig("1", connect="nonsense"),
@@ -261,13 +257,13 @@ def test_an_endpoint_that_is_none_is_reported() -> None:
         pass
 
 
-def test_a_rig_is_used_in_a_with_block(where: str) -> None:
+def test_a_rig_outside_a_with_block_is_refused(where: str) -> None:
     """Otherwise the session would never be closed."""
     with pytest.raises(RigError, match="with block"):
         Rig("1", connect=where).status()
 
 
-def test_a_stream_ends_when_the_process_of_its_daemon_does(
+def test_a_stream_ends_with_the_process_of_its_daemon(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     is_alive = telemetry_stream._is_alive
@@ -293,7 +289,7 @@ def test_a_stream_ends_when_the_process_of_its_daemon_does(
                 pass
 
 
-def test_silence_of_a_living_daemon_is_waited_through(
+def test_a_stream_continues_after_the_silence_of_a_living_daemon(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
@@ -317,13 +313,13 @@ def test_silence_of_a_living_daemon_is_waited_through(
     thread.join()
 
 
-def test_a_stream_of_a_rig_that_is_not_there_ends(daemon: FakeDaemon, where: str) -> None:
+def test_a_stream_of_a_missing_rig_ends(daemon: FakeDaemon, where: str) -> None:
     with pytest.raises(NoReplyError, match="rig 2: its daemon stopped"):
         next(stream("rig/2/sample", connect=where))
 
 
 @pytest.mark.parametrize("key", ["rig/1", "rig/1/nothing", "rig/../sample", "sample"])
-def test_a_key_that_is_no_stream_is_refused(key: str) -> None:
+def test_a_key_without_a_stream_is_refused(key: str) -> None:
     with pytest.raises(ValueError, match=r"key|a-z"):
         next(stream(key))
 

@@ -64,7 +64,7 @@ class _SlowDisk(FakeDaemon):
         return replace(found, last_run=late, phase="safe" if is_done else "active")
 
 
-def test_a_collection_ends_with_the_last_sample_that_there_is(where: str) -> None:
+def test_a_collection_of_an_interrupted_run_ends_with_its_last_sample(where: str) -> None:
     shown: list[tuple[int, int]] = []
 
     @contextmanager
@@ -107,7 +107,7 @@ class _CutOff(FakeDaemon):
             query.drop()
 
 
-def test_a_daemon_that_ends_during_a_run_leaves_what_it_had_recorded(where: str) -> None:
+def test_a_daemon_that_ends_during_a_run_leaves_its_partial_recording(where: str) -> None:
     plan = step_plan("Ada", seconds=3.0)
     with _CutOff(where), pytest.raises(NoReplyError) as told:
         collect(plan, rig="1", connect=where, tell=print, shown=_unseen)
@@ -129,7 +129,9 @@ def test_a_daemon_that_ends_during_a_run_leaves_what_it_had_recorded(where: str)
         ("", "complete", False),
     ],
 )
-def test_a_run_is_complete_by_its_code(code: str, outcome: str, is_complete: bool) -> None:
+def test_the_outcome_code_decides_whether_a_run_is_complete(
+    code: str, outcome: str, is_complete: bool
+) -> None:
     last = replace(NEW, code=code, outcome=outcome)
 
     assert last.is_complete == is_complete
@@ -142,7 +144,7 @@ class Missing(NamedTuple):
     count: int
 
 
-def test_the_lateness_is_the_last_second_s_and_the_queue_the_last_report_s() -> None:
+def test_the_progress_shows_the_lateness_and_the_queue_of_the_last_report() -> None:
     def late(first: int, count: int, late_us: int) -> list[Any]:
         return [
             sample(k, t_host_ns=sample(k).t_sched_ns + late_us * 1000)

@@ -62,7 +62,7 @@ def _told_over(where: str, **how: Any) -> str:
     return str(refused.value).removeprefix(f"no reply from rig 1 at {where}: ")
 
 
-def test_where_nobody_listens_the_daemon_is_named(made: Path) -> None:
+def test_a_connection_refusal_suggests_to_start_the_daemon(made: Path) -> None:
     with socket.socket() as bound:  # and it does not listen
         bound.bind(("127.0.0.1", 0))
         port = bound.getsockname()[1]
@@ -74,7 +74,7 @@ def test_where_nobody_listens_the_daemon_is_named(made: Path) -> None:
     )
 
 
-def test_an_unknown_host_is_named(made: Path) -> None:
+def test_an_error_names_an_unknown_host(made: Path) -> None:
     assert _told(made, 7447, "lab.invalid") == "there is no host lab.invalid: check its spelling"
 
 
@@ -114,7 +114,7 @@ def test_a_rig_s_certificate_outside_its_time_is_reported(
         assert _told(made, port).startswith(wrong)
 
 
-def test_a_client_s_certificate_before_its_time_is_not_called_expired(
+def test_a_certificate_not_yet_valid_by_the_listener_s_clock_is_reported(
     made: Path, tolerate: Callable[[timedelta], None]
 ) -> None:
     alice = read_credential(made / "alice.pem", "client")
@@ -129,7 +129,7 @@ def test_a_client_s_certificate_before_its_time_is_not_called_expired(
     )
 
 
-def test_a_wrong_password_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_password_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "password"
     file.write_text("ada:a long enough password\n")
     file.chmod(0o600)
@@ -180,12 +180,12 @@ def test_a_working_connection_has_no_fault(made: Path) -> None:
 @pytest.mark.parametrize(
     "where", ["tls/localhost", "tls/localhost:7447#verify_name_on_connect=false"]
 )
-def test_an_endpoint_that_is_none_is_refused(made: Path, where: str) -> None:
+def test_an_invalid_endpoint_is_refused(made: Path, where: str) -> None:
     with pytest.raises(RigError, match="must be tls/HOST:PORT"):
         Rig("1", connect=where, certificate=made / "alice.pem").__enter__()
 
 
-def test_without_a_certificate_it_says_where_one_is_named(made: Path) -> None:
+def test_a_missing_certificate_is_reported_with_where_to_configure_it(made: Path) -> None:
     with pytest.raises(RigError, match=r"needs your certificate: .* ARMRIG_CLIENT_CERTIFICATE"):
         Rig("1", connect="tls/localhost:7447").__enter__()
 
@@ -202,7 +202,7 @@ def password(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_password_is_sent_over_tcp_alone(password: Path) -> None:
+def test_a_password_is_sent_only_over_tcp(password: Path) -> None:
     settings = ClientSettings(password=str(password))
 
     over_tcp, over_socket = (_way(where, None, settings) for where in (TCP, "unixsock-stream/x"))
@@ -225,7 +225,7 @@ def test_a_file_with_the_passwords_of_others_is_refused_with_their_number(
     assert str(refused.value) == f"{password} has {n} users: keep only your own line"
 
 
-def test_a_credential_that_is_given_goes_before_the_configured_one(tmp_path: Path) -> None:
+def test_an_explicit_credential_has_precedence_over_the_configured_one(tmp_path: Path) -> None:
     folder = tmp_path / "pki"
     pki.make_authority(folder)
     given, configured = (

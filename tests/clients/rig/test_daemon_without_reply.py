@@ -99,7 +99,9 @@ def test_a_stopped_service_is_reported_on_open_and_new_connections(service: Serv
     assert (str(here.value), str(anew.value)) == (SAID, SAID)
 
 
-def test_a_missing_reply_is_no_refusal(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_reply_is_not_a_refusal(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The word Timeout is zenoh's, not a daemon's."""
     monkeypatch.setattr(client, "REPLY_S", 0.1)
     service.is_silent = True
@@ -214,7 +216,7 @@ def _alive(socket: Path) -> Iterator[None]:
 
 @pytest.mark.usefixtures("_alive")
 @pytest.mark.parametrize("command", ["stop", "status"])
-def test_a_living_daemon_that_does_not_answer_is_named_with_what_stops_the_motor(
+def test_an_unresponsive_daemon_is_reported_with_a_way_to_stop_the_motor(
     command: str, socket: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     socket.touch()
@@ -253,7 +255,7 @@ def test_a_client_waits_for_a_deleted_socket_of_a_living_daemon(
 
 
 @pytest.mark.usefixtures("_alive")
-def test_the_facts_in_a_stranger_s_directory_are_not_read(socket: Path) -> None:
+def test_a_lock_file_in_an_untrusted_directory_is_not_read(socket: Path) -> None:
     own = daemon_at(default_endpoint("1"))
     socket.parent.chmod(0o777)
 

@@ -131,7 +131,7 @@ def lots(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     ],
 )
 @pytest.mark.usefixtures("daemon")
-def test_a_stream_has_each_gap_in_its_place(
+def test_a_stream_contains_each_gap_between_its_samples(
     lots: Callable[..., None],
     where: str,
     samples: list[list[int]],
@@ -147,7 +147,9 @@ def test_a_stream_has_each_gap_in_its_place(
     assert shown == expected
 
 
-def test_a_stranger_cannot_fill_the_memory_of_a_listener(daemon: FakeDaemon, where: str) -> None:
+def test_another_publisher_cannot_fill_the_memory_of_a_listener(
+    daemon: FakeDaemon, where: str
+) -> None:
     """100 MB arrive without a reader: the newest 16 MiB are kept."""
     large = event(0, "x" * (1 << 20)).SerializeToString()
     last = event(0, "last").SerializeToString()

@@ -59,7 +59,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     return has
 
 
-def test_the_ids_of_living_rigs_are_in_order_and_each_is_there_once(
+def test_the_ids_of_live_rigs_are_sorted_and_unique(
     machine: Callable[..., None],
 ) -> None:
     session: Any = _Session(lab_9=b"", a=b"", lab_10=b"", z=b"", m=b"", lab_1=b"", c=b"", b=b"")

@@ -41,7 +41,7 @@ def test_a_child_daemon_ends_with_its_context(tmp_path: Path) -> None:
         pass
 
 
-def test_the_reason_of_a_daemon_that_does_not_start_is_quoted(tmp_path: Path) -> None:
+def test_the_error_of_a_daemon_that_fails_to_start_is_quoted(tmp_path: Path) -> None:
     config = tmp_path / "armrig.toml"
     config.write_text('[rig]\nid = "child"\nname = "x"\n')
 
@@ -110,9 +110,7 @@ class _Child:
         (_Child(ends=True, has_ended=True), []),
     ],
 )
-def test_ctrl_c_does_not_keep_a_daemon_from_its_end_and_works_afterwards(
-    child: Any, did: list[str]
-) -> None:
+def test_ctrl_c_does_not_interrupt_the_end_of_a_daemon(child: Any, did: list[str]) -> None:
     before = signal.getsignal(signal.SIGINT)
 
     stop(child)

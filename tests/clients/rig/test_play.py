@@ -80,7 +80,7 @@ def test_samples_are_taken_in_pieces(run: Path, monkeypatch: pytest.MonkeyPatch)
     ("start", "stop", "told"),
     [(0.2, 0.3, ["begins", "gap"]), (0.1, 0.2, []), (0.25, 0.3, ["gap"]), (0.2, 0.25, ["begins"])],
 )
-def test_a_part_begins_with_its_first_moment_and_ends_before_its_last(
+def test_a_part_includes_its_start_time_and_excludes_its_end_time(
     tmp_path: Path, start: float, stop: float, told: list[str]
 ) -> None:
     """Two consecutive parts therefore contain each message once."""
@@ -98,7 +98,7 @@ def test_a_part_begins_with_its_first_moment_and_ends_before_its_last(
 
 
 @pytest.mark.parametrize("after_us", [-5, 0, 5])
-def test_a_gap_is_published_when_it_is_over(tmp_path: Path, after_us: int) -> None:
+def test_a_gap_is_published_at_its_end(tmp_path: Path, after_us: int) -> None:
     lost, last = gap(3, 2, 1.0), gap(8, 2, 1.0)
     behind = sample(5)
     lost.t_to_ns = behind.t_host_ns + 1000 * after_us
@@ -127,7 +127,7 @@ def test_each_message_is_published_when_it_is_due(
     assert max(clock.slept) <= 1.0
 
 
-def test_a_pause_of_ages_is_slept_through_in_pieces(tmp_path: Path, clock: FakeClock) -> None:
+def test_a_long_pause_is_divided_into_short_sleeps(tmp_path: Path, clock: FakeClock) -> None:
     late = [sample(0), sample(1, t_host_ns=2**62)]
     run = published(written(tmp_path, recorded(late)))
     clock.most_sleeps = 5
@@ -138,7 +138,7 @@ def test_a_pause_of_ages_is_slept_through_in_pieces(tmp_path: Path, clock: FakeC
     assert clock.slept == [1.0] * 5
 
 
-def test_a_listener_hears_what_was_recorded(run: Path, where: str) -> None:
+def test_a_listener_receives_the_recorded_messages(run: Path, where: str) -> None:
     heard: list[Any] = []
 
     with staged(where, "played-1") as stage:
@@ -180,7 +180,7 @@ def test_a_slow_listener_does_not_delay_the_player(run: Path, where: str) -> Non
     assert all(r.congestion_control == zenoh.CongestionControl.DROP for r in received)
 
 
-def test_a_played_recording_accepts_no_command(where: str) -> None:
+def test_a_command_to_a_played_recording_is_refused(where: str) -> None:
     with staged(where, "played-1"):
         assert Path(where.removeprefix("unixsock-stream/")).stat().st_mode & 0o777 == 0o770
         with Rig("played-1", connect=where) as rig:
@@ -208,7 +208,7 @@ def test_a_played_recording_accepts_no_command(where: str) -> None:
             refused("played-1")
 
 
-def test_an_endpoint_that_is_taken_is_reported(where: str) -> None:
+def test_an_endpoint_in_use_is_reported(where: str) -> None:
     with (
         staged(where, "played-1"),
         pytest.raises(RigError, match="played there already"),
@@ -228,7 +228,9 @@ def test_the_command_plays_without_a_listener(
     assert "published 58 messages" in capsys.readouterr().out
 
 
-def test_a_run_begins_again_when_its_last_sample_is_over(tmp_path: Path, clock: FakeClock) -> None:
+def test_the_repetition_of_a_run_begins_after_its_last_sample(
+    tmp_path: Path, clock: FakeClock
+) -> None:
     one = published(written(tmp_path, recorded([sample(0)])))
 
     playing.rest(one, speed=0.5)
@@ -284,7 +286,7 @@ def test_a_recording_that_cannot_be_played_is_reported(
 
 
 @pytest.mark.usefixtures("nobody_listens")
-def test_hostile_files_are_played_as_far_as_they_are_whole(
+def test_a_damaged_file_is_played_up_to_its_damage(
     tmp_path: Path, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole = run_of(tmp_path).read_bytes()

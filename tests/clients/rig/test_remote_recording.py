@@ -93,7 +93,7 @@ def ks(recording: armrig.Recording) -> list[int]:
     return [int(k) for k in recording.samples["k"]]
 
 
-def test_a_gap_belongs_to_the_file_that_has_a_sample_on_either_side(
+def test_a_gap_is_recorded_in_the_file_with_samples_on_both_sides(
     recording: RemoteRecording,
 ) -> None:
     recording.add(piece(state(), gap(0, 5), sample(5), sample(6), gap(7, 2)))
@@ -105,7 +105,7 @@ def test_a_gap_belongs_to_the_file_that_has_a_sample_on_either_side(
     assert [(g.k_first, g.count, g.reason) for g in found.gaps] == [(7, 2, "link silent")]
 
 
-def test_a_break_that_no_file_can_hold_begins_another(recording: RemoteRecording) -> None:
+def test_a_break_too_long_for_a_file_begins_a_new_file(recording: RemoteRecording) -> None:
     behind = 6 + MISSING_LIMIT + 1
     recording.add(piece(state(), sample(5)))
     recording.add(piece(sample(behind), sample(behind + 1), lost=7))
@@ -130,7 +130,7 @@ def test_a_file_ends_before_it_is_too_long_to_be_loaded(
     assert [file.outcome for file in recording.done] == ["continued", "continued", "complete"]
 
 
-def test_samples_that_came_before_the_state_are_recorded(recording: RemoteRecording) -> None:
+def test_samples_received_before_the_first_state_are_recorded(recording: RemoteRecording) -> None:
     recording.add(piece(sample(0), gap(1, 1), sample(2)))
     recording.add(piece(state(), sample(3)))
 
@@ -140,7 +140,7 @@ def test_samples_that_came_before_the_state_are_recorded(recording: RemoteRecord
     assert [(g.k_first, g.count) for g in found.gaps] == [(1, 1)]
 
 
-def test_each_file_is_of_one_life_of_the_daemon(recording: RemoteRecording) -> None:
+def test_a_restart_of_the_daemon_begins_a_new_file(recording: RemoteRecording) -> None:
     hour_ns = 3_600_000_000_000
     at = {"seconds": OFFSET_NS // 10**9 + 5, "nanos": 8 * TS_NS}
     hello = message("event", message="hello", timestamp=at)
@@ -207,7 +207,7 @@ def test_lost_messages_are_an_event_at_the_time_of_the_rig_s_machine(
     assert warning.t == pytest.approx(0.0, abs=30.0)
 
 
-def test_no_file_that_is_there_is_replaced(recording: RemoteRecording, tmp_path: Path) -> None:
+def test_an_existing_file_is_not_replaced(recording: RemoteRecording, tmp_path: Path) -> None:
     for name in ("monday-2.mcap", "monday-3.mcap.active"):
         (tmp_path / name).write_bytes(b"precious")
     recording.add(piece(state(), sample(0), state(0.02), sample(1)))
@@ -255,7 +255,7 @@ def test_an_invalid_clock_offset_is_refused(recording: RemoteRecording, offset_n
 
 
 @pytest.mark.parametrize("seconds", [2**62, -(2**62), 0])
-def test_an_event_of_any_time_is_recorded(recording: RemoteRecording, seconds: int) -> None:
+def test_an_event_with_any_time_stamp_is_recorded(recording: RemoteRecording, seconds: int) -> None:
     event = message("event", message="hello", timestamp={"seconds": seconds})
     recording.add(piece(state(), sample(1), event, sample(2)))
 
@@ -279,7 +279,7 @@ def test_an_invalid_device_description_is_recorded_as_empty(
     assert found.manifest.device == {}
 
 
-def test_messages_without_a_sampling_time_do_not_pile_up(recording: RemoteRecording) -> None:
+def test_messages_without_a_sampling_time_do_not_accumulate(recording: RemoteRecording) -> None:
     """16 MB of them cannot come from a daemon, whose second is far smaller."""
     large = message("event", message="x" * 1_000_000)
 
@@ -298,7 +298,7 @@ def test_a_recorder_begins_at_most_60_files_in_a_minute(recording: RemoteRecordi
     assert len(recording.done) == 60
 
 
-def test_long_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> None:
+def test_long_gaps_without_a_sample_do_not_accumulate(recording: RemoteRecording) -> None:
     """A daemon sends no reason of 100 kB: 1 MiB of them is kept."""
     when = {"t_from_ns": 0, "t_to_ns": 0}
     reason = "x" * 100_000
@@ -309,7 +309,7 @@ def test_long_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -
     assert [int(told.k_first) for told in recording._told] == list(range(20, 30))
 
 
-def test_a_slow_disk_is_waited_for(
+def test_the_recorder_waits_for_a_slow_disk(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goes = threading.Event()
@@ -357,7 +357,7 @@ def test_a_disk_that_does_not_answer_ends_the_recorder(
     goes.set()
 
 
-def test_a_file_that_a_full_disk_has_ended_is_whole_and_listed(
+def test_a_file_ended_by_a_full_disk_is_complete_and_listed(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The reserve completes the file; the error names the disk's reason."""
@@ -382,7 +382,7 @@ def test_a_file_that_a_full_disk_has_ended_is_whole_and_listed(
     assert armrig.load(file.path).samples.size == 5
 
 
-def test_a_folder_that_is_gone_is_reported(recording: RemoteRecording, tmp_path: Path) -> None:
+def test_a_removed_folder_is_reported(recording: RemoteRecording, tmp_path: Path) -> None:
     recording.path = tmp_path / "gone" / "monday.mcap"
 
     with pytest.raises(RigError, match=r"monday\.mcap: No such file or directory; .* by -o"):

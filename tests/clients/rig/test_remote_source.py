@@ -61,7 +61,7 @@ def _next(source: RemoteSource) -> tuple[list[int], bool, int]:
     return [int(data) for _, data in piece.past.messages], piece.is_new_life, piece.lost
 
 
-def test_each_message_comes_once_and_what_the_daemon_has_dropped_is_counted() -> None:
+def test_each_message_is_returned_once_and_dropped_messages_are_counted() -> None:
     line, source = _source(daemon := _Daemon(LIFE, 5, 4))
 
     assert [_next(source) for _ in range(3)] == [
@@ -74,7 +74,7 @@ def test_each_message_comes_once_and_what_the_daemon_has_dropped_is_counted() ->
     assert line.asked == [0, 8, 9, 9]
 
 
-def test_a_restarted_daemon_is_read_from_its_beginning() -> None:
+def test_the_history_of_a_restarted_daemon_is_read_from_its_beginning() -> None:
     line, source = _source(_Daemon(LIFE, 0, 3))
     _next(source)
     line.daemons = [_Daemon(OTHER, 2, 5)]
@@ -97,7 +97,7 @@ def test_a_silent_rig_yields_no_messages(others: tuple[Any, ...]) -> None:
     assert _next(source) == ([0], False, 0)
 
 
-def test_the_daemon_that_answered_first_is_kept() -> None:
+def test_the_source_keeps_the_daemon_that_answered_first() -> None:
     line, source = _source(_Daemon(OTHER, 0, 9), _Daemon(LIFE, 0, 9))
 
     with pytest.raises(RigError, match="2 daemons answer and cannot be distinguished"):

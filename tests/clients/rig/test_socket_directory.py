@@ -54,12 +54,12 @@ def _chown(directory: Path) -> None:
     os.chown(directory, NOBODY, NOBODY)
 
 
-def test_a_daemon_in_a_directory_of_ours_is_asked(directory: Path) -> None:
+def test_a_daemon_in_a_private_directory_is_accepted(directory: Path) -> None:
     with Rig() as rig:
         assert rig.status().rig == "1"
 
 
-def test_the_endpoint_of_the_configuration_comes_first(
+def test_the_endpoint_of_the_configuration_has_precedence(
     directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ours = Rig().endpoint
@@ -77,7 +77,7 @@ def test_the_endpoint_of_the_configuration_comes_first(
         (_link, "is a symbolic link"),
     ],
 )
-def test_a_directory_that_may_be_a_stranger_s_is_refused(
+def test_a_directory_writable_by_another_user_is_refused(
     directory: Path,
     spoil: Callable[[Path], None],
     wrong: str,
@@ -97,7 +97,7 @@ def test_a_directory_that_may_be_a_stranger_s_is_refused(
         assert "--connect" in told.err
 
 
-def test_an_endpoint_that_is_given_is_the_user_s_own_choice(directory: Path) -> None:
+def test_an_explicit_endpoint_is_not_checked(directory: Path) -> None:
     directory.chmod(0o777)
 
     with Rig(connect=endpoint("1", directory)) as rig:
@@ -150,7 +150,7 @@ def test_the_daemon_of_the_user_precedes_the_service(service: Path) -> None:
         (lambda path: path.chmod(0o770), "can be written by other users"),
     ],
 )
-def test_a_service_s_folder_that_may_be_a_stranger_s_is_refused(
+def test_a_service_folder_writable_by_another_user_is_refused(
     service: Path, spoil: Callable[[Path], None], wrong: str, above: bool
 ) -> None:
     spoil(service.parent if above else service)
@@ -160,7 +160,7 @@ def test_a_service_s_folder_that_may_be_a_stranger_s_is_refused(
 
 
 @pytest.mark.parametrize(("user", "uids"), [("nobody", {NOBODY}), ("nobody-here", set())])
-def test_root_and_the_service_s_user_own_a_service_s_folder(
+def test_a_service_folder_may_belong_to_root_or_the_service_user(
     user: str, uids: set[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert silent_daemon.SERVICE_USER == "armrig"
@@ -178,7 +178,7 @@ def test_a_user_outside_the_group_gets_the_reason(
         Rig().__enter__()
 
 
-def test_the_rigs_of_this_machine_are_those_with_a_socket_and_no_played_recordings(
+def test_the_rigs_of_this_machine_do_not_include_played_recordings(
     service: Path,
 ) -> None:
     own = Path(session._socket_directory())
@@ -190,7 +190,7 @@ def test_the_rigs_of_this_machine_are_those_with_a_socket_and_no_played_recordin
     assert session.local_rigs() == ["1", "lab-1", "lab-2"]
 
 
-def test_a_rig_whose_daemon_is_gone_is_listed_with_the_reason(directory: Path) -> None:
+def test_a_rig_without_its_daemon_is_listed_with_the_reason(directory: Path) -> None:
     with socket.socket(socket.AF_UNIX) as killed:
         killed.bind(str(directory / "0.sock"))
 

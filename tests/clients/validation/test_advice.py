@@ -25,7 +25,7 @@ def told(found: Advice) -> set[str]:
     return {f.about for f in found.findings if f.level != "good"}
 
 
-def test_good_data_need_no_advice_but_on_arx(plant: HandoutPlant) -> None:
+def test_good_data_cause_no_advice_except_on_arx(plant: HandoutPlant) -> None:
     """With noise on the angle ARX and OE disagree."""
     found = armrig.advice(plant.dataset(1))
 
@@ -34,7 +34,7 @@ def test_good_data_need_no_advice_but_on_arx(plant: HandoutPlant) -> None:
 
 
 @pytest.mark.parametrize("Ts", sampled([0.5, 7.0, 3600.0]))
-def test_slow_data_are_advised_on_as_fast_ones(Ts: float) -> None:
+def test_slow_and_fast_data_cause_the_same_advice(Ts: float) -> None:
     """One sample per hour."""
     rng = np.random.default_rng(1)
     u = rng.choice([-1.0, 1.0], 400)
@@ -59,7 +59,7 @@ def test_a_drift_of_an_output_that_does_not_integrate_is_reported() -> None:
     assert "detrend" in repr(said)
 
 
-def test_the_right_model_needs_no_advice(plant: HandoutPlant) -> None:
+def test_the_right_model_causes_no_advice(plant: HandoutPlant) -> None:
     fit = armrig.oe(plant.dataset(1), nb=4, nf=4, integrator=True, starts="few")
 
     assert told(armrig.advice(fit)) == set()
@@ -122,7 +122,7 @@ def test_a_pole_and_a_zero_at_one_are_reported_as_a_level() -> None:
     ],
     ids=["sine", "delay", "feedback"],
 )
-def test_a_model_is_compared_with_its_data(data: Dataset, about: str, words: str) -> None:
+def test_the_advice_compares_a_model_with_its_data(data: Dataset, about: str, words: str) -> None:
     fit = armrig.oe(data, nb=2, nf=2, starts="few")
 
     texts = {f.about: f.text for f in examine_fit_of(data, fit)}
@@ -130,13 +130,13 @@ def test_a_model_is_compared_with_its_data(data: Dataset, about: str, words: str
     assert words in texts[about]
 
 
-def test_a_good_model_of_good_data_is_not_doubted() -> None:
+def test_a_good_model_of_good_data_causes_no_warning() -> None:
     data = of_second_order(switched())
 
     assert not [*examine_fit_of(data, armrig.oe(data, nb=2, nf=2, starts="few"))]
 
 
-def test_a_doubtful_model_of_data_without_an_integrator_lacks_none() -> None:
+def test_no_integrator_is_suggested_for_data_without_one() -> None:
     """Only data that integrate raise the question of the pole at 1."""
     data = of_second_order(switched())
     doubtful = replace(armrig.oe(data, nb=2, nf=2, starts="few"), converged=False)
@@ -172,7 +172,9 @@ def test_a_pole_that_differs_from_1_is_not_called_1(pole: float, std: float, sai
         ([-1.1], ["unstable", "poles"]),
     ],
 )
-def test_a_pole_that_no_rig_has_is_reported_once(poles: list[complex], about: list[str]) -> None:
+def test_a_pole_that_is_impossible_for_the_rig_is_reported_once(
+    poles: list[complex], about: list[str]
+) -> None:
     found = SimpleNamespace(values=np.array(poles, complex), std=np.full(len(poles), 1e-4))
     fit: Any = SimpleNamespace(poles=lambda: found)
 

@@ -175,7 +175,9 @@ def test_a_model_needs_an_excitation_of_as_many_orders_as_parameters(fit: Fit, n
     ("zero", "pole", "near"),
     [(0.9999, 0.998, True), (0.9899, 0.992, False), (0.992, 0.9899, False)],
 )
-def test_a_pair_near_1_is_a_level_and_no_order(zero: float, pole: float, near: bool) -> None:
+def test_a_pole_zero_pair_near_1_is_a_level_and_does_not_count_as_an_order(
+    zero: float, pole: float, near: bool
+) -> None:
     fit = made(B=(0, 1, -zero), F=(1, -pole), std=(0.1, 0.1, 0.1), structure="oe")
 
     far, at_one = model_advice._overlaps(fit)
@@ -252,7 +254,7 @@ def signals_test(**fields: Any) -> SignalsResidualTest:
     return SignalsResidualTest(**(values | fields))
 
 
-def test_the_poorest_pair_is_the_one_with_the_least_p_value_that_was_tested() -> None:
+def test_the_poorest_pair_has_the_least_p_value_of_those_tested() -> None:
     untested_first = np.array([[np.nan, 0.5, 0.5], [0.5, 0.2, 0.5]])
 
     assert signals_test().poorest_pair == ("b", "w")

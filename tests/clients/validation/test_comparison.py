@@ -35,7 +35,7 @@ def data(seed: int, N: int = 600, noise: float = 0.3) -> Dataset:
     return Dataset(u=u, y=filtered(B, F, u) + noise * rng.standard_normal(N), Ts=1, unit="V")
 
 
-def test_the_fit_percent_is_the_textbook_s() -> None:
+def test_the_fit_percent_equals_the_formula_of_the_textbook() -> None:
     """100 (1 - |y - ŷ| / |y - mean y|), with the initial state of the new data estimated."""
     fit, fresh = oe(data(1), nb=2, nf=2, starts="few"), data(2)[100:]
 
@@ -104,7 +104,7 @@ def test_feedback_shows_at_negative_lags() -> None:
     assert "feedback" in repr(tested)
 
 
-def test_the_band_is_wider_where_residuals_and_input_are_both_coloured() -> None:
+def test_the_band_is_wider_if_residuals_and_input_are_both_coloured() -> None:
     """P/(N R_e(0) R_u(0)), P = sum R_e(k) R_u(k); 1/N only if one of them is white."""
     N, a, c = 20_000, 0.1, 0.8
     rng = np.random.default_rng(4)
@@ -132,7 +132,7 @@ def test_a_model_of_another_output_is_refused() -> None:
             judged(angle, fit)
 
 
-def test_ljung_and_box_lessen_the_degrees_of_freedom_by_na_on_estimation_data() -> None:
+def test_the_ljung_box_test_loses_na_degrees_on_estimation_data() -> None:
     """Q against chi-squared: L - na degrees of freedom on estimation data, L on other data."""
     L = 10
     e = np.random.default_rng(6).standard_normal((2, 500))
@@ -147,7 +147,7 @@ def test_ljung_and_box_lessen_the_degrees_of_freedom_by_na_on_estimation_data() 
         assert tested.ljung_box == pytest.approx(chi2.sf(Q, degrees), rel=1e-3)
 
 
-def test_every_parameter_of_the_noise_model_lessens_the_degrees_of_freedom() -> None:
+def test_every_noise_parameter_reduces_the_degrees_of_freedom() -> None:
     L = 12
     rng = np.random.default_rng(8)
     u, e = rng.standard_normal((2, 800))
@@ -183,7 +183,7 @@ def test_the_covariance_of_the_free_parameters_determines_that_of_all_coefficien
 
 
 @pytest.mark.parametrize("own", [True, False])
-def test_the_lagged_inputs_are_held_once(own: bool) -> None:
+def test_the_lagged_inputs_are_stored_once(own: bool) -> None:
     """25 lags more to each side are 50 arrays more; held twice, they would be 100."""
     long = data(1, 100_000)
     fit = oe(long[:2000], nb=2, nf=2, starts="few")

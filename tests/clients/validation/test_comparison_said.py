@@ -106,7 +106,7 @@ def test_differences_are_relative_to_the_physics_in_any_order() -> None:
     assert explanation(exact)[1].startswith("steady gain: a 1.0011, b 1 (+0.11 %); on the rig")
 
 
-def test_the_figures_of_a_poor_model_are_not_explained() -> None:
+def test_the_differences_of_a_poor_model_are_not_explained() -> None:
     arx = made(structure="arx", A=(1, -0.5))
     said = [
         explanation([row("a", rms, model=model), row("b", 0.1)])[1]
@@ -136,7 +136,7 @@ def compared(name: str, y: Any, rms: float, **fields: Any) -> Comparison:
     return Comparison(name=name, rms_error=rms, y=np.asarray(y, float), **(values | fields))
 
 
-def test_only_samples_that_both_know_are_compared() -> None:
+def test_only_samples_known_to_both_models_are_compared() -> None:
     """Errors 1, 1 about a mean of 2, squared deviations 1 + 0 + 1."""
     measured = np.array([1.0, 2.0, 3.0, np.nan, 5.0])
     modelled = np.array([2.0, 2.0, 4.0, 9.0, np.nan])

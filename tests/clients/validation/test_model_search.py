@@ -58,7 +58,7 @@ def test_the_true_structure_is_chosen_by_prediction(
     assert (np.diff(found.rms) >= 0).all()
 
 
-def test_the_arm_gets_its_integrator_and_the_reasons(plant: HandoutPlant) -> None:
+def test_the_search_finds_the_integrator_of_the_arm_and_states_reasons(plant: HandoutPlant) -> None:
     found = search(
         plant.dataset(1), plant.dataset(2), families=("arx", "oe", "n4sid"), orders=range(2, 6)
     )
@@ -86,7 +86,7 @@ def test_the_highest_order_that_was_tried_is_reported_if_chosen(highest: int, sa
 
 
 @pytest.mark.parametrize(("direct", "delays"), [(0.4, {0, 1}), (0.0, {1})])
-def test_a_direct_term_is_tried_where_the_data_show_one(direct: float, delays: set[int]) -> None:
+def test_a_direct_term_is_tried_if_the_data_show_one(direct: float, delays: set[int]) -> None:
     rng = np.random.default_rng(1)
     u = telegraph(1000, 0.3, 1.5, 3.5, seed=rng) - 2.5
     y = filtered([direct, 1.0], [1.0, -0.8], u) + 0.3 * rng.standard_normal(1000)
@@ -120,7 +120,9 @@ def elsewhere() -> Iterator[ProcessPoolExecutor]:
 
 
 @pytest.mark.exhaustive
-def test_other_processes_find_the_same(elsewhere: ProcessPoolExecutor) -> None:
+def test_a_search_with_several_processes_finds_the_same_model(
+    elsewhere: ProcessPoolExecutor,
+) -> None:
     data = _data(1, [1.0], [1.0], 400)
 
     here = search(data, families=("oe",), orders=(1, 2))
@@ -167,7 +169,7 @@ def test_a_pole_that_rounding_leaves_outside_is_reported(monkeypatch: pytest.Mon
         search(data, families=("arx",), orders=(1,))
 
 
-def test_a_model_whose_output_has_no_bound_is_not_ranked() -> None:
+def test_a_model_with_an_unbounded_output_is_not_ranked() -> None:
     estimation, validation = (
         _of_one_pole(pole, N, seed) for pole, N, seed in ((1.3, 100, 1), (0.9, 700, 2))
     )
@@ -193,7 +195,7 @@ def test_orders_one_to_five_are_tried_by_default() -> None:
     assert sorted(poles) == [1, 2, 3, 4, 5]
 
 
-def test_a_structure_that_is_not_searched_by_default_is_searched_if_asked_for() -> None:
+def test_an_optional_structure_is_searched_on_request() -> None:
     data = of_second_order(switched())
 
     usual = search(data, orders=(2,), nk=1)
@@ -244,7 +246,7 @@ def test_progress_is_reported_before_each_candidate_and_at_the_end(
 
 
 @pytest.mark.exhaustive
-def test_in_closed_loop_the_controller_is_not_taken_for_the_rig() -> None:
+def test_a_search_in_closed_loop_does_not_identify_the_controller() -> None:
     found = search(under_control(), orders=(1, 2))
 
     assert {j.candidate.family for j in found.ranked} == {"arx", "armax", "bj"}
@@ -264,7 +266,7 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     assert "the second part of the data" in found.table()
 
 
-def test_a_level_of_the_validation_data_alone_is_estimated_along() -> None:
+def test_a_level_of_only_the_validation_data_is_estimated() -> None:
     first, second = of_second_order(switched()).split(2)
     second = Dataset(u=second.u, y=second.y + 5.0, Ts=second.Ts)
 

@@ -58,9 +58,7 @@ def replayed(plant: HandoutPlant, u: Vector, rng: np.random.Generator, std: floa
     ],
     ids=["prbs", "held", "low-pass", "zero mean"],
 )
-def test_open_loop_is_called_closed_as_often_as_the_level_says(
-    plant: HandoutPlant, draw: Draw
-) -> None:
+def test_open_loop_data_are_rejected_at_the_nominal_level(plant: HandoutPlant, draw: Draw) -> None:
     """100 runs of each at 5 %; Granger's test rejects 27, 47, 17 and 30 % of them."""
     rng = np.random.default_rng(1)
     p = np.array([sims(replayed(plant, draw(rng), rng, 5e-3)).p_value for _ in range(100)])
@@ -69,7 +67,7 @@ def test_open_loop_is_called_closed_as_often_as_the_level_says(
     assert 0.35 < np.mean(p < 0.5) < 0.65
 
 
-def test_feedback_is_found_and_its_open_replay_is_not(plant: HandoutPlant) -> None:
+def test_feedback_is_detected_and_its_replay_in_open_loop_is_not(plant: HandoutPlant) -> None:
     closed = [under_feedback(seed) for seed in range(20)]
     rng = np.random.default_rng(2)
 
@@ -113,7 +111,7 @@ def test_missing_outputs_keep_the_level_and_the_power(plant: HandoutPlant) -> No
     assert sum(found) == 5
 
 
-def test_a_missing_output_costs_its_own_row_only(plant: HandoutPlant) -> None:
+def test_a_missing_output_removes_only_its_row(plant: HandoutPlant) -> None:
     whole = plant.dataset(3)
     rows = sims(whole).N
 
@@ -151,7 +149,7 @@ def test_an_input_that_follows_from_its_own_past_gives_no_verdict(
     found.plot()
 
 
-def test_without_noise_there_is_no_verdict(plant: HandoutPlant) -> None:
+def test_data_without_noise_give_no_verdict_on_feedback(plant: HandoutPlant) -> None:
     """A controller could have calculated its feedback of a noise-free y in advance."""
     u = telegraph(1000, 0.05, 0.0, 5.0, seed=1)
     found = armrig.open_loop(Dataset(u=u, y=plant.angle(u), Ts=0.01))
@@ -160,7 +158,7 @@ def test_without_noise_there_is_no_verdict(plant: HandoutPlant) -> None:
     assert "without noise" in found.explain()
 
 
-def test_the_verdict_is_that_of_the_level_asked_for(plant: HandoutPlant) -> None:
+def test_the_verdict_uses_the_requested_level(plant: HandoutPlant) -> None:
     data = plant.dataset(1)
     p = sims(data).p_value
 
@@ -231,7 +229,7 @@ def test_a_u_made_of_y_alone_is_reported_as_such() -> None:
     assert not armrig.open_loop(under_feedback(1)).exact
 
 
-def test_the_inputs_after_u_t_have_a_test_of_their_own() -> None:
+def test_the_inputs_after_u_t_have_a_separate_test() -> None:
     """For a white u the coefficients are independent: F is the mean of their squares over std."""
     from scipy.special import fdtrc
 

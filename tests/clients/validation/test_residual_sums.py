@@ -103,7 +103,7 @@ def test_no_pair_of_residuals_spans_two_experiments() -> None:
 
 
 @pytest.mark.parametrize("own", [False, True])
-def test_whiteness_allows_for_theta_as_the_data_demand(own: bool) -> None:
+def test_the_whiteness_test_accounts_for_the_estimated_parameters(own: bool) -> None:
     """By its projection on the estimation data, by its covariance on other data."""
     judged = two_experiments()
     fit = oe(judged if own else data(1, 100), nb=2, nf=2)

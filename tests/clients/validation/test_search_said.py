@@ -220,7 +220,7 @@ def test_an_extreme_is_reported_if_the_model_has_roots_within_12_percent(integra
     ],
 )
 @pytest.mark.parametrize("sign", [2.0, -2.0])
-def test_a_rate_stays_or_returns_by_three_deviations_of_its_end(
+def test_a_rate_settles_or_returns_by_three_deviations_of_its_end(
     end: float, std: float, stays: bool, returns: bool, sign: float
 ) -> None:
     """The step response goes to ±2 and ends at a share of that; one variance is that of the sum."""
@@ -234,7 +234,7 @@ def test_a_rate_stays_or_returns_by_three_deviations_of_its_end(
     assert _sign(SimpleNamespace(decaying=(sign * np.array([1.0, -0.5]), None))) == np.sign(sign)  # type: ignore[arg-type]
 
 
-def test_long_data_are_cut_to_where_the_input_changes() -> None:
+def test_long_data_are_shortened_to_the_part_with_input_changes() -> None:
     N = 9000
     u = np.zeros(N)
     u[5000:7500] = np.where(np.arange(2500) % 10 < 5, 1.0, -1.0)
@@ -247,7 +247,7 @@ def test_long_data_are_cut_to_where_the_input_changes() -> None:
     assert _busiest(data[:3000]).N == 3000
 
 
-def test_without_first_or_last_b_the_cost_rises_as_their_covariance_says() -> None:
+def test_the_cost_without_a_b_coefficient_rises_as_its_covariance_predicts() -> None:
     """Least squares of b alone: leaving out columns of X raises the squared error exactly."""
     rng = np.random.default_rng(3)
     X = rng.standard_normal((80, 4))
@@ -321,7 +321,7 @@ def test_a_search_of_several_signals_is_ranked_and_explained() -> None:
 
 
 @pytest.mark.parametrize(("direct", "free"), [(False, 3 * (2 + 6)), (True, 3 * (2 + 6) + 6)])
-def test_the_coordinates_of_the_state_are_no_parameters(direct: bool, free: int) -> None:
+def test_the_coordinates_of_the_state_do_not_count_as_parameters(direct: bool, free: int) -> None:
     """Three states, two inputs, three outputs."""
     D = np.full((3, 2), float(direct))
     matrices = np.zeros((3, 3)), np.zeros((3, 2)), np.zeros((3, 3)), D, np.zeros((3, 3))

@@ -107,7 +107,7 @@ def test_several_experiments_are_tested_together() -> None:
     assert min(joint(found)) > 0.001
 
 
-def test_a_delay_too_long_is_shown_at_its_pair_alone() -> None:
+def test_a_delay_too_long_shows_only_in_its_pair() -> None:
     found = armrig.residuals(estimated(0, nk_12=3), plant(100))
 
     assert found.missing_dynamics < 1e-6
@@ -122,7 +122,7 @@ def test_a_delay_too_long_is_shown_at_its_pair_alone() -> None:
         found["u2", "y1"]
 
 
-def test_delayed_common_noise_is_rejected_by_the_joint_test_alone() -> None:
+def test_only_the_joint_test_rejects_delayed_common_noise() -> None:
     """y2 contains the noise of y1 three samples later: each output alone is white."""
     data, other = plant(0), plant(100)
     rng = np.random.default_rng(5)
@@ -158,7 +158,7 @@ def test_an_input_that_follows_an_output_shows_as_feedback() -> None:
     assert not armrig.open_loop(data)["y", "u1"].feedback  # type: ignore[index]
 
 
-def test_a_long_angle_is_predicted_to_its_noise() -> None:
+def test_the_prediction_error_of_a_long_angle_is_its_noise() -> None:
     """Its initial state and ramp are a million times its noise, so that each digit counts."""
     rng = np.random.default_rng(3)
     n = 2000
@@ -176,7 +176,7 @@ def test_a_long_angle_is_predicted_to_its_noise() -> None:
     np.testing.assert_allclose(np.std(e, axis=0), 1e-4, rtol=0.1)
 
 
-def test_each_channel_has_its_delay() -> None:
+def test_each_channel_has_a_separate_delay() -> None:
     found = armrig.delay(plant(1))
 
     nk = {name: found[name].nk for name in found}  # type: ignore[attr-defined, index]
@@ -194,7 +194,7 @@ def test_a_channel_without_a_response_has_a_reason() -> None:
         found["y9", "u2"]
 
 
-def test_search_chooses_the_order_of_the_plant() -> None:
+def test_the_search_chooses_the_order_of_the_plant() -> None:
     data = plant(2, cross=0.0)  # poles: a pair, 0.3, 0.7
     done: list[str] = []
 
@@ -225,7 +225,7 @@ def test_a_state_space_has_no_k_if_samples_are_missing(missing: float) -> None:
 
 
 @pytest.mark.exhaustive
-def test_search_knows_the_integrator_of_one_output() -> None:
+def test_the_search_finds_the_integrator_of_one_output() -> None:
     rng = np.random.default_rng(3)
     u = np.repeat(np.sign(rng.standard_normal(N // 4)), 4)
     rate = filtered([0, 0.4, 0.2], np.poly([0.8, 0.5]), u)
@@ -252,7 +252,7 @@ def test_unknown_families_and_too_high_orders_are_refused() -> None:
         armrig.search(plant(0)[:20], orders=[9])
 
 
-def test_a_search_needs_every_input_to_move_in_both_parts() -> None:
+def test_a_search_needs_every_input_to_change_in_both_parts() -> None:
     data = plant(0)
     u = np.column_stack([data.u[:, 0], np.where(np.arange(data.N) < 9, 0.0, 1.0), data.u[:, 1:]])
     rests = Signals(u=u, y=data.y, Ts=1.0)
@@ -261,7 +261,7 @@ def test_a_search_needs_every_input_to_move_in_both_parts() -> None:
         armrig.search(rests, families=["oe"], orders=[1])
 
 
-def test_each_output_has_its_orders() -> None:
+def test_each_output_has_separate_orders() -> None:
     rng = np.random.default_rng(6)
     u = rng.standard_normal((N, 2))
     y = np.column_stack(

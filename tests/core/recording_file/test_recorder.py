@@ -24,7 +24,7 @@ from tests.core.recording_file.made import MANIFEST, Setter, begun, finished, sa
 _MAGIC = b"\x89MCAP0\r\n"  # how a whole file ends
 
 
-def test_the_maker_of_a_recording_is_notified_when_it_is_complete(tmp_path: Path) -> None:
+def test_the_service_is_notified_when_a_recording_is_complete(tmp_path: Path) -> None:
     changed = threading.Event()
     recording = begun(tmp_path / "run.mcap", changed)
 
@@ -33,7 +33,7 @@ def test_the_maker_of_a_recording_is_notified_when_it_is_complete(tmp_path: Path
     assert changed.is_set()
 
 
-def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
+def test_the_times_of_messages_are_those_of_samples_and_never_decrease(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     recording = begun(path)
     late = Gap(
@@ -79,7 +79,7 @@ def test_the_recorder_flushes_ten_times_a_second() -> None:
 
 
 @pytest.mark.parametrize("way", ["file", "folder", "folder above"])
-def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: str) -> None:
+def test_a_moved_recording_is_completed_at_its_new_place(tmp_path: Path, way: str) -> None:
     changed, directory = threading.Event(), tmp_path / "above" / "recordings"
     directory.mkdir(parents=True)
     recording = begun(directory / "run.mcap", changed)
@@ -104,9 +104,7 @@ def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: 
 
 
 @pytest.mark.parametrize("is_replaced", [False, True])
-def test_a_recording_that_is_removed_is_reported_while_the_run_goes_on(
-    tmp_path: Path, is_replaced: bool
-) -> None:
+def test_a_removed_recording_is_reported_during_the_run(tmp_path: Path, is_replaced: bool) -> None:
     changed = threading.Event()
     recording = begun(tmp_path / "run.mcap", changed)
     recording.active.unlink()
@@ -158,7 +156,7 @@ def test_a_slow_rewriting_loses_no_sample(
     recording._thread.join(30)
 
 
-def test_a_recording_that_cannot_be_begun_leaves_nothing(tmp_path: Path) -> None:
+def test_a_recording_that_cannot_be_created_leaves_no_file(tmp_path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
     try:
@@ -226,9 +224,7 @@ def test_a_sample_that_was_not_flushed_is_not_acknowledged(
     assert recording.synced == 50
 
 
-def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
-    tmp_path: Path, instead: Setter
-) -> None:
+def test_each_file_is_synced_before_the_next_step(tmp_path: Path, instead: Setter) -> None:
     """L1: the first file before its copy, the copy before it replaces the first, then the name."""
     synced = []
     fsync = os.fsync
@@ -254,7 +250,7 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
 @pytest.mark.parametrize(
     "err", [OSError(28, "No space left on device"), DamageError("read back otherwise")]
 )
-def test_no_room_for_the_compact_copy_keeps_the_first(
+def test_the_recording_is_kept_without_room_for_its_compact_copy(
     tmp_path: Path, instead: Setter, err: Exception
 ) -> None:
     def full(source: Path, target: Path) -> None:

@@ -71,7 +71,7 @@ WHOLE = [sample(k) for k in range(FIRST, FIRST + N)]
 HOLED = [*WHOLE[:28], _gap(FIRST + 28, 4), *WHOLE[32:60], _gap(FIRST + 60, 1), *WHOLE[61:]]
 
 
-def test_parts_hold_what_one_file_would(tmp_path: Path) -> None:
+def test_the_parts_contain_the_messages_of_one_file(tmp_path: Path) -> None:
     (tmp_path / "one").mkdir()
     one = _recorded(tmp_path / "one" / "run.mcap", _each(HOLED), None)
 
@@ -114,7 +114,7 @@ def test_a_part_has_its_number_and_ends_after_a_sample(tmp_path: Path) -> None:
     assert [[gap.k_first - FIRST for gap in r.gaps] for r in loaded] == [[28], [60], [], []]
 
 
-def test_a_gap_that_begins_where_a_part_ends_is_reported_in_the_next(tmp_path: Path) -> None:
+def test_a_gap_at_the_end_of_a_part_is_reported_in_the_next_part(tmp_path: Path) -> None:
     messages = [*WHOLE[:30], _gap(FIRST + 30, 5), *WHOLE[35:]]
 
     _recorded(tmp_path / "run.mcap", _each(messages), PartLimits(30, 1 << 30))
@@ -173,7 +173,7 @@ def test_a_part_is_on_the_disk_before_it_is_named_and_no_flush_waits_for_it(
     assert _ks(recording.kept) == list(range(FIRST, FIRST + N))
 
 
-def test_every_part_has_full_chunks_in_the_end(tmp_path: Path, pace: Setter) -> None:
+def test_every_completed_part_has_full_chunks(tmp_path: Path, pace: Setter) -> None:
     pace(FLUSH_S=0.0)
 
     _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(40, 1 << 30))
@@ -240,7 +240,7 @@ def test_a_failing_system_call_leaves_a_prefix_of_the_samples(
     assert failed > 5
 
 
-def test_the_parts_of_a_daemon_that_died_are_read_as_one_when_the_last_is_recovered(
+def test_the_parts_of_a_dead_daemon_are_read_as_one_after_recovery(
     tmp_path: Path,
 ) -> None:
     recording = _begun(tmp_path / "run.mcap", PartLimits(40, 1 << 30))

@@ -101,7 +101,7 @@ def test_recovery_keeps_all_complete_records_at_any_cut(tmp_path: Path, off: int
         done.path.unlink()
 
 
-def test_the_file_says_that_it_was_recovered(tmp_path: Path) -> None:
+def test_a_recovered_file_is_marked_as_recovered(tmp_path: Path) -> None:
     cut = _edges(DATA)[-20] + 7
     left = written(tmp_path, DATA[:cut], LEFT)
 
@@ -132,7 +132,7 @@ def test_a_run_that_had_ended_keeps_its_outcome(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("lost", [1, 3])
-def test_a_torn_copy_of_a_complete_recording_stays_as_it_is(tmp_path: Path, lost: int) -> None:
+def test_a_truncated_copy_of_a_complete_recording_is_unchanged(tmp_path: Path, lost: int) -> None:
     """Its outcome precedes its samples, so keeping it would claim lost samples."""
     said = N - 3 + lost
     data = _data(outcome=Outcome(outcome="complete", samples=said, missing=0))
@@ -141,7 +141,7 @@ def test_a_torn_copy_of_a_complete_recording_stays_as_it_is(tmp_path: Path, lost
     _untouched(left, data, f"only {N - 3} of its {said} samples are readable; .* copy it again")
 
 
-def test_a_long_input_is_kept(tmp_path: Path) -> None:
+def test_a_recovered_file_keeps_a_long_input(tmp_path: Path) -> None:
     u = [0.123456789012345 + 1e-7 * k for k in range(500_000)]
     data = recorded([sample(0)], manifest=manifest(k_first=0, samples=len(u)), outcome=None, u=u)
     left = written(tmp_path, data[:-20], LEFT)
@@ -154,7 +154,7 @@ def test_a_long_input_is_kept(tmp_path: Path) -> None:
     assert kept.data.count(b"\n") == len(u) + 1
 
 
-def test_a_file_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
+def test_a_file_being_written_is_not_recovered(tmp_path: Path) -> None:
     left = written(tmp_path, DATA, LEFT)
     with left.open("rb") as file:
         lock(file)
@@ -184,7 +184,7 @@ def test_a_link_pipe_or_folder_is_not_recovered(tmp_path: Path, kind: str) -> No
     assert sorted(p.name for p in tmp_path.iterdir()) == [LEFT, "elsewhere"]
 
 
-def test_a_link_that_takes_the_place_of_a_file_is_not_followed(
+def test_a_symbolic_link_that_replaces_a_file_is_not_followed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     left, elsewhere = written(tmp_path, DATA, LEFT), written(tmp_path, DATA, "elsewhere")
@@ -203,7 +203,7 @@ def test_a_link_that_takes_the_place_of_a_file_is_not_followed(
     assert elsewhere.read_bytes() == DATA
 
 
-def test_a_file_renamed_before_the_lock_is_left_alone(
+def test_a_file_renamed_before_the_lock_is_not_recovered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The daemon ends the file just before the lock is taken."""
@@ -230,11 +230,11 @@ def test_a_file_renamed_before_the_lock_is_left_alone(
         (recorded([sample(0)]).replace(RUN.encode(), b"armrig.ran"), "no manifest of a run"),
     ],
 )
-def test_a_file_that_is_no_recording_is_unchanged(tmp_path: Path, data: bytes, why: str) -> None:
+def test_a_file_that_is_not_a_recording_is_unchanged(tmp_path: Path, data: bytes, why: str) -> None:
     _untouched(written(tmp_path, data, LEFT), data, why)
 
 
-def test_a_complete_file_with_a_damaged_chunk_stays_as_it_is(tmp_path: Path) -> None:
+def test_a_complete_file_with_a_damaged_chunk_is_unchanged(tmp_path: Path) -> None:
     """The chunks after the damage can be read by the index, so they are not cut off."""
     data = bytearray(recorded([sample(k) for k in range(30)], flush_every=10))
     _, second, _ = (at for at in _edges(bytes(data)) if data[at] == Opcode.CHUNK)
@@ -245,7 +245,7 @@ def test_a_complete_file_with_a_damaged_chunk_stays_as_it_is(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", [RUN, OUTCOME, RECOVERED])
-def test_a_file_with_another_form_of_metadata_stays_as_it_is(tmp_path: Path, name: str) -> None:
+def test_a_file_with_another_form_of_metadata_is_unchanged(tmp_path: Path, name: str) -> None:
     out = BytesIO()
     writer = Writer(out)
     writer.start()
@@ -280,7 +280,7 @@ def test_messages_without_a_channel_do_not_end_the_recovery(tmp_path: Path) -> N
     assert armrig.load(done.path).samples["k"].tolist() == [0, 1, 2, 3, 4]
 
 
-def test_the_file_of_another_user_stays_as_it_is(tmp_path: Path) -> None:
+def test_the_file_of_another_user_is_unchanged(tmp_path: Path) -> None:
     left = written(tmp_path, DATA, LEFT)
     of_another = Recovery(armrig="0", now=lambda: "", owner=os.geteuid() + 1)
 
@@ -305,7 +305,7 @@ def test_a_recovery_does_not_overwrite_another_recording(tmp_path: Path) -> None
     _untouched(written(tmp_path, DATA, LEFT), DATA, f"{NAME} exists already")
 
 
-def test_a_file_damaged_in_the_middle_is_not_cut(tmp_path: Path) -> None:
+def test_a_file_damaged_in_the_middle_is_not_truncated(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     noise = rng.standard_normal((24_000, 3)).tolist()
     samples = [
@@ -335,7 +335,7 @@ def test_recovery_without_room_for_the_copy_keeps_the_file(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("is_link", [False, True])
-def test_a_copy_that_was_begun_before_is_begun_again(tmp_path: Path, is_link: bool) -> None:
+def test_an_unfinished_copy_is_started_again(tmp_path: Path, is_link: bool) -> None:
     elsewhere = written(tmp_path, b"precious", "elsewhere")
     left, copy = written(tmp_path, DATA, LEFT), tmp_path / f"{NAME}.compact"
     if is_link:
@@ -408,7 +408,7 @@ def test_the_copy_is_on_the_disk_before_it_has_the_name(
     assert synced == [(copy, True, [LEFT, copy]), (tmp_path.name, True, [NAME])]
 
 
-def test_only_what_has_the_name_of_an_unfinished_recording_is_recovered(tmp_path: Path) -> None:
+def test_only_a_file_named_as_an_unfinished_recording_is_recovered(tmp_path: Path) -> None:
     whole = written(tmp_path, DATA[:-500], "copy.mcap")
 
     _untouched(whole, DATA[:-500], r"ends in \.mcap\.active")
@@ -434,7 +434,7 @@ def test_the_files_of_a_rig_are_those_with_its_id_and_a_dash(tmp_path: Path) -> 
     assert {path.name for path in tmp_path.iterdir()} == set(names) - {"1-test.mcap.compact"}
 
 
-def test_a_spoilt_attachment_is_left_out_and_reported(tmp_path: Path) -> None:
+def test_a_damaged_attachment_is_omitted_and_reported(tmp_path: Path) -> None:
     spoilt = bytearray(DATA)
     spoilt[DATA.index(b"zero_counts")] ^= 1
     before = armrig.load(written(tmp_path, bytes(spoilt), "before.mcap"))

@@ -45,7 +45,7 @@ def test_retention_without_limits_is_off(tmp_path: Path) -> None:
     assert not _retention(tmp_path, keep_days=0.0).is_asked
 
 
-def test_a_run_goes_by_its_age_and_each_removal_is_reported(tmp_path: Path) -> None:
+def test_a_run_is_removed_by_its_age_and_each_removal_is_reported(tmp_path: Path) -> None:
     old = _run(tmp_path, "1-a.mcap", 31)
     size = old.stat().st_size
     _run(tmp_path, "1-b.mcap", 29)
@@ -58,7 +58,7 @@ def test_a_run_goes_by_its_age_and_each_removal_is_reported(tmp_path: Path) -> N
     assert _names(tmp_path) == {"1-b.mcap", "1-c.mcap"}
 
 
-def test_the_oldest_go_until_the_rest_takes_no_more_than_it_may(tmp_path: Path) -> None:
+def test_the_oldest_runs_are_removed_until_the_size_is_below_its_limit(tmp_path: Path) -> None:
     runs = [_run(tmp_path, f"1-{name}.mcap", days) for name, days in (("a", 1), ("b", 3), ("c", 2))]
     size = runs[0].stat().st_size
 
@@ -83,7 +83,7 @@ def test_a_limit_is_exceeded_by_one_byte_or_one_second(
     assert len([*by_size.apply(NOW_S)]) == removed
 
 
-def test_the_newest_run_stays_whatever_its_age_and_size(tmp_path: Path) -> None:
+def test_the_newest_run_is_kept_at_any_age_and_size(tmp_path: Path) -> None:
     _run(tmp_path, "1-a.mcap", 40)
     _run(tmp_path, "1-b.mcap", 35)
 
@@ -92,7 +92,7 @@ def test_the_newest_run_stays_whatever_its_age_and_size(tmp_path: Path) -> None:
     assert _names(tmp_path) == {"1-b.mcap"}
 
 
-def test_nothing_goes_by_its_age_if_the_newest_run_is_old_too(tmp_path: Path) -> None:
+def test_no_run_is_removed_by_age_if_the_newest_run_is_too_old(tmp_path: Path) -> None:
     """The clock of this machine may be set days ahead."""
     for name, days in (("a", 90), ("b", 61)):
         _run(tmp_path, f"1-{name}.mcap", days)
@@ -174,7 +174,7 @@ def test_a_run_with_a_part_of_another_rig_is_not_removed(tmp_path: Path) -> None
     assert report.text.endswith("a part of it belongs to another rig")
 
 
-def test_nothing_else_in_the_folder_is_touched(tmp_path: Path) -> None:
+def test_other_files_of_the_folder_are_unchanged(tmp_path: Path) -> None:
     _run(tmp_path, "1-a.mcap.active", 40)
     _run(tmp_path, "1-b.part-0001.mcap", 40, outcome=CONTINUED)
     _run(tmp_path, "1-b.part-0002.mcap.active", 40)
@@ -206,7 +206,7 @@ def test_a_locked_recording_is_removed_only_after_its_release(tmp_path: Path) ->
     assert [removal.is_removed for removal in retention.apply(NOW_S)] == [True]
 
 
-def test_a_partly_removed_run_is_removed_at_the_next_time(
+def test_a_partly_removed_run_is_removed_on_the_next_occasion(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for n, outcome in ((1, CONTINUED), (2, CONTINUED), (3, COMPLETE)):

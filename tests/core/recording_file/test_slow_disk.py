@@ -85,7 +85,7 @@ def test_a_disk_that_does_not_answer_ends_the_recording_with_the_number_of_sampl
     until(recording.path.exists)
 
 
-def test_a_recording_that_was_given_up_writes_nothing_more(
+def test_an_abandoned_recording_writes_no_more_bytes(
     tmp_path: Path, answers: threading.Event
 ) -> None:
     recording = begun(tmp_path / "run.mcap")
@@ -104,7 +104,7 @@ def test_a_recording_that_was_given_up_writes_nothing_more(
     assert armrig.load(recording.active).samples.size == 50
 
 
-def test_a_folder_without_permissions_does_not_lose_what_was_flushed(
+def test_a_folder_without_permissions_does_not_lose_flushed_samples(
     tmp_path: Path, instead: Setter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed = threading.Event()
@@ -127,7 +127,7 @@ def test_a_folder_without_permissions_does_not_lose_what_was_flushed(
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_a_file_that_another_program_cuts_is_reported(tmp_path: Path, share: float) -> None:
+def test_a_file_truncated_by_another_program_is_reported(tmp_path: Path, share: float) -> None:
     changed = threading.Event()
     recording = begun(tmp_path / "run.mcap", changed)
     recording.add([sample(k) for k in range(50)])
@@ -147,7 +147,7 @@ def test_a_file_that_another_program_cuts_is_reported(tmp_path: Path, share: flo
     assert not recording.path.exists()
 
 
-def test_a_file_that_is_cut_while_it_is_rewritten_is_not_complete(
+def test_a_file_truncated_during_its_rewriting_is_not_complete(
     tmp_path: Path, instead: Setter
 ) -> None:
     compact = recording_part.compact
@@ -166,7 +166,7 @@ def test_a_file_that_is_cut_while_it_is_rewritten_is_not_complete(
 
 
 @pytest.mark.parametrize("damaged", [0, 1])
-def test_a_damaged_chunk_costs_10_s_at_most(tmp_path: Path, damaged: int) -> None:
+def test_a_damaged_chunk_loses_at_most_10_s(tmp_path: Path, damaged: int) -> None:
     """The first chunk contains the channels; the index contains them, too."""
     path = tmp_path / "run.mcap"
     recording = begun(path)

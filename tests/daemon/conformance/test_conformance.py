@@ -60,7 +60,7 @@ def tried(
     ],
     ids=str,
 )
-def test_the_emulated_device_does_what_the_protocol_says(
+def test_the_emulated_device_passes_all_rules_of_the_protocol(
     settings: dict[str, float], resets: bool
 ) -> None:
     emulated = EmulatorSettings(boot_ms=5.0, **{**UNPLUGGED, **settings})
@@ -74,7 +74,7 @@ def test_the_emulated_device_does_what_the_protocol_says(
 
 
 @pytest.mark.parametrize("how", SPOILT)
-def test_a_device_that_breaks_a_rule_is_found(how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_that_breaks_a_rule_fails_it(how: str, monkeypatch: pytest.MonkeyPatch) -> None:
     spoilt = SPOILT[how]
     spoilt.spoil(monkeypatch)
 
@@ -86,7 +86,7 @@ def test_a_device_that_breaks_a_rule_is_found(how: str, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("inside", [0, 1, 3, 4])
-def test_a_reading_may_come_to_the_rail_during_the_run(
+def test_a_reading_may_reach_the_rail_during_the_run(
     inside: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A potentiometer near its dead band reads so after the motor has moved it."""
@@ -105,7 +105,7 @@ def test_a_reading_may_come_to_the_rail_during_the_run(
     assert (result.outcome, result.came) == (PASS, "")
 
 
-def test_each_rule_tries_what_it_tried() -> None:
+def test_each_rule_sends_the_stored_frames() -> None:
     device = Device(EmulatorSettings(boot_ms=5.0, queue=200, baud=250_000, **AT_A_RAIL), 0)
     line, lines = Recorded(device), list[str]()
 
@@ -217,7 +217,7 @@ def test_a_device_that_floods_the_line_breaks_the_rule_that_is_tried(
     assert line.device.state is State.ESTOP
 
 
-def test_what_was_wrong_at_the_pins_is_counted_and_the_first_time_is_told() -> None:
+def test_violations_at_the_pins_are_counted_with_the_time_of_the_first() -> None:
     high, stopped = Violation.PIN_HIGH_WITHOUT_ENABLE, Violation.CPU_STOPPED
     seen = [Violated(n * 16_000, what) for n, what in ((20, high), (30, stopped), (45, high))]
     host = Host(VirtualLine(Device(SPOILT_SETTINGS, 0)))
@@ -230,7 +230,7 @@ def test_what_was_wrong_at_the_pins_is_counted_and_the_first_time_is_told() -> N
 
 
 @pytest.mark.parametrize("resets", [True, False])
-def test_what_is_on_the_line_while_the_port_is_closed_is_lost(resets: bool) -> None:
+def test_bytes_on_the_line_while_the_port_is_closed_are_lost(resets: bool) -> None:
     device = Device(EmulatorSettings(boot_ms=5.0), 0)
     line = VirtualLine(device, resets=resets)
     line.receive(10)
@@ -266,7 +266,7 @@ class Numbered:
     ("numbers", "breaks"),
     [([7, 8, 9], 0), ([65_534, 65_535, 0, 1], 0), ([7, 9, 10], 1), ([5, 0, 0, 7, 6], 4)],
 )
-def test_each_frame_that_is_not_the_next_is_a_break(numbers: list[int], breaks: int) -> None:
+def test_each_frame_out_of_sequence_is_a_violation(numbers: list[int], breaks: int) -> None:
     conversation = Conversation(Numbered(numbers))
 
     conversation.listen(5)
@@ -298,7 +298,7 @@ def test_each_frame_that_is_not_the_next_is_a_break(numbers: list[int], breaks: 
     ],
     ids=str,
 )
-def test_an_impossible_device_is_recognised_by_its_hello(wrong: dict[str, int], says: str) -> None:
+def test_an_implausible_device_is_recognised_by_its_hello(wrong: dict[str, int], says: str) -> None:
     host = Host(VirtualLine(Device(EmulatorSettings(boot_ms=5.0), 0)))
     host.facts = host.hello()._replace(**wrong)
 
@@ -346,6 +346,6 @@ def test_a_limit_counts_from_the_time_at_which_it_was_set() -> None:
     conversation.listen(5)
 
 
-def test_every_rule_has_a_section_and_a_sentence_of_its_own() -> None:
+def test_every_rule_has_a_section_and_a_unique_sentence() -> None:
     assert {rule.section for rule in RULES} == {1, 2, 3, 4, 5, 6, 7}
     assert len({rule.sentence for rule in RULES}) == len(RULES)

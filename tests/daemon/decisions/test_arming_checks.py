@@ -54,7 +54,7 @@ def test_device_in_an_undefined_state_is_never_armed(state: int) -> None:
     assert rig.ports.device.state is DeviceState.IDLE
 
 
-def test_a_device_that_is_still_starting_up_is_asked_again() -> None:
+def test_a_starting_device_receives_the_request_again() -> None:
     booting = [True]
     rig = _unmet(lambda: {"state": DeviceState.BOOT} if booting[0] else {})
 
@@ -69,7 +69,7 @@ def test_a_device_that_is_still_starting_up_is_asked_again() -> None:
     assert rig.arm().error == ""
 
 
-def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
+def test_a_device_without_a_recent_answer_is_not_armed() -> None:
     rig = Bench()
     stale_ns = rig.ports.now - 60_000_000
     rig.loop.state = changed(rig.loop.state, last_round_trip_ns=stale_ns)
@@ -83,7 +83,7 @@ def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
     assert round(answer.parameters["age_ms"]) == 60
 
 
-def test_samples_of_an_earlier_link_arm_nothing() -> None:
+def test_samples_of_an_earlier_link_do_not_permit_arming() -> None:
     rig = Bench()
     newest_ns = rig.loop.state.sampled_ns
     rig.ports.send(rig.ports.now, LinkDown("pulled"))
@@ -102,7 +102,7 @@ def test_samples_of_an_earlier_link_arm_nothing() -> None:
 
 
 @pytest.mark.parametrize(("longer_us", "paces"), [(0, True), (-1, False)])
-def test_before_a_run_the_host_paces_at_the_holder_s_ts_if_the_line_is_fast_enough(
+def test_the_host_paces_at_the_ts_of_the_holder_if_the_line_is_fast_enough(
     longer_us: int, paces: bool
 ) -> None:
     """The shortest such Ts is the duration of an exchange; below it, the default Ts paces."""

@@ -96,7 +96,7 @@ def rms(values: list[float]) -> float:
     ("wait_us", "drift_ppm"),
     sampled(zip(QUEUES_US, (100.0, -100.0, -100.0, 100.0), strict=True), 2),
 )
-def test_drift_and_offset_lie_within_their_own_deviations(
+def test_drift_and_offset_lie_within_their_reported_deviations(
     wait_us: tuple[float, float], drift_ppm: float
 ) -> None:
     """One-sided waiting times of any distribution; 50 seeds."""
@@ -223,7 +223,7 @@ def test_clock_map_adapts_to_a_longer_round_trip() -> None:
     assert abs(error) < 3 * std < 40_000
 
 
-def test_the_least_and_the_middle_round_trip_are_those_of_the_last_hundred() -> None:
+def test_the_least_and_median_round_trip_are_of_the_last_hundred_exchanges() -> None:
     clock, floors, medians = start(LINK), [], []
     for n in range(160):
         round_trip_ns = 450_000 if n == 0 else 500_000 if n <= 60 else 600_000

@@ -176,7 +176,7 @@ def test_clock_map_equals_the_regression_over_all_exchanges(n: int) -> None:
 
 @pytest.mark.parametrize("ahead_us", [-3_000_000, 0, 1, 2_000_000, 1_000_000_000])
 @pytest.mark.parametrize("n", [1, 5, 40])
-def test_clock_map_predicts_as_the_regression(n: int, ahead_us: int) -> None:
+def test_clock_map_predicts_like_the_regression(n: int, ahead_us: int) -> None:
     found = exchanges(n)
     clock, whole = mapped(found), at_once(found)
     device_us = found[-1].rx_us + ahead_us
@@ -260,7 +260,7 @@ def test_the_eighth_exchange_in_a_row_that_does_not_fit_begins_the_map_again() -
 
 
 @pytest.mark.parametrize("slow", [False, True])
-def test_misfits_are_forgotten_after_an_exchange_of_the_faster_half(slow: bool) -> None:
+def test_the_count_of_misfits_restarts_after_an_exchange_of_the_faster_half(slow: bool) -> None:
     *known, new = exchanges(41)
     clock = mapped(known)._replace(rejected=3)
     stalled = new._replace(h4_ns=new.h4_ns + 3_000_000, h1_ns=new.h1_ns - 3_000_000)

@@ -87,7 +87,7 @@ def test_an_unplugged_line_while_the_stop_is_awaited_ends_the_run() -> None:
 
 
 @pytest.mark.parametrize(("scheduled", "period"), [(False, 5 * MS), (True, 20 * MS)])
-def test_a_gap_that_no_answer_came_to_begins_when_its_first_sample_was_due(
+def test_a_gap_without_an_answer_begins_when_its_first_sample_was_due(
     scheduled: bool, period: int
 ) -> None:
     """L2: a line is silent for 0.7 s.

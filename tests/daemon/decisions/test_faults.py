@@ -38,7 +38,9 @@ def test_every_fault_has_its_remedy() -> None:
         (Cause.INTERNAL, "internal check"),
     ],
 )
-def test_a_cause_of_the_device_has_its_name_and_its_meaning(cause: Cause, words: str) -> None:
+def test_a_fault_of_the_device_is_reported_with_its_name_and_meaning(
+    cause: Cause, words: str
+) -> None:
     said = of_device(cause)
 
     assert said.startswith(f"{cause.name}, ")
@@ -54,7 +56,7 @@ def test_a_cause_without_a_fault_or_of_a_later_protocol_has_no_meaning() -> None
     assert of_device(200) == "200"
 
 
-def test_a_fault_is_reported_with_all_that_a_person_needs(driven: Bench) -> None:
+def test_a_fault_is_reported_with_its_reason_its_remedy_and_the_motor(driven: Bench) -> None:
     driven.run_for(400)
 
     told = [s for s in driven.of(State) if s.fault]
@@ -69,7 +71,7 @@ def test_a_fault_is_reported_with_all_that_a_person_needs(driven: Bench) -> None
     )
 
 
-def test_a_fault_travels_in_the_message_of_the_state(driven: Bench) -> None:
+def test_the_state_message_contains_the_fault(driven: Bench) -> None:
     driven.run_for(400)
     record = driven.of(State)[-1]
 

@@ -50,7 +50,7 @@ def test_a_sample_that_was_sent_before_an_exchange_does_not_answer_it(
     assert (answered.link.sent, answered.link.device_seq) == ((), received + 1)
 
 
-def test_a_repeated_frame_of_the_device_with_a_larger_number_costs_a_hello_and_no_more() -> None:
+def test_a_device_frame_with_a_larger_number_causes_only_a_hello() -> None:
     bench = rested()
     bench.loop.state = changed(bench.loop.state, device_seq=20_000)
 
@@ -60,7 +60,7 @@ def test_a_repeated_frame_of_the_device_with_a_larger_number_costs_a_hello_and_n
     assert bench.loop.state.link.device_seq < 1000
 
 
-def test_the_answer_to_hello_begins_the_numbers_of_the_device_again() -> None:
+def test_the_answer_to_hello_restarts_the_frame_numbers_of_the_device() -> None:
     state = changed(rested().loop.state, device_seq=500)
 
     after, _ = replies.handle(state, 7, state.device._replace(seq=0))
@@ -68,7 +68,7 @@ def test_the_answer_to_hello_begins_the_numbers_of_the_device_again() -> None:
     assert after.link.device_seq == 0
 
 
-def test_a_device_that_drives_and_takes_no_hello_is_stopped() -> None:
+def test_a_driving_device_that_rejects_hello_is_stopped() -> None:
     """S2: old frames keep the device in RUN and make HELLO stale; STOP works with any seq."""
     asked = PendingRequest(RequestKind.HELLO, 0, 1, 1, 0, False, None)
     before = changed(step.start(RULES), phase=Phase.FAULT, link=Link(seq=2), asked=asked)

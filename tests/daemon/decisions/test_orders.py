@@ -121,7 +121,7 @@ def test_a_scheduled_run_needs_a_device_with_scheduled_mode() -> None:
     assert "no scheduled mode" in _refusal(bench, SCHEDULED, exchanging)
 
 
-def test_a_sign_of_life_of_the_service_is_its_time_and_no_more() -> None:
+def test_a_sign_of_life_of_the_service_only_updates_its_time() -> None:
     bench = driven()
     decided = ordered(bench, Alive())
 
@@ -129,7 +129,7 @@ def test_a_sign_of_life_of_the_service_is_its_time_and_no_more() -> None:
     assert decided.state == changed(bench.loop.state, service_ns=bench.ports.now)
 
 
-def test_an_order_to_end_that_is_given_twice_is_followed_once() -> None:
+def test_a_repeated_quit_order_sends_no_second_stop() -> None:
     bench = driven()
     once = ordered(bench, Quit(reason="SIGTERM"))
     again = ordered(bench, Quit(reason="SIGTERM"), once.state)
@@ -155,7 +155,7 @@ def test_quit_without_a_device_exits_at_once(gone: dict[str, object]) -> None:
 
 @pytest.mark.parametrize("want", list(RequestKind))
 @pytest.mark.parametrize("order", [ARM, SET, RUN])
-def test_while_the_device_is_asked_something_an_order_waits(
+def test_an_order_during_a_device_request_is_refused_as_busy(
     want: RequestKind, order: Order
 ) -> None:
     bench = rested() if isinstance(order, pipe.Arm) else armed()
@@ -207,7 +207,7 @@ def _in_fault(bench: Bench, device_state: DeviceState = DeviceState.IDLE) -> Sta
     return changed(bench.loop.state, phase=Phase.FAULT, device_state=int(device_state))
 
 
-def test_a_reset_where_nothing_is_latched_is_answered_at_once() -> None:
+def test_a_reset_without_a_latched_fault_is_answered_at_once() -> None:
     bench = armed()
     decided = ordered(bench, Reset(order=8))
 
@@ -225,7 +225,7 @@ def test_a_reset_where_nothing_is_latched_is_answered_at_once() -> None:
         (DeviceState.READY, Hello),
     ],
 )
-def test_a_reset_asks_the_device_to_leave_what_it_latched(state: DeviceState, asks: type) -> None:
+def test_a_reset_clears_the_latched_fault_of_the_device(state: DeviceState, asks: type) -> None:
     bench = rested()
     latched = changed(_in_fault(bench, state), token=12345)
 
@@ -238,7 +238,7 @@ def test_a_reset_asks_the_device_to_leave_what_it_latched(state: DeviceState, as
 # -- the calibration -----------------------------------------------------------------------------
 
 
-def test_a_calibration_is_taken_at_rest_and_changes_nothing_but_how_samples_are_shown() -> None:
+def test_a_calibration_is_accepted_at_rest_and_changes_only_the_angles() -> None:
     """S1 to S6: no frame is sent; codes, limits and phase stay."""
     bench = rested()
     before = bench.loop.state
@@ -251,7 +251,7 @@ def test_a_calibration_is_taken_at_rest_and_changes_nothing_but_how_samples_are_
     assert decided.state == changed(before, rules=rules, service_ns=bench.ports.now)
 
 
-def test_the_next_sample_is_shown_by_the_calibration_taken() -> None:
+def test_the_next_sample_is_converted_by_the_new_calibration() -> None:
     bench = rested()
     assert not bench.ask(Calibrate, calibration=OTHER).error
     k = bench.loop.state.k
@@ -279,7 +279,7 @@ def test_stop_of_a_motor_at_rest_is_answered_at_once(change: dict[str, object]) 
     assert decided.sent == []
 
 
-def test_a_stop_overtakes_whatever_is_asked_at_rest() -> None:
+def test_a_stop_overtakes_a_pending_request_at_rest() -> None:
     bench = rested()
     decided = ordered(
         bench, pipe.Stop(order=6), awaiting(bench.loop.state, RequestKind.CONFIGURE, ARM)
@@ -293,7 +293,9 @@ def test_a_stop_overtakes_whatever_is_asked_at_rest() -> None:
     "order", [pipe.Stop(order=8), pipe.Disarm(order=8, lease=LEASE, n=51)], ids=["stop", "release"]
 )
 @pytest.mark.parametrize("by", ["a trip", "another stop"])
-def test_stop_overtaken_by_a_stop_is_answered(order: pipe.Stop | pipe.Disarm, by: str) -> None:
+def test_a_stop_overtaken_by_another_stop_is_answered(
+    order: pipe.Stop | pipe.Disarm, by: str
+) -> None:
     bench = driven()
     told = ordered(bench, order)
     event: Event = Ordered(pipe.Stop(order=9))
@@ -322,7 +324,7 @@ def test_number_of_a_command_must_grow() -> None:
     assert ordered(bench, changed(SET, n=8), at_7).told(Answer) == []
 
 
-def test_a_command_renews_the_lease_from_its_own_time_on() -> None:
+def test_a_command_renews_the_lease_from_its_arrival() -> None:
     """S2: and its number is the one to exceed."""
     bench = driven()
 
@@ -341,7 +343,7 @@ def test_set_of_a_driven_rig_changes_the_code() -> None:
 
 
 @pytest.mark.parametrize("order", [SET, RUN])
-def test_a_sampling_time_that_exchange_does_not_carry_is_not_exchanged(order: Order) -> None:
+def test_a_sampling_time_too_short_for_exchange_mode_is_refused_in_it(order: Order) -> None:
     """Armed for 0.9 ms, at 500 kBd only scheduled: the host ticks slower than that."""
     bench = rested()
     assert not bench.arm(900).error

@@ -110,7 +110,7 @@ def test_status_frame_causes_no_action() -> None:
 # -- a reset of the device -----------------------------------------------------------------------
 
 
-def test_the_identity_of_a_device_is_reported_in_hexadecimal_and_nothing_that_changes() -> None:
+def test_the_identity_of_a_device_is_hexadecimal_and_constant() -> None:
     device = HelloReply(DeviceState.IDLE, 9, *range(40, 40 + len(HelloReply._fields) - 2))
 
     facts = device_facts(device)
@@ -128,7 +128,7 @@ def test_the_identity_of_a_device_is_reported_in_hexadecimal_and_nothing_that_ch
     assert device_facts(None) == {}
 
 
-def test_a_device_that_restarts_before_it_is_configured_is_met_again() -> None:
+def test_a_device_restart_before_its_configuration_causes_a_new_hello() -> None:
     bench = rested()
     state = changed(bench.loop.state, phase=Phase.INIT)
 
@@ -153,9 +153,7 @@ def test_a_device_that_restarts_before_it_is_configured_is_met_again() -> None:
         (250, 0, "250"),
     ],
 )
-def test_a_device_that_latches_is_reported_with_its_own_cause(
-    cause: int, detail: int, words: str
-) -> None:
+def test_a_latched_device_is_reported_with_its_cause(cause: int, detail: int, words: str) -> None:
     """S6: by its name if it has one, and the code that it refused."""
     bench = driven()
     event = _event(bench.loop.state, cause=cause, detail=detail, token=7)
@@ -174,7 +172,9 @@ def test_a_device_that_latches_is_reported_with_its_own_cause(
     ("at", "waits"),
     [(DeviceState.FAULT, False), (DeviceState.ESTOP, False), (DeviceState.RUN, True)],
 )
-def test_refused_stop_of_a_latched_device_is_no_fault(at: DeviceState, waits: bool) -> None:
+def test_a_refused_stop_of_a_latched_device_does_not_cause_a_fault(
+    at: DeviceState, waits: bool
+) -> None:
     """S6: the fault stays; while the device drives, STOP is sent again."""
     bench = driven()
     latched = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.DEVICE, "REV_LIMIT"))
@@ -203,7 +203,7 @@ def test_device_that_latches_after_a_trip_keeps_the_fault() -> None:
 # -- scheduled runs ------------------------------------------------------------------------------
 
 
-def test_a_queue_without_a_device_starts_nothing() -> None:
+def test_a_queue_report_without_a_device_starts_no_run() -> None:
     bench = armed()
     now = bench.ports.now
     filling, _ = setpoints.begin(bench.loop.state, now, changed(RUN, scheduled=True))
@@ -232,7 +232,7 @@ def test_a_start_carries_the_length_of_the_run() -> None:
 # -- the link ------------------------------------------------------------------------------------
 
 
-def test_no_keepalive_before_the_tick_that_stops() -> None:
+def test_no_keepalive_precedes_the_tick_that_stops() -> None:
     """S2: a wakeup precedes the tick after a pause, and would feed the watchdog again."""
     bench = driven()
     state, now = bench.loop.state, bench.ports.now

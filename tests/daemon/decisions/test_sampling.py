@@ -127,7 +127,7 @@ def test_wrong_code_of_a_run_in_a_fault_repeats_the_stop() -> None:
 # -- what a sample proves of the line (S4) -------------------------------------------------------
 
 
-def test_an_exchange_is_as_fresh_as_its_question() -> None:
+def test_the_age_of_an_exchange_counts_from_its_request() -> None:
     """S4: the answer was sent after its question, whenever it comes."""
     bench = driven()
     state = _asked(bench)
@@ -145,7 +145,7 @@ def test_an_exchange_is_as_fresh_as_its_question() -> None:
     assert (publish.sample.t_host_ns, publish.queued) == (first.sent_ns, -1)
 
 
-def test_a_sample_of_a_run_is_as_fresh_as_the_frame_that_it_has_heard() -> None:
+def test_the_age_of_a_scheduled_sample_counts_from_its_echoed_frame() -> None:
     """S4: only its echo proves that the device receives the frames."""
     bench = _playing()
     now = bench.ports.now
@@ -165,7 +165,7 @@ def test_a_sample_of_a_run_is_as_fresh_as_the_frame_that_it_has_heard() -> None:
     assert (publish.sample.t_host_ns, publish.queued) == (now, 5)
 
 
-def test_an_echo_of_what_we_have_not_sent_spoils_an_exchange_and_stops_a_run() -> None:
+def test_an_echo_of_an_unsent_frame_voids_an_exchange_and_stops_a_run() -> None:
     """S4."""
     bench, playing = driven(), _playing()
     state, run = _asked(bench), playing.loop.state
@@ -198,7 +198,7 @@ def test_an_echo_of_the_very_next_frame_stops_a_run() -> None:
     assert len(_published(decided)) == 1
 
 
-def test_an_echo_of_what_we_have_not_sent_stops_a_run_before_its_setpoints_go() -> None:
+def test_an_echo_of_an_unsent_frame_stops_a_run_before_its_setpoints() -> None:
     """S4: also for a run that the device has just been armed for."""
     bench = _playing()
     state, play = (
@@ -218,7 +218,7 @@ def test_an_echo_of_what_we_have_not_sent_stops_a_run_before_its_setpoints_go() 
     assert foreign.told(Answer)[0].error.startswith("not begun: the device has received frame")
 
 
-def test_only_an_exchange_compares_the_clocks() -> None:
+def test_clocks_are_compared_only_by_exchanges() -> None:
     bench, playing = driven(), _playing()
     state = changed(_asked(bench), compared_ns=0)
     run = changed(playing.loop.state, compared_ns=0)
@@ -245,7 +245,7 @@ def test_an_exchange_whose_k_was_reported_as_a_gap_is_not_reported_again() -> No
     assert decided.state.link.last_round_trip_ns == told.link.last_round_trip_ns
 
 
-def test_a_sample_of_a_run_that_has_come_still_shows_the_state_and_the_echo() -> None:
+def test_a_repeated_sample_of_a_run_still_reports_its_echo() -> None:
     """L2: the sample is published once."""
     bench = _playing()
     state = bench.loop.state
@@ -261,7 +261,7 @@ def test_a_sample_of_a_run_that_has_come_still_shows_the_state_and_the_echo() ->
 # -- the order of what follows -------------------------------------------------------------------
 
 
-def test_an_exchange_ends_its_run_after_its_own_sample() -> None:
+def test_an_exchange_publishes_its_sample_before_it_ends_its_run() -> None:
     """L2: published first."""
     bench = rested()
     assert not bench.arm().error
@@ -293,7 +293,7 @@ def test_the_first_sample_of_a_run_starts_it_and_is_published_after_the_start() 
 # -- answers to exchanges ------------------------------------------------------------------------
 
 
-def test_a_sample_answers_its_own_exchange_and_gives_up_those_before() -> None:
+def test_a_sample_answers_its_exchange_and_abandons_earlier_ones() -> None:
     """L2: the first is a gap, with the voltage that was commanded."""
     bench = driven()
     first, second = _asked(bench).link.sent
@@ -399,7 +399,7 @@ def test_applied_code_is_compared_with_the_rounded_code() -> None:
     assert f"applied code {held}, but code {held} was commanded" in as_sent.state.fault.cause
 
 
-def test_applied_code_after_a_trip_is_no_second_fault() -> None:
+def test_the_applied_code_after_a_trip_does_not_cause_a_second_fault() -> None:
     bench = rested()
     state = changed(_asked(bench), phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
 
@@ -448,7 +448,7 @@ def test_clock_map_needs_eight_exchanges_to_schedule_a_sample(known: int) -> Non
         (Flag.RUN | Flag.UNDERRUN, 6554, False),
     ],
 )
-def test_another_code_than_the_run_s_is_a_fault_but_for_an_underrun(
+def test_a_wrong_code_in_a_run_is_a_fault_except_after_an_underrun(
     flags: Flag, u: int, trips: bool
 ) -> None:
     """S5: the device reports an underrun, and the policy's code is published."""

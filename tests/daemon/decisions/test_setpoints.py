@@ -124,7 +124,7 @@ IS_IDLE = _received(Ack(int(DeviceState.IDLE), 0, 0, 0, 1))
         (1, 0, 0, 0, [(0, 1)]),
     ],
 )
-def test_refill_fills_the_room_of_the_queue(
+def test_a_refill_fills_the_free_places_of_the_queue(
     samples: int, base: int, held: int, sent: int, frames: list[tuple[int, int]]
 ) -> None:
     state = _state(samples, base=base, held=held, sent=sent)
@@ -172,7 +172,7 @@ def test_refill_without_a_playable_run_sends_nothing(change: dict[str, object]) 
     ("volts", "trips"),
     [([1.0, 2.0], False), ([1.0, 2.1], True), ([1.1], True), ([1.0] * 24 + [2.1], True)],
 )
-def test_a_frame_that_leaves_the_limits_is_not_sent(volts: list[float], trips: bool) -> None:
+def test_a_frame_outside_the_limits_is_not_sent(volts: list[float], trips: bool) -> None:
     """S1."""
     state = _state()
     run = ActiveRun("r", codes(*volts), -1, scheduled=True)
@@ -192,7 +192,7 @@ def test_a_frame_that_leaves_the_limits_is_not_sent(volts: list[float], trips: b
         )
 
 
-def test_a_run_begins_by_filling_at_0_v() -> None:
+def test_a_run_begins_by_filling_the_queue_at_0_v() -> None:
     state = changed(_state(), run=None, queue=None)
 
     after, actions = setpoints.begin(state, NOW, ORDER)
@@ -210,7 +210,7 @@ def test_a_run_begins_by_filling_at_0_v() -> None:
     ("samples", "queued", "starts"),
     [(1000, 487, False), (1000, 488, True), (30, 29, False), (30, 30, True)],
 )
-def test_a_run_starts_when_its_queue_is_full_but_for_a_frame(
+def test_a_run_starts_when_less_than_a_frame_of_its_queue_is_free(
     samples: int, queued: int, starts: bool
 ) -> None:
     state = _state(samples, sent=samples)
@@ -226,7 +226,9 @@ def test_a_run_starts_when_its_queue_is_full_but_for_a_frame(
 
 
 @pytest.mark.parametrize(("after_ns", "gives_up"), [(2_000 * MS, False), (2_000 * MS + 1, True)])
-def test_a_queue_that_does_not_fill_in_2_s_is_given_up(after_ns: int, gives_up: bool) -> None:
+def test_a_run_is_abandoned_if_its_queue_is_not_full_within_2_s(
+    after_ns: int, gives_up: bool
+) -> None:
     state = _state(sent=512, moved_ns=NOW + after_ns)
 
     after, _ = setpoints.note_queue(state, NOW + after_ns, 0, 3)
@@ -240,7 +242,7 @@ def test_a_queue_that_does_not_fill_in_2_s_is_given_up(after_ns: int, gives_up: 
     ("base", "queued", "held", "moved", "sent"),
     [(3, 30, 33, True, 50), (3, 21, 24, False, 50), (3, 60, 63, True, 63), (3, 10, 13, False, 50)],
 )
-def test_what_the_device_holds_is_what_its_newest_sample_says(
+def test_the_queue_level_follows_the_newest_sample_of_the_device(
     base: int, queued: int, held: int, moved: bool, sent: int
 ) -> None:
     state = _state(50, base=0, held=24, sent=50, moved_ns=7)
@@ -281,7 +283,7 @@ def test_ping_interval_of_a_scheduled_run(since_ns: int, pings: int) -> None:
     assert after.link.ping_ns == (NOW if pings else NOW - since_ns)
 
 
-def test_a_device_that_drives_on_after_a_trip_gets_stop_again_and_again() -> None:
+def test_stop_is_repeated_while_the_device_drives_after_a_trip() -> None:
     """S6: the device gets neither setpoint nor PING meanwhile."""
     latched = _running(phase=Phase.FAULT, ping_ns=0)
 
@@ -302,7 +304,7 @@ def test_tick_of_a_scheduled_run_sends_ping() -> None:
     assert decided.state.absent == ()
 
 
-def test_frames_without_an_echo_are_remembered_up_to_a_bound() -> None:
+def test_the_number_of_stored_frames_without_an_echo_is_bounded() -> None:
     """R1: only where the device paces is the echo the only proof."""
     state = _running()
     for _ in range(MAX_REMEMBERED_FRAMES + 3):
@@ -316,7 +318,7 @@ def test_frames_without_an_echo_are_remembered_up_to_a_bound() -> None:
     assert state.link.last_send_ns == NOW
 
 
-def test_without_a_link_nothing_is_sent() -> None:
+def test_no_setpoint_is_sent_without_a_link() -> None:
     state = changed(_running(), link=None)
 
     assert send(state, NOW, b"x") == (state, [])
@@ -325,7 +327,7 @@ def test_without_a_link_nothing_is_sent() -> None:
 # -- its samples ---------------------------------------------------------------------------------
 
 
-def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
+def test_a_sample_of_the_run_is_published_with_its_k() -> None:
     state = changed(_running(), t_us=(5 << 32) - 1)
     u = applied_code(CODES[10], 10)
     sample = device_sample(
@@ -363,7 +365,7 @@ def test_sample_of_an_earlier_run_is_ignored(back_us: int, taken: bool) -> None:
 
 
 @pytest.mark.parametrize("k", [9, 100, 99, 10])
-def test_only_samples_that_are_still_to_come_belong_to_the_run(k: int) -> None:
+def test_only_outstanding_samples_belong_to_the_run(k: int) -> None:
     state = _running()
     u = applied_code(CODES[k], 10)
     sample = device_sample(state, k=k, u_k=u, flags=int(Flag.RUN))
@@ -399,7 +401,7 @@ def test_sample_before_the_start_of_a_run_is_ignored(change: dict[str, object]) 
 
 @pytest.mark.parametrize("bits", [8, 10, 16])
 @pytest.mark.parametrize("steps", [-1, 0, 1])
-def test_one_step_of_the_duty_off_the_setpoint_trips(bits: int, steps: int) -> None:
+def test_a_duty_one_step_from_the_setpoint_trips(bits: int, steps: int) -> None:
     """S5: another voltage than the commanded one, however small the difference."""
     state = _running()
     state = changed(state, device=state.device._replace(pwm_bits=bits))
@@ -416,7 +418,7 @@ def test_one_step_of_the_duty_off_the_setpoint_trips(bits: int, steps: int) -> N
         assert f"applied code {u}, but code {CODES[10]} was commanded" in after.fault.cause
 
 
-def test_a_sample_outside_run_says_nothing_of_what_was_applied() -> None:
+def test_the_applied_code_of_a_sample_outside_run_is_not_checked() -> None:
     state = _running()
     after, _ = sampling.handle(state, NOW, device_sample(state, k=10, u_k=1, flags=0))
 
@@ -441,13 +443,13 @@ def test_end_of_a_run_reports_the_missing_samples() -> None:
     assert setpoints.complete(changed(state, outcome="stopped"), NOW)[0].outcome == "stopped"
 
 
-def test_without_a_device_a_lost_sample_had_the_code_itself() -> None:
+def test_the_voltage_of_a_lost_sample_is_not_rounded_without_a_device() -> None:
     after, _ = setpoints.complete(_running(due=98, device=None), NOW)
 
     assert [a.code for a in after.absent] == CODES[98:100]
 
 
-def test_an_outage_with_too_many_pieces_is_reported_by_its_end() -> None:
+def test_only_the_last_pieces_of_a_long_outage_are_reported() -> None:
     """R1: the pieces are bounded."""
     state = _running(due=0, samples=1000)
     state = changed(state, run=changed(state.run, codes=codes(1.0) * 1500))
@@ -478,7 +480,7 @@ def test_run_without_an_end_event_is_complete_after_its_duration(
         assert decided.state.asked.want is RequestKind.CONFIGURE
 
 
-def test_run_ends_only_by_the_step_from_run_to_idle() -> None:
+def test_a_run_ends_only_by_the_transition_from_run_to_idle() -> None:
     over = _running(due=100)
 
     for before, now in ((5, 3), (3, 2)):
@@ -523,7 +525,7 @@ def test_a_trip_while_the_queue_is_filled_refuses_the_run() -> None:
     assert later.told(Gap) == []
 
 
-def test_an_order_for_a_scheduled_run_goes_by_a_stop_to_its_own_configuration() -> None:
+def test_a_scheduled_run_is_prepared_by_a_stop_and_its_configuration() -> None:
     bench = armed()
     stop = Decided(bench.loop.state, NOW, Ordered(ORDER)).state
     assert stop.lease is not None
@@ -538,7 +540,7 @@ def test_an_order_for_a_scheduled_run_goes_by_a_stop_to_its_own_configuration() 
     assert not [m for m in configure.sent if isinstance(m, Start)]
 
 
-def test_a_run_that_is_over_already_is_not_completed_again() -> None:
+def test_a_completed_run_is_not_completed_again() -> None:
     bench = rested()
 
     assert setpoints.complete(bench.loop.state, bench.ports.now) == (bench.loop.state, [])

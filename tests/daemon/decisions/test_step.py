@@ -63,7 +63,7 @@ def test_initial_state_of_the_core_knows_no_device() -> None:
 # -- when it wants to be woken -------------------------------------------------------------------
 
 
-def test_wake_time_is_that_of_the_request_or_of_the_device_watchdog() -> None:
+def test_wake_time_is_the_retry_of_the_request_or_a_third_of_the_watchdog() -> None:
     """A third of the watchdog after the last frame, so that two may be lost."""
     state = changed(rested().loop.state, last_send_ns=1000)
 
@@ -79,7 +79,7 @@ def test_first_tick_reports_no_missed_tick() -> None:
     assert (first.k, first.tick_ns, first.absent) == (7, 10_000 * MS, ())
 
 
-def test_noise_between_frames_is_reported_and_costs_nothing() -> None:
+def test_noise_between_frames_is_reported_and_loses_no_frame() -> None:
     bench = rested()
     reply = bench.loop.state.device
     data = b"noise\0" + encode(reply._replace(state=int(DeviceState.IDLE)))
@@ -92,7 +92,7 @@ def test_noise_between_frames_is_reported_and_costs_nothing() -> None:
     assert len(decided.sent) == 1
 
 
-def test_a_link_that_comes_up_begins_again() -> None:
+def test_a_restored_link_starts_with_a_hello() -> None:
     bench = driven()
     old = changed(bench.loop.state, pending=b"abc", seq=77, last_round_trip_ns=5)
 
@@ -143,7 +143,7 @@ def test_a_port_that_cannot_be_opened_is_reported_in_each_refusal() -> None:
 # -- a tick --------------------------------------------------------------------------------------
 
 
-def test_a_tick_sends_one_exchange_and_remembers_it() -> None:
+def test_a_tick_sends_one_exchange_and_stores_it() -> None:
     bench = driven()
     state, now = bench.loop.state, bench.ports.now + TS
 
@@ -168,7 +168,7 @@ def test_k_wraps_on_the_wire_and_nowhere_else() -> None:
     assert decided.state.link.sent[-1].k == (1 << 32) + 5
 
 
-def test_no_tick_sends_anything_without_a_device() -> None:
+def test_a_tick_without_a_device_sends_no_frame() -> None:
     """T1: only the HELLO is sent when it is due."""
     state = rested().loop.state
     nobody = changed(state, device=None)
@@ -184,7 +184,7 @@ def test_no_tick_sends_anything_without_a_device() -> None:
 
 
 @pytest.mark.parametrize("ahead", [1, 2, 4])
-def test_ticks_that_were_skipped_are_remembered_with_their_number(ahead: int) -> None:
+def test_skipped_ticks_are_stored_with_their_number(ahead: int) -> None:
     """L2: they are reported before the next sample, with the reason."""
     bench = rested()
     state, now = bench.loop.state, bench.ports.now + ahead * TS
@@ -199,7 +199,7 @@ def test_ticks_that_were_skipped_are_remembered_with_their_number(ahead: int) ->
 
 
 @pytest.mark.parametrize(("waiting", "sends"), [(MAX_UNECHOED - 1, 1), (MAX_UNECHOED, 0)])
-def test_no_more_exchanges_wait_than_are_allowed(waiting: int, sends: int) -> None:
+def test_the_number_of_unanswered_exchanges_is_bounded(waiting: int, sends: int) -> None:
     """S4: the next one is a gap of one sample."""
     bench = rested()
     state = bench.loop.state
@@ -309,7 +309,7 @@ def test_stop_after_missed_ticks_in_a_row(allowed: int, trips: bool) -> None:
 
 
 @pytest.mark.parametrize(("held_ns", "u"), [(100 * MS, code_of(1.0)), (100 * MS + 1, 0)])
-def test_a_voltage_held_by_hand_lives_as_long_as_its_lease(held_ns: int, u: int) -> None:
+def test_a_manual_voltage_is_held_as_long_as_its_lease(held_ns: int, u: int) -> None:
     """S2."""
     bench = driven()
     now = bench.ports.now + TS
@@ -323,7 +323,7 @@ def test_a_voltage_held_by_hand_lives_as_long_as_its_lease(held_ns: int, u: int)
 
 
 @pytest.mark.parametrize(("held_ns", "gives_back"), [(10_000 * MS, False), (10_000 * MS + 1, True)])
-def test_an_armed_rig_is_given_back_after_10_s(held_ns: int, gives_back: bool) -> None:
+def test_an_unused_armed_rig_is_released_after_10_s(held_ns: int, gives_back: bool) -> None:
     bench = armed()
     now = bench.ports.now + TS
     assert bench.loop.state.lease is not None
@@ -337,7 +337,7 @@ def test_an_armed_rig_is_given_back_after_10_s(held_ns: int, gives_back: bool) -
 
 
 @pytest.mark.parametrize("phase", [Phase.SAFE, Phase.ARMED, Phase.FAULT])
-def test_outside_active_the_code_is_0(phase: Phase) -> None:
+def test_the_code_is_0_outside_the_active_phase(phase: Phase) -> None:
     """S5: whatever is left of the last command."""
     bench = driven()
     state = changed(bench.loop.state, phase=phase, device_state=int(DeviceState.READY))
@@ -393,7 +393,7 @@ def test_a_run_that_has_begun_at_k_0_does_not_begin_again() -> None:
 
 
 @pytest.mark.parametrize(("due", "u"), [(0, 1.0), (1, 2.0), (2, 3.0)])
-def test_each_tick_of_a_run_has_its_own_u(due: int, u: float) -> None:
+def test_each_tick_of_a_run_sends_the_u_of_its_k(due: int, u: float) -> None:
     """S5."""
     bench, state = _playing([1.0, 2.0, 3.0], due)
 
@@ -428,7 +428,7 @@ def test_a_run_that_leaves_the_limits_is_stopped_at_0_v() -> None:
         assert _code(decided) == (0 if trips else code_of(volts[due]))
 
 
-def test_samples_of_a_run_that_never_come_are_reported_before_its_end() -> None:
+def test_lost_samples_of_a_run_are_reported_before_its_end() -> None:
     """L2: those that were requested, and no later ones."""
     bench, state = _playing([1.0] * 5, 3)
     first = state.run.k_first
@@ -483,7 +483,7 @@ def test_the_sample_after_a_gap_has_the_code_held_last() -> None:
     assert _told(three, 14, code_of(3.0)) == [(10, 3, 2.0), (13, 1, 3.0)]
 
 
-def test_missing_samples_after_a_sample_are_kept_for_the_next() -> None:
+def test_missing_samples_after_a_reported_sample_stay_pending() -> None:
     state = changed(rested().loop.state, last_reported_k=9, absent=())
     before, across, behind = (missing(k, 2, GapCode.HOST_LATE, None, 1, 2) for k in (10, 11, 12))
     known = note(note(note(state, before), across), behind)
@@ -493,7 +493,7 @@ def test_missing_samples_after_a_sample_are_kept_for_the_next() -> None:
     assert (after.last_reported_k, after.absent) == (11, (across, behind))
 
 
-def test_no_gap_before_the_first_sample() -> None:
+def test_no_gap_is_reported_before_the_first_sample() -> None:
     state = changed(
         rested().loop.state,
         last_reported_k=-1,
@@ -577,7 +577,7 @@ def test_run_in_exchange_mode_ends_with_the_last_requested_sample(phase: Phase) 
 
 
 @pytest.mark.parametrize("k_first", [-1, 0, 1])
-def test_a_run_that_has_begun_at_k_0_has_begun(k_first: int) -> None:
+def test_a_run_that_began_at_k_0_restores_the_host_period(k_first: int) -> None:
     run = ActiveRun("r", codes(1.0, 1.0), k_first, scheduled=True, due=1, t_zero_ns=0)
     state = changed(rested().loop.state, run=run, absent=(), last_reported_k=-1, k=50)
 
@@ -589,7 +589,7 @@ def test_a_run_that_has_begun_at_k_0_has_begun(k_first: int) -> None:
     assert after.last_reported_k == (k_first if begun else -1)
 
 
-def test_a_stop_in_good_order_reports_no_gap_of_unsampled_ticks() -> None:
+def test_an_orderly_stop_reports_no_gap_of_unsampled_ticks() -> None:
     after, actions = _scheduled(2, Phase.SAFE, 10_000 * MS)
 
     assert [type(getattr(a, "record", a)) for a in actions] == [SetPeriod, RunEnded]
@@ -606,7 +606,7 @@ def test_trace_of_an_unknown_event_is_refused() -> None:
         trace.steps_of(step)
 
 
-def test_a_trace_leaves_the_codes_to_the_recording() -> None:
+def test_a_trace_does_not_contain_the_codes_of_the_run() -> None:
     _, state = _playing([1.0] * 100_000, 1)
 
     written = trace.written_state(state)

@@ -54,7 +54,7 @@ def traced(bench: Bench, *, scheduled: bool) -> list[Trace]:
 
 
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_a_run_is_decided_again_as_it_was(scheduled: bool) -> None:
+def test_the_trace_of_a_run_reproduces_its_decisions(scheduled: bool) -> None:
     bench = Bench()
 
     chunks = traced(bench, scheduled=scheduled)
@@ -73,7 +73,7 @@ def test_a_run_is_decided_again_as_it_was(scheduled: bool) -> None:
     assert state.run is None  # up to the end of the run, that end included
 
 
-def test_every_event_comes_back_from_its_bytes() -> None:
+def test_every_event_is_restored_from_its_bytes() -> None:
     bench = Bench()
     traced(bench, scheduled=True)
     book = trace.Trace(bench.loop.state)
@@ -130,7 +130,7 @@ def test_a_recording_does_not_contain_the_lease() -> None:
     ]
 
 
-def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_hole_that_shows() -> None:
+def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_numbered_gap() -> None:
     """4096 bytes are written at once."""
     bench = Bench()
     book = trace.Trace(bench.loop.state)
@@ -162,7 +162,7 @@ def test_a_state_and_a_long_first_step_are_two_chunks() -> None:
     assert [step.now_ns for step in trace.steps_of(second.steps)] == [1]
 
 
-def test_a_trace_knows_which_samples_came_before_its_first_step() -> None:
+def test_the_trace_contains_the_samples_before_its_first_step() -> None:
     """A host that woke up late found the start and the first samples in one step."""
     bench = Bench()
     assert not bench.arm(2_000).error
@@ -182,7 +182,7 @@ def test_a_trace_knows_which_samples_came_before_its_first_step() -> None:
     assert [s.k for s in published] == list(range(told + 1, first + len(VOLTS)))
 
 
-def test_the_trace_begins_after_the_start_and_ends_before_the_end() -> None:
+def test_the_trace_lies_between_the_records_of_the_start_and_end_of_a_run() -> None:
     bench = Bench()
     traced(bench, scheduled=True)
 

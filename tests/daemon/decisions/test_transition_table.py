@@ -377,7 +377,7 @@ ROWS: dict[str, Row] = {
 
 
 @pytest.mark.parametrize("rule", ROWS)
-def test_a_transition_of_the_core(rule: str) -> None:
+def test_a_transition_of_the_core_has_the_actions_of_its_row(rule: str) -> None:
     row = ROWS[rule]
     state, now_ns, device = _world(row.make)
     state = changed(state, **row.change)

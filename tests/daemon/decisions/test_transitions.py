@@ -51,7 +51,7 @@ RETRY_MS = dict.fromkeys(RequestKind, 50) | {RequestKind.HELLO: 100, RequestKind
 
 
 @pytest.mark.parametrize("want", list(RequestKind))
-def test_a_request_is_sent_again_when_its_time_has_come_and_not_before(want: RequestKind) -> None:
+def test_a_request_is_repeated_exactly_at_its_retry_time(want: RequestKind) -> None:
     bench = armed()
     state = awaiting(bench.loop.state, want, ARM, ts_us=10_000)
     due_ns = RETRY_MS[want] * MS
@@ -90,7 +90,7 @@ def test_retry_without_a_request_does_nothing() -> None:
 # -- requests that fail --------------------------------------------------------------------------
 
 
-def test_the_lease_counts_from_the_command_however_long_its_start_took() -> None:
+def test_the_lease_counts_from_the_command_and_not_from_the_start_of_the_run() -> None:
     """S2: a START that was repeated does not make the old command younger."""
     bench = armed()
     now, state = bench.ports.now, bench.loop.state
@@ -117,7 +117,7 @@ def test_the_lease_counts_from_the_command_however_long_its_start_took() -> None
 
 
 @pytest.mark.parametrize("id_", [Id.LINK, Id.DEVICE, Id.FIRMWARE])
-def test_a_latched_device_that_is_met_in_another_fault_replaces_its_cause(id_: Id) -> None:
+def test_the_cause_of_a_latched_device_replaces_that_of_an_earlier_fault(id_: Id) -> None:
     bench = rested()
     device = bench.loop.state.device
     lost = changed(bench.loop.state, device=None, phase=Phase.FAULT, fault=Fault(id_, "before"))
@@ -188,7 +188,7 @@ def test_round_trip_of_hello_counts_from_the_request() -> None:
     assert [type(m) for m in met.sent] == [Config]
 
 
-def test_another_boot_has_another_clock() -> None:
+def test_a_restarted_device_has_a_new_clock() -> None:
     bench = rested()
     bench.run_for(1000)
     greeting = awaiting(bench.loop.state, RequestKind.HELLO)
@@ -272,7 +272,7 @@ def test_config_frame_contains_the_rules(scheduled: bool) -> None:
     )
 
 
-def test_an_accepted_configuration_is_known_with_when_it_was_asked_for() -> None:
+def test_an_accepted_configuration_has_the_time_of_its_request() -> None:
     bench = rested()
     state = awaiting(
         bench.loop.state, RequestKind.CONFIGURE, ts_us=10_000, sent_ns=bench.ports.now - 7
@@ -283,7 +283,7 @@ def test_an_accepted_configuration_is_known_with_when_it_was_asked_for() -> None
     assert decided.state.configuration.asked_ns == bench.ports.now - 7
 
 
-def test_a_device_that_refuses_an_oversampling_is_reported_with_the_way_out() -> None:
+def test_a_device_that_refuses_oversampling_is_reported_with_the_remedy() -> None:
     bench = rested()
     rules = changed(bench.loop.state.rules, oversampling=16)
     state = awaiting(
@@ -383,7 +383,7 @@ def test_a_late_answer_to_an_earlier_configuration_ends_no_run() -> None:
     assert given_up.state.phase is Phase.FAULT
 
 
-def test_an_arm_under_a_newer_nonce_is_tried_as_often_as_any_request() -> None:
+def test_an_arm_with_a_newer_nonce_is_tried_five_times() -> None:
     bench = rested()
     again = _reply(
         awaiting(bench.loop.state, RequestKind.CONFIGURE, ts_us=bench.loop.state.ts_us)
@@ -401,7 +401,7 @@ def test_an_arm_under_a_newer_nonce_is_tried_as_often_as_any_request() -> None:
 
 
 @pytest.mark.parametrize("change", [{"code": 1}, {"config_crc": 1}, {"nonce": None}])
-def test_an_arm_waits_for_its_own_configuration_only(change: dict[str, int | None]) -> None:
+def test_an_arm_ignores_the_reply_to_another_configuration(change: dict[str, int | None]) -> None:
     bench = rested()
     state = bench.loop.state
     own = _reply(awaiting(state, RequestKind.CONFIGURE, ts_us=state.ts_us))

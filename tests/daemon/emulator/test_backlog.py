@@ -41,7 +41,7 @@ def test_64_kib_are_kept_then_whole_frames_are_dropped_and_counted() -> None:
     assert backlog.waiting_bytes == CAPACITY_BYTES == 65_536
 
 
-def test_nobody_there_leaves_nothing() -> None:
+def test_a_cleared_backlog_is_empty() -> None:
     backlog = Backlog()
     backlog.put(b"abc")
 

@@ -57,7 +57,7 @@ from tests.daemon.emulator.emulated_host import (
 # ------------------------------------------------------------------ boot
 
 
-def test_boot_ends_in_idle_and_says_so() -> None:
+def test_the_end_of_boot_is_reported_with_the_state_idle() -> None:
     device = Device(QUIET, 0)
 
     (_, first), (t_ns, second) = device.advance(10 * MS)
@@ -68,7 +68,7 @@ def test_boot_ends_in_idle_and_says_so() -> None:
     assert events([event]) == [(State.BOOT, State.IDLE, Cause.POWER_ON)]
 
 
-def test_at_the_end_of_boot_the_byte_in_progress_is_the_first_that_is_heard() -> None:
+def test_the_first_received_byte_is_the_byte_in_progress_at_the_end_of_boot() -> None:
     ping = frame.encode(Ping(0, 1, 7))
     for gone, answers, spoilt in (
         (0, 1, 0),
@@ -126,7 +126,7 @@ def test_the_nonce_wraps_and_leaves_out_0() -> None:
 # ------------------------------------------------------------------ exchange
 
 
-def test_an_exchange_keeps_its_times() -> None:
+def test_an_exchange_has_the_documented_timing() -> None:
     """Alpha at t_r, theta_1 one conversion later, latch 12 µs on, SAMPLE at the end."""
     host = Host().reach(State.RUN)
 
@@ -141,7 +141,7 @@ def test_an_exchange_keeps_its_times() -> None:
     assert sample.t_ns == t_r + 2 * CONVERSION_NS + SAMPLE_NS
 
 
-def test_reading_precedes_the_effect_of_its_own_u() -> None:
+def test_a_reading_precedes_the_effect_of_the_u_of_its_exchange() -> None:
     """y_k is read just before u_k acts."""
     samples = []
     for u in (0, 65535):
@@ -201,7 +201,7 @@ def test_rails_and_turns_trip_in_run() -> None:
 
 @pytest.mark.parametrize("state", [State.ARMED, State.RUN])
 @pytest.mark.parametrize("watchdog_ms", [20, 100, 250])
-def test_the_watchdog_bites_to_the_tick(state: State, watchdog_ms: int) -> None:
+def test_the_watchdog_trips_exactly_at_its_tick(state: State, watchdog_ms: int) -> None:
     """S3: exactly watchdog_ms after the last accepted frame, not a nanosecond before."""
     host = Host().reach(state, watchdog_ms=watchdog_ms)
     last = host.put(Exchange, k=1, u=65535)
@@ -220,7 +220,7 @@ def test_the_watchdog_bites_to_the_tick(state: State, watchdog_ms: int) -> None:
 
 
 @pytest.mark.parametrize("kind", [Keepalive, Stop, Estop])
-def test_every_frame_taken_in_makes_those_with_earlier_numbers_stale(kind: type[Message]) -> None:
+def test_an_accepted_frame_makes_frames_with_earlier_numbers_stale(kind: type[Message]) -> None:
     host = Host().reach(State.RUN)
     newest = (host.seq + 10) & 0xFFFF
 
@@ -230,7 +230,7 @@ def test_every_frame_taken_in_makes_those_with_earlier_numbers_stale(kind: type[
         assert codes(host.ask(Keepalive, seq=(newest - behind) & 0xFFFF)) == answer, behind
 
 
-def test_a_frame_at_the_very_deadline_is_in_time() -> None:
+def test_a_frame_exactly_at_the_deadline_is_in_time() -> None:
     """The bytes and the watchdog are due in the same nanosecond."""
     host = Host().reach(State.RUN)
     last = host.put(Keepalive)
@@ -245,7 +245,7 @@ def test_a_frame_at_the_very_deadline_is_in_time() -> None:
 # ------------------------------------------------------------------ the line
 
 
-def test_a_pong_that_waits_for_the_wire_says_when_it_began_to_leave() -> None:
+def test_a_delayed_pong_contains_the_time_of_its_transmission() -> None:
     host = Host()
     for n in range(3):
         host.put(Ping, host_ns=n)
@@ -257,7 +257,7 @@ def test_a_pong_that_waits_for_the_wire_says_when_it_began_to_leave() -> None:
     assert pongs[2].message.tx_us > pongs[2].message.rx_us
 
 
-def test_a_frame_that_finds_no_room_is_dropped_whole_and_reported() -> None:
+def test_a_frame_without_room_is_dropped_whole_and_reported() -> None:
     """Twenty HELLOs at once give more bytes than the ring contains."""
     host = Host()
 

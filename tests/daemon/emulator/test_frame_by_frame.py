@@ -62,7 +62,7 @@ SESSION: list[tuple[int, bytes | Message]] = [
 ]
 
 
-def test_frame_by_frame_the_device_says_what_it_says_at_once() -> None:
+def test_the_device_sends_the_same_frames_one_by_one_as_all_at_once() -> None:
     sent = bytes_of(QUIET, SESSION)
     at_once, apart = Device(QUIET, 0), Device(QUIET, 0)
     one: list[tuple[int, bytes]] = []
@@ -81,7 +81,7 @@ def test_frame_by_frame_the_device_says_what_it_says_at_once() -> None:
     assert apart.advance_to_frame(4 * S) == []
 
 
-def test_status_reports_what_a_fresh_device_has_counted() -> None:
+def test_status_reports_the_counters_of_a_new_device() -> None:
     host = Host()
     host.hello()
 
@@ -126,7 +126,7 @@ def test_visible_time_skips_the_conversions_of_a_sample(
         assert visible_ns == left_ns - LEAD_NS
 
 
-def test_the_wire_knows_when_the_second_of_several_pieces_arrives() -> None:
+def test_the_wire_predicts_the_arrival_of_the_second_piece() -> None:
     wire = Reception(0, 1_000_000)
     times = []
     for data in (b"", b"ab\0", b"c\0", b"defg\0", b"h\0"):
@@ -192,7 +192,7 @@ def test_no_sample_of_scheduled_mode_is_latched_without_a_queue() -> None:
     assert firmware.board.volts == 0.0
 
 
-def test_the_end_of_a_run_is_seen_when_it_is_due() -> None:
+def test_the_end_of_a_run_is_visible_at_its_due_time() -> None:
     host = Host().reach(State.ARMED, **SCHEDULED)
     host.supply(0, [10, 20, 30])
     host.wait(1 * MS)

@@ -59,5 +59,5 @@ def test_turns_are_counted_through_the_wrap_in_either_direction(direction: int) 
     assert verdicts == [Cause.NONE] * 32 + [Cause.REV_LIMIT]
 
 
-def test_oscillation_is_no_revolution() -> None:
+def test_an_oscillation_does_not_count_as_a_revolution() -> None:
     assert set(causes([(0, 30_000), (16_000, 30_000)] * 50, turns=100)) == {Cause.NONE}

@@ -114,7 +114,7 @@ def _told(settings: dict[str, Any]) -> list[str]:
     return heard.lines
 
 
-def test_answers_of_odd_devices_are_those_stored() -> None:
+def test_answers_of_unusual_devices_equal_the_stored_answers() -> None:
     lines = [line for name, settings in DEVICES.items() for line in (f"# {name}", *_told(settings))]
 
     compare(Path(__file__).with_name("odd_devices.txt"), "\n".join(lines) + "\n")

@@ -55,7 +55,7 @@ def test_a_motor_that_is_driven_on_is_noted_two_periods_after_the_end_of_run(sta
     assert noted == [Violated(50_001 + 2 * PERIOD, OUTSIDE)]
 
 
-def test_a_motor_that_is_off_in_time_or_in_run_is_not_noted() -> None:
+def test_a_motor_switched_off_in_time_or_driven_in_a_run_is_not_noted() -> None:
     noted: list[Violated] = []
     pins = started(noted)
 
@@ -127,5 +127,5 @@ def test_the_duty_before_the_latch_is_compared_with_the_code_before(
     assert noted == ([Violated(100_000 + PERIOD, OTHER_CODE)] if differs else [])
 
 
-def test_each_violation_has_a_sentence_of_its_own() -> None:
+def test_each_violation_has_a_different_sentence() -> None:
     assert len({sentence(what) for what in Violation}) == len(Violation)

@@ -23,7 +23,7 @@ def energy(p: ArmParameters, x: State, *, stiffening: float = 0.0) -> float:
     return kinetic + p.K_lin * alpha**2 / 2 + stiffening * alpha**4 / 4
 
 
-def test_the_steady_speed_is_the_handout_s() -> None:
+def test_the_steady_speed_equals_that_of_the_handout() -> None:
     """The back-EMF balances the voltage: 1.8623 rad/s per volt."""
     plant = build(HANDOUT)
 
@@ -32,7 +32,7 @@ def test_the_steady_speed_is_the_handout_s() -> None:
     assert x[2] == pytest.approx(1.8623, abs=5e-5)
 
 
-def test_the_initial_slope_of_the_speed_is_the_handout_s() -> None:
+def test_the_initial_slope_of_the_speed_equals_that_of_the_handout() -> None:
     """At rest all torque accelerates J_1: 98.40 rad/s² per volt."""
     plant = build(HANDOUT)
 
@@ -42,7 +42,7 @@ def test_the_initial_slope_of_the_speed_is_the_handout_s() -> None:
 
 
 @given(dt_ns=st.integers(0, 10 * SECOND_NS), u=st.floats(0, 5))
-def test_any_duration_is_exact(dt_ns: int, u: float) -> None:
+def test_the_plant_is_integrated_exactly_over_any_duration(dt_ns: int, u: float) -> None:
     A, B, _ = arm_matrices(HANDOUT)
     x0 = (0.3, -0.2, 1.0, 2.0)
 
@@ -61,7 +61,7 @@ def test_advance_in_two_steps_equals_one_step(first: int, second: int) -> None:
     np.testing.assert_allclose(x, advance(plant, REST, 2.0, first + second), atol=1e-10)
 
 
-def test_without_the_arm_the_chassis_turns_alone() -> None:
+def test_without_the_arm_the_chassis_turns_and_alpha_is_0() -> None:
     plant = build(HANDOUT, arm_removed=True)
 
     x = advance(plant, REST, 1.0, 10 * MILLISECOND_NS)
@@ -100,7 +100,7 @@ def test_a_stiffening_spring_breaks_the_chassis_away(side: float) -> None:
     assert x[2] / 1e-4 == pytest.approx(side * 0.5 * cubic / HANDOUT.J_1, rel=1e-2)
 
 
-def test_coulomb_friction_takes_its_share_of_the_terminal_speed() -> None:
+def test_coulomb_friction_reduces_the_terminal_speed_by_its_share() -> None:
     """The speed is lower by T_c R_m / (N K_m)²."""
     plant = build(HANDOUT, coulomb_nm=0.02)
 
@@ -162,13 +162,13 @@ def test_halving_the_substep_divides_the_error_by_four(
 
 
 @pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
-def test_impossible_effects_are_refused(value: float) -> None:
+def test_impossible_parameters_are_refused(value: float) -> None:
     with pytest.raises(ValueError, match=r"coulomb_nm=.*must be finite and >= 0"):
         build(HANDOUT, coulomb_nm=value)
     with pytest.raises(ValueError, match=r"stiffening=.*must be finite and >= 0"):
         build(HANDOUT, stiffening=value)
 
 
-def test_time_does_not_run_backwards() -> None:
+def test_a_decreasing_time_is_refused() -> None:
     with pytest.raises(ValueError, match="dt_ns=-1 must be >= 0"):
         advance(build(HANDOUT), REST, 0.0, -1)

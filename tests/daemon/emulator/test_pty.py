@@ -84,7 +84,7 @@ def _host(emulator: Emulator) -> Iterator[Host]:
 
 
 @pytest.mark.real_time
-def test_a_host_takes_the_rig_through_a_run(emulator: Emulator) -> None:
+def test_a_host_completes_a_run_over_the_pseudo_terminal(emulator: Emulator) -> None:
     with _host(emulator) as host:
         host.reach(State.RUN)
         samples = [host.sample(k * 6553) for k in range(1, 6)]
@@ -151,12 +151,12 @@ def test_a_reader_that_stalls_loses_nothing_at_first(emulator: Emulator) -> None
 
 
 @pytest.mark.parametrize("number", sampled([signal.SIGTERM, signal.SIGINT]))
-def test_a_signal_ends_it_and_takes_the_link_away(emulator: Emulator, number: int) -> None:
+def test_a_signal_ends_the_emulator_and_removes_its_link(emulator: Emulator, number: int) -> None:
     assert emulator.stop(number) == 0
     assert not emulator.link.is_symlink()
 
 
-def test_a_remaining_link_is_taken_over(tmp_path: Path) -> None:
+def test_a_stale_link_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "rig").symlink_to("/dev/pts/none")
     # The link is there from the start: wait until it points elsewhere.
     running = Emulator(tmp_path)
@@ -168,7 +168,7 @@ def test_a_remaining_link_is_taken_over(tmp_path: Path) -> None:
     assert running.stop() == 0
 
 
-def test_a_file_is_not_taken_over(tmp_path: Path) -> None:
+def test_a_regular_file_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
 
     with (
@@ -196,7 +196,7 @@ def test_a_port_whose_closing_was_reported_once_is_read_to_its_end(then: int) ->
     os.close(reader)
 
 
-def test_the_link_of_a_later_emulator_is_left_alone(tmp_path: Path) -> None:
+def test_the_link_of_a_later_emulator_is_not_removed(tmp_path: Path) -> None:
     port = tmp_path / "rig"
     with ExitStack() as later_stack:
         with ExitStack() as stack:
@@ -209,7 +209,7 @@ def test_the_link_of_a_later_emulator_is_left_alone(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_port_that_cannot_be_watched_says_why(tmp_path: Path) -> None:
+def test_a_port_that_cannot_be_watched_is_reported_with_the_reason(tmp_path: Path) -> None:
     before = {*Path("/proc/self/fd").iterdir()}
 
     with pytest.raises(OperationError, match=r"gone: inotify: No such file or directory"):
@@ -218,7 +218,7 @@ def test_a_port_that_cannot_be_watched_says_why(tmp_path: Path) -> None:
     assert {*Path("/proc/self/fd").iterdir()} <= before
 
 
-def test_a_port_or_trace_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+def test_an_error_names_the_port_or_trace_that_cannot_be_created(tmp_path: Path) -> None:
     settings = EmulatorSettings()
 
     with pytest.raises(OperationError, match=r"absent/rig: No such file"):

@@ -54,7 +54,7 @@ def reading(host: Host, theta_1: Iterable[int], alpha: Iterable[int]) -> list[tu
 
 
 @pytest.mark.parametrize("m", [1, 2, 3, 8])
-def test_conversions_go_in_turn_and_theta_1_s_last_is_just_before_the_latch(m: int) -> None:
+def test_conversions_alternate_and_the_last_of_theta_1_precedes_the_latch(m: int) -> None:
     """t_us is its trigger; the first conversion was 2 m - 1 conversions before, at EXCHANGE."""
     host = Host().reach(State.RUN, ts_us=5000, oversampling=m)
     read = reading(host, range(1000, 1000 + m), range(2000, 2000 + m))
@@ -87,7 +87,7 @@ def test_the_timer_s_tick_is_theta_1_s_last_trigger(m: int) -> None:
     assert not any(one.flags & Flag.TICK_LATE for one in got)
 
 
-def test_no_mean_is_made_across_the_dead_band() -> None:
+def test_readings_are_not_averaged_across_the_dead_band() -> None:
     assert mean([65_000, 64_900, 0, 700]) == 700
     assert mean([64_900, 0, 0]) == 0
     assert mean([65_472, 500]) == 500
@@ -138,7 +138,7 @@ def test_the_variance_is_bounded_and_that_of_one_reading_is_0() -> None:
     assert statistics([7]) == (7 * 256, 0, 7, 7)
 
 
-def test_cal_under_way_is_lost_by_a_reset() -> None:
+def test_a_reset_discards_an_unfinished_cal() -> None:
     host = Host()
     host.put(Cal, channel=0, zero=0, n=300)
     host.wait(2 * MS)

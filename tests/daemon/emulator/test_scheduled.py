@@ -117,7 +117,7 @@ def test_a_step_of_more_than_slew_trips(frames: list[tuple[int, list[int]]], tri
     ("k0", "u", "trips"),
     [(5, [50], False), (5, [51], True), (4, [60, 50], False), (4, [60, 51], True)],
 )
-def test_after_an_underrun_the_slew_counts_from_what_the_motor_has(
+def test_after_an_underrun_the_slew_counts_from_the_voltage_of_the_motor(
     k0: int, u: list[int], trips: bool
 ) -> None:
     host = in_state(State.ARMED, INSTANT, slew=50)
@@ -247,7 +247,9 @@ def test_a_sample_during_a_busy_converter_is_late_and_the_next_is_not() -> None:
         (Underrun.HOLD, 0, [5, 6, 2, 2, 2, 2]),
     ],
 )
-def test_a_dry_queue_follows_its_policy(policy: int, hold: int, latched: list[int]) -> None:
+def test_an_empty_queue_follows_the_underrun_policy(
+    policy: int, hold: int, latched: list[int]
+) -> None:
     host = in_state(State.ARMED, u_rest=2, underrun=policy, hold=hold)
     host.supply(0, [5, 6])
     seq = host.seq
@@ -308,7 +310,7 @@ def test_a_sample_under_way_when_the_run_ends_reports_its_end() -> None:
         assert [c.volts for c in host.changes] == [0.0]
 
 
-def test_a_sample_of_the_run_takes_no_place_of_a_later_exchange() -> None:
+def test_a_scheduled_sample_does_not_use_up_the_place_of_a_later_exchange() -> None:
     host = in_state(State.ARMED, INSTANT)
     until(host, host.put(Start, k_stop=0) + TS_NS + HOLD_NS)
 
@@ -322,7 +324,7 @@ def test_a_sample_of_the_run_takes_no_place_of_a_later_exchange() -> None:
 # ------------------------------------------------------------------ guards
 
 
-def test_turns_and_rails_are_not_counted_from_the_run_before() -> None:
+def test_the_counts_of_turns_and_rails_start_at_0_in_each_run() -> None:
     host = Host()
     for _ in range(3):
         host.reach(State.ARMED, **{**SCHEDULED, "turns": 25, "ts_us": 3000})
@@ -347,7 +349,7 @@ FRAMES = st.lists(
 
 @settings(max_examples=40)
 @given(FRAMES, st.sampled_from(list(Underrun)), st.integers(0, 5), st.randoms())
-def test_whatever_happens_to_the_frames_each_u_k_is_its_own_or_flagged(
+def test_each_u_k_is_correct_or_flagged_under_any_fault_of_the_frames(
     frames: list[tuple[str, int, int]], policy: int, hold: int, rng: object
 ) -> None:
     host = in_state(State.ARMED, u_max=60_000, underrun=policy, hold=hold)

@@ -21,7 +21,7 @@ def refusal(tmp_path: Path, text: str) -> str:
     return str(caught.value)
 
 
-def test_an_empty_table_is_the_demo(tmp_path: Path) -> None:
+def test_an_empty_table_gives_the_settings_of_the_demo(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text("[rig]\nname = 'x'\n")
 
@@ -68,7 +68,7 @@ def test_a_value_that_is_not_allowed_is_refused(tmp_path: Path, text: str, refus
     assert refused in said
 
 
-def test_a_file_that_is_no_toml_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_toml_is_refused(tmp_path: Path) -> None:
     assert "rig.toml: " in refusal(tmp_path, "[emulator\n")
     with pytest.raises(InputError, match=r"absent\.toml"):
         load(tmp_path / "absent.toml")

@@ -32,7 +32,7 @@ def alive(host: Host, until_ns: int) -> list[Message]:
 
 
 @pytest.mark.parametrize("state", [State.ARMED, State.RUN])
-def test_a_supply_that_falls_stops_the_motor_where_it_may_turn(state: State) -> None:
+def test_a_falling_supply_stops_the_motor_in_states_that_may_drive_it(state: State) -> None:
     """The measurement is repeated every 100 ms: FAULT(VCC_LOW), with the mV as detail."""
     host = Host(SAGS).reach(state)
     if state is State.RUN:
@@ -47,7 +47,7 @@ def test_a_supply_that_falls_stops_the_motor_where_it_may_turn(state: State) -> 
     assert host.device.board.volts == 0.0
 
 
-def test_4_v_are_enough() -> None:
+def test_a_supply_of_4_v_is_sufficient() -> None:
     """The limit is 4000 mV."""
     host = Host(replace(QUIET, supply_v=4.0)).reach(State.RUN)
 
@@ -55,7 +55,7 @@ def test_4_v_are_enough() -> None:
     assert not only(Sample, host.ask(Exchange, k=1, u=0)).flags & Flag.VCC_LOW
 
 
-def test_a_measurement_waits_for_the_converter_and_no_sample_for_it() -> None:
+def test_a_supply_measurement_delays_no_sample() -> None:
     host = Host(SAGS).reach(State.RUN)
     alive(host, 405 * MS - 300 * US)
 
@@ -68,7 +68,7 @@ def test_a_measurement_waits_for_the_converter_and_no_sample_for_it() -> None:
     assert event.t_us > 405_000
 
 
-def test_a_supply_that_comes_back_clears_the_flag_and_not_the_fault() -> None:
+def test_a_restored_supply_clears_the_flag_but_not_the_fault() -> None:
     host = Host(SAGS).reach(State.RUN)
     alive(host, 410 * MS)
     assert host.device.state is State.FAULT
@@ -82,7 +82,7 @@ def test_a_supply_that_comes_back_clears_the_flag_and_not_the_fault() -> None:
 
 
 @pytest.mark.parametrize("state", [State.IDLE, State.READY])
-def test_a_low_supply_at_rest_is_reported_and_is_no_fault(state: State) -> None:
+def test_a_low_supply_at_rest_is_reported_without_a_fault(state: State) -> None:
     host = Host(LOW).reach(state)
 
     assert only(Sample, host.ask(Exchange, k=2, u=0)).flags & Flag.VCC_LOW

@@ -77,7 +77,7 @@ class Device:
 
 
 @pytest.mark.parametrize("answered", [1, 3])
-def test_estop_is_sent_three_times_and_needs_one_answer(
+def test_estop_is_sent_three_times_and_requires_one_answer(
     line: tuple[int, str], answered: int
 ) -> None:
     """The first two may be lost."""
@@ -87,7 +87,9 @@ def test_estop_is_sent_three_times_and_needs_one_answer(
     assert device.heard == [Estop(0, 0), Estop(0, 1), Estop(0, 2)]
 
 
-def test_half_a_frame_of_a_killed_daemon_costs_no_estop(line: tuple[int, str]) -> None:
+def test_an_incomplete_frame_of_a_killed_daemon_does_not_spoil_an_estop(
+    line: tuple[int, str],
+) -> None:
     with Device(line[0], answered=2, pending=encode(Estop(0, 9))[:4]) as device:
         assert _patient(line)
 
@@ -105,7 +107,7 @@ def test_estop_gives_up_without_an_answer(line: tuple[int, str]) -> None:
     assert time.monotonic() - before >= WITHIN_S
 
 
-def test_a_device_that_has_booted_meanwhile_gets_estop_again(line: tuple[int, str]) -> None:
+def test_estop_is_sent_again_to_a_device_that_has_restarted(line: tuple[int, str]) -> None:
     """Opening the port reset the device, and it discarded what came before it was ready."""
     with Device(line[0], answered=4, boots=True) as device:
         assert _patient(line)
@@ -113,7 +115,7 @@ def test_a_device_that_has_booted_meanwhile_gets_estop_again(line: tuple[int, st
     assert len(device.heard) == 6
 
 
-def test_an_answer_of_another_state_is_none(line: tuple[int, str]) -> None:
+def test_an_answer_with_another_state_does_not_confirm_the_estop(line: tuple[int, str]) -> None:
     with Device(line[0], answered=0):
         os.write(line[0], b"\0" + encode(Ack(DeviceState.RUN, 0, TYPES[Estop], Code.OK, 0)))
 
@@ -142,7 +144,7 @@ def test_estop_waits_for_a_dying_daemon(line: tuple[int, str]) -> None:
         assert _patient(line)
 
 
-def test_a_port_that_is_not_there_is_said() -> None:
+def test_a_missing_port_is_reported() -> None:
     with pytest.raises(NoPortError, match="it is not there"):
         estop("/dev/no-such-port", BAUD)
 
@@ -158,11 +160,13 @@ def test_a_port_that_is_not_there_is_said() -> None:
         ({"SERVICE_RESULT": "watchdog", "EXIT_CODE": "dumped", "EXIT_STATUS": "ABRT"}, True),
     ],
 )
-def test_result_of_the_service_decides_on_estop(environ: dict[str, str], failed: bool) -> None:
+def test_the_exit_result_of_the_service_decides_on_the_estop(
+    environ: dict[str, str], failed: bool
+) -> None:
     assert _has_failed(environ) is failed
 
 
-def test_a_port_that_stays_in_use_is_given_up_after_a_fifth_of_a_second(
+def test_estop_gives_up_on_a_port_in_use_after_a_fifth_of_a_second(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The whole command takes less than a second, as its help says."""

@@ -40,7 +40,7 @@ from armrig_daemon.loop import realtime
         ),
     ],
 )
-def test_each_refusal_is_told_apart(
+def test_each_refused_scheduling_privilege_is_reported_by_its_name(
     asked: int,
     cpu: int | None,
     fifo: int,

@@ -63,7 +63,7 @@ def test_busy_line_does_not_delay_orders() -> None:
     assert 0 < stopping_ns[0] - ordered_ns < MS
 
 
-def test_a_change_of_the_period_is_no_error_of_the_device() -> None:
+def test_a_change_of_the_period_is_not_counted_as_an_error_of_the_device() -> None:
     bench = Bench()
     bench.run_for(700)
 

@@ -14,7 +14,7 @@ def _sample(k: int, t_device_us: int) -> Sample:
     return Sample(*(0 for _ in SAMPLE_FIELDS))._replace(k=k, t_device_us=t_device_us)
 
 
-def test_a_second_is_reported_once_it_is_over_and_the_next_begins_with_nothing() -> None:
+def test_statistics_are_reported_after_each_second_and_start_again_at_0() -> None:
     meter = Meter(BEGAN)
     meter.woke(30 * US, 2, 10 * US)
     meter.came_back(20 * US)
@@ -47,5 +47,5 @@ def test_the_device_s_error_is_its_distance_from_the_period() -> None:
     assert (told.device_tick_error_us.n, told.device_tick_error_us.max) == (4, 10.0)
 
 
-def test_a_clock_that_was_never_compared_is_not_reported() -> None:
+def test_a_clock_without_a_comparison_is_not_reported() -> None:
     assert clock_record(start(Link()), BEGAN) is None

@@ -82,7 +82,7 @@ def _read(fd: int, size: int) -> bytes:
     return data
 
 
-def test_a_record_that_nobody_takes_does_not_hide_the_end_of_the_service(
+def test_an_undeliverable_record_does_not_hide_the_end_of_the_service(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     os.close(pipes.pop("records_out"))
@@ -112,7 +112,7 @@ def test_large_input_is_returned_in_pieces_without_waiting(
     assert max(map(len, come)) <= READ
 
 
-def test_a_line_that_is_cut_is_read_to_its_end_and_then_said_to_be_gone(
+def test_a_disconnected_line_is_read_to_its_end_before_the_loss_is_reported(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     tty.setraw(pipes["slave"])
@@ -126,7 +126,7 @@ def test_a_line_that_is_cut_is_read_to_its_end_and_then_said_to_be_gone(
     assert len([event for event in events if isinstance(event, LinkDown)]) == 1
 
 
-def test_a_line_that_hung_up_is_read_on_though_it_is_reported_once(
+def test_a_hung_up_line_is_read_to_its_end_after_a_single_report(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     tty.setraw(pipes["slave"])
@@ -143,7 +143,7 @@ def test_a_line_that_hung_up_is_read_on_though_it_is_reported_once(
     assert [type(event) for event in ports.wait(0)] == [LinkDown]
 
 
-def test_an_order_and_an_answer_that_came_together_are_both_taken(
+def test_an_order_and_an_answer_that_arrive_together_are_both_processed(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     tty.setraw(pipes["slave"])
@@ -172,9 +172,7 @@ def test_a_record_without_room_is_not_reported_as_written(
     assert ports.put(b"there is room again")
 
 
-def test_a_loop_that_fails_says_estop_three_times(
-    ports: ProcessPorts, pipes: dict[str, int]
-) -> None:
+def test_a_failing_loop_sends_estop_three_times(ports: ProcessPorts, pipes: dict[str, int]) -> None:
     half = b"half a fra"
     os.write(pipes["slave"], half)
 
@@ -237,7 +235,7 @@ def test_tidy_collects_and_freezes_the_objects_of_a_run(ports: ProcessPorts) -> 
     assert newly_frozen >= len(kept)
 
 
-def test_what_a_run_left_in_a_circle_is_let_go(ports: ProcessPorts) -> None:
+def test_reference_cycles_of_a_run_are_collected(ports: ProcessPorts) -> None:
     left = _Circle()
     gone = weakref.ref(left)
     del left
@@ -247,7 +245,7 @@ def test_what_a_run_left_in_a_circle_is_let_go(ports: ProcessPorts) -> None:
     assert gone() is None
 
 
-def test_nothing_spins_before_the_priority_is_granted(ports: ProcessPorts) -> None:
+def test_the_loop_does_not_spin_before_its_priority_is_granted(ports: ProcessPorts) -> None:
     """Without the priority a spin takes the processor from the program that it waits for."""
     assert ports.spin_ns == 0
 
@@ -309,7 +307,7 @@ def _main(pipes: dict[str, int]) -> int:
 
 
 @pytest.mark.parametrize(("timer_ms", "warns"), [(None, 0), (1, 0), (2, 1), (16, 1)])
-def test_an_adapter_that_holds_bytes_back_is_reported(
+def test_an_adapter_that_delays_bytes_is_reported(
     pipes: dict[str, int],
     program: _Ports,
     timer_ms: int | None,
@@ -340,7 +338,7 @@ def test_the_loop_spins_if_it_has_its_priority(
     assert (asked, program.done) == ([(7, 1)], [Host(granted=granted)])
 
 
-def test_a_program_without_a_usable_port_says_why_and_has_a_code_of_its_own(
+def test_a_program_without_a_usable_port_reports_the_reason_and_its_exit_code(
     pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def taken(*_: object) -> None:

@@ -103,17 +103,19 @@ def test_a_missing_access_key_is_reported(
         ("7447", r"must be tls/HOST:PORT"),
     ],
 )
-def test_an_endpoint_without_encryption_is_for_this_machine_alone(listen: str, says: str) -> None:
+def test_an_endpoint_without_encryption_is_refused_beyond_this_machine(
+    listen: str, says: str
+) -> None:
     with pytest.raises(InputError, match=says):
         load([], {"ARMRIG_ACCESS_LISTEN": listen}, {})
 
 
 @pytest.mark.parametrize("listen", ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tls/[::]:7447"])
-def test_endpoints_of_this_machine_and_encrypted_ones_are_taken(listen: str) -> None:
+def test_local_and_encrypted_endpoints_are_accepted(listen: str) -> None:
     assert load([], {"ARMRIG_ACCESS_LISTEN": listen}, {}).access.listen == listen
 
 
-def test_files_are_looked_for_in_the_folder_of_the_configuration(
+def test_credential_paths_are_relative_to_the_folder_of_the_configuration(
     files: dict[str, str], tmp_path: Path
 ) -> None:
     path = tmp_path / "armrig.toml"
@@ -134,7 +136,9 @@ def test_a_file_that_cannot_be_used_is_refused(
         _network(listen=listen, **_chosen(files, *(keys or ["certificate", "names"])))
 
 
-def test_a_client_s_certificate_does_not_serve(files: dict[str, str], tmp_path: Path) -> None:
+def test_a_client_certificate_is_refused_for_the_daemon(
+    files: dict[str, str], tmp_path: Path
+) -> None:
     files["certificate"] = str(tmp_path / "alice.pem")
 
     with pytest.raises(InputError, match="has another purpose; `armrig pki rig` makes"):
@@ -150,7 +154,7 @@ def test_a_password_file_readable_by_others_is_refused(files: dict[str, str]) ->
     assert "horse" not in str(caught.value)
 
 
-def test_what_is_not_allowed_is_denied() -> None:
+def test_the_access_list_denies_every_request_that_it_does_not_allow() -> None:
     people = AccessList(operators=("alice",), observers=("bob",), revoked=("eve",))
 
     control = remote("1", people, "cert_common_names")

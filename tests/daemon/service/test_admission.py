@@ -53,7 +53,7 @@ def test_commands_without_a_lease_are_admitted(name: str) -> None:
     assert refusal(name, b"{}", LEASE.encode()) is None
 
 
-def test_a_calibration_is_as_long_as_its_samples_may_be() -> None:
+def test_the_size_limit_of_a_calibration_includes_its_samples() -> None:
     """R1: 1 MiB of them in base64, and 64 KiB for the rest."""
     longest = msgspec.json.encode(bytes(RAW_LIMIT))[2:] + bytes(1 << 16)
 

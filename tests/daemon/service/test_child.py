@@ -81,14 +81,14 @@ def _frames_of(master: int, least: int) -> list[Received]:
     return frames
 
 
-def test_a_signal_to_the_loop_alone_ends_it_in_good_order(child: LoopChild) -> None:
+def test_a_signal_to_the_loop_ends_it_in_good_order(child: LoopChild) -> None:
     child._process.send_signal(signal.SIGHUP)
 
     _has_ended(child)
     assert child._process.wait(WITHIN_S) == 0
 
 
-def test_a_loop_that_fails_says_estop_three_times_and_dies(
+def test_a_failing_loop_sends_estop_three_times_and_dies(
     child: LoopChild, device: tuple[int, str]
 ) -> None:
     master, _ = device
@@ -110,7 +110,7 @@ def test_both_pipes_of_the_loop_are_nonblocking(child: LoopChild) -> None:
         assert int(told.split("flags:")[1].split()[0], 8) & os.O_NONBLOCK
 
 
-def test_a_loop_that_does_not_end_is_killed(
+def test_an_unresponsive_loop_is_killed(
     device: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(child_module, "EXIT_S", 0.01)

@@ -36,7 +36,7 @@ with emulated_rig.emulated(Config(), Path(sys.argv[1])):
 """
 
 
-def test_an_emulator_does_not_outlive_a_daemon_that_dies_while_it_loads(tmp_path: Path) -> None:
+def test_an_emulator_ends_with_a_daemon_that_dies_during_the_start(tmp_path: Path) -> None:
     paths = os.pathsep.join(path for path in sys.path if path)
 
     # It has the same standard output: this is at its end once both have ended.

@@ -86,7 +86,9 @@ def _check(topics: dict[str, int], samples: dict[str, Any], path: Path) -> None:
     assert samples["u"] == pytest.approx(ours.samples["u_applied_v"].sum(), rel=1e-12)
 
 
-def test_mcap_for_python_with_its_protobuf_support_reads_it(files: dict[str, Path]) -> None:
+def test_mcap_for_python_reads_a_recording_with_its_protobuf_support(
+    files: dict[str, Path],
+) -> None:
     """mcap-protobuf-support, from the schemas in the file alone."""
     for name, path in files.items():
         topics: Counter[str] = Counter()
@@ -110,7 +112,7 @@ def test_mcap_for_python_with_its_protobuf_support_reads_it(files: dict[str, Pat
         assert attachments == _attachments(name)
 
 
-def test_mcap_for_javascript_reads_it(files: dict[str, Path]) -> None:
+def test_mcap_for_javascript_reads_a_recording(files: dict[str, Path]) -> None:
     """@mcap/core, by the index, and from front to back."""
     require("node")
     if not (NODE / "node_modules/@mcap/core").is_dir():

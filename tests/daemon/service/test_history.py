@@ -24,7 +24,7 @@ def asked(history: History, first: int) -> tuple[int, list[bytes]]:
 
 
 @pytest.mark.parametrize("most_bytes", [90, 100, 119])
-def test_no_more_is_kept_than_allowed(most_bytes: int) -> None:
+def test_the_history_keeps_a_bounded_number_of_messages(most_bytes: int) -> None:
     history = History(LIFE, most_bytes=most_bytes)
     for k in range(50):
         history.add("gap", bytes([k]) * 30)

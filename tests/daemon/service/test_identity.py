@@ -22,7 +22,7 @@ from armrig_daemon.service.identity import signed
         ("anna" + " " * 100, "", "anna"),
     ],
 )
-def test_a_client_is_named_with_what_was_checked(said: str, by: str, told: str) -> None:
+def test_the_name_of_a_client_includes_its_verified_identity(said: str, by: str, told: str) -> None:
     assert signed(said, by) == told
 
 
@@ -35,7 +35,7 @@ class _Unread(str):
         pytest.fail("all of the name is read")
 
 
-def test_a_long_client_name_is_read_only_at_its_beginning() -> None:
+def test_a_long_client_name_is_truncated() -> None:
     """8 MB of unprintable characters delayed the service, and a stop, for half a second."""
     assert signed(_Unread(" " + "\x01" * 1000), "user bob") == "\\x01" * 20 + " (user bob)"
 

@@ -42,7 +42,7 @@ def _lines(path: Path) -> Iterator[str]:
     yield f"  u {show(np.round(recording.u[::45], 4).tolist())}"
 
 
-def test_recordings_of_an_odd_rig_are_those_stored(tmp_path: Path) -> None:
+def test_recordings_of_an_unusual_rig_equal_the_stored_recordings(tmp_path: Path) -> None:
     rig = VirtualService(msgspec.structs.replace(CONFIG), tmp_path, seed=2_000_000_000)
     runs: list[dict[str, Any]] = [
         {"u": RAMP, "experiment": "ramp", "details": {"a": [1, {"b": None}]}},
@@ -65,5 +65,5 @@ def test_recordings_of_an_odd_rig_are_those_stored(tmp_path: Path) -> None:
     compare(Path(__file__).with_name("odd_runs.txt"), f"{text}\n")
 
 
-def test_sentences_of_the_service_are_those_stored(tmp_path: Path) -> None:
+def test_sentences_of_the_service_equal_the_stored_sentences(tmp_path: Path) -> None:
     assert_said(Path(__file__).with_name("said.txt"), tmp_path)

@@ -21,7 +21,7 @@ def loop() -> Iterator[LoopEnds]:
     loop.close()
 
 
-def test_orders_that_find_no_room_wait_and_come_whole_and_in_order(loop: LoopEnds) -> None:
+def test_orders_wait_for_room_in_the_pipe_and_arrive_whole_and_in_order(loop: LoopEnds) -> None:
     assert not os.get_blocking(loop.child.orders_fd)
 
     loop.child.order(RUN)
@@ -35,7 +35,7 @@ def test_orders_that_find_no_room_wait_and_come_whole_and_in_order(loop: LoopEnd
     assert taken + loop.orders() == [RUN, Alive()]
 
 
-def test_orders_to_a_loop_that_is_gone_wait_for_nothing(loop: LoopEnds) -> None:
+def test_orders_to_a_dead_loop_are_discarded(loop: LoopEnds) -> None:
     loop.read_no_more()
 
     loop.child.order(RUN)

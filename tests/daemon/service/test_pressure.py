@@ -20,7 +20,7 @@ def _written(path: Path, total_us: int) -> Path:
     return path
 
 
-def test_the_share_is_that_of_the_time_since_the_last_look(
+def test_the_stalled_share_refers_to_the_time_since_the_last_reading(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """0.25 s stalled in 1 s are 25 %, and 0.3 s in the next 0.5 s are 60 %."""
@@ -41,7 +41,7 @@ def test_the_share_is_that_of_the_time_since_the_last_look(
 
 
 @pytest.mark.parametrize("text", ["", "some avg10=0.00\n", None])
-def test_a_kernel_without_pressure_information_is_no_error(
+def test_a_kernel_without_pressure_information_is_not_an_error(
     tmp_path: Path, text: str | None
 ) -> None:
     path = tmp_path / "cpu"
@@ -51,7 +51,7 @@ def test_a_kernel_without_pressure_information_is_no_error(
     assert isnan(pressure.Pressure(path).read()[0])
 
 
-def test_a_host_that_woke_late_may_be_armed_a_second_later() -> None:
+def test_a_late_host_is_refused_with_a_temporary_code() -> None:
     timing = _timing(replace(QUIET, p99=264e3, p999=264e3, max=264e3, missed=26))
 
     refusal = pressure.untimely(timing, 250, "load 3 on 2 processors")
@@ -74,7 +74,7 @@ def test_a_host_that_woke_late_may_be_armed_a_second_later() -> None:
         (None, ""),
     ],
 )
-def test_the_load_is_reported_in_words(
+def test_the_load_is_reported_in_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | None, share: str
 ) -> None:
     path = tmp_path / "cpu"
@@ -86,9 +86,7 @@ def test_the_load_is_reported_in_words(
     assert pressure.load(path) == f"load 3.4 on {n} processor{'s' * (n > 1)}{share}"
 
 
-def test_a_load_that_is_not_reported_is_no_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unknown_load_is_not_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def untold() -> tuple[float, float, float]:
         raise OSError
 

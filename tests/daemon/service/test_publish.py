@@ -183,7 +183,7 @@ def unfilled(monkeypatch: pytest.MonkeyPatch) -> None:
         ("history", "history"),
     ],
 )
-def test_a_flood_is_answered_up_to_a_bound(
+def test_a_flood_of_queries_is_answered_up_to_a_bound(
     session: Session, where: str, key: str, name: str
 ) -> None:
     with _answering(session) as let_in, _connected(where) as stranger:
@@ -210,7 +210,9 @@ def test_unknown_commands_share_one_rate_limit(session: Session, where: str) -> 
 
 
 @pytest.mark.usefixtures("unfilled")
-def test_a_flood_holds_up_no_stop_and_nothing_of_the_holder_s(session: Session, where: str) -> None:
+def test_a_flood_delays_neither_a_stop_nor_a_command_of_the_holder(
+    session: Session, where: str
+) -> None:
     session.lease = LEASE.encode()
     ended = threading.Event()
     with (

@@ -23,7 +23,7 @@ def _objection(readings: Readings) -> str:
     return found.error
 
 
-def test_a_rig_of_which_nothing_was_read_yet_is_not_armed() -> None:
+def test_a_rig_without_a_reading_is_not_armed() -> None:
     assert _objection(Readings()) == "no sample has come from the rig yet: try again"
     assert _objection(updated(Readings(), _sample(0))) == ""
 
@@ -51,14 +51,14 @@ def test_alpha_at_the_end_of_its_range_for_0_2_s_prevents_arming(t_ms: float, na
 
 
 @pytest.mark.parametrize(("turn", "named"), [(0.9999, False), (1.0, True)])
-def test_theta_1_is_named_stuck_after_one_driven_turn(turn: float, named: bool) -> None:
+def test_theta_1_is_reported_stuck_after_one_driven_turn(turn: float, named: bool) -> None:
     driven = Readings(newest=_sample(0), volt_s=turn)
 
     assert bool(objection(driven, turns_per_volt_s=1.0, alpha_is_read=True)) == named
 
 
 @pytest.mark.parametrize(("counts", "moved"), [(256, False), (257, True), (-256, False)])
-def test_readings_within_256_counts_are_one_place(counts: int, moved: bool) -> None:
+def test_readings_within_256_counts_count_as_no_motion(counts: int, moved: bool) -> None:
     before = updated(updated(Readings(), _sample(0, u=3.0)), _sample(10, u=3.0))
 
     after = updated(before, _sample(20, y0=20_000 + counts))

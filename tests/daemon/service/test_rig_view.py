@@ -76,7 +76,7 @@ def test_timing_is_published_with_the_cpu_pressure(rig: RigView) -> None:
 
 
 @pytest.mark.parametrize("is_measured", [True, False])
-def test_a_status_says_what_is_configured(tmp_path: Path, is_measured: bool) -> None:
+def test_a_status_contains_the_configured_values(tmp_path: Path, is_measured: bool) -> None:
     """The path of the configured calibration stays while another calibration is in force."""
     made = Made(
         date="2026-11-20", rig="lab-2", device_uid="17", armrig="0.2.0", file="/etc/armrig/c.toml"

@@ -81,7 +81,7 @@ def _missing_in_file(path: Path) -> int:
     return outcome_of(metadata[OUTCOME]).missing
 
 
-def test_only_the_samples_of_the_run_belong_into_its_recording(runs: Runs) -> None:
+def test_a_recording_contains_only_the_samples_of_its_run(runs: Runs) -> None:
     assert not runs.includes_sample(FIRST)
 
     _begin(runs)
@@ -116,7 +116,7 @@ def test_only_samples_of_the_run_count_as_missing_in_a_gap(
     assert _missing_in_file(path) == missing
 
 
-def test_a_run_that_is_over_waits_for_no_client(runs: Runs) -> None:
+def test_a_completed_run_does_not_watch_its_client(runs: Runs) -> None:
     _begin(runs)
     assert runs.client_gone_s < inf
 
@@ -126,7 +126,7 @@ def test_a_run_that_is_over_waits_for_no_client(runs: Runs) -> None:
     runs.finished(30)
 
 
-def test_a_client_is_reported_gone_once(runs: Runs) -> None:
+def test_the_loss_of_a_client_is_reported_once(runs: Runs) -> None:
     _begin(runs)
 
     assert runs.client_gone() == (
@@ -138,7 +138,7 @@ def test_a_client_is_reported_gone_once(runs: Runs) -> None:
     _ended(runs)
 
 
-def test_only_the_run_that_was_refused_is_forgotten(runs: Runs) -> None:
+def test_a_refusal_removes_only_the_refused_run(runs: Runs) -> None:
     order, _ = runs.plan(REQUEST, 0.01)
 
     runs.forget("another")
@@ -225,7 +225,7 @@ def test_a_run_is_reported_as_finished_once_its_recording_is_complete(runs: Runs
 
 
 @pytest.mark.parametrize("stops", [True, False])
-def test_what_a_full_disk_does_to_the_run_is_configured(
+def test_a_full_disk_stops_the_run_only_if_configured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, stops: bool
 ) -> None:
     why = "No space left on device"
@@ -258,7 +258,7 @@ def test_what_a_full_disk_does_to_the_run_is_configured(
 
 
 @pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
-def test_the_manifest_says_whose_run_it_is_and_how_it_is_played(
+def test_the_manifest_contains_the_owner_and_the_mode_of_the_run(
     tmp_path: Path, pacing: Literal["scheduled", "exchange"]
 ) -> None:
     now = datetime(2026, 11, 20, 8, 59, 7, 250_000, timezone(timedelta(hours=1)))

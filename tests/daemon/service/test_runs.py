@@ -42,7 +42,7 @@ def test_an_input_outside_a_limit_is_refused_and_nothing_is_planned(
     assert runs.last is None
 
 
-def test_the_answer_carries_the_rehearsal_on_the_configured_rig(tmp_path: Path) -> None:
+def test_the_reply_contains_the_rehearsal_on_the_configured_rig(tmp_path: Path) -> None:
     arm = ArmSettings(J_2=0.01)
 
     _, answer = _runs(tmp_path, Config(arm=arm)).plan(REQUEST, 0.02, theta_1_rad=1.0)
@@ -52,7 +52,7 @@ def test_the_answer_carries_the_rehearsal_on_the_configured_rig(tmp_path: Path) 
     assert expected != rehearse(REQUEST.u, 0.02, theta_1_rad=1.0)
 
 
-def test_a_rig_without_its_arm_deflects_nothing(tmp_path: Path) -> None:
+def test_a_rig_without_its_arm_has_no_predicted_deflection(tmp_path: Path) -> None:
     config = Config(arm=ArmSettings(removed=True), limits=Limits(alpha_rad=0.001))
 
     _, answer = _runs(tmp_path, config).plan(REQUEST, 0.01)
@@ -95,7 +95,7 @@ def test_the_state_of_the_current_recording_is_reported(
 
 
 @pytest.mark.parametrize(("synced", "has_lost"), [(9, False), (4, True)])
-def test_a_recording_that_lost_samples_is_remembered(
+def test_the_state_counts_recordings_that_lost_samples(
     synced: int, has_lost: bool, tmp_path: Path
 ) -> None:
     """The exit code of the daemon reports it; a disk is looked at without a report of its own."""

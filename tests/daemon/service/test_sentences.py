@@ -36,7 +36,7 @@ def test_a_line_for_the_journal_begins_with_its_priority(level: str, prefix: str
     assert journal_prefix(level, stderr, f"{stderr.st_dev}:{stderr.st_ino}") == prefix
 
 
-def test_a_line_that_the_journal_does_not_read_has_no_priority() -> None:
+def test_a_line_outside_the_journal_has_no_priority() -> None:
     stderr = os.fstat(2)
 
     assert journal_prefix("error", stderr, f"{stderr.st_dev}:{stderr.st_ino + 1}") is None
@@ -78,7 +78,7 @@ def journal(
         yield listening, path
 
 
-def test_the_journal_gets_the_subject_of_a_line(
+def test_a_journal_entry_contains_the_subject_of_its_line(
     capfd: pytest.CaptureFixture[str],
     journal: tuple[socket.socket, Path],
     monkeypatch: pytest.MonkeyPatch,
@@ -99,7 +99,7 @@ def test_the_journal_gets_the_subject_of_a_line(
     assert capfd.readouterr().err == ""
 
 
-def test_no_client_writes_a_field_into_the_journal(
+def test_a_client_cannot_forge_a_field_of_the_journal(
     journal: tuple[socket.socket, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _connect_stderr_to_journal(monkeypatch)
@@ -114,7 +114,7 @@ def test_a_journal_entry_keeps_line_breaks_of_a_message() -> None:
     assert _fields(journal_entry("error", "a\nMESSAGE=b\n", {}))["MESSAGE"] == "a\nMESSAGE=b\n"
 
 
-def test_a_journal_that_takes_nothing_is_not_waited_for(
+def test_a_full_or_missing_journal_does_not_block_the_service(
     capfd: pytest.CaptureFixture[str],
     journal: tuple[socket.socket, Path],
     monkeypatch: pytest.MonkeyPatch,

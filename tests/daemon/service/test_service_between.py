@@ -149,7 +149,7 @@ def _sample(k: int) -> bytes:
     return encode_sample(Sample(k, k + 1, k + 1, k, 0.1, 0.2, 1.0, 1.0, 1, 2, 3))
 
 
-def test_the_loop_hears_from_the_service_while_a_run_is_planned(between: Between) -> None:
+def test_the_service_sends_keepalives_while_it_plans_a_run(between: Between) -> None:
     """Millions of samples take longer than a frozen service may be silent."""
     between.serve(RUN)
 
@@ -196,7 +196,7 @@ def test_samples_that_come_with_the_end_of_their_run_are_recorded(between: Betwe
     assert (level, text.partition(": ")[2]) == ("info", "complete, 3 samples, 0 missing")
 
 
-def test_a_lease_that_the_loop_has_ended_lets_nobody_in(between: Between) -> None:
+def test_a_lease_ended_by_the_loop_is_refused(between: Between) -> None:
     between.service._handle([msgspec.structs.replace(FREE, owner="a test")])
     assert between.service._session.lease == LEASE.encode()
 
@@ -204,7 +204,7 @@ def test_a_lease_that_the_loop_has_ended_lets_nobody_in(between: Between) -> Non
     assert between.service._session.lease == b""
 
 
-def test_a_command_beyond_the_queue_is_refused_at_once(between: Between) -> None:
+def test_a_command_that_exceeds_the_queue_is_refused_at_once(between: Between) -> None:
     """R1."""
     for _ in range(publish.MAX_WAITING):
         between.ask(RUN)
@@ -228,7 +228,7 @@ def test_a_recording_that_cannot_be_written_stops_its_run(between: Between) -> N
     between.service._runs.finished(30)
 
 
-def test_a_run_is_planned_as_the_newest_lease_was_granted(between: Between) -> None:
+def test_a_run_is_planned_with_the_sampling_time_of_the_newest_lease(between: Between) -> None:
     planned: list[float] = []
     _ready(between)
     between.service._runs.plan = lambda _, Ts, *__: planned.append(Ts)
@@ -243,7 +243,7 @@ def test_a_run_is_planned_as_the_newest_lease_was_granted(between: Between) -> N
     assert planned == [0.02]
 
 
-def test_a_number_that_the_loop_has_taken_is_old(between: Between) -> None:
+def test_a_command_number_already_accepted_by_the_loop_is_refused(between: Between) -> None:
     between.serve(Set(lease=LEASE, n=5, u=0.5))
     (order,) = between.loop.orders()
     between.service._handle([Answer(order=order.order, body={"done": True})])
@@ -253,7 +253,7 @@ def test_a_number_that_the_loop_has_taken_is_old(between: Between) -> None:
     assert _refusal(replies) == not_newer(5, 5)
 
 
-def test_more_signals_do_not_put_off_the_end_of_a_frozen_loop(between: Between) -> None:
+def test_a_repeated_signal_does_not_delay_the_kill_of_a_frozen_loop(between: Between) -> None:
     signal.raise_signal(signal.SIGTERM)
     between.service._woken()
     kill_at_s = between.service._kill_at
@@ -267,7 +267,7 @@ def test_more_signals_do_not_put_off_the_end_of_a_frozen_loop(between: Between) 
 @pytest.mark.parametrize(
     ("records", "within_s"), [([], 30.0), ([Host(granted={"refused": []})], 2.0)]
 )
-def test_a_loop_that_still_loads_has_more_time_to_end(
+def test_a_loop_that_is_still_starting_has_more_time_to_end(
     between: Between, records: list[Any], within_s: float
 ) -> None:
     """A loop that has loaded must end within 2 s."""
@@ -281,7 +281,7 @@ def test_a_loop_that_still_loads_has_more_time_to_end(
     assert began_s + within_s <= between.service._kill_at <= ended_s + within_s
 
 
-def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(between: Between) -> None:
+def test_a_queued_sign_of_life_is_read_before_its_client_counts_as_gone(between: Between) -> None:
     """Otherwise a busy service would stop the run of a client that is alive.
 
     The sign counts from its arrival, or a client that died meanwhile would count as alive.
@@ -322,7 +322,7 @@ def test_the_service_sends_alive_once_a_second(
     assert between.loop.orders() == [Alive()] * 5
 
 
-def test_a_full_table_of_open_files_is_an_error_in_the_log(
+def test_a_full_table_of_open_files_is_logged_as_an_error(
     between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
     between.service._files.look = lambda: ("error", "64 of 64 files are open")
@@ -343,7 +343,7 @@ def test_an_internal_error_refuses_the_command_and_is_logged(
     assert f"error: {told}" in capsys.readouterr().err
 
 
-def test_what_the_loop_was_not_granted_is_reported(
+def test_a_scheduling_privilege_denied_to_the_loop_is_reported(
     between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
     granted = {"fifo": False, "refused": ["SCHED_FIFO"]}
@@ -355,7 +355,7 @@ def test_what_the_loop_was_not_granted_is_reported(
     assert between.service._rig.status(None).host == granted
 
 
-def test_what_the_loop_reports_in_a_run_is_in_its_recording(between: Between) -> None:
+def test_the_recording_contains_every_report_of_the_loop_during_its_run(between: Between) -> None:
     between.begin_run()
 
     between.service._handle([_sample(0), *odd_records()])
@@ -366,7 +366,7 @@ def test_what_the_loop_reports_in_a_run_is_in_its_recording(between: Between) ->
     assert sorted(topics) == sorted(f"/rig/1/{stream}" for stream in streams)
 
 
-def test_a_recording_s_clock_is_set_when_it_begins(between: Between) -> None:
+def test_the_clock_offset_of_a_recording_is_measured_at_its_beginning(between: Between) -> None:
     between.service._offset_ns = 0
 
     between.begin_run()
@@ -376,7 +376,7 @@ def test_a_recording_s_clock_is_set_when_it_begins(between: Between) -> None:
     assert manifest_of(metadata[OF_RUN]).clock_offset_ns > 10**18
 
 
-def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: Between) -> None:
+def test_orders_are_forwarded_in_batches_from_a_bounded_queue(between: Between) -> None:
     """R1: between two lots the service looks at the loop; at most 64 orders wait."""
     for n in range(publish.MAX_WAITING):
         between.ask(Set(lease=LEASE, n=n, u=0.0))
@@ -405,7 +405,7 @@ def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: 
         (AskedReset(), Reset(order=1)),
     ],
 )
-def test_a_command_becomes_an_order_and_the_loop_answers_it(
+def test_a_command_is_forwarded_as_an_order_and_answered_by_the_loop(
     between: Between, request_: Any, order: Any
 ) -> None:
     replies = between.serve(request_)
@@ -439,7 +439,7 @@ def _calibrated(between: Between) -> Any:
     return replies
 
 
-def test_of_two_calibrations_the_second_is_in_force(between: Between, tmp_path: Path) -> None:
+def test_a_second_calibration_replaces_the_first(between: Between, tmp_path: Path) -> None:
     made = msgspec.structs.replace(
         MEASURED.made, date="2026-11-21", raw_sha256=hashlib.sha256(b"second").hexdigest()
     )
@@ -477,7 +477,7 @@ def test_a_calibration_that_the_core_refuses_is_not_in_force(between: Between) -
     assert between.service._rig.status(None) == before
 
 
-def test_a_calibration_that_is_taken_late_is_in_force_all_the_same(between: Between) -> None:
+def test_a_calibration_confirmed_after_the_timeout_is_in_force(between: Between) -> None:
     replies = _calibrated(between)
     between.commands.refuse_overdue(time.monotonic() + 3.1)
     assert b"the loop did not answer within" in next(iter(replies)).err.payload.to_bytes()
@@ -491,7 +491,7 @@ def test_a_calibration_that_is_taken_late_is_in_force_all_the_same(between: Betw
     assert len(between.loop.orders()) == 1
 
 
-def test_at_most_one_calibration_waits(between: Between) -> None:
+def test_at_most_one_calibration_is_pending(between: Between) -> None:
     """R1: each may have more than a megabyte."""
     between.ask(ASKED)
 
@@ -522,7 +522,7 @@ SILENT = msgspec.structs.replace(FREE, line="no answer; check the cable")
         (CONFIG, FREE, Run(lease=LEASE, n=1, u=[1.0, 4.1]), "u[1] steps by 3.1 V: at most 3 V in"),
     ],
 )
-def test_a_command_that_state_or_limits_forbid_is_refused_without_an_order(
+def test_a_command_forbidden_by_state_or_limits_is_refused_by_the_service(
     tmp_path: Path, config: Config, state: State, request_: Any, refusal: str
 ) -> None:
     with closing(Between(tmp_path, config)) as between:
@@ -535,7 +535,7 @@ def test_a_command_that_state_or_limits_forbid_is_refused_without_an_order(
         assert not [order for order in between.loop.orders() if order != Alive()]
 
 
-def test_slew_does_not_limit_a_voltage_held_by_hand(narrow: Between) -> None:
+def test_the_slew_limit_of_runs_does_not_apply_to_a_manual_voltage(narrow: Between) -> None:
     _ready(narrow)
     narrow.serve(Set(lease=LEASE, n=4, u=4.4))
     narrow.serve(Arm(owner="Ada", Ts=0.002))
@@ -547,7 +547,7 @@ def test_slew_does_not_limit_a_voltage_held_by_hand(narrow: Between) -> None:
     assert (taken.owner, taken.ts_us) == ("Ada", 2000)
 
 
-def test_a_note_is_in_the_recording_by_a_field_and_the_loop_never_hears_of_it(
+def test_a_note_is_recorded_as_a_field_and_not_sent_to_the_loop(
     between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """S5: each is written with its author and time, also if two have one text."""
@@ -574,7 +574,9 @@ def test_a_note_is_in_the_recording_by_a_field_and_the_loop_never_hears_of_it(
     assert others == [("armrigd", 0)]  # the recording's name
 
 
-def test_a_note_outside_a_run_is_answered_that_no_recording_has_it(between: Between) -> None:
+def test_the_reply_to_a_note_outside_a_run_reports_that_it_is_not_recorded(
+    between: Between,
+) -> None:
     replies = between.serve(Note(text="the belt was changed"))
 
     answer = next(iter(replies)).ok
@@ -585,7 +587,7 @@ def test_a_note_outside_a_run_is_answered_that_no_recording_has_it(between: Betw
     assert b"somebody on this machine" in past
 
 
-def test_a_flood_of_notes_leaves_twenty_and_two_a_second(
+def test_notes_are_limited_to_a_burst_of_twenty_and_two_per_second(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """R1: the others are refused for the moment."""
@@ -613,7 +615,7 @@ def _ready(between: Between) -> None:
     between.commands.note_lease(LEASE)
 
 
-def test_a_line_of_the_log_has_its_subject_and_what_is_for_developers_is_only_published(
+def test_a_log_line_has_its_subject_and_a_debug_line_is_only_published(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A field of the line itself has precedence over the current run, holder and rig."""
@@ -635,7 +637,7 @@ def test_a_line_of_the_log_has_its_subject_and_what_is_for_developers_is_only_pu
     _finished(between)
 
 
-def test_the_folder_is_looked_after_between_runs_alone(between: Between) -> None:
+def test_recovery_and_retention_pause_during_a_run(between: Between) -> None:
     told: list[str] = []
     between.service._left_over = SimpleNamespace(
         rest=lambda: told.append("rest"), go_on=lambda: told.append("go on"), lines=list
@@ -651,7 +653,7 @@ def test_the_folder_is_looked_after_between_runs_alone(between: Between) -> None
     assert told == ["go on", "rest", "go on"]
 
 
-def test_a_line_that_was_held_back_is_recorded_before_the_end_of_its_run(between: Between) -> None:
+def test_a_delayed_log_line_is_recorded_before_the_end_of_its_run(between: Between) -> None:
     run_id = between.begin_run()
     now_ns = time.monotonic_ns()
     lines = [Log(t_host_ns=now_ns, level="warning", message=f"late by {n} ms") for n in (1, 2)]
@@ -692,7 +694,7 @@ def _tried(between: Between, request: Any, by: str = "") -> _Asked:
     return asked
 
 
-def test_a_lease_is_of_no_use_to_another_client(between: Between) -> None:
+def test_a_lease_used_by_another_client_is_refused(between: Between) -> None:
     """Over a network, the lease alone does not make a client the holder."""
     _ready(between)
     arming = _tried(between, Arm(owner="Ada"), "certificate ada")
@@ -712,7 +714,7 @@ def test_a_lease_is_of_no_use_to_another_client(between: Between) -> None:
 
 
 @pytest.mark.parametrize("pending", [15, 16])
-def test_of_many_unanswered_orders_the_last_are_for_the_holder(
+def test_the_last_places_for_unanswered_orders_are_reserved_for_the_holder(
     between: Between, pending: int
 ) -> None:
     for n in range(pending):
@@ -725,7 +727,7 @@ def test_of_many_unanswered_orders_the_last_are_for_the_holder(
     assert len(between.loop.orders()) == 17
 
 
-def test_a_command_is_refused_once_its_three_seconds_are_over(between: Between) -> None:
+def test_a_command_is_refused_three_seconds_after_its_arrival(between: Between) -> None:
     before_s = time.monotonic()
     asked = _tried(between, Disarm(lease=LEASE, n=4))
     told = []
@@ -746,7 +748,7 @@ def test_a_command_is_refused_once_its_three_seconds_are_over(between: Between) 
         (Set(lease=LEASE, n=4, u=1.0), "", "", []),
     ],
 )
-def test_who_gave_a_command_is_in_the_log(
+def test_the_log_names_the_client_of_each_command(
     between: Between, request_: Any, by: str, line: str, fields: list[str]
 ) -> None:
     """A voltage that is held by hand may change many times a second."""
@@ -789,7 +791,7 @@ def test_a_stall_of_the_emulator_is_reported_and_its_end_is_not_waited_for(
     ]
 
 
-def test_systemd_hears_what_the_loop_reports(between: Between) -> None:
+def test_the_reports_of_the_loop_are_forwarded_to_systemd(between: Between) -> None:
     """A loop that hangs reports no timing: then systemd ends the service."""
     told: list[str] = []
     between.service._notifier = SimpleNamespace(
@@ -826,7 +828,7 @@ def test_the_state_is_published_each_second_with_the_time(between: Between) -> N
     assert (told.phase, again.phase) == ("safe", "safe")
 
 
-def test_a_loop_that_does_not_end_is_killed_once(
+def test_an_unresponsive_loop_is_killed_once(
     between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
     between.service._kill_at = time.monotonic() - 1
@@ -851,7 +853,7 @@ def _network(endpoint: str, **changes: Any) -> Network:
 
 
 @pytest.mark.parametrize("is_well", [True, False])
-def test_a_service_says_at_its_start_who_may_come_and_what_is_wrong(
+def test_the_service_logs_its_endpoints_clients_and_faults_at_its_start(
     narrow: Between, tmp_path: Path, is_well: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[tuple[str, str]] = []
@@ -886,7 +888,7 @@ def test_a_service_says_at_its_start_who_may_come_and_what_is_wrong(
     assert [text for _, text in said if text.endswith(f"end it with {by}")]
 
 
-def test_a_stop_comes_before_all_that_waits(between: Between) -> None:
+def test_a_stop_precedes_all_queued_commands(between: Between) -> None:
     """The others keep their order: the holder's orders, then those of everybody."""
     for request in (
         AskedReset(),
@@ -902,7 +904,7 @@ def test_a_stop_comes_before_all_that_waits(between: Between) -> None:
     assert kinds == [pipe.Stop, pipe.Set, pipe.Disarm, Reset]
 
 
-def test_the_network_is_guarded_by_whether_somebody_has_the_rig(between: Between) -> None:
+def test_the_network_guard_depends_on_whether_the_rig_is_held(between: Between) -> None:
     busy: list[bool] = []
     between.service._guard = SimpleNamespace(look=lambda _, is_busy: busy.append(is_busy))
 
@@ -913,7 +915,7 @@ def test_the_network_is_guarded_by_whether_somebody_has_the_rig(between: Between
     assert busy == [False, True]
 
 
-def test_what_other_threads_report_is_in_the_log_with_its_level(between: Between) -> None:
+def test_a_report_of_another_thread_is_logged_with_its_level(between: Between) -> None:
     run_id = between.begin_run()
     lines = [("info", "a.mcap: recovered"), ("warning", "b.mcap: another user's file")]
     between.service._left_over.lines = lambda: lines
@@ -945,7 +947,7 @@ def test_a_sleep_of_the_computer_is_reported_and_is_the_cause_of_a_late_stop(
     assert "warning: this computer slept for 30 s" in capsys.readouterr().err
 
 
-def test_a_client_that_comes_while_the_service_looks_wakes_it_again(between: Between) -> None:
+def test_a_command_that_arrives_during_a_wakeup_wakes_the_service_again(between: Between) -> None:
     signals, reader = between.service._signals, between.service._signals._reader
 
     def interrupted(n: int) -> bytes:

@@ -78,7 +78,7 @@ def test_recovery_pauses_during_a_run(tmp_path: Path, monkeypatch: pytest.Monkey
     assert _names(tmp_path) == ["1-a.mcap"]
 
 
-def test_a_name_of_any_bytes_is_reported_as_text(tmp_path: Path) -> None:
+def test_a_file_name_of_arbitrary_bytes_is_reported_as_text(tmp_path: Path) -> None:
     """A message is UTF-8."""
     Path(os.fsdecode(bytes(tmp_path) + b"/1-\xff.mcap.active")).write_bytes(b"")
     left_over = StartupRecovery(tmp_path, "1", lambda: None)
@@ -118,7 +118,7 @@ def test_an_unexpected_error_in_one_file_does_not_stop_the_recovery_of_others(
     assert _names(tmp_path) == ["1-a.mcap.active", "1-b.mcap"]
 
 
-def test_half_a_copy_is_removed_unless_somebody_writes_it(tmp_path: Path) -> None:
+def test_an_incomplete_copy_is_removed_unless_it_is_locked(tmp_path: Path) -> None:
     whole = written(tmp_path, DATA, "1-a.part-0001.mcap")
     written(tmp_path, DATA[:100], "1-a.part-0001.mcap.compact")
     (tmp_path / "1-c.mcap.compact").symlink_to(whole)
@@ -134,7 +134,7 @@ def test_half_a_copy_is_removed_unless_somebody_writes_it(tmp_path: Path) -> Non
     assert line.text == f"{whole}.compact: incomplete copy of a complete recording, removed"
 
 
-def test_the_oldest_runs_go_if_all_take_more_than_configured(tmp_path: Path) -> None:
+def test_the_oldest_runs_are_removed_if_the_total_size_exceeds_its_limit(tmp_path: Path) -> None:
     """The newest run stays, however large it is."""
     ended = recorded([sample(0)], outcome=Outcome(outcome="complete", samples=1, missing=0))
     for name, hours in (("1-a.mcap", 3), ("1-b.mcap", 2), ("1-c.mcap", 1)):

@@ -315,7 +315,7 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
     ],
     ids=lambda x: x if isinstance(x, str) else "",
 )
-def test_an_array_that_is_no_column_is_reported_with_the_remedy(
+def test_an_array_that_is_not_a_column_is_reported_with_the_remedy(
     values: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     with pytest.raises(FileError, match=said):
@@ -351,7 +351,7 @@ def test_damage_is_reported_in_one_line(tmp_path: Path) -> None:
         assert refused > 50
 
 
-def test_a_mat_file_that_is_cut_off_says_so(tmp_path: Path) -> None:
+def test_a_truncated_mat_file_is_reported(tmp_path: Path) -> None:
     path = mat(tmp_path, {"u": U, "y": Y})
     path.write_bytes(path.read_bytes()[:-1])
 
@@ -382,7 +382,7 @@ def _spoilt(data: bytes) -> list[bytes]:
     return found
 
 
-def test_an_archive_of_other_things_is_reported(tmp_path: Path) -> None:
+def test_an_archive_without_arrays_is_reported(tmp_path: Path) -> None:
     buffer = BytesIO()
     with ZipFile(buffer, "w") as archive:
         archive.writestr("xl/workbook.xml", "<workbook/>")
@@ -393,7 +393,7 @@ def test_an_archive_of_other_things_is_reported(tmp_path: Path) -> None:
         load_data(path, Ts=1)
 
 
-def test_a_small_file_holds_little() -> None:
+def test_the_size_of_a_file_bounds_that_of_its_content() -> None:
     """Measured data do not compress a hundredfold."""
     assert table.room(500_000) == table.room(0) == 1 << 26
     assert table.room(1_000_000) == 100_000_000

@@ -73,7 +73,7 @@ def good(data: armrig.Dataset, Ts: float, *, starts: Sequence[int] = (0,)) -> No
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_the_unit_is_that_of_the_name_or_of_the_size(
+def test_the_unit_of_a_column_follows_from_its_name_or_its_size(
     header: str, times: Sequence[object], tmp_path: Path
 ) -> None:
     shown = [f"{t:.0f}" if isinstance(t, float) else t for t in times]
@@ -81,7 +81,7 @@ def test_the_unit_is_that_of_the_name_or_of_the_size(
     good(armrig.load_data(log(tmp_path / "a.csv", shown, header=header)), 0.01)
 
 
-def test_seconds_by_default_are_noted_where_they_may_be_another_unit(tmp_path: Path) -> None:
+def test_the_default_unit_of_seconds_is_reported_if_it_is_ambiguous(tmp_path: Path) -> None:
     slow = armrig.load_data(log(tmp_path / "a.csv", [f"{10 * k:.0f}" for k in K]))
     fast = armrig.load_data(log(tmp_path / "b.csv", [f"{0.1 * k:.1f}" for k in K]))
 
@@ -142,7 +142,7 @@ def test_rows_that_a_resampling_leaves_out_are_counted(tmp_path: Path) -> None:
     assert codes_of(data.history)[-1] == DOUBT
 
 
-def test_a_mean_interval_of_few_minutes_is_a_doubt(tmp_path: Path) -> None:
+def test_a_mean_interval_of_few_minutes_causes_a_warning(tmp_path: Path) -> None:
     short = armrig.load_data(log(tmp_path / "a.csv", stamps("%H:%M", 3)))
     long = armrig.load_data(log(tmp_path / "b.csv", stamps("%H:%M", 12)))
 
@@ -161,7 +161,7 @@ def test_digits_of_a_clock_are_not_seconds(text: str, step_s: int, tmp_path: Pat
         armrig.load_data(path)
 
 
-def test_a_date_in_a_column_of_its_own_counts(tmp_path: Path) -> None:
+def test_a_date_in_a_separate_column_is_added_to_the_time(tmp_path: Path) -> None:
     times = [f"2024-03-{1 + k // 24:02.0f},{k % 24:02.0f}:00:00" for k in K]
     path = log(tmp_path / "a.csv", times, header="date,time,u,y")
 
@@ -254,7 +254,7 @@ def test_uneven_times_are_resampled_only_if_asked(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("separator", [";", "\t"])
-def test_a_number_is_read_as_its_column_says(
+def test_the_notation_of_a_column_decides_how_a_number_is_read(
     cells: str, mark: Any, read: list[float] | None, separator: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "a.csv"
@@ -306,7 +306,7 @@ def test_a_counter_that_wraps_is_named_and_unwrapped(modulus: float, tmp_path: P
     np.testing.assert_allclose(np.diff(mended.y), np.diff(counts), atol=1e-6 * modulus)
 
 
-def test_a_range_that_is_not_a_usual_one_is_not_guessed(tmp_path: Path) -> None:
+def test_an_unusual_range_is_not_guessed(tmp_path: Path) -> None:
     u, rate = plant(400)
     counts = np.cumsum(rate - 10) * 9
     table = np.column_stack([0.1 * np.arange(400), u, np.floor(counts % 1337)])
@@ -384,7 +384,7 @@ def test_values_that_are_read_less_often_than_written_are_named(
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_a_settled_level_of_y_is_no_rail(noise: float, tmp_path: Path) -> None:
+def test_a_settled_level_of_y_is_not_a_rail(noise: float, tmp_path: Path) -> None:
     u = np.repeat([1.0, 3.0, 1.0, 3.0], 100)
     x = np.zeros(400)
     for k in range(1, 400):
@@ -396,7 +396,7 @@ def test_a_settled_level_of_y_is_no_rail(noise: float, tmp_path: Path) -> None:
     assert armrig.load_data(tmp_path / "a.csv").history == ()
 
 
-def test_an_input_written_where_it_changes_is_held_if_asked(tmp_path: Path) -> None:
+def test_an_input_logged_at_its_changes_is_held_on_request(tmp_path: Path) -> None:
     u, y = plant(200)
     shown = [f"{a:.0f}" if k == 0 or a != u[k - 1] else "" for k, a in enumerate(u)]
     rows = [f"{0.1 * k:.1f},{a},{b:.4f}" for k, (a, b) in enumerate(zip(shown, y, strict=True))]

@@ -66,7 +66,7 @@ def test_each_notation_of_a_table_gives_the_same_numbers(text: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", "  "])
-def test_columns_without_names_are_asked_for_by_number(separator: str, tmp_path: Path) -> None:
+def test_columns_without_names_are_selected_by_number(separator: str, tmp_path: Path) -> None:
     path = written(tmp_path, table(separator, names=""), "data.dat")
 
     data = load_data(path, input="2", signal="3", time="1")
@@ -76,7 +76,7 @@ def test_columns_without_names_are_asked_for_by_number(separator: str, tmp_path:
     assert (data.output, data.Ts, data.N) == ("y", 0.1, 4)
 
 
-def test_a_column_ends_where_the_rows_do_with_names_or_without(tmp_path: Path) -> None:
+def test_a_column_has_the_length_of_the_table_with_or_without_names(tmp_path: Path) -> None:
     """A separator at the end of each row makes an empty last column."""
     last = written(tmp_path, "u,y\n1,\n2,\n3,\n", "last.csv")
     none = written(tmp_path, "1,5,\n2,6,\n", "none.csv")
@@ -117,7 +117,7 @@ def test_an_unused_column_may_contain_words(tmp_path: Path) -> None:
     assert load_data(bare, input="2", signal="3", Ts=1).y.tolist() == [2, 4]
 
 
-def test_a_first_row_without_a_value_is_no_line_of_names(tmp_path: Path) -> None:
+def test_a_first_row_without_a_value_is_not_a_header(tmp_path: Path) -> None:
     path = written(tmp_path, "NaN,1\n2,3\n")
 
     assert load_data(path, input="2", signal="1", Ts=1).N == 2
@@ -255,7 +255,7 @@ def test_times_that_give_no_sampling_time_are_reported(
 
 
 @pytest.mark.parametrize(("given", "noted"), [(0.1, 0), (0.104, 0), (0.05, 1), (0.2, 1)])
-def test_a_given_sampling_time_that_is_not_the_file_s_is_noted(
+def test_a_sampling_time_that_contradicts_the_file_is_reported(
     given: float, noted: int, tmp_path: Path
 ) -> None:
     """Up to a twentieth is rounding; the given number is used in any case."""
@@ -271,9 +271,7 @@ def test_a_given_sampling_time_that_is_not_the_file_s_is_noted(
 
 
 @pytest.mark.parametrize("wanted", ["0", "4", "-1", "1.0", "w", "1234567890"])
-def test_a_column_that_is_not_there_is_refused_with_those_that_are(
-    wanted: str, tmp_path: Path
-) -> None:
+def test_a_missing_column_is_refused_with_the_existing_columns(wanted: str, tmp_path: Path) -> None:
     path = written(tmp_path, "t,u,y\n0,1,2\n1,3,4\n")
 
     with pytest.raises(FileError, match=f"input {wanted}: there is no such column; give --input a"):
@@ -281,7 +279,7 @@ def test_a_column_that_is_not_there_is_refused_with_those_that_are(
     assert load_data(path, input="1", signal="3", Ts=1).u.tolist() == [0, 1]
 
 
-def test_names_that_differ_in_case_only_are_each_found_by_their_own(tmp_path: Path) -> None:
+def test_names_that_differ_only_in_case_are_distinguished(tmp_path: Path) -> None:
     path = written(tmp_path, "u,Y,y\n5,6,7\n8,9,1\n")
 
     assert load_data(path, input="U", signal="Y", Ts=1).y.tolist() == [6, 9]
@@ -298,7 +296,7 @@ def test_data_name_their_file_by_its_hash(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("units", ["s;V;°C", "[s];[V];[°C]", "(s);(V);(°C)", ";V;°C"])
-def test_a_line_of_units_below_the_names_is_read_as_such(units: str, tmp_path: Path) -> None:
+def test_a_line_of_units_below_the_names_is_recognised(units: str, tmp_path: Path) -> None:
     path = written(tmp_path, f"t;u;y\n{units}\n0;1;2\n0.5;3;4\n1.0;5;x\n")
     good = written(tmp_path, path.read_text().replace("x", "6"), "good.csv")
 

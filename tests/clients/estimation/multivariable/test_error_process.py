@@ -45,7 +45,7 @@ def test_the_variance_of_short_errors_is_not_too_small() -> None:
     np.testing.assert_allclose(np.mean(scales, axis=0), np.diag(LAMBDA), rtol=0.03)
 
 
-def test_few_errors_are_drawn_as_they_are() -> None:
+def test_few_errors_are_drawn_by_resampling() -> None:
     e = errors(1, 15)
 
     process = error_process([e])

@@ -338,7 +338,7 @@ def test_searches_that_end_at_one_minimum_keep_their_order() -> None:
     assert ranked(ends, ends.__getitem__) == ["first", "second", "higher", "none"]
 
 
-def test_the_output_of_an_integrator_stays_where_it_is_without_an_input() -> None:
+def test_the_output_of_an_integrator_is_constant_without_an_input() -> None:
     rng = np.random.default_rng(3)
     u = inputs(rng, 1)[:, 0] + 0.2
     y = filtered([0, 0.1, 0.05], np.convolve([1, -1], [1, -0.9]), u) + 0.02 * rng.normal(size=N)

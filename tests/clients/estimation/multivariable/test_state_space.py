@@ -350,7 +350,7 @@ def test_a_search_leaves_a_local_minimum(
 @pytest.mark.parametrize(
     ("most", "sizes"), [(60, [60]), (70, [70]), (100, [70, 30]), (500, [70, 130])]
 )
-def test_long_data_are_tried_on_their_first_samples(
+def test_the_search_on_long_data_starts_with_their_first_samples(
     most: int, sizes: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ss, "_PART_SAMPLES", most)
@@ -365,7 +365,7 @@ def test_long_data_are_tried_on_their_first_samples(
     assert (part.order, part.direct, part.noise) == (3, False, True)
 
 
-def test_replicates_miss_what_the_data_miss(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_replicates_have_the_missing_samples_of_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replicates are estimated in the same way as the model."""
     seen: list[list[Array]] = []
     estimated = n4sid._estimated

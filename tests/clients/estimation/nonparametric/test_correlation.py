@@ -26,7 +26,7 @@ def test_a_coloured_input_is_whitened(second: Any) -> None:
 
 
 @pytest.mark.parametrize("lags", [5, 40, 60])
-def test_the_autocorrelation_is_that_at_the_lags(second: Any, lags: int) -> None:
+def test_the_autocorrelation_equals_its_definition_at_each_lag(second: Any, lags: int) -> None:
     found = correlation(second.dataset(np.random.default_rng(1), 300), lags, integrator=False)
 
     assert found.lags.tolist() == [*range(-lags, lags + 1)]
@@ -95,7 +95,9 @@ def test_correlations_outside_the_band_are_counted_before_and_after_lag_0(
     ]
 
 
-def test_the_dryer_answers_at_lag_3(reference: Callable[[str], NDArray[np.float64]]) -> None:
+def test_the_response_of_the_dryer_begins_at_lag_3(
+    reference: Callable[[str], NDArray[np.float64]],
+) -> None:
     u, y = reference("dryer.dat").T
 
     found = correlation(Dataset(u=u, y=y, Ts=0.08))

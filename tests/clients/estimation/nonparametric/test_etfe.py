@@ -37,7 +37,7 @@ def test_whole_periods_without_noise_give_the_exact_response(second: Any) -> Non
     assert "periods of 200 samples" in found.method
 
 
-def test_two_periods_are_enough_for_a_response_but_not_for_its_deviation(second: Any) -> None:
+def test_two_periods_give_a_response_without_a_deviation(second: Any) -> None:
     data = noisy(1, 0.0, periods=2)
 
     for found in (
@@ -50,7 +50,7 @@ def test_two_periods_are_enough_for_a_response_but_not_for_its_deviation(second:
         etfe(data, period_length=P + 1, integrator=False)
 
 
-def test_the_scatter_between_periods_is_the_noise(second: Any) -> None:
+def test_the_noise_is_estimated_from_the_scatter_between_periods(second: Any) -> None:
     """The reported deviations are those of 150 runs."""
     found = [etfe(noisy(s, 0.5, 6), integrator=False) for s in range(150)]
     truth = second.response(found[0].omega)
@@ -60,7 +60,7 @@ def test_the_scatter_between_periods_is_the_noise(second: Any) -> None:
     assert np.sqrt(np.mean(error**2) / np.mean(said**2)) == pytest.approx(1.0, abs=0.05)
 
 
-def test_an_instant_missing_in_one_period_is_taken_from_the_others(second: Any) -> None:
+def test_a_sample_missing_in_one_period_is_averaged_over_the_others(second: Any) -> None:
     data = noisy(1, 0.0)
     valid = np.ones(data.N, dtype=np.bool_)
     valid[300:340] = False
@@ -92,11 +92,13 @@ def test_an_etfe_of_an_input_without_a_period_reports_this(second: Any) -> None:
         (np.append(np.tile([0.0, 1.0, 3.0], 4), 9.0), None),
     ],
 )
-def test_a_period_is_found_where_there_is_one(u: NDArray[np.float64], expected: int | None) -> None:
+def test_the_period_of_a_periodic_input_is_found(
+    u: NDArray[np.float64], expected: int | None
+) -> None:
     assert period(u) == expected
 
 
-def test_an_instant_without_a_value_and_a_constant_input_are_refused() -> None:
+def test_a_sample_missing_in_all_periods_and_a_constant_input_are_refused() -> None:
     periodic = noisy(1, 0.0)
     never = np.arange(periodic.N) % P != 7
 

@@ -80,7 +80,7 @@ def test_regularisation_lowers_the_error_on_short_data(second: Any) -> None:
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_the_factor_of_a_kernel_gives_the_kernel_back(kernel: Kernel) -> None:
+def test_the_product_of_a_kernel_factor_equals_the_kernel(kernel: Kernel) -> None:
     """L L^T = P by the published formulas."""
     decay, rho, n = 0.8, 0.6, 12
     i, j = np.meshgrid(np.arange(1, n + 1), np.arange(1, n + 1), indexing="ij")
@@ -96,7 +96,7 @@ def test_the_factor_of_a_kernel_gives_the_kernel_back(kernel: Kernel) -> None:
     np.testing.assert_allclose(L @ L.T, P, atol=1e-14)
 
 
-def test_the_posterior_is_the_textbook_s(second: Any) -> None:
+def test_the_posterior_equals_the_formula_of_the_textbook(second: Any) -> None:
     """The mean P Phi^T (Phi P Phi^T + sigma² I)^-1 y and its covariance, computed directly."""
     data = second.dataset(np.random.default_rng(3), 150)
     found = impulse_response(data, 20, "tc", integrator=False)
@@ -114,7 +114,9 @@ def test_the_posterior_is_the_textbook_s(second: Any) -> None:
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("unit", [1e-3, 1e6])
-def test_the_unit_of_u_scales_the_response_alone(second: Any, kernel: Kernel, unit: float) -> None:
+def test_the_unit_of_u_changes_only_the_scale_of_the_response(
+    second: Any, kernel: Kernel, unit: float
+) -> None:
     """The search for the kernel's scale begins at the scale of the data."""
     data = second.dataset(np.random.default_rng(3), 150)
     scaled = Dataset(u=unit * data.u, y=data.y, Ts=data.Ts)
@@ -168,7 +170,7 @@ def test_an_integrating_angle_is_estimated_by_its_rate(arm: Any) -> None:
     assert found.died_out
 
 
-def test_plain_bands_of_the_rate_hold_to_the_last_lag(arm: Any) -> None:
+def test_unregularised_bands_of_the_rate_are_valid_up_to_the_last_lag(arm: Any) -> None:
     """Later lags do not add to the last coefficient."""
     truth = arm.rate(60)
     z = []
@@ -208,7 +210,7 @@ def test_negative_lags_show_feedback_and_only_feedback(second: Any) -> None:
 
 
 @pytest.mark.parametrize("kernel", [None, *KERNELS])
-def test_the_dryer_answers_at_lag_3(
+def test_the_response_of_the_dryer_begins_at_lag_3(
     kernel: Kernel | None, reference: Callable[[str], NDArray[np.float64]]
 ) -> None:
     """The first coefficient outside its 99 % band, first 300 samples."""
@@ -222,7 +224,7 @@ def test_the_dryer_answers_at_lag_3(
 @pytest.mark.parametrize("kernel", [None, "tc"])
 @pytest.mark.parametrize("p", [0.002, 0.3])
 @pytest.mark.parametrize(("last", "std"), [(0.019, 0), (-0.021, 0), (0.027, 0.01), (0.03, 0.01)])
-def test_a_band_is_doubted_by_its_last_lags_and_the_colour_of_the_residuals(
+def test_the_last_lags_or_coloured_residuals_cause_a_warning_on_a_band(
     kernel: Kernel | None, p: float, last: float, std: float
 ) -> None:
     """The last tenth counts, within 2 % or 4 deviations; least squares may leave a colour."""
@@ -272,7 +274,7 @@ def test_an_impulse_response_of_too_few_rows_is_refused(second: Any) -> None:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("kernel", [None, "tc"])
-def test_length_costs_no_memory(kernel: Kernel | None) -> None:
+def test_the_memory_does_not_grow_with_the_data(kernel: Kernel | None) -> None:
     """A hundred lags of 100 000 samples need less memory than 30 arrays of that length."""
     rng = np.random.default_rng(9)
     u = rng.standard_normal(100_000)
@@ -298,7 +300,7 @@ def test_length_costs_no_memory(kernel: Kernel | None) -> None:
         ([0.9, 0.99, 0.995], [False, True, True], [20, 60, 100], 60),  # 0.547 and 0.606
     ],
 )
-def test_the_first_number_of_lags_that_is_large_enough_is_taken(
+def test_the_least_sufficient_number_of_lags_is_chosen(
     decays: list[float],
     died: list[bool],
     asked: list[int],

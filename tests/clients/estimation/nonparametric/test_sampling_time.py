@@ -61,7 +61,9 @@ def test_a_first_order_system_has_the_sampling_times_of_the_rules(stepped: bool)
 
 
 @pytest.mark.parametrize("Ts", [0.005, 0.01])
-def test_the_arm_gets_5_ms(sampled: Callable[[float], Any], Ts: float) -> None:
+def test_the_recommended_sampling_time_of_the_arm_is_5_ms(
+    sampled: Callable[[float], Any], Ts: float
+) -> None:
     """The fast part of the arm decides, not its notch."""
     found = sampling_time(sampled(Ts).telegraph(N=round(30 / Ts)))
 
@@ -94,7 +96,9 @@ def test_a_step_through_converter_and_dead_band_gives_the_sampling_time_of_the_a
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(("Ts", "N"), sampled([(0.002, 5000), (0.001, 5000)]))
-def test_a_telegraph_is_no_row_of_steps(sampled: Callable[[float], Any], Ts: float, N: int) -> None:
+def test_a_telegraph_signal_is_not_analysed_as_steps(
+    sampled: Callable[[float], Any], Ts: float, N: int
+) -> None:
     """Most holds end before the arm settles."""
     seed = 1 if Ts < 0.002 else 2
 
@@ -115,7 +119,7 @@ def test_data_with_gaps_and_steps_give_the_sampling_time_of_the_arm(arm: Any) ->
 
 
 @pytest.mark.exhaustive
-def test_noise_of_an_angle_is_no_reason_to_record_faster(
+def test_the_noise_of_an_angle_does_not_shorten_the_recommended_time(
     sampled: Callable[[float], Any],
 ) -> None:
     """Differences of white noise have 39 % of their power near Nyquist at any sampling time."""

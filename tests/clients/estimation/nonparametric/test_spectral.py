@@ -29,7 +29,7 @@ OMEGA = np.linspace(0.3, 2.8, 12)
         ]
     ),
 )
-def test_the_bands_hold_the_smoothed_expectation(
+def test_the_bands_contain_the_smoothed_response(
     second: Any,
     u_pole: float,
     v_pole: float,
@@ -58,7 +58,7 @@ def test_the_bands_hold_the_smoothed_expectation(
     assert np.all((held / runs > 0.92) & (held / runs < 0.985))
 
 
-def test_the_noise_spectrum_is_the_noise_s(second: Any) -> None:
+def test_the_noise_spectrum_equals_that_of_the_noise(second: Any) -> None:
     """White noise of variance 4 at Ts 1 s has Phi_v = 4 everywhere."""
     found = [
         spa(second.dataset(np.random.default_rng(s), 2000, std=2.0), 30, OMEGA, integrator=False)
@@ -80,7 +80,7 @@ def test_coherence_is_the_share_that_the_input_explains(second: Any) -> None:
     np.testing.assert_allclose(found.coherence, power / (power + 1), atol=0.05)
 
 
-def test_the_arm_s_angle_comes_through_its_rate(arm: Any) -> None:
+def test_the_response_of_the_angle_is_estimated_by_its_rate(arm: Any) -> None:
     """Within 5 % if the response is smooth."""
     w = np.array([2.0, 5.0, 30.0, 50.0])
 
@@ -154,7 +154,7 @@ def test_a_known_delay_is_aligned(second: Any) -> None:
 
 
 @pytest.mark.parametrize("method", ["blackman-tukey", "welch"])
-def test_missing_samples_are_advanced_with_the_output(
+def test_missing_samples_are_shifted_with_the_output(
     second: Any, method: Literal["blackman-tukey", "welch"]
 ) -> None:
     """The estimate is that of the data without the first samples of y and the last of u."""
@@ -260,7 +260,9 @@ def test_frequencies_are_sorted(second: Any) -> None:
         (None, "no frequency"),
     ],
 )
-def test_what_the_input_explains_is_a_range(coherence: Any, found: list[int] | str) -> None:
+def test_the_band_explained_by_the_input_is_one_range(
+    coherence: Any, found: list[int] | str
+) -> None:
     """G is not known at the frequency with index 3."""
     G = np.array([1, 1, 1, np.nan, 1, 1])
     spectrum: Any = SimpleNamespace(

@@ -62,7 +62,7 @@ def of_the_arm(sampled: Any) -> list[StepAnalysis]:
 
 
 @pytest.mark.parametrize("down", [False, True])
-def test_a_first_order_system_is_read_off(down: bool) -> None:
+def test_the_time_constant_and_gain_of_a_first_order_system_are_found(down: bool) -> None:
     found = step_analysis(first_order(down=down), integrator=False)
 
     assert found.tau == pytest.approx(TAU, rel=0.01)
@@ -88,7 +88,7 @@ def test_the_dead_time_is_not_part_of_the_time_constant() -> None:
 
 
 @pytest.mark.exhaustive
-def test_the_reported_deviations_are_those_of_many_runs() -> None:
+def test_the_reported_deviations_equal_the_scatter_of_many_runs() -> None:
     """Gain, 63 % time, equivalent time and settling time, in 40 runs."""
     found = of_a_first_order_system()
 
@@ -177,14 +177,14 @@ def test_the_longest_gap_on_the_rise_is_from_known_sample_to_known_sample(
     assert found == (None if expected is None else pytest.approx(expected))
 
 
-def test_a_sample_is_alone_between_gaps_of_two_samples_or_more() -> None:
+def test_a_sample_between_gaps_of_two_or_more_samples_is_isolated() -> None:
     known = np.array([c == "#" for c in "##..#..#.#..##..#"])
 
     assert np.flatnonzero(_alone(known)).tolist() == [4]
 
 
 @pytest.mark.parametrize(("slope", "noise"), [(0.02, 0.0), (-0.02, 0.001), (0.0, 0.1)])
-def test_motion_before_the_step_counts_up_to_the_63_per_cent_time(
+def test_motion_before_the_step_is_considered_up_to_the_63_per_cent_time(
     slope: float, noise: float
 ) -> None:
     k = np.arange(-40, 60)
@@ -294,7 +294,7 @@ def test_numbers_of_curves_are_medians_and_their_scatter() -> None:
     assert answer.overshoot == pytest.approx((0.1, 0.2))
 
 
-def test_steps_of_several_experiments_are_averaged_and_holes_left_out() -> None:
+def test_steps_of_several_experiments_are_averaged_without_their_gaps() -> None:
     parts = []
     for seed in (1, 2):
         d = first_order(std=0.1, seed=seed)
@@ -344,7 +344,7 @@ def test_the_settling_time_is_that_of_the_response_and_not_of_its_noise(
     np.testing.assert_allclose(found, 0.372, rtol=0.06)
 
 
-def test_a_response_that_rings_fast_has_not_settled() -> None:
+def test_a_fast_oscillation_has_not_settled() -> None:
     """A pair of poles at 0.97 exp(±1.5j), without noise: the last sample outside 5 % counts."""
     F = np.poly(0.97 * np.exp([1.5j, -1.5j])).real
     u = np.where(np.arange(500) < 100, 0.0, 3.0)
@@ -385,7 +385,7 @@ def test_data_without_a_step_are_refused() -> None:
 
 
 @pytest.mark.parametrize("integrator", [False, True])
-def test_a_step_without_a_known_level_before_it_is_left_out(integrator: bool) -> None:
+def test_a_step_without_a_known_initial_level_is_omitted(integrator: bool) -> None:
     """The output is missing just before the first of two steps, as in a dead band."""
     first, second = first_order(std=0.01), first_order(std=0.01, down=True, seed=2)
     gap = (np.arange(first.N) >= 40) & (np.arange(first.N) < 105)
@@ -462,7 +462,9 @@ def shown(arm: Any, seed: int, *, after: int, hidden: slice = slice(0)) -> Datas
 
 
 @pytest.mark.parametrize("begins", [401, 501, 651, 851, 1001])
-def test_a_dead_band_after_the_step_is_no_late_settling(sampled: Any, begins: int) -> None:
+def test_a_dead_band_after_the_step_does_not_delay_the_settling_time(
+    sampled: Any, begins: int
+) -> None:
     """The settling time is 0.372 s; gaps of 75 ms made it 0.795, 1.283 and 1.495 s."""
     data = shown(sampled(0.002), 2, after=1250, hidden=slice(begins, begins + 37))
 
@@ -473,7 +475,7 @@ def test_a_dead_band_after_the_step_is_no_late_settling(sampled: Any, begins: in
     assert f"within 5 % after {with_std(found.settling, found.settling_std)} s" in repr(found)
 
 
-def test_a_soft_beginning_is_no_dead_time(sampled: Any) -> None:
+def test_a_smooth_onset_is_not_a_dead_time(sampled: Any) -> None:
     """Noise made the dead time 17 ms, and the 63 % time 7.7 ms instead of 20.6 ms."""
     found = step_analysis(shown(sampled(0.002), 31, after=650))
 

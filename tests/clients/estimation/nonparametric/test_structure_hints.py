@@ -50,7 +50,7 @@ def test_hints_on_the_arm_are_its_four_poles_and_its_notch(arm: Any, output: str
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("pole", [0.985, 0.99, 1.0])
-def test_a_slow_pole_is_no_integrator(pole: float) -> None:
+def test_a_slow_pole_is_not_an_integrator(pole: float) -> None:
     """The slope is an integrator's at all recorded frequencies, but the response decays."""
     integrates = pole == 1.0
     rng = np.random.default_rng(0)
@@ -68,7 +68,7 @@ def test_a_slow_pole_is_no_integrator(pole: float) -> None:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", sampled([1, 2]))
-def test_a_response_longer_than_its_lags_has_no_other_resonances(
+def test_a_response_longer_than_its_lags_causes_no_false_resonance(
     sampled: Callable[[float], Any], seed: int
 ) -> None:
     """At 5 ms the arm swings for longer than 100 lags."""
@@ -119,7 +119,7 @@ def test_an_input_that_explains_nothing_is_refused() -> None:
 
 
 @pytest.mark.exhaustive
-def test_a_pure_integrator_has_the_one_pole_at_1() -> None:
+def test_a_pure_integrator_has_a_single_pole_at_1() -> None:
     rng = np.random.default_rng(4)
     u = rng.standard_normal(2000)
     y = np.cumsum(np.append(0, 0.05 * u[:-1])) + 0.01 * rng.standard_normal(2000)
@@ -282,7 +282,7 @@ def test_if_a_slow_pole_may_be_at_1_both_are_recommended() -> None:
 
 
 @pytest.mark.exhaustive
-def test_a_spectrum_that_u_does_not_explain_leaves_the_structures() -> None:
+def test_a_spectrum_unexplained_by_u_keeps_the_recommended_structures() -> None:
     """A delay of twenty samples is longer than the window; `delay` finds it."""
     rng = np.random.default_rng(21)
     u = np.repeat(rng.choice([-1.0, 1.0], 1000), 2)[:1000]
@@ -302,7 +302,7 @@ def _tried(nb: int, nf: int, bits: float, *, integrator: bool = False) -> Tried:
     return Tried(structure=structure, bits=bits, fitted=cast("Any", None))
 
 
-def test_after_the_shortest_two_the_shortest_of_a_plant_under_a_hold_comes() -> None:
+def test_the_third_structure_is_the_shortest_of_a_plant_with_a_hold() -> None:
     """Under a hold nb = nf, though the first or last b may be small."""
     free = [_tried(1, 3, 0), _tried(2, 3, 1), _tried(1, 4, 2), _tried(3, 3, 3), _tried(4, 4, 4)]
     fixed = [_tried(2, 2, 5, integrator=True), _tried(2, 4, 6, integrator=True)]

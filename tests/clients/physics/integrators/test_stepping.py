@@ -54,7 +54,7 @@ def by_hand(method: str, A: Vector, B: Vector, x: Vector, h: float, n: int) -> V
 
 @EVERY
 @pytest.mark.parametrize("n", [1, 2, 57])
-def test_a_method_is_what_the_textbook_says(method: str, n: int) -> None:
+def test_each_method_matches_the_formula_of_the_textbook(method: str, n: int) -> None:
     rng = np.random.default_rng(1)
     A, B, x0 = rng.normal(size=(3, 3)) - 2 * np.eye(3), rng.normal(size=(3, 2)), np.ones(3)
 
@@ -76,7 +76,7 @@ def test_halving_the_step_divides_the_error_by_two_to_the_order(
     assert convergence(problem, method, h).order == pytest.approx(ORDERS[method], abs=0.05)
 
 
-def test_growth_without_bound_ends_in_no_warning() -> None:
+def test_unbounded_growth_causes_no_numpy_warning() -> None:
     """Ten times beyond the limit the states overflow."""
     A, B, _ = arm_matrices(ArmParameters())
 

@@ -112,7 +112,9 @@ def identified(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return table
 
 
-def test_each_recording_has_a_row_and_a_broken_one_stops_nothing(identified: Path) -> None:
+def test_each_recording_has_a_row_and_a_damaged_one_does_not_stop_the_batch(
+    identified: Path,
+) -> None:
     rows = {row["recording"]: row for row in rows_of(identified)}
     assert len(rows) == MANY + 4
     assert [name for name, row in rows.items() if row["problem"]] == [BROKEN, STEP]
@@ -122,7 +124,7 @@ def test_each_recording_has_a_row_and_a_broken_one_stops_nothing(identified: Pat
     assert 0 < rows[CUT]["samples"] < 3000
 
 
-def test_a_row_is_what_the_recording_gives_by_itself(folder: Path, identified: Path) -> None:
+def test_a_row_equals_the_estimate_of_its_recording(folder: Path, identified: Path) -> None:
     recording = armrig.load(folder / "a-07.mcap")
     fit = armrig.arx(recording.dataset(), na=4, nb=4)
     row = next(row for row in rows_of(identified) if row["recording"] == "a-07.mcap")
@@ -134,7 +136,7 @@ def test_a_row_is_what_the_recording_gives_by_itself(folder: Path, identified: P
     assert (row["rig"], row["Ts"], row["samples"]) == ("1", 0.01, SHORT)
 
 
-def test_a_row_counts_the_samples_that_came(tmp_path: Path) -> None:
+def test_a_row_counts_the_received_samples(tmp_path: Path) -> None:
     gapped = made_recordings.of_the_arm(telegraph(1), missing=slice(100, 107))
     (tmp_path / "gapped.mcap").write_bytes(gapped)
 
@@ -154,7 +156,7 @@ def test_a_recording_too_short_for_its_orders_has_no_model(tmp_path: Path) -> No
     assert row["model"] is None
 
 
-def test_each_figure_of_a_row_is_the_model_s_own(folder: Path, identified: Path) -> None:
+def test_each_figure_of_a_row_is_that_of_its_model(folder: Path, identified: Path) -> None:
     recording, other = (armrig.load(folder / f"a-0{n}.mcap") for n in (7, 8))
     fit = armrig.arx(recording.dataset(), na=4, nb=4)
     row = next(row for row in rows_of(identified) if row["recording"] == "a-07.mcap")
@@ -176,7 +178,7 @@ def test_each_figure_of_a_row_is_the_model_s_own(folder: Path, identified: Path)
     assert judged["model_of"] == recording.sha256
 
 
-def test_a_header_names_the_choice_and_what_is_none_is_no_option(folder: Path) -> None:
+def test_a_header_contains_the_choice_and_a_digest_of_the_set_options(folder: Path) -> None:
     header = header_of(ARX, folder, ["2", "1"], ["step", "bla"])
 
     assert (header["rigs"], header["kinds"]) == ("1 2", "bla step")
@@ -219,7 +221,7 @@ def test_no_two_columns_have_one_name(task: Task) -> None:
     assert not of_all & OF_THE_TASK[name_of(task)].keys()
 
 
-def test_a_report_that_is_gone_is_made_again(
+def test_a_missing_report_is_written_again(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     task, made = report(folder=str(tmp_path)), []
@@ -243,7 +245,7 @@ def test_a_report_that_is_gone_is_made_again(
     assert [row["report"] for row in rows] == ["a-00.pdf", "a-01.pdf"]
 
 
-def test_a_report_has_its_orders_and_the_doubts_about_both_recordings(
+def test_a_report_has_its_orders_and_the_findings_on_both_recordings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paths = [tmp_path / name for name in ("short.mcap", "other.mcap")]
@@ -330,7 +332,7 @@ def test_finished_rows_are_not_computed_again(folder: Path, tmp_path: Path) -> N
     assert sorted(computed(few, ARX, table)) == ["a-01.mcap", "b.mcap"]
 
 
-def test_a_report_is_made_again_where_a_validation_has_come() -> None:
+def test_a_report_is_written_again_after_a_new_validation() -> None:
     item = Item(name="a.mcap", path="/f/a.mcap", bytes=1, modified_ns=2, validation="")
     columns = columns_of(report(folder="reports"))
     known = {"recording": "a.mcap", "bytes": 1, "modified_ns": 2, "problem": ""}
@@ -342,7 +344,7 @@ def test_a_report_is_made_again_where_a_validation_has_come() -> None:
     assert still_right([by_it], [validated], columns) == {"a.mcap": by_it}
 
 
-def test_of_several_validations_the_newest_counts(tmp_path: Path) -> None:
+def test_the_newest_of_several_validations_is_used(tmp_path: Path) -> None:
     of = {"validation_of": "0000000a"}
     runs = (
         ("blackbox", "13", "0000000a", {}),
@@ -362,7 +364,7 @@ def test_of_several_validations_the_newest_counts(tmp_path: Path) -> None:
     assert validations == {"", "1-blackbox-validation-20261120T150000-0000000c.mcap"}
 
 
-def test_a_run_in_parts_is_as_old_as_its_youngest(tmp_path: Path) -> None:
+def test_the_age_of_a_run_in_parts_is_that_of_its_newest_part(tmp_path: Path) -> None:
     for number, seconds in ((1, 20), (2, 30), (3, 10)):
         part = tmp_path / f"a.part-{number:04}.mcap"
         part.write_bytes(bytes(number))
@@ -373,7 +375,7 @@ def test_a_run_in_parts_is_as_old_as_its_youngest(tmp_path: Path) -> None:
     assert (item.name, item.bytes, item.modified_ns) == ("a.mcap", 6, 30 * 10**9)
 
 
-def test_the_count_of_a_batch_starts_with_this_start(folder: Path, tmp_path: Path) -> None:
+def test_the_progress_counts_only_the_items_of_this_start(folder: Path, tmp_path: Path) -> None:
     few = tmp_path / "few"
     few.mkdir()
     table = tmp_path / "v.parquet"
@@ -409,7 +411,7 @@ def test_results_of_another_folder_or_choice_are_not_replaced(folder: Path, tmp_
     assert table.read_bytes() == before
 
 
-def test_force_leaves_another_start_its_rows(folder: Path, tmp_path: Path) -> None:
+def test_force_does_not_replace_the_rows_of_another_start(folder: Path, tmp_path: Path) -> None:
     table = tmp_path / "models.parquet"
     with Progress(table, {"digest": "held"}) as progress:
         progress.add({"recording": "a"})
@@ -484,7 +486,7 @@ def no_file_above(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_costs_no_result(folder: Path, tmp_path: Path) -> None:
+def test_a_full_disk_loses_no_result(folder: Path, tmp_path: Path) -> None:
     table = tmp_path / "models.parquet"
     said = f"{table.name}{SUFFIX}: File too large; results so far are kept"
     with no_file_above(20_000), pytest.raises(OperationError, match=said):
@@ -492,7 +494,7 @@ def test_a_full_disk_costs_no_result(folder: Path, tmp_path: Path) -> None:
     assert 0 < len(computed(folder, ARX, table)) < MANY + 4
 
 
-def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: Path) -> None:
+def test_a_disk_too_full_for_the_table_loses_no_result(folder: Path, tmp_path: Path) -> None:
     table = tmp_path / "v.parquet"
     said = f"{table.name}: File too large; all results are kept"
     with no_file_above(8000), pytest.raises(OperationError, match=said):
@@ -501,7 +503,7 @@ def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: P
     assert computed(folder, Verify(), table, rigs=["2"]) == []
 
 
-def test_a_deadly_item_is_given_up_and_the_others_are_finished() -> None:
+def test_an_item_that_kills_its_workers_is_abandoned_and_the_others_finish() -> None:
     """Each other item has its own result, once."""
     items = ["a", "b", "deadly", "c", "d"]
     came = list(results(deadly, items, partial(workers.processes, 2), at_once=4))
@@ -530,7 +532,7 @@ class Mortal(Executor):
 
 
 @pytest.mark.parametrize(("at_once", "tries"), [(1, 2), (3, 3)])
-def test_so_many_workers_die_of_an_item_and_no_more(at_once: int, tries: int) -> None:
+def test_an_item_kills_a_bounded_number_of_workers(at_once: int, tries: int) -> None:
     runs: list[list[str]] = []
 
     def opened() -> Executor:
@@ -607,7 +609,7 @@ def test_a_killed_batch_continues_to_the_same_table(
 
 @pytest.mark.exhaustive
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are seen in /proc")
-def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path: Path) -> None:
+def test_a_killed_worker_loses_no_row(lab: tuple[Path, bytes], tmp_path: Path) -> None:
     folder, whole = lab
     table = tmp_path / "models.parquet"
     with started(folder, table, "--workers", "2") as process:
@@ -633,7 +635,7 @@ def test_a_name_that_is_not_utf_8_is_processed(folder: Path, tmp_path: Path) -> 
     assert again == [r"\udcff.mcap"]
 
 
-def test_a_file_of_any_time_stops_nothing(folder: Path, tmp_path: Path) -> None:
+def test_a_file_with_any_time_stamp_does_not_stop_the_batch(folder: Path, tmp_path: Path) -> None:
     """A clock was wrong by centuries: more nanoseconds than the table can hold."""
     few = few_of(folder, tmp_path, "a-00.mcap")
     os.utime(few / "a-00.mcap", (0, 13_569_465_600))  # 2400
@@ -673,7 +675,7 @@ def test_damage_is_reported_with_the_result(
         (KeyError("x\ny"), "KeyError: 'x\\ny'"),
     ],
 )
-def test_a_problem_is_a_line(
+def test_each_problem_is_reported_in_one_line(
     folder: Path, monkeypatch: pytest.MonkeyPatch, err: Exception, problem: str
 ) -> None:
     def refused(_: object) -> None:
