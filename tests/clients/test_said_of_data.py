@@ -13,9 +13,11 @@ import pytest
 from tests.clients.said import assert_said
 
 
-@pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize("name", ["said_of_data.txt", "said_of_refusals.txt"])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param("said_of_data.txt", marks=pytest.mark.exhaustive), "said_of_refusals.txt"],
+)
 def test_a_function_prints_the_stored_output(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
