@@ -16,7 +16,11 @@ from tests.clients.said import assert_said
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize(
     "name",
-    [pytest.param("said_of_data.txt", marks=pytest.mark.exhaustive), "said_of_refusals.txt"],
+    [
+        "said_of_data.txt",
+        "said_of_refusals.txt",
+        pytest.param("said_of_hints.txt", marks=pytest.mark.exhaustive),
+    ],
 )
 def test_a_function_prints_the_stored_output(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
