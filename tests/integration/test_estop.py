@@ -49,7 +49,7 @@ def test_a_stop_reaches_the_device_of_a_dead_daemon(bench: Bench) -> None:
 def test_an_estop_does_not_disturb_a_living_daemon(served: Bench) -> None:
     stop = served.start("armrig_daemon", "estop", "--config", str(served.config))
 
-    pid = served.processes[1].popen.pid
+    pid = served.daemon.popen.pid
     assert stop.popen.wait(WITHIN_S) == 1
     assert stop.said == (
         f"armrigd: estop: nothing sent: the daemon of rig 1 (process {pid}) has opened "

@@ -53,10 +53,9 @@ class Run(NamedTuple):
 
 @contextmanager
 def _running(bench: Bench) -> Iterator[Run]:
-    emulator, daemon = bench.processes[-2:]
-    loop_pid = bench.loop_pid(daemon)
+    loop_pid = bench.loop_pid(bench.daemon)
     with driven(bench, samples=4000):
-        yield Run(bench, emulator, daemon, loop_pid)
+        yield Run(bench, bench.emulator, bench.daemon, loop_pid)
 
 
 @pytest.fixture
