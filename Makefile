@@ -32,7 +32,7 @@ timed: .venv/dev
 machine: .venv/dev
 	$(BIN)/pytest -m machine -k "not empty" tests/systemd tests/integration
 
-# As root, with Debian's debootstrap: every line of docs/service.md, access.md and class.md, and of
+# As root, with Debian's debootstrap: every line of docs/service.md and access.md, and of
 # README's first screen, on an empty Debian. It fetches packages: ten minutes.
 walk: .venv/dev
 	$(BIN)/pytest -m machine -k empty -o faulthandler_timeout=900 tests/systemd/test_walk.py tests/systemd/test_readme.py

@@ -80,7 +80,6 @@ SAMPLE, GAP, TIMING, CLOCK, STATE, TRACE = (
 LOG = "foxglove.Log"
 NOTE = "note"
 """`name` of a log record that a person wrote; all other records have another name."""
-"""Field of a log record: time for which the clock of an emulated rig stood still, in ns."""
 OF_STREAM = {
     "sample": SAMPLE,
     "gap": GAP,
