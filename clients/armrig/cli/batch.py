@@ -123,8 +123,7 @@ def validate(
 
     The table contains the results of the simulation and of the tests of the residuals.
     """
-    from armrig.models.model_file import load_fit
-    from armrig.models.model_writing import model_text
+    from armrig.models.model_file import load_fit, model_text
     from armrig.report.batch.tasks import Validate
 
     task = Validate(model=model_text(load_fit(model)), detrend=detrend)

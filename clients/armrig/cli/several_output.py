@@ -22,12 +22,11 @@ if TYPE_CHECKING:
     from armrig.data.signals import Signals
     from armrig.models.fit import Fit
     from armrig.models.multivariable.comparison import SignalsComparison, SignalsComparisonTable
-    from armrig.models.multivariable.fit import MultivariableFit
     from armrig.validation.multivariable.residual_test import SignalsResidualTest
     from armrig.validation.multivariable.search import SignalsSearch
 
 
-def answer(fit: MultivariableFit) -> str:
+def answer(fit: Fit) -> str:
     """Return a sentence on the fit and the residuals of each output."""
     fits = [
         f"{name} to {q.fit_percent:.2f} %" for name, q in zip(fit.outputs, fit.quality, strict=True)
@@ -126,7 +125,7 @@ def _pair_lines(tests: SignalsResidualTest, *, verbose: bool) -> Iterator[str]:
                 yield f"  {pair}: {bad if rejected else good} {said}"
 
 
-def lines(fit: MultivariableFit, *, verbose: bool) -> Iterator[str]:
+def lines(fit: Fit, *, verbose: bool) -> Iterator[str]:
     """Yield a summary of the model; with `verbose`, also the coefficients of each channel."""
     yield repr(fit)
     if verbose:
@@ -152,12 +151,12 @@ def request_of(found: SignalsSearch) -> SignalsRequest:
     )
 
 
-def model_facts(fit: MultivariableFit) -> dict[str, Any]:
+def model_facts(fit: Fit) -> dict[str, Any]:
     """Return the results of the estimation as JSON fields."""
     poles = fit.poles()
     return {
         "structure": fit.structure,
-        "orders": fit.orders,
+        "orders": fit.specification,
         "shared": fit.shared,
         "inputs": list(fit.inputs),
         "Ts": fit.Ts,
@@ -218,7 +217,7 @@ def test_facts(tests: SignalsResidualTest) -> dict[str, Any]:
     }
 
 
-def figures(fit: MultivariableFit, data: Signals) -> dict[str, Callable[[Axes], Axes]]:
+def figures(fit: Fit, data: Signals) -> dict[str, Callable[[Axes], Axes]]:
     """Return the functions that draw the simulated outputs, and each channel's Bode diagram."""
     from armrig.models.multivariable.comparison import compare
     from armrig.models.multivariable.figures import plot_signals_comparison

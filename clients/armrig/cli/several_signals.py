@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from armrig.data.signals import Signals
     from armrig.estimation.multivariable.request import SignalsRequest
+    from armrig.models.fit import Fit
     from armrig.models.multivariable.comparison import SignalsComparisonTable
-    from armrig.models.multivariable.fit import MultivariableFit
     from armrig.validation.multivariable.search import SignalsSearch
 
 
@@ -156,7 +156,7 @@ def _request(given: Given, data: Signals, *, shared: bool) -> SignalsRequest:
 
 def compared(
     data: Signals,
-    fits: Sequence[MultivariableFit],
+    fits: Sequence[Fit],
     horizon: int | None = None,
     labels: Sequence[str] | None = None,
 ) -> SignalsComparisonTable:
@@ -187,7 +187,7 @@ def _rows(table: SignalsComparisonTable) -> list[dict[str, Any]]:
 
 
 def validate(
-    fit: MultivariableFit,
+    fit: Fit,
     file: Path,
     signals: SignalChoice,
     horizons: Sequence[int],
@@ -198,6 +198,7 @@ def validate(
     """Validate a model of several signals: simulate it, predict with it, test its residuals."""
     from armrig.cli import several_output
     from armrig.cli.spinner import estimating
+    from armrig.models.multivariable.comparison import compare
     from armrig.models.multivariable.figures import plot_signals_comparison
     from armrig.validation.multivariable.figures import (
         COLUMN_WIDTH,
@@ -209,7 +210,7 @@ def validate(
     data = signals.signals_of(file, fit)
     with estimating("the orders"):
         simulated = compared(data, [fit])
-        tables = [simulated, *(fit.compare(data, horizon=h) for h in horizons)]
+        tables = [simulated, *(compare(data, fit, horizon=h) for h in horizons)]
         tests = residuals(fit, data, lags)
     write_plot(
         to.figure,
@@ -230,7 +231,7 @@ def validate(
 
 
 def compare(
-    fits: Sequence[tuple[str, MultivariableFit]],
+    fits: Sequence[tuple[str, Fit]],
     file: Path,
     signals: SignalChoice,
     horizon: int | None,

@@ -94,7 +94,7 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     blocks = [np.where(p.usable[:, None], p.Phi, 0.0) for p in parts]
     residuals = [np.where(p.usable, p.y - p.Phi @ theta, np.nan) for p in parts]
     found = infer(residuals, blocks, score="correlated", y=data.y, basis=basis.spread(usable))
-    fit = Fit(
+    fit = Fit.of_channel(
         structure="arx",
         A=A,
         B=np.append(np.zeros(nk), theta[na:]),

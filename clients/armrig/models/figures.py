@@ -9,6 +9,7 @@ from armrig_core.telemetry import THETA_1, VELOCITY
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.models.characteristics import integrates
+from armrig.models.fit import Fit
 from armrig.models.labels import (
     Labels,
     gain_unit,
@@ -17,7 +18,6 @@ from armrig.models.labels import (
     sources_of,
     with_method,
 )
-from armrig.models.model import Model
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.pole_zero_figure import plot_poles_zeros
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
@@ -99,7 +99,7 @@ def plot_bode(
 
 
 def plot_step(
-    *models: Model, n: int | None = None, labels: Labels = None, ax: Axes | None = None
+    *models: Fit, n: int | None = None, labels: Labels = None, ax: Axes | None = None
 ) -> Axes:
     """Plot the response to a unit step with 95 % bands.
 
@@ -141,7 +141,7 @@ def plot_step(
     return sign(ax, *sources_of(models), above=above)
 
 
-def plot_fit(model: Model) -> Figure:
+def plot_fit(model: Fit) -> Figure:
     """Return a figure of one model with frequency response, step response, poles and zeros."""
     from matplotlib import pyplot as plt
 
@@ -224,7 +224,7 @@ def _response(
     model: Any, omega: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
     """Return G, its frequencies (at most pi/Ts), its bands, and the draws for the bands."""
-    if isinstance(model, Model):
+    if isinstance(model, Fit):
         w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
         answer = model.frequency_response(w)
         if not np.nan_to_num(answer.std_magnitude).any():

@@ -18,7 +18,7 @@ from armrig.data.several_signals import accepts_signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
 from armrig.models.estimation_data import findings_on_own_data
-from armrig.models.model import Model
+from armrig.models.fit import Fit
 from armrig.models.prediction import predicted
 from armrig.numerics.criteria import fit_percent
 from armrig.validation.model_differences import explanation, table
@@ -46,7 +46,7 @@ class Comparison:
     """True if the model was estimated from these data."""
     y: Vector
     """Output ŷ of the model, (N,)."""
-    model: Model
+    model: Fit
     """The model."""
 
     @property
@@ -137,7 +137,7 @@ def row_line(name: str, row: Comparison, unit: str) -> str:
 @takes_recordings
 def compare(
     data: Dataset,
-    *models: Model,
+    *models: Fit,
     horizon: int | None = None,
     labels: Sequence[str] | None = None,
 ) -> ComparisonTable:
@@ -215,7 +215,7 @@ def compare(
 
 
 def _compared(
-    data: Dataset, model: Model, name: str, horizon: int | None, *, integrating: bool
+    data: Dataset, model: Fit, name: str, horizon: int | None, *, integrating: bool
 ) -> Comparison:
     y = predicted(model, data, horizon)
     percent, rms = _misfit(data.y, y)

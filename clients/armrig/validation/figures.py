@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.models.fit import Fit
 from armrig.models.labels import Labels
-from armrig.models.model import Model
 from armrig.plots.captions import legend
 from armrig.plots.layout import COLOURS, GREY, INK, axes, finish, logarithmic
 from armrig.validation.comparison import ComparisonTable, compare
@@ -31,7 +31,7 @@ _MOST = 1000.0  # models with a larger multiple of the least error are counted, 
 
 def plot_compare(
     data: Dataset,
-    *models: Model,
+    *models: Fit,
     horizon: int | None = None,
     labels: Labels = None,
     table: ComparisonTable | None = None,

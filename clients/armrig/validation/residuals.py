@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding
-from armrig.models.estimate import Estimate
 from armrig.models.estimation_data import findings_on_own_data
-from armrig.models.multivariable.fit import MultivariableFit
+from armrig.models.fit import Fit
 from armrig.models.prediction import Residuals, prediction_errors, require_same_signals
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.least_squares import orthonormal
@@ -142,19 +141,17 @@ class ResidualTest:
 
 
 @overload
-def residuals(
-    fit: MultivariableFit, data: Signals, lags: int | None = None
+def residuals(  # type: ignore[overload-overlap]
+    fit: Fit, data: Signals, lags: int | None = None
 ) -> SignalsResidualTest: ...
 
 
 @overload
-def residuals(
-    fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
-) -> ResidualTest: ...
+def residuals(fit: Fit, data: Dataset | HasDataset, lags: int | None = None) -> ResidualTest: ...
 
 
 def residuals(
-    fit: Estimate | MultivariableFit,
+    fit: Fit,
     data: Dataset | HasDataset | Signals,
     lags: int | None = None,
 ) -> ResidualTest | SignalsResidualTest:
@@ -183,7 +180,7 @@ def residuals(
 
     Parameters
     ----------
-    fit : Fit or MultivariableFit
+    fit : Fit
         Model of the same outputs as the data.
     data : Dataset or Signals
         N samples, or a recording.
@@ -225,14 +222,14 @@ def residuals(
       no dynamics missing (p = 0.02...)
       no feedback (p = 0.5...)
     """
-    if isinstance(fit, MultivariableFit):
-        from armrig.validation.multivariable.residuals import residuals as of_several
-
-        return of_several(fit, cast("Signals", data), lags)
-    if not hasattr(fit, "noise_variance"):
+    if not isinstance(fit, Fit) or not fit.quality:
         raise InputTypeError(
             f"the model must come first, got a {type(fit).__name__}: residuals(fit, data)"
         )
+    if (fit.ny, fit.nu) != (1, 1):
+        from armrig.validation.multivariable.residuals import residuals as of_several
+
+        return of_several(fit, cast("Signals", data), lags)
     data = as_dataset(data)
     require_same_signals(fit, data)
     known = [prediction_errors(fit, part) for part in data.experiments()]
@@ -354,13 +351,13 @@ def _score_covariance(
     return exogenous_score(Z, e)
 
 
-def _noise_parameters(fit: Estimate) -> int:
+def _noise_parameters(fit: Fit) -> int:
     """Return the number of parameters of the noise model C/(A D), without the integrator."""
     noise = fit.A.size + fit.C.size + fit.D.size - 3
     return noise - int(fit.integrating == "a")
 
 
-def _free_covariance(fit: Estimate) -> Array:
+def _free_covariance(fit: Fit) -> Array:
     """Return the covariance of the free parameters; an integrator is divided out of F or A."""
     if not fit.integrator:
         return fit.covariance_robust

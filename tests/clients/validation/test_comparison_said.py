@@ -10,7 +10,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.models.characteristics import SCALARS, ModelCharacteristics
-from armrig.models.model import Model
+from armrig.models.fit import Fit
 from armrig.numerics.confidence_regions import Band
 from armrig.validation.comparison import Comparison, _misfit, compare
 from armrig.validation.comparison_figure import plot_comparison
@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from tests.clients.models.made_fits import made
 
-PHYSICS = Model(B=np.array([0.0, 1.0]), nk=1, Ts=0.1)
+PHYSICS = Fit(B=np.array([0.0, 1.0]), nk=1, Ts=0.1)
 
 
 def figures(

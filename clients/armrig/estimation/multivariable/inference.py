@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from armrig.models.multivariable.fit import OutputQuality
+from armrig.models.quality import OutputQuality
 from armrig.numerics.covariance import correlated_score
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.inference import Score
@@ -70,7 +70,7 @@ class Inference:
     """Loss, fit and whiteness of each output."""
 
     def fields(self) -> dict[str, Any]:
-        """Return the fields of this result that a `MultivariableFit` also has, by name."""
+        """Return the fields of this result that a `Fit` also has, by name."""
         names = ("covariance", "covariance_robust", "noise_covariance", "quality")
         return {name: getattr(self, name) for name in names}
 

@@ -12,7 +12,7 @@ from armrig_core.errors import InputError, InputTypeError
 from armrig.data.finding import EstimateFinding
 from armrig.data.signals import Signals
 from armrig.models.estimation_data import findings_on_own_data
-from armrig.models.model import Matrix
+from armrig.models.state_space import Matrix
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.quantities import plural
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class SignalsModel(Protocol):
-    """Model with several outputs."""
+    """Fit with several outputs."""
 
     @property
     def label(self) -> str:
@@ -148,7 +148,10 @@ def compare(
     if not models:
         raise InputError("compare needs at least one model: compare(signals, fit)")
     for model in models:
-        if not hasattr(model, "estimated_from") or hasattr(model, "A"):
+        if (
+            not hasattr(model, "estimated_from")
+            or getattr(model, "nu", 2) * getattr(model, "ny", 2) == 1
+        ):
             raise InputTypeError(
                 f"a {type(model).__name__} has one output; compare it with "
                 "signals.dataset(output, input)"

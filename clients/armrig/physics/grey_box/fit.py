@@ -13,7 +13,7 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.models.multivariable.fit import OutputQuality
+from armrig.models.quality import OutputQuality
 from armrig.numerics.checks import column
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.physics.grey_box.least_squares_problem import Linearised

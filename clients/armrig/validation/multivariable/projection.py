@@ -9,8 +9,8 @@ import numpy as np
 
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.whitening import whitening
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.multivariable.state_space import ErrorResponses, error_responses
+from armrig.models.fit import Fit
+from armrig.models.state_space import ErrorResponses, error_responses
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
@@ -40,7 +40,7 @@ class Part:
         return np.isfinite(self.e)
 
 
-def parts_of(fit: MultivariableFit, data: Signals) -> list[Part]:
+def parts_of(fit: Fit, data: Signals) -> list[Part]:
     """Return the residuals of each experiment with their derivatives."""
     std = np.sqrt(np.diag(fit.noise_covariance))
 
@@ -88,7 +88,7 @@ def parts_of(fit: MultivariableFit, data: Signals) -> list[Part]:
     return found
 
 
-def _directions(fit: MultivariableFit) -> Array:
+def _directions(fit: Fit) -> Array:
     """Return independent directions of theta, (d, p), each with standard deviation 1.
 
     The covariance of theta is singular for the matrices of a state space, and if a root is fixed at

@@ -10,7 +10,8 @@ from armrig_core.errors import InputError
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.inference import OutputResiduals, exogenous_covariance
 from armrig.models.estimation_data import findings_on_own_data
-from armrig.models.multivariable.fit import MultivariableFit, require_same_channels
+from armrig.models.fit import Fit
+from armrig.models.prediction import require_same_signals
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import default_lags, joint_p_value
 from armrig.validation.multivariable.projection import (
@@ -31,7 +32,7 @@ it to 0. Its computed variance is only the error of the differences that approxi
 """
 
 
-def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> SignalsResidualTest:
+def residuals(fit: Fit, data: Signals, lags: int | None = None) -> SignalsResidualTest:
     """Test whether the residuals are white and independent of the inputs, per pair and jointly.
 
     The tests use the sums s of e_i(t) u_j(t - k) over t, and of e_i(t) e_j(t - k) over t. Each test
@@ -50,7 +51,7 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
 
     Parameters
     ----------
-    fit : MultivariableFit
+    fit : Fit
         Model of these outputs and inputs.
     data : Signals
         N samples.
@@ -72,7 +73,7 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
     .. [1] J. R. M. Hosking, J. Am. Stat. Assoc. 75 (1980) 602-608 (several outputs).
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.6.
     """
-    require_same_channels(fit, data)
+    require_same_signals(fit, data)
     own = fit.estimated_from(data)
     # For a subspace estimate, which does not minimise the errors, P is not known.
     is_fitted = own and fit.structure != "n4sid"

@@ -14,7 +14,8 @@ from armrig.estimation.multivariable.n4sid import n4sid
 from armrig.estimation.multivariable.oe import oe
 from armrig.estimation.multivariable.plans import integrating_outputs
 from armrig.estimation.multivariable.ss import ss
-from armrig.models.multivariable.fit import MultivariableFit, require_same_channels
+from armrig.models.fit import Fit
+from armrig.models.prediction import require_same_signals
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
 from armrig.numerics.polynomial import Array
@@ -33,7 +34,7 @@ class SignalsCandidate:
     """Name of the structure."""
     order: int
     """Number of poles, without the poles of integrators."""
-    fit: MultivariableFit | None
+    fit: Fit | None
     """The model; None if the estimate failed."""
     reason: str
     """Reason why there is no usable model, or ""."""
@@ -78,7 +79,7 @@ class SignalsSearch:
         return self.ranked[self.chosen_index]
 
     @property
-    def fit(self) -> MultivariableFit:
+    def fit(self) -> Fit:
         """The chosen model."""
         found = self.chosen.fit
         if found is None:
@@ -205,7 +206,7 @@ def _scored(
     try:
         with np.errstate(all="ignore"):
             fit = _estimated(family, n, data, nk, integrator)
-            require_same_channels(fit, validation)
+            require_same_signals(fit, validation)
             e = np.where(validation.valid, validation.y - fit.predict(validation, horizon), np.nan)
     except (ValueError, np.linalg.LinAlgError) as err:
         return SignalsCandidate(family=family, order=n, fit=None, reason=str(err), error=none)
@@ -216,7 +217,7 @@ def _scored(
 
 def _estimated(
     family: SearchedName, n: int, data: Signals, nk: int, integrator: bool | str | Sequence[str]
-) -> MultivariableFit:
+) -> Fit:
     if family == "oe":
         integrating = integrating_outputs(integrator, data)
         nb = {
@@ -259,7 +260,7 @@ def _mean(error: Array) -> float:
     return float(np.mean(error))
 
 
-def _free(fit: MultivariableFit) -> int:
+def _free(fit: Fit) -> int:
     """Return the number of free parameters; the choice of the state coordinates does not count."""
     if fit.structure not in ("ss", "n4sid"):
         return int(fit.theta.size)

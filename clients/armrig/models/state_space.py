@@ -8,14 +8,19 @@ The innovations form is ::
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.signals import Signals
-from armrig.models.model import Complex, Matrix, Vector, freeze
 from armrig.numerics.least_squares import column_norms
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 _MIN_SINGULAR_VALUE = 1e-4  # least singular value of the responses, divided by the largest
 _MIN_SHOWN_VALUE = 1e-10  # this ratio for a combination of states with a significant effect
@@ -71,6 +76,19 @@ class StateSpace:
         """Return the output (N, ny) for the input u (N, nu), from rest and without noise."""
         x = recursion(self.A, u @ self.B.T, np.zeros(self.order))[:-1]
         return np.asarray(x @ self.C.T + u @ self.D.T)
+
+
+def frozen(values: ArrayLike) -> Vector:
+    """Return a read-only copy of an array of numbers."""
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
+
+
+def freeze(value: Any, names: tuple[str, ...]) -> None:
+    """Replace the fields `names` of a dataclass by read-only arrays of numbers."""
+    for name in names:
+        object.__setattr__(value, name, frozen(getattr(value, name)))
 
 
 def predicted(
