@@ -19,7 +19,7 @@ from armrig.estimation.nonparametric.step_analysis import StepAnalysis
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.physics.integrators.accuracy import convergence, sinusoid
-from armrig.physics.physical_model import PhysicalModel, physical_model
+from armrig.physics.physical_model import physical_model
 from armrig.physics.systems import beside_the_handout
 from armrig.recordings.calibration import estimate
 from armrig.recordings.overview import overview
@@ -101,7 +101,7 @@ def hardly_a_pair() -> armrig.Fit:
     return armrig.oe(second_order(N=500, F=F), nb=2, nf=2)
 
 
-def exact(B: Any, F: Any) -> PhysicalModel:
+def exact(B: Any, F: Any) -> armrig.Fit:
     """Return a model of these polynomials, of which nothing was estimated."""
     of_the_rig = physical_model(P, Dataset(u=[0.0, 1.0], y=[0.0, 1.0], Ts=1.0))
     return changed(of_the_rig, B=np.array(B), F=np.array(F), integrator=False)

@@ -327,24 +327,31 @@ class Estimate:
         return float(self.noise_covariance[self._only, self._only])
 
     @property
+    def _quality(self) -> OutputQuality:
+        """Quality of the only output."""
+        if not self.quality:
+            raise InputError(f"{self.label} was not estimated: it has no loss and no residuals")
+        return self.quality[self._only]
+
+    @property
     def loss(self) -> float:
         """Mean squared residual, one step ahead, on the estimation data, in y's squared unit."""
-        return self.quality[self._only].loss
+        return self._quality.loss
 
     @property
     def N(self) -> int:
         """Number of residuals in the loss."""
-        return self.quality[self._only].N
+        return self._quality.N
 
     @property
     def fit_percent(self) -> float:
         """100 (1 - |y - ŷ| / |y - mean y|), one step ahead, on the estimation data."""
-        return self.quality[self._only].fit_percent
+        return self._quality.fit_percent
 
     @property
     def white(self) -> Whiteness:
         """Result of the whiteness test; str() returns it as text."""
-        return self.quality[self._only].white
+        return self._quality.white
 
     @property
     def whiteness(self) -> float:

@@ -629,8 +629,3 @@ def _index(what: str, name: str | None, names: tuple[str, ...]) -> int:
         said = f"{what} {name!r}: there is no such {what}" if name else f"which {what}?"
         raise InputError(f"{said}; the model has {', '.join(names)}")
     return names.index(name)
-
-
-# Names of earlier releases, which scripts may use in annotations.
-SubspaceFit = Fit
-MultivariableFit = Fit
