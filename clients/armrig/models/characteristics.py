@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.models.linearised import root_derivatives
 from armrig.models.parameter_draws import Draws, directions, drawn
 from armrig.models.uncertainty import pole_regions
 from armrig.numerics.confidence_regions import MIN_DRAWS, Band, band, linearised_band, sampled_band
@@ -309,35 +310,28 @@ def overlapping(model: Fit) -> list[tuple[complex, complex, float]]:
     are uncertain, but they vary together, and their difference is small. Of a complex pole and its
     conjugate, only the pole above the real axis is listed.
     """
-    poles = [(letter, z) for letter in ("a", "f") for z in _roots(model, letter)]
+    zeros = _roots_by_theta(model, "b")
     found = []
-    for letter, pole in poles:
-        if pole.imag < 0 or (letter == model.integrating and abs(pole - 1) < 1e-6):
-            continue
-        for zero in _roots(model, "b"):
-            apart = pole - zero
-            if zero.imag < -_REAL_TOLERANCE or abs(apart) > _MAX_PAIR_DISTANCE:
+    for letter in ("a", "f"):
+        for pole, by_pole in _roots_by_theta(model, letter):
+            if pole.imag < 0 or (letter == model.integrating and abs(pole - 1) < 1e-6):
                 continue
-            d = _derivative(model, letter, pole) - _derivative(model, "b", zero)
-            J = np.vstack([d.real, d.imag])
-            s = np.array([apart.real, apart.imag])
-            p = joint_p_value(s, J @ model.trusted_covariance @ J.T)
-            if p >= CANCELLATION_LEVEL:
-                found.append((complex(pole), complex(zero), p))
+            for zero, by_zero in zeros:
+                apart = pole - zero
+                if zero.imag < -_REAL_TOLERANCE or abs(apart) > _MAX_PAIR_DISTANCE:
+                    continue
+                d = by_pole - by_zero
+                J = np.vstack([d.real, d.imag])
+                s = np.array([apart.real, apart.imag])
+                p = joint_p_value(s, J @ model.trusted_covariance @ J.T)
+                if p >= CANCELLATION_LEVEL:
+                    found.append((complex(pole), complex(zero), p))
     return sorted(found, key=lambda pair: abs(pair[0] - pair[1]))
 
 
-def _roots(model: Fit, letter: str) -> Complex:
-    p = getattr(model, letter.upper())
-    return np.roots(p[model.nk :] if letter == "b" else p).astype(np.complex128)
-
-
-def _derivative(model: Fit, letter: str, root: complex) -> Complex:
-    """Return the derivative of a root with respect to theta, (d,): dz = -z^(n-k) / p'(z) dp_k."""
-    p = getattr(model, letter.upper())
-    p, first = (p[model.nk :], 0) if letter == "b" else (p, 1)
-    powers = p.size - 1 - np.arange(first, p.size)
-    out = np.zeros(model.theta.size, dtype=np.complex128)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        out[model.slice_of(letter)] = -(root**powers) / np.polyval(np.polyder(p), root)
-    return out
+def _roots_by_theta(model: Fit, letter: str) -> list[tuple[complex, Complex]]:
+    """Return each root of one polynomial with its derivatives (d,) by theta."""
+    z, dz = root_derivatives(model, letter)
+    by_theta = np.zeros((z.size, model.theta.size), dtype=np.complex128)
+    by_theta[:, model.slice_of(letter)] = dz
+    return list(zip(z.tolist(), by_theta, strict=True))

@@ -26,30 +26,32 @@ if TYPE_CHECKING:
 
 
 def polynomial_roots(model: Fit, letter: str) -> Roots:
-    """Return the roots of one polynomial; for "b" without the zeros at 0 and at infinity.
-
-    If p_k changes by dp_k, a root z of p(z) = sum p_k z^(n-k) changes by dz = -z^(n-k) / p'(z)
-    dp_k.
-    """
-    first = int(letter != "b")
-    p = model.polynomial(letter)[0 if first else model.nk :]
-    z = roots(p).astype(np.complex128)
-    n = z.size
-    if n == 0:
-        return Roots(values=z, covariance=np.zeros((0, 2, 2)))
-    if letter == model.integrating:
-        fixed = np.argmin(np.abs(z - 1))
-        z[fixed] = 1.0
-    powers = p.size - 1 - np.arange(first, p.size)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slope = np.polyval(np.polyder(p), z)
-        dz = -(z[:, None] ** powers) / slope[:, None]
-    if letter == model.integrating:
-        dz[fixed] = 0.0
+    """Return the roots of one polynomial; for "b" without the zeros at 0 and at infinity."""
+    z, dz = root_derivatives(model, letter)
     both = np.stack([dz.real, dz.imag], axis=1)
     part = model.slice_of(letter)
     moved = both @ _factor(model.trusted_covariance[part, part])
     return Roots(values=z, covariance=moved @ moved.transpose(0, 2, 1))
+
+
+def root_derivatives(model: Fit, letter: str) -> tuple[Complex, Complex]:
+    """Return the roots of one polynomial, and their derivatives (n, k) by its k parameters.
+
+    If p_k changes by dp_k, a root z of p(z) = sum p_k z^(n-k) changes by dz = -z^(n-k) / p'(z)
+    dp_k. A root that is 1 by construction does not change.
+    """
+    first = int(letter != "b")
+    p = model.polynomial(letter)[0 if first else model.nk :]
+    z = roots(p).astype(np.complex128)
+    powers = p.size - 1 - np.arange(first, p.size)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if letter == model.integrating:
+            fixed = np.argmin(np.abs(z - 1))
+            z[fixed] = 1.0
+        dz = -(z[:, None] ** powers) / np.polyval(np.polyder(p), z)[:, None]
+    if letter == model.integrating:
+        dz[fixed] = 0.0
+    return z, dz
 
 
 def frequencies(model: Fit, omega: ArrayLike) -> Vector:

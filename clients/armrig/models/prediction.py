@@ -59,11 +59,17 @@ def predicted(model: Fit, data: Dataset | Signals, horizon: int | None) -> Array
     _require_horizon(horizon)
     if (model.ny, model.nu) != (1, 1):
         data = cast("Signals", data)
-        system, std = model.form.realised(), np.sqrt(np.diag(model.noise_covariance))
-        integrating = model.form.integrators
+        system = model.form.realised()
         return np.concatenate(
             [
-                of_outputs(system, part, horizon=horizon, integrating=integrating, noise_std=std)
+                of_outputs(
+                    system,
+                    part,
+                    horizon=horizon,
+                    integrating=model.form.integrators,
+                    offset=model.offset,
+                    noise_std=np.sqrt(np.diag(model.noise_covariance)),
+                )
                 for part in data.experiments()
             ]
         )
