@@ -11,7 +11,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli.replay import replay
-from armrig.models.model_file import model_text
+from armrig.models.model_writing import model_text
 from armrig.recordings.calibration import decompressed, estimate
 from armrig.recordings.container import read
 from armrig.recordings.verification import verify

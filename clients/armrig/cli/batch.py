@@ -123,7 +123,8 @@ def validate(
 
     The table contains the results of the simulation and of the tests of the residuals.
     """
-    from armrig.models.model_file import load_fit, model_text
+    from armrig.models.model_file import load_fit
+    from armrig.models.model_writing import model_text
     from armrig.report.batch.tasks import Validate
 
     fit = load_fit(model)

@@ -9,7 +9,6 @@ from armrig_core.telemetry import THETA_1, VELOCITY
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.models.characteristics import integrates
-from armrig.models.fit import Fit
 from armrig.models.labels import (
     Labels,
     gain_unit,
@@ -40,6 +39,8 @@ from armrig.plots.layout import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from armrig.models.fit import Fit
 
 
 _AMBIGUOUS_TURN_DEG = 150.0  # a sudden phase change by more than this may have either sign
@@ -224,15 +225,15 @@ def _response(
     model: Any, omega: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
     """Return G, its frequencies (at most pi/Ts), its bands, and the draws for the bands."""
-    if isinstance(model, Fit):
-        w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
-        answer = model.frequency_response(w)
-        if not np.nan_to_num(answer.std_magnitude).any():
-            return w, answer.G, None, None
-        draws = drawn(model)
-        return w, answer.G, frequency_bands(model, answer, draws), draws
-    w = omega[omega <= np.pi / model.dt * (1 + 1e-9)] if model.dt else omega
-    return w, np.asarray(model(np.exp(1j * w * model.dt) if model.dt else 1j * w)), None, None
+    if hasattr(model, "dt"):  # a python-control system
+        w = omega[omega <= np.pi / model.dt * (1 + 1e-9)] if model.dt else omega
+        return w, np.asarray(model(np.exp(1j * w * model.dt) if model.dt else 1j * w)), None, None
+    w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
+    answer = model.frequency_response(w)
+    if not np.nan_to_num(answer.std_magnitude).any():
+        return w, answer.G, None, None
+    draws = drawn(model)
+    return w, answer.G, frequency_bands(model, answer, draws), draws
 
 
 def _phase(G: NDArray[Any]) -> NDArray[np.float64]:

@@ -571,7 +571,7 @@ class Fit(Estimate):
         >>> armrig.load_fit("alpha.json").heading
         'OE(nb=3, nf=3, nk=1)'
         """
-        from armrig.models.model_file import save_fit
+        from armrig.models.model_writing import save_fit
 
         save_fit(self, path)
 

@@ -1,12 +1,10 @@
-"""Writing and reading of a model as a JSON file, with all digits of each number."""
+"""Reading of a model from its JSON file, with all digits of each number."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass
-from importlib.metadata import version
-from math import isfinite
+from dataclasses import MISSING, fields
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -16,69 +14,24 @@ from armrig_core.bounded import read_text
 from armrig_core.errors import FileError
 
 from armrig.data.finding import EstimateFinding
-from armrig.data.step import Step, codes_of
+from armrig.data.step import Step
 from armrig.models.estimate import Form
 from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
+from armrig.models.model_writing import FORMAT, VERSION
 from armrig.models.polynomials import Polynomials
 from armrig.models.quality import OutputQuality, Start
 from armrig.models.structure import FreeResponse
 from armrig.numerics.whiteness import Whiteness
 
-FORMAT = "armrig model"
-VERSION = 2
-"""Version 1 contained the polynomials of one input and one output at its top level."""
 FORMAT_OF_SEVERAL = "armrig-multivariable-model"
 """Format of models of several signals before version 2; its version is 1."""
 MAX_BYTES = 1 << 26
 """Largest size of a file, in bytes. The file of a model with 1000 parameters is smaller."""
-_FORMS: dict[str, type[Matrices] | type[Polynomials]] = {
-    "matrices": Matrices,
-    "polynomials": Polynomials,
-}
-"""Classes of the parameters, by the names of the classes in a file."""
 _COVARIANCES = ("covariance", "covariance_robust", "noise_covariance")
 _ARRAYS = (*_COVARIANCES, "singular_values", "canonical_correlations")
 _TUPLES = ("inputs", "outputs", "input_units", "units")
 _NUMBERS = ("Ts", "curvature")
-
-
-def save_fit(fit: Fit, path: str | PathLike[str]) -> Path:
-    """Write a model as JSON and return the path.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
-    """
-    path = Path(path)
-    path.write_text(model_text(fit), encoding="utf-8")
-    return path
-
-
-def model_text(fit: Fit) -> str:
-    """Return a model as the JSON text of its file."""
-    (kind,) = (name for name, form in _FORMS.items() if isinstance(fit.form, form))
-    content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
-    content |= _plain(fit)
-    content["form"] = {"kind": kind} | content["form"]
-    content["treatment"] = codes_of(fit.history)
-    return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-
-
-def _plain(value: Any) -> Any:
-    """Return a value for JSON; a number that is not finite becomes "nan", "inf" or "-inf"."""
-    if is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {name: _plain(x) for name, x in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(x) for x in value]
-    if isinstance(value, float) and not isfinite(value):
-        return str(value)
-    return value
 
 
 def load_fit(path: str | PathLike[str]) -> Fit:

@@ -102,8 +102,9 @@ def predicted(
 ) -> Array:
     """Return ŷ (N, ny) of one experiment from y up to t - horizon; from u alone if horizon is None.
 
-    The initial state is estimated by least squares. So are a ramp of each integrating output and,
-    with `offset`, a level of each other output: ramp and level represent the offset of the input.
+    The initial state and a ramp of each integrating output are estimated by least squares. With
+    `offset`, the level of each other output is estimated, too. The ramp or the level represents the
+    offset of the input.
     The innovation of a missing output is taken as 0. If
     the model is unstable, ŷ may be infinite. The predictions of an output are NaN before its first
     measured sample.

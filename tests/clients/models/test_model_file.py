@@ -15,7 +15,8 @@ from armrig.data.merging import merge
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.models.fit import Fit
-from armrig.models.model_file import fit_of, load_fit, model_text
+from armrig.models.model_file import fit_of, load_fit
+from armrig.models.model_writing import model_text
 from armrig.models.quality import Start
 from armrig.models.structure import FreeResponse
 from armrig.numerics.polynomial import filtered

@@ -14,7 +14,8 @@ from armrig.data.signals import Signals
 from armrig.data.step import MEAN, Step, codes_of
 from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
-from armrig.models.model_file import load_fit, model_text
+from armrig.models.model_file import load_fit
+from armrig.models.model_writing import model_text
 from armrig.models.multivariable.comparison import SignalsComparisonTable, compare
 from armrig.models.polynomials import Polynomials
 from armrig.models.quality import OutputQuality, Start

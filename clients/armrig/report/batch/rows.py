@@ -157,7 +157,7 @@ def _result(task: Task, recording: Recording, item: Item) -> Row:
 
 
 def _identified(task: Identify, recording: Recording) -> Row:
-    from armrig.models.model_file import model_text
+    from armrig.models.model_writing import model_text
 
     data = _treated(recording.dataset(task.signal), wanted=task.detrend)
     task.check(data)

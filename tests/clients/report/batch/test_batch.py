@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.models.model_file import model_text
+from armrig.models.model_writing import model_text
 from armrig.recordings.verification import verify
 from armrig.report.batch import workers
 from armrig.report.batch.batch import batch, header_of, results
