@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding
+from armrig.data.signals import Signals
 from armrig.models.estimation_data import findings_on_own_data
 from armrig.models.fit import Fit
 from armrig.models.prediction import Residuals, prediction_errors, require_same_signals
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from armrig.data.signals import Signals
     from armrig.validation.multivariable.residual_test import SignalsResidualTest
 
 Vector = NDArray[np.float64]
@@ -226,7 +226,7 @@ def residuals(
         raise InputTypeError(
             f"the model must come first, got a {type(fit).__name__}: residuals(fit, data)"
         )
-    if (fit.ny, fit.nu) != (1, 1):
+    if (fit.ny, fit.nu) != (1, 1) or (fit.specification and isinstance(data, Signals)):
         from armrig.validation.multivariable.residuals import residuals as of_several
 
         return of_several(fit, cast("Signals", data), lags)

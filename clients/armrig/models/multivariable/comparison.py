@@ -161,7 +161,7 @@ def compare(
         raise InputError(f"labels={labels!r}: give a name for each of {len(models)} models")
     rows = []
     for model, name in zip(models, names, strict=True):
-        y = model.predict(data, horizon)
+        y = model.predict(data, horizon).reshape(data.y.shape)
         quality = [_misfit(data.y[:, i], y[:, i]) for i in range(data.ny)]
         rows.append(
             SignalsComparison(

@@ -207,7 +207,8 @@ def _scored(
         with np.errstate(all="ignore"):
             fit = _estimated(family, n, data, nk, integrator)
             require_same_signals(fit, validation)
-            e = np.where(validation.valid, validation.y - fit.predict(validation, horizon), np.nan)
+            predicted = fit.predict(validation, horizon).reshape(validation.y.shape)
+            e = np.where(validation.valid, validation.y - predicted, np.nan)
     except (ValueError, np.linalg.LinAlgError) as err:
         return SignalsCandidate(family=family, order=n, fit=None, reason=str(err), error=none)
     error = np.nansum((e / np.nanstd(validation.y, axis=0)) ** 2, axis=1)
