@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class SignalsModel(Protocol):
-    """Fit with several outputs."""
+    """Model with several outputs."""
 
     @property
     def label(self) -> str:
@@ -148,10 +148,8 @@ def compare(
     if not models:
         raise InputError("compare needs at least one model: compare(signals, fit)")
     for model in models:
-        if (
-            not hasattr(model, "estimated_from")
-            or getattr(model, "nu", 2) * getattr(model, "ny", 2) == 1
-        ):
+        channels = getattr(model, "nu", data.nu) * getattr(model, "ny", data.ny)
+        if not hasattr(model, "estimated_from") or channels == 1 < data.nu * data.ny:
             raise InputTypeError(
                 f"a {type(model).__name__} has one output; compare it with "
                 "signals.dataset(output, input)"
