@@ -694,10 +694,15 @@ def pem() -> Variants:
 @variants
 def n4sid() -> Variants:
     for name, fit in of_n4sid().items():
-        yield name, fit
-        yield f"{name}.state_space()", fit.state_space()
-        for member in PROJECTION:
-            yield f"{name}.{member}", getattr(fit, member)
+        yield from with_projection(name, fit)
+
+
+def with_projection(name: str, fit: armrig.Fit) -> Variants:
+    """Return a model of N4SID with the members that other models do not fill."""
+    yield name, fit
+    yield f"{name}.state_space()", fit.state_space()
+    for member in PROJECTION:
+        yield f"{name}.{member}", getattr(fit, member)
 
 
 def of_n4sid() -> dict[str, armrig.Fit]:
@@ -1433,7 +1438,7 @@ def load_fit() -> Variants:
     bj_odd().save(path)
     yield "bj", armrig.load_fit(path)
     armrig.n4sid(data()["plain"], 2).save(path)
-    yield "n4sid", armrig.load_fit(path)
+    yield from with_projection("n4sid", armrig.load_fit(path))
 
 
 @variants
