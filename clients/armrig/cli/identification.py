@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from armrig.data.finding import Finding
     from armrig.models.fit import Fit
     from armrig.validation.comparison import ComparisonTable
-    from armrig.validation.residuals import ResidualTest
+    from armrig.validation.residual_test import ResidualTest
     from armrig.validation.search_result import SearchResult
 
 Search = Annotated[

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from armrig.models.fit import Fit
     from armrig.models.multivariable.comparison import SignalsComparison, SignalsComparisonTable
     from armrig.models.multivariable.fit import MultivariableFit
-    from armrig.validation.multivariable.residual_test import SignalsResidualTest
     from armrig.validation.multivariable.search import SignalsSearch
+    from armrig.validation.residual_test import ResidualTest
 
 
 def answer(fit: MultivariableFit) -> str:
@@ -52,7 +52,7 @@ def simulated(row: SignalsComparison, data: Signals) -> str:
 
 
 def validated(
-    table: SignalsComparisonTable, tests: SignalsResidualTest, file: Path, *, verbose: bool
+    table: SignalsComparisonTable, tests: ResidualTest, file: Path, *, verbose: bool
 ) -> Iterator[str]:
     """Yield a sentence on simulation and tests, then each pair of signals that fails a test."""
     row = table[0]
@@ -78,7 +78,7 @@ def closest(table: SignalsComparisonTable) -> str:
 
 def validation_lines(
     tables: Sequence[SignalsComparisonTable],
-    tests: SignalsResidualTest,
+    tests: ResidualTest,
     file: Path,
     *,
     verbose: bool,
@@ -108,7 +108,7 @@ def validation_lines(
     yield from _pair_lines(tests, verbose=verbose)
 
 
-def _pair_lines(tests: SignalsResidualTest, *, verbose: bool) -> Iterator[str]:
+def _pair_lines(tests: ResidualTest, *, verbose: bool) -> Iterator[str]:
     """Yield the tests of each pair, with Bonferroni's correction for the number of pairs.
 
     If dynamics are missing, the test of feedback is not valid.
@@ -195,7 +195,7 @@ def model_facts(fit: MultivariableFit) -> dict[str, Any]:
     }
 
 
-def test_facts(tests: SignalsResidualTest) -> dict[str, Any]:
+def test_facts(tests: ResidualTest) -> dict[str, Any]:
     """Return the tests of the residuals as JSON fields."""
     return {
         "p_white": tests.white.p_value,

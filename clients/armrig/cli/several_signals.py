@@ -199,10 +199,10 @@ def validate(
     from armrig.cli import several_output
     from armrig.cli.spinner import estimating
     from armrig.models.multivariable.figures import plot_signals_comparison
-    from armrig.validation.multivariable.figures import (
+    from armrig.validation.residual_figure import (
         COLUMN_WIDTH,
         ROW_HEIGHT,
-        plot_signals_residuals,
+        plot_residual_test,
     )
     from armrig.validation.residuals import residuals
 
@@ -216,7 +216,7 @@ def validate(
         max(6.3, COLUMN_WIDTH * (1 + fit.nu)),
         height=max(3.6, ROW_HEIGHT * fit.ny),
         compare=lambda ax: plot_signals_comparison(simulated, ax=ax),
-        residuals=lambda ax: plot_signals_residuals(tests, ax=ax),
+        residuals=lambda ax: plot_residual_test(tests, ax=ax),
     )
     if to.json:
         facts: dict[str, Any] = {"model": fit.label, "identified_from": fit.source}

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit
     from armrig.validation.comparison import ComparisonTable
-    from armrig.validation.residuals import ResidualTest
+    from armrig.validation.residual_test import ResidualTest
 
 ModelFile = Annotated[
     Path, typer.Option("--model", metavar="JSON", help="Model file written by identify --save.")

@@ -11,13 +11,13 @@ from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice.model_advice import COLOURED
 from armrig.validation.comparison import Comparison, ComparisonTable
-from armrig.validation.residuals import ResidualTest
+from armrig.validation.residual_test import ResidualTest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from armrig.data.finding import Finding
-    from armrig.validation.multivariable.residual_test import SignalsResidualTest
+    from armrig.validation.residual_test import ResidualTest
 
 _DATA_FIRST = "correct the data first, see below"
 OF_DATA = frozenset({"outliers", "level"})
@@ -64,7 +64,7 @@ def simulated_to(row: Comparison, unit: str) -> str:
     return said + " on its estimation data" * row.on_estimation_data
 
 
-def tests_sentence(tests: ResidualTest | SignalsResidualTest) -> str:
+def tests_sentence(tests: ResidualTest) -> str:
     """Return the result of the tests of the residuals, with p values and the level."""
     failed, passed = [], []
     if tests.white.coloured:

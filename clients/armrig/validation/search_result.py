@@ -18,7 +18,7 @@ from armrig.models.fit import Fit
 from armrig.models.structure_table import STRUCTURES, OfferedName
 from armrig.numerics.quantities import p_relation, plural
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.validation.residuals import ResidualTest
+from armrig.validation.residual_test import ResidualTest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
