@@ -12,7 +12,7 @@ import pytest
 from armrig import MultivariableFit, Signals
 from armrig.estimation.multivariable.oe import oe as oe_of_several
 from armrig.numerics.polynomial import filtered
-from armrig.validation.multivariable import feedback_and_delay
+from armrig.validation.feedback_and_delay import other_inputs
 from armrig.validation.projection import parts_of, projection
 from armrig_core.errors import InputError
 
@@ -358,8 +358,8 @@ def test_a_model_of_all_inputs_has_at_most_a_fifth_of_its_rows_as_parameters() -
     rng = np.random.default_rng(1)
     data = Signals(u=rng.standard_normal((60, 2)), y=rng.standard_normal((60, 1)), Ts=0.1)
 
-    (block,) = feedback_and_delay._best_blocks([*data.experiments()], "y1")
+    (block,) = other_inputs._best_blocks([*data.experiments()], "y1")
 
     assert block.shape[1] - 1 <= 60 / 5
     with pytest.raises(InputError, match="too few samples of y1 for an ARX model"):
-        feedback_and_delay._best_blocks([data[:24]], "y1")
+        other_inputs._best_blocks([data[:24]], "y1")
