@@ -11,7 +11,7 @@ import typer
 from armrig.cli import several_next
 from armrig.cli.figures import write_plot
 from armrig.cli.model_structures import Given, requested_of_several
-from armrig.cli.options import print_json, say, say_answer, tell
+from armrig.cli.options import fields_of, print_json, say, say_answer, tell
 from armrig.cli.recorded_data import (
     SignalChoice,
     from_recording,
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from armrig.data.signals import Signals
     from armrig.estimation.multivariable.request import SignalsRequest
-    from armrig.models.multivariable.comparison import SignalsComparisonTable
     from armrig.models.multivariable.fit import MultivariableFit
+    from armrig.validation.comparison import ComparisonTable
     from armrig.validation.multivariable.search import SignalsSearch
 
 
@@ -159,30 +159,28 @@ def compared(
     fits: Sequence[MultivariableFit],
     horizon: int | None = None,
     labels: Sequence[str] | None = None,
-) -> SignalsComparisonTable:
+) -> ComparisonTable:
     """Return the comparison; print a warning if the data are a model's own estimation data."""
-    from armrig.models.multivariable.comparison import compare
+    from armrig.validation.comparison import compare
 
     table = compare(data, *fits, horizon=horizon, labels=labels)
     warn_of_estimation_data(table)
     return table
 
 
-def _rows(table: SignalsComparisonTable) -> list[dict[str, Any]]:
+def _rows(table: ComparisonTable) -> list[dict[str, Any]]:
     """Return the rows of a comparison as JSON fields."""
     return [
         {
-            "model": row.name,
-            "on_estimation_data": row.on_estimation_data,
+            "model": rows[0].name,
+            "on_estimation_data": rows[0].on_estimation_data,
             "horizon": table.horizon,
             "outputs": {
-                name: {"fit_percent": fit, "rms_error": rms}
-                for name, fit, rms in zip(
-                    table.data.outputs, row.fit_percent, row.rms_error, strict=True
-                )
+                row.output: fields_of(row, "fit_percent rms_error velocity_fit_percent")
+                for row in rows
             },
         }
-        for row in table.rows
+        for rows in table.models
     ]
 
 
@@ -198,7 +196,8 @@ def validate(
     """Validate a model of several signals: simulate it, predict with it, test its residuals."""
     from armrig.cli import several_output
     from armrig.cli.spinner import estimating
-    from armrig.models.multivariable.figures import plot_signals_comparison
+    from armrig.plots import plot_compare
+    from armrig.validation.comparison import compare as comparison_of
     from armrig.validation.residual_figure import (
         COLUMN_WIDTH,
         ROW_HEIGHT,
@@ -209,13 +208,13 @@ def validate(
     data = signals.signals_of(file, fit)
     with estimating("the orders"):
         simulated = compared(data, [fit])
-        tables = [simulated, *(fit.compare(data, horizon=h) for h in horizons)]
+        tables = [simulated, *(comparison_of(data, fit, horizon=h) for h in horizons)]
         tests = residuals(fit, data, lags)
     write_plot(
         to.figure,
         max(6.3, COLUMN_WIDTH * (1 + fit.nu)),
         height=max(3.6, ROW_HEIGHT * fit.ny),
-        compare=lambda ax: plot_signals_comparison(simulated, ax=ax),
+        compare=lambda ax: plot_compare(data, table=simulated, ax=ax),
         residuals=lambda ax: plot_residual_test(tests, ax=ax),
     )
     if to.json:
@@ -240,12 +239,12 @@ def compare(
 ) -> None:
     """Compare models of the same signals."""
     from armrig.cli import several_output
-    from armrig.models.multivariable.figures import plot_signals_comparison
+    from armrig.plots import plot_compare
 
     data = signals.recorded_signals(file, fits[0][1])
     names = [name for name, _ in fits]
     table = compared(data, [fit for _, fit in fits], horizon, names)
-    write_plot(plot, height=3.6, compare=lambda ax: plot_signals_comparison(table, ax=ax))
+    write_plot(plot, height=3.6, compare=lambda ax: plot_compare(data, table=table, ax=ax))
     if json:
         print_json({"validation": data.source, "models": _rows(table)})
     else:

@@ -49,17 +49,17 @@ def answer(
     said += f"; {_DATA_FIRST if doubted else COLOURED}." if fit.trusts_robust else "."
     if validation is None or tests is None:
         return said if isnan(fit.whiteness) else f"{said}\n{_MORE_TESTS}"
-    simulated = simulated_to(validation[0], validation.unit)
+    simulated = simulated_to(validation[0])
     return (
         f"{said}\nSimulated on the validation data it fits to {simulated}.\n"
         f"{tests_sentence(tests)}."
     )
 
 
-def simulated_to(row: Comparison, unit: str) -> str:
+def simulated_to(row: Comparison) -> str:
     """Return the fit of a simulation as text, such as 99.9 % (rms 0.0035 rad, velocity 83.6 %)."""
     velocity = row.velocity_fit_percent
-    said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {unit}".rstrip()
+    said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {row.unit}".rstrip()
     said += f", velocity {velocity:.2f} %)" if velocity is not None else ")"
     return said + " on its estimation data" * row.on_estimation_data
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     import control
 
-    from armrig.models.multivariable.comparison import SignalsComparisonTable
-
 
 class Form(Protocol):
     """Parameters of a model, with the polynomials and matrices that they define."""
@@ -389,26 +387,6 @@ class MultivariableFit:
         return control.ss(
             s.A, s.B, s.C, s.D, self.Ts, inputs=list(self.inputs), outputs=list(self.outputs)
         )
-
-    def compare(
-        self, data: Signals, *others: MultivariableFit, horizon: int | None = None
-    ) -> SignalsComparisonTable:
-        """Compare this model and the models `others` with data: see `armrig.compare`.
-
-        Examples
-        --------
-        >>> import armrig
-        >>> first, second = armrig.example_recording().signals().split(2)
-        >>> fit = armrig.oe(first, nb=[[4], [3]], nf=3, integrator="theta_1", shared="denominator")
-        >>> print(fit.compare(second))
-        simulation; initial state estimated from these data by least squares
-          OE(nb=[[4],[3]], nf=3, nk=1)
-            theta_1  fit   99.98 %  rms 0.0035... rad
-            alpha    fit   97.5... %  rms 0.0035... rad
-        """
-        from armrig.models.multivariable.comparison import compare
-
-        return compare(data, self, *others, horizon=horizon)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the model as JSON, with all digits of each number; `armrig.load_fit` reads it.
