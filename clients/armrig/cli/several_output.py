@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armrig.cli.model_output import RTOL, coefficients, equally_well, root_lines
-from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.plots.captions import signature
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from armrig.models.fit import Fit
     from armrig.models.multivariable.fit import MultivariableFit
     from armrig.validation.comparison import Comparison, ComparisonTable
-    from armrig.validation.multivariable.search import SignalsSearch
     from armrig.validation.residual_test import ResidualTest
 
 
@@ -135,22 +133,6 @@ def lines(fit: MultivariableFit, *, verbose: bool) -> Iterator[str]:
             yield f"{fit.inputs[j]} to {fit.outputs[i]}, delay {channel.nk} Ts"
             yield from coefficients(channel)
             yield from root_lines(channel)
-
-
-def request_of(found: SignalsSearch) -> SignalsRequest:
-    """Return the request that estimates the chosen model again, from all data."""
-    chosen = found.chosen
-    integrators = zip(found.fit.outputs, found.fit.form.integrators, strict=True)
-    integrating = tuple(name for name, integrates in integrators if integrates)
-    n = chosen.order
-    is_shared = chosen.family == "oe"
-    return SignalsRequest(
-        structure=chosen.family,
-        orders=dict.fromkeys(("nb", "nf"), n + bool(integrating)) if is_shared else {"order": n},
-        nk=found.nk,
-        integrating=integrating,
-        shared=is_shared,
-    )
 
 
 def model_facts(fit: MultivariableFit) -> dict[str, Any]:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from armrig.estimation.multivariable.request import SignalsRequest
     from armrig.models.multivariable.fit import MultivariableFit
     from armrig.validation.comparison import ComparisonTable
-    from armrig.validation.multivariable.search import SignalsSearch
+    from armrig.validation.search_result import SearchResult
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +66,7 @@ def identify(
             fit = request.estimated(data)
     else:
         found = _searched(given, data, other, most)
-        request, fit = several_output.request_of(found), found.fit
+        request, fit = found.chosen.candidate.request_for(data), found.fit
         if not to.json:
             say(repr(found))
     table = None if other is None else compared(other, [fit])
@@ -101,10 +101,10 @@ def identify(
         )
 
 
-def _searched(given: Given, data: Signals, other: Signals | None, most: int) -> SignalsSearch:
+def _searched(given: Given, data: Signals, other: Signals | None, most: int) -> SearchResult:
     """Search the structures that the options allow, with 1 to `most` poles."""
     from armrig.cli.spinner import estimating
-    from armrig.validation.multivariable.search import FAMILIES, search
+    from armrig.validation.model_search import SEARCHED_OF_SEVERAL, search
 
     asked = {name: x for name, x in given.items() if x not in (None, False)}
     if extra := asked.keys() - {"structure", "nk", "integrator"}:
@@ -113,16 +113,17 @@ def _searched(given: Given, data: Signals, other: Signals | None, most: int) -> 
             f"--{name} does not go with --search of several signals, which tries the orders"
         )
     structure = asked.get("structure")
-    if structure is not None and structure not in FAMILIES:
+    if structure is not None and structure not in SEARCHED_OF_SEVERAL:
         raise typer.BadParameter(
-            f"--structure {structure}: --search of several signals tries {', '.join(FAMILIES)}"
+            f"--structure {structure}: --search of several signals tries "
+            f"{', '.join(SEARCHED_OF_SEVERAL)}"
         )
     integrating = _integrating(data) if given["integrator"] or from_recording(data) else ()
     with estimating("--max-order") as progress:
         return search(
             data,
             other,
-            families=FAMILIES if structure is None else (structure,),
+            families=None if structure is None else (structure,),
             orders=range(1, most + 1),
             nk=asked.get("nk", 1),
             integrator=integrating,

@@ -232,7 +232,7 @@ def _degrees(parts: Sequence[OutputResiduals], N: int, parameters: float) -> flo
             f"{N} samples are too few to estimate the noise: {parameters:g} parameters and "
             f"{unknown} initial conditions are fitted to them; lower the orders, or record longer"
         )
-    return N - unknown - parameters
+    return float(N - unknown - parameters)
 
 
 def _white_score(experiments: Sequence[Sequence[OutputResiduals]], Lambda: Array) -> Array:

@@ -13,9 +13,13 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
+from armrig.data.signals import Signals
+from armrig.estimation.multivariable.n4sid import n4sid
+from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
-from armrig.models.structure_table import STRUCTURES, OfferedName
+from armrig.models.multivariable.fit import MultivariableFit
+from armrig.models.structure_table import OF_SEVERAL, STRUCTURES, CommandName
 from armrig.numerics.quantities import p_relation, plural
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.residual_test import ResidualTest
@@ -25,18 +29,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
+_ROWS = OF_SEVERAL | STRUCTURES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
     """A structure with its orders."""
 
-    family: OfferedName
+    family: CommandName
     """Name of the estimator."""
     orders: tuple[tuple[str, int], ...]
     """Orders by name."""
     integrator: bool = False
     """True if a pole is 1 by construction."""
+    integrating: tuple[str, ...] = ()
+    """Of several outputs, those with a pole at 1; the pole is not counted in the orders."""
     offset: bool = False
     """True if the input's offset is estimated with the model."""
     simulates: bool = False
@@ -45,16 +52,36 @@ class Candidate:
     @property
     def name(self) -> str:
         """Structure and orders as text, in the same form as in comparisons of models."""
-        return STRUCTURES[self.family].short(dict(self.orders))
+        return _ROWS[self.family].short(dict(self.orders))
 
     @property
     def order(self) -> int:
         """Number of poles of B/F or B/A."""
-        return dict(self.orders)[STRUCTURES[self.family].poles]
+        return dict(self.orders)[_ROWS[self.family].poles]
 
-    def estimated(self, data: Dataset) -> Fit:
-        """Return the model estimated from the data, with unstable poles reflected at |z| = 1."""
+    def request_for(self, data: Signals) -> SignalsRequest:
+        """Return the request that estimates the model from several signals."""
         orders = dict(self.orders)
+        nk, counted = orders.pop("nk"), bool(self.integrating)
+        return SignalsRequest(
+            structure=self.family,
+            nk=nk,
+            orders={name: n + counted for name, n in orders.items()},
+            integrating=self.integrating,
+            shared=self.family == "oe",
+            noise=not data.missing,
+        )
+
+    def estimated(self, data: Dataset | Signals) -> Fit | MultivariableFit:
+        """Return the model estimated from the data.
+
+        Unstable poles of a model of one input and output are reflected at |z| = 1.
+        """
+        orders = dict(self.orders)
+        if isinstance(data, Signals):
+            if self.family == "n4sid":  # without a covariance, which costs a hundred estimates
+                return n4sid(data, orders["order"], nk=orders["nk"], replicates=0)
+            return self.request_for(data).estimated(data)
         request = Request(
             structure=self.family,
             nk=orders.pop("nk"),
@@ -75,15 +102,16 @@ class Scored:
 
     candidate: Candidate
     """Structure and orders."""
-    fit: Fit | None
+    fit: Fit | MultivariableFit | None
     """The model; None if the estimate failed."""
     reason: str
     """Reason why there is no usable model, or ""."""
     error: Vector
-    """y - ŷ on the validation data, (N,), NaN where it is unknown; empty without a model."""
+    """y - ŷ on the validation data, (N,) or (N, ny), NaN where it is unknown; empty without a
+    model."""
 
     @property
-    def model(self) -> Fit:
+    def model(self) -> Fit | MultivariableFit:
         """The model; each ranked candidate has a model."""
         if self.fit is None:
             raise InputError(self.reason)
@@ -92,7 +120,19 @@ class Scored:
     @property
     def parameters(self) -> int:
         """Number of free parameters, 0 without a model."""
-        return 0 if self.fit is None else self.fit.parameters
+        fit = self.fit
+        if isinstance(fit, MultivariableFit):
+            return _free(fit)
+        return 0 if fit is None else fit.parameters
+
+
+def _free(fit: MultivariableFit) -> int:
+    """Return the number of free parameters; the choice of the state coordinates does not count."""
+    if fit.structure not in ("ss", "n4sid"):
+        return int(fit.theta.size)
+    A, B, C, D, _ = fit.state_space()
+    n, nu, ny = A.shape[0], B.shape[1], C.shape[0]
+    return int(n * (nu + 2 * ny) + (ny * nu if D.any() else 0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -115,7 +155,8 @@ class SearchResult:
     ranked: tuple[Scored, ...]
     """Candidates with a usable model, best first."""
     rms: Vector
-    """Root mean square error of each candidate in `ranked`, in y's unit."""
+    """Root mean square error of each candidate in `ranked`, in y's unit. For several outputs: root
+    of the sum of the mean squared errors, each divided by the variance of the output."""
     excess: Vector
     """Mean squared error minus the mean squared error of the best candidate, (n,)."""
     excess_std: Vector
@@ -137,7 +178,7 @@ class SearchResult:
     horizon: int | None
     """Number of samples that the models predict ahead; None for simulation."""
     unit: str
-    """Unit of y."""
+    """Unit of `rms`: the unit of y, or σ for several outputs."""
 
     @property
     def chosen(self) -> Scored:
@@ -145,7 +186,7 @@ class SearchResult:
         return self.ranked[self.chosen_index]
 
     @property
-    def fit(self) -> Fit:
+    def fit(self) -> Fit | MultivariableFit:
         """The chosen model."""
         return self.chosen.model
 
@@ -291,7 +332,7 @@ def _about_highest_order(found: SearchResult) -> Iterator[str]:
 
 def _about_families(found: SearchResult) -> Iterator[str]:
     """Yield a sentence if the least error of ARX models is far above that of OE models."""
-    best: dict[OfferedName, int] = {}
+    best: dict[CommandName, int] = {}
     for k, j in enumerate(found.ranked):
         best.setdefault(j.candidate.family, k)
     if "arx" in best and "oe" in best and found.rms[best["oe"]] > 0:

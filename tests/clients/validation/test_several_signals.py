@@ -207,15 +207,17 @@ def test_the_search_chooses_the_order_of_the_plant() -> None:
         progress=lambda k, n, name: done.append(f"{k} of {n} {name}"),
     )
 
-    assert found.chosen.name == "ss of order 4"
+    assert found.chosen.candidate.name == "SS[4 1]"
     assert found.fit.estimated_from(data)
     assert done == [
-        "0 of 3 ss of order 3",
-        "1 of 3 ss of order 4",
-        "2 of 3 ss of order 5",
+        "0 of 3 SS[3 1]",
+        "1 of 3 SS[4 1]",
+        "2 of 3 SS[5 1]",
         "3 of 3 ",
     ]
-    assert "  chosen" in repr(found)
+    assert "  <- chosen" in repr(found)
+    assert found.tests.outputs == ("y1", "y2")
+    assert not found.tests.rejects
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.1])
@@ -235,21 +237,21 @@ def test_the_search_finds_the_integrator_of_one_output() -> None:
 
     found: Any = armrig.search(data, integrator="angle", orders=(1, 2, 3))  # type: ignore[arg-type]
 
-    assert found.chosen.name == "oe of order 2"
+    assert found.chosen.candidate.name == "OE[2 2 1]"
     assert found.fit.form.integrators == (True, False)
 
 
 def test_every_family_of_a_search_has_all_orders_of_an_iterator() -> None:
     found: Any = armrig.search(plant(0), families=["n4sid", "oe"], orders=iter((1, 2)))
 
-    tried = {(c.family, c.order) for c in (*found.ranked, *found.failed)}
+    tried = {(j.candidate.family, j.candidate.order) for j in (*found.ranked, *found.failed)}
     assert tried == {("n4sid", 1), ("n4sid", 2), ("oe", 1), ("oe", 2)}
 
 
 def test_unknown_families_and_too_high_orders_are_refused() -> None:
     with pytest.raises(InputError, match="families has 'arx'; each must be one of ss, n4sid, oe"):
         armrig.search(plant(0), families=["arx"])
-    with pytest.raises(InputError, match="none of the models could be estimated"):
+    with pytest.raises(InputError, match="none of the structures could be estimated"):
         armrig.search(plant(0)[:20], orders=[9])
 
 
