@@ -21,12 +21,11 @@ if TYPE_CHECKING:
 
     from armrig.data.signals import Signals
     from armrig.models.fit import Fit
-    from armrig.models.multivariable.fit import MultivariableFit
     from armrig.validation.comparison import Comparison, ComparisonTable
     from armrig.validation.residual_test import ResidualTest
 
 
-def answer(fit: MultivariableFit) -> str:
+def answer(fit: Fit) -> str:
     """Return a sentence on the fit and the residuals of each output."""
     fits = [
         f"{name} to {q.fit_percent:.2f} %" for name, q in zip(fit.outputs, fit.quality, strict=True)
@@ -125,7 +124,7 @@ def _pair_lines(tests: ResidualTest, *, verbose: bool) -> Iterator[str]:
                 yield f"  {pair}: {bad if rejected else good} {said}"
 
 
-def lines(fit: MultivariableFit, *, verbose: bool) -> Iterator[str]:
+def lines(fit: Fit, *, verbose: bool) -> Iterator[str]:
     """Yield a summary of the model; with `verbose`, also the coefficients of each channel."""
     yield repr(fit)
     if verbose:
@@ -135,12 +134,12 @@ def lines(fit: MultivariableFit, *, verbose: bool) -> Iterator[str]:
             yield from root_lines(channel)
 
 
-def model_facts(fit: MultivariableFit) -> dict[str, Any]:
+def model_facts(fit: Fit) -> dict[str, Any]:
     """Return the results of the estimation as JSON fields."""
     poles = fit.poles()
     return {
         "structure": fit.structure,
-        "orders": fit.orders,
+        "orders": fit.specification,
         "shared": fit.shared,
         "inputs": list(fit.inputs),
         "Ts": fit.Ts,
@@ -201,7 +200,7 @@ def test_facts(tests: ResidualTest) -> dict[str, Any]:
     }
 
 
-def figures(fit: MultivariableFit, data: Signals) -> dict[str, Callable[[Axes], Axes]]:
+def figures(fit: Fit, data: Signals) -> dict[str, Callable[[Axes], Axes]]:
     """Return the functions that draw the simulated outputs, and each channel's Bode diagram."""
     from armrig.plots import plot_compare
     from armrig.validation.comparison import compare

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from armrig.data.signals import Signals
     from armrig.estimation.multivariable.request import SignalsRequest
-    from armrig.models.multivariable.fit import MultivariableFit
+    from armrig.models.fit import Fit
     from armrig.validation.comparison import ComparisonTable
     from armrig.validation.search_result import SearchResult
 
@@ -157,7 +157,7 @@ def _request(given: Given, data: Signals, *, shared: bool) -> SignalsRequest:
 
 def compared(
     data: Signals,
-    fits: Sequence[MultivariableFit],
+    fits: Sequence[Fit],
     horizon: int | None = None,
     labels: Sequence[str] | None = None,
 ) -> ComparisonTable:
@@ -186,7 +186,7 @@ def _rows(table: ComparisonTable) -> list[dict[str, Any]]:
 
 
 def validate(
-    fit: MultivariableFit,
+    fit: Fit,
     file: Path,
     signals: SignalChoice,
     horizons: Sequence[int],
@@ -230,7 +230,7 @@ def validate(
 
 
 def compare(
-    fits: Sequence[tuple[str, MultivariableFit]],
+    fits: Sequence[tuple[str, Fit]],
     file: Path,
     signals: SignalChoice,
     horizon: int | None,

@@ -73,12 +73,11 @@ def validate(
 
     The command simulates the model, predicts the output, and tests the residuals.
     """
-    from armrig.models.multivariable.fit import MultivariableFit
-    from armrig.models.multivariable.model_file import load_fit
+    from armrig.models.model_file import load_fit
 
     check_plot(plot, [file, model])
     fit = load_fit(model)
-    if isinstance(fit, MultivariableFit):
+    if (fit.ny, fit.nu) != (1, 1):
         to = Outputs(figure=plot, json=json, verbose=verbose)
         validate_several(fit, file, signals, horizon or _HORIZONS, lags, model, to)
         return

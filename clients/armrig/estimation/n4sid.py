@@ -30,10 +30,10 @@ from armrig.estimation.subspace_horizon import (
     poles_at,
     usable_windows,
 )
+from armrig.models.fit import Fit
 from armrig.models.innovations import Experiment, errors, prepared, regression
 from armrig.models.structure import Structure
 from armrig.models.structure_table import Focus, Weights
-from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.inference import infer, least_squares_residuals
 from armrig.numerics.least_squares import orthonormal
@@ -67,7 +67,7 @@ def n4sid(
     horizon: int | None = None,
     focus: Focus = "prediction",
     stable: bool = False,
-) -> SubspaceFit:
+) -> Fit:
     """Estimate a state-space model x(t+1) = A x + B u + K e, y = C x + D u + e by projections.
 
     The future outputs are projected on past u and y, for given future u. The singular values of the
@@ -110,7 +110,7 @@ def n4sid(
 
     Returns
     -------
-    SubspaceFit
+    Fit
         `covariance` is the bound lambda (Psi^T Psi)^-1 that a search attains for the same
         polynomials. The covariance of the subspace estimate is larger and not known. In 200
         simulations of an ARMAX system of order 2 (N = 2000), the true standard deviations were 0.92
@@ -177,7 +177,7 @@ def _focused(
     focus: Focus,
     *,
     stable: bool,
-) -> SubspaceFit:
+) -> Fit:
     """Return the model with the subspace poles, or with the poles of least simulation error."""
     facts = {**facts, "horizon": free.horizon, "singular_values": free.singular_values}
     notes = [] if free.steady else [warning("no_gain", _NO_GAIN_TEXT)]
@@ -218,7 +218,7 @@ def _fit(
     B: Array | None,
     facts: dict[str, Any],
     notes: tuple[EstimateFinding, ...],
-) -> SubspaceFit:
+) -> Fit:
     """Return the model; if B is None, B is estimated by least squares on the one-step errors."""
     free = without_integrator(A) if n.integrator else A
     one = np.ones(1)
@@ -248,7 +248,7 @@ def _fit(
         basis.W,
         score="correlated",
     ).transformed(with_integrator(n))
-    return SubspaceFit(
+    return Fit.of_channel(
         structure="n4sid",
         A=A,
         B=B,

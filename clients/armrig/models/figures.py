@@ -17,7 +17,6 @@ from armrig.models.labels import (
     sources_of,
     with_method,
 )
-from armrig.models.model import Model
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.pole_zero_figure import plot_poles_zeros
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
@@ -40,6 +39,8 @@ from armrig.plots.layout import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from armrig.models.fit import Fit
 
 
 _AMBIGUOUS_TURN_DEG = 150.0  # a sudden phase change by more than this may have either sign
@@ -99,7 +100,7 @@ def plot_bode(
 
 
 def plot_step(
-    *models: Model, n: int | None = None, labels: Labels = None, ax: Axes | None = None
+    *models: Fit, n: int | None = None, labels: Labels = None, ax: Axes | None = None
 ) -> Axes:
     """Plot the response to a unit step with 95 % bands.
 
@@ -141,7 +142,7 @@ def plot_step(
     return sign(ax, *sources_of(models), above=above)
 
 
-def plot_fit(model: Model) -> Figure:
+def plot_fit(model: Fit) -> Figure:
     """Return a figure of one model with frequency response, step response, poles and zeros."""
     from matplotlib import pyplot as plt
 
@@ -224,15 +225,15 @@ def _response(
     model: Any, omega: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
     """Return G, its frequencies (at most pi/Ts), its bands, and the draws for the bands."""
-    if isinstance(model, Model):
-        w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
-        answer = model.frequency_response(w)
-        if not np.nan_to_num(answer.std_magnitude).any():
-            return w, answer.G, None, None
-        draws = drawn(model)
-        return w, answer.G, frequency_bands(model, answer, draws), draws
-    w = omega[omega <= np.pi / model.dt * (1 + 1e-9)] if model.dt else omega
-    return w, np.asarray(model(np.exp(1j * w * model.dt) if model.dt else 1j * w)), None, None
+    if hasattr(model, "dt"):  # a python-control system
+        w = omega[omega <= np.pi / model.dt * (1 + 1e-9)] if model.dt else omega
+        return w, np.asarray(model(np.exp(1j * w * model.dt) if model.dt else 1j * w)), None, None
+    w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
+    answer = model.frequency_response(w)
+    if not np.nan_to_num(answer.std_magnitude).any():
+        return w, answer.G, None, None
+    draws = drawn(model)
+    return w, answer.G, frequency_bands(model, answer, draws), draws
 
 
 def _phase(G: NDArray[Any]) -> NDArray[np.float64]:

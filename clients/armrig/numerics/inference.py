@@ -71,7 +71,7 @@ class OutputQuality:
     """Quality of a model for one output, one step ahead, on the estimation data."""
 
     loss: float
-    """Mean squared error."""
+    """Mean squared error, in the squared unit of the output."""
     N: int
     """Number of errors in the loss."""
     fit_percent: float

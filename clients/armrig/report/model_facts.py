@@ -10,7 +10,6 @@ import numpy as np
 from armrig.models.equation import letters, whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.markup import typst_form
-from armrig.models.model import Model
 from armrig.numerics.quantities import fixed, listed, number, p_value, percent, places, power
 from armrig.recordings.findings import alpha_moves
 from armrig.report.recording_facts import run_name
@@ -78,7 +77,7 @@ def model_table(m: AssessedFit, reference: Assessed, symbol: str = "") -> dict[s
     }
 
 
-def _coefficients(fit: Fit, reference: Model | None) -> list[list[str]]:
+def _coefficients(fit: Fit, reference: Fit | None) -> list[list[str]]:
     rows = []
     theirs = dict(zip(reference.names, reference.theta, strict=True)) if reference else {}
     for name, value, std, robust in zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True):

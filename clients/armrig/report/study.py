@@ -19,8 +19,6 @@ from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.estimation.orders import require_sensible
 from armrig.models.fit import Fit
-from armrig.models.model import Model
-from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.structure_table import ARM_POLES
 from armrig.physics.physical_model import physical_model
 from armrig.recordings.jitter import (
@@ -94,7 +92,7 @@ class Assessed:
         return self.comparison.name
 
     @property
-    def model(self) -> Model:
+    def model(self) -> Fit:
         """The model."""
         return self.comparison.model
 
@@ -307,7 +305,7 @@ def _fits(data: Dataset, orders: Orders) -> dict[str, Fit]:
     }
 
 
-def _joint_fits(data: Signals, orders: Orders) -> dict[str, MultivariableFit]:
+def _joint_fits(data: Signals, orders: Orders) -> dict[str, Fit]:
     """Return the models of all outputs, by their names in the report."""
     from armrig.estimation.multivariable.arx import arx as arx_of_several
     from armrig.estimation.multivariable.oe import oe as oe_of_several
@@ -331,7 +329,7 @@ def _joint_fits(data: Signals, orders: Orders) -> dict[str, MultivariableFit]:
 
 def assessed(
     fits: Mapping[str, Fit],
-    physics: Model,
+    physics: Fit,
     validation: Dataset,
     together: Mapping[str, ResidualTest] = MappingProxyType({}),
 ) -> dict[str, Any]:

@@ -18,8 +18,7 @@ from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
 from armrig.models.estimation_data import findings_on_own_data
-from armrig.models.model import Model
-from armrig.models.multivariable.fit import MultivariableFit
+from armrig.models.fit import Fit
 from armrig.models.prediction import predicted
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.quantities import plural
@@ -55,14 +54,14 @@ class Comparison:
     """True if the model was estimated from these data."""
     y: Vector
     """Output ŷ of the model, (N,)."""
-    model: Model | MultivariableFit
+    model: Fit
     """The model."""
 
     @property
-    def channel(self) -> Model:
+    def channel(self) -> Fit:
         """The model of this output and its only input."""
-        model = self.model
-        return model[self.output] if isinstance(model, MultivariableFit) else model
+        is_channel = (self.model.ny, self.model.nu) == (1, 1)
+        return self.model if is_channel else self.model[self.output]
 
     @property
     def characteristics(self) -> ModelCharacteristics:
@@ -186,7 +185,7 @@ def misfit_line(name: str, row: Comparison) -> str:
 @takes_data
 def compare(
     data: Dataset | Signals,
-    *models: Model | MultivariableFit,
+    *models: Fit,
     horizon: int | None = None,
     labels: Sequence[str] | None = None,
 ) -> ComparisonTable:
@@ -203,7 +202,7 @@ def compare(
     ----------
     data : Dataset or Signals
         N samples, preferably of an experiment that no model was estimated from.
-    *models : Fit or MultivariableFit
+    *models : Fit
         At least one model, with the outputs and inputs of the data.
     horizon : int, optional
         Number of samples to predict ahead, >= 1, from the measured past; simulation by default.
@@ -250,14 +249,14 @@ def compare(
         raise InputError(
             f"{len(names)} labels for {len(models)} models; give one label for each model"
         )
-    if isinstance(data, Signals) and (one := next((m for m in models if hasattr(m, "A")), None)):
-        if (data.nu, data.ny) != (1, 1):
-            raise InputTypeError(
-                f"a {type(one).__name__} has one output; compare it with "
-                "signals.dataset(output, input)"
-            )
+    if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
         data = data.dataset()
-    integrators = [_integrators(model) for model in models]
+    for model, name in zip(models, names, strict=True):
+        if isinstance(data, Signals) and (model.ny, model.nu) == (1, 1):
+            raise InputTypeError(
+                f"{name} has one output; compare it with signals.dataset(output, input)"
+            )
+    integrators = [model.form.integrators for model in models]
     offset = any(any(of_model) for of_model in integrators)
     note = "initial state" + " and input offset" * offset
     rows = [
@@ -272,24 +271,18 @@ def compare(
     )
 
 
-def _integrators(model: Model | MultivariableFit) -> tuple[bool, ...]:
-    """Return whether each output of the model integrates."""
-    return (model.integrator,) if isinstance(model, Model) else model.form.integrators
-
-
 def _compared(
     data: Dataset | Signals,
-    model: Model | MultivariableFit,
+    model: Fit,
     name: str,
     horizon: int | None,
     integrators: Mask,
 ) -> Iterator[Comparison]:
     """Yield the comparison of each output of a model."""
+    y = predicted(model, data, horizon).reshape(data.N, -1)
     if isinstance(data, Signals):
-        y = model.predict(data, horizon)
         each = [data.dataset(output, data.inputs[0]) for output in data.outputs]
     else:
-        y = predicted(model, data, horizon)[:, None]
         each = [data]
     own = model.estimated_from(data)
     for own_data, modelled, integrates in zip(each, y.T, integrators.tolist(), strict=True):

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.models.fit import Fit
 from armrig.models.labels import Labels
-from armrig.models.model import Model
 from armrig.plots.captions import legend
 from armrig.plots.layout import COLOURS, GREY, INK, axes, finish, logarithmic
 from armrig.validation.comparison import ComparisonTable, compare
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.data.signals import Signals
     from armrig.models.fit import Fit
-    from armrig.models.multivariable.fit import MultivariableFit
     from armrig.validation.search_result import SearchResult
 
 Vector = NDArray[np.float64]
@@ -33,7 +32,7 @@ _MOST = 1000.0  # models with a larger multiple of the least error are counted, 
 
 def plot_compare(
     data: Dataset | Signals,
-    *models: Model | MultivariableFit,
+    *models: Fit,
     horizon: int | None = None,
     labels: Labels = None,
     table: ComparisonTable | None = None,
@@ -49,7 +48,7 @@ def plot_compare(
 
 
 def plot_residuals(
-    fit: Fit | MultivariableFit,
+    fit: Fit,
     data: Dataset | Signals,
     *,
     lags: int | None = None,

@@ -21,7 +21,6 @@ from armrig.estimation.multivariable.n4sid import n4sid
 from armrig.estimation.multivariable.plans import integrating_outputs
 from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
-from armrig.models.multivariable.fit import MultivariableFit, require_same_channels
 from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import (
     OF_SEVERAL,
@@ -154,16 +153,16 @@ def search(
     """
     if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
         data = data.dataset()
-        validation = None if validation is None else as_dataset(validation)
     if orders is None:
         orders = range(1, 9) if isinstance(data, Signals) else range(1, 6)
     orders = several("orders", orders)
     halved = validation is None
     if validation is None:
-        data, validation = estimation_and_validation(data)
+        data, validation = estimation_and_validation(data)  # type: ignore[type-var]
     if isinstance(data, Signals):
         plan = _planned_for_several(data, families, orders, nk, integrator)
     else:
+        validation = as_dataset(validation)
         plan = _planned(data, validation, families, orders, nk, integrator, offset, horizon)
         horizon = plan.horizon
     score = partial(_score, data=data, validation=validation, horizon=horizon)
@@ -207,6 +206,8 @@ def _planned(
     horizon: int | None,
 ) -> _Plan:
     """Test the data, and return the candidates for one input and one output."""
+    if isinstance(integrator, Sequence):
+        integrator = data.output in ([integrator] if isinstance(integrator, str) else integrator)
     known = tested(data, integrator)
     if nk is None:
         nk = _likely_delays(known)
@@ -246,9 +247,11 @@ def _planned_for_several(
         integrator = [name for name in data.outputs if name in INTEGRATING_OUTPUTS]
     marks = zip(data.outputs, integrating_outputs(integrator, data), strict=True)
     integrating = tuple(output for output, integrates in marks if integrates)
-    searched = several_of(
+    names: list[CommandName] = several_of(
         "families", SEARCHED_OF_SEVERAL if families is None else families, SEARCHED_OF_SEVERAL
     )
+    if integrating:
+        names = ["oe"]
     delays = several("nk", nk) if isinstance(nk, Iterable) else [1 if nk is None else nk]
     _require_orders(orders, delays)
     candidates = [
@@ -257,7 +260,7 @@ def _planned_for_several(
             orders=(*dict.fromkeys(OF_SEVERAL[family].orders, n).items(), ("nk", k)),
             integrating=integrating,
         )
-        for family in (["oe"] if integrating else searched)
+        for family in names
         for k in delays
         for n in orders
     ]
@@ -392,10 +395,7 @@ def _score(
     try:
         with np.errstate(all="ignore"):
             fit = candidate.estimated(data)
-            if isinstance(fit, MultivariableFit):
-                require_same_channels(fit, validation)
-            else:
-                require_same_signals(fit, validation)
+            require_same_signals(fit, validation)
             error = validation.y - fit.predict(validation, horizon=horizon)
     except (ValueError, np.linalg.LinAlgError) as err:
         return Scored(candidate=candidate, fit=None, reason=str(err), error=none)
@@ -411,9 +411,9 @@ def _score(
     return Scored(candidate=candidate, fit=fit, reason=reason, error=error)
 
 
-def _largest_unstable(fit: Fit | MultivariableFit) -> float:
+def _largest_unstable(fit: Fit) -> float:
     """Return the largest |z| of the poles outside the unit circle, or 0."""
-    if not isinstance(fit, MultivariableFit):
+    if (fit.ny, fit.nu) == (1, 1):
         return largest_unstable(fit)
     largest = float(np.max(np.abs(np.linalg.eigvals(fit.form.realised().A)), initial=0.0))
     return largest if largest > 1 + _CIRCLE_TOLERANCE else 0.0
@@ -428,7 +428,7 @@ class _Ranking:
     excess: Vector
     excess_std: Vector
     chosen: int
-    fit: Fit | MultivariableFit
+    fit: Fit
     """The chosen model."""
 
 

@@ -10,10 +10,9 @@ import numpy as np
 from armrig.data.dataset import Dataset
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.whitening import whitening
-from armrig.models.estimate import Estimate
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.multivariable.state_space import ErrorResponses, error_responses
+from armrig.models.fit import Fit
 from armrig.models.prediction import prediction_errors
+from armrig.models.state_space import ErrorResponses, error_responses
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
@@ -50,9 +49,9 @@ class Part:
         return np.asarray(self.G.transpose(0, 2, 1) @ (self.G @ X))
 
 
-def parts_of(fit: Estimate | MultivariableFit, data: Dataset | Signals) -> tuple[list[Part], Array]:
+def parts_of(fit: Fit, data: Dataset | Signals) -> tuple[list[Part], Array]:
     """Return the residuals of each experiment, and the covariance of the parameters of Psi."""
-    if isinstance(fit, MultivariableFit) and isinstance(data, Signals):
+    if isinstance(data, Signals):
         return _parts_by_differences(fit, data)
     mean, parts = np.mean(data.u), []
     for part in data.experiments():
@@ -70,7 +69,7 @@ def parts_of(fit: Estimate | MultivariableFit, data: Dataset | Signals) -> tuple
     return parts, _free_covariance(fit)
 
 
-def _free_covariance(fit: Estimate) -> Array:
+def _free_covariance(fit: Fit) -> Array:
     """Return the covariance of the free parameters; an integrator is divided out of F or A."""
     if not fit.integrator:
         return fit.covariance_robust
@@ -82,14 +81,14 @@ def _free_covariance(fit: Estimate) -> Array:
     return np.asarray(summing @ fit.covariance_robust @ summing.T)
 
 
-def _parts_by_differences(fit: MultivariableFit, data: Signals) -> tuple[list[Part], Array]:
+def _parts_by_differences(fit: Fit, data: Signals) -> tuple[list[Part], Array]:
     """Return the residuals; Psi are central differences in independent directions of theta."""
     std = np.sqrt(np.diag(fit.noise_covariance))
 
     def responses(theta: Array) -> list[ErrorResponses]:
         system = fit.form.replaced(theta).realised()
         return [
-            error_responses(system, part, integrating=fit.form.integrators)
+            error_responses(system, part, integrating=fit.form.integrators, offset=fit.offset)
             for part in data.experiments()
         ]
 
@@ -130,7 +129,7 @@ def _parts_by_differences(fit: MultivariableFit, data: Signals) -> tuple[list[Pa
     return found, np.eye(len(by))
 
 
-def _directions(fit: MultivariableFit) -> Array:
+def _directions(fit: Fit) -> Array:
     """Return independent directions of theta, (d, p), each with standard deviation 1.
 
     The covariance of theta is singular for the matrices of a state space, and if a root is fixed at

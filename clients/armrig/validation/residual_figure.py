@@ -39,8 +39,9 @@ def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
     if test.missing_dynamics_by_pair.size > 1:
         return _plot_rows(test, ax)
     ax, below = panels(ax, 0.5, sharex=False)
+    own_band = float(test.autocorrelation_band)
     shade: dict[str, Any] = {"color": GREY, "alpha": 0.25, "lw": 0, "label": BAND}
-    ax.axhspan(-test.autocorrelation_band, test.autocorrelation_band, **shade)
+    ax.axhspan(-own_band, own_band, **shade)
     stems(ax, test.lags[1:], test.autocorrelation[1:], BLUE)
     ax.set_ylabel("$r_e$(lag)")
     band = BAND_99_PERCENT * test.cross_std
@@ -51,7 +52,7 @@ def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
     for panel in (ax, below):
         panel.set_xlabel("lag [samples]")
     for panel, values, width in (
-        (ax, test.autocorrelation[1:], test.autocorrelation_band),
+        (ax, test.autocorrelation[1:], own_band),
         (below, test.cross_correlation, float(np.nanmax(band, initial=0.0))),
     ):
         reach = 1.15 * max(float(np.nanmax(np.abs(values), initial=0.0)), width, 1e-12)

@@ -12,10 +12,9 @@ from armrig_core.errors import InputError, InputTypeError
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
 from armrig.data.signals import Signals
-from armrig.models.estimate import Estimate
 from armrig.models.estimation_data import findings_on_own_data
-from armrig.models.multivariable.fit import MultivariableFit, require_same_channels
-from armrig.models.multivariable.polynomials import Polynomials
+from armrig.models.fit import Fit
+from armrig.models.polynomials import Polynomials
 from armrig.models.prediction import require_same_signals
 from armrig.numerics.covariance import joint_exogenous_score
 from armrig.numerics.polynomial import Array
@@ -40,9 +39,7 @@ it to 0. Its computed variance is only the error of the differences that approxi
 
 
 def residuals(
-    fit: Estimate | MultivariableFit,
-    data: Dataset | HasDataset | Signals,
-    lags: int | None = None,
+    fit: Fit, data: Dataset | HasDataset | Signals, lags: int | None = None
 ) -> ResidualTest:
     """Test whether the one-step residuals are white and independent of the inputs.
 
@@ -77,7 +74,7 @@ def residuals(
 
     Parameters
     ----------
-    fit : Fit or MultivariableFit
+    fit : Fit
         Model with the outputs and inputs of the data.
     data : Dataset or Signals
         N samples, or a recording.
@@ -122,7 +119,7 @@ def residuals(
       no feedback (p = 0.5...)
     """
     data = _checked(fit, data)
-    own = fit.estimated_from(data)  # type: ignore[arg-type]
+    own = fit.estimated_from(data)
     parts, theta_covariance = parts_of(fit, data)
     ny, nu = parts[0].e.shape[1], parts[0].u.shape[1]
     several = (ny, nu) != (1, 1)
@@ -160,8 +157,8 @@ def residuals(
     signals = [joined([p.e[:, i] for p in parts], L) for i in range(ny)]
     parameters = _noise_parameters(fit) if own else [0] * ny
     return ResidualTest(
-        outputs=fit.outputs if isinstance(fit, MultivariableFit) else (fit.output,),
-        inputs=fit.inputs if isinstance(fit, MultivariableFit) else ("u",),
+        outputs=fit.outputs,
+        inputs=fit.inputs,
         e=e if several else e[:, 0],
         lags=np.arange(L + 1),
         autocorrelation=squeezed(R / np.where(power > 0, power, np.nan)),
@@ -188,20 +185,15 @@ def residuals(
     )
 
 
-def _checked(
-    fit: Estimate | MultivariableFit, data: Dataset | HasDataset | Signals
-) -> Dataset | Signals:
+def _checked(fit: Fit, data: Dataset | HasDataset | Signals) -> Dataset | Signals:
     """Return data with the channels of the model; refuse other data."""
-    if isinstance(fit, MultivariableFit):
-        require_same_channels(fit, data)
-        return data  # type: ignore[return-value]
-    if not hasattr(fit, "noise_variance"):
+    if not isinstance(fit, Fit) or not fit.quality:
         raise InputTypeError(
             f"the model must come first, got a {type(fit).__name__}: residuals(fit, data)"
         )
-    own = as_dataset(data)
-    require_same_signals(fit, own)
-    return own
+    own = as_dataset(data) if (fit.ny, fit.nu) == (1, 1) else data
+    require_same_signals(fit, own)  # type: ignore[arg-type]
+    return own  # type: ignore[return-value]
 
 
 def _possible(lags: int | None, N: int) -> int:
@@ -295,13 +287,16 @@ def _autocovariance(parts: Sequence[Array], L: int) -> Array:
     return np.asarray(sums(e) / np.maximum(sums(marks), 1.0))
 
 
-def _noise_parameters(fit: Estimate | MultivariableFit) -> list[int]:
+def _noise_parameters(fit: Fit) -> list[int]:
     """Return the number of parameters of the noise model of each output, without integrators."""
-    if not isinstance(fit, MultivariableFit):
-        return [fit.A.size + fit.C.size + fit.D.size - 3 - int(fit.integrating == "a")]
     form = fit.form
     if not isinstance(form, Polynomials):
         K = form.realised().K
         return [K.shape[0] * bool(K.any())] * fit.ny
-    rows = zip(form.A, form.C, form.D, strict=True)
-    return [sum(max(a.size - 1, 0) for a in A) + C.size + D.size - 2 for A, C, D in rows]
+    rows = zip(form.A, form.C, form.D, form.F, form.integrators, strict=True)
+    return [
+        sum(max(a.size - 1, 0) for a in A)
+        + (C.size + D.size - 2)
+        - int(integrates and all(f.size == 1 for f in F))
+        for A, C, D, F, integrates in rows
+    ]

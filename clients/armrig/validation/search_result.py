@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -18,8 +18,7 @@ from armrig.estimation.multivariable.n4sid import n4sid
 from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.structure_table import OF_SEVERAL, STRUCTURES, CommandName
+from armrig.models.structure_table import OF_SEVERAL, STRUCTURES, CommandName, OfferedName
 from armrig.numerics.quantities import p_relation, plural
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.residual_test import ResidualTest
@@ -72,7 +71,7 @@ class Candidate:
             noise=not data.missing,
         )
 
-    def estimated(self, data: Dataset | Signals) -> Fit | MultivariableFit:
+    def estimated(self, data: Dataset | Signals) -> Fit:
         """Return the model estimated from the data.
 
         Unstable poles of a model of one input and output are reflected at |z| = 1.
@@ -83,7 +82,7 @@ class Candidate:
                 return n4sid(data, orders["order"], nk=orders["nk"], replicates=0)
             return self.request_for(data).estimated(data)
         request = Request(
-            structure=self.family,
+            structure=cast("OfferedName", self.family),
             nk=orders.pop("nk"),
             orders={**orders},
             integrator=self.integrator,
@@ -102,7 +101,7 @@ class Scored:
 
     candidate: Candidate
     """Structure and orders."""
-    fit: Fit | MultivariableFit | None
+    fit: Fit | None
     """The model; None if the estimate failed."""
     reason: str
     """Reason why there is no usable model, or ""."""
@@ -111,7 +110,7 @@ class Scored:
     model."""
 
     @property
-    def model(self) -> Fit | MultivariableFit:
+    def model(self) -> Fit:
         """The model; each ranked candidate has a model."""
         if self.fit is None:
             raise InputError(self.reason)
@@ -120,14 +119,13 @@ class Scored:
     @property
     def parameters(self) -> int:
         """Number of free parameters, 0 without a model."""
-        fit = self.fit
-        if isinstance(fit, MultivariableFit):
-            return _free(fit)
-        return 0 if fit is None else fit.parameters
+        return 0 if self.fit is None else _free(self.fit)
 
 
-def _free(fit: MultivariableFit) -> int:
+def _free(fit: Fit) -> int:
     """Return the number of free parameters; the choice of the state coordinates does not count."""
+    if (fit.ny, fit.nu) == (1, 1):
+        return fit.parameters
     if fit.structure not in ("ss", "n4sid"):
         return int(fit.theta.size)
     A, B, C, D, _ = fit.state_space()
@@ -186,7 +184,7 @@ class SearchResult:
         return self.ranked[self.chosen_index]
 
     @property
-    def fit(self) -> Fit | MultivariableFit:
+    def fit(self) -> Fit:
         """The chosen model."""
         return self.chosen.model
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields as dataclass_fields
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,17 @@ def made(
     }
     polynomials = {"A": A, "B": B, "C": C, "D": D, "F": F}
     arrays = {letter: np.array(p, dtype=float) for letter, p in polynomials.items()}
-    return Fit(**(values | arrays | {"nk": nk} | fields))
+    return Fit.of_channel(**(values | arrays | {"nk": nk} | fields))
+
+
+def changed(fit: Fit, **fields: Any) -> Fit:
+    """Return a model of one output and input with other polynomials, quality or other fields."""
+    names = ("loss", "N", "fit_percent", "whiteness", "whiteness_test", "noise_variance")
+    names += ("A", "B", "C", "D", "F", "nk", "integrator", "output", "unit", "input_unit")
+    known = {name: getattr(fit, name) for name in names}
+    left_out = {"form", "quality", "noise_covariance", "inputs", "outputs", "input_units", "units"}
+    known |= {f.name: getattr(fit, f.name) for f in dataclass_fields(Fit) if f.name not in left_out}
+    return Fit.of_channel(**(known | fields))
 
 
 def made_estimate(omega: NDArray[np.float64], G: Any, **fields: Any) -> SpectralEstimate:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import armrig
 import numpy as np
 import pytest
-from armrig.models.model import Model
+from armrig.models.fit import Fit
 from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 
-from tests.clients.models.made_fits import made
+from tests.clients.models.made_fits import changed, made
 
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
@@ -27,8 +27,8 @@ def fit(plant: HandoutPlant) -> armrig.Fit:
     return armrig.oe(plant.dataset(1, N=800), nb=4, nf=4, integrator=True, starts="few")
 
 
-def claimed(fit: armrig.Fit) -> Model:
-    return Model(A=fit.A, B=fit.B, F=fit.F, nk=fit.nk, integrator=True, Ts=fit.Ts)
+def claimed(fit: armrig.Fit) -> Fit:
+    return Fit.of_channel(A=fit.A, B=fit.B, F=fit.F, nk=fit.nk, integrator=True, Ts=fit.Ts)
 
 
 def test_a_model_responds_like_the_fit_with_the_same_polynomials(fit: armrig.Fit) -> None:
@@ -71,7 +71,7 @@ def test_a_pole_has_a_deviation_with_an_ill_conditioned_covariance(
     F = np.poly(poles).real
     powers = poles[0] ** np.arange(3, -1, -1)
     still = np.linalg.svd(np.vstack([powers.real, powers.imag]))[2][2:]
-    plain = replace(fit, F=F, structure="OE", integrator=False)
+    plain = changed(fit, F=F, structure="OE", integrator=False)
     f = plain.slice_of("f")
 
     for v in np.random.default_rng(3).standard_normal((20, 2)) @ still:
@@ -115,7 +115,7 @@ def test_deviations_follow_from_the_derivatives(integrating: str) -> None:
     fit, omega = whole(), np.array([0.3, 4.0, 20.0])
     if integrating:
         p = getattr(fit, integrating.upper())
-        fit = replace(fit, **{integrating.upper(): np.convolve(p, [1, -1])})
+        fit = changed(fit, **{integrating.upper(): np.convolve(p, [1, -1])})
         d = fit.theta.size
         P = np.diag(np.square(0.01 * np.arange(1, d + 1)))
         fit = replace(fit, covariance=P, covariance_robust=P)
@@ -124,7 +124,7 @@ def test_deviations_follow_from_the_derivatives(integrating: str) -> None:
     def moved(h: Vector) -> list[Vector]:
         theta = fit.theta + h
         parts = {letter: theta[fit.slice_of(letter)] for letter in "abcdf"}
-        other = replace(
+        other = changed(
             fit,
             B=np.append([0.0, 0.0], parts.pop("b")),
             **{letter.upper(): np.append(1.0, part) for letter, part in parts.items()},
@@ -176,8 +176,8 @@ def test_an_integrator_is_a_pole_at_1_without_a_deviation_and_no_parameter() -> 
         assert poles.std[1 - at] > 0
         assert fit.parameters == 3
         assert fit.integrating == letter.lower()
-        assert replace(fit, integrator=False).parameters == 4
-        assert replace(fit, integrator=False).integrating == ""
+        assert changed(fit, integrator=False).parameters == 4
+        assert changed(fit, integrator=False).integrating == ""
         assert getattr(fit, other).tolist() == [1.0]
 
 

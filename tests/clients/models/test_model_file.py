@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,16 @@ from armrig.data.finding import warning
 from armrig.data.merging import merge
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
-from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.model_file import fit_of, load_fit
 from armrig.models.model_writing import model_text
+from armrig.models.quality import Start
 from armrig.models.structure import FreeResponse
 from armrig.numerics.polynomial import filtered
 from armrig.validation.residuals import residuals
 from armrig_core.errors import FileError
+
+from tests.clients.models.made_fits import changed
 
 
 def data(seed: int) -> Dataset:
@@ -38,12 +40,15 @@ def fit() -> Fit:
 
 
 def test_a_saved_model_is_loaded_exactly(fit: Fit, tmp_path: Path) -> None:
-    for saved in (fit, arx(data(2), na=1, nb=1), replace(fit, whiteness=float("nan"))):
+    for saved in (fit, arx(data(2), na=1, nb=1), changed(fit, whiteness=float("nan"))):
         saved.save(tmp_path / "model.json")
         loaded = load_fit(tmp_path / "model.json")
 
-        for f in fields(Fit):
-            np.testing.assert_array_equal(getattr(loaded, f.name), getattr(saved, f.name), f.name)
+        assert model_text(loaded) == model_text(saved)
+        for name in ("theta", "covariance", "covariance_robust", "noise_covariance"):
+            np.testing.assert_array_equal(getattr(loaded, name), getattr(saved, name), name)
+        for name in ("findings", "starts", "free", "curvature", "history", "digest", "orders"):
+            assert getattr(loaded, name) == getattr(saved, name)
         assert repr(loaded) == repr(saved)
         assert loaded.source == "ab12"
         assert type(loaded.starts) is tuple
@@ -54,15 +59,16 @@ def test_a_saved_model_is_loaded_exactly(fit: Fit, tmp_path: Path) -> None:
 
 def test_a_model_file_is_plain_json(fit: Fit, tmp_path: Path) -> None:
     """JSON has no NaN."""
-    replace(fit, whiteness=float("nan"), fit_percent=-np.inf).save(tmp_path / "model.json")
+    changed(fit, whiteness=float("nan"), fit_percent=-np.inf).save(tmp_path / "model.json")
     text = (tmp_path / "model.json").read_text(encoding="utf-8")
 
     content = json.loads(text, parse_constant=lambda name: pytest.fail(name))
 
     assert content["format"] == "armrig model"
-    assert content["whiteness"] == "nan"
-    assert content["fit_percent"] == "-inf"
-    assert content["output"] == "θ<1>"
+    (quality,) = content["quality"]
+    assert quality["white"]["p_value"] == "nan"
+    assert quality["fit_percent"] == "-inf"
+    assert content["outputs"] == ["θ<1>"]
     assert "θ" in text
 
 
@@ -72,11 +78,11 @@ def test_the_keys_of_a_model_file_equal_the_stored_keys(fit: Fit, tmp_path: Path
     keys = set(json.loads((tmp_path / "model.json").read_text(encoding="utf-8")))
 
     assert keys == {
-        *("format", "version", "armrig", "structure", "A", "B", "C", "D", "F", "nk"),
-        *("integrator", "offset", "covariance", "covariance_robust", "noise_variance", "loss"),
-        *("N", "Ts", "fit_percent", "whiteness", "whiteness_test", "converged", "starts"),
-        *("agreed", "curvature", "free"),
-        *("output", "unit", "input_unit", "source", "history", "digest"),
+        *("format", "version", "armrig", "structure", "form", "specification", "shared"),
+        *("offset", "covariance", "covariance_robust", "noise_covariance", "output_weights"),
+        *("quality", "Ts", "converged", "starts", "agreed", "curvature", "free"),
+        *("weights", "horizon", "singular_values", "canonical_correlations", "suggested_order"),
+        *("outputs", "units", "inputs", "input_units", "source", "history", "digest"),
         *("findings", "treatment"),
     }
 
@@ -85,8 +91,10 @@ def test_the_keys_of_a_model_file_equal_the_stored_keys(fit: Fit, tmp_path: Path
     ("change", "said"),
     [
         ({"format": "other"}, "is no model"),
-        ({"B": "x"}, "is a damaged model"),
-        ({"A": None}, "is a damaged model"),
+        ({"form": {"kind": "polynomials"}}, "is a damaged model"),
+        ({"form": None}, "is a damaged model"),
+        ({"covariance": "x"}, "is a damaged model"),
+        ({"quality": [{}]}, "is a damaged model"),
         ({"starts": [{}]}, "is a damaged model"),
     ],
 )
@@ -127,7 +135,7 @@ def test_a_model_of_a_windows_editor_is_read(fit: Fit, tmp_path: Path) -> None:
 
 
 def test_free_responses_and_starts_are_loaded_unchanged(fit: Fit) -> None:
-    changed = replace(
+    other = changed(
         fit,
         free=(
             FreeResponse(transients=(0.5, -1.5), level=2.5, offset=-3.5),
@@ -145,14 +153,14 @@ def test_free_responses_and_starts_are_loaded_unchanged(fit: Fit) -> None:
         fit_percent=-np.inf,
     )
 
-    loaded = fit_of(model_text(changed), "m.json")
+    loaded = fit_of(model_text(other), "m.json")
 
-    assert loaded.free[0] == changed.free[0]
+    assert loaded.free[0] == other.free[0]
     assert np.isnan(loaded.free[1].level)
     assert loaded.free[1].offset == np.inf
-    assert loaded.starts == changed.starts
+    assert loaded.starts == other.starts
     for name in ("agreed", "converged", "curvature", "noise_variance", "offset", "fit_percent"):
-        assert getattr(loaded, name) == getattr(changed, name)
+        assert getattr(loaded, name) == getattr(other, name)
 
 
 def test_a_saved_finding_keeps_all_its_fields(fit: Fit) -> None:
@@ -174,7 +182,7 @@ def test_a_saved_finding_keeps_all_its_fields(fit: Fit) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ('{"quality": []}', "model of several signals; here give a model of one output"),
+        ('{"quality": []}', "is no model file"),
         ('{"version": 1}', "is no model file"),
         ("[1]", "is no model file"),
         ('{"format": "armrig model", "version": 3, "armrig": "9.9"}', "version 3.* armrig 9.9"),

@@ -12,13 +12,13 @@ import pytest
 from armrig.data.finding import warning
 from armrig.data.signals import Signals
 from armrig.data.step import MEAN, Step, codes_of
-from armrig.models.estimate import Start
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.multivariable.matrices import Matrices
-from armrig.models.multivariable.model_file import load_fit
-from armrig.models.multivariable.model_writing import model_text
-from armrig.models.multivariable.polynomials import Polynomials
-from armrig.models.multivariable.state_space import StateSpace, predicted
+from armrig.models.fit import Fit
+from armrig.models.matrices import Matrices
+from armrig.models.model_file import load_fit
+from armrig.models.model_writing import model_text
+from armrig.models.polynomials import Polynomials
+from armrig.models.quality import Start
+from armrig.models.state_space import StateSpace, predicted
 from armrig.numerics.inference import OutputQuality
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.whiteness import Whiteness
@@ -69,13 +69,26 @@ def matrices() -> Matrices:
     return Matrices(A=A, B=B, C=C, D=D, K=0.2 * rng.standard_normal((3, 2)), nk=(1, 0, 3))
 
 
-def fit_of(form: Any, **fields: Any) -> MultivariableFit:
+def of_one_output(nu: int, *, noise: bool = True, nk: int = 1) -> Matrices:
+    """Return two states and one output; the first input has the delay nk."""
+    rng = np.random.default_rng(2)
+    return Matrices(
+        A=np.array([[0.8, 0.2], [-0.1, 0.5]]),
+        B=rng.standard_normal((2, nu)),
+        C=rng.standard_normal((1, 2)),
+        D=0.5 * np.eye(1, nu) * (nk == 0),
+        K=0.3 * noise * rng.standard_normal((2, 1)),
+        nk=(nk, *[1] * (nu - 1)),
+    )
+
+
+def fit_of(form: Any, **fields: Any) -> Fit:
     """Return a model with the inputs u, v, w and the outputs a, b."""
     d = form.theta.size
     P = np.diag(np.square(0.001 * np.arange(1, d + 1)))
     values: dict[str, Any] = {
         "structure": "bj",
-        "orders": "nb=2, nf=2, nk=1",
+        "specification": "nb=2, nf=2, nk=1",
         "form": form,
         "inputs": ("u", "v", "w"),
         "outputs": ("a", "b"),
@@ -94,45 +107,83 @@ def fit_of(form: Any, **fields: Any) -> MultivariableFit:
             ),
         ),
     }
-    return MultivariableFit(**(values | fields))
+    return Fit(**(values | fields))
 
 
-FORMS = {"apart": apart, "joined": joined, "matrices": matrices}
+FORMS = {
+    "apart": apart,
+    "joined": joined,
+    "matrices": matrices,
+}
+MORE = FORMS | {"A of each output": lambda: with_all_polynomials()}
+OF_ONE_OUTPUT: dict[str, Any] = {
+    "2 inputs": lambda: of_one_output(2),
+    "1 input": lambda: of_one_output(1),
+    "direct": lambda: of_one_output(1, nk=0),
+    "delayed": lambda: of_one_output(1, nk=3),
+    "without K": lambda: of_one_output(2, noise=False),
+}
 
 
-@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize("name", MORE | OF_ONE_OUTPUT)
 def test_each_channel_and_its_derivatives_equal_those_of_the_state_space(name: str) -> None:
-    form: Any = FORMS[name]()
+    form: Any = (MORE | OF_ONE_OUTPUT)[name]()
     z = np.exp(1j * np.array([0.2, 1.0, 2.8]))
+    model = form.realised()
 
-    whole = form.realised().frequency_response(z)
+    whole = model.frequency_response(z)
 
-    for i in range(2):
-        for j in range(3):
+    for i in range(whole.shape[1]):
+        for j in range(whole.shape[2]):
             if not form.has(i, j):
                 assert (whole[:, i, j] == 0).all()
                 continue
-            channel = form.channel(i, j)
-            p = channel.polynomials
-            ratio = np.polyval(p["B"][::-1], 1 / z)
-            for below in (p["A"], p["F"]):
+            channel, known = form.channel(i, j)
+            ((A,),), ((B,),), ((F,),), ((nk,),) = channel.A, channel.B, channel.F, channel.nk
+            ratio = np.polyval(B[::-1], 1 / z)
+            for below in (A, F):
                 ratio = ratio / np.polyval(below[::-1], 1 / z)
             np.testing.assert_allclose(whole[:, i, j], ratio, atol=1e-9)
-            assert not p["B"][: channel.nk].any()
-            assert abs(p["B"][channel.nk]) > 1e-6
+            assert not B[:nk].any()
+            assert abs(B[nk]) > 1e-6
+            if name in OF_ONE_OUTPUT:
+                below = z[:, None, None] * np.eye(model.order) - model.A
+                H = 1 + (model.C @ np.linalg.solve(below, model.K))[:, 0, 0]
+                noise = np.polyval(channel.C[0][::-1], 1 / z) / np.polyval(A[::-1], 1 / z)
+                np.testing.assert_allclose(noise, H, atol=1e-9)
 
             def free(theta: Array, i: int = i, j: int = j) -> Array:
-                moved = form.replaced(theta).channel(i, j)
-                q, nk = moved.polynomials, moved.nk
-                parts = (q["A"][1:], q["B"][nk:], q["C"][1:], q["D"][1:], q["F"][1:])
-                return np.concatenate(parts)
+                return form.replaced(theta).channel(i, j)[0].theta
 
             J = np.empty((free(form.theta).size, form.theta.size))
-            for k in range(form.theta.size):
+            for k in range(form.theta.size - (form.K.size if name == "without K" else 0)):
                 h = np.zeros(form.theta.size)
                 h[k] = 1e-6
                 J[:, k] = (free(form.theta + h) - free(form.theta - h)) / 2e-6
-            np.testing.assert_allclose(channel.J, J, atol=1e-6)
+            if name == "without K":
+                J[:, -form.K.size :] = 0.0  # a K that is not 0 makes a model with C
+            np.testing.assert_allclose(known, J, atol=1e-6)
+
+
+def test_a_state_space_of_one_channel_becomes_polynomials_with_its_responses() -> None:
+    form = of_one_output(1)
+    d = form.theta.size
+    P = np.diag(np.square(0.001 * np.arange(1, d + 1)))
+    of = {"inputs": ("u",), "outputs": ("y",), "input_units": ("V",), "units": ("rad",)}
+    quality = fit_of(apart()).quality[:1]
+
+    fit = fit_of(
+        form, structure="ss", specification="", **of, covariance=P, covariance_robust=4 * P,
+        noise_covariance=np.eye(1), quality=quality,
+    )  # fmt: skip
+
+    assert fit.heading == "SS(order=2, nk=1)"
+    assert fit.names == ("a1", "a2", "b1", "b2", "c1", "c2")
+    _, J = form.channel(0, 0)
+    np.testing.assert_allclose(fit.covariance, J @ P @ J.T)
+    np.testing.assert_allclose(np.sort(fit.poles().values), np.sort(np.linalg.eigvals(form.A)))
+    u = np.random.default_rng(0).standard_normal(50)
+    np.testing.assert_allclose(fit.simulate(u), form.realised().simulated(u[:, None])[:, 0])
 
 
 def without_denominators() -> Polynomials:
@@ -140,7 +191,14 @@ def without_denominators() -> Polynomials:
     return replace(apart(), F=vectors([ONE] * 3, [ONE] * 3))
 
 
-@pytest.mark.parametrize("form", [apart(), joined(), without_denominators()])
+def with_all_polynomials() -> Polynomials:
+    """Return the rows of `apart` with an A of each output's own."""
+    return replace(apart(), A=vectors([(1, -0.4), (0,)], [(0,), (1, 0.2, 0.1)]))
+
+
+@pytest.mark.parametrize(
+    "form", [apart(), joined(), without_denominators(), with_all_polynomials()]
+)
 def test_the_noise_spectra_of_state_space_and_polynomials_are_equal(form: Polynomials) -> None:
     """H = 1 + C inv(q - A) K in the innovations form, and inv(A) C/D of the rows."""
     model = form.realised()
@@ -205,9 +263,9 @@ def test_a_channel_has_the_signals_and_numbers_of_its_output_and_input() -> None
         q = fit.quality[i]
         assert (channel.loss, channel.N, channel.fit_percent) == (q.loss, q.N, q.fit_percent)
         assert channel.whiteness == q.white.p_value
-        assert channel.nk == form.channel(i, j).nk
-        np.testing.assert_array_equal(channel.B, form.channel(i, j).polynomials["B"])
-        J = form.channel(i, j).J
+        of_channel, J = form.channel(i, j)
+        assert channel.nk == of_channel.nk[0][0]
+        np.testing.assert_array_equal(channel.B, of_channel.B[0][0])
         np.testing.assert_allclose(channel.covariance, J @ P @ J.T)
         np.testing.assert_allclose(channel.covariance_robust, 4 * channel.covariance)
         assert channel.structure == "bj"
@@ -341,6 +399,20 @@ def test_the_ramp_of_an_integrating_output_is_estimated_with_the_model() -> None
     np.testing.assert_allclose(clean, expected, atol=1e-9)
 
 
+def test_the_levels_of_outputs_are_estimated_if_the_input_has_an_offset() -> None:
+    """The output of alpha has a level; the ramp is that of the integrating output."""
+    form = apart((True, False))
+    u = np.random.default_rng(8).standard_normal((60, 3))
+    trend = np.column_stack([3.0 + 0.5 * np.arange(60), np.full(60, 7.0)])
+    y = form.realised().deterministic.simulated(u) + trend
+    data = Signals(u=u, y=y, Ts=0.1, inputs=["u", "v", "w"], outputs=["a", "b"])
+
+    for horizon in (1, 4, None):
+        found = fit_of(form, offset=True).predict(data, horizon)
+        np.testing.assert_allclose(found[4:], data.y[4:], atol=1e-6)
+    assert np.abs(fit_of(form).predict(data, None) - data.y).max() > 0.1
+
+
 def test_signals_with_other_names_are_refused() -> None:
     fit = fit_of(apart())
     u, y = np.zeros((5, 3)), np.zeros((5, 2))
@@ -374,7 +446,7 @@ def test_a_file_keeps_each_field_of_each_form(name: str, tmp_path: Path) -> None
 
     loaded = load_fit(tmp_path / "m.json")
 
-    assert isinstance(loaded, MultivariableFit)
+    assert isinstance(loaded, Fit)
     assert repr(loaded) == repr(fit)
     assert model_text(loaded) == model_text(fit)
     for field in ("findings", "starts", "output_weights", "shared", "converged", "digest"):
@@ -391,12 +463,12 @@ def test_a_file_keeps_each_field_of_each_form(name: str, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"version": 2, "armrig": "9.9"}, "format version 2, this armrig reads 1.* armrig 9.9"),
+        ({"version": 3, "armrig": "9.9"}, "format version 3, this armrig reads 2.* armrig 9.9"),
         ({"covariance": [[1.0]]}, "damaged model: .* parameters, and covariances of another size"),
         ({"covariance_robust": [[1.0]]}, "damaged model: .* covariances of another size"),
         ({"quality": []}, "is a damaged model"),
         ({"form": {"kind": "matrices"}}, "is a damaged model"),
-        ({"format": "x"}, "is a model of several signals|is no model file"),
+        ({"format": "x"}, "is no model file"),
     ],
 )
 def test_a_file_of_another_kind_of_model_is_refused(

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pytest
 from armrig.models.fit import Fit
-from armrig.models.subspace_fit import SubspaceFit
 
 from tests.clients.models.made_fits import made
 
 
-def subspace(**orders: Any) -> SubspaceFit:
-    fit = made(structure="n4sid", **orders)
-    known = {f.name: getattr(fit, f.name) for f in fields(Fit)}
+def subspace(**orders: Any) -> Fit:
     correlations = np.array([0.99999, 0.95, 0.3, 0.2, 0.1, 0.05, 0.04, 0.03, 0.02, 0.01, 0.001])
-    return SubspaceFit(
-        **known, weights="cva", horizon=15, singular_values=correlations,
+    return made(
+        structure="n4sid", **orders, weights="cva", horizon=15, singular_values=correlations,
         canonical_correlations=correlations, suggested_order=3,
     )  # fmt: skip
 

@@ -16,6 +16,8 @@ from armrig.report.recording_facts import facts, shared_facts, timing_rows
 from armrig.report.study import AssessedFit, Study
 from armrig_core.calibration import Calibration, Figure, Made
 
+from tests.clients.models.made_fits import changed
+
 TIMING = SamplingStatistics(
     Ts_us=10_000.0,
     mean_us=9_999.5,
@@ -56,7 +58,7 @@ def test_each_coefficient_has_its_two_deviations_in_their_columns(done: Study) -
 
 def test_the_loss_and_the_criteria_are_reported_by_their_names(done: Study) -> None:
     """FPE = loss (N + d)/(N - d), and AIC."""
-    fit = replace(done.best.fit, loss=2.5e-5)
+    fit = changed(done.best.fit, loss=2.5e-5)
 
     said = estimations(replace(done, estimated=(replace(done.best, fit=fit),)))
 

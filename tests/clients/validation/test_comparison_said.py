@@ -11,7 +11,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.data.signals import Signals
 from armrig.models.characteristics import SCALARS, ModelCharacteristics
-from armrig.models.model import Model
+from armrig.models.fit import Fit
 from armrig.numerics.confidence_regions import Band
 from armrig.numerics.polynomial import Array
 from armrig.validation.comparison import Comparison, ComparisonTable, _misfit, compare
@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 
 from tests.clients.models.made_fits import made
 
-PHYSICS = Model(B=np.array([0.0, 1.0]), nk=1, Ts=0.1)
+PHYSICS = Fit(B=np.array([0.0, 1.0]), nk=1, Ts=0.1)
 
 
 def figures(
@@ -223,6 +223,7 @@ class Constant:
 
     label = "constant"
     form = SimpleNamespace(integrators=(False, False))
+    ny, nu = 2, 1
 
     def __init__(self, *y: float) -> None:
         self.y = np.array(y)

@@ -282,7 +282,9 @@ def test_the_coordinates_of_the_state_do_not_count_as_parameters(direct: bool, f
     """Three states, two inputs, three outputs."""
     D = np.full((3, 2), float(direct))
     matrices = np.zeros((3, 3)), np.zeros((3, 2)), np.zeros((3, 3)), D, np.zeros((3, 3))
-    fit: Any = SimpleNamespace(structure="ss", theta=np.zeros(99), state_space=lambda: matrices)
+    fit: Any = SimpleNamespace(
+        structure="ss", theta=np.zeros(99), ny=3, nu=2, state_space=lambda: matrices
+    )
 
     assert _free(fit) == free
-    assert _free(SimpleNamespace(structure="oe", theta=np.zeros(7))) == 7  # type: ignore[arg-type]
+    assert _free(SimpleNamespace(structure="oe", theta=np.zeros(7), ny=2, nu=1)) == 7  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig import MultivariableFit, Signals
+from armrig import Fit, Signals
 from armrig.estimation.multivariable.oe import oe as oe_of_several
 from armrig.numerics.polynomial import filtered
 from armrig.validation.feedback_and_delay import other_inputs
@@ -39,7 +39,7 @@ def plant(seed: int, *, missing: float = 0.0, cross: float = 0.5) -> Signals:
 
 
 @cache
-def estimated(seed: int, missing: float = 0.0, *, nk_12: int = 2) -> MultivariableFit:
+def estimated(seed: int, missing: float = 0.0, *, nk_12: int = 2) -> Fit:
     """Return the OE model of a plant, with the delay from u2 to y1."""
     orders: dict[str, Any] = {
         "nb": [[2, 1], [1, 1]],

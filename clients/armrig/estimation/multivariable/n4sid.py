@@ -35,8 +35,8 @@ from armrig.estimation.multivariable.subspace import (
 )
 from armrig.estimation.multivariable.whitening import patterns
 from armrig.estimation.orders import require_samples
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.multivariable.matrices import Matrices
+from armrig.models.fit import Fit
+from armrig.models.matrices import Matrices
 from armrig.models.structure_table import Weights
 from armrig.numerics.checks import require_integers
 from armrig.numerics.covariance import pairwise_covariance
@@ -76,7 +76,7 @@ def n4sid(
     horizon: int | None = None,
     replicates: int = _REPLICATES,
     seed: int = 0,
-) -> MultivariableFit:
+) -> Fit:
     """Estimate x(t+1) = A x + B u + K e, y = C x + D u + e by projections.
 
     A and C are computed from the left singular vectors of the weighted projection. K is computed
@@ -110,7 +110,7 @@ def n4sid(
 
     Returns
     -------
-    MultivariableFit
+    Fit
         The covariance of the matrices is computed from the scatter of the replicates' impulse
         responses.
 
@@ -160,9 +160,9 @@ def n4sid(
         for k in range(data.ny)
     ]
     quality = tuple(quality_of(of, test="ljung-box", prewhitening=parameters) for of in outputs)
-    return MultivariableFit(
+    return Fit(
         structure="n4sid",
-        orders=f"order={n}, nk={delays[0] if len(set(delays)) == 1 else list(delays)}",
+        specification=f"order={n}, nk={delays[0] if len(set(delays)) == 1 else list(delays)}",
         form=form,
         covariance=scale[:, None] * covariance * scale,
         covariance_robust=scale[:, None] * covariance * scale,

@@ -31,9 +31,9 @@ from armrig.estimation.multivariable.state_space_problem import (
 from armrig.estimation.multivariable.state_space_starts import moved_modes, starts
 from armrig.estimation.multivariable.whitening import whitening
 from armrig.estimation.orders import require_samples
-from armrig.models.estimate import Start
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.multivariable.matrices import Matrices
+from armrig.models.fit import Fit
+from armrig.models.matrices import Matrices
+from armrig.models.quality import Start
 from armrig.numerics.checks import require_flags, require_integers
 from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.inference import OutputResiduals, infer
@@ -93,7 +93,7 @@ def ss(
     nk: int | Sequence[int] = 1,
     noise: bool = True,
     output_weights: Sequence[float] | None = None,
-) -> MultivariableFit:
+) -> Fit:
     """Estimate A, B, C, D and K of x(t+1) = A x + B u + K e, y = C x + D u + e.
 
     The search minimises log det of the covariance of the prediction errors, or, with given weights
@@ -120,7 +120,7 @@ def ss(
 
     Returns
     -------
-    MultivariableFit
+    Fit
         The covariance of the matrices is singular in the directions that only change the state's
         coordinates. Use the standard deviations of poles and responses.
 
@@ -204,9 +204,9 @@ def ss(
     fields = found.fields()
     fields["covariance"] = T @ found.covariance @ T.T
     fields["covariance_robust"] = T @ found.covariance_robust @ T.T
-    return MultivariableFit(
+    return Fit(
         structure="ss",
-        orders=f"order={n}, nk={_short(delays)}" + ("" if noise else ", noise=False"),
+        specification=f"order={n}, nk={_short(delays)}" + ("" if noise else ", noise=False"),
         form=form,
         output_weights=weights,
         converged=best.converged,
