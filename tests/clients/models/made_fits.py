@@ -48,10 +48,13 @@ def made(
 
 def changed(fit: Fit, **fields: Any) -> Fit:
     """Return a model of one output and input with other polynomials, quality or other fields."""
-    names = ("loss", "N", "fit_percent", "whiteness", "whiteness_test", "noise_variance")
-    names += ("A", "B", "C", "D", "F", "nk", "integrator", "output", "unit", "input_unit")
+    names = ("A", "B", "C", "D", "F", "nk", "integrator", "output", "unit", "input_unit")
+    if fit.quality:
+        names += ("loss", "N", "fit_percent", "whiteness", "whiteness_test", "noise_variance")
     known = {name: getattr(fit, name) for name in names}
     left_out = {"form", "quality", "noise_covariance", "inputs", "outputs", "input_units", "units"}
+    if not fit.quality:
+        left_out |= {"covariance", "covariance_robust"}
     known |= {f.name: getattr(fit, f.name) for f in dataclass_fields(Fit) if f.name not in left_out}
     return Fit.of_channel(**(known | fields))
 

@@ -23,6 +23,8 @@ from armrig.validation.projection import _free_covariance
 from armrig.validation.residuals import residuals
 from scipy.stats import chi2
 
+from tests.clients.models.made_fits import changed
+
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
 
@@ -67,9 +69,7 @@ def test_an_unbounded_simulation_has_a_fit_of_minus_infinity(plant: HandoutPlant
     """The textbook's first choice on an integrating angle may be unstable."""
     unstable = arx(plant.dataset(1)[:400], na=6, nb=4)
     unstable_A = np.convolve(unstable.A, [1, -3.0])
-    import dataclasses
-
-    fit = dataclasses.replace(
+    fit = changed(
         unstable, A=unstable_A, covariance=np.zeros((11, 11)), covariance_robust=np.zeros((11, 11))
     )
 

@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 
 from tests.clients.models.made_fits import made
 
-PHYSICS = Fit(B=np.array([0.0, 1.0]), nk=1, Ts=0.1)
+PHYSICS = Fit.of_channel(B=np.array([0.0, 1.0]), nk=1, Ts=0.1)
 
 
 def figures(
