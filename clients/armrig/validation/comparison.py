@@ -19,7 +19,6 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
 from armrig.models.estimation_data import findings_on_own_data
 from armrig.models.fit import Fit
-from armrig.models.prediction import predicted
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.quantities import plural
 from armrig.validation.model_differences import explanation, table
@@ -279,7 +278,7 @@ def _compared(
     integrators: Mask,
 ) -> Iterator[Comparison]:
     """Yield the comparison of each output of a model."""
-    y = predicted(model, data, horizon).reshape(data.N, -1)
+    y = model.predict(data, horizon).reshape(data.N, -1)
     if isinstance(data, Signals):
         each = [data.dataset(output, data.inputs[0]) for output in data.outputs]
     else:

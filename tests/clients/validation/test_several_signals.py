@@ -307,6 +307,7 @@ def test_with_few_samples_one_output_has_the_whiteness_test_of_a_dataset(seed: i
             (armrig.Dataset(u=u, y=y, Ts=1.0), Signals(u=u[:, None], y=y[:, None], Ts=1.0))
         )
     fit, several = armrig.oe(parts[0][0], nb=2, nf=2), oe_of_several(parts[0][1], nb=2, nf=2)
+    several = replace(several, digest=fit.digest)  # of the same samples
 
     for one, signals in parts:
         white = armrig.residuals(several, signals, 6).white
