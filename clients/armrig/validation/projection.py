@@ -167,10 +167,16 @@ class Projection:
     def remove_states(self, Z: Sequence[Array]) -> None:
         """Subtract W S S^T Z from Z (N, ny, k) of each experiment, in place."""
         for part, z in zip(self.parts, Z, strict=True):
-            _subtract(z, part.weighted(part.S), sum_of_products([part.S], [z]))
+            begun = np.flatnonzero(part.S.any(axis=(1, 2)))
+            if begun.size:  # the effect of the unknown past ends early
+                some = slice(0, int(begun[-1]) + 1)
+                WS = part.weighted(part.S)[some]
+                _subtract(z[some], WS, sum_of_products([part.S[some]], [z[some]]))
 
     def remove_parameters(self, Z: Sequence[Array]) -> None:
         """Subtract W T T^T Z from Z (N, ny, k) of each experiment, in place."""
+        if not self.T[0].shape[2]:
+            return
         c = sum_of_products(self.T, Z)
         for part, z, t in zip(self.parts, Z, self.T, strict=True):
             _subtract(z, part.weighted(t), c)

@@ -266,7 +266,7 @@ def _lagged_both_ways(part: Part, L: int) -> Array:
     # In Fortran order the columns are contiguous.
     Z = np.zeros((N, ny, ny * nu * width), order="F")
     for i in range(ny):
-        unknown = ~part.known[:, i]
+        unknown = np.flatnonzero(~part.known[:, i])
         for k in range(-L, L + 1):
             late, early, n = max(k, 0), max(-k, 0), max(N - abs(k), 0)
             columns = slice(i * nu * width + L + k, (i + 1) * nu * width, width)
