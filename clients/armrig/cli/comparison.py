@@ -53,7 +53,7 @@ _MAX_DIFFERENCES = 4
 Models = Annotated[
     list[Path] | None,
     typer.Option(
-        "--model", metavar="JSON", help="Fit file written by identify --save; repeatable."
+        "--model", metavar="JSON", help="Model file written by identify --save; repeatable."
     ),
 ]
 Horizon = Annotated[

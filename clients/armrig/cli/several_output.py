@@ -13,7 +13,7 @@ from armrig.cli.model_output import RTOL, coefficients, equally_well, root_lines
 from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.plots.captions import signature
-from armrig.validation.answer import simulated_to, tests_sentence
+from armrig.validation.answer import ON_OWN_DATA, simulated_to, tests_sentence
 from armrig.validation.comparison import misfit_line
 
 if TYPE_CHECKING:
@@ -42,7 +42,8 @@ def simulated(rows: Sequence[Comparison]) -> str:
 
     The text is the end of a sentence whose subject is the model.
     """
-    return listed([f"{row.output} to {simulated_to(row)}" for row in rows])
+    texts = [f"{row.output} to {simulated_to(row).removesuffix(ON_OWN_DATA)}" for row in rows]
+    return listed(texts) + ON_OWN_DATA * rows[0].on_estimation_data
 
 
 def validated(

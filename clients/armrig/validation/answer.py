@@ -27,6 +27,7 @@ DYNAMICS = "look at the orders or the delay"
 FEEDBACK = "look at the experiment, or the delay is too large"
 LEVEL = f"a p below {WHITE_LEVEL:g} rejects"
 _MORE_TESTS = f"{LEVEL.capitalize()}; --validate F2 tests the residuals against the input, too."
+ON_OWN_DATA = " on its estimation data"
 UNTESTED = "too few samples or residuals for the test"
 
 
@@ -61,7 +62,7 @@ def simulated_to(row: Comparison) -> str:
     velocity = row.velocity_fit_percent
     said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {row.unit}".rstrip()
     said += f", velocity {velocity:.2f} %)" if velocity is not None else ")"
-    return said + " on its estimation data" * row.on_estimation_data
+    return said + ON_OWN_DATA * row.on_estimation_data
 
 
 def tests_sentence(tests: ResidualTest) -> str:

@@ -248,10 +248,9 @@ def compare(
         raise InputError(
             f"{len(names)} labels for {len(models)} models; give one label for each model"
         )
-    if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
-        data = data.dataset()
     for model, name in zip(models, names, strict=True):
-        if isinstance(data, Signals) and (model.ny, model.nu) == (1, 1):
+        several = isinstance(data, Signals) and (data.ny, data.nu) != (1, 1)
+        if several and (model.ny, model.nu) == (1, 1):
             raise InputTypeError(
                 f"{name} has one output; compare it with signals.dataset(output, input)"
             )

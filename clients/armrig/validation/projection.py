@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from armrig.data.argument import as_dataset
 from armrig.data.dataset import Dataset
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.whitening import whitening
@@ -51,8 +52,9 @@ class Part:
 
 def parts_of(fit: Fit, data: Dataset | Signals) -> tuple[list[Part], Array]:
     """Return the residuals of each experiment, and the covariance of the parameters of Psi."""
-    if isinstance(data, Signals):
+    if isinstance(data, Signals) and (fit.ny, fit.nu) != (1, 1):
         return _parts_by_differences(fit, data)
+    data = as_dataset(data)
     mean, parts = np.mean(data.u), []
     for part in data.experiments():
         r = prediction_errors(fit, part)

@@ -191,9 +191,10 @@ def _checked(fit: Fit, data: Dataset | HasDataset | Signals) -> Dataset | Signal
         raise InputTypeError(
             f"the model must come first, got a {type(fit).__name__}: residuals(fit, data)"
         )
-    own = as_dataset(data) if (fit.ny, fit.nu) == (1, 1) else data
-    require_same_signals(fit, own)  # type: ignore[arg-type]
-    return own  # type: ignore[return-value]
+    if not isinstance(data, Signals) and (fit.ny, fit.nu) == (1, 1):
+        data = as_dataset(data)
+    require_same_signals(fit, data)  # type: ignore[arg-type]
+    return data  # type: ignore[return-value]
 
 
 def _possible(lags: int | None, N: int) -> int:

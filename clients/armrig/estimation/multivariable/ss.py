@@ -228,7 +228,7 @@ def ss(
 def _filled(data: Signals, order: int, nk: int | Sequence[int]) -> Signals:
     """Return the data with missing outputs replaced by the output of an output-error model."""
     simulated = ss(data, order=order, nk=nk, noise=False).predict(data, horizon=None)
-    y = np.where(data.valid, data.y, simulated)
+    y = np.where(data.valid, data.y, simulated.reshape(data.y.shape))
     return data.replaced(step=None, y=y, valid=np.isfinite(y))
 
 

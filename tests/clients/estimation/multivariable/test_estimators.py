@@ -109,7 +109,7 @@ def test_one_input_and_output_give_the_estimate_of_the_dataset(name: str) -> Non
     assert fit.whiteness == pytest.approx(known.whiteness, rel=1e-5)
     assert fit.fit_percent == pytest.approx(known.fit_percent)
     for horizon in (1, 5, None):
-        ours, theirs = found.predict(signals, horizon)[:, 0], known.predict(data, horizon)
+        ours, theirs = found.predict(signals, horizon), known.predict(data, horizon)
         both = np.isfinite(theirs)
         np.testing.assert_allclose(ours[both], theirs[both], rtol=1e-6, atol=1e-7)
 
@@ -163,7 +163,7 @@ def test_an_armax_model_that_integrates_its_noise_is_that_of_the_dataset() -> No
     np.testing.assert_allclose(found["a"].theta, known.theta, rtol=1e-6)
     np.testing.assert_allclose(found["a"].std, known.std, rtol=1e-5)
     assert found["a"].integrator
-    e = data.y[:, 0] - found.predict(data)[:, 0]
+    e = data.y[:, 0] - found.predict(data)
     np.testing.assert_allclose(e[1:], (data.y[:, 0] - known.predict(data.dataset()))[1:], atol=1e-4)
 
 
