@@ -80,8 +80,8 @@ def search(
     are called with `stable=True`. If a pole was moved into the unit circle, the findings of the
     chosen model report this.
 
-    For several signals, the squared error is the sum over the outputs of (y - ŷ)² / var y. A
-    candidate of order n has n poles; an output with an integrator has one more pole, and one more
+    For several outputs, the squared error is the sum over the outputs of (y - ŷ)² / var y. For
+    several signals, a candidate of order n has n poles; an output with an integrator has one more pole, and one more
     numerator coefficient for each input. "oe" has a shared denominator. If samples are missing,
     "ss" has no K.
 
@@ -181,8 +181,15 @@ def search(
         halved=halved,
         tests=residuals(ranking.fit, validation),
         horizon=horizon,
-        unit="σ" if isinstance(validation, Signals) else validation.unit,
+        unit=_unit(validation),
     )
+
+
+def _unit(data: Dataset | Signals) -> str:
+    """Return the unit of the errors; the errors of several outputs are in standard deviations."""
+    if isinstance(data, Dataset):
+        return data.unit
+    return "σ" if data.ny > 1 else data.units[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
