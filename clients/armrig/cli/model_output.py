@@ -19,7 +19,7 @@ from armrig.validation.advice.advice import advice
 from armrig.validation.answer import DYNAMICS, FEEDBACK, LEVEL, NOISE, OF_DATA, UNTESTED
 from armrig.validation.comparison import Comparison
 from armrig.validation.residual_figure import BAND_99_PERCENT
-from armrig.validation.residuals import ResidualTest
+from armrig.validation.residual_test import ResidualTest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

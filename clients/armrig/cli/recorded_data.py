@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.data.signals import Signals
     from armrig.models.fit import Fit
-    from armrig.models.multivariable.comparison import SignalsComparisonTable
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import ComparisonTable
@@ -309,7 +308,7 @@ def _with_level(model: Fit | None) -> bool:
     return bool(getattr(model, "offset", False))
 
 
-def warn_of_estimation_data(table: ComparisonTable | SignalsComparisonTable) -> None:
+def warn_of_estimation_data(table: ComparisonTable) -> None:
     """Print a warning if the comparison of a model uses the model's own estimation data."""
     for finding in table.findings:
         tell(finding.text)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from armrig.data.signals import Signals
     from armrig.estimation.multivariable.request import SignalsRequest
     from armrig.models.fit import Fit
-    from armrig.validation.multivariable.residual_test import SignalsResidualTest
+    from armrig.validation.residual_test import ResidualTest
 
 
 def after_identify(
@@ -28,7 +28,7 @@ def after_identify(
     file: Path,
     signals: SignalChoice,
     *,
-    tests: SignalsResidualTest | None,
+    tests: ResidualTest | None,
     validate: Path | None,
     save: Path | None,
     searched: bool,
@@ -98,7 +98,7 @@ def options_of(request: SignalsRequest) -> str:
 
 def after_validate(
     fit: Fit,
-    tests: SignalsResidualTest,
+    tests: ResidualTest,
     data: Signals,
     file: Path,
     model: Path,

@@ -11,6 +11,7 @@ from armrig_core.calls import check_call
 from armrig_core.errors import InputTypeError
 
 from armrig.data.dataset import Dataset, require_visible
+from armrig.data.signals import Signals
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -55,6 +56,23 @@ def takes_recordings(
 
     If orders are given by position, as in MATLAB, the error message shows the call with names.
     """
+    return _taking(f, as_dataset)
+
+
+def as_data(data: Dataset | HasDataset | Signals) -> Dataset | Signals:
+    """Return Signals unchanged, and other data as a Dataset."""
+    return data if isinstance(data, Signals) else as_dataset(data)
+
+
+def takes_data(
+    f: Callable[Concatenate[Dataset | Signals, P], R],
+) -> Callable[Concatenate[Dataset | HasDataset | Signals, P], R]:
+    """Decorate a function of data of any shape, so that it also accepts a recording."""
+    return _taking(f, as_data)
+
+
+def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..., R]:
+    """Return f with checks of its arguments, of which the first one is converted."""
     called = signature(f)
     parameters = list(called.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)
@@ -65,15 +83,14 @@ def takes_recordings(
     @wraps(f)
     def taking(*args: Any, **options: Any) -> R:
         if len(args) > positional and by_name and not variadic:
-            as_dataset(args[0])
+            converted(args[0])
             raise InputTypeError(_by_name(f.__name__, first, by_name, args[positional:]))
         if not args and first in options:
             args = (options.pop(first),)
         if args:
             _check_order(f.__name__, first, parameters, args)
         check_call(f.__name__, called, args, options)
-        call: Callable[..., R] = f
-        return call(*(as_dataset(a) for a in args[:1]), *args[1:], **options)
+        return f(*(converted(a) for a in args[:1]), *args[1:], **options)
 
     return taking
 

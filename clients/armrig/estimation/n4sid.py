@@ -35,7 +35,7 @@ from armrig.models.innovations import Experiment, errors, prepared, regression
 from armrig.models.structure import Structure
 from armrig.models.structure_table import Focus, Weights
 from armrig.numerics.checks import require_integers
-from armrig.numerics.inference import infer
+from armrig.numerics.inference import infer, least_squares_residuals
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, reflected, without_integrator
 
@@ -242,8 +242,12 @@ def _fit(
     blocks = [np.hstack([x[:, :-1], p.Psi]) for x, p in zip(projected, parts, strict=True)]
     residuals = [np.where(x.rows, p.e, np.nan) for x, p in zip(experiments, parts, strict=True)]
     spans = [g.unknown.span for g in given]
-    found = infer(residuals, blocks, score="correlated", spans=spans, y=data.y)
-    found = found.transformed(with_integrator(n))
+    basis = orthonormal(np.vstack(blocks))
+    found = infer(
+        least_squares_residuals(residuals, basis, spans=spans, y=data.y),
+        basis.W,
+        score="correlated",
+    ).transformed(with_integrator(n))
     return Fit.of_channel(
         structure="n4sid",
         A=A,
@@ -256,10 +260,10 @@ def _fit(
         findings=(
             *notes,
             *_warnings(data, n, A, found.covariance),
-            *([warning("coloured", _COLOURED_TEXT)] if found.white.coloured else []),
+            *([warning("coloured", _COLOURED_TEXT)] if found.quality[0].white.coloured else []),
             *data_faults(data, residuals, way_out="" if n.trend else NO_OPTION),
         ),
-        **found.quality(),
+        **found.of_one_output(),
         **data.origin(),
         **facts,
     )

@@ -11,11 +11,12 @@ from armrig_core.errors import InputError
 from armrig.data.finding import EstimateFinding
 from armrig.models.matrices import Matrices
 from armrig.models.polynomials import Polynomials
-from armrig.models.quality import MAX_TRUSTED_CURVATURE, OutputQuality, Start
+from armrig.models.quality import MAX_TRUSTED_CURVATURE, Start
 from armrig.models.state_space import Matrix, Vector, freeze
 from armrig.models.structure import FreeResponse
 from armrig.models.structure_table import DESCRIBED, named
 from armrig.numerics import criteria
+from armrig.numerics.inference import OutputQuality
 from armrig.numerics.quantities import plural
 from armrig.numerics.whiteness import Whiteness
 

@@ -19,10 +19,10 @@ from armrig.models.linearised import (
     standard_deviations,
 )
 from armrig.models.polynomials import Polynomials
-from armrig.models.quality import OutputQuality
 from armrig.models.responses import FrequencyResponse, NoiseSpectrum, Roots, StepResponse
 from armrig.models.state_space import Matrix, Vector
 from armrig.numerics.checks import column, require_integers
+from armrig.numerics.inference import OutputQuality
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.whiteness import Whiteness
 

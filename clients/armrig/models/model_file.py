@@ -20,8 +20,9 @@ from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
 from armrig.models.model_writing import FORMAT, VERSION
 from armrig.models.polynomials import Polynomials
-from armrig.models.quality import OutputQuality, Start
+from armrig.models.quality import Start
 from armrig.models.structure import FreeResponse
+from armrig.numerics.inference import OutputQuality
 from armrig.numerics.whiteness import Whiteness
 
 FORMAT_OF_SEVERAL = "armrig-multivariable-model"

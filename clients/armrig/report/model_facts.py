@@ -14,8 +14,7 @@ from armrig.numerics.quantities import fixed, listed, number, p_value, percent, 
 from armrig.recordings.findings import alpha_moves
 from armrig.report.recording_facts import run_name
 from armrig.report.study import Assessed, AssessedFit, Study, each_output
-from armrig.validation.multivariable.residual_test import SignalsResidualTest
-from armrig.validation.residuals import ResidualTest
+from armrig.validation.residual_test import ResidualTest
 
 
 def orders(study: Study) -> str:
@@ -255,7 +254,7 @@ def residual_rows(study: Study) -> list[list[str]]:
     ]
 
 
-def _p_values(tests: Sequence[ResidualTest | SignalsResidualTest]) -> list[list[float]]:
+def _p_values(tests: Sequence[ResidualTest]) -> list[list[float]]:
     """Return, for each hypothesis in the order of `HYPOTHESES`, the p values of the tests."""
     return [
         [t.white.p_value for t in tests],

@@ -29,8 +29,8 @@ from armrig.recordings.jitter import (
 )
 from armrig.recordings.recording import Recording
 from armrig.validation.comparison import Comparison, compare
-from armrig.validation.multivariable.residual_test import SignalsResidualTest
-from armrig.validation.residuals import ResidualTest, residuals
+from armrig.validation.residual_test import ResidualTest
+from armrig.validation.residuals import residuals
 
 STEP = "step"
 """Kind of experiment that a report shows, but does not use for estimation."""
@@ -107,7 +107,7 @@ class AssessedFit(Assessed):
     """Tests of the model's residuals on the validation data."""
     deviation: Vector
     """|G - G_physics| / |G_physics| at the study's frequencies, (n,)."""
-    together: SignalsResidualTest | None = None
+    together: ResidualTest | None = None
     """Tests of the residuals of all outputs of the model; None if the model has one output."""
 
 
@@ -255,7 +255,7 @@ def study(
     each = [_of_each(one) for one in (estimation, validation)]
     for one in each[0]:
         _require_sensible(one, orders.of(one.output))
-    tests: dict[str, SignalsResidualTest] = {}
+    tests: dict[str, ResidualTest] = {}
     if isinstance(estimation, Signals) and isinstance(validation, Signals):
         joint = _joint_fits(estimation, orders)
         tests = {name: residuals(fit, validation) for name, fit in joint.items()}
@@ -331,7 +331,7 @@ def assessed(
     fits: Mapping[str, Fit],
     physics: Fit,
     validation: Dataset,
-    together: Mapping[str, SignalsResidualTest] = MappingProxyType({}),
+    together: Mapping[str, ResidualTest] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Compare all models with the validation data; return fields of a `Study`.
 
@@ -339,7 +339,7 @@ def assessed(
     ----------
     fits : mapping of str to Fit
         Models by their names in the report.
-    together : mapping of str to SignalsResidualTest, optional
+    together : mapping of str to ResidualTest, optional
         Joint tests of all outputs, for the models that have several outputs.
     """
     # Compare first, because `compare` refuses a model of another sampling time.

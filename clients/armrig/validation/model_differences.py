@@ -46,7 +46,7 @@ class Row(Protocol):
     @property
     def name(self) -> str: ...  # noqa: D102
     @property
-    def model(self) -> Fit: ...  # noqa: D102
+    def channel(self) -> Fit: ...  # noqa: D102
     @property
     def characteristics(self) -> ModelCharacteristics: ...  # noqa: D102
     @property
@@ -121,7 +121,7 @@ def explanation(rows: Sequence[Row], *, brief: bool = False) -> list[str]:
     there is no physical model, the reference is the last model. Brief sentences contain no causes.
     """
     lines = [_best(rows)]
-    reference = next((row for row in rows if not row.model.quality), rows[-1])
+    reference = next((row for row in rows if not row.channel.quality), rows[-1])
     figures = reference.characteristics
     for row in (row for row in rows if row is not reference):
         if row.rms_error > _MAX_COMPARED_RATIO * reference.rms_error:
@@ -161,7 +161,7 @@ def _hopeless(row: Row, reference: Row, *, brief: bool) -> str:
     said += f"{reference.name}: its characteristics differ because the model is poor"
     if brief:
         return f"{said}."
-    if row.model.structure == "arx":
+    if row.channel.structure == "arx":
         said += ". ARX assumes noise that passes through 1/A; a potentiometer adds noise to the "
         said += "output, which biases the ARX model: "
         return said + "take OE."

@@ -16,10 +16,10 @@ from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
 from armrig.models.model_file import load_fit
 from armrig.models.model_writing import model_text
-from armrig.models.multivariable.comparison import SignalsComparisonTable, compare
 from armrig.models.polynomials import Polynomials
-from armrig.models.quality import OutputQuality, Start
+from armrig.models.quality import Start
 from armrig.models.state_space import StateSpace, predicted
+from armrig.numerics.inference import OutputQuality
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.whiteness import Whiteness
 from armrig_core.errors import FileError, InputError
@@ -427,69 +427,6 @@ def test_signals_with_other_names_are_refused() -> None:
             fit.predict(Signals(u=u, y=y, **({"Ts": 0.1} | names | changed)))
     with pytest.raises(TypeError, match="data is a list: give Signals with a, b and u, v, w"):
         fit.predict([1.0])  # type: ignore[arg-type]
-
-
-class Constant:
-    """A model that predicts the same numbers always."""
-
-    label = "constant"
-
-    def __init__(self, *y: float) -> None:
-        self.y = np.array(y)
-
-    def predict(self, data: Signals, horizon: int | None = 1) -> Array:
-        return np.tile(self.y, (data.u.shape[0], 1))
-
-    def estimated_from(self, data: Signals) -> bool:
-        """Return whether the first number is 0."""
-        return bool(self.y[0] == 0)
-
-
-def compared() -> SignalsComparisonTable:
-    """Return a comparison of two models over outputs with missing samples."""
-    y = np.array([[1.0, 2.0], [3.0, 4.0], [99.0, 6.0], [5.0, 99.0]])
-    valid = np.array([[1, 1], [1, 1], [0, 1], [1, 0]], dtype=bool)
-    data = Signals(
-        u=np.zeros((4, 1)), y=y, Ts=0.5, valid=valid, outputs=["a", "long"], units=["rad", ""]
-    )
-    models: Any = Constant(3.0, 0.0), Constant(0.0, 4.0)
-    return compare(data, *models, labels=("first", "second"), horizon=2)
-
-
-def test_outputs_are_compared_at_their_measured_samples() -> None:
-    """The outputs are 1, 3, 5 and 2, 4, 6."""
-    first, second = compared()
-    spread = np.sqrt(8.0)
-
-    assert first.rms_error == pytest.approx((np.sqrt(8 / 3), np.sqrt(56 / 3)))
-    assert first.fit_percent == pytest.approx((0.0, 100 * (1 - np.sqrt(56) / spread)))
-    assert second.rms_error == pytest.approx((np.sqrt(35 / 3), np.sqrt(8 / 3)))
-    assert second.fit_percent == pytest.approx((100 * (1 - np.sqrt(35) / spread), 0.0))
-    assert (first.on_estimation_data, second.on_estimation_data) == (False, True)
-    assert [f.about for f in compared().findings] == ["own data"]
-    unbounded: Any = Constant(np.inf, 0.0)
-    row = compare(compared().data, unbounded)[0]
-    assert (row.fit_percent[0], row.rms_error[0]) == (-np.inf, np.inf)
-    assert np.isfinite(row.rms_error[1])
-
-
-def test_a_panel_for_each_output_has_the_fits_of_its_models() -> None:
-    table = compared()
-
-    panels = table.plot().axes
-
-    texts = [[text.get_text() for text in panel.texts] for panel in panels]
-    assert "fit 0.0 %, -109.2 %" in texts[0]
-    assert "fit -164.6 %, 0.0 %" in texts[1]
-    for i, panel in enumerate(panels):
-        measured, *models = panel.lines[:3]
-        shown = np.asarray(measured.get_ydata(), float)
-        valid = table.data.valid[:, i]
-        np.testing.assert_array_equal(shown[valid], table.data.y[valid, i])
-        for line, row in zip(models, table.rows, strict=True):
-            np.testing.assert_array_equal(line.get_ydata(), row.y[:, i])
-    assert "rad" in panels[0].get_ylabel()
-    assert panels[1].get_xlim() == (0.0, 1.5)
 
 
 @pytest.mark.parametrize("name", FORMS)

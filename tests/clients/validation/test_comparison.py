@@ -19,7 +19,8 @@ from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.validation.comparison import compare
-from armrig.validation.residuals import _free_covariance, residuals
+from armrig.validation.projection import _free_covariance
+from armrig.validation.residuals import residuals
 from scipy.stats import chi2
 
 from tests.clients.models.made_fits import changed

@@ -13,9 +13,10 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
+from armrig.models.structure_table import OfferedName
 from armrig.numerics.polynomial import filtered
 from armrig.validation.model_search import _ranked, search
-from armrig.validation.search_result import Candidate, OfferedName, Scored, SearchResult
+from armrig.validation.search_result import Candidate, Scored, SearchResult
 
 from tests.clients.validation.plants import of_second_order, switched, under_control
 from tests.sampling import sampled

@@ -12,9 +12,8 @@ import pytest
 from armrig import Fit, Signals
 from armrig.estimation.multivariable.oe import oe as oe_of_several
 from armrig.numerics.polynomial import filtered
-from armrig.validation.multivariable import feedback_and_delay
-from armrig.validation.multivariable.projection import parts_of, projection
-from armrig.validation.multivariable.residuals import residuals as residuals_of_several
+from armrig.validation.feedback_and_delay import other_inputs
+from armrig.validation.projection import parts_of, projection
 from armrig_core.errors import InputError
 
 from tests.plants import chassis_and_arm
@@ -70,9 +69,10 @@ def test_the_residuals_of_a_joint_estimate_have_no_part_that_was_estimated() -> 
     """Rows with orders of their own and correlated noise are weighted together."""
     data = plant(0)
     fit: Any = armrig.arx(data, na=[[2, 1], [0, 1]], nb=[[2, 1], [1, 2]])  # type: ignore[arg-type]
-    (part,) = parts_of(fit, data)
+    (part,), _ = parts_of(fit, data)
     projected = projection([part], own=True)
-    (B,), (WB,) = projected.B, projected.WB
+    B = np.concatenate([part.S, projected.T[0]], axis=2)
+    WB = part.weighted(B)
 
     np.testing.assert_allclose(np.einsum("tir,tik->rk", B, WB), np.eye(projected.rank), atol=1e-9)
     # A part of the noise would be about 1. The initial state is the difference from 0.
@@ -98,9 +98,10 @@ def test_several_experiments_are_tested_together() -> None:
 
     found = armrig.residuals(fit, data)
 
-    # No product of samples of two experiments is in a sum.
+    # No product of samples of two experiments is in a mean.
     e = [found.e[: N // 2], found.e[N // 2 :]]
-    lag_3 = sum(x[3:].T @ x[:-3] for x in e) / np.sum(found.e**2, axis=0).prod() ** 0.5
+    lag_3 = sum(x[3:].T @ x[:-3] for x in e) / (N - 6)
+    lag_3 /= np.mean(found.e**2, axis=0).prod() ** 0.5
     assert found.autocorrelation[0, 1, 3] == pytest.approx(lag_3[0, 1])
     for white, quality in zip(found.white_by_output, fit.quality, strict=True):
         assert white.p_value == pytest.approx(quality.white.p_value, rel=0.02)
@@ -206,15 +207,17 @@ def test_the_search_chooses_the_order_of_the_plant() -> None:
         progress=lambda k, n, name: done.append(f"{k} of {n} {name}"),
     )
 
-    assert found.chosen.name == "ss of order 4"
+    assert found.chosen.candidate.name == "SS[4 1]"
     assert found.fit.estimated_from(data)
     assert done == [
-        "0 of 3 ss of order 3",
-        "1 of 3 ss of order 4",
-        "2 of 3 ss of order 5",
+        "0 of 3 SS[3 1]",
+        "1 of 3 SS[4 1]",
+        "2 of 3 SS[5 1]",
         "3 of 3 ",
     ]
-    assert "  chosen" in repr(found)
+    assert "  <- chosen" in repr(found)
+    assert found.tests.outputs == ("y1", "y2")
+    assert not found.tests.rejects
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.1])
@@ -234,21 +237,21 @@ def test_the_search_finds_the_integrator_of_one_output() -> None:
 
     found: Any = armrig.search(data, integrator="angle", orders=(1, 2, 3))  # type: ignore[arg-type]
 
-    assert found.chosen.name == "oe of order 2"
+    assert found.chosen.candidate.name == "OE[2 2 1]"
     assert found.fit.form.integrators == (True, False)
 
 
 def test_every_family_of_a_search_has_all_orders_of_an_iterator() -> None:
     found: Any = armrig.search(plant(0), families=["n4sid", "oe"], orders=iter((1, 2)))
 
-    tried = {(c.family, c.order) for c in (*found.ranked, *found.failed)}
+    tried = {(j.candidate.family, j.candidate.order) for j in (*found.ranked, *found.failed)}
     assert tried == {("n4sid", 1), ("n4sid", 2), ("oe", 1), ("oe", 2)}
 
 
 def test_unknown_families_and_too_high_orders_are_refused() -> None:
     with pytest.raises(InputError, match="families has 'arx'; each must be one of ss, n4sid, oe"):
         armrig.search(plant(0), families=["arx"])
-    with pytest.raises(InputError, match="none of the models could be estimated"):
+    with pytest.raises(InputError, match="none of the structures could be estimated"):
         armrig.search(plant(0)[:20], orders=[9])
 
 
@@ -304,9 +307,10 @@ def test_with_few_samples_one_output_has_the_whiteness_test_of_a_dataset(seed: i
             (armrig.Dataset(u=u, y=y, Ts=1.0), Signals(u=u[:, None], y=y[:, None], Ts=1.0))
         )
     fit, several = armrig.oe(parts[0][0], nb=2, nf=2), oe_of_several(parts[0][1], nb=2, nf=2)
+    several = replace(several, digest=fit.digest)  # of the same samples
 
     for one, signals in parts:
-        white = residuals_of_several(several, signals, 6).white
+        white = armrig.residuals(several, signals, 6).white
 
         assert white.p_value == pytest.approx(armrig.residuals(fit, one, 6).whiteness, rel=1e-6)
 
@@ -329,10 +333,14 @@ def test_sums_and_deviations_of_each_pair_are_those_of_its_signals() -> None:
     found = armrig.residuals(fit, data, 5)
 
     e, u = np.nan_to_num(found.e), data.u - data.u.mean(axis=0)
+    (part,), _ = parts_of(fit, data)
+    WS = part.weighted(part.S)
     for i, j, k in ((0, 1, 3), (1, 0, -4), (0, 0, 0), (1, 1, 5)):
         late, early = max(k, 0), max(-k, 0)
         x, z = e[late : N - early, i], u[early : N - late, j]
-        expected = (x @ z) / np.sqrt(np.sum(e[:, i] ** 2) * np.sum(u[:, j] ** 2))
+        # The initial states are estimated from the same data.
+        left = u[:, j] - WS[:, i] @ (part.S[:, i].T @ u[:, j])
+        expected = (x @ z) / np.sqrt(np.sum(e[:, i] ** 2) * np.sum(left**2))
         at = int(np.flatnonzero(found.cross_lags == k)[0])
         assert found.cross_correlation[i, j, at] == pytest.approx(expected, abs=1e-9)
     np.testing.assert_allclose(found.cross_std, 1 / np.sqrt(N), rtol=0.5)
@@ -342,7 +350,7 @@ def test_given_weights_of_the_outputs_are_those_of_the_projection() -> None:
     """The estimator minimised the sum of w_i e_i²."""
     fit = replace(estimated(0), output_weights=(2.0, 8.0))
 
-    (part,) = parts_of(fit, plant(0))
+    (part,), _ = parts_of(fit, plant(0))
 
     weights = np.einsum("tij,tik->tjk", part.G, part.G)
     np.testing.assert_allclose(weights, np.broadcast_to(np.diag([2.0, 8.0]), weights.shape))
@@ -353,8 +361,8 @@ def test_a_model_of_all_inputs_has_at_most_a_fifth_of_its_rows_as_parameters() -
     rng = np.random.default_rng(1)
     data = Signals(u=rng.standard_normal((60, 2)), y=rng.standard_normal((60, 1)), Ts=0.1)
 
-    (block,) = feedback_and_delay._best_blocks([*data.experiments()], "y1")
+    (block,) = other_inputs._best_blocks([*data.experiments()], "y1")
 
     assert block.shape[1] - 1 <= 60 / 5
     with pytest.raises(InputError, match="too few samples of y1 for an ARX model"):
-        feedback_and_delay._best_blocks([data[:24]], "y1")
+        other_inputs._best_blocks([data[:24]], "y1")

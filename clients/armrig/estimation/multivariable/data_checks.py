@@ -11,7 +11,7 @@ from armrig_core.errors import InputError
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
 from armrig.models.estimate import Form
-from armrig.models.quality import OutputQuality
+from armrig.numerics.inference import OutputQuality
 from armrig.numerics.least_squares import orthonormal
 
 _CIRCLE_TOLERANCE = 1e-6

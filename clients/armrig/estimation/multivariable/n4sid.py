@@ -18,7 +18,6 @@ from armrig.estimation.multivariable.data_checks import (
     require_informative,
 )
 from armrig.estimation.multivariable.error_process import error_process
-from armrig.estimation.multivariable.inference import pairwise_covariance, quality_of
 from armrig.estimation.multivariable.state_space_problem import (
     Part,
     StateSpaceProblem,
@@ -40,8 +39,10 @@ from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
 from armrig.models.structure_table import Weights
 from armrig.numerics.checks import require_integers
+from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.criteria import mdl
 from armrig.numerics.gram import least_squares_by_gram
+from armrig.numerics.inference import OutputResiduals, quality_of
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion, varying_recursion
 from armrig.numerics.stretches import stretches
@@ -152,10 +153,13 @@ def n4sid(
     scale = _scales(model, su, sy)
     parameters = (n * (data.ny + data.nu) + n * data.ny) / data.ny
     outputs = [
-        ([e[:, k] * sy[k] for e in residuals], [p.y[:, k] for p in data.experiments()])
+        [
+            OutputResiduals(e=e[:, k] * sy[k], H=np.zeros((part.N, 0)), y=part.y[:, k])
+            for e, part in zip(residuals, data.experiments(), strict=True)
+        ]
         for k in range(data.ny)
     ]
-    quality = tuple(quality_of(e, y, parameters) for e, y in outputs)
+    quality = tuple(quality_of(of, test="ljung-box", prewhitening=parameters) for of in outputs)
     return Fit(
         structure="n4sid",
         specification=f"order={n}, nk={delays[0] if len(set(delays)) == 1 else list(delays)}",

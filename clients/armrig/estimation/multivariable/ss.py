@@ -13,11 +13,6 @@ from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
 from armrig.estimation.multivariable.ends import ranked
-from armrig.estimation.multivariable.inference import (
-    OutputResiduals,
-    inferred,
-    pairwise_covariance,
-)
 from armrig.estimation.multivariable.n4sid import n4sid
 from armrig.estimation.multivariable.state_space_gaps import searched
 from armrig.estimation.multivariable.state_space_problem import (
@@ -40,6 +35,8 @@ from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
 from armrig.models.quality import Start
 from armrig.numerics.checks import require_flags, require_integers
+from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.inference import OutputResiduals, infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed
@@ -411,13 +408,12 @@ def _inference(
 ) -> Any:
     edges = problem.edges()
     basis = orthonormal(Psi)
-    H = basis.Q @ basis.W.T
     ny = sy.size
     experiments = []
     for part, e, at, experiment in zip(
         problem.parts, residuals, edges, data.experiments(), strict=True
     ):
-        whole = H[at].reshape(ny, part.u.shape[0], -1)
+        whole = basis.Q[at].reshape(ny, part.u.shape[0], -1)
         white = Psi[at].reshape(ny, part.u.shape[0], -1)
         unwhitened = np.linalg.inv(part.weights[0]) if part.rows.all() else None
         of = []
@@ -426,19 +422,12 @@ def _inference(
             psi = (
                 np.einsum("k,ktd->td", unwhitened[i], white) if unwhitened is not None else white[i]
             )
-            of.append(
-                OutputResiduals(
-                    e=e[:, i] * sy[i],
-                    y=experiment.y[:, i],
-                    H=h,
-                    Psi=psi,
-                    Z=np.zeros((e.shape[0], 0)),
-                )
-            )
+            of.append(OutputResiduals(e=e[:, i] * sy[i], y=experiment.y[:, i], H=h, Psi=psi))
         experiments.append(of)
     states = problem.order * len(problem.parts)
-    return inferred(
+    return infer(
         experiments,
+        basis.W,
         parameters=[(Psi.shape[1] + states) / ny] * ny,
         score="correlated" if problem.noise else "exogenous",
     )
