@@ -110,7 +110,7 @@ def plot_spectrum(source: Dataset | Signals | HasDataset, *, ax: Axes | None = N
 
     data = _signals_of(source)
     Ts, parts, n = data.equidistant(), [*data.experiments()], data.ny + data.nu
-    every = rows(ax or (high_axes(n) if n > 2 else axes(None)), n)
+    every = rows(ax or (high_axes(n + 2) if n > 2 else axes(None)), n)
     channels = [
         *(
             (BLUE, NAMES.get(name, name), unit, [part.y[:, i] for part in parts])
@@ -150,7 +150,7 @@ def plot_values(source: Dataset | Signals | HasDataset, *, ax: Axes | None = Non
     """
     data = _signals_of(source)
     n, notes = data.ny + data.nu, list[str]()
-    every = [ax or (high_axes(n) if n > 2 else axes(None))]
+    every = [ax or (high_axes(n + 2) if n > 2 else axes(None))]
     for k in range(n - 1, 0, -1):
         every[-1:] = panels(every[-1], k / (k + 1), sharex=False)
     for k, panel in enumerate(every):

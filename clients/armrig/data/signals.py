@@ -142,7 +142,7 @@ class Signals(Experiments):
         (N, nu), ny = u_.shape, y_.shape[1]
         if y_.shape[0] != N:
             raise InputError(
-                f"u has {N} samples and y has {y_.shape[0]}; both need a row for each instant"
+                f"u has {N} samples and y has {y_.shape[0]}; both need one value for each instant"
             )
         starts_ = starts_of(starts, N)
         Ts_, times = sampling(Ts, t, starts_, N)

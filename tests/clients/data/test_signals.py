@@ -245,7 +245,7 @@ def test_outliers_of_each_output_are_found_with_all_inputs() -> None:
 
 U, Y = np.ones((20, 2)), np.ones((20, 2))
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "lengths": ({"y": Y[:9]}, "u has 20 samples and y has 9; both need a row for each instant"),
+    "lengths": ({"y": Y[:9]}, "u has 20 samples and y has 9; both need one value for each instant"),
     "rows": ({"y": Y.T}, r"y has 2 rows and 20 columns, .*; give y\.T if"),
     "cube": ({"y": np.ones((20, 2, 2))}, r"y has shape \(20, 2, 2\); give \(N, n\)"),
     "text": ({"u": np.array(["a"] * 20)}, "u is an array of <U1; give real numbers"),
