@@ -3,10 +3,10 @@ from armrig_core.errors import FileError as FileError
 from armrig_core.errors import InputError as InputError
 
 from armrig.data.dataset import Dataset as Dataset
+from armrig.data.dataset import Signals as Signals
 from armrig.data.files.loading import load_data as load_data
 from armrig.data.files.loading import load_signals as load_signals
 from armrig.data.merging import merge as merge
-from armrig.data.signals import Signals as Signals
 from armrig.data.treatment import detrend as detrend
 from armrig.data.treatment import difference as difference
 from armrig.data.treatment import drift as drift

@@ -19,7 +19,7 @@ from armrig.validation.answer import tests_sentence
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Signals
     from armrig.models.fit import Fit
     from armrig.models.multivariable.comparison import SignalsComparison, SignalsComparisonTable
     from armrig.models.multivariable.fit import MultivariableFit

@@ -22,7 +22,7 @@ from armrig.cli.recorded_data import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Signals
     from armrig.estimation.multivariable.request import SignalsRequest
     from armrig.models.multivariable.comparison import SignalsComparisonTable
     from armrig.models.multivariable.fit import MultivariableFit

@@ -12,8 +12,7 @@ from armrig_core.calls import check_call
 from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.columns import MAX_SIZE
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -105,7 +104,7 @@ def treats_signals(f: Callable[Concatenate[Signals, P], Signals]) -> Treatment[P
 
 
 def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..., R]:
-    """Return f with checks of its arguments, of which the first one is converted."""
+    """Return f with checks of its arguments, and with `converted` for the first argument."""
     called = signature(f)
     parameters = list(called.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)

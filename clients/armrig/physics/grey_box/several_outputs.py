@@ -10,7 +10,7 @@ from armrig_core.arm import ArmParameters, require_parameters
 from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1
 
-from armrig.data.signals import Signals
+from armrig.data.dataset import Signals
 from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.multivariable.inference import Inference, OutputResiduals, inferred
 from armrig.numerics.least_squares import Basis, orthonormal
