@@ -295,6 +295,18 @@ def test_an_input_is_drawn_as_it_runs_between_samples_and_experiments_are_marked
         assert panel.get_xlim() == pytest.approx((0.0, 59.9))
 
 
+@SHAPES
+@pytest.mark.parametrize("kind", ["spectrum", "values"])
+def test_each_channel_has_a_panel(kind: Any, shape: tuple[int, int]) -> None:
+    signals = driven(missing=0.1, shape=shape)
+
+    panels = signals.plot(kind, ax=Figure().add_subplot()).axes
+
+    said = [panel.get_ylabel() + panel.get_xlabel() for panel in panels]
+    for name, text in zip((*signals.outputs, *signals.inputs), said, strict=True):
+        assert name in text
+
+
 def test_a_part_knows_its_time_and_its_merge_its_channels() -> None:
     even, t = driven(), 0.1 * np.arange(600) + 0.04 * (np.arange(600) % 2)
     uneven = Signals(u=even.u, y=even.y, t=t + 5)

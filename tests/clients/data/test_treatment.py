@@ -236,6 +236,23 @@ def test_each_experiment_has_its_own_drift_and_gaps_are_left_out() -> None:
     assert first.unit == "V"
 
 
+def test_each_output_has_a_drift_and_all_inputs_explain_it() -> None:
+    """The second input rises slowly: without it, its effect would be a drift."""
+    still, drifts = drifting(1, 0.0), drifting(1, 0.02)
+    slow = 0.001 * np.arange(still.N) + 0.1 * telegraph(still.N, 0.1, seed=5)
+    y = np.column_stack([still.y + filtered([0, 0.2], [1, -0.9], slow), drifts.y])
+    names = {"outputs": ["flow", "level"], "units": ["l/s", "V"]}
+    signals = Signals(u=np.column_stack([still.u, slow]), y=y, Ts=0.1, **names)  # type: ignore[arg-type]
+
+    alone = drift(signals.channels("level", "u1"))
+    first, second = drift(signals)
+
+    assert alone == drift(drifts.replaced(step=None, output="level"))
+    assert (first.output, second.output) == ("flow", "level")
+    assert abs(first.z) < 2.58 < second.z
+    assert abs(drift(signals.channels("flow", "u1"))[0].z) > 2.58
+
+
 def test_data_whose_gaps_leave_too_few_rows_have_no_drift() -> None:
     """The drift was 0 ± 0 for any data."""
     data = drifting(1, 0.02, N=300)
