@@ -12,10 +12,11 @@ from scipy.linalg.lapack import dposv
 from armrig.data.dataset import Dataset
 from armrig.estimation.orders import require_samples
 from armrig.estimation.subspace import (
+    Parts,
     Projection,
-    Realisation,
     Windows,
     autoregressive_order,
+    complete_stretches,
     projection,
     realised,
     shortened,
@@ -31,7 +32,6 @@ from armrig.numerics.polynomial import (
     with_roots_inside,
     without_integrator,
 )
-from armrig.numerics.stretches import stretches
 
 MIN_HORIZON, MAX_HORIZON = 10, 30
 """Limits of the horizon that AIC chooses, in samples."""
@@ -39,18 +39,16 @@ _MAX_WINDOWS = 4000  # largest number of windows for the choice of the longest h
 _MAX_COMPARED_SAMPLES = 2000  # largest number of samples for the comparison of models
 _MIN_LOSS_SHARE = 1e-10  # least loss / |y|²; normal equations lose all digits of a smaller loss
 
-Signals = Sequence[tuple[Array, Array]]
 
-
-def delayed_signals(data: Dataset, nk: int) -> Signals:
+def delayed_signals(data: Dataset, nk: int) -> Parts:
     """Return (u, y) of each experiment, with u delayed by nk - 1 samples."""
     later = max(nk - 1, 0)
-    signals = [(lagged(part.u, [later])[:, 0], part.y) for part in data.experiments()]
+    signals = [(lagged(part.u, [later]), part.y[:, None]) for part in data.experiments()]
     return [(u[later:], y[later:]) for u, y in signals]
 
 
 def usable_windows(
-    data: Dataset, signals: Signals, order: int | None, horizon: int | None
+    data: Dataset, signals: Parts, order: int | None, horizon: int | None
 ) -> Windows:
     """Return the windows for `horizon`, or for the longest useful horizon if `horizon` is None."""
     measured = data.N - data.missing
@@ -67,7 +65,7 @@ def usable_windows(
     return w
 
 
-def longest_horizon(signals: Signals, samples: int, order: int | None) -> int:
+def longest_horizon(signals: Parts, samples: int, order: int | None) -> int:
     """Return the largest useful horizon: the maximum of 10, 2 (order + 1) and an ARX model's order.
 
     AIC chooses the order of the ARX model, at most 30. For short data the horizon is at most a
@@ -81,7 +79,7 @@ def longest_horizon(signals: Signals, samples: int, order: int | None) -> int:
     return min(max(wanted, MIN_HORIZON, 2 * least - 2), most)
 
 
-def least_loss(signals: Signals, models: Sequence[tuple[Array, Array]], *, direct: bool) -> int:
+def least_loss(signals: Parts, models: Sequence[tuple[Array, Array]], *, direct: bool) -> int:
     """Return the index of the model (A, C) with the least one-step loss.
 
     B of each model is chosen so that the loss is least. The loss of A y = B u + C e is computed
@@ -97,8 +95,8 @@ def least_loss(signals: Signals, models: Sequence[tuple[Array, Array]], *, direc
     return int(np.argmin(np.where(np.isnan(losses), np.inf, losses)))
 
 
-def _longest_stretches(signals: Signals) -> list[tuple[Array, Array]]:
-    whole = [(u[s], y[s]) for u, y in signals for s in stretches(np.isfinite(y))]
+def _longest_stretches(signals: Parts) -> list[tuple[Array, Array]]:
+    whole = [(u[:, 0], y[:, 0]) for u, y in complete_stretches(signals, 1)]
     left, parts = _MAX_COMPARED_SAMPLES, []
     for u, y in sorted(whole, key=lambda part: -part[1].size):
         if left > 0:
@@ -153,14 +151,18 @@ class Poles:
 def poles_at(w: Windows, found: Projection, order: int, *, integrator: bool) -> Poles:
     """Return A and C for the horizon of the windows."""
     space = realised(w, found, order)
-    A, C = _polynomials(space, integrator=integrator)
+    A, inside = np.real(np.poly(space.A)), space.predictor_poles()
     return Poles(
-        A=A, C=C, horizon=w.future, singular_values=found.singular_values, steady=space.steady
+        A=_integrating(A) if integrator else A,
+        C=with_roots_inside(np.linalg.eigvals(space.A) if inside is None else inside),
+        horizon=w.future,
+        singular_values=found.singular_values,
+        steady=inside is not None,
     )
 
 
 def best_poles(
-    signals: Signals,
+    signals: Parts,
     w: Windows,
     found: Projection,
     order: int,
@@ -186,12 +188,6 @@ def best_poles(
     other = poles_at(short, projection(short, weights), order, integrator=integrator)
     both = long, other
     return both[least_loss(signals, [(p.A, p.C) for p in both], direct=direct)]
-
-
-def _polynomials(space: Realisation, *, integrator: bool) -> tuple[Array, Array]:
-    """Return A and C of the ARMAX model that is equivalent to the state-space model."""
-    A, C = np.real(np.poly(space.A)), with_roots_inside(space.predictor)
-    return _integrating(A) if integrator else A, C
 
 
 def _integrating(A: Array) -> Array:

@@ -28,19 +28,20 @@ from armrig.estimation.multivariable.state_space_problem import (
     scaled_signals,
 )
 from armrig.estimation.multivariable.state_space_starts import interpolated
-from armrig.estimation.multivariable.subspace import (
-    Projected,
-    complete_stretches,
-    projected,
-    realised,
-)
 from armrig.estimation.multivariable.whitening import patterns
 from armrig.estimation.orders import require_samples
+from armrig.estimation.subspace import (
+    Parts,
+    complete_stretches,
+    projection,
+    realised,
+    suggested_order,
+    windows,
+)
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.multivariable.matrices import Matrices
 from armrig.models.structure_table import Weights
 from armrig.numerics.checks import require_integers
-from armrig.numerics.criteria import mdl
 from armrig.numerics.gram import least_squares_by_gram
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion, varying_recursion
@@ -184,24 +185,8 @@ def _horizon(data: Signals, order: int | None) -> int:
     return max(min(wanted, most), -(-(order or 2) // data.ny) + 1)
 
 
-def _suggested_order(found: Projected) -> int:
-    """Return the order that minimises MDL of the one-step errors."""
-    w = found
-    most = min(_MAX_SUGGESTED_ORDER, (w.horizon - 1) * w.ny)
-    y = w.R[:, w.columns("yf")[: w.ny]]
-    now = w.R[:, w.columns("uf")[: w.nu]]
-    states = w.R[:, w.columns("up", "yp")] @ (w.H.T @ w.U[:, :most])
-    scores = []
-    for n in range(1, most + 1):
-        known = np.hstack([now, states[:, :n]])
-        rest = y - known @ np.linalg.lstsq(known, y, rcond=None)[0]
-        loss = np.exp(np.linalg.slogdet(rest.T @ rest / w.N)[1])
-        scores.append(float(mdl(loss, n * (2 * w.ny + w.nu), w.N)))
-    return 1 + int(np.argmin(scores))
-
-
 def _estimated(
-    signals: Sequence[tuple[Array, Array]],
+    signals: Parts,
     horizon: int,
     weights: Weights,
     order: int | None,
@@ -217,9 +202,12 @@ def _estimated(
     known = _bridged(signals, horizon)
     least = np.inf
     for _ in range(_MAX_PASSES):
-        found = projected(complete_stretches(known, 2 * horizon), horizon, weights)
-        n = _suggested_order(found) if order is None else order
-        now, predicted = _completed(signals, *realised(found, n), direct=direct)
+        w = windows(known, past=horizon, future=horizon)
+        found = projection(w, weights)
+        most = min(_MAX_SUGGESTED_ORDER, (horizon - 1) * w.ny)
+        n = suggested_order(w, found, most) if order is None else order
+        space = realised(w, found, n)
+        now, predicted = _completed(signals, space.A, space.C, space.gain(), direct=direct)
         errors = [y - at for (_, y), at in zip(signals, predicted, strict=True)]
         e = np.vstack(errors)
         loss = float(np.nanmean(e**2))
@@ -240,7 +228,7 @@ def _estimated(
     return *best, False
 
 
-def _bridged(signals: Sequence[tuple[Array, Array]], longest: int) -> list[tuple[Array, Array]]:
+def _bridged(signals: Parts, longest: int) -> list[tuple[Array, Array]]:
     """Return the signals with outputs interpolated over gaps of at most `longest` samples."""
     found = []
     for u, y in signals:
@@ -264,7 +252,7 @@ def _conditional(errors: Array, Lambda: Array) -> Array:
 
 
 def _completed(
-    signals: Sequence[tuple[Array, Array]], A: Array, C: Array, K: Array, *, direct: bool
+    signals: Parts, A: Array, C: Array, K: Array, *, direct: bool
 ) -> tuple[_Model, list[Array]]:
     """Return the B, D and initial states that minimise the one-step errors, and the predictions."""
     Abar = reflected_matrix(A - K @ C)
@@ -334,7 +322,7 @@ def _responses_with_gaps(
 
 
 def _replicated(
-    signals: Sequence[tuple[Array, Array]],
+    signals: Parts,
     model: _Model,
     residuals: list[Array],
     horizon: int,
