@@ -7,28 +7,32 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 # Hundreds of processes are started. Each would compile armrig again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all machine walk check coverage stored mutants planted shake bench timing fuzz simulate firmware simavr fil docs lock lowest audit release reproduce format clean
+.PHONY: demo test test-all exhaustive timed machine walk check coverage stored mutants bench timing fuzz simulate firmware simavr fil docs lock lowest audit release reproduce format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
 	$(BIN)/armrig demo $(if $(FIRMWARE),--firmware)
 
-# Three tests at a time, because a quarter of their time is waiting: five minutes on two cores.
-# `make test-all` runs the others.
+# Three tests at a time, because a quarter of their time is waiting. The order is drawn; ORDER=… (the
+# seed in the first lines of a run) repeats an order. `make test-all` runs the other tests.
+SEVERAL = $(BIN)/pytest -n 3 --dist worksteal -p randomly --randomly-dont-reset-seed $(if $(ORDER),--randomly-seed $(ORDER))
 test: .venv/dev
-	$(BIN)/pytest -m "not exhaustive and not timed and not machine" -n 3 --dist worksteal
+	$(SEVERAL) -m "not exhaustive and not timed and not machine"
 
-# The tests that `make test` leaves out: grids, long walks and slow tests, three at a time, because a
-# quarter of their time is waiting; as root, also those that an ordinary user skips. Then the timed tests run alone, also if an earlier test failed.
+# The tests that `make test` leaves out. The timed tests run alone, also if an earlier test failed.
 test-all: .venv/dev
-	$(BIN)/pytest -m "(exhaustive or root) and not timed and not machine" -n 3 --dist worksteal; \
-	  exhaustive=$$?; $(BIN)/pytest -m timed tests/integration && exit $$exhaustive
+	$(MAKE) exhaustive; exhaustive=$$?; $(MAKE) timed && exit $$exhaustive
+# Grids, long walks and slow tests; as root, also those that an ordinary user skips.
+exhaustive: .venv/dev
+	$(SEVERAL) -m "(exhaustive or root) and not timed and not machine"
+timed: .venv/dev
+	$(BIN)/pytest -m timed tests/integration
 
 # As root: the service under a systemd, and strangers on a network, each in a namespace of its own.
 machine: .venv/dev
 	$(BIN)/pytest -m machine -k "not empty" tests/systemd tests/integration
 
-# As root, with Debian's debootstrap: every line of docs/service.md, access.md and class.md, and of
+# As root, with Debian's debootstrap: every line of docs/service.md and access.md, and of
 # README's first screen, on an empty Debian. It fetches packages: ten minutes.
 walk: .venv/dev
 	$(BIN)/pytest -m machine -k empty -o faulthandler_timeout=900 tests/systemd/test_walk.py tests/systemd/test_readme.py
@@ -62,16 +66,6 @@ mutants: .venv/dev .venv/mutants
 .venv/mutants:
 	$(PYTHON) -m venv $@
 	$@/bin/pip install --quiet --disable-pip-version-check cosmic-ray
-
-# The bugs that people planted by hand (tests/mutation/planted.toml); a test must see each bug.
-# NAME=… selects the bugs whose name contains it.
-planted: .venv/dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.mutation.by_hand $(if $(NAME),"$(NAME)")
-
-# The suite under disturbance: each seed is a condition (tests/shake/conditions.py), 20 minutes at most.
-# PROOF=1: the runs that a release needs, each in a fresh clone, into shake.jsonl; it resumes.
-shake: .venv/dev
-	$(BIN)/python -m tests.shake $(if $(PROOF),--proof) $(if $(SEED),--seeds $(SEED))
 
 bench: .venv/dev
 	$(BIN)/python -m tests.benchmarks.one_kilohertz

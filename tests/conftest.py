@@ -6,18 +6,19 @@ import gc
 import os
 import re
 import signal
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import pytest
 from armrig_core.signal_pipe import ENDING
+from hypothesis import HealthCheck, settings
 
-from tests.progress import Progress
-
-pytest_plugins = ("tests.stalls.repeats", "tests.order", "tests.examples")
+pytest_plugins = ("tests.stalls.repeats",)
 
 # Before numpy is loaded: its threads only wait for each other on matrices as small as ours.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -26,18 +27,24 @@ os.environ.setdefault("MPLCONFIGDIR", str(Path(__file__).parents[1] / ".pytest_c
 # A shell's background job ignores them and its children with it, which some tests send them to.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+# No result depends on the speed of the machine or on an earlier run: each run tries the same
+# examples. `--hypothesis-profile drawn --hypothesis-seed SEED` tries others.
+settings.register_profile(
+    "drawn",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    database=None,
+    print_blob=True,
+)
+settings.register_profile("repeatable", settings.get_profile("drawn"), derandomize=True)
+settings.load_profile("repeatable")
 # Rare garbage collections: with Python's thresholds they took 3 % of the processor time.
 gc.set_threshold(100_000, 50, 50)
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_configure(config: pytest.Config) -> None:
-    """Show progress by room where a person or CI reads; the workers of xdist show nothing."""
-    # pytest has read these options. They are not for a pytest that a test starts.
+def pytest_configure() -> None:
+    """Forget the options of the environment: they are not for a pytest that a test starts."""
     os.environ.pop("PYTEST_ADDOPTS", None)
-    terminal = config.pluginmanager.get_plugin("terminalreporter")
-    if terminal is not None and not config.option.verbose:
-        config.pluginmanager.register(Progress(terminal))
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
@@ -62,43 +69,57 @@ FOLDERS: Final = {
     "XDG_RUNTIME_DIR": "run",
 }
 """Folders of a user, below a test's folder, by environment variable."""
+_N_FOLDERS: Final = 9
+"""Folders below a test's folder: these, `work`, and the folders that contain them."""
 _OF_THE_TESTS: Final = re.compile(
     "ARMRIG_(REQUIRE_ALL|REFERENCE_DATA|FIL|FIRMWARE_EXAMPLES|SIMULATE_SEEDS|RESTARTS|RUN)"
 )
 
 
-@contextmanager
-def _another_user() -> Iterator[None]:
-    """Give a new home, XDG folders and a working folder, without settings of armrig.
-
-    The folder is not pytest's own, whose path may be too long for a socket.
-    """
-    with (
-        TemporaryDirectory(prefix="armrig-", ignore_cleanup_errors=True) as folder,
-        pytest.MonkeyPatch.context() as patch,
-    ):
-        for name, path in FOLDERS.items():
-            Path(folder, path).mkdir(mode=0o700, parents=True, exist_ok=True)
-            patch.setenv(name, f"{folder}/{path}")
-        for name in os.environ:
-            if name.startswith("ARMRIG_") and not _OF_THE_TESTS.fullmatch(name):
-                patch.delenv(name)
-        Path(folder, "work").mkdir()
-        patch.chdir(f"{folder}/work")
-        yield
-
-
 @pytest.fixture(scope="session", autouse=True)
-def _user_of_the_fixtures() -> Iterator[None]:
-    """Keep fixtures of modules and sessions away from the recordings of the person who tests."""
-    with _another_user():
-        yield
+def _clean_homes() -> Iterator[Callable[[], str]]:
+    """Give the way to a folder with a home and XDG folders without a file.
+
+    A folder in which a test left nothing is given again, because a new one costs 2 ms. The folders
+    are not those of pytest, whose paths may be too long for a socket.
+    """
+    with _new_home() as home, pytest.MonkeyPatch.context() as patch:
+        _enter(patch, home)  # also fixtures of modules must not see the tester's files
+        with ExitStack() as stack:
+            home = stack.enter_context(_new_home())
+
+            def clean_home() -> str:
+                nonlocal home
+                if sum(len(names) + len(files) for _, names, files in os.walk(home)) != _N_FOLDERS:
+                    stack.close()
+                    home = stack.enter_context(_new_home())
+                return home
+
+            yield clean_home
+
+
+@contextmanager
+def _new_home() -> Iterator[str]:
+    with TemporaryDirectory(prefix="armrig-", ignore_cleanup_errors=True) as folder:
+        for path in (*FOLDERS.values(), "work"):
+            Path(folder, path).mkdir(mode=0o700, parents=True, exist_ok=True)
+        yield folder
+
+
+def _enter(patch: pytest.MonkeyPatch, folder: str) -> None:
+    for name, path in FOLDERS.items():
+        patch.setenv(name, f"{folder}/{path}")
+    for name in os.environ:
+        if name.startswith("ARMRIG_") and not _OF_THE_TESTS.fullmatch(name):
+            patch.delenv(name)
+    patch.chdir(f"{folder}/work")
 
 
 @pytest.fixture(autouse=True)
-def _user_of_the_test(_user_of_the_fixtures: None) -> Iterator[None]:
+def _user_of_the_test(_clean_homes: Callable[[], str]) -> Iterator[None]:
     """Keep a test away from the files of the person who tests, and of all other tests."""
-    with _another_user():
+    with pytest.MonkeyPatch.context() as patch:
+        _enter(patch, _clean_homes())
         yield
 
 
@@ -121,3 +142,11 @@ def pytest_runtest_makereport(
         report.outcome = "failed"
         report.longrepr = f"skipped, where ARMRIG_REQUIRE_ALL=1: {report.longrepr}"
     return report
+
+
+@pytest.fixture
+def tolerate(monkeypatch: pytest.MonkeyPatch) -> Callable[[timedelta], None]:
+    """Give a function that sets how long before its issue a certificate becomes valid."""
+    from armrig.lab import pki
+
+    return partial(monkeypatch.setattr, pki, "_CLOCK_TOLERANCE")

@@ -120,7 +120,10 @@ def _compiles(code: str) -> bool:
 
 
 def _mutated(text: str, operator: str, nth: int) -> str | None:
-    code: str | None = mutate_code(text, get_operator(operator)(), nth)
+    """Return the text with the n-th change of an operator; None if there are fewer places."""
+    code: str | None = ""  # the operator for exceptions raises for a name with a point
+    with suppress(AttributeError):
+        code = mutate_code(text, get_operator(operator)(), nth)
     return code
 
 

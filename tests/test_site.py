@@ -21,7 +21,7 @@ _FIRST_COMMAND = re.compile(r"^```(?:sh|python)$|`armrigd? [a-z]", re.MULTILINE)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
-def test_a_page_says_first_what_one_can_do_after_it(page: Path) -> None:
+def test_a_page_begins_with_what_its_reader_can_do_afterwards(page: Path) -> None:
     title, first, *_ = page.read_text(encoding="utf-8").split("\n\n")
 
     assert title.startswith("# ")
@@ -41,7 +41,7 @@ def test_the_reference_lists_each_public_name_once() -> None:
     assert sorted(re.findall(r"^   (\w+)$", text, re.MULTILINE)) == sorted(armrig.__all__)
 
 
-def test_each_code_has_its_meaning() -> None:
+def test_each_code_of_the_reference_has_its_meaning() -> None:
     pytest.importorskip("sphinx")
     from armrig_daemon.decisions.faults import Id
     from site_parts.codes import meanings
@@ -50,7 +50,7 @@ def test_each_code_has_its_meaning() -> None:
     assert all(meanings(Id).values())
 
 
-def test_a_link_to_nothing_is_found(tmp_path: Path) -> None:
+def test_a_broken_link_is_reported(tmp_path: Path) -> None:
     pytest.importorskip("sphinx")
     from site_parts.counts import dead_links
 
@@ -72,7 +72,7 @@ def test_a_state_diagram_becomes_a_table() -> None:
     )
 
 
-def test_a_figure_has_a_second_set_of_colours() -> None:
+def test_a_figure_has_colours_for_light_and_dark() -> None:
     from site_parts.figures import DARK, adapted
 
     drawn = adapted('<svg><defs></defs><path style="fill: #ffffff"/></svg>')
@@ -82,7 +82,7 @@ def test_a_figure_has_a_second_set_of_colours() -> None:
     assert adapted(drawn) == drawn
 
 
-def test_bars_of_a_docstring_are_no_substitution() -> None:
+def test_bars_in_a_docstring_are_not_a_substitution() -> None:
     pytest.importorskip("sphinx")
     from site_parts.docstrings import with_bars
 

@@ -140,7 +140,7 @@ class GapCode(StrEnum):
     LISTENER_LATE = "listener_late", "the listener, or the way to it, did not keep up"
     """The daemon published the samples; a live listener missed them."""
     UNKNOWN = "unknown", "the reason is not known"
-    """A file of version 1 contains a sentence to which no code belongs."""
+    """The record contains no code."""
 
     def __new__(cls, code: str, sentence: str) -> Self:
         """Create a member from its code and its sentence."""

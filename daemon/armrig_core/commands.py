@@ -7,7 +7,6 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 import msgspec
 from msgspec import Meta
 
-from armrig_core import version_1
 from armrig_core.calibration import Calibration
 from armrig_core.codes import OutcomeCode, RefusalCode
 from armrig_core.errors import InputError
@@ -196,12 +195,12 @@ class LastRun(msgspec.Struct, frozen=True, kw_only=True):
     outcome: str
     """`complete`, or the reason of an early end; empty during the run."""
     code: str = ""
-    """Outcome for programs, an `OutcomeCode`; empty during the run and from a version 1 daemon."""
+    """Outcome for programs, an `OutcomeCode`; empty during the run."""
 
     @property
     def is_complete(self) -> bool:
         """True if the run has ended with its last sample."""
-        return (self.code or version_1.outcome_code(self.outcome)) == OutcomeCode.COMPLETE
+        return self.code == OutcomeCode.COMPLETE
 
 
 class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -254,9 +253,9 @@ class Refused(msgspec.Struct, frozen=True, kw_only=True):
     error: str
     """Reason, allowed values and remedy, for a person."""
     code: str = ""
-    """Reason for programs, a `RefusalCode`; empty from a daemon of version 1."""
-    passes: bool | None = None
-    """True if the refusal is temporary; None from a daemon of version 1."""
+    """Reason for programs, a `RefusalCode`; empty if the reply is not the daemon's own."""
+    passes: bool = False
+    """True if the refusal is temporary."""
     parameters: dict[str, Fact] = {}
     """Values in the sentence `error`, by name, such as the owner of the rig."""
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from armrig_core import version_1
+from armrig_core.codes import OutcomeCode
 from armrig_core.emulated import is_emulated
 from armrig_core.errors import InputError
 from armrig_core.predicted_motion import Rehearsal
@@ -39,13 +39,10 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     owner: str = ""
     """Owner of the rig: the name that the client gave, and the verified identity in round brackets.
 
-    Example: `armrig collect (certificate alice)`; empty in recordings of earlier releases.
+    Example: `armrig collect (certificate alice)`.
     """
     owner_checked: str = ""
-    """Verified identity of the owner, such as `certificate alice`.
-
-    Empty if none was verified, and in recordings of earlier releases.
-    """
+    """Verified identity of the owner, such as `certificate alice`; empty if none was verified."""
     Ts: float
     """Sampling time, in s."""
     samples: int
@@ -73,7 +70,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     config_sha256: str = ""
     """Hash of the attached configuration."""
     calibration_sha256: str = ""
-    """Hash of the attached calibration; empty in recordings of earlier releases."""
+    """Hash of the attached calibration."""
     rehearsal: Rehearsal | None = None
     """Response of the rig's model to the input, computed before the run."""
 
@@ -104,8 +101,8 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """Number of samples in this file."""
     missing: int
     """Number of missing samples in the gaps of this file."""
-    code: str = ""
-    """Outcome for programs, an `OutcomeCode`; `outcome_of` finds the code for an older file."""
+    code: str = OutcomeCode.UNKNOWN
+    """Outcome for programs, an `OutcomeCode`."""
 
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP needs them; each value is a JSON text."""
@@ -133,8 +130,6 @@ class Recovered(msgspec.Struct, frozen=True, kw_only=True):
 
 def _metadata(record: Manifest | Outcome | Recovered) -> dict[str, str]:
     fields = msgspec.structs.asdict(record)
-    if isinstance(record, Outcome) and not record.code:
-        del fields["code"]
     return {key: msgspec.json.encode(value).decode() for key, value in fields.items()}
 
 
@@ -155,9 +150,7 @@ def manifest_of(metadata: dict[str, str]) -> Manifest:
 
 def outcome_of(metadata: dict[str, str]) -> Outcome:
     """Return the outcome in a metadata record named `OUTCOME`; raise as `manifest_of` does."""
-    found = msgspec.convert(_fields(metadata), Outcome)
-    code = found.code or version_1.outcome_code(found.outcome)
-    return msgspec.structs.replace(found, code=code)
+    return msgspec.convert(_fields(metadata), Outcome)
 
 
 def recovered_of(metadata: dict[str, str]) -> Recovered:

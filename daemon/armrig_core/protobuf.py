@@ -80,8 +80,6 @@ SAMPLE, GAP, TIMING, CLOCK, STATE, TRACE = (
 LOG = "foxglove.Log"
 NOTE = "note"
 """`name` of a log record that a person wrote; all other records have another name."""
-EMULATOR_STALL_NS = "emulator_stall_ns"
-"""Field of a log record: time for which the clock of an emulated rig stood still, in ns."""
 OF_STREAM = {
     "sample": SAMPLE,
     "gap": GAP,
@@ -148,7 +146,7 @@ def _log_file() -> descriptor_pb2.FileDescriptorProto:
     fields = (
         *(("timestamp", "MESSAGE"), ("level", "ENUM"), ("message", "STRING"), ("name", "STRING")),
         *(("file", "STRING"), ("line", "FIXED32"), ("owner", "STRING"), ("t_host_ns", "SFIXED64")),
-        (EMULATOR_STALL_NS, "SFIXED64"),
+        ("emulator_stall_ns", "SFIXED64"),
     )
     for number, (name, kind) in enumerate(fields, 1):
         entry = message.field.add(name=name, number=number, label="LABEL_OPTIONAL")

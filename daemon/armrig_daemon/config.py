@@ -143,24 +143,6 @@ class Limits(Table, frozen=True, kw_only=True):
             raise InputError(f"u_min_v = {self.u_min_v} must not be above u_max_v = {self.u_max_v}")
 
 
-class Motor(Table, frozen=True, kw_only=True):
-    """`[motor]`: the driver of the motor."""
-
-    rest_v: float | None = None
-    """Key without effect, because every stop is at 0 V.
-
-    Only 0 is accepted; the daemon then reports that the key has no effect.
-    """
-
-    def __post_init__(self) -> None:
-        """Refuse a voltage at rest other than 0 V."""
-        if self.rest_v:
-            raise InputError(
-                f"rest_v = {self.rest_v} must be 0: every stop of this daemon is 0 V; it cannot "
-                "drive a rig whose driver stands still at another voltage"
-            )
-
-
 _Parameter = Annotated[float, Meta(gt=0, le=1e6)] | None
 
 
@@ -259,7 +241,6 @@ class Config(Table, frozen=True, kw_only=True):
     device: Device = Device()
     timing: Timing = Timing()
     limits: Limits = Limits()
-    motor: Motor = Motor()
     arm: ArmSettings = ArmSettings()
     recording: Recording = Recording()
     access: Access = Access()

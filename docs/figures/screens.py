@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import pty
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -19,6 +20,7 @@ from rich.text import Text
 
 ROOT = Path(__file__).parents[2]
 WIDTH = 80
+PAUSE_MS = 2000
 COMMAND = "armrig demo --virtual"
 SPINNER = re.compile("[\u2800-\u28ff]")
 LIGHT = TerminalTheme(
@@ -79,13 +81,34 @@ def terminal(folder: Path) -> None:
 
 
 def dashboard(folder: Path) -> None:
-    """Take the pictures of the dashboard."""
-    with tempfile.TemporaryDirectory() as all_sizes:
-        words = [sys.executable, "-m", "tests.benchmarks.screenshots", all_sizes, "running"]
-        subprocess.run(words, cwd=ROOT, check=True)
-        for theme, name in (("light", "dashboard.png"), ("dark", "dashboard-dark.png")):
-            taken = Path(all_sizes, f"running-1024-{theme}.png")
-            (folder / name).write_bytes(taken.read_bytes())
+    """Take the pictures of the dashboard during a run."""
+    sys.path.insert(0, str(ROOT))
+    from playwright.sync_api import sync_playwright
+
+    from tests.integration.processes import Bench
+    from tests.integration.watching import begin, watched
+
+    with tempfile.TemporaryDirectory() as temporary, sync_playwright() as playwright:
+        bench = Bench(Path(temporary))
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
+        )
+        try:
+            bench.emulate()
+            bench.serve()
+            with watched(bench) as client:
+                client.wait("live", lambda seen: not seen["is_stale"])
+                begin(client, bench)
+                page = browser.new_page(viewport={"width": 1024, "height": 700})
+                page.goto(client.url)
+                page.wait_for_selector(".pill:not(:has-text('connecting'))")
+                for theme, name in (("light", "dashboard.png"), ("dark", "dashboard-dark.png")):
+                    page.emulate_media(color_scheme=theme)
+                    page.wait_for_timeout(PAUSE_MS)
+                    page.screenshot(path=folder / name)
+        finally:
+            browser.close()
+            bench.end()
 
 
 if __name__ == "__main__":

@@ -228,17 +228,17 @@ def generated(root: Path) -> dict[Path, str]:
     }
 
 
-def main(arguments: list[str]) -> int:
+def main(arguments: list[str], root: Path = ROOT) -> int:
     """Write the generated files; with `--check`, print the files that differ from the schema."""
     if arguments not in ([], ["--check"]):
         print(f"{' '.join(arguments)}: only --check is allowed", file=sys.stderr)
         return 2
-    if not (ROOT / "schema.toml").exists():
-        print(f"{ROOT}: no schema.toml; run this in a checkout of armrig", file=sys.stderr)
+    if not (root / "schema.toml").exists():
+        print(f"{root}: no schema.toml; run this in a checkout of armrig", file=sys.stderr)
         return 2
     stale = {
         path: text
-        for path, text in generated(ROOT).items()
+        for path, text in generated(root).items()
         if not path.exists() or path.read_text(encoding="utf-8") != text
     }
     for path, text in stale.items():

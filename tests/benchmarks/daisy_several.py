@@ -19,6 +19,7 @@ Run it with the project's environment; the last argument is a Python that has nf
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -31,8 +32,6 @@ import numpy as np
 from armrig import MultivariableFit, Signals
 from armrig.models.multivariable.matrices import Matrices
 from scipy.io import loadmat, savemat
-
-from tests.benchmarks.octave_models import have_octave
 
 RECORDS = {
     "heating_system": ([1], [2], 2, "94.5 / 76.0 (slra)"),
@@ -89,7 +88,7 @@ def main() -> None:
             own = armrig.n4sid(parts[0], n, nk=0, replicates=0)
             _say("n4sid", own, parts, time.perf_counter() - begin)
         for label, found in (
-            ("Octave's n4sid", _octave(parts[0], n) if have_octave() else None),
+            ("Octave's n4sid", _octave(parts[0], n) if shutil.which("octave-cli") else None),
             ("nfoursid", _nfoursid(nfoursid, parts[0], n) if nfoursid else None),
         ):
             if found is None:

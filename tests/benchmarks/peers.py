@@ -14,12 +14,11 @@ it first. The table has the median over the data sets (`runs`, 3 by default). Pe
 environment of their own, so that they touch nothing of the project's::
 
     python3 -m venv peers
-    peers/bin/pip install sippy_unipi pysib nfoursid sysidentpy timeseries-toolbox
+    peers/bin/pip install sippy_unipi pysib nfoursid timeseries-toolbox
     python -m tests.benchmarks.peers peers/bin/python [runs]    # with the project's environment
 
 Octave with its package control is taken where it is installed. `peers.py arm [seeds]` prints the
-figure of the arm alone, over 100 seeds; `peers.py n4sid [rounds]` the processor times of armrig's
-`n4sid` and Octave's, in turn, at their default horizons and at equal ones.
+figure of the arm alone, over 100 seeds.
 """
 
 from __future__ import annotations
@@ -47,7 +46,6 @@ METHODS = {
     "sippy_unipi": ("OE", "BJ", "CVA", "N4SID"),
     "pysib": ("oe", "sm", "bj", "arx"),
     "nfoursid": ("N4SID",),
-    "sysidentpy": ("FROLS, linear",),
     "timeseries-toolbox": ("bjtf, no noise model", "bjtf"),
     "Octave control": ("n4sid", "arx"),
 }
@@ -61,8 +59,6 @@ def main() -> None:
         _work(sys.argv[2], sys.argv[3], Path(sys.argv[4]))
     elif sys.argv[1] == "arm":
         _arm_alone(int(sys.argv[2]) if len(sys.argv) > 2 else 100)
-    elif sys.argv[1] == "n4sid":
-        _n4sid_alone(int(sys.argv[2]) if len(sys.argv) > 2 else 15)
     else:
         _table(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 3)
 
@@ -127,54 +123,6 @@ def _arm_alone(seeds: int) -> None:
             f"{seeds} seeds; {1e3 * np.median(seconds):.0f} ms",
             flush=True,
         )
-
-
-def _n4sid_alone(rounds: int) -> None:
-    """Print the median processor times of `n4sid` and of Octave's, one process a round."""
-    from armrig import Dataset, n4sid
-
-    octave = shutil.which("octave-cli")
-    if octave is None:
-        sys.exit("octave-cli is not installed")
-    horizons = (None, 6, 13, 30)
-    print("median of", rounds, "rounds in turn, ms: armrig; Octave by Cholesky, by QR; ratios")
-    with tempfile.TemporaryDirectory() as folder:
-        for case, order in (("OE", 3), ("BJ", 3), ("arm", 4)):
-            data = dataset(case, 0)
-            path = _written(Path(folder), case, 0).with_suffix(".txt")
-            script = _OCTAVE_N4SID.format(path=path, n=order, few=20 * order + 300)
-            signals = Dataset(u=data["u"], y=data["y"], Ts=data["Ts"])
-            n4sid(signals, order)
-            ours, theirs = [], []
-            for _ in range(rounds):
-                ours.append([_processor_ms(n4sid, signals, order, horizon=h) for h in horizons])
-                command = [octave, "--no-gui", "--no-window-system", "--eval", script]
-                done = subprocess.run(
-                    command,
-                    capture_output=True,
-                    text=True,
-                    check=False,
-                    env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-                )
-                lines = [x for x in done.stdout.splitlines() if x.startswith("ms ")]
-                theirs.append([[float(v) for v in x.split()[1:]] for x in lines])
-            mine, other = np.median(ours, axis=0), np.median(theirs, axis=0)
-            for h, ms, (cholesky, by_qr) in zip(horizons, mine, other, strict=True):
-                print(
-                    f"  {case:4} {'default' if h is None else h:>7}: {ms:5.1f}; {cholesky:5.1f}, "
-                    f"{by_qr:5.1f}; {ms / cholesky:.2f}, {ms / by_qr:.2f}",
-                    flush=True,
-                )
-
-
-def _processor_ms(estimate: Any, *given: Any, **named: Any) -> float:
-    """Return the median of three calls."""
-    times = []
-    for _ in range(3):
-        begun = time.process_time()
-        estimate(*given, **named)
-        times.append(time.process_time() - begun)
-    return 1e3 * float(np.median(times))
 
 
 def _table(python: str, runs: int) -> None:
@@ -262,27 +210,6 @@ printf('{{"B": [%s], "F": [%s], "s": %.9g}}\\n', list(B), list(F), s);
 """
 
 
-# Its default is min(2 n, n + 10) block rows, and the Cholesky algorithm.
-_OCTAVE_N4SID = """
-pkg load control;
-d = load('{path}');
-data = iddata(d(:, 2), d(:, 1), 1);
-n4sid(iddata(d(1:{few}, 2), d(1:{few}, 1), 1), {n});
-for s = [min(2 * {n}, {n} + 10), 6, 13, 30]
-  ms = [];
-  for algorithm = 'CQ'
-    t = zeros(1, 3);
-    for i = 1:3
-      c = cputime; [sys, x0] = n4sid(data, {n}, 's', s, 'algorithm', algorithm);
-      t(i) = cputime - c;
-    endfor
-    ms(end + 1) = 1e3 * median(t);
-  endfor
-  printf('ms %.4f %.4f\\n', ms);
-endfor
-"""
-
-
 def _work(program: str, method: str, path: Path) -> None:
     """Estimate in this process and print the model and the seconds."""
     data = np.load(path)
@@ -354,29 +281,6 @@ def _nfoursid(method: str, u: Any, y: Any, Ts: float, n: int) -> Response:
     return _transfer(control.ss(space.a, space.b, space.c, space.d, Ts))
 
 
-def _sysidentpy(method: str, u: Any, y: Any, Ts: float, n: int) -> Response:
-    from sysidentpy.basis_function import Polynomial
-    from sysidentpy.model_structure_selection import FROLS
-    from sysidentpy.parameter_estimation import LeastSquares
-
-    model = FROLS(
-        order_selection=False,
-        n_terms=2 * n,
-        xlag=n,
-        ylag=n,
-        basis_function=Polynomial(degree=1),
-        estimator=LeastSquares(),
-    )
-    model.fit(X=u[:, None], y=y[:, None])
-    B, F = np.zeros(n + 1), np.append(1.0, np.zeros(n))
-    for (term,), value in zip(model.final_model, np.ravel(model.theta), strict=True):
-        if term // 1000 == 1:
-            F[term % 1000] = -value
-        elif term // 1000 == 2:
-            B[term % 1000] = value
-    return B, F
-
-
 def _timeseries(method: str, u: Any, y: Any, Ts: float, n: int) -> Response:
     from TimeSeriesSRC.Model.estimate import estimate
     from TimeSeriesSRC.Model.model import pmodel
@@ -395,7 +299,6 @@ _ESTIMATES = {
     "sippy_unipi": _sippy,
     "pysib": _pysib,
     "nfoursid": _nfoursid,
-    "sysidentpy": _sysidentpy,
     "timeseries-toolbox": _timeseries,
 }
 

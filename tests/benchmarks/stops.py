@@ -1,205 +1,197 @@
-"""Time to 0 V after each event; it prints the tables of docs/safety.md.
+"""Time from an event to 0 V at the motor, on a quiet and on a loaded machine.
 
-Real processes, a pseudo-terminal, and the emulator's own witness of the voltage, Ts 5 ms, device
-watchdog 100 ms. Each event occurs on a quiet machine, and next to busy programs: `python -m
-tests.benchmarks.stops [n [event …]]`. The tables go to standard output, each event, as it happens,
-to standard error.
+Real processes, a pseudo-terminal, and the voltages that the emulator recorded; Ts 5 ms, device
+watchdog 100 ms. `python -m tests.benchmarks.stops [n [event …]]` repeats each event n times, 10 by
+default, each time with new processes and at another phase between two flushes. On the loaded
+machine four busy programs run during the event. The control wakes each 1 ms above the loop's
+priority: its lateness is due to the kernel or the host, not to armrig.
 """
 
 from __future__ import annotations
 
-import contextlib
+import math
 import os
+import resource
+import shutil
+import signal
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from itertools import groupby
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-import armrig
+from armrig.rig.client import Rig
 
-from tests.benchmarks.kernel_lateness import Control
-from tests.benchmarks.stand import Stand
-from tests.benchmarks.stop_rows import ROWS, Row
-from tests.integration.processes import WITHIN_S, Burners
+from tests.integration.driving import begin
+from tests.integration.processes import Bench, Burners
+from tests.integration.relay import Relay
 
-BUSY = 4
-"""Programs that keep the machine busy, at ordinary priority."""
-_DRIVEN_S = 0.5  # the device's queue is full by then
-_PERIOD_S = 0.1  # of whatever comes again and again: a flush, a sign, a frame of setpoints
-_TRIES = 10
-COLUMNS = ("quiet", "loaded")
-
-
-class Result(NamedTuple):
-    """Times after one event, in ms."""
-
-    stopped: float
-    control: float
-    """The worst lateness of the control until then."""
-    age: float | None
-    """Age of the newest sample in the file that remains."""
-    ended: float | None
-    """Time until the service ended, if the event ends it."""
-
-
-class Machine(NamedTuple):
-    """Base of the events."""
-
-    control: Control
-    burners: Burners
-    again: list[str]
-    """Events that were tried again."""
-
-
-class NotDrivenError(RuntimeError):
-    """The motor stood already: load had ended the run."""
-
-
-def once(stand: Stand, row: Row, control: Control, phase: float) -> Result:
-    """Let an event happen in a run; `phase` is when in the period, 0 to 1."""
-    # Otherwise all events would follow the same flush by the same time.
-    time.sleep(_DRIVEN_S + phase * _PERIOD_S)
-    if stand.witness.look()[-1][1] == 0.0:
-        raise NotDrivenError
-    control.lateness()
-    at_ns = time.monotonic_ns()
-    row.act(stand)
-    ended = None
-    if row.ends_service:
-        stand.daemon.popen.wait(WITHIN_S)
-        ended = (time.monotonic_ns() - at_ns) / 1e6
-    stopped = stand.witness.stopped_ms_after(at_ns)
-    worst = control.lateness().worst_ms
-    if stand.witness.volts_at(at_ns) == 0.0:
-        raise NotDrivenError
-    if row.mode == "dead-man":
-        ended_by = stand.outcome()
-        assert "its client went away" in ended_by, ended_by
-    left = list(stand.bench.recordings.glob("*.active")) if row.leaves_file else []
-    age = None
-    if left:
-        age = (at_ns - int(armrig.load(left[0]).samples["t_host_ns"][-1])) / 1e6
-    return Result(stopped, worst, age, ended)
+BUSY_PROGRAMS = 4
+DRIVEN_S = 0.5  # the device's queue is full by then
+FLUSH_S = 0.1
+MAX_TRIES = 10
+CLIENT = """
+import sys, time
+from armrig.rig.client import Rig
+with Rig(connect=sys.argv[1]) as rig:
+    rig.arm("benchmark", Ts=0.005)
+    mode = sys.argv[2]
+    while mode == "hand":
+        for volts in (1.0, 4.0):
+            rig.set(volts)
+            time.sleep(0.02)
+    pacing = "exchange" if mode == "exchange" else "scheduled"
+    rig.run([1.0, 4.0] * 2000, pacing=pacing, dead_man=1.0 if mode == "dead-man" else None)
+"""
+CONTROL = """
+import os, select, time
+try:
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(81))  # the loop has 80
+except PermissionError:
+    pass
+worst, due = 0.0, time.monotonic()
+while True:
+    due += 0.001
+    if select.select([0], [], [], max(0.0, due - time.monotonic()))[0]:
+        break
+    worst, due = max(worst, time.monotonic() - due), max(due, time.monotonic())
+print(1e3 * worst)
+"""
 
 
-def tried(stand: Stand, name: str, machine: Machine, phase: float) -> Result:
-    """Let an event happen, again where the load has ended the run before it.
+class Setup(NamedTuple):
+    """A driven rig and its processes."""
 
-    What fails after the event, such as a motor that does not stop, is never tried again.
-    """
-    for _ in range(_TRIES):
-        stand.make_ready()
-        if stand.begin(ROWS[name].mode):
-            with contextlib.suppress(NotDrivenError), machine.burners:
-                return once(stand, ROWS[name], machine.control, phase)
-        say(f"{name}: not driven until then, once more")
-        machine.again.append(name)
-    raise RuntimeError(f"{name}: the motor was never driven for long enough in {_TRIES} tries")
+    bench: Bench
+    pids: dict[str, int]
+    rig: Rig
+    """A second client."""
+    line: Relay | None
 
 
-def measured(names: list[str], n: int, machine: Machine) -> dict[str, list[Result]]:
-    """Return the results of a column."""
-    results: dict[str, list[Result]] = {}
-    for has_line, group in groupby(names, lambda name: ROWS[name].has_line):
-        with standing(has_line=has_line) as stand:
-            for name in group:
-                began_s, times = time.monotonic(), min(n, ROWS[name].most)
-                results[name] = [tried(stand, name, machine, i / times) for i in range(times)]
-                worst = max(results[name])
-                say(
-                    f"{name:26s} {told([r.stopped for r in results[name]])} ms, control then "
-                    f"{worst.control:.2f} ms late at most; "
-                    f"{(time.monotonic() - began_s) / times:.2f} s each"
-                )
-    return results
+class Event(NamedTuple):
+    """An event, and the time within which the motor must be at 0 V."""
+
+    bound_ms: float
+    act: Callable[[Setup], object]
+    mode: str = "scheduled"
+    """Pacing of the run, a run with a dead-man, or a voltage held by hand."""
+    has_line: bool = False
+    """A line that can fail connects daemon and device."""
 
 
-@contextlib.contextmanager
-def standing(*, has_line: bool) -> Iterator[Stand]:
-    """Give a rig, and end it."""
-    with tempfile.TemporaryDirectory(prefix="armrig-bench-") as folder:
-        stand = Stand(Path(folder), has_line=has_line)
+def send(number: signal.Signals, *names: str) -> Callable[[Setup], object]:
+    """Return the event that sends a signal to processes."""
+    return lambda setup: [os.kill(setup.pids[name], number) for name in names]
+
+
+def fill_disk(setup: Setup) -> None:
+    """Leave the service no space for its recording."""
+    (active,) = setup.bench.recordings.glob("*.active")
+    limits = (active.stat().st_size, resource.RLIM_INFINITY)
+    resource.prlimit(setup.pids["service"], resource.RLIMIT_FSIZE, limits)
+
+
+def on_line(fault: str, mode: str = "scheduled", bound_ms: float = 110.0) -> Event:
+    """Return the event that the line between daemon and device fails."""
+    return Event(bound_ms, lambda setup: setup.line and setup.line.do(fault), mode, has_line=True)
+
+
+KILL, FREEZE = signal.SIGKILL, signal.SIGSTOP
+EVENTS = {
+    "armrig stop": Event(5, lambda setup: setup.rig.stop()),
+    "SIGTERM": Event(5, send(signal.SIGTERM, "service")),
+    "SIGINT": Event(5, send(signal.SIGINT, "service")),
+    "SIGTERM, exchange": Event(5, send(signal.SIGTERM, "service"), "exchange"),
+    "kill service": Event(10, send(KILL, "service")),
+    "kill loop": Event(110, send(KILL, "loop")),
+    "kill loop, exchange": Event(110, send(KILL, "loop"), "exchange"),
+    "kill both": Event(110, send(KILL, "loop", "service")),
+    "freeze loop": Event(110, send(FREEZE, "loop")),
+    "freeze loop, exchange": Event(110, send(FREEZE, "loop"), "exchange"),
+    "freeze service": Event(3005, send(FREEZE, "service")),
+    "kill client by hand": Event(210, send(KILL, "client"), "hand"),
+    "freeze client by hand": Event(210, send(FREEZE, "client"), "hand"),
+    "kill client with dead-man": Event(1005, send(KILL, "client"), "dead-man"),
+    "freeze client with dead-man": Event(1005, send(FREEZE, "client"), "dead-man"),
+    "disk full": Event(math.inf, fill_disk),
+    "recordings removed": Event(math.inf, lambda setup: shutil.rmtree(setup.bench.recordings)),
+    "unplug": on_line("unplug"),
+    "unplug, exchange": on_line("unplug", "exchange"),
+    "device does not read": on_line("stop_reading", "exchange"),
+    "device is not heard": on_line("stop_answering", "exchange"),
+    "device reset": on_line("reset", bound_ms=1),
+}
+
+
+@contextmanager
+def driven(event: Event) -> Iterator[Setup]:
+    """Have a client drive a rig."""
+    with tempfile.TemporaryDirectory(prefix="armrig-bench-") as directory:
+        bench = Bench(Path(directory), terminal=True)
+        bench.configure(watchdog_ms=100)
+        line, client, pids = None, None, dict[str, int]()
         try:
-            yield stand
+            bench.emulate()
+            if event.has_line:
+                line, bench.port = Relay(bench.port, bench.folder / "line"), bench.folder / "line"
+                bench.configure(watchdog_ms=100)
+            service = bench.serve()
+            pids |= {"service": service.popen.pid, "loop": bench.loop_pid(service)}
+            with bench.rig() as rig:
+                client = begin(bench, 1, CLIENT, event.mode)
+                yield Setup(bench, pids | {"client": client.pid}, rig, line)
         finally:
-            stand.end()
+            for pid in pids.values():
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGCONT)
+            if client is not None:
+                client.kill()
+                client.wait()
+            if line is not None:
+                line.end()
+            bench.end()
 
 
-def say(line: str) -> None:
-    """Print the progress."""
-    print(line, file=sys.stderr, flush=True)
-
-
-def told(values: list[float]) -> str:
-    """Return median and worst."""
-    return f"{statistics.median(values):.1f}, {max(values):.1f}"
-
-
-def cells(columns: list[list[float]]) -> str:
-    """Return median and worst of each column as cells of a table."""
-    parts = [
-        f"{statistics.median(values):.1f} ms | {max(values):.1f} ms" if values else " | "
-        for values in columns
-    ]
-    return " | ".join(parts)
-
-
-def tables(names: list[str], columns: list[dict[str, list[Result]]]) -> Iterator[str]:
-    """Give the lines of both tables."""
-    heads = " | ".join(f"{column}: median | worst" for column in COLUMNS)
-    yield f"| what happens | who stops the motor | bound | {heads} |"
-    yield "|---" * 7 + "|"
-    for name in names:
-        row = ROWS[name]
-        values = cells([[r.stopped for r in results[name]] for results in columns])
-        fewer = f" (n = {len(columns[0][name])})" if len(columns[0][name]) == row.most else ""
-        yield f"| {row.what}{fewer} | {row.who} | {row.bound} | {values} |"
-    yield ""
-    yield f"| other times | bound | {heads} |"
-    yield "|---" * 6 + "|"
-    for name in names:
-        row = ROWS[name]
-        if row.ends_service:
-            ended = [[r.ended for r in c[name] if r.ended is not None] for c in columns]
-            yield f"| {row.what}: the service is gone | 1 s | {cells(ended)} |"
-        if row.leaves_file:
-            ages = [[r.age for r in c[name] if r.age is not None] for c in columns]
-            yield f"| {row.what}: age of the newest sample in the file | none | {cells(ages)} |"
-    controls = [[r.control for results in c.values() for r in results] for c in columns]
-    yield f"| the control's worst lateness in an event | | {cells(controls)} |"
+def stop_times_ms(event: Event, phase: float, burners: Burners) -> tuple[float, float]:
+    """Return the time from the event to 0 V, and the greatest lateness of the control."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    for _ in range(MAX_TRIES):
+        with driven(event) as setup, burners:
+            control = subprocess.Popen([sys.executable, "-c", CONTROL], **pipes)
+            time.sleep(DRIVEN_S + phase * FLUSH_S)
+            if setup.bench.volts() == 0.0:  # the load has already ended the run
+                control.communicate()
+                continue
+            at_ns = time.monotonic_ns()
+            event.act(setup)
+            stopped_s = setup.bench.went_to_0_v_after(at_ns)
+            return 1e3 * stopped_s, float(control.communicate()[0])
+    raise RuntimeError(f"the load ended {MAX_TRIES} runs before the event")
 
 
 def main() -> None:
-    """Try each event so many times, 10 by default."""
+    """Print a row for each event."""
     n = int(sys.argv[1]) if len(sys.argv) > 1 else 10
-    names = sys.argv[2:] or list(ROWS)
-    began_s, control, columns, loads = time.monotonic(), Control(), [], []
-    again: list[str] = []
+    print(f"n = {n}, in ms: median and worst; greatest lateness of the control\n")
+    print("| event | bound | quiet: median | worst | control | loaded: median | worst | control |")
+    print("|---" * 8 + "|")
+    columns = [Burners(0), Burners(BUSY_PROGRAMS)]
     try:
-        for column, busy in zip(COLUMNS, (0, BUSY), strict=True):
-            loads.append(f"{os.getloadavg()[0]:.1f}")
-            say(f"-- {column}, beside {busy} busy programs, load {loads[-1]}")
-            burners = Burners(busy)
-            try:
-                columns.append(measured(names, n, Machine(control, burners, again)))
-            finally:
-                burners.end()
-            loads.append(f"{os.getloadavg()[0]:.1f}")
+        for name in sys.argv[2:] or EVENTS:
+            cells = [f"{EVENTS[name].bound_ms:g}"]
+            for burners in columns:
+                found = [stop_times_ms(EVENTS[name], k / n, burners) for k in range(n)]
+                stopped, late = zip(*found, strict=True)
+                cells += [f"{x:.1f}" for x in (statistics.median(stopped), max(stopped), max(late))]
+            print(f"| {name} | {' | '.join(cells)} |", flush=True)
     finally:
-        control.end()
-    for line in tables(names, columns):
-        print(line)
-    say(f"{time.monotonic() - began_s:.0f} s in all")
-    print(
-        f"\nn = {n} each, on {os.cpu_count()} processors; loaded is beside {BUSY} busy programs of "
-        "ordinary priority, from half a second before each event on. The control: "
-        f"{control.policy}, woken each 1 ms. Load of the machine before and after each column: "
-        f"{', '.join(loads)}. Load ended {len(again)} runs before their event: tried again."
-    )
+        for burners in columns:
+            burners.end()
 
 
 if __name__ == "__main__":

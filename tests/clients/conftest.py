@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import pkgutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path, PurePosixPath
 
@@ -33,6 +34,21 @@ def no_figure_stays_open() -> Iterator[None]:
     yield
     if "matplotlib.pyplot" in sys.modules:
         sys.modules["matplotlib.pyplot"].close("all")
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch) -> Callable[[str | None], None]:
+    """Give a function that has a text typed at a terminal; None: there is no terminal."""
+
+    def types(text: str | None) -> None:
+        monkeypatch.setattr(sys, "stdin", io.StringIO() if text is None else _Terminal(text))
+
+    return types
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ import numpy as np
 import zenoh
 from armrig.rig.collection import Plan
 from armrig_core import commands, topics
+from armrig_core.codes import TRY_AGAIN, OutcomeCode
 from armrig_core.commands import LastRun, StatusReport
 from armrig_core.predicted_motion import Rehearsal
 
@@ -28,6 +29,14 @@ def step_plan(owner: str, seconds: float = 1.0) -> Plan:
     )
 
 
+def status_report(**of: Any) -> StatusReport:
+    """Return the status of rig 7, which is at 0 V, with these changes."""
+    fields: dict[str, Any] = dict.fromkeys(("reason", "owner", "version", "endpoint"), "")
+    fields |= {"rig": "7", "phase": "safe", "Ts": 0.01, "u_min": 0.0, "u_max": 5.0, "device": {}}
+    fields |= {"host": {}, "last_run": None, "recordings": "/of/mine"}
+    return StatusReport(**fields | of)
+
+
 class FakeDaemon:
     """Answers as the daemon does, and keeps the requests; for use in a `with` block."""
 
@@ -37,7 +46,7 @@ class FakeDaemon:
         self.polls_per_run = 3
         self.limits_v = (0.0, 5.0)
         self.outcome = "complete"
-        self.code = ""  # of the outcome: a daemon of 0.1.0 sends none
+        self.code = ""  # of the outcome, unless the outcome is "complete"
         self.recording = "/nowhere/run.mcap"
         self.refusals: dict[str, str | commands.Refused] = {}
         self.fault = self.remedy = ""
@@ -82,7 +91,7 @@ class FakeDaemon:
                 samples=total if finished else total * self._polls // self.polls_per_run,
                 synced=total if finished else 0,
                 outcome=self.outcome if finished else "",
-                code=self.code if finished else "",
+                code=self._outcome_code() if finished else "",
             )
         running = last is not None and not last.finished
         return StatusReport(
@@ -103,6 +112,9 @@ class FakeDaemon:
             recordings="/nowhere",
         )
 
+    def _outcome_code(self) -> str:
+        return OutcomeCode.COMPLETE if self.outcome == "complete" else self.code
+
     def _answer(self, query: zenoh.Query) -> None:
         with query:
             name = str(query.key_expr).rsplit("/", 1)[1]
@@ -112,8 +124,9 @@ class FakeDaemon:
             except commands.CommandRefusedError as err:
                 query.reply_err(msgspec.json.encode(err.refusal))
                 return
-            except ValueError as err:  # as a daemon of an earlier release refuses
-                query.reply_err(msgspec.json.encode(commands.Refused(error=str(err))))
+            except ValueError as err:
+                refusal = commands.Refused(error=str(err), passes=str(err).endswith(TRY_AGAIN))
+                query.reply_err(msgspec.json.encode(refusal))
                 return
             query.reply(query.key_expr, msgspec.json.encode(answer))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ from armrig.recordings.calibration import estimate
 from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
 from armrig.report.figures import (
-    _residuals_figure,
     _velocity_figure,
     write_figures,
     write_handout_figures,
@@ -38,13 +36,8 @@ from armrig_core.arm import ArmParameters, arm_matrices
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from tests import same_numbers_calls as of
-from tests.benchmarks.host_timing.machine import machine
-from tests.benchmarks.host_timing.results import Result, write_figure
-from tests.benchmarks.host_timing.rounds import Plan
-from tests.benchmarks.host_timing.targets import DEFINITIONS, Rate
 from tests.clients.chassis_data import angle
 from tests.clients.handout_plant import HandoutPlant
 from tests.clients.made_turns import made_turns, still
@@ -107,17 +100,6 @@ def hardly_a_pair() -> armrig.Fit:
     return armrig.oe(second_order(N=500, F=F), nb=2, nf=2)
 
 
-@cache
-def late_models() -> tuple[armrig.Fit, armrig.Fit]:
-    """Return models of three unequal experiments of a slow, late system with a negative gain."""
-    return armrig.arx(of.unlike(), na=2, nb=2, nk=3), armrig.n4sid(of.unlike(), 2, nk=3)
-
-
-def backwards() -> armrig.Fit:
-    """Return a model of two unequal experiments that integrate backwards."""
-    return armrig.oe(of.unlike_integrating(), nb=2, nf=2, nk=2, integrator=True, offset=True)
-
-
 def exact(B: Any, F: Any) -> PhysicalModel:
     """Return a model of these polynomials, of which nothing was estimated."""
     of_the_rig = physical_model(P, Dataset(u=[0.0, 1.0], y=[0.0, 1.0], Ts=1.0))
@@ -153,17 +135,6 @@ def handout(e: Examples, folder: Path) -> None:
     write_handout_figures(replace(whole, chassis=data, grey=grey, split=split), folder)
 
 
-def bench(folder: Path) -> None:
-    """Draw the benchmark's figure of two rates."""
-    times = {name: [np.arange(1.0, k + 3)] for k, name in enumerate(DEFINITIONS)}
-    none: dict[str, list[NDArray[np.float64]]] = {
-        name: [np.zeros(0)] for name in list(DEFINITIONS)[:2]
-    }
-    rates = [Rate(rate_hz=100, times_us=times), Rate(rate_hz=1000, times_us=times | none)]
-    plan = Plan(rates_hz=(100, 1000), seconds=1.0)
-    write_figure(Result(machine=machine(), plan=plan, rates=rates), folder / "b.png")
-
-
 def punctual(recording: Recording) -> Recording:
     """Return a recording whose samples all came when they were due."""
     samples = recording.samples.copy()
@@ -194,11 +165,7 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "report, detail of alpha": lambda e: _velocity_figure(
         study([e.first, e.second], outputs=("alpha",))
     ),
-    "report, three models": lambda e: _residuals_figure(
-        replace(e.study, estimated=(*e.study.estimated, e.study.estimated[0]))
-    ),
     "handout": lambda e: saved(lambda to: handout(e, to)),
-    "make timing": lambda e: saved(bench),
     "armrig info": lambda e: saved(lambda to: _plot_timing(e.first, to / "a.svg")),
     "write_plot": lambda e: saved(
         lambda to: write_plot(
@@ -215,7 +182,6 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     ),
     "plot_data, alpha": lambda e: e.second.dataset("alpha").plot(ax=ax()),
     "plot_spectrum": lambda e: second_order().plot("spectrum", ax=ax()),
-    "plot_spectrum, periodic": lambda e: e.periods.plot("spectrum", ax=ax()),
     "plot_values": lambda e: e.second.dataset().plot("values", ax=ax()),
     "plot_timing, all the same": lambda e: plots.plot_timing(punctual(e.first), ax=ax()),
     "plot_overview": lambda e: replace(
@@ -231,14 +197,12 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_impulse, negative lags": lambda e: armrig.impulse_response(
         second_order(), 20, None, 5, integrator=False
     ).plot(level=0.95, ax=ax()),
-    "plot_correlation": lambda e: armrig.correlation(second_order(), 12).plot(ax=ax()),
     "plot_spectral, spa": lambda e: armrig.spa(second_order(), "log").plot(ax=ax()),
     "plot_spectral, etfe": lambda e: armrig.etfe(e.periods).plot(ax=ax()),
     "plot_spectral, bla": lambda e: armrig.bla([e.periods, e.periods]).plot(ax=ax()),
     "plot_step_analysis": lambda e: e.steps.plot(),
     "plot_sampling_time, impulse": lambda e: armrig.sampling_time(e.plant.dataset(1)).plot(ax=ax()),
     "plot_structure": lambda e: armrig.structure_hints(e.plant.dataset(1)).plot(ax=ax()),
-    "plot_orders": lambda e: armrig.select_orders(second_order(), nb=(1, 2, 3)).plot(ax=ax()),
     "plot_orders, validated": lambda e: armrig.select_orders(
         second_order(), validation=second_order(1)
     ).plot("mdl", ax=ax()),
@@ -258,31 +222,19 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_poles_zeros, far": lambda e: plots.plot_poles_zeros(
         exact([0, 1.0, 3.0], [1, -0.5]), exact([0, 1.0], [1, 3.0]), ax=ax()
     ),
-    "plot_poles_zeros, all far": lambda e: plots.plot_poles_zeros(
-        exact([0, 1.0], [1, 3.0]), ax=ax()
-    ),
     "plot_compare, samples lost": lambda e: armrig.compare(
         second_order(N=40, lost=slice(10, 13)), exact([0, 0.1], [1, -0.5]), exact([0, 9.0], [1, 0])
     ).plot(ax=ax()),
-    "plot_compare, one model": lambda e: armrig.compare(
-        second_order(N=40), exact([0, 0.1], [1, -0.5])
-    ).plot(ax=ax()),
     "plot_compare, no errors": lambda e: armrig.compare(
         Dataset(u=[0.0, 2.0, 1.0] * 4, y=[1.0, 0.0, 2.0] * 4, Ts=1.0), exact([0, 1.0], [1, 0])
-    ).plot(ax=ax()),
-    "plot_residuals": lambda e: armrig.residuals(
-        armrig.oe(second_order(), nb=2, nf=2), second_order(1), 8
     ).plot(ax=ax()),
     "plot_search": lambda e: searched().plot(ax=ax()),
     "plot_search, some far off": lambda e: replace(
         searched(), rms=np.array([1.0, 5.0, 400.0, 2000.0]), chosen_index=1, horizon=3
     ).plot(ax=ax()),
-    "plot_open_loop": lambda e: armrig.open_loop(second_order()).plot(ax=ax()),
     "plot_open_loop, no verdict": lambda e: armrig.open_loop(
         Dataset(u=np.full(1000, 2.5), y=second_order(N=1000).y, Ts=0.01)
     ).plot(ax=ax()),
-    "plot_delay": lambda e: armrig.delay(second_order(N=1000)).plot(ax=ax()),
-    "plot_split": lambda e: armrig.split_study(chassis(), (1, 2)).plot(ax=ax()),
     "plot_rig": lambda e: plots.plot_rig(ax=ax()),
     "plot_physical_step": lambda e: plots.plot_physical_step(
         beside_the_handout(replace(P, J_1=2 * P.J_1, K_lin=2 * P.K_lin)), u=2, seconds=0.5, ax=ax()
@@ -296,15 +248,13 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_data, unlike": lambda e: of.unlike(1.0).plot(ax=ax()),
     "plot_spectrum, unlike": lambda e: of.unlike().plot("spectrum", ax=ax()),
     "plot_values, unlike": lambda e: of.unlike_integrating().plot("values", ax=ax()),
-    "plot_fit, unlike": lambda e: backwards().plot(),
-    "plot_compare, unlike": lambda e: armrig.compare(of.unlike(), *late_models()).plot(ax=ax()),
     "plot_compare, many": lambda e: armrig.compare(
         of.unlike().select(1),
         *(replace(exact([0, 0, 0, -2.0 - k], [1, -0.9]), Ts=0.5, nk=3) for k in range(7)),
         labels=[*"abcde", "with a name that is longer than the figure is wide, " * 3, "g"],
     ).plot(ax=ax()),
     "plot_residuals, unlike": lambda e: armrig.residuals(
-        late_models()[0], of.unlike().select(2, 0), 9
+        armrig.arx(of.unlike(), na=2, nb=2, nk=3), of.unlike().select(2, 0), 9
     ).plot(ax=ax()),
     "plot_spectral, unlike": lambda e: armrig.spa(
         of.unlike_integrating(), 24, integrator=True

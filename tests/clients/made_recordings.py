@@ -13,6 +13,7 @@ import numpy as np
 from armrig_core import protobuf, telemetry
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Potentiometer
+from armrig_core.codes import GapCode, OutcomeCode
 from armrig_core.manifest import CALIBRATION, INPUT, OUTCOME, RUN, Manifest, Outcome
 from armrig_core.topics import topic
 from armrig_protocol.messages import Flag
@@ -71,6 +72,7 @@ def gap(k_first: int, count: int, u_held_v: float, reason: str = "link silent") 
         t_to_ns=sample(k_first + count).t_sched_ns,
         u_held_v=u_held_v,
         reason=reason,
+        code=next((code for code in GapCode if code.sentence == reason), GapCode.UNKNOWN),
     )
 
 
@@ -94,6 +96,12 @@ def timing(k: int) -> Any:
     report.wake_lateness_us.p50 = 3.0
     report.wake_lateness_us.n = 100
     return report
+
+
+def _code_of(outcome: str) -> OutcomeCode:
+    """Return the code that belongs to the sentence of an outcome."""
+    codes = (OutcomeCode.COMPLETE, OutcomeCode.CONTINUED, OutcomeCode.STOPPED, OutcomeCode.DISARMED)
+    return next((code for code in codes if outcome.startswith(code)), OutcomeCode.UNKNOWN)
 
 
 def recorded(
@@ -133,6 +141,8 @@ def recorded(
     }.items():
         schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name))
         channels[name] = writer.register_channel(topic(manifest.rig, stream), "protobuf", schema)
+    if outcome and outcome.code == OutcomeCode.UNKNOWN:
+        outcome = msgspec.structs.replace(outcome, code=_code_of(outcome.outcome))
     if outcome and outcome_first:
         writer.add_metadata(OUTCOME, outcome.metadata())
     log_time = publish_time = OFFSET_NS + sample(0).t_sched_ns  # they never go back in a file

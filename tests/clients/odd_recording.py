@@ -180,13 +180,15 @@ def _reports() -> dict[int, list[Any]]:
     for row, std_ns, drift, drift_std in ((25, 9e3, 70.0, 20.0), (100, 3e3, 85.0, 6.0)):
         reports.setdefault(row, []).append(_clock(row, std_ns, drift, drift_std))
     reports[400] = [_clock(400, 1.5e3, 81.0, 1.2)]
-    for row, level, said in (
-        (41, "info", "a lease was renewed"),
-        (210, "warning", "emulator held up 35 ms by this machine; its device's clock stood still"),
-        (390, "error", "emulator held up 7 ms by this machine; its device's clock stood still"),
+    stall = "emulator held up {} ms by this machine; its device's clock stood still"
+    for row, level, said, stall_ms in (
+        (41, "info", "a lease was renewed", 0),
+        (210, "warning", stall.format(35), 35),
+        (390, "error", stall.format(7), 7),
     ):
         log = protobuf.message_class(protobuf.LOG)(level=protobuf.LEVELS[level], message=said)
         log.timestamp.FromNanoseconds(due_ns(row) + OFFSET_NS)
+        log.emulator_stall_ns = stall_ms * 1_000_000
         reports.setdefault(row, []).append(log)
     return reports
 

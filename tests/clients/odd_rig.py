@@ -23,12 +23,7 @@ from armrig_core.manifest import Outcome
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
 
-from tests.benchmarks.host_timing import targets
-from tests.benchmarks.host_timing.machine import Machine
-from tests.benchmarks.host_timing.results import Result, lines
-from tests.benchmarks.host_timing.rounds import Plan
-from tests.benchmarks.host_timing.targets import Rate
-from tests.clients.made_recordings import manifest, of_the_arm, recorded, written
+from tests.clients.made_recordings import manifest, recorded, written
 
 TS_NS = 40_000_000
 K_FIRST = 1234
@@ -181,36 +176,6 @@ def _host(root: Path) -> Host:
     return Host(root=root, granted=granted)
 
 
-def odd_benchmark() -> None:
-    """Print a benchmark of two rates; at the second one the line was not quiet."""
-    slow, fast = Rate(rate_hz=500), Rate(rate_hz=2000)
-    for i, name in enumerate(targets.DEFINITIONS):
-        times = (3.0 + i) * np.arange(1, 301) ** 0.5
-        slow.add(name, times[:100])
-        slow.add(name, times[100:])
-        if name not in (targets.REFERENCE, targets.DAEMON, targets.PIPED):
-            fast.add(name, times[::2])
-    for rate, lost in ((slow, 0), (fast, 2)):
-        for what, n in (("asked", 400), ("lost", lost), ("misplaced", 1)):
-            rate.count(f"scheduled {what}", n)
-            rate.count(f"scheduled {what}", n)
-    fast.remarks += ["exchange: ended", "exchange: ended", "scheduled: too late"]
-    machine = Machine(
-        kernel="6.12.48",
-        preemption="lazy",
-        cpus=2,
-        processor="an odd one",
-        governor="performance, schedutil",
-        virtual=True,
-        fifo=False,
-        memory_lock=True,
-        load=2.5,
-    )
-    plan = Plan(rates_hz=(500, 2000), seconds=20.0, burners=3)
-    result = Result(machine=machine, plan=plan, rates=[slow, fast])
-    print(*(line for line in lines(result) if len(line) < 120), sep="\n")
-
-
 def odd_plan(**changes: Any) -> Any:
     """Return a plan that plays a ramp."""
     from armrig.rig.collection import Plan as Collection
@@ -218,12 +183,6 @@ def odd_plan(**changes: Any) -> Any:
     fields: dict[str, Any] = {"experiment": "ramp", "details": {}, "seconds": 0.35, "Ts": 0.04}
     fields |= {"make": lambda N, Ts: Ts * np.arange(N or 7), "pacing": "exchange", "owner": "Ada"}
     return Collection(**(fields | changes))
-
-
-def odd_model_data(folder: str) -> Path:
-    """Write a recording of the handout's arm."""
-    u = telegraph(240, 0.2, low=1.0, high=3.5, seed=6)
-    return written(Path(folder), of_the_arm(u, missing=slice(70, 72), rig="lab-2"), "arm.mcap")
 
 
 def odd_report() -> Any:

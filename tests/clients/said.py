@@ -3,7 +3,7 @@
 A line `$ armrig …` or `$ armrigd …` is a command, `>>> …` a line of Python. Below it are standard
 output (after two blanks), standard error (`! `), the exit code if it is not 0, and the written
 files (`+ `). Of a text the first lines are shown; of a file named whole, all. JSON is a line for
-each value.
+each value. If an earlier help of the file describes an option alike, only its name is shown.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import re
 import shlex
 import sys
 from code import InteractiveInterpreter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import chdir, redirect_stderr, redirect_stdout, suppress
 from difflib import SequenceMatcher, unified_diff
 from importlib.metadata import version
@@ -46,10 +46,11 @@ def said_again(stored: str, folder: Path) -> str:
 
     A line of which only the last digits are others is left as it is stored.
     """
-    python, lines = _Python({}), list[str]()
+    python, lines, shown = _Python({}), list[str](), set[str]()
     for line in stored.splitlines():
         if line.startswith(("$ ", ">>> ")):
-            lines += [line, *_printed(line, python, folder)]
+            found = _printed(line, python, folder)
+            lines += [line, *(_new_options(found, shown) if line.endswith("--help") else found)]
         elif not line.startswith(_SHOWN):  # a remark
             lines.append(line)
     return "\n".join(_rounded_as(stored.splitlines(), lines)) + "\n"
@@ -94,6 +95,31 @@ def _printed(line: str, python: _Python, folder: Path) -> Iterator[str]:
                         yield from ("+   " + x for x in _lines(text.decode(), folder, whole=True))
                     else:
                         yield from ("+   " + x for x in _lines(text.decode(), folder)[:_LINES])
+
+
+def _new_options(found: Iterable[str], shown: set[str]) -> Iterator[str]:
+    """Yield the lines of a help; of options that an earlier help describes alike, the names."""
+    options: list[list[str]] = []
+    for line in found:
+        if line.startswith("    -"):
+            options.append([])
+        elif not (options and line.startswith(" " * 12)):
+            yield from _described(options, shown)
+            options.clear()
+        if options:
+            options[-1].append(line)
+        else:
+            yield line
+    yield from _described(options, shown)
+
+
+def _described(options: list[list[str]], shown: set[str]) -> Iterator[str]:
+    texts = {" ".join(" ".join(lines).split()): lines for lines in options}
+    yield from (line for text, lines in texts.items() if text not in shown for line in lines)
+    if again := [text for text in texts if text in shown]:
+        names = (re.match(r"(?:-\w, )?[-\w]+", text) for text in again)
+        yield f"    as above: {' '.join(name[0] for name in names if name)}"
+    shown.update(texts)
 
 
 def _code(line: str, python: _Python) -> int:

@@ -8,5 +8,7 @@ from tests.clients import pages
 
 
 @pytest.mark.exhaustive
-def test_the_page_runs_and_prints_what_it_shows(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_line_of_the_page_prints_the_output_shown_there(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert pages.run(pages.DOCS / "deviations.md", capsys, atol=1e-4) == 3

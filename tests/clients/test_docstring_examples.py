@@ -53,7 +53,7 @@ def own_directories(
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_an_example_prints_what_it_shows(
+def test_an_example_prints_its_output(
     example: doctest.DocTest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An example of `armrig` runs alone, with the names that it imports itself."""

@@ -195,7 +195,7 @@ def lists() -> Iterator[dict[str, list[str]]]:
 @pytest.mark.parametrize(
     "name", without_slow(FIGURES, lambda name: name in ("handout", "plot_structure"))
 )
-def test_a_figure_draws_what_is_listed(
+def test_a_figure_has_the_stored_artists(
     name: str, examples: Examples, lists: dict[str, list[str]]
 ) -> None:
     with mpl.rc_context({"backend": "agg"}):

@@ -25,7 +25,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.exhaustive
-def test_every_line_of_the_page_runs_and_prints_what_it_says(
+def test_every_line_of_the_page_prints_the_output_shown_there(
     recordings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from matplotlib import pyplot as plt
@@ -38,7 +38,7 @@ def test_every_line_of_the_page_runs_and_prints_what_it_says(
     assert compared == 11
 
 
-def test_every_command_of_the_page_is_taken(daemon: FakeDaemon, where: str) -> None:
+def test_every_command_of_the_page_is_valid(daemon: FakeDaemon, where: str) -> None:
     text = PAGE.read_text(encoding="utf-8")
     lines = re.findall(r"^armrig .+$|`(armrig collect [a-z]+ --.+?)`", text, re.MULTILINE)
     blocks = re.findall(r"```sh\n(.+?)\n```", text)
@@ -51,7 +51,7 @@ def test_every_command_of_the_page_is_taken(daemon: FakeDaemon, where: str) -> N
     assert played == [*names, *["bla"] * 4]
 
 
-def test_every_figure_of_the_page_is_there() -> None:
+def test_every_figure_of_the_page_exists() -> None:
     shown = set(re.findall(r"\]\(figures/(.+?)\)", PAGE.read_text(encoding="utf-8")))
 
     assert shown == {path.name for path in (PAGE.parent / "figures").glob("experiments-*.svg")}

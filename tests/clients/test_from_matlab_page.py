@@ -33,7 +33,7 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return names
 
 
-def test_every_block_prints_the_text_below_it(
+def test_every_code_block_prints_the_text_below_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -55,22 +55,6 @@ def test_every_expression_of_the_tables_runs(
 
     plt.close("all")
     assert len(found) > len(_CELLS) > 30
-
-
-def test_a_call_of_the_last_column_is_one_of_armrig() -> None:
-    import inspect
-
-    import armrig
-
-    for function, option in (
-        (armrig.n4sid, "weights"),
-        (armrig.impulse_response, "kernel"),
-        (armrig.armax, "initial"),
-        (armrig.oe, "stable"),
-        (armrig.compare, "horizon"),
-    ):
-        assert f"{option}=" in _TEXT
-        assert option in inspect.signature(function).parameters
 
 
 @pytest.mark.exhaustive

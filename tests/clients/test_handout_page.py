@@ -22,7 +22,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.exhaustive
-def test_every_line_of_the_page_runs_and_prints_what_it_says(
+def test_every_line_of_the_page_prints_the_output_shown_there(
     recordings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(recordings)
@@ -30,7 +30,7 @@ def test_every_line_of_the_page_runs_and_prints_what_it_says(
     assert pages.run(PAGE, capsys, atol=2e-3, commands="armrig identify") == 13
 
 
-def test_every_assignment_is_there() -> None:
+def test_the_page_contains_every_assignment() -> None:
     text = PAGE.read_text(encoding="utf-8")
     chapters = re.findall(r"^## (\d\.\d)", text, re.MULTILINE)
 
@@ -48,7 +48,7 @@ def test_every_command_of_the_table_exists() -> None:
     assert {"sampling", "hints", "identify"} <= named <= known
 
 
-def test_every_figure_of_the_page_is_there() -> None:
+def test_every_figure_of_the_page_exists() -> None:
     shown = set(re.findall(r"\]\(figures/(.+?)\)", PAGE.read_text(encoding="utf-8")))
 
     assert shown == {path.name for path in (PAGE.parent / "figures").glob("handout-*.svg")}

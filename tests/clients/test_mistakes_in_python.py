@@ -10,8 +10,6 @@ import armrig
 import numpy as np
 import pytest
 
-from tests.clients.made_recordings import of_the_arm, written
-
 RNG = np.random.default_rng(1)
 U = 0.5 + 4.0 * RNG.integers(0, 2, 400)
 Y = np.convolve(U, 0.1 * 0.9 ** np.arange(60))[:400] + 0.01 * RNG.standard_normal(400)
@@ -138,7 +136,7 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
 @pytest.mark.parametrize(
     ("call", "raised", "way_out"), [m[1:] for m in MISTAKES], ids=[m[0] for m in MISTAKES]
 )
-def test_a_mistake_is_refused_with_the_way_out(
+def test_a_wrong_argument_is_refused_with_the_remedy(
     call: Any,
     raised: type[Exception],
     way_out: str,
@@ -156,42 +154,14 @@ def test_a_mistake_is_refused_with_the_way_out(
     assert len(message) <= 260
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "way_out"),
-    [
-        (
-            "data.csv",
-            b"t,u,y\n0,1,2\n",
-            "sampling, hints, identify, validate and check also read other",
-        ),
-        ("empty.mcap", b"", "is empty, 0 B: nothing was recorded"),
-        ("report.pdf", b"%PDF-1.7", "is not a recording of the rig; give a recording"),
-    ],
-)
-def test_a_file_that_is_no_recording_is_refused(
-    name: str, content: bytes, way_out: str, tmp_path: Path
-) -> None:
-    path = written(tmp_path, content, name)
-
-    with pytest.raises(armrig.FileError, match=way_out):
-        armrig.load(path)
-
-
-def test_a_recording_is_no_model(tmp_path: Path) -> None:
-    path = written(tmp_path, of_the_arm(U[:50]))
-
-    with pytest.raises(armrig.FileError, match=r"a model is what .armrig identify --save"):
-        armrig.load_fit(path)
-
-
-def test_swapped_columns_are_doubted_by_the_model() -> None:
+def test_the_model_warns_of_swapped_columns() -> None:
     """An output of two levels looks like an input."""
     fit = armrig.arx(armrig.Dataset(u=Y, y=U, Ts=0.01), na=2, nb=2)
 
     assert "the columns may be swapped" in fit.warnings[0]
 
 
-def test_what_can_be_meant_is_taken() -> None:
+def test_lists_and_numpy_integers_are_accepted() -> None:
     data = armrig.Dataset(u=U.tolist(), y=Y.tolist(), Ts=0.01)
 
     fit = armrig.arx(data, na=int(np.int64(2)), nb=a and np.int64(2))

@@ -13,10 +13,16 @@ import pytest
 from tests.clients.said import assert_said
 
 
-@pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize("name", ["said_of_data.txt", "said_of_refusals.txt"])
-def test_a_function_says_what_it_said(
+@pytest.mark.parametrize(
+    "name",
+    [
+        "said_of_data.txt",
+        "said_of_refusals.txt",
+        pytest.param("said_of_hints.txt", marks=pytest.mark.exhaustive),
+    ],
+)
+def test_a_function_prints_the_stored_output(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/0")

@@ -29,7 +29,7 @@ SLOW = {
 
 
 @pytest.mark.parametrize("call", without_slow(same_numbers_calls.CALLS, lambda call: call in SLOW))
-def test_the_numbers_are_what_they_were(call: str) -> None:
+def test_the_numbers_equal_the_stored_numbers(call: str) -> None:
     changed = list(same_numbers.changes(call, BEFORE))
 
     advice = "; if that is meant: make stored"
@@ -46,5 +46,5 @@ def test_every_public_name_is_called() -> None:
     )
 
 
-def test_the_stored_file_has_no_line_of_another_call() -> None:
+def test_the_stored_file_contains_only_lines_of_existing_calls() -> None:
     assert {name.split(" ")[0] for name in BEFORE} <= same_numbers_calls.CALLS.keys()

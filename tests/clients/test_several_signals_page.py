@@ -12,7 +12,7 @@ PAGE = pages.DOCS / "several-signals.md"
 
 
 @pytest.mark.exhaustive
-def test_every_line_of_the_page_runs_and_prints_what_it_says(
+def test_every_line_of_the_page_prints_the_output_shown_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pages.record_all("several_signals.py", tmp_path)

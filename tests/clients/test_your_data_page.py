@@ -35,7 +35,7 @@ def _text(rows: list[str], names: str = _MINE) -> str:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(("page", "expected"), [("your-data", (6, 4)), ("files", (1, 1))])
-def test_every_line_of_the_page_runs_and_prints_what_it_says(
+def test_every_line_of_the_page_prints_the_output_shown_there(
     page: str,
     expected: tuple[int, int],
     tmp_path: Path,

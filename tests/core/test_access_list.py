@@ -9,7 +9,7 @@ from armrig_core.access_list import AccessList, read_access_list
 from armrig_core.errors import FileError
 
 
-def test_a_list_is_read_as_it_was_written(tmp_path: Path) -> None:
+def test_an_access_list_is_read_as_it_was_written(tmp_path: Path) -> None:
     made = AccessList(operators=("alice", "bob"), observers=("carol",), revoked=("eve",))
     path = tmp_path / "access.toml"
     path.write_text(made.toml())
@@ -17,7 +17,7 @@ def test_a_list_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert read_access_list(path) == made
 
 
-def test_a_name_moves_from_list_to_list() -> None:
+def test_a_name_moves_from_one_role_to_another() -> None:
     people = AccessList(operators=("alice",), observers=("bob",)).with_name("alice", "revoked")
 
     assert people == AccessList(observers=("bob",), revoked=("alice",))
@@ -39,7 +39,7 @@ def test_a_name_moves_from_list_to_list() -> None:
         ("operators = [", "Invalid value"),
     ],
 )
-def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, says: str) -> None:
+def test_a_forbidden_entry_is_refused(tmp_path: Path, text: str, says: str) -> None:
     """A name is part of a key, in which * and / would match other names."""
     path = tmp_path / "access.toml"
     path.write_text(text)
@@ -48,6 +48,6 @@ def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, says: str) ->
         read_access_list(path)
 
 
-def test_a_list_that_is_not_there_is_reported(tmp_path: Path) -> None:
+def test_a_missing_access_list_is_reported(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="there is no such file; `armrig pki ca` writes one"):
         read_access_list(tmp_path / "access.toml")

@@ -7,7 +7,7 @@ import pytest
 from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
 
 
-def test_the_steady_speed_is_the_handout_s() -> None:
+def test_the_steady_speed_equals_that_of_the_handout() -> None:
     """The back-EMF balances the voltage: 1 / (N K_m) = 1.8623 rad/s per volt."""
     A, B, _ = arm_matrices(ArmParameters())
 
@@ -18,14 +18,14 @@ def test_the_steady_speed_is_the_handout_s() -> None:
     assert x[1, 0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_initial_slope_of_the_speed_is_the_handout_s() -> None:
+def test_the_initial_slope_of_the_speed_equals_that_of_the_handout() -> None:
     """At rest all torque accelerates J_1: 98.40 rad/s² per volt."""
     _, B, _ = arm_matrices(ArmParameters())
 
     assert B[2, 0] == pytest.approx(98.40, abs=5e-3)
 
 
-def test_the_poles_are_the_handout_s() -> None:
+def test_the_poles_equal_those_of_the_handout() -> None:
     """Poles 0, -36.739, -8.048 ± 17.081i."""
     A, _, _ = arm_matrices(ArmParameters())
 
@@ -35,7 +35,7 @@ def test_the_poles_are_the_handout_s() -> None:
     np.testing.assert_allclose(poles, expected, atol=1e-3)
 
 
-def test_an_arm_that_weighs_nothing_leaves_the_chassis() -> None:
+def test_an_arm_without_mass_gives_the_model_of_the_chassis() -> None:
     """For J_2 -> 0 the arm's transfer function tends to that of the chassis alone."""
     p = ArmParameters(J_2=1e-9)
     s = 10j

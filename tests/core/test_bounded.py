@@ -13,7 +13,7 @@ TEXT = "[rig]\r\nid = '1' # Prüfstand\r\n"
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
-def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path, encoding: str) -> None:
+def test_a_byte_order_mark_is_removed_from_the_text(tmp_path: Path, encoding: str) -> None:
     """Editors of Windows write one before UTF-8, and end lines in their own way."""
     path = tmp_path / "text"
     path.write_bytes(TEXT.encode(encoding))
@@ -29,7 +29,7 @@ def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path, encoding: str)
         (TEXT.encode("latin-1"), "line 2 is not UTF-8: save it as UTF-8"),
     ],
 )
-def test_another_encoding_is_reported_with_the_way_out(
+def test_another_encoding_is_reported_with_the_remedy(
     tmp_path: Path, data: bytes, said: str
 ) -> None:
     path = tmp_path / "text"
@@ -40,7 +40,7 @@ def test_another_encoding_is_reported_with_the_way_out(
     assert str(refused.value) == said
 
 
-def test_no_more_is_read_than_allowed_and_nothing_is_waited_for(tmp_path: Path) -> None:
+def test_reading_is_limited_and_never_blocks(tmp_path: Path) -> None:
     long, pipe = tmp_path / "long", tmp_path / "pipe"
     long.write_bytes(b"12345")
     os.mkfifo(pipe)

@@ -15,7 +15,7 @@ def _file(path: Path, text: str) -> Path:
     return path
 
 
-def test_the_later_file_is_over_the_earlier_and_the_environment_over_both(tmp_path: Path) -> None:
+def test_the_environment_overrides_the_later_file_and_it_the_earlier(tmp_path: Path) -> None:
     first = _file(tmp_path / "a", '[client]\nconnect = "tls/a:1"\ncertificate = "/a.pem"')
     second = _file(tmp_path / "b", '[client]\nconnect = "tls/b:1"\n[rig]\nid = "1"')
 
@@ -26,7 +26,7 @@ def test_the_later_file_is_over_the_earlier_and_the_environment_over_both(tmp_pa
     assert client_settings([first], {"ARMRIG_CLIENT_CONNECT": "tls/c:1"}).connect == "tls/c:1"
 
 
-def test_a_credential_is_in_the_folder_of_the_file_that_names_it(
+def test_a_credential_path_is_relative_to_the_file_that_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = _file(tmp_path / "x" / "a", '[client]\ncertificate = "alice.pem"\npassword = "~/p"')
@@ -48,12 +48,12 @@ def test_a_credential_is_in_the_folder_of_the_file_that_names_it(
         ("[client", "not a TOML file"),
     ],
 )
-def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, says: str) -> None:
+def test_a_forbidden_setting_is_refused(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(ValueError, match=rf"armrig.toml: .*{says}"):
         client_settings([_file(tmp_path / "armrig.toml", text)], {})
 
 
-def test_a_file_of_the_daemon_s_alone_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_file_of_the_daemon_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(path: Path, most: int) -> str:
         raise PermissionError(13, "Permission denied", str(path))
 

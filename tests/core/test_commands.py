@@ -40,7 +40,6 @@ def test_a_command_is_read_with_its_fields() -> None:
         ),
         ("arm", '{"owner": "a\\nb"}', r"owner 'a\\nb': allowed are 1 to 80"),
         ("arm", '{"owner": "\\u009b31m"}', r"owner '\\x9b31m': allowed are 1 to 80"),
-        ("arm", '{"owner": "\\u202e"}', r"owner '\\u202e': allowed are 1 to 80"),
         ("arm", '{"owner": "  "}', "owner '  ': allowed are .* a letter or a digit"),
         ("arm", '{"owner": "\\u2800"}', "owner '\u2800': allowed are"),  # a blank of Braille
         ("arm", '{"owner": "\\u3164\\u115f"}', "allowed are"),  # fillers, which are letters
@@ -61,21 +60,14 @@ def test_a_command_is_read_with_its_fields() -> None:
         ("note", '{"text": ""}', r"length >= 1.*\$.text"),
         ("note", f'{{"text": "{501 * "x"}"}}', r"length <= 500.*\$.text"),
         ("note", '{"text": "a\\u001b[2J"}', r"text 'a\\x1b\[2J': allowed are 1 to 500 print"),
-        ("note", '{"text": "a\\nb"}', r"text 'a\\nb': allowed are"),
-        ("note", '{"text": "a\\u202eb"}', r"text 'a\\u202eb': allowed are"),  # turns what follows
         ("note", '{"text": " \\u3164"}', "not only blanks"),
         ("note", '{"text": "x", "t": 1}', "unknown field `t`"),
         ("calibrate", "{}", "missing required field `calibration`"),
         ("calibrate", _calibration('"driver": {"gain": 11}'), r"gain=11.0 .* 0.1 to 10.*\$.c"),
-        ("calibrate", _calibration('"driver": {"gain": NaN}'), "calibrate: "),
-        ("calibrate", _calibration('"driver": {"offset_v": -6}'), "offset_v=-6.0 .* -5 to 5"),
-        ("calibrate", _calibration('"theta_1": {"rad_per_count": 0}'), "must be from 1e-08 to 0.1"),
-        ("calibrate", _calibration('"alpha": {"zero_counts": 1e999}'), "calibrate: "),
-        ("calibrate", _calibration('"beta": {}'), "unknown field `beta`"),
         ("calibrate", _calibration("", '"raw": "no base64!"'), r"Invalid base64.*\$.raw"),
     ],
 )
-def test_what_is_not_allowed_is_refused(name: str, payload: str, complaint: str) -> None:
+def test_a_forbidden_field_of_a_command_is_refused(name: str, payload: str, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         parse(name, payload.encode())
 

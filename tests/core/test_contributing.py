@@ -51,11 +51,11 @@ def _names(node: ast.stmt) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_what_a_page_for_maintainers_names_exists(page: str) -> None:
+def test_names_on_the_pages_for_maintainers_exist(page: str) -> None:
     assert lacking((ROOT / page).read_text(encoding="utf-8")) == set()
 
 
-def test_contributing_names_a_function_for_each_hop() -> None:
+def test_contributing_names_a_function_for_each_step_of_a_sample() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
     flows = re.findall(r"^## The flow of .*?(?=^## )", text, re.MULTILINE | re.DOTALL)
@@ -63,23 +63,6 @@ def test_contributing_names_a_function_for_each_hop() -> None:
     hops = [re.findall(r"^\d+\. .*$", flow, re.MULTILINE) for flow in flows]
     assert [len(of_one) >= 9 for of_one in hops] == [True] * 3
     assert [hop for of_one in hops for hop in of_one if not _SPAN.search(hop)] == []
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "`clients/armrig/gone.py`",
-        "`tests/gone/`",
-        "`tests/gone.toml`",
-        "`clients/armrig/models/fit.py: gone`",
-        "`clients/armrig/models/fit.py: Fit.gone`",
-        "`firmware_protocol/firmware/core/rig_motor.c: gone`",
-        "`make gone`",
-        "```\nmake gone\n```",
-    ],
-)
-def test_a_name_that_is_gone_is_found(text: str) -> None:
-    assert len(lacking(text)) == 1
 
 
 def test_the_name_of_a_decision_is_its_heading() -> None:

@@ -20,7 +20,7 @@ def socket(tmp_path: Path) -> Path:
     return tmp_path / "1.sock"
 
 
-def test_the_file_tells_whether_its_daemon_lives(socket: Path) -> None:
+def test_the_lock_shows_whether_its_daemon_is_alive(socket: Path) -> None:
     write_facts(socket, FACTS)
     with lock_path(socket).open() as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -31,7 +31,7 @@ def test_the_file_tells_whether_its_daemon_lives(socket: Path) -> None:
     assert lock_path(socket).name == "1.sock.lock"
 
 
-def test_a_lock_of_another_program_is_not_the_daemon_s(socket: Path) -> None:
+def test_a_lock_held_by_another_program_is_not_that_of_a_daemon(socket: Path) -> None:
     """A member of the group, who may read the file, could hold a lock of it."""
     write_facts(socket, FACTS)
     with lock_path(socket).open() as file:
@@ -47,14 +47,14 @@ def test_a_lock_of_another_program_is_not_the_daemon_s(socket: Path) -> None:
     assert not other.is_alive
 
 
-def test_a_group_may_read_the_facts_and_nobody_else(socket: Path) -> None:
+def test_only_the_owner_and_its_group_may_read_the_lock_file(socket: Path) -> None:
     write_facts(socket, FACTS)
 
     assert lock_path(socket).stat().st_mode & 0o777 == 0o640
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[" * 5000, '{"pid": "1", "port": "", "baud": 1}'])
-def test_a_file_without_facts_tells_nothing(text: str, socket: Path) -> None:
+def test_a_lock_file_without_facts_is_ignored(text: str, socket: Path) -> None:
     missing = read_facts(socket)
     lock_path(socket).write_text(text)
 

@@ -19,7 +19,7 @@ from armrig_core.errors import InputError
 LONGEST = "/" + "a" * 106
 
 
-def test_a_port_names_a_socket_by_its_prefix() -> None:
+def test_a_port_with_the_prefix_unix_is_a_socket() -> None:
     assert socket_path("/dev/ttyACM0") is None
     assert socket_path("unix") is None
     assert socket_path("unix:/run/rig.sock") == Path("/run/rig.sock")
@@ -37,7 +37,7 @@ def test_a_port_names_a_socket_by_its_prefix() -> None:
         ("", r"unix:: the path has 0 B; .*; name a socket in your own folder"),
     ],
 )
-def test_a_path_that_no_socket_can_have_is_refused(path: str, complaint: str) -> None:
+def test_an_impossible_socket_path_is_refused(path: str, complaint: str) -> None:
     """The kernel counts bytes, not characters."""
     with pytest.raises(ValueError, match=complaint):
         socket_path(f"unix:{path}")
@@ -57,13 +57,16 @@ def test_a_folder_that_others_can_write_to_is_a_fault(
         require_safe_folder(tmp_path / "rig.sock")
 
 
+@pytest.fixture
+def _user_1000(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+
+
+@pytest.mark.usefixtures("_user_1000")
 @pytest.mark.parametrize(("uid", "is_trusted"), [(1000, True), (0, True), (1001, False)])
-def test_a_folder_is_this_user_s_or_root_s(
-    monkeypatch: pytest.MonkeyPatch, uid: int, is_trusted: bool
-) -> None:
+def test_a_folder_is_this_user_s_or_root_s(uid: int, is_trusted: bool) -> None:
     found = os.stat_result((stat.S_IFDIR | 0o755, 0, 0, 1, uid, 0, 0, 0, 0, 0))
     path = SimpleNamespace(parent=SimpleNamespace(lstat=lambda: found))
-    monkeypatch.setattr(os, "geteuid", lambda: 1000)
 
     said = r"^its folder belongs to another user \(uid 1001\); choose your own folder$"
     with nullcontext() if is_trusted else pytest.raises(InputError, match=said):
@@ -81,16 +84,15 @@ class _Connection:
         return struct.pack("3i", os.getpid(), self.uid, os.getgid())
 
 
-@pytest.mark.parametrize(
-    ("uid", "foreign"),
-    [(1000, None), (0, None), (4711, 4711)],
-)
-def test_only_this_user_and_root_are_trusted_at_the_other_end(
-    monkeypatch: pytest.MonkeyPatch, uid: int, foreign: int | None
-) -> None:
+def test_the_other_end_of_this_process_is_trusted() -> None:
     ours, theirs = socket.socketpair()
     with ours, theirs:
         assert stranger(ours) is None
-    monkeypatch.setattr(os, "geteuid", lambda: 1000)
 
+
+@pytest.mark.usefixtures("_user_1000")
+@pytest.mark.parametrize(("uid", "foreign"), [(1000, None), (0, None), (4711, 4711)])
+def test_only_this_user_and_root_are_trusted_at_the_other_end(
+    uid: int, foreign: int | None
+) -> None:
     assert stranger(cast(socket.socket, _Connection(uid))) == foreign

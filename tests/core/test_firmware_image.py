@@ -23,7 +23,7 @@ def _written(path: Path, *records: str) -> Path:
     return path
 
 
-def test_the_bytes_are_at_their_addresses_whatever_the_order(tmp_path: Path) -> None:
+def test_the_bytes_are_placed_by_address_in_any_order_of_records(tmp_path: Path) -> None:
     """A segment counts 16 bytes, a linear address counts 65536; a gap is erased flash."""
     path = _written(
         tmp_path / "a.hex",
@@ -72,7 +72,7 @@ def test_a_damaged_image_is_refused_with_its_line(
         read_image(_written(tmp_path / "a.hex", *records))
 
 
-def test_what_follows_the_end_is_no_part_of_the_image(tmp_path: Path) -> None:
+def test_lines_after_the_end_record_are_ignored(tmp_path: Path) -> None:
     path = _written(tmp_path / "a.hex", _record(0, 0, b"ab"), END, "a comment")
 
     assert read_image(path).data == b"ab"

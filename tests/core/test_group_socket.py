@@ -14,7 +14,7 @@ def _mask() -> int:
     return mask
 
 
-def test_the_mask_is_as_before_after_two_threads_at_once() -> None:
+def test_the_file_mask_is_restored_after_two_simultaneous_threads() -> None:
     before, entered, ended = _mask(), threading.Event(), threading.Event()
 
     def other() -> None:

@@ -13,7 +13,7 @@ messages = st.lists(st.tuples(st.sampled_from(STREAMS), st.binary(max_size=200))
 
 
 @given(st.binary(min_size=16, max_size=16), st.integers(0, NUMBER_LIMIT - 20), messages)
-def test_an_answer_comes_back_as_it_was(
+def test_a_history_reply_is_decoded_to_the_encoded_messages(
     life: bytes, first: int, given: list[tuple[str, bytes]]
 ) -> None:
     past = decode_past(encode_past(life, first, -5, given))
@@ -22,7 +22,7 @@ def test_an_answer_comes_back_as_it_was(
 
 
 @given(messages, st.data())
-def test_an_answer_that_is_cut_or_changed_is_refused_or_read(
+def test_a_damaged_history_reply_is_refused_or_decoded(
     given: list[tuple[str, bytes]], data: st.DataObject
 ) -> None:
     whole = bytearray(encode_past(bytes(16), 0, 0, given))
@@ -49,6 +49,6 @@ def test_an_answer_that_is_cut_or_changed_is_refused_or_read(
         encode_past(bytes(16), 0, 0, [("event", bytes(ANSWER_LIMIT))]),
     ],
 )
-def test_what_is_no_answer_is_refused(data: bytes) -> None:
+def test_a_malformed_history_reply_is_refused(data: bytes) -> None:
     with pytest.raises(MalformedReplyError):
         decode_past(data)

@@ -18,7 +18,7 @@ def handler() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
-def test_a_program_that_loads_ends_at_ctrl_c_with_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_ends_a_starting_program_with_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[object] = []
     monkeypatch.setattr(os, "write", lambda fd, text: done.append((fd, text)))
     monkeypatch.setattr(os, "_exit", done.append)
@@ -35,7 +35,7 @@ def test_a_program_that_loads_ends_at_ctrl_c_with_a_line(monkeypatch: pytest.Mon
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_a_ctrl_c_that_is_ignored_stays_ignored() -> None:
+def test_an_ignored_ctrl_c_stays_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     has_loaded = end_at_ctrl_c("armrigd")
@@ -46,7 +46,7 @@ def test_a_ctrl_c_that_is_ignored_stays_ignored() -> None:
     assert during == signal.getsignal(signal.SIGINT) == signal.SIG_IGN
 
 
-def test_an_error_that_a_ctrl_c_has_caused_is_an_interrupt() -> None:
+def test_an_error_caused_by_ctrl_c_is_reported_as_an_interrupt() -> None:
     caused = RuntimeError("import failed")
     caused.__cause__ = KeyboardInterrupt()
     other = RuntimeError("import failed")

@@ -40,7 +40,7 @@ def asked_for(*extras: str) -> list[str]:
 
 
 @pytest.mark.parametrize("lock", LOCKS)
-def test_every_line_is_a_version_with_hashes(lock: str) -> None:
+def test_every_line_of_a_lock_file_is_a_version_with_hashes(lock: str) -> None:
     text = LOCKS[lock].read_text()
     assert _PINNED.sub("", text).strip() == ""
     assert len(pinned(LOCKS[lock])) > (4 if lock == "build" else 30)
@@ -49,7 +49,7 @@ def test_every_line_is_a_version_with_hashes(lock: str) -> None:
 @pytest.mark.parametrize(
     ("lock", "extras"), [("application", ()), ("dev", ("dev",)), ("build", None)]
 )
-def test_all_that_is_asked_for_is_in_it_within_its_bounds(
+def test_every_required_package_is_locked_within_its_bounds(
     lock: str, extras: tuple[str, ...] | None
 ) -> None:
     """`make lock` was run after the last change of a dependency."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any
 
 import pytest
+from armrig_core.emulated import is_emulated
 from armrig_core.manifest import (
     Manifest,
-    Outcome,
     Recovered,
     check_whole_numbers,
     manifest_of,
@@ -39,7 +40,7 @@ MADE: dict[str, Any] = {
         ({"k_first": (1 << 62) - 3}, range((1 << 62) - 3, 1 << 62)),
     ],
 )
-def test_from_its_first_sample_on_a_file_lacks_what_is_due(
+def test_the_manifest_determines_which_samples_of_a_file_are_due(
     fields: dict[str, int], due: range
 ) -> None:
     assert Manifest(**MADE, **fields).due == due
@@ -53,31 +54,47 @@ def test_a_manifest_is_read_as_it_was_written() -> None:
     assert not Manifest(**MADE, device={"uid": "17"}, host={"port": "/dev/a"}).emulated
     fixed = Recovered(when="w", armrig="0.2.0", kept_bytes=5, cut_off_bytes=7, damage="d")
     assert recovered_of(fixed.metadata()) == fixed
-    assert "code" not in Outcome(outcome="complete", samples=1, missing=0).metadata()
 
 
-@pytest.mark.parametrize(
-    ("number", "fits"), [(2**63 - 1, True), (2**63, False), (-(2**63), True), (-(2**63) - 1, False)]
-)
-def test_a_whole_number_has_64_bit(number: int, fits: bool) -> None:
-    made = Manifest(**{**MADE, "clock_offset_ns": number})
-
-    if fits:
-        check_whole_numbers(made)
-        return
-    with pytest.raises(ValueError, match="clock_offset_ns does not fit into 64 bit"):
-        check_whole_numbers(made)
-
-
-@pytest.mark.parametrize(("levels", "fits"), [(31, True), (32, False)])
-def test_a_value_has_at_most_32_levels(levels: int, fits: bool) -> None:
+def _nested(levels: int) -> Any:
     value: Any = 1
     for level in range(levels):
         value = [value] if level % 2 else {"x": value}
-    made = Manifest(**MADE, host={"port": "/dev/a"}, details={"seed": value})
+    return {"seed": value}
 
-    if fits:
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"clock_offset_ns": 2**63 - 1}, ""),
+        ({"clock_offset_ns": 2**63}, "clock_offset_ns does not fit into 64 bit"),
+        ({"clock_offset_ns": -(2**63)}, ""),
+        ({"clock_offset_ns": -(2**63) - 1}, "clock_offset_ns does not fit into 64 bit"),
+        ({"details": _nested(31), "host": {"port": "/dev/a"}}, ""),
+        ({"details": _nested(32)}, "details is nested more than 32 levels deep"),
+    ],
+)
+def test_integers_have_64_bit_and_values_at_most_32_levels(
+    fields: dict[str, Any], says: str
+) -> None:
+    made = Manifest(**{**MADE, **fields})
+
+    with pytest.raises(ValueError, match=says) if says else nullcontext():
         check_whole_numbers(made)
-        return
-    with pytest.raises(ValueError, match="details is nested more than 32 levels deep"):
-        check_whole_numbers(made)
+
+
+@pytest.mark.parametrize(
+    ("uid", "port", "emulated"),
+    [
+        ("726f74616c756d65", "/dev/pts/3", True),
+        ("a5b1c2d3e4f50617", "unix:/run/user/0/armrig/1.line", True),
+        ("a5b1c2d3e4f50617", "emulated", True),
+        ("a5b1c2d3e4f50617", "/dev/ttyACM0", False),
+        ("", "", False),
+    ],
+)
+def test_the_device_or_the_port_shows_that_a_rig_is_emulated(
+    uid: str, port: str, emulated: bool
+) -> None:
+    """The simulated Uno draws an identity of its own, so the port decides."""
+    assert is_emulated(uid=uid, port=port) is emulated

@@ -8,6 +8,8 @@ import resource
 import pytest
 from armrig_core import open_files
 
+from tests.core.test_process_limits import limit
+
 INFINITE = resource.RLIM_INFINITY
 
 
@@ -22,19 +24,17 @@ INFINITE = resource.RLIM_INFINITY
         (INFINITE, INFINITE, []),
     ],
 )
-def test_the_limit_is_raised_as_far_as_it_may_be_and_never_lowered(
+def test_the_limit_is_raised_to_its_maximum_and_never_lowered(
     soft: int, hard: int, set_to: list[tuple[int, int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[tuple[int, int]] = []
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (soft, hard))
-    monkeypatch.setattr(resource, "setrlimit", lambda _, limits: given.append(limits))
+    given = limit(monkeypatch, files=(soft, hard))
 
     open_files.raise_limit()
 
     assert given == set_to
 
 
-def test_the_open_files_are_counted_and_too_many_to_count_are_the_limit(
+def test_open_files_are_counted_up_to_the_limit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     before = open_files.count()
@@ -47,13 +47,13 @@ def test_the_open_files_are_counted_and_too_many_to_count_are_the_limit(
     def refuse(_: str) -> None:
         raise OSError
 
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (77, 99))
+    limit(monkeypatch, files=(77, 99))
     monkeypatch.setattr(os, "scandir", refuse)
     assert open_files.count() == 77
 
 
-def test_a_full_table_is_reported_once_and_so_is_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (64, 64))
+def test_a_full_table_and_its_end_are_each_reported_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    limit(monkeypatch, files=(64, 64))
     found = iter([56, 57, 64, 56, 10])
     monkeypatch.setattr(open_files, "count", lambda: next(found))
     table = open_files.FullTable()
@@ -66,6 +66,6 @@ def test_a_full_table_is_reported_once_and_so_is_its_end(monkeypatch: pytest.Mon
 
 
 def test_a_table_without_a_limit_is_never_full(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (INFINITE, INFINITE))
+    limit(monkeypatch, files=(INFINITE, INFINITE))
 
     assert open_files.FullTable().look() is None

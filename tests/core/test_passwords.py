@@ -35,7 +35,7 @@ def test_each_line_is_a_user_and_all_after_the_first_colon_is_the_password(tmp_p
         (b"a" * 65_537, "more than the 65536 B allowed; the file needs a line user:password"),
     ],
 )
-def test_a_file_that_is_wrong_is_refused_with_the_line(
+def test_a_wrong_password_file_is_refused_with_the_line(
     tmp_path: Path, text: bytes, says: str
 ) -> None:
     path = _written(tmp_path / "passwords", text)

@@ -19,25 +19,17 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_recordings_of_the_service_are_found(service: Path) -> None:
-    assert directory_to_look_in([], {}) == service
-
-
-def test_one_s_own_recordings_come_first(service: Path) -> None:
-    directory_of("").mkdir(parents=True)
-
-    assert directory_to_look_in([], {}) == directory_of("")
-
-
-def test_a_folder_that_is_configured_is_the_one(service: Path, tmp_path: Path) -> None:
+def test_the_configured_folder_precedes_those_of_user_and_service(
+    service: Path, tmp_path: Path
+) -> None:
     away = tmp_path / "away"
 
     assert directory_to_look_in([], {VARIABLE: str(away)}) == away
-
-
-def test_without_a_service_it_is_one_s_own(service: Path) -> None:
+    assert directory_to_look_in([], {}) == service
     service.rmdir()
-
+    assert directory_to_look_in([], {}) == directory_of("")
+    service.mkdir()
+    directory_of("").mkdir(parents=True)
     assert directory_to_look_in([], {}) == directory_of("")
 
 
@@ -46,6 +38,6 @@ def test_a_configuration_that_cannot_be_read_is_reported_with_its_path(tmp_path:
         directory_to_look_in([tmp_path], {})
 
 
-def test_the_home_of_nobody_is_refused() -> None:
+def test_a_home_of_an_unknown_user_is_refused() -> None:
     with pytest.raises(ValueError, match="= '~nobody-is-called-so/runs': there is no such user"):
         directory_of("~nobody-is-called-so/runs")

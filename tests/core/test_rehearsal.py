@@ -37,7 +37,7 @@ def _played(
 
 
 @pytest.mark.parametrize("N", [1, 2, 63, 64, 65, 128, 777])
-def test_the_rehearsal_ends_where_the_emulated_rig_does(N: int) -> None:
+def test_the_rehearsal_ends_at_the_angles_of_the_emulated_rig(N: int) -> None:
     """The emulator is another implementation of the same arm; N is near the ends of blocks."""
     u = _telegraph(N)
 
@@ -50,7 +50,7 @@ def test_the_rehearsal_ends_where_the_emulated_rig_does(N: int) -> None:
 
 
 @pytest.mark.parametrize("Ts", [0.01, 0.1, 1.0])
-def test_a_peak_between_two_samples_is_seen(Ts: float) -> None:
+def test_a_peak_between_two_samples_is_detected(Ts: float) -> None:
     """A long Ts hides the swing of the arm from the samples."""
     u = _telegraph(max(4, round(2 / Ts)))
 
@@ -72,7 +72,7 @@ def test_a_long_run_does_not_drift() -> None:
     assert found.turned_rad == pytest.approx(expected, rel=1e-9)
 
 
-def test_where_the_chassis_ends_is_counted_from_where_it_was() -> None:
+def test_the_predicted_rotation_counts_from_the_present_angle() -> None:
     u = _telegraph(300)
 
     from_2 = rehearse(u, 0.01, theta_1_rad=2.0)
@@ -86,7 +86,7 @@ def test_where_the_chassis_ends_is_counted_from_where_it_was() -> None:
     assert f"up to {degrees(from_2.alpha_rad):.1f}°" in words
 
 
-def test_a_limit_is_refused_when_it_is_reached_and_not_before() -> None:
+def test_a_run_is_refused_exactly_at_the_limit() -> None:
     u = np.full(1000, 3.0)
     turns = rehearse(u, 0.01).revolutions
     at = int(np.argmax(_played(u, 0.01, 1)[:, 0] >= pi * 2))  # the first whole turn
@@ -102,7 +102,7 @@ def test_a_limit_is_refused_when_it_is_reached_and_not_before() -> None:
     assert f"reached at u[{at}], {at * 0.01:.3g} s; shorten the input" in text
 
 
-def test_a_deflection_is_refused_where_it_first_happens() -> None:
+def test_a_refusal_names_the_first_time_of_an_excessive_deflection() -> None:
     """A step of 4 V after a second at rest swings the arm, first to the other side."""
     u = np.r_[np.zeros(100), np.full(100, 4.0)]
     most = rehearse(u, 0.01).alpha_rad
@@ -115,7 +115,7 @@ def test_a_deflection_is_refused_where_it_first_happens() -> None:
     assert "reached at u[100], 1 s" in str(refusal.value)
 
 
-def test_the_rig_is_the_one_that_is_given() -> None:
+def test_the_rehearsal_uses_the_given_arm_parameters() -> None:
     u = _telegraph(500)
     softer = replace(P, K_lin=P.K_lin / 4)
 

@@ -90,47 +90,47 @@ def test_a_tagged_commit_is_released(sources: Sources) -> None:
     assert sources.refusal() == ""
 
 
-def test_a_commit_without_a_tag(sources: Sources) -> None:
-    sources.git("tag", "reviewed")  # which is no version
+@pytest.mark.parametrize(
+    ("tag", "later", "refusal"),
+    [
+        ("reviewed", False, 'HEAD has no tag: type "git tag v1.2.0"'),
+        (
+            "v1.3.0",
+            False,
+            "HEAD has the tag v1.3.0, but pyproject.toml has version 1.2.0: correct the version "
+            "and commit, or remove the tag",
+        ),
+        (
+            "v1.2.0",
+            True,
+            'v1.2.0 is another commit: type "git checkout v1.2.0", or write the next version into '
+            "pyproject.toml",
+        ),
+    ],
+)
+def test_a_commit_without_its_tag_is_refused(
+    sources: Sources, tag: str, later: bool, refusal: str
+) -> None:
+    sources.git("tag", tag)
+    if later:
+        sources.commit()
 
-    assert sources.refusal() == 'HEAD has no tag: type "git tag v1.2.0"'
+    assert sources.refusal() == refusal
 
 
-def test_a_tag_that_is_not_the_version(sources: Sources) -> None:
-    sources.git("tag", "v1.3.0")
-
-    assert sources.refusal() == (
-        "HEAD has the tag v1.3.0, but pyproject.toml has version 1.2.0: "
-        "correct the version and commit, or remove the tag"
-    )
-
-
-def test_a_commit_after_its_release(sources: Sources) -> None:
-    sources.git("tag", "v1.2.0")
-    sources.commit()
-
-    assert sources.refusal() == (
-        'v1.2.0 is another commit: type "git checkout v1.2.0", '
-        "or write the next version into pyproject.toml"
-    )
-
-
-def test_a_folder_that_is_no_clone(sources: Sources) -> None:
-    """The folder may be in the clone of another project."""
+def test_a_folder_in_the_clone_of_another_project_is_refused(sources: Sources) -> None:
     inner = sources.folder / "unpacked"
     inner.mkdir()
-
-    assert Sources(inner).refusal() == 'HEAD has no tag: type "git tag v1.2.0"'
+    unpacked = Sources(inner)
     shutil.rmtree(inner / ".git")
-    sources.folder = inner
 
-    assert sources.refusal() == (
+    assert unpacked.refusal() == (
         "this folder is not a clone: clone the repository, and repeat this command there"
     )
 
 
 @pytest.mark.parametrize("name", ["CHANGELOG.md", "note.txt"])
-def test_a_file_that_is_not_committed(sources: Sources, name: str) -> None:
+def test_an_uncommitted_file_is_refused(sources: Sources, name: str) -> None:
     """A file that only the user's own settings ignore counts: the source archive contains it."""
     sources.git("tag", "v1.2.0")
     (sources.folder / ".git" / "info" / "exclude").write_text("note.txt\n")
@@ -142,45 +142,45 @@ def test_a_file_that_is_not_committed(sources: Sources, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changelog", "refusal"),
+    ("name", "text", "refusal"),
     [
         (
-            "## Unreleased\n",
-            'CHANGELOG.md has no heading "## 1.2.0 - YYYY-MM-DD": write this section and commit',
-        ),
-        (
+            "CHANGELOG.md",
             "## 1.2.0\n- One.\n",
-            'CHANGELOG.md has no heading "## 1.2.0 - YYYY-MM-DD": write this section and commit',
+            'CHANGELOG.md has no heading "## 1.2.0 - YYYY-MM-DD": write this section and ',
         ),
         (
+            "CHANGELOG.md",
             "## 1.2.0 - 2026-11-23\n\n## 1.1.0 - 2026-10-01\n- One.\n",
-            "the section 1.2.0 of CHANGELOG.md is empty: list the changes and commit",
+            "the section 1.2.0 of CHANGELOG.md is empty: list the changes and ",
         ),
         (
+            "CHANGELOG.md",
             CHANGELOG.replace("## 1.2.0", "- Two.\n\n## 1.2.0"),
-            'CHANGELOG.md has entries under "Unreleased": move the entries to 1.2.0 and commit',
+            'CHANGELOG.md has entries under "Unreleased": move the entries to 1.2.0 and ',
+        ),
+        *(
+            (
+                "CITATION.cff",
+                CITATION.replace(line, f"{line}9"),
+                f'CITATION.cff has no line "{line}": write this line and ',
+            )
+            for line in CITATION.splitlines()
         ),
     ],
 )
-def test_a_changelog_without_the_release(sources: Sources, changelog: str, refusal: str) -> None:
-    sources.write("CHANGELOG.md", changelog)
+def test_a_changelog_or_a_citation_of_another_release_is_refused(
+    sources: Sources, name: str, text: str, refusal: str
+) -> None:
+    sources.write(name, text)
     sources.commit()
 
-    assert sources.refusal() == refusal
-
-
-@pytest.mark.parametrize("line", CITATION.splitlines())
-def test_a_citation_of_another_release(sources: Sources, line: str) -> None:
-    sources.write("CITATION.cff", CITATION.replace(line, f"{line}9"))
-    sources.commit()
-
-    refusal = f'CITATION.cff has no line "{line}": write this line and commit'
-    assert sources.refusal() == refusal
+    assert sources.refusal() == f"{refusal}commit"
     sources.git("tag", "v1.2.0")
-    assert sources.refusal() == f'{refusal}, and type "git tag --force v1.2.0"'
+    assert sources.refusal() == f'{refusal}commit, and type "git tag --force v1.2.0"'
 
 
-def test_the_citation_is_that_of_the_newest_release() -> None:
+def test_the_citation_names_the_newest_release() -> None:
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     version, date = re.findall(r"^## (\S+) - (\S+)$", changelog, re.MULTILINE)[0]
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()

@@ -12,7 +12,8 @@ from tests.core.test_contributing import lacking
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
 SUBJECTS = PAGE.split("\n## ")[2:]  # after the introduction and the machine
-_SCRIPT = re.compile(r"`(\w+\.\w+)[^`]*`")
+_SCRIPT = re.compile(r"`(\w+\.py)[^`]*`(†?)")
+"""A script of tests/benchmarks, or with a dagger a script in the history."""
 
 
 @pytest.mark.parametrize("subject", SUBJECTS, ids=lambda text: text.partition("\n")[0])
@@ -21,9 +22,11 @@ def test_each_subject_names_a_command(subject: str) -> None:
 
 
 def test_the_commands_of_the_page_exist() -> None:
-    scripts = {name for name in _SCRIPT.findall(PAGE) if name.endswith((".py", ".c"))}
+    is_there = {(name, not dagger) for name, dagger in _SCRIPT.findall(PAGE)}
 
     assert {
-        name for name in scripts if not (ROOT / "tests" / "benchmarks" / name).is_file()
+        (name, here)
+        for name, here in is_there
+        if (ROOT / "tests" / "benchmarks" / name).is_file() != here
     } == set()
     assert lacking(PAGE) == set()

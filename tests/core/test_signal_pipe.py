@@ -53,7 +53,7 @@ def running(program: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
-def test_a_wait_ends_at_a_signal_of_any_moment() -> None:
+def test_a_signal_at_any_moment_ends_the_wait() -> None:
     draw = random.Random(1)
 
     with running(_ROUNDS, str(SIGNALS)) as process:
@@ -87,7 +87,7 @@ def test_a_second_signal_interrupts() -> None:
         assert ended.is_set()
 
 
-def test_a_signal_other_than_ctrl_c_is_handed_on() -> None:
+def test_sigterm_reaches_the_previous_handler_after_the_wait() -> None:
     received: list[int] = []
     before = {
         signal.SIGTERM: signal.signal(signal.SIGTERM, lambda number, _: received.append(number)),
@@ -107,7 +107,7 @@ def test_a_signal_other_than_ctrl_c_is_handed_on() -> None:
             signal.signal(number, handler)
 
 
-def test_a_read_gives_the_signals_and_not_the_threads() -> None:
+def test_a_read_returns_signals_and_not_the_wakeups_of_threads() -> None:
     pipe = SignalPipe()
     try:
         pipe.wake()
@@ -120,7 +120,7 @@ def test_a_read_gives_the_signals_and_not_the_threads() -> None:
 
 
 @pytest.mark.parametrize("number", ENDING)
-def test_a_signal_waits_for_a_process_that_loads(number: signal.Signals) -> None:
+def test_a_signal_waits_for_a_starting_process(number: signal.Signals) -> None:
     with held_back(), running(_ONE) as process:
         process.send_signal(number)
         assert process.stdout is not None

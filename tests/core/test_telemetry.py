@@ -29,16 +29,7 @@ samples = st.builds(Sample, *(_KINDS[kind] for _, kind in SAMPLE_FIELDS))
 
 
 @given(samples)
-def test_protobuf_reads_what_was_packed(sample: Sample) -> None:
-    message = protobuf.message_class(protobuf.SAMPLE)()
-
-    message.ParseFromString(encode_sample(sample))
-
-    assert tuple(getattr(message, name) for name, _ in SAMPLE_FIELDS) == sample
-
-
-@given(samples)
-def test_packed_is_what_protobuf_writes(sample: Sample) -> None:
+def test_a_packed_sample_equals_the_encoding_of_protobuf(sample: Sample) -> None:
     message = protobuf.message_class(protobuf.SAMPLE)(**sample._asdict())
 
     assert message.SerializeToString(deterministic=True) == encode_sample(sample)
@@ -46,7 +37,7 @@ def test_packed_is_what_protobuf_writes(sample: Sample) -> None:
     assert decode_sample(encode_sample(sample)) == sample
 
 
-def test_an_angle_that_is_not_known_travels_as_nan() -> None:
+def test_an_unknown_angle_is_encoded_as_nan() -> None:
     """At a rail there is no angle."""
     sample = Sample(*(0 for _ in SAMPLE_FIELDS))._replace(theta_1_rad=math.nan)
 
@@ -57,7 +48,7 @@ def test_an_angle_that_is_not_known_travels_as_nan() -> None:
 
 
 @pytest.mark.parametrize("name", sorted({*protobuf.OF_STREAM.values()} - {protobuf.LOG}))
-def test_a_number_that_a_message_lacks_is_no_measurement(name: str) -> None:
+def test_a_number_missing_in_a_message_is_unknown(name: str) -> None:
     """In a message of an older writer an appended field is absent, and 0 rad would be an angle."""
     numbers = {
         field.name: (field.type, getattr(protobuf.decoded(name, b""), field.name))
@@ -71,13 +62,13 @@ def test_a_number_that_a_message_lacks_is_no_measurement(name: str) -> None:
 
 
 @given(samples)
-def test_a_number_that_a_message_has_is_read_as_it_is(sample: Sample) -> None:
+def test_a_number_in_a_message_is_read_unchanged(sample: Sample) -> None:
     message = protobuf.decoded(protobuf.SAMPLE, encode_sample(sample))
 
     assert tuple(getattr(message, name) for name, _ in SAMPLE_FIELDS) == sample
 
 
-def test_other_layouts_are_not_taken_for_a_sample() -> None:
+def test_a_message_of_another_layout_is_not_decoded_as_a_sample() -> None:
     data = encode_sample(Sample(*(0 for _ in SAMPLE_FIELDS)))
 
     assert decode_sample(data + b"\x60\x00") is None

@@ -23,7 +23,7 @@ from armrig_core.toml_file import read_toml, toml_tables
     ],
     ids=["dots", "a table", "quoted", "inline", "lists", "tables", "escaped", "both"],
 )
-def test_what_is_nested_too_deeply_is_refused_at_once(text: str) -> None:
+def test_deeply_nested_toml_is_refused_at_once(text: str) -> None:
     """The reader's time would grow with the square of the depth: 18 s for a file."""
     with pytest.raises(FileError, match="nested too deeply"):
         toml_tables(text)
@@ -39,7 +39,7 @@ def test_a_key_of_sixteen_parts_is_read() -> None:
 
 
 @pytest.mark.parametrize("begin", ["", "a = 1\n", "a = {"])
-def test_a_key_of_seventeen_parts_is_refused_wherever_it_is(begin: str) -> None:
+def test_a_key_of_seventeen_parts_is_refused_at_any_place(begin: str) -> None:
     key = ".".join(f'"k {i}"' if i % 2 else f"k{i}" for i in range(17))
 
     with pytest.raises(FileError, match="nested too deeply: a key has at most 16 parts"):
@@ -55,11 +55,8 @@ def test_tables_of_sixty_four_levels_are_read() -> None:
         toml_tables(nested(65))
 
 
-def test_a_file_is_refused_with_the_reader_s_words(tmp_path: Path) -> None:
+def test_a_file_is_refused_with_the_message_of_the_reader(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text("a = ")
     with pytest.raises(FileError, match=r"not a TOML file: Invalid value \(at end of document\)"):
-        read_toml(path, 100)
-    path.write_text("a = 1", encoding="utf-16")
-    with pytest.raises(FileError, match="it is saved as UTF-16: save it as UTF-8"):
         read_toml(path, 100)

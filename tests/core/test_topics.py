@@ -10,7 +10,7 @@ from armrig_core.topics import RECORDED, STREAMS, check_own_id, check_rig_id, pl
 LONGEST = "a" * 40
 
 
-def test_a_rig_has_keys_of_its_own() -> None:
+def test_each_rig_has_separate_keys() -> None:
     assert topics.stream_key("lab-2", "gap") == "rig/lab-2/gap"
     assert topics.command_key("lab-2", "arm") == "rig/lab-2/cmd/arm"
     assert topics.command_key("lab-2", "arm", "ada") == "rig/lab-2/cmd/arm/ada"
@@ -20,14 +20,14 @@ def test_a_rig_has_keys_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("rig", ["", LONGEST + "a", "A", "a/b", "*", "a\n", "ä"])
-def test_an_id_that_no_key_can_hold_is_refused(rig: str) -> None:
+def test_an_id_that_is_not_valid_in_a_key_is_refused(rig: str) -> None:
     with pytest.raises(ValueError, match="use 1 to 40 characters, each a-z, 0-9 or -"):
         check_rig_id(rig)
     assert stream_of(f"/rig/{rig}/gap") == ""
     assert topics.rig_of_alive(f"rig/{rig}/alive") == ""
 
 
-def test_an_id_that_is_no_text_is_refused() -> None:
+def test_an_id_that_is_not_text_is_refused() -> None:
     with pytest.raises(InputTypeError, match=r"rig id 7 is not text: give .* in quotes, .* '7'"):
         check_rig_id(7)  # type: ignore[arg-type]
 
@@ -41,7 +41,7 @@ def test_an_id_that_is_no_text_is_refused() -> None:
         ("played", "played-played"),
     ],
 )
-def test_a_recording_is_played_under_an_id_that_no_rig_has(rig: str, played: str) -> None:
+def test_a_recording_is_played_under_an_id_that_no_rig_can_have(rig: str, played: str) -> None:
     assert played_id(rig) == played == check_rig_id(played)
     with pytest.raises(ValueError, match="belongs to a recording that `armrig play` plays"):
         check_own_id(played)
@@ -58,11 +58,11 @@ def test_a_recording_is_played_under_an_id_that_no_rig_has(rig: str, played: str
         ("rig/lab-2", ""),
     ],
 )
-def test_the_rig_of_a_liveliness_token_is_known_by_its_key(key: str, rig: str) -> None:
+def test_the_key_of_a_liveliness_token_names_its_rig(key: str, rig: str) -> None:
     assert topics.rig_of_alive(key) == rig
 
 
-def test_a_stream_is_known_by_its_topic() -> None:
+def test_the_topic_of_a_message_names_its_stream() -> None:
     for stream in RECORDED:
         assert stream_of(topics.topic("lab-2", stream)) == stream
     assert set(RECORDED) - set(STREAMS) == {"trace"}

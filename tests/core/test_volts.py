@@ -13,23 +13,22 @@ codes = st.integers(0, 65535)
 
 
 @given(codes)
-def test_a_code_is_the_code_of_its_voltage(code: int) -> None:
+def test_code_and_voltage_convert_both_ways(code: int) -> None:
     assert code_of(volts_of(code)) == code
 
 
-def test_the_ends_are_the_rig_s() -> None:
-    """0 is 0 V and 65535 is 5 V, exactly."""
+def test_code_0_is_0_v_and_code_65535_is_5_v() -> None:
     assert (volts_of(0), volts_of(65535)) == (0.0, 5.0)
 
 
 @pytest.mark.parametrize("volts", [-1e-9, 5.000001, math.nan, math.inf, -math.inf])
-def test_a_voltage_outside_the_rig_s_is_refused_never_clamped(volts: float) -> None:
+def test_a_voltage_out_of_range_is_refused_and_not_clamped(volts: float) -> None:
     with pytest.raises(ValueError, match="outside 0 … 5 V"):
         code_of(volts)
 
 
 @given(codes, st.integers(8, 16))
-def test_what_a_device_latches_is_within_half_a_step(code: int, bits: int) -> None:
+def test_the_latched_voltage_is_within_half_a_step_of_the_requested(code: int, bits: int) -> None:
     applied = applied_code(code, bits)
 
     assert abs(applied - code) <= 65535 / 2**bits / 2 + 0.5
@@ -37,7 +36,7 @@ def test_what_a_device_latches_is_within_half_a_step(code: int, bits: int) -> No
     assert applied_code(applied, bits) == applied
 
 
-def test_the_codes_of_a_run_are_those_of_its_voltages() -> None:
+def test_the_codes_of_a_run_are_converted_from_its_voltages() -> None:
     assert codes_of([0.0, 1.0, 5.0]) == b"".join(
         code_of(u).to_bytes(2, "little") for u in (0, 1, 5)
     )

@@ -47,7 +47,7 @@ def now_ns() -> int:
     return time.monotonic_ns()
 
 
-def test_nothing_comes_and_the_deadline_ends_the_wait_never_early(waiter: Waiter) -> None:
+def test_a_wait_never_ends_before_its_deadline(waiter: Waiter) -> None:
     """A wait that ends early would make the loop spin; the timer counts in ns."""
     for wait_ns in (1, 999, 50_123, 1_500_001):
         due = now_ns() + wait_ns
@@ -55,12 +55,14 @@ def test_nothing_comes_and_the_deadline_ends_the_wait_never_early(waiter: Waiter
         assert now_ns() >= due
 
 
-def test_a_deadline_that_has_passed_is_not_waited_for(waiter: Waiter) -> None:
+def test_a_wait_for_a_past_deadline_returns_at_once(waiter: Waiter) -> None:
     assert waiter.wait_until(now_ns() - LONG_NS) == []
     assert waiter.wait_until(-1) == []
 
 
-def test_the_same_deadline_can_be_waited_for_again(waiter: Waiter, pipe: tuple[int, int]) -> None:
+def test_a_wait_can_be_repeated_for_the_same_deadline(
+    waiter: Waiter, pipe: tuple[int, int]
+) -> None:
     reader, writer = pipe
     waiter.watch(reader)
     due = now_ns() + 20 * MS
@@ -87,7 +89,7 @@ def test_a_pipe_is_ready_for_as_long_as_it_can_be_read(
     assert waiter.ready() == []
 
 
-def test_a_terminal_is_ready_once_for_all_that_it_holds(
+def test_a_terminal_is_reported_ready_once_per_arrival(
     waiter: Waiter, terminal: tuple[int, int]
 ) -> None:
     """A second wait would wait for the kernel's worker."""
@@ -115,7 +117,7 @@ def test_a_terminal_never_holds_more_than_one_read_takes(
         come += len(os.read(slave, TERMINAL_BYTES))
 
 
-def test_room_on_a_terminal_is_reported_if_it_is_wanted(
+def test_room_on_a_terminal_is_reported_on_request(
     waiter: Waiter, terminal: tuple[int, int]
 ) -> None:
     master, slave = terminal

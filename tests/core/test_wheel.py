@@ -42,30 +42,26 @@ def test_the_firmware_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
 
 
 @pytest.mark.usefixtures("wheel")
-def test_an_installed_armrig_reads_its_own_glossary(unpacked: Path) -> None:
-    program = "from armrig.cli import glossary; print(glossary._page())"
-    call = [sys.executable, "-c", program]
+def test_an_installed_armrig_finds_its_glossary_and_its_firmware(unpacked: Path) -> None:
+    program = (
+        "from armrig.cli import glossary; from armrig_core.firmware_image import shipped_image; "
+        "print(glossary._page(), shipped_image())"
+    )
     found = subprocess.run(
-        call, env={"PYTHONPATH": str(unpacked)}, capture_output=True, text=True, check=True
+        [sys.executable, "-c", program],
+        env={"PYTHONPATH": str(unpacked)},
+        capture_output=True,
+        text=True,
+        check=True,
     )
 
-    page = Path(found.stdout.strip())
+    page, image = map(Path, found.stdout.split())
     assert page == unpacked / "armrig" / "glossary.md"
     assert page.read_bytes() == (ROOT / "docs" / "glossary.md").read_bytes()
+    assert image == unpacked / IMAGE
 
 
-@pytest.mark.usefixtures("wheel")
-def test_an_installed_armrig_finds_its_own(unpacked: Path) -> None:
-    program = "from armrig_core.firmware_image import *; print(shipped_image())"
-    call = [sys.executable, "-c", program]
-    found = subprocess.run(
-        call, env={"PYTHONPATH": str(unpacked)}, capture_output=True, text=True, check=True
-    )
-
-    assert Path(found.stdout.strip()) == unpacked / IMAGE
-
-
-def test_nothing_of_the_harness_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
+def test_no_file_of_the_test_harness_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
     """The harness is GPL."""
     harness = {path.read_bytes() for path in (ROOT / "firmware_protocol" / "simavr").glob("*.[ch]")}
 

@@ -73,12 +73,10 @@ class Decided:
     def __init__(self, state: State, now_ns: int, event: Event) -> None:
         self.state, self.actions = step.step(state, now_ns, [event])
 
-    def of(self, kind: type) -> list:  # type: ignore[type-arg]
-        """Return the actions of a kind."""
+    def of(self, kind: type) -> list:
         return [a for a in self.actions if isinstance(a, kind)]
 
-    def told(self, kind: type) -> list:  # type: ignore[type-arg]
-        """Return the records of a kind."""
+    def told(self, kind: type) -> list:
         return [a.record for a in self.of(Emit) if isinstance(a.record, kind)]
 
     @property
@@ -86,7 +84,7 @@ class Decided:
         """Return the frames to the device."""
         received = [m for a in self.of(Send) for m in feed(b"", a.data)[1]]
         assert all(isinstance(m, tuple) for m in received)
-        return received  # type: ignore[return-value]
+        return received
 
 
 def ordered(bench: Bench, order: Order, state: State | None = None) -> Decided:
@@ -103,7 +101,6 @@ def heard(bench: Bench, message: Message, state: State | None = None) -> Decided
 
 def device_sample(state: State, **fields: int) -> DeviceSample:
     """Return a SAMPLE of the device that is met, of now on its clock, all else 0."""
-    assert state.device is not None
     zero = DeviceSample._make([0] * len(DeviceSample._fields))
     known = {
         "seq": ((state.link.device_seq or 0) + 1) & 0xFFFF,

@@ -39,7 +39,6 @@ class Disk:
             yield
 
     def path(self, path: Path) -> Path:
-        """Return a path on this disk."""
         placed = _Path(path)
         placed.disk = self
         return placed
@@ -70,7 +69,7 @@ class _File(io.FileIO):
         return super().readinto(buffer)
 
 
-class _Path(type(Path())):  # type: ignore[misc]
+class _Path(type(Path())):
     """A path of a disk, as every path made of it."""
 
     disk: Disk

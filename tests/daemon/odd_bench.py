@@ -16,15 +16,7 @@ from armrig_core.telemetry import Sample, decode_sample
 from armrig_daemon.config import ArmSettings, Config, Device, Limits, Recording, Rig, Timing
 from armrig_daemon.decisions.state import ServiceGone
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import (
-    Arm,
-    Calibrate,
-    Reset,
-    Run,
-    Set,
-    Stop,
-    Trace,
-)
+from armrig_daemon.pipe import Arm, Calibrate, Reset, Run, Set, Stop, Trace
 
 from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
@@ -82,9 +74,7 @@ def lines_of(records: list[Any], every: int, device: Any = None) -> Iterator[str
             seen += 1
             if sample is not None and seen % every == 1:
                 yield f"  {_fields(sample)}"
-        elif isinstance(record, Trace):
-            yield f"  Trace number={record.number}, {len(record.steps)} B of steps"
-        else:
+        elif not isinstance(record, Trace):
             about = _fields(record).replace(str(device), "the same") if device else _fields(record)
             device = getattr(record, "device", None) or device
             yield f"  {type(record).__name__} {about}"
@@ -137,7 +127,7 @@ class Afternoon:
         self._told = self._orders = 0
         self._device: Any = None
 
-    def step(self, what: str, every: int = 20) -> None:
+    def step(self, what: str, every: int = 40) -> None:
         """Note the records since the last step, under a name."""
         records = self.bench.records[self._told :]
         self._told = len(self.bench.records)
@@ -164,14 +154,14 @@ def afternoon() -> list[str]:
         day.ask(Set, lease=LEASE, n=n, code=code)
     bench.lateness_ns = 0
     bench.run_for(150)
-    day.step("driven by hand, too slowly", every=5)
+    day.step("driven by hand, too slowly", every=15)
     day.ask(Reset)
     day.ask(Arm, owner="Bob", lease="b" * 32, ts_us=0)
     line.to_device, line.from_device = Faults(lost=(9,), spoilt=(15,)), Faults(lost=(40, 41, 70))
     u = [0.2 + 0.7 * (k // 9 % 4) for k in range(130)]
     day.ask(Run, lease="b" * 32, n=1, run_id="r-1", codes=codes(*u), scheduled=True)
     bench.run_for(1300)
-    day.step("a run that the device paces, over a bad line", every=12)
+    day.step("a run that the device paces, over a bad line", every=24)
     day.ask(Calibrate, calibration=Calibration(driver=Driver(gain=1.1)))
     day.ask(Arm, owner="Eve", lease=LEASE, ts_us=20_000)
     line.to_device, line.from_device = Faults(doubled=(12,)), Faults(spoilt=(20,), lost=(33,))
@@ -181,7 +171,7 @@ def afternoon() -> list[str]:
     bench.run_for(150)
     bench.lateness_ns = 0
     bench.run_for(900)
-    day.step("a run that the host paces, late", every=12)
+    day.step("a run that the host paces, late", every=24)
     line.from_device = Faults()
     day.ask(Reset)
     day.ask(Arm, owner="Eve", lease=LEASE, ts_us=0)

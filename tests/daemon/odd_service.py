@@ -176,13 +176,10 @@ def odd_signs() -> None:
     run = Run(lease="a" * 32, n=3, u=[1.0], dead_man=2.5)
     there = client_watchdog.begun(run, 100.0)
     print(there.gone_s, client_watchdog.begun(replace(run, dead_man=None), 100.0).gone_s)
-    for sign in (
-        Renew(lease="a" * 32, n=4),
-        Renew(lease="b" * 32, n=5),
-        Renew(lease="a" * 32, n=4),
-    ):
+    for lease, n, has_run in (("a", 4, True), ("b", 5, True), ("a", 4, True), ("a", 5, False)):
         try:
-            there = client_watchdog.renewed(there, sign, 101.25)
+            sign = Renew(lease=lease * 32, n=n)
+            there = client_watchdog.renewed(there if has_run else None, sign, 101.25)
             print(there.gone_s)
         except ValueError as err:
             print(err)
@@ -196,7 +193,7 @@ def odd_questions() -> None:
         while (after := token_bucket.take(bucket, now_s)) is not None:
             bucket, taken = after, taken + 1
         print(now_s, taken)
-    print(token_bucket.refusal("status").error)
+    print(token_bucket.refusal("status"))
 
 
 def odd_history() -> None:
@@ -210,8 +207,8 @@ def odd_history() -> None:
         print(first, past.first, past.clock_offset_ns, shown)
 
 
-def odd_messages() -> None:
-    """Print the published messages of each kind of record."""
+def odd_records() -> tuple[Timing, State, Clock, Gap, Log, Trace]:
+    """Return a record of each kind that is published or recorded."""
     part = Distribution(p50=1.5, p90=2.5, p99=3.5, p999=4.5, max=5.5, n=6, missed=7)
     timing = Timing(
         t_host_ns=3,
@@ -243,7 +240,12 @@ def odd_messages() -> None:
     )
     log = Log(t_host_ns=6, level="debug", message="hello", fields={"a": "b"})
     trace = Trace(t_host_ns=7, number=8, state=b"s", steps=b"t", version=2)
-    for record in (timing, state, clock, gap, log, trace):
+    return timing, state, clock, gap, log, trace
+
+
+def odd_messages() -> None:
+    """Print the published messages of each kind of record."""
+    for record in odd_records():
         made = outgoing(record, 1_000_000_000_000)
         name = protobuf.TRACE if made.stream == "trace" else protobuf.OF_STREAM[made.stream]
         message = protobuf.message_class(name).FromString(made.data)

@@ -85,7 +85,9 @@ class _Line:
     ],
     ids=["silent", "noise", "frames"],
 )
-def test_what_came_is_reported_within_two_seconds(brings: Callable[[], bytes], said: str) -> None:
+def test_bytes_of_an_unanswering_device_are_reported_within_two_seconds(
+    brings: Callable[[], bytes], said: str
+) -> None:
     line = _Line(brings)
 
     line.run_for(1600)
@@ -98,7 +100,7 @@ def test_what_came_is_reported_within_two_seconds(brings: Callable[[], bytes], s
     assert line.states[-1].phase == "init"
 
 
-def test_what_comes_later_is_in_the_state_a_second_later_and_in_the_log_once_a_minute() -> None:
+def test_later_bytes_are_in_the_state_after_a_second_and_logged_once_a_minute() -> None:
     data = [b""]
     line = _Line(lambda: data[0])
     line.run_for(WITHIN_MS)
@@ -114,7 +116,7 @@ def test_what_comes_later_is_in_the_state_a_second_later_and_in_the_log_once_a_m
     assert len(line.states) in (60, 61)
 
 
-def test_a_line_that_is_never_quiet_does_not_keep_the_question_back() -> None:
+def test_a_noisy_line_does_not_delay_the_hello() -> None:
     line = _Line(lambda: NOISE.randbytes(500), beats=False)
 
     line.run_for(WITHIN_MS)
@@ -122,12 +124,12 @@ def test_a_line_that_is_never_quiet_does_not_keep_the_question_back() -> None:
     assert "bytes came at 500000 baud, but no frame" in line.states[-1].line
 
 
-def test_a_device_that_answers_has_nothing_said_of_its_line() -> None:
+def test_no_complaint_about_the_line_is_made_for_a_device_that_answers() -> None:
     bench = Bench()
     assert bench.of(StateRecord)[-1].line == ""
     silent = _silent(bench)
 
-    met = heard(bench, bench.loop.state.device._replace(seq=1), silent)  # type: ignore[union-attr]
+    met = heard(bench, bench.loop.state.device._replace(seq=1), silent)
 
     assert unanswered(silent) != ""
     assert unanswered(met.state) == ""

@@ -48,11 +48,10 @@ def test_a_calibration_is_named_relative_to_the_file_that_names_it(tmp_path: Pat
     found = load([_config(tmp_path, '[calibration]\nfile = "c.toml"')], {}, {}).calibration
 
     assert found.theta_1.zero_counts == 1000.0
-    assert found.made is not None
     assert found.made.file == str(path)
 
 
-def test_the_environment_may_name_it(tmp_path: Path) -> None:
+def test_environment_may_name_the_calibration(tmp_path: Path) -> None:
     below = _config(tmp_path, "[calibration.alpha]\nzero_counts = 5.0")
 
     variable = {"ARMRIG_CALIBRATION_FILE": str(_calibration(tmp_path))}
@@ -62,7 +61,7 @@ def test_the_environment_may_name_it(tmp_path: Path) -> None:
     assert found.alpha.zero_counts == 32768.0
 
 
-def test_a_value_over_a_calibration_is_not_a_measured_one(tmp_path: Path) -> None:
+def test_a_value_that_overrides_a_calibration_is_not_measured(tmp_path: Path) -> None:
     """Its sentence of origin is removed."""
     _calibration(tmp_path)
     below = _config(tmp_path, '[calibration]\nfile = "c.toml"')
@@ -112,7 +111,6 @@ def _attached(folder: Path, config: Config) -> bytes | None:
     runs.end(COMPLETE)
     assert done.wait(30)
     content = read(path.with_suffix("")) or read(path)
-    assert content is not None
     return content.attachments.get(CALIBRATION_RAW)
 
 
@@ -138,5 +136,7 @@ def _attached(folder: Path, config: Config) -> bytes | None:
         ),
     ],
 )
-def test_where_a_calibration_comes_from_is_told(calibration: Calibration, sentence: str) -> None:
+def test_the_configuration_reports_the_origin_of_a_calibration(
+    calibration: Calibration, sentence: str
+) -> None:
     assert Config(calibration=calibration).calibration_sentence == sentence

@@ -28,6 +28,31 @@ def _armrigd(*arguments: str | Path, given: str = "") -> tuple[int, str]:
     return done.exit_code, done.output
 
 
+@pytest.fixture
+def emulated(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Record the calls of the emulator, which is held up by 264.4 ms and returns 3."""
+    called: list[Any] = []
+
+    def emulate(port: Path, settings: EmulatorSettings, **given: Any) -> int:
+        called.append((port, settings, given))
+        given["held_up"](264_400_000)
+        return 3
+
+    monkeypatch.setattr(real_time, "emulate", emulate)
+    return called
+
+
+@pytest.fixture
+def stopped(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """Record the ports and speeds at which ESTOP is sent; a speed of 9600 has no answer."""
+    calls: list[tuple[str, int]] = []
+    monkeypatch.setattr(
+        "armrig_daemon.loop.estop.estop",
+        lambda port, baud: calls.append((port, baud)) or baud != 9600,
+    )
+    return calls
+
+
 @pytest.mark.parametrize(
     ("options", "changes", "announced"),
     [
@@ -47,34 +72,23 @@ def test_an_option_of_the_emulator_overrides_its_file(
     changes: dict[str, Any],
     announced: str,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    emulated: list[Any],
 ) -> None:
-    called: list[Any] = []
-
-    def emulate(port: Path, settings: EmulatorSettings, **given: Any) -> int:
-        called.append((port, settings, given["trace"], given["started"]))
-        return 3
-
-    monkeypatch.setattr(real_time, "emulate", emulate)
     file = tmp_path / "emulator.toml"
     file.write_text("[emulator]\nseed = 5\n")
 
     code, _ = _armrigd("emulate", "--port", "rig", "--config", file, "--trace", "t.csv", *options)
 
     assert code == 3
-    ((port, settings, trace, started),) = called
+    ((port, settings, given),) = emulated
     assert settings == replace(EmulatorSettings(), **changes)
-    assert (port, trace) == (Path("rig"), Path("t.csv"))
-    assert announced in started
+    assert (port, given["trace"]) == (Path("rig"), Path("t.csv"))
+    assert announced in given["started"]
 
 
-def test_the_options_override_the_file_that_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_command_line_options_override_the_named_file(
+    tmp_path: Path, stopped: list[tuple[str, int]]
 ) -> None:
-    stopped: list[tuple[str, int]] = []
-    monkeypatch.setattr(
-        "armrig_daemon.loop.estop.estop", lambda port, baud: stopped.append((port, baud)) or True
-    )
     file = tmp_path / "a.toml"
     file.write_text('[device]\nport = "/dev/of-file"\nbaud = 115200\n[timing]\nTs = 0.05\n')
 
@@ -90,11 +104,10 @@ def test_the_options_override_the_file_that_is_named(
 
 
 def test_an_estop_that_is_not_confirmed_is_a_failure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, stopped: list[tuple[str, int]]
 ) -> None:
-    monkeypatch.setattr("armrig_daemon.loop.estop.estop", lambda port, baud: False)
     file = tmp_path / "a.toml"
-    file.write_text('[device]\nport = "/dev/of-file"\n')
+    file.write_text('[device]\nport = "/dev/of-file"\nbaud = 9600\n[timing]\nTs = 0.1\n')
 
     code, said = _armrigd("estop", "--config", file)
 
@@ -104,12 +117,11 @@ def test_an_estop_that_is_not_confirmed_is_a_failure(
 
 @pytest.mark.parametrize("result", ["success", "exit-code"])
 def test_after_a_service_that_did_not_fail_no_estop_is_sent(
-    result: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    result: str,
+    tmp_path: Path,
+    stopped: list[tuple[str, int]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    sent: list[str] = []
-    monkeypatch.setattr(
-        "armrig_daemon.loop.estop.estop", lambda port, baud: sent.append(port) or True
-    )
     monkeypatch.setenv("SERVICE_RESULT", result)
     monkeypatch.setenv("EXIT_STATUS", "1")
     file = tmp_path / "a.toml"
@@ -117,7 +129,7 @@ def test_after_a_service_that_did_not_fail_no_estop_is_sent(
 
     code, _ = _armrigd("estop", "--config", file, "--after-failure")
 
-    assert (code, sent) == (0, [] if result == "success" else ["/dev/a"])
+    assert (code, len(stopped)) == (0, result != "success")
 
 
 def test_virtual_runs_of_a_seed_are_recorded_in_the_folder(tmp_path: Path) -> None:
@@ -146,7 +158,7 @@ def test_the_conformance_of_one_device_is_tested(options: list[str]) -> None:
     assert "give either --device DEVICE, or --firmware" in said
 
 
-def test_no_motor_is_driven_unless_a_person_says_that_it_is_unplugged() -> None:
+def test_conformance_needs_confirmation_that_the_motor_is_unplugged() -> None:
     code, said = _armrigd("conformance", "--device", "/dev/a")
 
     assert code == 1
@@ -195,30 +207,22 @@ def test_the_results_of_a_device_are_printed_and_decide_the_exit_code(
 
 
 @pytest.mark.parametrize("has_daemon", [True, False])
-def test_a_stall_of_the_emulator_is_told_to_its_daemon_or_to_its_user(
-    has_daemon: bool, monkeypatch: pytest.MonkeyPatch
+def test_a_stall_of_the_emulator_is_reported_to_its_daemon_or_its_user(
+    has_daemon: bool, emulated: list[Any]
 ) -> None:
     out, into = os.pipe()
-
-    def emulate(port: Path, settings: EmulatorSettings, **given: Any) -> int:
-        given["held_up"](264_400_000)
-        os.close(into)
-        return 0
-
-    monkeypatch.setattr(real_time, "emulate", emulate)
     options = ["--stalls-fd", str(into)] if has_daemon else []
 
     code, said = _armrigd("emulate", "--port", "rig", *options)
 
+    os.close(into)
     told = "armrigd: emulator held up 264 ms by this machine"
-    assert (code, os.read(out, 100)) == (0, b"264400000\n" if has_daemon else b"")
+    assert (code, os.read(out, 100)) == (3, b"264400000\n" if has_daemon else b"")
     assert (told in said) != has_daemon
     os.close(out)
 
 
-def test_no_file_is_overwritten_by_the_socket(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_socket_overwrites_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "link").symlink_to("nowhere")
     with socket.socket(socket.AF_UNIX) as listening:

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig_core import recording_directory
 from armrig_core.arm import ArmParameters
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.errors import InputError
 from armrig_core.volts import code_of
-from armrig_daemon import config as config_module
 from armrig_daemon.config import ArmSettings, Config, Limits, load, load_installed
 from armrig_daemon.decisions.state import Rules
 
@@ -35,7 +33,6 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ("[timing]\nTz = 1", r"timing\.Tz = 1: no such key; allowed are Ts, priority"),
         ("[timng]\nTs = 1", r"timng = .*: no such key; allowed are rig, device"),
         ("[timing]\nTs = '10 ms'", r"timing\.Ts = '10 ms': expected `float`, got `str`"),
-        ("[timing]\nTs = 2", r"timing\.Ts = 2: expected `float` <= 1"),
         ("[timing]\nTs = 0.0100001", r"Ts = 0.0100001 must be a whole number of microseconds"),
         (
             "[timing]\nTs = 0.001",
@@ -43,15 +40,12 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ),
         ("[limits]\nu_max_v = 6", r"limits\.u_max_v = 6: expected `float` <= 5"),
         ("[limits]\nu_max_v = nan", r"limits\.u_max_v = nan"),
-        ("[limits]\nu_min_v = -1", r"limits\.u_min_v = -1: expected `float` >= 0"),
         ("[limits]\nu_min_v = 4\nu_max_v = 3", r"limits: u_min_v = 4.0 must not be above"),
         ("[limits]\nu_min_v = 4\nu_min_v = 3", r"line 3: u_min_v = 3: given twice; .* once"),
         ("[limits]\nu_min_v = 4\n[rig]\n[limits]\n", r"line 4: \[limits\]: given twice"),
         ("limits = {u_min_v = 4, u_min_v = 3}", r"line 1: .*u_min_v = 3}: given twice"),
         ("[limits]\nu_min_v 4", "not a TOML file"),
         ("[limits]\nrevolutions = 0.004", r"revolutions = 0\.004 must be a whole number of hund"),
-        ("[limits]\nrevolutions = 656", r"limits\.revolutions = 656: expected `float` <= 655"),
-        ("[limits]\nalpha_rad = -0.1", r"limits\.alpha_rad = -0\.1: expected `float` >= 0"),
         ("[limits]\nalpha_rad = true", r"limits\.alpha_rad = True: expected `float`, got `bool`"),
         (
             "[device]\noversampling = 0",
@@ -68,11 +62,6 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
             r"exchange mode with \[device\] oversampling = 16: at least 0\.004368 s, or a higher "
             "baud rate, or less oversampling$",
         ),
-        ("[motor]\nrest_v = 2.5", r"motor: rest_v = 2\.5 must be 0: every stop .* is 0 V"),
-        ("[motor]\nenable_line = true", r"motor\.enable_line = True: no such key; allowed are"),
-        ("[arm]\nJ_1 = 0", r"arm\.J_1 = 0: expected `float` > 0"),
-        ("[arm]\nJ_1 = inf", r"arm\.J_1 = inf: expected `float` <= 1000000"),
-        ("[arm]\nJ_3 = 1", r"arm\.J_3 = 1: no such key; allowed are J_1, J_2"),
         (
             "[device]\nport = '/dev/tty\x9b'",
             r"device: port = '/dev/tty\\x9b' must have only print",
@@ -86,13 +75,14 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
             "[device]\nport = 'unix:'",
             r"device: unix:: the path has 0 B; .*; name a socket in your own folder",
         ),
-        ("[device]\nwatchdog_ms = 0", r"device\.watchdog_ms = 0: expected `int` >= 20"),
         ("[rig]\nid = '../1'", r"rig id '\.\./1': use 1 to 40 characters, each a-z, 0-9 or -"),
         ("[emulator]\nbaud = 1", r"emulator: baud=1 must be from 9600"),
         ("[calibration.theta_1]\nrad_per_count = 0.0", r"calibration\.theta_1: rad_per_count=0\.0"),
     ],
 )
-def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
+def test_a_forbidden_configuration_value_is_refused(
+    tmp_path: Path, text: str, complaint: str
+) -> None:
     with pytest.raises(InputError, match=complaint) as refusal:
         _load(tmp_path, text)
 
@@ -100,7 +90,7 @@ def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, complaint: st
     assert "\n" not in str(refusal.value)
 
 
-def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
+def test_missing_configuration_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nowhere\.toml: there is no such file"):
         load([tmp_path / "nowhere.toml"], {}, {})
 
@@ -117,7 +107,7 @@ def test_the_later_layer_wins_key_by_key(tmp_path: Path) -> None:
     assert (config.limits.u_max_v, config.device.port) == (3.0, "/dev/y")
 
 
-def test_what_lies_below_gives_way_to_whatever_is_said(tmp_path: Path) -> None:
+def test_defaults_of_a_command_have_the_lowest_precedence(tmp_path: Path) -> None:
     user, below = tmp_path / "user.toml", {"device": {"watchdog_ms": 250}}
     user.write_text("[device]\nwatchdog_ms = 100\nbaud = 115200")
 
@@ -145,7 +135,7 @@ def test_a_mistyped_variable_is_refused(name: str, text: str, complaint: str) ->
     assert str(refusal.value).startswith("environment: ")
 
 
-def test_a_variable_that_a_page_names_and_that_is_no_key_stops_nothing() -> None:
+def test_a_documented_variable_that_is_not_a_key_is_ignored() -> None:
     """docs/firmware.md names ARMRIG_FIL, which may be set permanently."""
     named = {"ARMRIG_FIL": "/opt/fil", "ARMRIG_CLIENT_CONNECT": "tls/lab.example.edu:7447"}
 
@@ -159,7 +149,7 @@ def test_a_variable_that_is_given_twice_is_refused() -> None:
         load([], environ, {})
 
 
-def test_the_rig_that_runs_are_rehearsed_on_is_the_handout_s_but_for_what_is_given(
+def test_the_rehearsed_rig_has_the_handout_s_parameters_unless_configured(
     tmp_path: Path,
 ) -> None:
     config = _load(tmp_path, "[arm]\nJ_2 = 0.005\nremoved = true")
@@ -172,18 +162,11 @@ def test_the_rig_that_runs_are_rehearsed_on_is_the_handout_s_but_for_what_is_giv
 
 
 @pytest.mark.parametrize("key", ["oversampling = 255", "rail_ticks = 65535"])
-def test_what_config_can_say_is_taken(tmp_path: Path, key: str) -> None:
+def test_limits_of_the_wire_are_accepted(tmp_path: Path, key: str) -> None:
     """The ends of the fields on the wire; 255 conversions take 53 ms."""
     device = _load(tmp_path, f"[timing]\nTs = 0.1\n[device]\n{key}").device
 
     assert f"{key.split()[0]}={key.split()[2]}" in repr(device)
-
-
-def test_the_rules_of_the_core_are_the_configuration_s() -> None:
-    rules = Config().rules()
-
-    assert (rules.code_min, rules.code_max, rules.slew, rules.turns) == (0, 65535, 0, 0)
-    assert rules.ts_us == 10_000
 
 
 def test_each_key_of_the_core_s_rules_reaches_them(tmp_path: Path) -> None:
@@ -211,7 +194,9 @@ def test_each_key_of_the_core_s_rules_reaches_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("slew_v", "codes"), [(0.2, 2622), (1.0, 13108), (5.0, 65535)])
-def test_no_step_of_the_slew_is_too_steep_for_its_codes(slew_v: float, codes: int) -> None:
+def test_the_slew_limit_in_codes_allows_every_step_of_the_slew_voltage(
+    slew_v: float, codes: int
+) -> None:
     """The rounding of both ends may add one code."""
     rules = Config(limits=Limits(slew_v=slew_v)).rules()
 
@@ -232,23 +217,12 @@ def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
         load([path], {}, {})
 
 
-def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+def test_configuration_file_must_be_a_regular_file(tmp_path: Path) -> None:
     path = tmp_path / "armrig.toml"
     os.mkfifo(path)
 
     with pytest.raises(InputError, match=r"armrig\.toml: not a regular file$"):
         load([path], {}, {})
-
-
-@pytest.fixture
-def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Give the machine's folder of configurations; the user has none."""
-    folder = tmp_path / "etc"
-    folder.mkdir()
-    monkeypatch.setattr(recording_directory, "SYSTEM", folder / "armrig.toml")
-    monkeypatch.setattr(config_module, "SYSTEM", folder / "armrig.toml")
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "user"))
-    return folder
 
 
 def test_the_file_of_a_rig_has_precedence_over_that_of_all(machine: Path, tmp_path: Path) -> None:
@@ -264,7 +238,7 @@ def test_the_file_of_a_rig_has_precedence_over_that_of_all(machine: Path, tmp_pa
     assert (of_1.u_max_v, of_1.u_min_v, of_1.slew_v) == (4.5, 0.1, 3)
 
 
-def test_a_service_reads_the_machines_files_alone(machine: Path, tmp_path: Path) -> None:
+def test_a_service_reads_only_the_files_of_the_machine(machine: Path, tmp_path: Path) -> None:
     """A file that its own user can write must not widen its limits."""
     (machine / "1.toml").write_text("[limits]\nslew_v = 2")
     (tmp_path / "user" / "armrig").mkdir(parents=True)
@@ -279,7 +253,7 @@ def test_a_service_whose_rig_has_no_file_is_refused(machine: Path) -> None:
         load_installed({}, {"rig": {"id": "l"}}, system=True)
 
 
-def test_a_file_that_is_another_rigs_is_refused(machine: Path) -> None:
+def test_the_file_of_another_rig_is_refused(machine: Path) -> None:
     (machine / "2.toml").write_text("[rig]\nid = '1'")
 
     with pytest.raises(InputError, match=r"2\.toml: rig\.id = '1': the file belongs to rig '2'"):

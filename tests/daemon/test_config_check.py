@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 from armrig.lab import pki
-from armrig_core import recording_directory
-from armrig_daemon import config as config_module
 from armrig_daemon.command_line import app
 from armrig_daemon.config import EX_CONFIG
 from typer.testing import CliRunner
@@ -23,15 +21,13 @@ def _armrigd(*arguments: str | Path) -> tuple[int, str]:
 
 
 @pytest.fixture
-def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def machine(machine: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Give the folder of the machine's configurations; the shell has a variable of its own."""
-    for module in (recording_directory, config_module):
-        monkeypatch.setattr(module, "SYSTEM", tmp_path / "armrig.toml")
     monkeypatch.setenv("ARMRIG_LIMITS_U_MAX_V", "2")
-    return tmp_path
+    return machine
 
 
-def test_a_file_that_the_daemon_takes_is_reported_in_one_line(tmp_path: Path) -> None:
+def test_a_valid_configuration_file_is_reported_in_one_line(tmp_path: Path) -> None:
     pki.make_authority(tmp_path)
     pki.issue_to_rig(tmp_path, "2", ["localhost"])
     pki.issue_to_person(tmp_path, "alice", "operators")
@@ -46,18 +42,6 @@ def test_a_file_that_the_daemon_takes_is_reported_in_one_line(tmp_path: Path) ->
     assert said.count("\n") == 1
 
 
-@pytest.mark.parametrize(("text", "notes"), [("rest_v = 0.0", 1), ("rest_v = 0", 1), ("", 0)])
-def test_a_rest_voltage_of_0_is_taken_and_said_to_mean_nothing(
-    tmp_path: Path, text: str, notes: int
-) -> None:
-    file = tmp_path / "new.toml"
-    file.write_text(f"[motor]\n{text}\n")
-
-    code, said = _armrigd("config", "--check", file)
-
-    assert (code, said.count("motor.rest_v = 0 has no effect: remove it")) == (0, notes)
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -68,7 +52,7 @@ def test_a_rest_voltage_of_0_is_taken_and_said_to_mean_nothing(
         ('[calibration]\nfile = "none.toml"\n', "calibration.file = 'none.toml'"),
     ],
 )
-def test_a_file_that_the_daemon_refuses_is_refused_in_its_words(
+def test_the_check_refuses_a_file_with_the_message_of_the_daemon(
     tmp_path: Path, text: str, says: str
 ) -> None:
     file = tmp_path / "new.toml"
@@ -88,7 +72,9 @@ def test_a_file_that_the_daemon_refuses_is_refused_in_its_words(
         ('[access]\nnames = "access.toml"\n', "[access] names is given, but listen is not"),
     ],
 )
-def test_the_files_of_access_are_checked(tmp_path: Path, text: str, says: str) -> None:
+def test_the_check_includes_the_files_of_the_access_control(
+    tmp_path: Path, text: str, says: str
+) -> None:
     file = tmp_path / "new.toml"
     file.write_text(text)
 
@@ -98,7 +84,7 @@ def test_the_files_of_access_are_checked(tmp_path: Path, text: str, says: str) -
     assert says in said
 
 
-def test_a_rig_s_own_file_is_read_as_its_service_reads_it(machine: Path) -> None:
+def test_the_check_reads_the_file_of_a_rig_like_its_service(machine: Path) -> None:
     (machine / "armrig.toml").write_text("[limits]\nu_max_v = 4.5\n")
     (machine / "2.toml").write_text("[limits]\nu_min_v = 1\n")
     (machine / "3.toml").write_text('[rig]\nid = "2"\n')
@@ -111,7 +97,7 @@ def test_a_rig_s_own_file_is_read_as_its_service_reads_it(machine: Path) -> None
     assert (code, "the file belongs to rig '3'" in said) == (EX_CONFIG, True)
 
 
-def test_the_file_of_all_rigs_is_read_as_any_file(machine: Path) -> None:
+def test_the_check_reads_the_common_file_of_all_rigs_like_any_file(machine: Path) -> None:
     (machine / "armrig.toml").write_text("[limits]\nu_min_v = 0.5\nu_max_v = 4.5\n")
 
     code, said = _armrigd("config", "--check", machine / "armrig.toml")

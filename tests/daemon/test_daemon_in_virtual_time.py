@@ -5,7 +5,6 @@ The invariants S1 ... S6 and T1 are those of ARCHITECTURE.md.
 
 from __future__ import annotations
 
-from math import isnan
 from typing import Any
 
 import pytest
@@ -14,28 +13,15 @@ from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon import pipe
 from armrig_daemon.config import Config, Device, Limits, Timing
-from armrig_daemon.decisions.faults import Id
-from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Phase, Received
+from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Alive, Answer, Gap, Log, Quit, Reset, RunEnded, RunStarted
 from armrig_daemon.pipe import State as StateRecord
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import (
-    MAX_UNECHOED,
-    Arm,
-    Cause,
-    ConfigReply,
-    Exchange,
-    Flag,
-    HelloReply,
-    Start,
-    Stop,
-)
-from armrig_protocol.messages import Sample as DeviceSample
+from armrig_protocol.messages import Cause, ConfigReply
 from armrig_protocol.messages import State as DeviceState
-from msgspec.structs import replace
 
 from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
@@ -59,13 +45,7 @@ def driven(bench: Bench) -> Bench:
 # -- the ordinary way ----------------------------------------------------------------------------
 
 
-def test_a_device_that_answers_is_sampled_at_0_v(bench: Bench) -> None:
-    assert bench.phase is Phase.SAFE
-    assert len(bench.samples) > 15
-    assert {s.u_applied_v for s in bench.samples} == {0.0}
-
-
-def test_every_sample_of_a_run_has_its_own_u(bench: Bench) -> None:
+def test_every_sample_of_a_run_has_the_u_of_its_k(bench: Bench) -> None:
     """S5: u[k] at its k, k without a break, 0 V before and after."""
     volts = [0.5, 4.5, 1.0, 5.0, 0.0, 2.5] * 50
     bench.arm()
@@ -83,19 +63,7 @@ def test_every_sample_of_a_run_has_its_own_u(bench: Bench) -> None:
     assert bench.volts == 0.0
 
 
-def test_the_last_sample_comes_before_the_end_of_the_run(bench: Bench) -> None:
-    bench.arm()
-
-    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 10))
-    bench.run_for(200)
-
-    at = bench.records.index(bench.of(RunEnded)[0])
-    last = bench.of(RunStarted)[0].k_first + 9
-    before = [decode_sample(r) for r in bench.records[:at] if isinstance(r, bytes)]
-    assert last in {s.k for s in before if s}
-
-
-def test_another_sampling_time_holds_for_one_owner(bench: Bench) -> None:
+def test_a_changed_sampling_time_ends_with_the_lease_of_its_owner(bench: Bench) -> None:
     """The owner's Ts from arming on, the configured Ts afterwards."""
     answer = bench.arm(ts_us=20_000)
     assert answer.body["Ts"] == 0.02
@@ -112,47 +80,7 @@ def test_another_sampling_time_holds_for_one_owner(bench: Bench) -> None:
     assert all(g.code != GapCode.HOST_LATE for g in bench.of(Gap))
 
 
-def test_a_sampling_time_that_the_wire_cannot_carry_is_refused(bench: Bench) -> None:
-    answer = bench.arm(ts_us=700)
-
-    assert "in scheduled mode: at least 0.000809 s" in answer.error
-    assert bench.phase is Phase.SAFE
-
-
-def test_a_sampling_time_longer_than_the_watchdog_keeps_the_device_fed(bench: Bench) -> None:
-    """KEEPALIVE goes between the ticks: at Ts 0.5 s nothing trips."""
-    bench.arm(ts_us=500_000)
-
-    bench.order(pipe.Run(order=50, lease=LEASE, n=0, run_id="r", codes=codes(1.0, 2.0, 3.0)))
-    bench.run_for(2600)
-
-    assert bench.of(RunEnded)[0].outcome == "complete"
-    assert bench.phase is not Phase.FAULT
-
-
 # -- who may command, and what -------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("order", "complaint"),
-    [
-        ({"lease": "b" * 32, "n": 0, "code": 100}, "not the lease in force"),
-        ({"lease": LEASE, "n": 0, "code": code_of(4.6)}, "outside 0.5 … 4.5 V"),
-        ({"lease": LEASE, "n": 0, "code": code_of(0.4)}, "outside 0.5 … 4.5 V"),
-    ],
-)
-def test_a_hold_that_is_not_allowed_is_refused_and_reported(
-    order: dict[str, object], complaint: str
-) -> None:
-    """S1, S5."""
-    bench = Bench(Config(limits=Limits(u_min_v=0.5, u_max_v=4.5)))
-    bench.arm()
-
-    answer = bench.ask(pipe.Set, **order)
-
-    assert complaint in answer.error
-    assert bench.volts == 0.0
-    assert bench.phase is Phase.ARMED
 
 
 @pytest.mark.parametrize("scheduled", [False, True])
@@ -160,7 +88,7 @@ def test_a_hold_that_is_not_allowed_is_refused_and_reported(
     ("limits", "volts"),
     [(Limits(u_max_v=4.5), (1.0, 4.5, 4.6, 5.0)), (Limits(slew_v=1.0), (1.0, 2.0, 3.5))],
 )
-def test_a_value_that_is_not_allowed_is_never_sent(
+def test_a_forbidden_value_is_never_sent(
     limits: Limits, volts: tuple[float, ...], scheduled: bool
 ) -> None:
     """S1: the service checks the whole input; the core checks each code as it sends it."""
@@ -178,46 +106,7 @@ def test_a_value_that_is_not_allowed_is_never_sent(
     assert max((s.u_cmd_v for s in bench.samples), default=0.0) <= volts[1] + 1e-3
 
 
-def test_a_command_that_is_played_again_is_refused(driven: Bench) -> None:
-    assert "must be greater than the last" in driven.drive(3.0, n=0).error
-
-
-def test_a_second_owner_is_refused(driven: Bench) -> None:
-    answer = driven.ask(pipe.Arm, owner="another", lease="c" * 32, ts_us=0)
-
-    assert "a student has the rig" in answer.error
-
-
-def test_a_stop_needs_no_lease(driven: Bench) -> None:
-    """S6: anybody may stop; the rig is free afterwards."""
-    driven.ask(pipe.Stop)
-
-    assert driven.volts == 0.0
-    assert driven.phase is Phase.SAFE
-
-
-def test_a_stop_ends_a_run_and_says_so(bench: Bench) -> None:
-    bench.arm()
-    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 500))
-
-    bench.ask(pipe.Stop)
-
-    assert bench.of(RunEnded)[0].outcome == "stopped"
-    assert bench.volts == 0.0
-
-
-def test_a_stop_overtakes_an_arming(bench: Bench) -> None:
-    bench.order(pipe.Arm(order=7, owner="a student", lease=LEASE, ts_us=0))
-    bench.order(pipe.Stop(order=8))
-    bench.run_for(100)
-
-    answers = {a.order: a for a in bench.of(Answer)}
-    assert answers[7].error == "not begun: stopped"
-    assert answers[8].body == {"done": True}
-    assert bench.phase is Phase.SAFE
-
-
-def test_a_release_is_never_too_early(bench: Bench) -> None:
+def test_disarm_during_a_start_stops_the_device(bench: Bench) -> None:
     """S6: a release during the start does not leave the device driven."""
     bench.arm()
     bench.order(pipe.Set(order=7, lease=LEASE, n=1, code=code_of(2.0)))
@@ -234,27 +123,7 @@ def test_a_release_is_never_too_early(bench: Bench) -> None:
 # -- what goes wrong -----------------------------------------------------------------------------
 
 
-def test_a_voltage_held_by_hand_dies_with_its_lease(driven: Bench) -> None:
-    """S2: 100 ms after the last valid command, then 2 Ts at most."""
-    driven.run_for(85)
-    assert driven.volts > 0
-
-    driven.run_for(40)
-
-    assert driven.volts == 0.0
-    assert driven.phase is Phase.FAULT
-    assert "lease ran out" in driven.loop.state.reason
-
-
-def test_each_command_renews_the_lease(driven: Bench) -> None:
-    for n in range(1, 8):
-        driven.order(pipe.Set(order=100 + n, lease=LEASE, n=n, code=code_of(2.0)))
-        driven.run_for(80)
-
-        assert driven.volts == pytest.approx(2.0, abs=0.01)
-
-
-def test_answers_that_do_not_come_stop_the_motor(driven: Bench) -> None:
+def test_missing_answers_of_the_device_stop_the_motor(driven: Bench) -> None:
     """S4: one-way loss; the device still receives, and gets STOP within the age limit."""
     driven.ports.from_device = lambda _: b""
     for n in range(1, 4):
@@ -268,7 +137,7 @@ def test_answers_that_do_not_come_stop_the_motor(driven: Bench) -> None:
     assert "no answer" in driven.loop.state.reason
 
 
-def test_commands_that_do_not_arrive_stop_the_motor(driven: Bench) -> None:
+def test_lost_commands_stop_the_motor(driven: Bench) -> None:
     """S3: the device's own watchdog, 100 ms after the last frame that it took in."""
     driven.ports.to_device = lambda _: b""
 
@@ -279,7 +148,7 @@ def test_commands_that_do_not_arrive_stop_the_motor(driven: Bench) -> None:
     assert driven.volts == 0.0
 
 
-def test_a_link_that_comes_back_arms_nothing(driven: Bench) -> None:
+def test_a_restored_link_does_not_arm_the_rig(driven: Bench) -> None:
     """S6 and T1: sampling is back within 2 s, latched at 0 V until a reset and an arm."""
     driven.ports.send(driven.ports.now, LinkDown("unplugged"))
     driven.run_for(200)
@@ -300,10 +169,8 @@ def test_a_link_that_comes_back_arms_nothing(driven: Bench) -> None:
     assert not driven.arm().error
 
 
-def test_a_port_that_fails_under_a_trip_is_reported_last(
-    driven: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(driven.ports, "write", lambda _: LinkDown("gone"))
+def test_a_port_failure_during_a_trip_is_in_the_last_state(driven: Bench) -> None:
+    driven.ports.write = lambda _: LinkDown("gone")
     driven.lateness_ns = 60 * MS  # a pause: it trips, and the STOP is the first frame that fails
     driven.run_for(20)
 
@@ -313,224 +180,7 @@ def test_a_port_that_fails_under_a_trip_is_reported_last(
     assert last.motor.startswith("not known")
 
 
-def test_a_pause_of_the_host_trips(driven: Bench) -> None:
-    """After SIGSTOP, a suspend, a frozen machine."""
-    driven.lateness_ns = 80 * MS
-    driven.run_for(50)
-    driven.lateness_ns = 0
-    driven.run_for(50)
-
-    assert driven.volts == 0.0
-    assert "the host paused for" in driven.loop.state.reason
-    assert max(g.count for g in driven.of(Gap)) >= 7
-
-
-def test_ticks_that_were_missed_are_skipped_and_reported(bench: Bench) -> None:
-    bench.arm()
-    bench.order(pipe.Run(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 100)))
-    bench.run_for(300)
-    bench.lateness_ns = 25 * MS
-    bench.run_for(20)
-    bench.lateness_ns = 0
-    bench.run_for(1000)
-
-    (gap,) = bench.of(Gap)
-    run = {s.k for s in bench.samples if s.k >= bench.of(RunStarted)[0].k_first}
-    assert (gap.count, gap.code) == (2, GapCode.HOST_LATE)
-    assert gap.u_held_v == pytest.approx(2.0, abs=0.01)
-    assert run.isdisjoint({gap.k_first, gap.k_first + 1})
-    assert {gap.k_first - 1, gap.k_first + 2} <= run
-    assert bench.of(RunEnded)[0].outcome == "complete"
-
-
-def test_a_lost_sample_is_a_gap_with_the_voltage_that_was_held(bench: Bench) -> None:
-    bench.arm()
-    bench.order(pipe.Run(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0, 4.0] * 50)))
-    bench.run_for(200)
-    lost: list[bytes] = []
-
-    def lose_one(data: bytes) -> bytes:
-        if lost or len(data) != 36:  # a SAMPLE
-            return data
-        lost.append(data)
-        return b""
-
-    bench.ports.from_device = lose_one
-    bench.run_for(1000)
-
-    (gap,) = bench.of(Gap)
-    first = bench.of(RunStarted)[0].k_first
-    assert (gap.count, gap.code) == (1, GapCode.FRAME_LOST)
-    expected = [1.0, 4.0][(gap.k_first - first) % 2]
-    assert gap.u_held_v == pytest.approx(expected, abs=0.01)
-    assert bench.of(RunEnded)[0].outcome == "complete"
-
-
-def test_noise_on_the_line_costs_samples_and_nothing_else(bench: Bench) -> None:
-    """Every tenth answer is spoilt: gaps, no trip."""
-    count = 0
-
-    def spoil(data: bytes) -> bytes:
-        nonlocal count
-        count += 1
-        return bytes([data[0] ^ 1, *data[1:]]) if count % 10 == 0 else data
-
-    bench.arm()
-    bench.ports.from_device = spoil
-    bench.order(pipe.Run(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[3.0] * 200)))
-    bench.run_for(2500)
-
-    assert bench.of(RunEnded)[0].outcome == "complete"
-    assert len(bench.of(Gap)) > 15
-
-
-def test_a_device_that_was_reset_is_not_driven_on(driven: Bench) -> None:
-    driven.ports.device.reset(driven.ports.now)
-
-    driven.run_for(100)
-
-    assert driven.phase is Phase.FAULT
-    assert "reset" in driven.loop.state.reason
-    assert driven.volts == 0.0
-
-
-def test_a_fault_of_the_device_is_cleared_by_a_reset_alone(driven: Bench) -> None:
-    """Both latches: CLEAR_FAULT with its token, then SAFE."""
-    driven.ports.to_device = lambda _: b""
-    driven.run_for(150)
-    driven.ports.to_device = lambda data: data
-    driven.run_for(500)
-    assert driven.ports.device.state is DeviceState.FAULT
-    assert driven.phase is Phase.FAULT
-
-    driven.ask(Reset)
-    driven.run_for(100)
-
-    assert driven.phase is Phase.SAFE
-    assert driven.ports.device.state is DeviceState.READY
-    assert driven.volts == 0.0
-
-
-def test_other_firmware_is_read_and_never_armed(bench: Bench) -> None:
-    rig = Bench.__new__(Bench)
-    VirtualRig.__init__(rig, Config().rules(), EmulatorSettings(boot_ms=0.0))
-    rig._number = 0
-
-    def other(data: bytes) -> bytes:
-        _, messages = feed(b"", data)
-        return b"".join(
-            encode(m._replace(schema=1)) if isinstance(m, HelloReply) else encode(m)  # type: ignore[arg-type]
-            for m in messages
-        )
-
-    rig.ports.from_device = other
-    rig.run_for(500)
-
-    assert rig.phase is Phase.FAULT
-    assert rig.loop.state.fault is not None
-    assert rig.loop.state.fault.id is Id.FIRMWARE
-    assert "in fault" in rig.arm().error
-    assert rig.ports.device.state is DeviceState.IDLE
-
-
-def test_a_stop_frame_that_is_lost_is_sent_again(driven: Bench) -> None:
-    stop_frame = encode(Stop(0, 0))
-    lost = 0
-
-    def lose_two(data: bytes) -> bytes:
-        nonlocal lost
-        if len(data) == len(stop_frame) and lost < 2:
-            lost += 1
-            return b""
-        return data
-
-    driven.ports.to_device = lose_two
-    driven.ask(pipe.Stop)
-
-    assert lost == 2
-    assert driven.volts == 0.0
-    assert driven.ports.device.state is not DeviceState.RUN
-
-
-def test_old_answers_that_come_late_do_not_count_as_fresh(driven: Bench) -> None:
-    """S4: 45 ms of delay and a tick are more than 50 ms."""
-    ports = driven.ports
-
-    def delay(data: bytes) -> bytes:
-        ports.send(ports.now + 45 * MS, Received(data))
-        return b""
-
-    ports.from_device = delay
-    for n in range(1, 8):
-        driven.order(pipe.Set(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
-        driven.run_for(20)
-
-    assert driven.phase is Phase.FAULT
-    assert "no answer" in driven.loop.state.reason
-    assert driven.volts == 0.0
-
-
-def test_a_greeting_that_nobody_asked_for_proves_no_round_trip(driven: Bench) -> None:
-    """S4: repeated HELLO_R frames do not replace an answer."""
-    hello = driven.loop.state.device
-    assert hello is not None
-    driven.ports.from_device = lambda _: b""
-    for n in range(1, 7):
-        driven.ports.send(driven.ports.now, Received(encode(hello)))
-        driven.order(pipe.Set(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
-        driven.run_for(10)
-
-    assert driven.volts == 0.0
-
-
-def test_no_more_than_two_commands_are_ever_on_the_way(bench: Bench) -> None:
-    exchange = len(encode(Exchange(0, 0, 0, 0)))
-    waiting = 0
-
-    def count(data: bytes) -> bytes:
-        nonlocal waiting
-        waiting += len(data) == exchange
-        return b""
-
-    bench.ports.to_device = count
-    bench.run_for(45)
-
-    assert waiting == MAX_UNECHOED
-
-
-def test_ticks_that_wait_for_a_late_device_say_so(bench: Bench) -> None:
-    """25 ms for an answer at Ts 10 ms: two are on the way, the next ticks are skipped."""
-    ports = bench.ports
-
-    def delay(data: bytes) -> bytes:
-        ports.send(ports.now + 25 * MS, Received(data))
-        return b""
-
-    ports.from_device = delay
-    bench.run_for(1000)
-
-    assert {gap.code for gap in bench.of(Gap)} == {GapCode.DEVICE_LATE}
-
-
-def test_a_device_that_applies_something_else_is_stopped(driven: Bench) -> None:
-    """S5: the applied code is compared with the commanded code."""
-
-    def lie(data: bytes) -> bytes:
-        _, messages = feed(b"", data)
-        return b"".join(
-            encode(m._replace(u_k=m.u_k ^ 0x400) if isinstance(m, DeviceSample) else m)  # type: ignore[arg-type]
-            for m in messages
-        )
-
-    driven.ports.from_device = lie
-    driven.run_for(30)
-
-    assert driven.phase is Phase.FAULT
-    assert "but code" in driven.loop.state.reason
-    assert driven.volts == 0.0
-
-
-def test_a_configuration_that_was_altered_on_the_way_is_not_taken() -> None:
+def test_a_configuration_altered_during_transmission_is_rejected() -> None:
     rig = Bench.__new__(Bench)
     VirtualRig.__init__(rig, Config().rules(), EmulatorSettings(boot_ms=0.0))
     rig._number = 0
@@ -538,7 +188,7 @@ def test_a_configuration_that_was_altered_on_the_way_is_not_taken() -> None:
     def alter(data: bytes) -> bytes:
         _, messages = feed(b"", data)
         return b"".join(
-            encode(m._replace(config_crc=m.config_crc ^ 1) if isinstance(m, ConfigReply) else m)  # type: ignore[arg-type]
+            encode(m._replace(config_crc=m.config_crc ^ 1) if isinstance(m, ConfigReply) else m)
             for m in messages
         )
 
@@ -549,55 +199,8 @@ def test_a_configuration_that_was_altered_on_the_way_is_not_taken() -> None:
     assert any("another configuration" in log.message for log in rig.of(Log))
 
 
-def test_arm_and_start_carry_the_nonce_of_the_newest_configuration(bench: Bench) -> None:
-    told: list[int] = []
-    sent: list[tuple[type, int, int]] = []
-
-    def told_by(data: bytes) -> bytes:
-        told.extend(m.nonce for m in feed(b"", data)[1] if isinstance(m, ConfigReply))
-        return data
-
-    def sent_by(data: bytes) -> bytes:
-        found = [m for m in feed(b"", data)[1] if isinstance(m, Arm | Start)]
-        sent.extend((type(m), m.nonce, told[-1]) for m in found)
-        return data
-
-    bench.ports.from_device, bench.ports.to_device = told_by, sent_by
-    for _ in range(2):
-        bench.arm()
-        bench.drive(1.0, 0)
-        bench.ask(pipe.Stop, reason="enough")
-
-    assert [kind for kind, _, _ in sent] == [Arm, Start, Arm, Start]
-    assert all(nonce == newest != 0 for _, nonce, newest in sent)
-    assert len({nonce for _, nonce, _ in sent}) == 2
-
-
-def test_an_answer_to_config_that_comes_late_costs_another_arm_and_no_more(bench: Bench) -> None:
-    held: list[bytes] = []
-    arms: list[int] = []
-
-    def hold_one_back(data: bytes) -> bytes:
-        if not any(isinstance(m, ConfigReply) for m in feed(b"", data)[1]):
-            return data
-        held.append(data)
-        return b"".join(held) if len(held) == 2 else b""
-
-    def sent_by(data: bytes) -> bytes:
-        arms.extend(m.nonce for m in feed(b"", data)[1] if isinstance(m, Arm))
-        return data
-
-    bench.ports.from_device, bench.ports.to_device = hold_one_back, sent_by
-    bench.order(pipe.Arm(order=77, owner="a student", lease=LEASE, ts_us=0))
-    bench.run_for(300)
-
-    assert [a.error for a in bench.of(Answer) if a.order == 77] == [""]
-    assert bench.phase is Phase.ARMED
-    assert len(set(arms)) == len(arms) == 2
-
-
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_a_session_that_is_played_again_does_not_move_the_motor(
+def test_a_replayed_session_of_host_frames_does_not_move_the_motor(
     bench: Bench, scheduled: bool
 ) -> None:
     """S6: all frames of the host, byte for byte at their times, in the same boot."""
@@ -633,18 +236,7 @@ def test_a_session_that_is_played_again_does_not_move_the_motor(
     assert volts == {0.0}
 
 
-def test_an_angle_in_the_dead_band_is_not_a_number(bench: Bench) -> None:
-    bench.arm()
-    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(*[5.0] * 200))
-    bench.run_for(2200)
-
-    dead = [s for s in bench.samples if s.flags & Flag.ADC0_RAIL]
-    assert dead
-    assert all(isnan(s.theta_1_rad) for s in dead)
-    assert not any(isnan(s.theta_1_rad) for s in bench.samples if not s.flags & Flag.ADC0_RAIL)
-
-
-def test_a_shorter_sampling_time_does_not_look_like_a_pause() -> None:
+def test_a_shorter_sampling_time_is_not_mistaken_for_a_pause() -> None:
     bench = Bench(Config(timing=Timing(Ts=0.5)))
     between_ticks = bench.ports.now + 300 * MS
 
@@ -655,74 +247,6 @@ def test_a_shorter_sampling_time_does_not_look_like_a_pause() -> None:
 
     assert bench.of(RunEnded)[0].outcome == "complete"
     assert not bench.of(Gap)
-
-
-def test_a_device_that_leaves_run_by_itself_is_noticed(driven: Bench) -> None:
-    driven.ports.device.receive(driven.ports.now, encode(Stop(0, 9)))
-
-    driven.run_for(30)
-
-    assert driven.phase is Phase.FAULT
-    assert "which the daemon did not request" in driven.loop.state.reason
-    assert driven.volts == 0.0
-
-
-@pytest.mark.parametrize(
-    "field", [{"full_scale_mv": 12_000}, {"full_scale_mv": 0}, {"capabilities": 0}, {"pwm_bits": 0}]
-)
-def test_a_device_that_cannot_be_driven_is_never_armed(field: dict[str, int]) -> None:
-    """S1: with another full scale each code would be another voltage."""
-    rig = Bench.__new__(Bench)
-    VirtualRig.__init__(rig, Config().rules(), EmulatorSettings(boot_ms=0.0))
-    rig._number = 0
-
-    def other(data: bytes) -> bytes:
-        _, messages = feed(b"", data)
-        return b"".join(
-            encode(m._replace(**field) if isinstance(m, HelloReply) else m)  # type: ignore[arg-type]
-            for m in messages
-        )
-
-    rig.ports.from_device = other
-    rig.run_for(500)
-
-    assert rig.phase is Phase.FAULT
-    assert "in fault" in rig.arm().error
-
-
-def test_a_link_that_goes_while_a_run_begins_refuses_the_run(bench: Bench) -> None:
-    bench.arm()
-    bench.ports.to_device = lambda _: b""
-    bench.order(pipe.Run(order=77, lease=LEASE, n=0, run_id="r", codes=codes(1.0)))
-    bench.run_for(15)
-
-    bench.ports.send(bench.ports.now, LinkDown("unplugged"))
-    bench.run_for(20)
-
-    assert [a.error for a in bench.of(Answer) if a.order == 77] == ["link lost: unplugged"]
-
-
-@pytest.mark.parametrize("scheduled", [False, True])
-def test_a_service_that_is_frozen_cannot_keep_the_motor_on(scheduled: bool) -> None:
-    """Every stop passes through the service: 0 V 3 s after its last sign."""
-    bench = Bench()
-    bench.loop.state = replace(
-        bench.loop.state, rules=replace(bench.loop.state.rules, service_ns=3_000 * MS)
-    )
-    bench.arm()
-    play = pipe.Run(
-        order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 2000), scheduled=scheduled
-    )
-    bench.order(play)
-    for _ in range(8):
-        bench.run_for(500)
-        bench.order(Alive())
-    assert bench.volts > 0
-
-    bench.run_for(3_100)
-
-    assert bench.volts == 0.0
-    assert "the service is frozen" in bench.loop.state.reason
 
 
 @pytest.mark.parametrize("scheduled", [False, True])
@@ -756,7 +280,6 @@ def test_every_k_is_published_or_reported(scheduled: bool) -> None:
     for record in bench.records:
         if isinstance(record, bytes):
             sample = decode_sample(record)
-            assert sample is not None
             seen.append(sample.k)
         elif isinstance(record, Gap):
             seen += range(record.k_first, record.k_first + record.count)
@@ -790,7 +313,7 @@ def test_the_loop_ends_when_the_device_is_seen_stopped(driven: Bench) -> None:
     assert driven.volts == 0.0
 
 
-def test_the_loop_ends_even_when_the_device_is_gone(driven: Bench) -> None:
+def test_the_loop_ends_after_the_loss_of_the_device_too(driven: Bench) -> None:
     began = driven.ports.now
     driven.ports.to_device = lambda _: b""
 
@@ -801,16 +324,6 @@ def test_the_loop_ends_even_when_the_device_is_gone(driven: Bench) -> None:
     assert driven.ports.now - began < 300 * MS
 
 
-def test_an_armed_rig_that_nobody_commands_is_given_back(bench: Bench) -> None:
-    """After 10 s at 0 V, without a fault."""
-    bench.arm()
-
-    bench.run_for(10_500)
-
-    assert bench.phase is Phase.SAFE
-    assert bench.of(StateRecord)[-1].owner == ""
-
-
 def test_a_limit_of_the_configuration_reaches_the_device() -> None:
     """S1 in three layers: the device refuses what the daemon would not have sent."""
     bench = Bench(
@@ -819,37 +332,11 @@ def test_a_limit_of_the_configuration_reaches_the_device() -> None:
 
     config = bench.ports.device._fw.config
 
-    assert config is not None
     assert (config.u_max, config.watchdog_ms, config.turns) == (code_of(2.0), 50, 150)
 
 
-@pytest.mark.parametrize("scheduled", [False, True])
-@pytest.mark.parametrize(("rail_ticks", "trips"), [(0, False), (14, True), (17, False)])
-def test_a_rail_guard_shorter_than_the_dead_band_stops_the_run_in_it(
-    rail_ticks: int, trips: bool, scheduled: bool
-) -> None:
-    """At 1 rad/s its 8 degrees last 14 samples, with a rail on either side 15 or 16; 0 is off."""
-    bench = Bench(Config(device=Device(rail_ticks=rail_ticks)), theta_1_zero_deg=310.0)
-    bench.arm()
-
-    said: list[bytes] = []
-    bench.ports.from_device = lambda data: said.append(data) or data
-    turning = {"codes": codes(*[0.537] * 120), "scheduled": scheduled}
-    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", **turning)
-    bench.run_for(1300)
-
-    frames = feed(b"", b"".join(said))[1]
-    stops = [i for i, m in enumerate(frames) if getattr(m, "cause", 0) == Cause.ADC_RAIL]
-    until = frames[: stops[0] if stops else len(frames)]
-    railed = [m for m in until if isinstance(m, DeviceSample) and m.flags & Flag.ADC0_RAIL]
-    assert (bench.phase is Phase.FAULT, bool(stops), bench.volts) == (trips, trips, 0.0)
-    assert (bench.of(RunEnded)[0].outcome == "complete") == (not trips)
-    assert [m.k for m in railed] == [*range(railed[0].k, railed[-1].k + 1)]
-    assert len(railed) in ((rail_ticks,) if trips else (15, 16))
-
-
 @pytest.mark.parametrize("ahead_ns", [1, 123_456, 3_000_001])
-def test_an_order_of_a_later_time_is_handed_on_at_that_time(bench: Bench, ahead_ns: int) -> None:
+def test_an_order_for_a_later_time_is_delivered_at_that_time(bench: Bench, ahead_ns: int) -> None:
     at_ns = bench.ports.now + ahead_ns
     bench.order(Alive(), at_ns)
     bench.order(Reset(order=1), at_ns)

@@ -30,7 +30,7 @@ ANSWER = Answer(order=3, body={"lease": "x"})
 
 
 @given(st.lists(st.integers(1, 60), max_size=20))
-def test_records_come_out_as_they_went_in(cuts: list[int]) -> None:
+def test_records_pass_through_the_pipe_unchanged(cuts: list[int]) -> None:
     stream = sample_bytes(SAMPLE) + record_bytes(GAP) + record_bytes(LOG)
     stream += sample_bytes(SAMPLE) + record_bytes(ANSWER)
     pending, records = bytearray(), []
@@ -43,7 +43,7 @@ def test_records_come_out_as_they_went_in(cuts: list[int]) -> None:
     assert not pending
 
 
-def test_orders_come_out_as_they_went_in() -> None:
+def test_orders_pass_through_the_pipe_unchanged() -> None:
     orders = [
         Arm(order=1, owner="a student", lease="a" * 32, ts_us=0),
         Run(order=2, lease="a" * 32, n=0, run_id="r", codes=b"\x00\x80" * 1_000_000),
@@ -55,7 +55,7 @@ def test_orders_come_out_as_they_went_in() -> None:
     assert take_orders(pending) == orders
 
 
-def test_orders_are_tagged_by_the_client_s_words() -> None:
+def test_orders_are_tagged_with_their_names() -> None:
     tags = {kind.__struct_config__.tag for kind in get_args(Orders)}
 
     assert tags == {

@@ -38,7 +38,7 @@ def _assert_whole(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_k_goes_on_where_its_32_bits_on_the_wire_end(scheduled: bool) -> None:
+def test_k_continues_after_32_bits_on_the_wire(scheduled: bool) -> None:
     bench = Bench(k=WRAP - 100)
 
     _play(bench, scheduled=scheduled)
@@ -62,7 +62,9 @@ def test_the_device_s_microseconds_wrap_in_a_run(scheduled: bool) -> None:
     assert raw[0] < WRAP < raw[-1]
 
 
-def test_a_step_of_the_real_time_clock_changes_no_byte(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_step_of_the_real_time_clock_changes_no_byte_of_the_recording(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     alone = Bench()
     _play(alone, scheduled=True)
     hours = iter(range(1, 1_000_000))

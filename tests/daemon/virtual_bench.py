@@ -40,13 +40,12 @@ class Bench(VirtualRig):
         self.run_until(self.ports.now + round(ms * MS))
 
     def ask(self, kind: type, **fields: object) -> Answer:
-        """Give an order and return its answer."""
         self._number += 1
         self.order(kind(order=self._number, **fields))
         self.run_for(100)
         return next(a for a in self.of(Answer) if a.order == self._number)
 
-    def of(self, kind: type) -> list:  # type: ignore[type-arg]
+    def of(self, kind: type) -> list:
         return [r for r in self.records if isinstance(r, kind)]
 
     @property

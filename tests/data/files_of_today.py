@@ -49,7 +49,7 @@ def main(folder: Path) -> None:
         scratch = Path(name)
         (scratch / "sitecustomize.py").write_text(_NO_KERNEL)
         os.environ["PYTHONPATH"] = str(scratch)
-        bench = Bench(scratch)
+        bench = Bench(scratch, terminal=True)
         try:
             bench.configure(more=_UNKNOWN)
             bench.emulate()
@@ -57,16 +57,33 @@ def main(folder: Path) -> None:
             _play(bench, folder)
         finally:
             bench.end()
-    data = armrig.load(folder / "scheduled.mcap").dataset(output="alpha")
-    fits = {
-        "bj": armrig.bj(data, nb=2, nc=1, nd=1, nf=2, nk=1),
+    _estimate(folder)
+
+
+def _estimate(folder: Path) -> None:
+    """Save a model of each kind, and the facts about all files."""
+    recording = armrig.load(folder / "scheduled.mcap")
+    data, several = recording.dataset(output="alpha"), recording.signals()
+    fits: dict[str, armrig.Fit | armrig.MultivariableFit] = {
+        "arx": armrig.arx(data, na=2, nb=2),
+        "armax": armrig.armax(data, na=2, nb=2, nc=1),
+        "ararx": armrig.ararx(data, na=2, nb=2, nd=1),
+        "oe": armrig.oe(recording.dataset(output="theta_1"), nb=2, nf=2, integrator=True),
+        "bj": armrig.bj(data, nb=2, nc=1, nd=1, nf=2),
+        "iv4": armrig.iv4(data, na=2, nb=2),
+        "pem": armrig.pem(data, nb=1, na=1, nc=1, nf=1),
         "n4sid": armrig.n4sid(data, 2),
+        "arx_of_two": armrig.arx(several, na=1, nb=1),
+        "ss_of_two": armrig.ss(several, order=2),
     }
-    told = {pacing: facts(armrig.load(folder / f"{pacing}.mcap")) for pacing in PACINGS}
+    found: dict[str, Any] = {p: facts(armrig.load(folder / f"{p}.mcap")) for p in PACINGS}
     for name, fit in fits.items():
-        fit.save(folder / f"{name}.json")
-        told[name] = answers(fit, data)
-    (folder / "facts.json").write_text(json.dumps(told, indent=1) + "\n")
+        path = folder / f"{name}.json"
+        fit.save(path)
+        path.write_text(json.dumps(json.loads(path.read_text()), ensure_ascii=False) + "\n")
+        found[name] = answers(fit, recording)
+    lines = ",\n".join(f'"{name}": {json.dumps(fact)}' for name, fact in found.items())
+    (folder / "facts.json").write_text(f"{{\n{lines}\n}}\n")
 
 
 def facts(recording: armrig.Recording) -> dict[str, Any]:
@@ -86,12 +103,17 @@ def facts(recording: armrig.Recording) -> dict[str, Any]:
     }
 
 
-def answers(fit: armrig.Fit, data: armrig.Dataset) -> dict[str, Any]:
-    """Return a model's answers: its poles, and y one step ahead if it is known."""
-    predicted = fit.predict(data)
+def answers(
+    fit: armrig.Fit | armrig.MultivariableFit, recording: armrig.Recording
+) -> dict[str, Any]:
+    """Return a model's answers: its poles, and y one step ahead at every 30th sample."""
+    if isinstance(fit, armrig.Fit):
+        predicted = fit.predict(recording.dataset(output=fit.output))
+    else:
+        predicted = fit.predict(recording.signals(fit.outputs)).ravel()
     return {
         "poles": [[p.real, p.imag] for p in fit.poles().values.tolist()],
-        "predicted": predicted[np.isfinite(predicted)].tolist(),
+        "predicted": predicted[np.isfinite(predicted)][::30].tolist(),
     }
 
 
@@ -102,7 +124,7 @@ def _calibrate(bench: Bench, folder: Path) -> None:
             *(sys.executable, "-m", "armrig", "calibrate", "--yes", "--json"),
             *("--connect", f"unixsock-stream/{bench.folder}/armrig/1.sock"),
             *("--volts", "5", "--level-seconds", "4", "--rest-seconds", "0.5", "--Ts", "0.02"),
-            *("--meter", "32768=2.5", "-o", str(folder / "calibration.toml")),
+            *("--meter", "32768=2.5", "--save", str(folder / "calibration.toml")),
         ],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

@@ -198,7 +198,6 @@ class CoreDevice(Device):
         self._board.release(t_ns, self._fw.state, self._fw.cause)
 
     def supply(self, t_ns: int) -> int:
-        """Return the supply, in mV."""
         return self._board.supply_mv(t_ns)
 
     def token(self) -> int:

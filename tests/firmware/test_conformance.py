@@ -15,9 +15,14 @@ from tests.tools import needs
 pytestmark = needs("cc", "make")
 
 
-@pytest.mark.parametrize("settings", [{}, {"queue": 256}, {"baud": 1_000_000}], ids=str)
-@pytest.mark.parametrize("resets", [True, False])
-def test_the_c_core_does_what_the_protocol_says(settings: dict[str, int], resets: bool) -> None:
+@pytest.mark.parametrize(
+    ("resets", "settings"),
+    [(True, {"queue": 256}), (False, {"baud": 1_000_000})],
+    ids=str,
+)
+def test_the_c_core_passes_all_rules_of_the_protocol(
+    settings: dict[str, int], resets: bool
+) -> None:
     emulated = EmulatorSettings(boot_ms=5.0, **AT_A_RAIL, **settings)
     device = CoreDevice(emulated, 0)
 

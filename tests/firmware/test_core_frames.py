@@ -13,7 +13,7 @@ from armrig_daemon.emulator.board import reported
 from armrig_daemon.emulator.firmware import Hardware
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import cobs, decoder, frame
-from armrig_protocol.crc import CHECK, crc32
+from armrig_protocol.crc import crc32
 from armrig_protocol.decoder import MAX_STUFFED
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import MAX_DECODED
@@ -40,7 +40,6 @@ def hardware(pwm_bits: int = 10) -> Hardware:
 
 
 def core() -> Any:
-    """Return the functions of the core."""
     return library.library(hardware()).functions
 
 
@@ -66,7 +65,7 @@ def kind_of(received: decoder.Received) -> str:
 
 
 @pytest.mark.parametrize("vector", VECTORS, ids=[v["doc"] for v in VECTORS])
-def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
+def test_the_core_matches_the_golden_vectors(vector: dict[str, Any]) -> None:
     wire = bytes.fromhex(vector["wire"])
     expected = [
         {"Spoilt": e.get("reason"), "Unknown": "unknown"}.get(e["event"], "sound")
@@ -82,13 +81,8 @@ def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
             assert closed(text[:-4]) == piece + b"\0"
 
 
-def test_the_check_value_of_the_crc() -> None:
-    """The value is in the catalogue of CRC algorithms."""
-    assert core().rig_crc(b"123456789", 9) == CHECK
-
-
 @pytest.mark.parametrize("bit", range(32))
-def test_a_bit_of_the_crc_spoils_the_frame(bit: int) -> None:
+def test_a_flipped_bit_of_the_crc_spoils_the_frame(bit: int) -> None:
     text = bytes((0x13, 0, 1, 0))
 
     kind, _ = opened(cobs.stuff(text + (crc32(text) ^ 1 << bit).to_bytes(4, "little")))
@@ -97,12 +91,12 @@ def test_a_bit_of_the_crc_spoils_the_frame(bit: int) -> None:
 
 
 @given(st.binary(max_size=255))
-def test_the_crc_is_that_of_zlib(text: bytes) -> None:
+def test_the_crc_equals_that_of_zlib(text: bytes) -> None:
     assert core().rig_crc(text, len(text)) == crc32(text)
 
 
 @given(st.binary(max_size=cobs.MAX_TEXT))
-def test_stuffing_is_that_of_python(text: bytes) -> None:
+def test_stuffing_equals_that_of_python(text: bytes) -> None:
     place = ctypes.create_string_buffer(b"\xaa" + text, len(text) + 1)
 
     core().rig_stuff(place, len(text) + 1)
@@ -112,20 +106,8 @@ def test_stuffing_is_that_of_python(text: bytes) -> None:
     assert place.raw[1:] == text
 
 
-@given(NO_ZERO)
-def test_unstuffing_is_that_of_python(stuffed: bytes) -> None:
-    place = ctypes.create_string_buffer(stuffed, max(1, len(stuffed)))
-
-    sound = core().rig_unstuff(place, len(stuffed))
-
-    text = cobs.unstuff(stuffed)
-    assert sound == (text is not None)
-    if text:
-        assert place.raw[1:] == text
-
-
 @given(NO_ZERO.filter(bool))
-def test_any_bytes_are_taken_for_what_python_takes_them(stuffed: bytes) -> None:
+def test_any_bytes_are_decoded_like_in_python(stuffed: bytes) -> None:
     _, (received,) = decoder.feed(b"", stuffed + b"\0")
 
     assert opened(stuffed)[0] == kind_of(received)
@@ -144,7 +126,9 @@ def test_any_bytes_are_taken_for_what_python_takes_them(stuffed: bytes) -> None:
     ),
     st.randoms(use_true_random=False),
 )
-def test_the_same_frames_however_the_line_cuts_them(parts: list[bytes], rng: Any) -> None:
+def test_the_decoded_frames_do_not_depend_on_how_the_line_cuts_them(
+    parts: list[bytes], rng: Any
+) -> None:
     stream = b"".join(parts) + b"\0"
     _, received = decoder.feed(b"", stream)
     spoilt = sum(isinstance(item, Spoilt) for item in received)
@@ -165,17 +149,10 @@ def test_the_same_frames_however_the_line_cuts_them(parts: list[bytes], rng: Any
 
 
 @pytest.mark.parametrize("bits", sampled([8, 10, 12, 15]))
-def test_duty_and_code_are_those_of_python(bits: int) -> None:
+def test_duty_and_code_equal_those_of_python(bits: int) -> None:
     c = library.library(hardware(bits)).functions
 
-    for u in range(0, 65536, 1 if bits == 10 else 7):
+    for u in range(0, 65536, 1 if bits == 10 else 31):
         steps = duty(u, bits)
         assert c.rig_duty(u) == steps
         assert c.rig_code(steps) == reported(u, bits)
-
-
-@pytest.mark.exhaustive
-def test_a_duty_of_16_bits_is_the_code() -> None:
-    c = library.library(hardware(16)).functions
-
-    assert all(c.rig_duty(u) == c.rig_code(u) == u for u in (0, 1, 32767, 32768, 65535))

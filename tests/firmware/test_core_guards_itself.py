@@ -17,7 +17,6 @@ from armrig_protocol.messages import (
     Status,
 )
 
-from tests.daemon.emulator import emulated_host
 from tests.daemon.emulator.emulated_host import MS, US, Host, S, only
 from tests.daemon.emulator.test_readings import reading
 from tests.firmware.core_device import CoreDevice
@@ -28,13 +27,12 @@ pytestmark = needs("cc", "make")
 
 
 @pytest.fixture
-def host(monkeypatch: pytest.MonkeyPatch) -> Host:
+def host() -> Host:
     """Return a host with a device that has the C core."""
-    monkeypatch.setattr(emulated_host, "Device", CoreDevice)
-    return Host()
+    return Host(kind=CoreDevice)
 
 
-def test_a_code_that_no_check_let_through_is_not_driven(host: Host) -> None:
+def test_a_code_corrupted_in_memory_is_not_driven(host: Host) -> None:
     """A queue that was spoilt in memory: 0 V, and FAULT(INTERNAL)."""
     host.reach(State.ARMED, mode=Mode.SCHEDULED, u_max=1000)
     host.supply(0, [500] * 24)
@@ -55,7 +53,9 @@ def test_a_code_that_no_check_let_through_is_not_driven(host: Host) -> None:
     ("codes", "expected"),
     [([65_000, 64_900, 0, 700], 700), ([64_900, 0, 0, 0], 0), ([65_471, 64, 64, 64], 16_416)],
 )
-def test_no_mean_is_made_across_the_dead_band(host: Host, codes: list[int], expected: int) -> None:
+def test_readings_are_not_averaged_across_the_dead_band(
+    host: Host, codes: list[int], expected: int
+) -> None:
     host.reach(State.READY, ts_us=5000, oversampling=4)
     reading(host, codes, [2000] * 4)
 
@@ -84,7 +84,7 @@ def test_every_transition_but_to_run_turns_the_motor_off_first() -> None:
     assert cut.startswith("    board_motor_off();\n")
 
 
-def test_bytes_that_the_board_lost_are_counted_and_reported_once(host: Host) -> None:
+def test_bytes_lost_by_the_board_are_counted_and_reported_once(host: Host) -> None:
     host.hello()
     host.device.use().pc_lose(3)
     host.device.use().rig_poll()
@@ -110,7 +110,7 @@ def test_a_board_that_polls_often_reports_its_status_once_a_second(host: Host) -
     assert [m.seq - heard[0].seq for m in heard] == [0, 1, 2]
 
 
-def test_samples_that_main_has_no_time_for_are_counted(host: Host) -> None:
+def test_samples_skipped_by_a_busy_main_loop_are_counted(host: Host) -> None:
     """Two samples wait; a third is a frame not sent, counted once, and a break in k."""
     host.hello()
     c = host.device.use()

@@ -31,7 +31,7 @@ def test_every_invariant_holds_under_faults() -> None:
 
 
 @pytest.mark.parametrize("seed", sampled(range(5), 2))
-def test_a_schedule_comes_to_the_same_as_with_the_python_firmware(seed: int) -> None:
+def test_a_schedule_of_faults_has_the_same_outcome_as_with_python_firmware(seed: int) -> None:
     options = draw(seed)
 
     assert simulate(replace(options, c_core=True)) == simulate(options)

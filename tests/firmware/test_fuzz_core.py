@@ -34,7 +34,7 @@ def fuzz(n_bytes: int, seed: int, *constants: str) -> dict[str, int]:
         pytest.param(("BOARD_PWM_BITS=16",), marks=pytest.mark.exhaustive),
     ],
 )
-def test_no_bytes_do_harm(constants: tuple[str, ...]) -> None:
+def test_random_bytes_violate_no_invariant_of_the_core(constants: tuple[str, ...]) -> None:
     found = fuzz(3_000_000, 1, *constants)
 
     assert found["bytes"] >= 3_000_000
@@ -45,5 +45,5 @@ def test_no_bytes_do_harm(constants: tuple[str, ...]) -> None:
 
 
 @pytest.mark.exhaustive
-def test_another_seed_sends_other_bytes() -> None:
+def test_a_different_seed_sends_different_bytes() -> None:
     assert fuzz(100_000, 1) == fuzz(100_000, 1) != fuzz(100_000, 2)

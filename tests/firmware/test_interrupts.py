@@ -11,7 +11,7 @@ from tests.tools import needs
 pytestmark = needs("cc", "make")
 
 
-def test_the_core_is_whole_wherever_an_interrupt_comes() -> None:
+def test_the_state_of_the_core_is_consistent_at_any_interrupt() -> None:
     """Setpoints, samples, EXCHANGE and the way out of RUN; `boards/pc/interrupts.c` says how."""
     program = library.build("interrupts", "BOARD_QUEUE=64")
 

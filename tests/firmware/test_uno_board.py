@@ -31,7 +31,7 @@ def restart(host: Host) -> None:
     host.wait(BOOT_NS / MS)
 
 
-def test_a_tick_that_waited_for_the_converter_says_so() -> None:
+def test_a_tick_delayed_by_the_converter_has_the_late_flag() -> None:
     ts_us = 2600
     late = 0
     with powered() as host:
@@ -61,9 +61,7 @@ def test_a_tick_that_waited_for_the_converter_says_so() -> None:
     assert max(began_us) - min(began_us) <= 1
 
 
-@pytest.mark.parametrize("byte", range(12))
-@pytest.mark.parametrize("copy", [0, 1])
-def test_a_spoilt_byte_of_the_uid_changes_nothing(copy: int, byte: int) -> None:
+def test_a_spoilt_byte_of_the_uid_changes_nothing() -> None:
     """The uid is stored twice, each copy with its check."""
     with powered() as host:
         uid = host.hello().uid
@@ -71,11 +69,11 @@ def test_a_spoilt_byte_of_the_uid_changes_nothing(copy: int, byte: int) -> None:
         places = [i for i in range(1024) if eeprom[i : i + 8] == uid.to_bytes(8, "little")]
         assert len(places) == 2
 
-        at = places[copy] + byte
-        host.uno.harness.write_eeprom(at, bytes([eeprom[at] ^ 0x10]))
-        restart(host)
-
-        assert host.hello().uid == uid
+        for at in (place + byte for place in places for byte in range(12)):
+            host.uno.harness.write_eeprom(at, bytes([eeprom[at] ^ 0x10]))
+            restart(host)
+            assert host.hello().uid == uid, at
+            host.uno.harness.write_eeprom(at, eeprom[at : at + 1])
 
 
 def test_hello_reports_the_crc_of_the_image() -> None:
@@ -98,7 +96,7 @@ def test_status_reports_the_longest_interrupt() -> None:
     ["for (;;) ;", "ADCSRA = 0;", "TIMSK0 = 0;"],
     ids=["main hangs", "the converter is off", "the clock stands still"],
 )
-def test_the_hardware_s_watchdog_resets_what_is_dead(fault: str, tmp_path: Path) -> None:
+def test_the_hardware_watchdog_resets_a_hung_board(fault: str, tmp_path: Path) -> None:
     """S3: in RUN, while the host goes on."""
     loop = "        if (is_time_to_poll())\n"
     dies = f"        if (board_now_us() > {DIES_MS}000) {{ {fault} }}\n"
@@ -127,7 +125,7 @@ def test_the_hardware_s_watchdog_resets_what_is_dead(fault: str, tmp_path: Path)
 
 
 @builds
-def test_an_eeprom_that_is_worn_out_costs_no_boot_its_name(tmp_path: Path) -> None:
+def test_boot_ids_stay_unique_with_a_worn_out_eeprom(tmp_path: Path) -> None:
     count = "    keep(&counts[place], &next, sizeof next);\n"
     image = broken(tmp_path, "boards/uno/identity.c", count, "")
     uno = Uno(harness(), image, EmulatorSettings(), 0)

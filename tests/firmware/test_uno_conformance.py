@@ -26,7 +26,7 @@ pytestmark = needs("cc", "make", "simavr")
 @pytest.mark.parametrize(
     ("resets", "boot_loader"), sampled([(True, False), (False, False), (True, True)])
 )
-def test_the_uno_does_what_the_protocol_says(resets: bool, boot_loader: bool) -> None:
+def test_the_uno_passes_all_rules_of_the_protocol(resets: bool, boot_loader: bool) -> None:
     """Each rule holds, whether the opening of the port resets the device or not.
 
     A reset may also end in a boot loader, which is deaf for a second.

@@ -99,7 +99,7 @@ def _at_the_pin(host: Host, holds: list[int]) -> list[int]:
 
 
 @pytest.mark.parametrize("baud", BAUDS)
-def test_the_daemon_s_own_load_costs_nothing_at_the_shortest_ts(baud: int) -> None:
+def test_the_load_of_the_daemon_costs_no_sample_at_the_shortest_ts(baud: int) -> None:
     """SETPOINTS, PING and STATUS are sent between the samples.
 
     At 1 Mbaud bytes are lost if many setpoints come at once, and come again.
@@ -107,7 +107,6 @@ def test_the_daemon_s_own_load_costs_nothing_at_the_shortest_ts(baud: int) -> No
     bench = UnoBench(Config(device=Device(baud=baud, watchdog_ms=250)))
     try:
         told = bench.loop.state.device
-        assert told is not None
         ts_us = max(told.ts_min_us, scheduled_us(baud, told.skew_us))
         volts = telegraph(2000)
 
@@ -121,7 +120,7 @@ def test_the_daemon_s_own_load_costs_nothing_at_the_shortest_ts(baud: int) -> No
 
 
 @pytest.mark.parametrize("baud", BAUDS)
-def test_each_gap_in_what_was_received_is_counted(baud: int) -> None:
+def test_each_gap_in_the_received_bytes_is_counted(baud: int) -> None:
     """The byte that found the ring full, and the overrun after it."""
     with powered(baud=baud) as host:
         host.hello()
@@ -149,7 +148,7 @@ def _frames_too_short(host: Host, rng: random.Random) -> None:
 
 @pytest.mark.parametrize("flood", [_noise, _frames_too_short])
 @pytest.mark.parametrize("baud", BAUDS)
-def test_a_flood_keeps_nobody_from_the_watchdog(
+def test_a_flood_does_not_delay_the_watchdog(
     baud: int, flood: Callable[[Host, random.Random], None]
 ) -> None:
     """S3: bytes that are no frames come without a gap; 0 V in the watchdog and a millisecond."""

@@ -23,7 +23,9 @@ OMEGA = np.geomspace(0.5, 60, 200)
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("pacing", sampled(["scheduled", "exchange"]))
-def test_the_frequency_response_is_the_arm_s(pacing: str, tmp_path: Path) -> None:
+def test_the_estimated_frequency_response_equals_that_of_the_arm(
+    pacing: str, tmp_path: Path
+) -> None:
     """OE of 30 s at 100 Hz in lock-step: within 5 % rms over 0.5 to 60 rad/s."""
     assert error_of_oe(pacing, tmp_path) < 0.05
 

@@ -18,7 +18,7 @@ UNO = ROOT / "firmware_protocol" / "firmware" / "boards" / "uno"
 
 
 @needs("avr-gcc")
-def test_the_committed_image_is_what_the_sources_give(tmp_path: Path) -> None:
+def test_the_committed_image_equals_the_build_of_the_sources(tmp_path: Path) -> None:
     """To the byte; make fails if it exceeds 28 kB of flash."""
     image = tmp_path / "uno.hex"
 
@@ -31,7 +31,7 @@ def test_the_committed_image_is_what_the_sources_give(tmp_path: Path) -> None:
     assert image.read_bytes() == HEX.read_bytes(), "run `make firmware` and commit the image"
 
 
-def test_without_a_harness_it_is_said_how_to_build_one(tmp_path: Path) -> None:
+def test_missing_harness_names_the_make_target(tmp_path: Path) -> None:
     with pytest.raises(OperationError, match="build it in a checkout by `make fil`") as error:
         harness_program({}, tmp_path)
     assert "\n" not in str(error.value)
@@ -51,7 +51,7 @@ def test_a_harness_that_has_ended_is_closed_without_an_error(tmp_path: Path) -> 
     harness.close()
 
 
-def test_an_image_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_an_error_names_a_missing_image(tmp_path: Path) -> None:
     with pytest.raises(OperationError, match=r"other\.hex: no such firmware"):
         firmware_image(tmp_path / "other.hex")
 
@@ -59,7 +59,7 @@ def test_an_image_that_is_not_there_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "command", [["conformance"], ["emulate", "--port", "uno"], ["virtual", "--directory", "."]]
 )
-def test_an_image_that_was_cut_off_is_refused_by_each_command_that_runs_it(
+def test_a_truncated_image_is_refused_by_each_command_that_runs_it(
     command: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

@@ -8,13 +8,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
-import serial
-from armrig_protocol import decoder
-from armrig_protocol.frame import encode
-from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
+from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.serial_line import SerialLine
 
 from tests.firmware.uno_host import broken, harness
 from tests.tools import needs
@@ -42,13 +41,14 @@ def port(tmp_path: Path) -> Iterator[Path]:
 
 
 @needs("cc", "make", "simavr", "avr-gcc")
-def test_a_pin_that_is_high_at_reset_is_a_line_and_an_exit_code(tmp_path: Path) -> None:
+def test_a_pin_that_is_high_at_reset_is_reported_in_a_line_and_the_exit_code(
+    tmp_path: Path,
+) -> None:
     low = "    PORTB = 0;\n    DDRB = PWM_PIN;\n"
     image = broken(tmp_path, "boards/uno/motor.c", low, low.replace("0", "PWM_PIN"))
     environ = os.environ | {"ARMRIG_FIL": str(harness())}
     command = [*COMMAND, "emulate", "--hex", str(image), "--port", str(tmp_path / "uno")]
     with subprocess.Popen(command, env=environ, stderr=subprocess.PIPE, text=True) as emulator:
-        assert emulator.stderr is not None
         said = next(line for line in emulator.stderr if "enable line is low" in line)
         emulator.terminate()
         rest = emulator.stderr.read()
@@ -60,8 +60,9 @@ def test_a_pin_that_is_high_at_reset_is_a_line_and_an_exit_code(tmp_path: Path) 
 
 
 @needs_simavr
-def test_a_host_that_opens_the_port_meets_the_firmware(port: Path) -> None:
-    reply = _greet(port)
+def test_a_host_that_opens_the_port_receives_the_hello_of_the_firmware(port: Path) -> None:
+    with closing(SerialLine(str(port), 500_000)) as line:
+        reply = Host(line).hello(30_000)
 
     assert reply.firmware != 0
     assert (reply.queue, reply.pwm_bits) == (256, 10)
@@ -71,7 +72,7 @@ def test_a_host_that_opens_the_port_meets_the_firmware(port: Path) -> None:
 @pytest.mark.exhaustive
 @pytest.mark.real_time
 @needs_simavr
-def test_it_does_what_the_protocol_says_in_real_time_too(port: Path) -> None:
+def test_the_uno_passes_conformance_in_real_time(port: Path) -> None:
     arguments = ["conformance", "--device", str(port), "--motor-unplugged", "--json"]
 
     ended = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)
@@ -83,19 +84,7 @@ def test_it_does_what_the_protocol_says_in_real_time_too(port: Path) -> None:
     assert told["device"]["firmware"] != "0"
 
 
-def _greet(port: Path) -> HelloReply:
-    pending = b""
-    with serial.Serial(str(port), 500_000, timeout=0.2, exclusive=True) as line:
-        for seq in range(1, 300):
-            line.write(b"\0" + encode(Hello(0, seq, VERSION, SCHEMA_HASH)))
-            pending, received = decoder.feed(pending, line.read(200))
-            for one in received:
-                if isinstance(one, HelloReply):
-                    return one
-    raise AssertionError("no answer")
-
-
-def test_without_the_harness_it_ends_with_one_line(tmp_path: Path) -> None:
+def test_a_missing_harness_is_reported_in_one_line(tmp_path: Path) -> None:
     environ = os.environ | {"ARMRIG_FIL": str(tmp_path / "none")}
 
     ended = subprocess.run(

@@ -12,10 +12,7 @@ from armrig_protocol.messages import (
     Config,
     Exchange,
     Hello,
-    Keepalive,
     Mode,
-    Ping,
-    Pong,
     Sample,
     Setpoints,
     Start,
@@ -48,24 +45,7 @@ def in_run(*, after_ns: int = 1 * MS, **config: int) -> BothDevices:
     return both
 
 
-@pytest.mark.exhaustive
-def test_more_frames_than_seq_counts() -> None:
-    """70 000 frames of a host, and as many of the device."""
-    both = in_run(watchdog_ms=250)
-
-    for _ in range(70_000 // 50):
-        for _ in range(50):
-            both.put(Keepalive)
-            both.put(Ping, host_ns=both.now_ns)
-        both.wait(10 * MS)
-
-    pongs = [m for m in both.heard if isinstance(m, Pong)]
-    assert len(pongs) == 70_000
-    assert [m.seq for m in pongs[1:]] != sorted(m.seq for m in pongs[1:])
-    assert both.devices[1].state is State.RUN
-
-
-def test_k_of_exchange_wraps() -> None:
+def test_the_k_of_an_exchange_wraps() -> None:
     """Half a circle ahead is not ahead."""
     both = in_run()
     half = 1 << 31
@@ -107,7 +87,7 @@ def test_the_device_clock_wraps(mode: Mode, ahead_us: int) -> None:
     assert max(times) - min(times) > 1 << 31
 
 
-def test_a_run_longer_than_32_bits_of_its_index() -> None:
+def test_a_run_may_be_longer_than_32_bits_of_its_index() -> None:
     """The queue continues across 2^32; the second index 0 is not the first sample."""
     both = in_run(after_ns=300 * US, mode=Mode.SCHEDULED, slew=2000, watchdog_ms=250)
     last = 2**32 - 4  # as after 49.7 days

@@ -107,7 +107,7 @@ def used(found: Recording) -> None:
     assert np.all(np.diff(found.samples["k"].astype(np.int64)) > 0)
     for output in ("theta_1", "alpha"):
         try:
-            found.dataset(output=output)  # type: ignore[arg-type]
+            found.dataset(output=output)
         except FileError as err:
             in_one_line(err)
 

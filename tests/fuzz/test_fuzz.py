@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from random import Random
 
 import pytest
 from armrig_core.commands import Set
 
-from tests.fuzz import bombs, cuts, data_files, files, frames, mutation, recoveries, requests
+from tests.fuzz import bombs, cuts, data_files, files, frames, recoveries, requests
 from tests.sampling import sampled
 
 
-def test_any_bytes_give_frames_or_are_reported_as_spoilt() -> None:
+def test_any_bytes_are_decoded_to_frames_or_reported_as_spoilt() -> None:
     found = frames.fuzz(500_000, seed=1)
 
     kinds = {message.__name__ for message in frames.MESSAGES.values()}
     assert kinds | {"Spoilt", "Unknown"} | {"bytes"} == set(found)
 
 
-def test_any_fields_give_an_allowed_command_or_a_refusal() -> None:
+def test_any_fields_of_a_command_are_accepted_or_refused() -> None:
     found = requests.fuzz(10_000, seed=1)
 
     assert found["taken"] > 150
@@ -28,29 +27,29 @@ def test_any_fields_give_an_allowed_command_or_a_refusal() -> None:
         requests.check(Set(lease="a" * 32, n=0, u=5.1))
 
 
-def test_any_file_gives_its_beginning_or_is_refused_in_a_line() -> None:
-    found = files.fuzz(1_000, seed=1)
+def test_any_file_is_read_from_its_beginning_or_refused_in_one_line() -> None:
+    found = files.fuzz(500, seed=1)
 
-    assert found["cut"] > 500
-    assert found["whole"] > 100
-    assert found["refused"] > 25
+    assert found["cut"] > 250
+    assert found["whole"] > 50
+    assert found["refused"] > 12
 
 
-def test_any_unfinished_file_is_recovered_or_stays_as_it_is() -> None:
+def test_any_unfinished_file_is_recovered_or_unchanged() -> None:
     found = recoveries.fuzz(200, seed=1)
 
     assert found["recovered"] > 120
     assert found["refused"] > 5  # also complete files: their samples are found by the index
 
 
-def test_any_file_of_data_gives_data_or_is_refused_in_a_line() -> None:
+def test_any_file_of_data_is_read_or_refused_in_one_line() -> None:
     found = data_files.fuzz(600, seed=1)
 
     assert found["read"] > 50
     assert found["refused"] > 200
 
 
-def test_a_recording_cut_anywhere_gives_its_beginning_up_to_the_last_flush() -> None:
+def test_a_recording_cut_anywhere_is_read_up_to_its_last_flush() -> None:
     """L3: at the edges of each flush and elsewhere; the long run cuts at every byte."""
     found = cuts.near_edges(150, seed=1)
 
@@ -64,16 +63,3 @@ def test_a_file_made_to_cost_memory_costs_64_mib_at_most(name: str, tmp_path: Pa
     cost = bombs.cost_mib(bombs.BOMBS[name](), tmp_path)
 
     assert 0.1 < cost <= bombs.MOST_MIB  # it was read at all
-
-
-def test_a_file_that_yields_nothing_costs_64_mib_at_most(tmp_path: Path) -> None:
-    cost = bombs.cost_mib(bombs.BOMBS["events"](), tmp_path, alone=True)
-
-    assert 0.1 < cost <= bombs.MOST_MIB  # it was read at all
-
-
-def test_the_same_seed_gives_the_same_inputs() -> None:
-    data = files.corpus()
-    a, b = (mutation.mutated(data[0], Random(7), data) for _ in range(2))
-
-    assert a == b != data[0]

@@ -54,9 +54,9 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path, forks: ForkServer) -> 
 
 @pytest.fixture(scope="module")
 def _serving(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, forks: ForkServer
 ) -> Iterator[Bench]:
-    bench = request.node.stash[_BENCH] = Bench(tmp_path_factory.mktemp("served"))
+    bench = request.node.stash[_BENCH] = Bench(tmp_path_factory.mktemp("served"), forks)
     try:
         # The longest watchdog: a flood may hold the emulator up for long.
         bench.configure(watchdog_ms=250)

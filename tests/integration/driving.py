@@ -44,9 +44,8 @@ def driven(
 
 def begin(bench: Bench, changes: int, runner: str, *arguments: str) -> Popen[bytes] | Forked:
     """Start a client that drives the motor, and return it once the voltage has changed so often."""
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
     enough = len(bench.voltage_changes()) + changes
-    client = bench.client(runner, endpoint, *arguments)
+    client = bench.client(runner, bench.endpoint, *arguments)
     try:
         wait_for(lambda: changed(bench, enough) or client.poll() is not None)
         assert changed(bench, enough), bench.reason()

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import armrig
 import zenoh
 from armrig.lab import pki
 from armrig.lab.fleet_recorder import FleetRecorder, RigRecorded
@@ -35,7 +36,10 @@ def sample(k: int) -> bytes:
 def state(k: int) -> bytes:
     """Return the state at sample k."""
     message = protobuf.message_class(protobuf.STATE)(
-        t_host_ns=5_000_000_000 + k * round(TS_S * 1e9), phase="safe", Ts_s=TS_S, device="{}"
+        t_host_ns=5_000_000_000 + k * round(TS_S * 1e9),
+        phase="safe",
+        Ts_s=TS_S,
+        device='{"uid": "7"}',
     )
     return bytes(message.SerializeToString())
 
@@ -85,6 +89,11 @@ class FleetLab:
     ) -> Recorder:
         """Return one recorder of all."""
         return Recorder(self, tell, tell_error or tell)
+
+
+def recorded_k(path: Path) -> list[int]:
+    """Return the indices of the samples in a file."""
+    return [int(k) for k in armrig.load(path).samples["k"]]
 
 
 def connected(*daemons: Session) -> None:

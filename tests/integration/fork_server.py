@@ -1,8 +1,7 @@
 """Programs that begin as copies of an interpreter that has loaded what they need.
 
 Each is a process of its own that acts and ends as `python -m` or `python -c` does. Loading modules
-takes most of a short program's time, and is done here once. A daemon that the tests of a module
-share (`served`) is started as a person starts it.
+takes most of a short program's time, and is done here once.
 """
 
 from __future__ import annotations

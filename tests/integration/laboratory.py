@@ -91,12 +91,6 @@ def _signed_by_bob(made: Path) -> None:
         written.chmod(0o600)
 
 
-def expire_rig(made: Path) -> None:
-    """Put a rig's certificate whose time is over in the place of the good one."""
-    with patch.object(pki, "_CLOCK_TOLERANCE", timedelta(days=10)):
-        pki.issue_to_rig(made, "1", HOSTS, days=-1, force=True)
-
-
 def by_certificate(bench: Bench, made: Path, where: str) -> str:
     """Have a bench's daemon listen at `where`; return that."""
     bench.configure(

@@ -1,27 +1,29 @@
-"""Two machines on one: network namespaces with a line between them, the rig's and a stranger's."""
+"""Machines on one: network namespaces, each with a line to the switch of the first."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
-Side = Literal["rig", "stranger"]
-ADDRESSES: dict[Side, str] = {"rig": "10.77.0.1", "stranger": "10.77.0.2"}
+ADDRESSES = {"rig": "10.77.0.1", "stranger": "10.77.0.2", "router": "10.77.0.3"}
 
 
 class Namespaces(NamedTuple):
-    """Names of the two."""
+    """Machines by their names; the first is in the middle."""
 
-    rig: str
-    stranger: str
+    hosts: tuple[str, ...]
 
-    def command(self, side: Side, *arguments: str) -> list[str]:
-        """Return a command that runs on one side."""
-        return ["ip", "netns", "exec", getattr(self, side), *arguments]
+    def namespace(self, host: str) -> str:
+        """Return the name of a machine's namespace."""
+        return f"armrig-{os.getpid()}-{host}"
+
+    def command(self, host: str, *arguments: str) -> list[str]:
+        """Return a command that runs on a machine."""
+        return ["ip", "netns", "exec", self.namespace(host), *arguments]
 
 
 def missing() -> str:
@@ -39,25 +41,33 @@ def missing() -> str:
 
 
 @contextmanager
-def connected() -> Iterator[Namespaces]:
-    """Give two namespaces, connected with each other only."""
-    own = os.getpid()
-    both = Namespaces(f"armrig-{own}-rig", f"armrig-{own}-stranger")
-    ends: dict[Side, str] = {"rig": f"ar{own}", "stranger": f"as{own}"}  # 15 characters at most
+def connected(hosts: Sequence[str] = ("rig", "stranger")) -> Iterator[Namespaces]:
+    """Give machines that reach only each other."""
+    made = Namespaces(tuple(hosts))
+    middle, *others = made.hosts
     try:
-        for name in both:
-            run("ip", "netns", "add", name)
-        run("ip", "link", "add", ends["rig"], "type", "veth", "peer", "name", ends["stranger"])
-        for side, end in ends.items():
-            run("ip", "link", "set", end, "netns", getattr(both, side))
-            run(*both.command(side, "ip", "address", "add", f"{ADDRESSES[side]}/24", "dev", end))
-            run(*both.command(side, "ip", "link", "set", end, "up"))
-            run(*both.command(side, "ip", "link", "set", "lo", "up"))
-        yield both
+        for host in made.hosts:
+            run("ip", "netns", "add", made.namespace(host))
+            run(*made.command(host, "ip", "link", "set", "lo", "up"))
+        run(*made.command(middle, "ip", "link", "add", "switch", "type", "bridge"))
+        _up(made, middle, "switch")
+        for host in others:
+            run(
+                *made.command(middle, "ip", "link", "add", host, "type", "veth"),
+                *("peer", "name", "line", "netns", made.namespace(host)),
+            )
+            run(*made.command(middle, "ip", "link", "set", host, "master", "switch", "up"))
+            _up(made, host, "line")
+        yield made
     finally:
-        for name in both:
+        for host in made.hosts:
             with suppress(subprocess.CalledProcessError):
-                run("ip", "netns", "delete", name)
+                run("ip", "netns", "delete", made.namespace(host))
+
+
+def _up(made: Namespaces, host: str, device: str) -> None:
+    run(*made.command(host, "ip", "address", "add", f"{ADDRESSES[host]}/24", "dev", device))
+    run(*made.command(host, "ip", "link", "set", device, "up"))
 
 
 def run(*command: str) -> None:

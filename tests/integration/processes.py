@@ -207,6 +207,8 @@ class Bench:
         self.recordings = folder / "recordings"
         self.config = folder / "armrig.toml"
         self.processes: list[Process] = []
+        self.emulator: Process
+        self.daemon: Process
         self.configure()
 
     def use_terminal(self) -> None:
@@ -253,12 +255,12 @@ class Bench:
 
     def emulate(self) -> Process:
         """Start the emulated rig with its witness."""
-        emulator = self.start(
+        self.emulator = self.start(
             *("armrig_daemon", "emulate", "--port", str(self.port)),
             *("--config", str(self.config), "--trace", str(self.trace)),
         )
         wait_for(self.port_is_there)
-        return emulator
+        return self.emulator
 
     def port_is_there(self) -> bool:
         """Return whether an emulator has made the port."""
@@ -266,9 +268,9 @@ class Bench:
 
     def serve(self, env: dict[str, str] | None = None) -> Process:
         """Start the daemon and wait until it samples."""
-        daemon = self.start("armrig_daemon", "run", "--config", str(self.config), env=env)
-        self.is_served_by(daemon)
-        return daemon
+        self.daemon = self.start("armrig_daemon", "run", "--config", str(self.config), env=env)
+        self.is_served_by(self.daemon)
+        return self.daemon
 
     def is_served_by(self, daemon: Process) -> None:
         """Wait until the daemon samples; an assertion fails if it has ended."""
@@ -278,9 +280,14 @@ class Bench:
         wait_for(lambda: self.phase() == "safe" or daemon.popen.poll() is not None)
         assert daemon.popen.poll() is None, daemon.said
 
+    @property
+    def endpoint(self) -> str:
+        """Return where the daemon listens."""
+        return f"unixsock-stream/{self.folder}/armrig/1.sock"
+
     def rig(self) -> Rig:
         """Return a client."""
-        return Rig("1", connect=f"unixsock-stream/{self.folder}/armrig/1.sock")
+        return Rig("1", connect=self.endpoint)
 
     def recording(self) -> Path:
         """Return the last finished recording; where a stall has ended a run there is one before."""

@@ -18,10 +18,6 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
-from armrig_protocol.decoder import feed
-from armrig_protocol.frame import Spoilt, Unknown, encode
-from armrig_protocol.messages import HelloReply
-
 _PRIORITY = 40  # between the loop's and the emulator's
 _READ = 4096
 _SHARE = 0.05  # of the pieces that noise spoils
@@ -33,7 +29,6 @@ class Line:
     def __init__(self, device: Path, link: Path) -> None:
         self._device, self._link = device, link
         self._random = random.Random(1)
-        self._pending = b""
         self.ends()
         self._fd = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         self.master = -1
@@ -44,7 +39,6 @@ class Line:
         """Let all pass again."""
         self.deaf = self.mute = False
         self._spoil: Callable[[bytes], bytes] = bytes
-        self._said: Callable[[bytes], bytes] = bytes
 
     def unplug(self) -> None:
         """Take the port away, as a cable that is pulled does."""
@@ -87,17 +81,13 @@ class Line:
         """Lose the rear of a piece, either way."""
         self._spoil = lambda data: data[: self._random.randrange(len(data))]
 
-    def other_firmware(self) -> None:
-        """Let the device report another version."""
-        self._said = self._of_another_version
-
     def carry(self) -> bool:
         """Carry the present bytes; return whether the test has sent a line."""
         host = [] if self.deaf or self.master < 0 else [self.master]
         ready, _, _ = select.select([0, self._fd, *host], [], [], 1)
         if self._fd in ready:
             with contextlib.suppress(OSError):
-                data = self._said(self._noisy(os.read(self._fd, _READ)))
+                data = self._noisy(os.read(self._fd, _READ))
                 if self.master >= 0 and not self.mute:
                     os.write(self.master, data)
         if self.master in ready:
@@ -113,14 +103,6 @@ class Line:
     def _flipped(self, data: bytes) -> bytes:
         at = self._random.randrange(8 * len(data))
         return bytes(b ^ (at // 8 == i) << at % 8 for i, b in enumerate(data))
-
-    def _of_another_version(self, data: bytes) -> bytes:
-        self._pending, received = feed(self._pending, data)
-        sound = [m for m in received if not isinstance(m, Spoilt | Unknown)]
-        told = [
-            m._replace(version=m.version + 1) if isinstance(m, HelloReply) else m for m in sound
-        ]
-        return b"".join(map(encode, told))
 
 
 class Relay:

@@ -12,7 +12,6 @@ from typing import Any
 
 from tests.integration.namespaces import Namespaces
 from tests.integration.processes import Bench, wait_for
-from tests.integration.star import Star
 
 HERE = Path(__file__).parent
 GUARDED = ("-m", "armrig_daemon")
@@ -44,7 +43,7 @@ def started(line: Namespaces, bench: Bench, *program: str) -> Iterator[Path]:
 
 
 def stranger(
-    line: Namespaces | Star, where: str, made: Path, who: str, pem: str, program: str = STRANGER
+    line: Namespaces, where: str, made: Path, who: str, pem: str, program: str = STRANGER
 ) -> subprocess.Popen[str]:
     """Start a program on the strangers' side."""
     credential = [str(made / pem)] if pem else []
@@ -62,7 +61,7 @@ def stranger(
 
 
 @contextmanager
-def watching(line: Namespaces | Star, where: str, made: Path) -> Iterator[subprocess.Popen[str]]:
+def watching(line: Namespaces, where: str, made: Path) -> Iterator[subprocess.Popen[str]]:
     """Have an operator listen, from the strangers' side, until the block ends."""
     watcher = stranger(line, where, made, "watch", "carol.pem")
     assert watcher.stdout is not None

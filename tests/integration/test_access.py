@@ -17,7 +17,6 @@ from urllib.parse import urlsplit
 import armrig
 import pytest
 import zenoh
-from armrig.cli import main
 from armrig.dashboard.foxglove import foxglove
 from armrig.dashboard.serving import Settings, dashboard
 from armrig.lab import pki
@@ -37,14 +36,10 @@ from tests.integration.laboratory import (
     by_certificate,
     by_password,
     certificates,
-    expire_rig,
     free_port,
 )
 from tests.integration.processes import WITHIN_S, Bench, settled, wait_for
 from tests.integration.sockets import sockets
-from tests.sampling import sampled
-
-NOT_HELD = "not the lease in force: arm first"
 
 
 @pytest.fixture(scope="module")
@@ -98,35 +93,7 @@ def test_a_local_user_stops_the_rig_without_any_certificate(lab: Laboratory) -> 
             rig.set(1.0)
 
 
-def test_a_name_cannot_be_borrowed(lab: Laboratory) -> None:
-    with lab.bench.rig() as here, lab.rig("carol") as rig:
-        here.arm("(certificate certificate alice)")
-        assert here.status().owner == "[certificate certificate alice]"
-        assert here.status().owner_checked == ""
-        here.disarm()
-        rig.arm("me (certificate alice) (user alice)")
-        owner = "me [certificate alice] [user alice] (certificate carol)"
-        assert rig.status().owner == owner
-        assert rig.status().owner_checked == "certificate carol"
-        rig.disarm()
-
-
-def test_a_lease_is_of_use_to_nobody_else(lab: Laboratory) -> None:
-    """Another operator and the user at the rig know the lease."""
-    with lab.rig("alice") as rig, lab.rig("carol") as other, lab.bench.rig() as here:
-        lease = rig.arm("a test").lease
-        for thief in (other, here):
-            thief._lease, thief._n = lease, 10
-            with pytest.raises(RefusedError, match=NOT_HELD):
-                thief.set(1.0)
-            with pytest.raises(RefusedError, match=NOT_HELD):
-                thief.run([1.0] * 10)
-            thief._lease = ""
-        rig.disarm()
-    assert lab.bench.volts() == 0.0
-
-
-def test_an_observer_watches_and_does_nothing(lab: Laboratory) -> None:
+def test_an_observer_can_watch_and_cannot_command(lab: Laboratory) -> None:
     with lab.rig("bob") as rig:
         assert next(samples(rig)).u_applied_v == 0.0
         assert settled(rig) == "safe"
@@ -136,7 +103,7 @@ def test_an_observer_watches_and_does_nothing(lab: Laboratory) -> None:
 
 
 @pytest.mark.parametrize("who", ["eve", "wrong"])
-def test_a_client_on_no_list_gets_no_answer(lab: Laboratory, who: str) -> None:
+def test_a_client_on_no_access_list_gets_no_answer(lab: Laboratory, who: str) -> None:
     with lab.rig(who) as rig:
         with pytest.raises(NoReplyError, match="not permitted"):
             rig.status()
@@ -144,38 +111,7 @@ def test_a_client_on_no_list_gets_no_answer(lab: Laboratory, who: str) -> None:
             next(rig.stream())
 
 
-@pytest.mark.parametrize(
-    ("who", "says"),
-    [
-        ("forged", "that signed your certificate did not sign the listener's certificate"),
-        ("expired", "expired.pem: the certificate has expired: `armrig pki renew`"),
-    ],
-)
-def test_a_certificate_that_does_not_count_is_reported(
-    lab: Laboratory, who: str, says: str
-) -> None:
-    with pytest.raises(RigError, match=says), lab.rig(who):
-        pass
-
-
-def test_commands_find_rig_and_certificate_in_the_configuration(
-    lab: Laboratory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "armrig").mkdir()
-    (tmp_path / "armrig" / "armrig.toml").write_text(
-        f'[client]\nconnect = "{lab.endpoint}"\ncertificate = "{lab.made}/alice.pem"\n'
-    )
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-
-    with Rig() as rig:
-        rig.arm("a test")
-        assert rig.status().owner == "a test (certificate alice)"
-        rig.disarm()
-    assert next(s for s in armrig.stream("rig/1/sample") if not isinstance(s, armrig.LiveGap)).k > 0
-
-
-def test_a_run_that_is_too_long_for_a_network_is_refused_by_the_client(lab: Laboratory) -> None:
+def test_a_run_too_long_for_the_network_is_refused_by_the_client(lab: Laboratory) -> None:
     """The daemon would drop it, because it keeps no message of that size."""
     with lab.rig("alice") as rig:
         rig.arm("a test")
@@ -216,42 +152,22 @@ def test_a_user_with_a_password_is_known_by_name(
         pass
 
 
-@pytest.mark.parametrize(
-    ("spoilt", "says"),
-    sampled(
-        [
-            ("names", "access.toml: there is no such file; `armrig pki ca` writes one"),
-            ("certificate", "rig-1.pem: the certificate has expired: `armrig pki renew`"),
-            ("address", "this machine has no such address"),
-            ("port", "another program listens there; use another port"),
-        ],
-        2,
-    ),
-)
-def test_a_daemon_that_cannot_listen_as_it_should_does_not_start(
-    bench: Bench, spoilt: str, says: str
-) -> None:
+def test_a_daemon_that_cannot_listen_does_not_start(bench: Bench) -> None:
     """Exit code 78, one line, and the motor's loop never starts."""
     made = certificates(bench.folder)
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        host = "192.0.2.7" if spoilt == "address" else "127.0.0.1"
-        port = taken.getsockname()[1] if spoilt == "port" else free_port()
-        by_certificate(bench, made, f"tls/{host}:{port}")
-        if spoilt == "names":
-            (made / "access.toml").unlink()
-        if spoilt == "certificate":
-            expire_rig(made)
+        by_certificate(bench, made, f"tls/127.0.0.1:{taken.getsockname()[1]}")
         bench.emulate()
         daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
         assert daemon.popen.wait(WITHIN_S) == EX_CONFIG
 
-    assert says in daemon.said
+    assert "another program listens there; use another port" in daemon.said
     assert "Traceback" not in daemon.said
     assert bench.volts() == 0.0
 
 
 @pytest.mark.parametrize("level", ["socket", "certificate", "password"])
-def test_nothing_listens_but_what_is_said(bench: Bench, level: str) -> None:
+def test_a_daemon_listens_only_at_configured_endpoints(bench: Bench, level: str) -> None:
     """A1: nothing, or one port of TCP; no multicast, no gossip, no second port."""
     made = certificates(bench.folder)
     port = free_port()
@@ -267,14 +183,12 @@ def test_nothing_listens_but_what_is_said(bench: Bench, level: str) -> None:
     assert sockets(bench.loop_pid(daemon)) == {}
 
 
-@pytest.mark.parametrize(
-    "more", [(), ("visitors",), ("foxglove",), ("visitors", "foxglove")], ids=str
-)
-def test_a_dashboard_listens_on_the_ports_that_it_says_alone(
+@pytest.mark.parametrize("more", [(), ("visitors", "foxglove")], ids=str)
+def test_a_dashboard_listens_only_on_the_ports_that_it_prints(
     lab: Laboratory, more: tuple[str, ...]
 ) -> None:
     """A4: the page on the loopback; further ports for visitors and Foxglove on request."""
-    here = f"unixsock-stream/{lab.bench.folder}/armrig/1.sock"
+    here = lab.bench.endpoint
     share = "127.0.0.2" if "visitors" in more else None  # an address of its own, as a network's
     before = sockets(os.getpid())
     with contextlib.ExitStack() as opened:
@@ -318,7 +232,7 @@ def _is_answered(session: zenoh.Session, key: str) -> bool:
     return any(reply.ok is not None for reply in session.get(key, timeout=WITHIN_S))
 
 
-def test_another_s_zenoh_id_gives_no_rights(lab: Laboratory) -> None:
+def test_the_zenoh_id_of_another_client_gives_no_rights(lab: Laboratory) -> None:
     with _connected(lab, "alice", "a11ce") as alice:
         assert _is_answered(alice, "rig/1/cmd/status/alice")
         with pytest.raises(zenoh.ZError):
@@ -331,15 +245,6 @@ def test_another_s_zenoh_id_gives_no_rights(lab: Laboratory) -> None:
         assert not _is_answered(bob, "rig/1/cmd/stop/bob")
 
 
-def test_an_observer_records_from_afar(lab: Laboratory, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = lab.bench.folder / "afar.mcap"
-    monkeypatch.setenv("ARMRIG_CLIENT_CERTIFICATE", str(lab.made / "bob.pem"))
-
-    assert main(["record", "--from", lab.endpoint, "--seconds", "1", "-o", str(path)]) == 0
-
-    assert armrig.load(path).t.size > 50
-
-
 @pytest.mark.exhaustive
 def test_a_link_ends_with_the_certificate_that_opened_it(lab: Laboratory, tmp_path: Path) -> None:
     made = Path(shutil.copytree(lab.made, tmp_path / "pki"))
@@ -349,28 +254,6 @@ def test_a_link_ends_with_the_certificate_that_opened_it(lab: Laboratory, tmp_pa
     with Rig("1", connect=lab.endpoint, certificate=short) as rig:
         assert settled(rig) == "safe"
         wait_for(lambda: not _is_answered(rig._connected(), "rig/1/cmd/status/carol"))
-
-
-def _most_resident_mib(pid: int) -> float:
-    """Return the most memory that a process has ever held, in MiB."""
-    return int(Path(f"/proc/{pid}/status").read_text().split("VmHWM:")[1].split()[0]) / 1024
-
-
-@pytest.mark.exhaustive
-def test_what_is_too_long_is_dropped_before_anybody_reads_it(lab: Laboratory) -> None:
-    """At most 8 MB of 64 MB are ever held."""
-    daemon = lab.bench.processes[-1].popen.pid
-    with _connected(lab, "alice", "a11ce") as alice:
-        status = "rig/1/cmd/status/alice"
-        assert _is_answered(alice, status)
-        assert list(alice.get(status, payload=b" " * 5000, timeout=5)) == []
-        before = _most_resident_mib(daemon)
-
-        replies = alice.get("rig/1/cmd/run/alice", payload=bytes(64 << 20), timeout=3)
-        assert all(reply.ok is None for reply in replies)
-
-        assert _is_answered(alice, status)
-        assert _most_resident_mib(daemon) - before < 48
 
 
 def _chained(lab: Laboratory, name: str) -> dict[str, Any]:

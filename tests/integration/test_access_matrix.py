@@ -1,44 +1,58 @@
 """Permissions over a network: every client tries every operation of zenoh on every key.
 
-Each cell is tried 20 times, from a network namespace of its own. As the control the same attempts
-succeed without the guard, so that an empty cell is evidence.
+Each cell is tried 20 times at a daemon and 4 times at a router, from a network namespace of its
+own. As the control the same attempts succeed without the guard, so that an empty cell is evidence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
+from subprocess import Popen
 from typing import Any, NamedTuple
 
 import pytest
 
 from tests.integration import namespaces
+from tests.integration.fleet_lab import FleetLab
 from tests.integration.laboratory import by_certificate, certificates
-from tests.integration.namespaces import Namespaces
-from tests.integration.processes import Bench
-from tests.integration.remote_rig import GUARDED, PORT, UNGUARDED, said, started, stranger, watching
+from tests.integration.namespaces import ADDRESSES, Namespaces
+from tests.integration.processes import Bench, wait_for
+from tests.integration.remote_rig import (
+    GUARDED,
+    HERE,
+    PORT,
+    UNGUARDED,
+    WITHIN_S,
+    said,
+    started,
+    stranger,
+    watching,
+)
 from tests.integration.stranger import (
     ALIVE,
     FORGED,
     STREAM_KEYS,
-    TIMES,
     TOLD_KEYS,
     command_keys,
     every_key,
 )
 
 pytestmark = pytest.mark.machine
+ROUTER = {True: ("-m", "armrig"), False: (str(HERE / "open_router.py"),)}
+"""Programs of the router, with and without its guard."""
+TIMES = {"daemon": 20, "router": 4}
 WHO = {
-    "nobody": "",
-    "forged": "forged.pem",
-    "expired": "expired.pem",
-    "wrong": "wrong.pem",
-    "eve": "eve.pem",
-    "bob": "bob.pem",
-    "alice": "alice.pem",
+    "daemon": ("nobody", "forged", "expired", "wrong", "eve", "bob", "alice"),
+    "router": ("nobody", "forged", "wrong", "rig-2", "bob", "alice"),
 }
 NOT_LET_IN = ("nobody", "forged", "expired")
-ON_NO_LIST = ("wrong", "eve")
+PERMITTED = {"bob": ["rig/1/cmd/status/bob"], "alice": command_keys("alice")}
+EVERYBODY = [(way, who) for way in WHO for who in WHO[way]]
+STRANGERS = [(way, who) for way, who in EVERYBODY if who not in PERMITTED]
 
 
 class Tried(NamedTuple):
@@ -49,130 +63,136 @@ class Tried(NamedTuple):
     log: str
 
 
+Try = Callable[[str, bool], Tried]
+
+
 @pytest.fixture(scope="module")
-def line() -> Iterator[Namespaces]:
-    """Give two machines."""
+def tried(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Try]:
+    """Give a function that returns what everybody can do, with and without the guard."""
     if why := namespaces.missing():
         pytest.skip(why)
-    with namespaces.connected() as both:
-        yield both
+    with namespaces.connected(["rig", "router", "stranger"]) as net:
+        yield cache(lambda way, guard: _tried(net, tmp_path_factory.mktemp(way), way, guard))
 
 
-@pytest.fixture(scope="module")
-def guarded(line: Namespaces, tmp_path_factory: pytest.TempPathFactory) -> Tried:
-    """Return what everybody can do to the daemon."""
-    return _tried(line, tmp_path_factory.mktemp("guarded"), *GUARDED)
-
-
-@pytest.fixture(scope="module")
-def unguarded(line: Namespaces, tmp_path_factory: pytest.TempPathFactory) -> Tried:
-    """Return what everybody can do where nothing is denied."""
-    return _tried(line, tmp_path_factory.mktemp("open"), *UNGUARDED)
-
-
-def _tried(line: Namespaces, folder: Path, *program: str) -> Tried:
+def _tried(net: Namespaces, folder: Path, way: str, guard: bool) -> Tried:
     bench = Bench(folder)
-    made = certificates(folder)
-    where = by_certificate(bench, made, f"tls/{namespaces.ADDRESSES['rig']}:{PORT}")
-    try:
+    with ExitStack() as stack:
+        stack.callback(bench.end)
+        if way == "daemon":
+            made = certificates(folder)
+            where = by_certificate(bench, made, f"tls/{ADDRESSES['rig']}:{PORT}")
+        else:
+            lab = FleetLab(folder, ADDRESSES["router"])
+            made, where = lab.made, lab.endpoint
+            bench.configure(more=lab.access("1"))
         bench.emulate()
-        with started(line, bench, *program) as log:
-            with watching(line, where, made) as watcher:
-                attempts = {who: stranger(line, where, made, who, pem) for who, pem in WHO.items()}
-                by = {who: said(attempt) for who, attempt in attempts.items()}
-            return Tried(by, said(watcher), log.read_text())
-    finally:
-        bench.end()
+        program = GUARDED if guard or way == "router" else UNGUARDED
+        log = stack.enter_context(started(net, bench, *program))
+        if way == "router":
+            stack.enter_context(_routed(net, lab, log, guard))
+        environ = stack.enter_context(pytest.MonkeyPatch.context())
+        environ.setenv("STRANGER_TIMES", str(TIMES[way]))
+        with watching(net, where, made) as watcher:
+            attempts = {
+                who: stranger(net, where, made, who, "" if who == "nobody" else f"{who}.pem")
+                for who in WHO[way]
+            }
+            by = {who: said(attempt) for who, attempt in attempts.items()}
+        return Tried(by, said(watcher), log.read_text())
+
+
+@contextmanager
+def _routed(net: Namespaces, lab: FleetLab, log: Path, guard: bool) -> Iterator[None]:
+    """Have a router run, and the daemon found through it."""
+    command = [sys.executable, *ROUTER[guard], *lab.router_command()]
+    with Popen(net.command("router", *command)) as router:
+        try:
+            wait_for(lambda: "connected to the router" in log.read_text(), WITHIN_S)
+            yield
+        finally:
+            router.kill()
 
 
 def _worked(counts: dict[str, int]) -> dict[str, int]:
     return {key: n for key, n in counts.items() if n}
 
 
-@pytest.mark.parametrize("who", NOT_LET_IN)
-def test_a_client_without_a_valid_certificate_is_refused(guarded: Tried, who: str) -> None:
-    found = guarded.by[who]
+@pytest.mark.parametrize(("way", "who"), STRANGERS)
+def test_a_client_without_permission_receives_and_changes_nothing(
+    tried: Try, way: str, who: str
+) -> None:
+    found = tried(way, True).by[who]
 
-    assert found["links"] == 0
+    assert found["links"] == (0 if who in NOT_LET_IN else TIMES[way])
     for what in ("query", "liveliness", "subscribe", "tokens", "overhear"):
         assert _worked(found[what]) == {}, what
 
 
-@pytest.mark.parametrize("who", ON_NO_LIST)
-def test_a_client_on_no_list_hears_and_does_nothing(guarded: Tried, who: str) -> None:
-    found = guarded.by[who]
+@pytest.mark.parametrize("way", WHO)
+@pytest.mark.parametrize("who", PERMITTED)
+def test_a_client_has_exactly_the_permissions_of_the_access_list(
+    tried: Try, way: str, who: str
+) -> None:
+    found, times = tried(way, True).by[who], TIMES[way]
+    heard, alive = _worked(found["subscribe"]), _worked(found["liveliness"])
+    wild = {"rig/1/*", "rig/*/sample"} if way == "router" else {"rig/1/*"}
 
-    assert found["links"] == TIMES
-    for what in ("query", "liveliness", "subscribe", "tokens", "overhear"):
-        assert _worked(found[what]) == {}, what
-
-
-def test_an_observer_hears_the_rig_and_asks_for_its_state(guarded: Tried) -> None:
-    found = guarded.by["bob"]
-
-    assert found["links"] == TIMES
-    assert _worked(found["query"]) == dict.fromkeys((*TOLD_KEYS, "rig/1/cmd/status/bob"), TIMES)
-    assert _heard_only(found, {*STREAM_KEYS, "rig/1/*"})
-    assert _worked(found["liveliness"]) == dict.fromkeys((ALIVE, "rig/1/*"), TIMES)
-    # The stranger's own session delivers its token to each of its matching subscribers.
-    assert min(found["tokens"][key] for key in (ALIVE, "rig/1/*")) > TIMES / 2
+    assert found["links"] == times
+    assert _worked(found["query"]) == dict.fromkeys((*TOLD_KEYS, *PERMITTED[who]), times)
+    assert {"rig/1/sample", *wild} <= heard.keys() <= {*STREAM_KEYS, *wild}
+    assert alive.keys() == {ALIVE, "rig/1/*"}
     assert _worked(found["overhear"]) == {}
+    if way == "daemon":
+        assert min(heard["rig/1/sample"], heard["rig/1/*"]) > times / 2
+        assert {*alive.values()} == {times}
+        # The stranger's own session delivers its token to each of its matching subscribers.
+        assert who == "alice" or min(found["tokens"][key] for key in alive) > times / 2
 
 
-def test_an_operator_commands_under_their_own_name(guarded: Tried) -> None:
-    found = guarded.by["alice"]
+@pytest.mark.parametrize("way", WHO)
+def test_no_forged_message_reaches_a_listener(tried: Try, way: str) -> None:
+    """No sample, no token, no reply."""
+    watcher = tried(way, True).watcher
 
-    assert found["links"] == TIMES
-    assert _worked(found["query"]) == dict.fromkeys((*TOLD_KEYS, *command_keys("alice")), TIMES)
-    assert _heard_only(found, {*STREAM_KEYS, "rig/1/*"})
-    assert _worked(found["liveliness"]) == dict.fromkeys((ALIVE, "rig/1/*"), TIMES)
-    assert _worked(found["overhear"]) == {}
-
-
-def _heard_only(found: dict[str, Any], keys: set[str]) -> bool:
-    """Return whether samples arrived in most rounds, and from no other key than these."""
-    heard = _worked(found["subscribe"])
-    return min(heard["rig/1/sample"], heard["rig/1/*"]) > TIMES / 2 and heard.keys() <= keys
+    assert watcher["heard"]["rig/1/sample"] > 100
+    assert _worked(watcher["forged"]) == {}
 
 
-def test_a_listener_hears_nobody_else(guarded: Tried) -> None:
-    """A watcher met none of 10 000 forgeries: no sample, no token, no reply."""
-    assert guarded.watcher["heard"]["rig/1/sample"] > 100
-    assert _worked(guarded.watcher["forged"]) == {}
-
-
-def test_no_command_was_taken_but_an_operator_s(guarded: Tried) -> None:
-    taken = [line.split(": by ")[1] for line in guarded.log.splitlines() if ": by " in line]
+@pytest.mark.parametrize("way", WHO)
+def test_the_daemon_accepts_commands_only_from_an_operator(tried: Try, way: str) -> None:
+    log = tried(way, True).log
+    taken = [line.split(": by ")[1] for line in log.splitlines() if ": by " in line]
 
     assert taken
     assert {who for who in taken if not who.startswith("certificate alice")} == set()
 
 
-@pytest.mark.parametrize("who", WHO)
-def test_without_the_guard_everybody_does_everything(unguarded: Tried, who: str) -> None:
+@pytest.mark.parametrize(("way", "who"), EVERYBODY)
+def test_any_client_has_every_permission_without_access_control(
+    tried: Try, way: str, who: str
+) -> None:
     """The control: the same attempts, and all of them succeed."""
-    found = unguarded.by[who]
+    unguarded, times = tried(way, False), TIMES[way]
+    found, forged = unguarded.by[who], _worked(unguarded.watcher["forged"])
 
-    assert found["links"] == TIMES
+    assert found["links"] == times
     assert set(command_keys(who)) | set(command_keys("alice")) <= {
-        key for key, n in found["query"].items() if n == TIMES
+        key for key, n in found["query"].items() if n == times or (way == "router" and n)
     }
     assert {"rig/1/sample", "rig/1/*", "rig/1/**", "**"} <= _worked(found["subscribe"]).keys()
     assert {ALIVE, "rig/1/*", "**"} <= _worked(found["liveliness"]).keys()
-    forged = _worked(unguarded.watcher["forged"])
-    assert forged[f"PUT {who}"] > TIMES
-    assert forged[f"DELETE {who}"] > TIMES
-
-
-def test_without_the_guard_tokens_and_replies_are_forged(unguarded: Tried) -> None:
-    """The control of the watcher."""
-    forged = _worked(unguarded.watcher["forged"])
-
+    assert forged[f"PUT {who}"] > times
+    assert way == "router" or forged[f"DELETE {who}"] > times
     assert forged[f"TOKEN {FORGED}"] > 0
-    assert any(_worked(found["overhear"]) for found in unguarded.by.values())
 
 
-def test_every_key_of_the_rig_was_tried() -> None:
+def test_replies_can_be_forged_without_access_control(tried: Try) -> None:
+    """The control of the watcher."""
+    assert any(_worked(found["overhear"]) for found in tried("daemon", False).by.values())
+
+
+def test_the_matrix_covers_every_key_of_the_rig() -> None:
     keys = every_key("bob")
 
     assert len(keys) == len(set(keys))

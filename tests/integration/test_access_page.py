@@ -13,8 +13,6 @@ from pwd import getpwnam
 
 import pytest
 from armrig.cli import main
-from armrig_daemon.config import Config, load
-from armrig_daemon.service.access import network_of
 
 from tests.integration.laboratory import free_port
 from tests.integration.processes import Bench, wait_for
@@ -84,7 +82,7 @@ def _armrig(lab: Bench, *arguments: str, **env: str) -> subprocess.CompletedProc
 
 
 @pytest.mark.exhaustive
-def test_a_recording_is_made_over_the_network_as_the_page_says(lab: Bench) -> None:
+def test_the_page_leads_to_a_recording_over_the_network(lab: Bench) -> None:
     port = free_port()
     _serve(lab, ACCESS, port)
     _client(lab, CLIENT, port)
@@ -112,7 +110,7 @@ def test_a_recording_is_made_over_the_network_as_the_page_says(lab: Bench) -> No
     assert asked.stdout.strip() in ("safe", "fault")
 
 
-def test_a_password_is_taken_as_the_page_says(lab: Bench) -> None:
+def test_the_page_leads_to_access_by_password(lab: Bench) -> None:
     port = free_port()
     _client(lab, CLIENT_BY_PASSWORD, port)
     for path in (lab.folder / "passwords", lab.folder / "config" / "armrig" / "alice.password"):
@@ -128,7 +126,7 @@ def test_a_password_is_taken_as_the_page_says(lab: Bench) -> None:
 
 
 @pytest.mark.exhaustive
-def test_a_rig_is_reached_through_a_router_as_the_page_says(
+def test_the_page_leads_to_a_rig_behind_a_router(
     lab: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     port = free_port()
@@ -159,7 +157,7 @@ def _at_router(text: str, port: int) -> str:
 
 @pytest.mark.root
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root installs files for another user")
-def test_a_student_reads_no_key_and_no_password_that_lies_as_the_page_says(lab: Bench) -> None:
+def test_the_page_protects_keys_and_passwords_from_students(lab: Bench) -> None:
     owner, folder = getpwnam("daemon"), lab.folder / "etc"
     student = {"user": 65534, "group": 65534, "extra_groups": [owner.pw_gid]}
     folder.mkdir()
@@ -181,7 +179,7 @@ def test_a_student_reads_no_key_and_no_password_that_lies_as_the_page_says(lab: 
     assert read == {"rig-1.pem": b"", "passwords": b""}
 
 
-def test_certificates_are_renewed_and_revoked_as_the_page_says(
+def test_the_page_leads_to_renewal_and_revocation_of_certificates(
     lab: Bench, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for command in _commands(CHANGED):
@@ -196,25 +194,3 @@ def test_certificates_are_renewed_and_revoked_as_the_page_says(
         "bob": "observers",
         "rig-1": "rig",
     }
-
-
-@pytest.mark.parametrize("access", [ACCESS, ACCESS_BY_PASSWORD])
-def test_a_configuration_of_the_page_opens_what_it_says(lab: Bench, access: str) -> None:
-    folder = lab.folder / "pki"
-    (folder / "passwords").write_text(PASSWORDS)
-    (folder / "passwords").chmod(0o400)
-    (folder / "armrig.toml").write_text(access)
-
-    config: Config = load([folder / "armrig.toml"], {}, {})
-    network = network_of(config)
-
-    assert network is not None
-    assert network.endpoint == re.findall(r'listen = "(.*)"', access)[0]
-    assert network.operators == 1
-
-
-def test_the_extra_has_the_name_that_the_page_says() -> None:
-    project = (Path(__file__).parents[2] / "pyproject.toml").read_text()
-
-    assert INSTALL.strip() == "pip install '.[pki]'"
-    assert '\npki = ["cryptography' in project

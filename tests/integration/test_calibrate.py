@@ -17,16 +17,12 @@ import pytest
 from armrig.cli.replay import replay
 from armrig.recordings.calibration import decompressed, estimate
 from armrig.recordings.container import read
-from armrig.rig.replies import RefusedError
-from armrig_core.calibration import Calibration, Made, Potentiometer
-from armrig_core.calibration_file import raw_path, read_calibration, toml_of
+from armrig_core.calibration_file import raw_path, read_calibration
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW
 from msgspec.structs import replace
 
-from tests.integration.driving import check_every_k, driven, recorded
-from tests.integration.processes import Bench, wait_for
+from tests.integration.processes import WITHIN_S, Bench, wait_for
 
-ALPHA = Potentiometer(zero_counts=32768.0, wraps=False)
 UNKNOWN = """
 theta_1_reversed = true
 theta_1_range_deg = 340.0
@@ -38,21 +34,16 @@ coulomb_nm = 0.02
 """
 
 
-def _command(bench: Bench, *arguments: str) -> list[str]:
-    where = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    return [sys.executable, "-m", "armrig", "calibrate", "--connect", where, *arguments]
-
-
-def _calibrated(bench: Bench, output: Path, *arguments: str) -> tuple[dict[str, Any], str]:
+def _calibrated(bench: Bench, output: Path) -> tuple[dict[str, Any], str]:
     """Calibrate on the command line, Enter at each question; return its output."""
     ours, theirs = os.openpty()
     os.write(ours, b"\n" * 5)
     done = subprocess.run(
-        _command(
-            bench,
-            *("--json", "--save", str(output), "--volts", "5", *arguments),
+        [
+            *(sys.executable, "-m", "armrig", "calibrate", "--connect", bench.endpoint),
+            *("--json", "--save", str(output), "--volts", "5"),
             *("--level-seconds", "5", "--rest-seconds", "0.5", "--meter", "32768=2.5"),
-        ),
+        ],
         stdin=theirs,
         capture_output=True,
         text=True,
@@ -122,44 +113,17 @@ def _recorded(bench: Bench) -> armrig.Recording:
         return armrig.load(rig.run(np.full(100, 1.0)))
 
 
-@pytest.mark.exhaustive
-def test_a_calibration_is_taken_between_runs_only(served: Bench) -> None:
-    path = served.folder / "c.toml"
-    with served.rig() as rig:
-        made = Made(
-            date="2026-11-20", rig="1", device_uid=str(rig.status().device["uid"]), armrig="0"
-        )
-        other = Calibration(theta_1=Potentiometer(zero_counts=9.0), alpha=ALPHA, made=made)
-        path.write_text(toml_of(other))
-        with driven(served):
-            with pytest.raises(RefusedError, match=r"^a test has the rig: wait until it is free"):
-                rig.calibrate(path)
-            assert "none" in rig.status().calibration
-        rig.stop()
-        interrupted = recorded(served)
-        rig.calibrate(path)
-        calibrated = _recorded(served)
-
-    assert interrupted.calibration != calibrated.calibration
-    assert calibrated.calibration == other
-    assert replay(interrupted.path).difference == ""
-    check_every_k(interrupted)
-
-
-def test_ctrl_c_while_it_turns_leaves_the_rig_at_0_v_and_no_file(bench: Bench) -> None:
+def test_ctrl_c_during_a_calibration_leaves_the_rig_at_0_v_and_no_file(bench: Bench) -> None:
     bench.emulate()
     bench.serve()
     output = bench.folder / "calibration.toml"
-    command = _command(
-        bench, "--yes", "--save", str(output), "--rest-seconds", "0.5", "--volts", "3"
-    )
-    asked = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    options = "--yes", "--save", str(output), "--rest-seconds", "0.5", "--volts", "3"
+    asked = bench.start("armrig", "calibrate", "--connect", bench.endpoint, *options)
     wait_for(lambda: bench.volts() > 2.9)
 
-    asked.send_signal(SIGINT)
-    _, said = asked.communicate(timeout=30)
+    asked.kill(SIGINT)
 
-    assert asked.returncode == 130, said
-    assert "a stop (0 V) was sent" in said
+    assert asked.popen.wait(WITHIN_S) == 130, asked.said
+    assert "a stop (0 V) was sent" in asked.said
     wait_for(lambda: bench.volts() == 0.0)
     assert not output.exists()

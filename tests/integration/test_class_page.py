@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -16,7 +13,7 @@ from armrig_daemon import config
 from armrig_daemon.config import EX_CONFIG
 from armrig_daemon.emulator.settings import EmulatorSettings
 
-from tests.integration.processes import Bench
+from tests.integration.processes import WITHIN_S, Bench
 
 PAGE = (Path(__file__).parents[2] / "docs" / "class.md").read_text(encoding="utf-8")
 SAID = [text.strip() for text in re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)]
@@ -26,24 +23,16 @@ LINES = [
 THERE = "unixsock-stream//run/armrig/1.sock"
 
 
-def _endpoint(bench: Bench) -> str:
-    return f"unixsock-stream/{bench.folder}/armrig/1.sock"
-
-
-def _armrig(bench: Bench, line: str) -> subprocess.CompletedProcess[str]:
-    """Run a command of the page on the bench's rig."""
-    arguments = shlex.split(
-        line.replace(THERE, _endpoint(bench)).replace("--seconds 30", "--seconds 2")
-    )
-    command = [sys.executable, "-m", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-
-
 @pytest.mark.exhaustive
-def test_the_commands_of_a_student_are_taken(served: Bench) -> None:
+def test_the_commands_of_the_page_for_students_are_valid(served: Bench) -> None:
     lines = [line for line in LINES if line.startswith("armrig ") and THERE in line]
 
-    done = {line.split()[1]: _armrig(served, line) for line in lines if "watch" not in line}
+    done = {}
+    for line in lines:
+        here = line.replace(THERE, served.endpoint).replace("--seconds 30", "--seconds 2")
+        _, name, *arguments = shlex.split(here)
+        if name != "watch":
+            done[name] = served.armrig(name, *arguments)
 
     assert [*done] == ["status", "collect", "stop"]
     assert {name: run.returncode for name, run in done.items()} == dict.fromkeys(done, 0)
@@ -59,8 +48,8 @@ def test_the_group_may_open_the_socket_and_read_recordings(served: Bench) -> Non
     assert oct(recording.stat().st_mode & 0o777) == "0o640"
 
 
-def test_a_held_rig_is_refused_with_its_holder(served: Bench) -> None:
-    with served.rig() as holder, Rig("1", connect=_endpoint(served)) as other:
+def test_a_held_rig_is_refused_with_the_name_of_its_holder(served: Bench) -> None:
+    with served.rig() as holder, Rig("1", connect=served.endpoint) as other:
         holder.arm("group 3")
         with pytest.raises(RefusedError) as refused:
             other.arm("group 4")
@@ -73,21 +62,15 @@ def test_a_held_rig_is_refused_with_its_holder(served: Bench) -> None:
 
 
 def test_a_second_daemon_of_the_same_rig_is_refused(served: Bench) -> None:
-    second = subprocess.run(
-        [sys.executable, "-m", "armrig_daemon", "run", "--port", served.folder / "no-port"],
-        env={**os.environ, "XDG_RUNTIME_DIR": str(served.folder)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    second = served.start("armrig_daemon", "run", "--port", str(served.folder / "no-port"))
 
-    assert second.returncode == EX_CONFIG
+    assert second.popen.wait(WITHIN_S) == EX_CONFIG
     (said,) = [text for text in SAID if "already runs" in text]
-    assert f"armrigd: error: {said.replace(THERE, _endpoint(served))}" in second.stderr.splitlines()
+    assert f"armrigd: error: {said.replace(THERE, served.endpoint)}" in second.said.splitlines()
+    assert served.settled() == "safe"
 
 
-def test_the_configuration_of_the_page_is_taken(tmp_path: Path) -> None:
+def test_the_configuration_of_the_page_is_valid(tmp_path: Path) -> None:
     (text,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
     path = tmp_path / "armrig.toml"
     path.write_text(text)
@@ -97,7 +80,7 @@ def test_the_configuration_of_the_page_is_taken(tmp_path: Path) -> None:
     assert (limits.u_max_v, limits.revolutions, limits.alpha_rad) == (4.5, 40.0, 0.8)
 
 
-def test_a_group_s_own_emulated_rig_is_what_the_page_says() -> None:
+def test_the_page_configures_the_emulated_rig_of_a_group() -> None:
     (line,) = [line for line in LINES if line.startswith("ARMRIG_")]
     environ = dict(word.split("=", 1) for word in shlex.split(line) if word.startswith("ARMRIG_"))
 

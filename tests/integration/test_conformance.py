@@ -3,68 +3,34 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from armrig_daemon.loop.link import Link
 
-from tests.integration.processes import complete_lines
+from tests.integration.processes import Bench
 from tests.sampling import sampled
 
-pytestmark = pytest.mark.real_time
 PATIENCE_S = 120.0
-_RIG = "import sys; from armrig_daemon.__main__ import main; sys.exit(main())"
-_ASKS = "import sys; from armrig.cli import main; sys.exit(main())"
 
 
-def started(program: str, *arguments: str) -> subprocess.Popen[str]:
-    """Start a command with the paths of the tests."""
-    paths = os.pathsep.join(p for p in sys.path if p)
+def _started(bench: Bench, *more: str) -> subprocess.Popen[str]:
+    """Test the emulated rig at a bench's terminal."""
+    bench.use_terminal()
+    bench.emulate()
+    command = ["conformance", "--device", str(bench.port), "--motor-unplugged", *more]
+    pipe = subprocess.PIPE
     return subprocess.Popen(
-        [sys.executable, "-c", program, *arguments],
-        env={**os.environ, "PYTHONPATH": paths},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        [sys.executable, "-m", "armrig", *command], stdout=pipe, stderr=pipe, text=True
     )
 
 
-@pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Path]:
-    """Emulate a rig for one test; return its port."""
-    port = tmp_path / "rig"
-    process = started(_RIG, "emulate", "--port", str(port), "--trace", str(tmp_path / "trace"))
-    end_s = time.monotonic() + PATIENCE_S
-    while not port.is_symlink():
-        assert process.poll() is None
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
-    yield port
-    process.terminate()
-    process.communicate(timeout=PATIENCE_S)
-
-
-def trace(port: Path) -> list[str]:
-    """Return the changes of the motor's voltage so far, a line each."""
-    return complete_lines((port.parent / "trace").read_text())
-
-
-def last_volts(port: Path) -> float:
-    """Return the present voltage of the motor's pin."""
-    return float(trace(port)[-1].split(",")[1])
-
-
 @pytest.mark.exhaustive
-def test_a_device_at_a_port_is_proved_though_the_host_stalls(rig: Path) -> None:
+def test_a_device_at_a_port_passes_conformance_on_a_stalling_host(bench: Bench) -> None:
     """All rules in real time, with 300 ms of SIGSTOP now and then."""
-    asks = started(_ASKS, "conformance", "--device", str(rig), "--motor-unplugged", "--json")
+    asks = _started(bench, "--json")
     for _ in range(4):
         time.sleep(2)
         asks.send_signal(signal.SIGSTOP)
@@ -78,14 +44,16 @@ def test_a_device_at_a_port_is_proved_though_the_host_stalls(rig: Path) -> None:
     assert (asks.returncode, told["broken"], complaint) == (0, 0, "")
     assert len(told["rules"]) > 80
     assert told["device"]["queue"] == 512
-    assert last_volts(rig) == 0.0
+    assert bench.volts() == 0.0
 
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM]))
-def test_an_interruption_leaves_the_device_at_0_v(rig: Path, number: signal.Signals) -> None:
+def test_an_interrupted_conformance_test_stops_the_device(
+    bench: Bench, number: signal.Signals
+) -> None:
     """Exit code 130, and one line; not by the watchdog, but by STOP."""
-    asks = started(_ASKS, "conformance", "--device", str(rig), "--motor-unplugged")
+    asks = _started(bench)
     assert asks.stdout is not None
     for line in asks.stdout:
         if "A k not newer" in line:  # the next rule drives the motor
@@ -96,28 +64,5 @@ def test_an_interruption_leaves_the_device_at_0_v(rig: Path, number: signal.Sign
 
     assert asks.returncode == 130
     assert complaint == "armrigd: conformance: interrupted; a stop was sent to the device\n"
-    assert last_volts(rig) == 0.0
-    assert not trace(rig)[-1].endswith("WATCHDOG")
-
-
-def test_nothing_is_sent_where_nobody_says_that_the_motor_is_unplugged(rig: Path) -> None:
-    asks = started(_ASKS, "conformance", "--device", str(rig))
-
-    _, complaint = asks.communicate(timeout=PATIENCE_S)
-
-    assert asks.returncode == 1
-    assert "the motor must be unplugged" in complaint
-    assert "confirm with --motor-unplugged" in complaint
-    assert len(trace(rig)) == 1
-
-
-def test_a_port_that_another_holds_is_left_alone(rig: Path) -> None:
-    held = Link(str(rig), 500_000)
-    asks = started(_ASKS, "conformance", "--device", str(rig), "--motor-unplugged")
-
-    _, complaint = asks.communicate(timeout=PATIENCE_S)
-    held.close()
-
-    assert asks.returncode == 1
-    assert "in use by another program" in complaint
-    assert complaint.count("\n") == 1
+    assert bench.volts() == 0.0
+    assert "WATCHDOG" not in bench.trace.read_text().splitlines()[-1]

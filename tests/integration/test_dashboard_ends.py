@@ -23,7 +23,7 @@ sys.exit(main())
 """
 
 
-def test_ctrl_c_does_not_wait_for_the_modules() -> None:
+def test_ctrl_c_ends_a_dashboard_that_is_still_importing() -> None:
     pipe = subprocess.PIPE
     command = [sys.executable, "-c", PROGRAM]
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as loading:

@@ -11,16 +11,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
-import armrig
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
 
 from tests.clients import made_recordings
 from tests.integration.driving import bring_to_rest
 from tests.integration.processes import WITHIN_S, Bench
-from tests.integration.watching import STEP, Client, begin, endpoint, recorded, watched
+from tests.integration.watching import STEP, Client, begin, recorded, watched
 from tests.tools import needs
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
@@ -131,7 +129,9 @@ def text(page: Any, selector: str) -> str:
 
 
 @pytest.mark.exhaustive
-def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, served: Bench) -> None:
+def test_the_page_previews_an_experiment_before_it_runs(
+    browser: Any, client: Client, served: Bench
+) -> None:
     with opened(browser, client.url) as page:
         show_step(page, "2")
         assert "the chassis turns" in text(page, "#preview-lines")
@@ -145,11 +145,10 @@ def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, serv
         assert not page.is_enabled("#run")
 
 
-@pytest.mark.parametrize("size", [(1440, 900), (1024, 700)])
-def test_run_is_beside_preview_and_a_run_is_in_view(
-    browser: Any, client: Client, served: Bench, size: tuple[int, int]
+def test_the_run_button_is_next_to_preview_and_a_run_stays_in_view(
+    browser: Any, client: Client, served: Bench
 ) -> None:
-    with opened(browser, client.url, {"width": size[0], "height": size[1]}) as page:
+    with opened(browser, client.url, {"width": 1024, "height": 700}) as page:
         show_step(page)
         preview, run = (page.locator(button).bounding_box() for button in ("#show", "#run"))
         assert preview["y"] == run["y"]
@@ -161,30 +160,6 @@ def test_run_is_beside_preview_and_a_run_is_in_view(
         assert is_in_view(page, "#charts .u-wrap")
         assert is_in_view(page, "#charts .chart:nth-child(2) .u-wrap")
         bring_to_rest(served)
-
-
-def test_on_a_phone_a_click_on_a_recording_shows_it(
-    browser: Any, client: Client, served: Bench
-) -> None:
-    recording = made_recordings.of_the_arm(armrig.telegraph(300, 0.05, seed=1))
-    for i in range(12):
-        (served.recordings / f"many-{i}.mcap").write_bytes(recording)
-    with opened(browser, client.url, PHONE) as page:
-        page.click("#tab-recordings")
-        page.click("[data-file='many-0.mcap']")
-        page.wait_for_selector("#curves canvas")
-        assert page.locator("#one h2").bounding_box()["y"] < PHONE["height"] / 4
-
-
-def test_a_refusal_is_in_sight(browser: Any, client: Client) -> None:
-    with opened(browser, client.url, PHONE) as page:
-        page.select_option("#kind", "step")
-        page.fill("#field-at", "9")
-        page.click("#show")
-        until(page, lambda: "after the end" in text(page, "#notice"))
-        box = page.locator("#notice").bounding_box()
-        assert page.evaluate("scrollY") > PHONE["height"] / 2
-        assert 0 <= box["y"] <= PHONE["height"] - box["height"]
 
 
 _COVERED_CHARTS = """() => {
@@ -216,29 +191,7 @@ def test_a_notice_covers_no_chart_moves_nothing_and_takes_no_click(
 
 
 @pytest.mark.exhaustive
-def test_the_wheel_zooms_and_moves_the_view(browser: Any, client: Client) -> None:
-    with opened(browser, client.url, WIDE) as page:
-        until(page, lambda: "V" in text(page, "#value-u"))
-        page.locator(".u-over >> nth=0").hover()
-        for key in ("", "Shift", "Alt"):
-            if key:
-                page.keyboard.down(key)
-            page.mouse.wheel(0, -100)
-            if key:
-                page.keyboard.up(key)
-            page.wait_for_selector("#follow:not([hidden])")
-        page.dblclick(".u-over >> nth=0")
-        assert not page.is_visible("#follow")
-        shown = [text(page, "#axis")]
-        for _ in range(3):
-            page.click("#axis")
-            shown.append(text(page, "#axis"))
-        assert shown[0] == shown[3]
-        assert len({*shown}) == 3
-
-
-@pytest.mark.exhaustive
-def test_a_finger_finds_each_button(browser: Any, client: Client) -> None:
+def test_each_button_is_large_enough_for_a_finger(browser: Any, client: Client) -> None:
     """At least 44 pixels high and wide, on a phone and on a tablet."""
     for size in (PHONE, {"width": 320, "height": 640}, {"width": 1024, "height": 768}):
         with opened(browser, client.url, size, has_touch=True, is_mobile=True) as page:
@@ -251,28 +204,7 @@ def test_a_finger_finds_each_button(browser: Any, client: Client) -> None:
 
 
 @pytest.mark.exhaustive
-def test_what_is_seen_is_saved_as_a_picture_and_as_values(
-    browser: Any, client: Client, tmp_path: Path
-) -> None:
-    with opened(browser, client.url, WIDE) as page:
-        until(page, lambda: "V" in text(page, "#value-u"))
-        saved = {}
-        for kind in ("png", "svg", "csv"):
-            with page.expect_download() as download:
-                page.click(f"#live-{kind}")
-            download.value.save_as(saved.setdefault(kind, tmp_path / f"seen.{kind}"))
-
-    assert saved["png"].read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    drawn = ElementTree.parse(saved["svg"]).getroot()
-    words = [element.text for element in drawn.iter("{http://www.w3.org/2000/svg}text")]
-    assert {"(a) u [V]", "(b) θ₁ [°]", "(c) rate of θ₁ [°/s]", "(d) α [°]"} <= {*words}
-    header, *rows = saved["csv"].read_text().splitlines()
-    assert header.startswith("t [s],u least [V],u largest [V],θ₁ least [°]")
-    assert {len(row.split(",")) for row in rows} == {9}
-
-
-@pytest.mark.exhaustive
-def test_a_projector_shows_plots_phase_and_stop_alone(browser: Any, client: Client) -> None:
+def test_a_projector_shows_only_plots_phase_and_stop_button(browser: Any, client: Client) -> None:
     with opened(browser, client.url, WIDE) as page:
         page.click("#projector")
         size = "(id) => parseFloat(getComputedStyle(document.getElementById(id)).fontSize)"
@@ -285,43 +217,14 @@ def test_a_projector_shows_plots_phase_and_stop_alone(browser: Any, client: Clie
         assert page.is_visible("#experiment")
 
 
-@pytest.mark.exhaustive
-def test_a_recording_is_played_again_and_compared(
-    browser: Any, client: Client, served: Bench
-) -> None:
-    for seconds in (4.0, 5.0):
-        begin(client, served, STEP | {"seconds": seconds, "at": 1.0})
-        client.wait("run", lambda seen: not seen["is_going"])
-    with opened(browser, client.url, WIDE) as page:
-        page.click("#tab-recordings")
-        page.click("#table tbody button >> nth=0")
-        page.wait_for_selector("#curves canvas")
-        page.click("text=Replay 10 ×")
-        until(page, lambda: text(page, "#replay .value") == "5.00 s")
-        arm = page.locator("#replay .chassis")
-        assert "rotate" in str(arm.get_attribute("transform"))
-
-        page.select_option("#compared", index=1)
-        page.wait_for_selector("#legend .dashed")
-        with page.expect_download() as download:
-            page.click("#one >> text=SVG")
-        assert "; dashed: @" in Path(download.value.path()).read_text()
-        page.locator("#curves .u-over >> nth=2").hover()
-        until(page, lambda: ", difference " in text(page, "#curves .value >> nth=2"))
-        page.click("text=Identify")
-        page.wait_for_selector("#model h2")
-        until(page, lambda: "OE[" in text(page, "#legend"))
-
-
 def test_the_space_bar_stops_wherever_the_focus_is(
     browser: Any, client: Client, served: Bench
 ) -> None:
     with opened(browser, client.url) as page:
-        for focus in ("#run", "#owner-name", "#note-text", "#kind", "#plots", "body"):
+        for focus in ("#run", "#note-text", "#kind"):
             run_step(page, served)
             page.wait_for_selector(".pill.active")
-            if focus not in ("#run", "body"):
-                page.focus(focus)
+            page.focus(focus)
             owner = page.input_value("#owner-name")
             page.keyboard.press("Space")
             until(page, lambda: served.volts() == 0.0)
@@ -330,32 +233,7 @@ def test_the_space_bar_stops_wherever_the_focus_is(
             bring_to_rest(served)
 
 
-@pytest.mark.exhaustive
-def test_a_note_is_typed_while_a_run_plays_and_the_space_bar_still_stops(
-    browser: Any, client: Client, served: Bench
-) -> None:
-    with opened(browser, client.url) as page:
-        run_step(page, served)
-        page.wait_for_selector(".pill.active")
-        page.click("#note-text")
-        for word in ("the", "arm", "was", "touched"):
-            page.keyboard.type(word)
-            page.keyboard.press("Shift+Space")
-        page.keyboard.press("Enter")
-        until(page, lambda: has_noticed(page, "the note is in the recording"))
-        assert page.input_value("#note-text") == ""
-        client.wait("marks", lambda seen: seen[-1][1] == "note")
-        assert client.first("status")["phase"] == "active"
-        assert page.evaluate("document.activeElement.id") == "plots"
-        page.click("#note-text")
-        page.keyboard.type("a")
-        page.keyboard.press("Space")
-        until(page, lambda: "stopped by dashboard" in text(page, "#running-text"))
-        until(page, lambda: served.volts() == 0.0)
-        assert page.input_value("#note-text") == "a"
-
-
-def test_as_many_tabs_as_a_browser_has_connections_hold_up_no_stop(
+def test_a_stop_is_sent_though_tabs_use_all_connections(
     browser: Any, client: Client, served: Bench
 ) -> None:
     """A browser has six to a server, and each tab's stream takes one."""
@@ -373,7 +251,7 @@ def test_as_many_tabs_as_a_browser_has_connections_hold_up_no_stop(
         assert served.volts() == 0.0
 
 
-def test_a_run_that_is_still_to_be_sent_is_not_sent_after_a_stop(
+def test_a_stop_withdraws_a_run_that_has_not_been_sent(
     browser: Any, client: Client, served: Bench
 ) -> None:
     with opened(browser, client.url) as page:
@@ -395,14 +273,7 @@ def test_a_run_that_is_still_to_be_sent_is_not_sent_after_a_stop(
         assert len(served.voltage_changes()) == before
 
 
-def test_at_rest_a_name_takes_a_blank(browser: Any, client: Client) -> None:
-    with opened(browser, client.url) as page:
-        page.fill("#owner-name", "Ada")
-        page.type("#owner-name", " L.")
-        assert page.input_value("#owner-name") == "Ada L."
-
-
-def test_another_s_markup_is_text(browser: Any, client: Client, served: Bench) -> None:
+def test_markup_in_a_name_is_shown_as_text(browser: Any, client: Client, served: Bench) -> None:
     begin(client, served, {"kind": "csv", "text": "u\n" + "1\n" * 12_000, "file": MARKUP})
     client.ask("/api/stop", {"owner": MARKUP})
     client.wait("run", lambda seen: not seen["is_going"])
@@ -420,7 +291,7 @@ def test_another_s_markup_is_text(browser: Any, client: Client, served: Bench) -
         assert "owned" not in page.title()
 
 
-def test_another_origin_s_page_commands_nothing(
+def test_a_command_from_a_page_of_another_origin_is_refused(
     browser: Any, client: Client, served: Bench
 ) -> None:
     """Neither without a preflight request (no-cors) nor with the token."""
@@ -443,27 +314,6 @@ def test_another_origin_s_page_commands_nothing(
     assert client.first("status")["owner"] == ""
     assert client.first("run")["experiment"] == "" or not client.first("run")["is_going"]
     assert served.settled() == "safe"
-
-
-def test_a_drag_across_a_recording_shows_that_part(
-    browser: Any, client: Client, served: Bench
-) -> None:
-    recording = made_recordings.of_the_arm(armrig.telegraph(500, 0.05, seed=1))
-    (served.recordings / "drag.mcap").write_bytes(recording)
-    with opened(browser, client.url) as page:
-        page.click("#tab-recordings")
-        page.click("[data-file='drag.mcap']")
-        until(page, lambda: "drag across a plot" in text(page, "#seen"))
-        plot = page.locator("#curves .u-over").first
-        width = plot.bounding_box()["width"]
-        ends = [{"x": share * width, "y": 20} for share in (0.4, 0.6)]
-        plot.drag_to(plot, source_position=ends[0], target_position=ends[1])
-        until(page, lambda: "are shown" in text(page, "#seen"))
-        found = re.match(r"([\d.]+) to ([\d.]+) s are shown", text(page, "#seen"))
-        assert found
-        assert [*map(float, found.groups())] == pytest.approx([2.0, 3.0], abs=0.1)
-        plot.dblclick()
-        until(page, lambda: "drag across a plot" in text(page, "#seen"))
 
 
 @pytest.mark.exhaustive
@@ -492,7 +342,7 @@ def test_a_recording_is_identified_and_reported(
 
 
 @pytest.mark.exhaustive
-def test_it_fits_the_screen(browser: Any, client: Client) -> None:
+def test_the_page_fits_the_screen(browser: Any, client: Client) -> None:
     with opened(browser, client.url) as page:
         for theme, size in itertools.product(("light", "dark"), (WIDE, PHONE)):
             page.emulate_media(color_scheme=theme)
@@ -526,30 +376,9 @@ def test_long_words_of_a_recording_are_broken(browser: Any, client: Client, serv
             until(page, lambda most=size["width"]: page.evaluate(_WIDTH) <= most)
 
 
-_LINES = """cells => cells.map(cell => {
-  const range = document.createRange();
-  range.selectNodeContents(cell);
-  return [cell.textContent, new Set([...range.getClientRects()].map(box => box.top)).size];
-}).filter(([, lines]) => lines !== 1)"""
-
-
-def test_a_figure_and_its_unit_are_on_one_line(browser: Any, client: Client, served: Bench) -> None:
-    begin(client, served)
-    client.ask("/api/stop", {"owner": "somebody with a name that is as long as a phone is wide"})
-    client.wait("run", lambda seen: not seen["is_going"])
-    with opened(browser, client.url, PHONE) as page:
-        page.click("#tab-recordings")
-        cells = "#table td.n"
-        page.locator(cells).nth(1).wait_for(state="attached")  # the second is of the same row
-        for size in (PHONE, WIDE):
-            page.set_viewport_size(size)
-            assert page.eval_on_selector_all(cells, _LINES) == []
-            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
-
-
-def test_what_a_browser_is_started_with_opens_once(browser: Any, served: Bench) -> None:
+def test_the_address_on_a_browser_command_line_opens_once(browser: Any, served: Bench) -> None:
     """Other users can read it in `ps`."""
-    with dashboard(Settings(connect=endpoint(served))) as found:
+    with dashboard(Settings(connect=served.endpoint)) as found:
         code = found.browser_url.partition("#once=")[2]
         with opened(browser, found.browser_url) as page:
             assert page.url == found.url
@@ -567,11 +396,11 @@ def test_what_a_browser_is_started_with_opens_once(browser: Any, served: Bench) 
     assert (status, list(told)) == (403, ["error"])
 
 
-def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: Bench) -> None:
+def test_a_visitor_has_the_view_and_only_the_stop_button(browser: Any, served: Bench) -> None:
     """The visitor's page has no experiment, no arming, no recordings, no reset."""
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
     with (
-        dashboard(Settings(connect=endpoint(served), share="127.0.0.1")) as found,
+        dashboard(Settings(connect=served.endpoint, share="127.0.0.1")) as found,
         opened(browser, found.shared_url, PHONE, ignore_https_errors=True) as page,
     ):
         seen = [b for b in page.locator("button").all() if b.is_visible()]
@@ -581,7 +410,9 @@ def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: 
         )
 
 
-def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> None:
+def test_the_page_shows_a_killed_daemon_as_stale_until_it_restarts(
+    browser: Any, bench: Bench
+) -> None:
     bench.configure(watchdog_ms=250)
     bench.emulate()
     daemon = bench.serve()
@@ -605,7 +436,7 @@ def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> 
         assert not page.is_visible("#stale")
 
 
-def test_a_stop_that_did_not_arrive_says_what_to_do_until_that_is_done(
+def test_an_undelivered_stop_shows_its_remedy_until_it_is_confirmed(
     browser: Any, client: Client, served: Bench
 ) -> None:
     with watched(served) as short:

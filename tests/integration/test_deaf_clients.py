@@ -121,7 +121,7 @@ def test_observers_at_a_router_that_never_read_delay_no_stop_and_cost_no_sample(
     assert router.popen.poll() is None
 
 
-def test_connections_that_say_nothing_delay_no_stop(served: Bench) -> None:
+def test_silent_connections_delay_no_stop(served: Bench) -> None:
     silent = [socket.socket(socket.AF_UNIX) for _ in range(300)]
     try:
         with served.rig() as rig:

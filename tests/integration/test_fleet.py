@@ -6,22 +6,13 @@ import json
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import armrig
 import pytest
-import zenoh
 from armrig.cli import main
-from armrig.lab import fleet_recorder
-from armrig.lab.fleet_recorder import FleetRecorder
 from armrig.rig.client import Rig
-from armrig.rig.session import RigError, open_connection, open_endpoint
-from armrig_core.codes import GapCode
-from armrig_core.history import encode_past
-from armrig_daemon.service.history import History
 
 from tests.integration.fleet_lab import (
     RIGS,
@@ -30,10 +21,9 @@ from tests.integration.fleet_lab import (
     Publisher,
     connected,
     publish,
-    sample,
+    recorded_k,
 )
 from tests.integration.processes import Bench, newest, wait_for
-from tests.sampling import sampled
 
 
 @pytest.fixture
@@ -51,12 +41,7 @@ def stack() -> Iterator[ExitStack]:
         yield stack
 
 
-def recorded_k(path: Path) -> list[int]:
-    """Return the indices of the samples in a file."""
-    return [int(k) for k in armrig.load(path).samples["k"]]
-
-
-def test_nothing_is_lost_while_the_router_is_restarted(lab: FleetLab, stack: ExitStack) -> None:
+def test_a_restart_of_the_router_loses_no_sample(lab: FleetLab, stack: ExitStack) -> None:
     router = lab.router()
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
     told: list[str] = []
@@ -79,7 +64,7 @@ def test_nothing_is_lost_while_the_router_is_restarted(lab: FleetLab, stack: Exi
     assert not any("lost" in line for line in told)
 
 
-def test_a_rig_that_comes_later_is_taken_in(lab: FleetLab, stack: ExitStack) -> None:
+def test_a_rig_that_starts_later_is_recorded_too(lab: FleetLab, stack: ExitStack) -> None:
     stack.enter_context(lab.router())
     first = stack.enter_context(lab.daemon("1"))
     publish([first], range(100))
@@ -99,41 +84,7 @@ def test_a_rig_that_comes_later_is_taken_in(lab: FleetLab, stack: ExitStack) -> 
     assert {one.why for one in recorder.recorded.values()} == {""}
 
 
-@pytest.mark.exhaustive
-def test_what_is_lost_beyond_the_cache_is_reported_exactly(
-    lab: FleetLab, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    router = lab.router()
-    daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
-    monkeypatch.setattr(daemons[0], "_history", History(bytes(16), most_bytes=100 * 87))
-    publish(daemons, range(20))
-    told: list[str] = []
-    with lab.recorder(told.append) as recorder:
-        recorder.has_begun(*RIGS)
-        wait_for(lambda: "recording rig 1" in told, WITHIN_S)
-        router.close()
-        publish(daemons, range(20, 1000))
-        stack.enter_context(lab.router())
-        connected(*daemons)
-        files = {rig: lab.folder / "files" / f"{rig}.mcap.active" for rig in RIGS}
-        wait_for(lambda: any("lost" in line for line in told), WITHIN_S)
-        wait_for(lambda: newest(files["2"], "k") == newest(files["3"], "k") == 999, WITHIN_S)
-
-    found = {rig: armrig.load(one.files[0].path) for rig, one in recorder.recorded.items()}
-    [missing] = found["1"].gaps
-    assert missing.code == GapCode.RECORDER_CUT_OFF
-    assert missing.count == found["1"].missing == 1000 - found["1"].samples.size > 800
-    assert (found["2"].missing, found["3"].missing) == (0, 0)
-    [line] = [line for line in told if "lost" in line]
-    # The row also has 20 states, one every 50 samples; those of the gap are lost with it.
-    states = sum(k % 50 == 0 for k in range(missing.k_first, missing.k_first + missing.count))
-    assert (
-        line
-        == f"rig 1: {GapCode.RECORDER_CUT_OFF.sentence}: {missing.count + states} messages are lost"
-    )
-
-
-def test_a_rig_that_sends_nonsense_ends_its_own_recording_alone(
+def test_a_rig_that_sends_invalid_messages_ends_only_its_recording(
     lab: FleetLab, stack: ExitStack
 ) -> None:
     stack.enter_context(lab.router())
@@ -156,117 +107,6 @@ def test_a_rig_that_sends_nonsense_ends_its_own_recording_alone(
     assert files["2"].outcome.startswith("the recorder ended: ")
 
 
-@pytest.mark.exhaustive
-def test_a_rig_whose_file_the_disk_refuses_is_an_error_and_is_recorded_when_there_is_room(
-    lab: FleetLab, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(fleet_recorder, "_DISK_PAUSE_S", 0.0)
-    stack.enter_context(lab.router())
-    daemons = [stack.enter_context(lab.daemon(rig)) for rig in ("1", "2")]
-    publish(daemons, range(50))
-    errors: list[str] = []
-    gone = lab.folder / "gone"
-    recorder = lab.recorder(lambda _: None, errors.append)
-    recorder.paths["2"] = gone / "2.mcap"
-    with recorder:
-        recorder.has_begun("1")
-        wait_for(lambda: errors, WITHIN_S)
-        gone.mkdir()
-        wait_for((gone / "2.mcap.active").exists, WITHIN_S)
-        publish(daemons, range(50, 100))
-
-    assert errors == [
-        f"rig 2: its recording ended: {gone}/2.mcap: No such file or directory; give a folder with "
-        "free space by -o"
-    ]
-    for rig in ("1", "2"):
-        [file] = recorder.recorded[rig].files
-        assert recorded_k(file.path) == list(range(100))
-    assert [bool(recorder.recorded[rig].why) for rig in ("1", "2")] == [False, True]
-
-
-def test_a_rig_speaks_for_itself_alone(lab: FleetLab, stack: ExitStack) -> None:
-    """Another rig's certificate publishes and answers under rig 1, and nobody receives it.
-
-    The control: under its own id the same is passed on.
-    """
-    stack.enter_context(lab.router())
-    thief = stack.enter_context(_opened(lab, "rig-2"))
-    answer = encode_past(bytes(16), 0, 0, [("sample", sample(0))])
-    tokens = []
-    for rig in ("1", "2"):
-        thief.declare_queryable(
-            f"rig/{rig}/history", lambda query: query.reply(query.key_expr, answer)
-        )
-        tokens.append(thief.liveliness().declare_token(f"rig/{rig}/alive"))
-    heard: set[str] = set()
-    with open_connection(lab.endpoint, rig="1", certificate=lab.made / "bob.pem").session as bob:
-        bob.declare_subscriber("rig/*/sample", lambda s: heard.add(str(s.key_expr)))
-
-        def is_heard() -> bool:
-            thief.put("rig/1/sample", sample(0))
-            thief.put("rig/2/sample", sample(0))
-            return "rig/2/sample" in heard
-
-        wait_for(is_heard, WITHIN_S)
-        alive = {str(r.ok.key_expr) for r in bob.liveliness().get("rig/*/alive") if r.ok}
-        answered = {
-            rig: [r for r in bob.get(f"rig/{rig}/history", timeout=WITHIN_S) if r.ok]
-            for rig in ("1", "2")
-        }
-
-    assert heard == {"rig/2/sample"}
-    assert alive == {"rig/2/alive"}
-    assert (answered["1"], len(answered["2"])) == ([], 1)
-
-
-def _opened(lab: FleetLab, who: str) -> zenoh.Session:
-    pem = str(lab.made / f"{who}.pem")
-    tls = {"root_ca_certificate": str(lab.made / "authority.pem"), "enable_mtls": True}
-    tls |= {"connect_private_key": pem, "connect_certificate": pem}
-    config = {
-        "mode": "client",
-        "connect": {"endpoints": [lab.endpoint]},
-        "scouting": {"multicast": {"enabled": False}},
-        "transport": {"link": {"tls": tls}},
-    }
-    return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
-
-
-@pytest.mark.exhaustive
-def test_the_rigs_that_are_there_are_listed(
-    lab: FleetLab, bench: Bench, stack: ExitStack, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stack.enter_context(lab.router())
-    assert main(["ls", "--live", "--connect", lab.endpoint]) == 0
-    nobody = capsys.readouterr()
-    bench.configure(watchdog_ms=250, more=lab.access("1"))
-    bench.emulate()
-    bench.serve()
-    stack.enter_context(lab.daemon("2"))
-    listing = ["ls", "--live", "--connect", lab.endpoint]
-
-    def listed() -> list[str]:
-        assert main(listing) == 0
-        return capsys.readouterr().out.splitlines()
-
-    wait_for(lambda: "safe" in " ".join(lines := listed()) and len(lines) == 3, WITHIN_S)
-    heading, one, two = listed()
-    assert main([*listing, "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)["rigs"]
-
-    assert nobody.out == ""
-    assert "no rig is alive" in nobody.err
-    assert "start one with `armrig lab` or `armrigd run`" in nobody.err
-    assert heading.split() == ["rig", "phase", "Ts", "owner"]
-    assert one.split() == ["1", "safe", "0.01", "s", "nobody"]
-    assert two.split() == ["2", "does", "not", "answer"]
-    assert [(rig["rig"], rig["status"] and rig["status"]["phase"]) for rig in facts] == [
-        ("1", "safe"),
-        ("2", None),
-    ]
-
-
 _HOLDER = """
 import sys
 from armrig.rig.client import Rig
@@ -278,88 +118,48 @@ with Rig("1", connect=sys.argv[1], certificate=sys.argv[2]) as rig:
 """
 
 
-@pytest.mark.parametrize("number", sampled([signal.SIGKILL, signal.SIGSTOP]))
 def test_a_voltage_held_through_a_router_that_dies_falls_to_0_v(
-    lab: FleetLab, bench: Bench, number: signal.Signals
+    lab: FleetLab, bench: Bench
 ) -> None:
     bench.configure(watchdog_ms=250, more=lab.access("1"))
     bench.emulate()
     bench.serve()
-    router = subprocess.Popen([sys.executable, "-m", "armrig", *lab.router_command()])
-    holder = None
-    try:
-        with bench.rig() as rig:
-            holder = _holding(lab, bench, rig)
-
-            router.send_signal(number)
+    router = bench.start("armrig", *lab.router_command())
+    with bench.rig() as rig:
+        with _holding(lab, bench, rig):
+            router.kill()
             wait_for(lambda: bench.volts() == 0.0, WITHIN_S)
             wait_for(lambda: rig.status().owner == "", WITHIN_S)
-            assert rig.status().reason.startswith("the lease ran out")
-            before = len(bench.voltage_changes())
-            if number == signal.SIGSTOP:
-                router.send_signal(signal.SIGCONT)
-                with Rig("1", connect=lab.endpoint, certificate=lab.made / "bob.pem") as bob:
-                    wait_for(lambda: _answers(bob), WITHIN_S)
-                holder.wait(WITHIN_S)
-            assert len(bench.voltage_changes()) == before
-            assert bench.volts() == 0.0
-    finally:
-        for program in filter(None, (holder, router)):
-            program.kill()
-            program.wait()
+        assert rig.status().reason.startswith("the lease ran out")
 
 
-def _answers(rig: Rig) -> bool:
-    with suppress(RigError):
-        return bool(rig.status().phase)
-    return False
-
-
-def _holding(lab: FleetLab, bench: Bench, rig: Rig) -> subprocess.Popen[bytes]:
-    """Return alice's program once it holds 2 V by its lease."""
-    alice = str(lab.made / "alice.pem")
-
-    def begun() -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-c", _HOLDER, lab.endpoint, alice], stderr=subprocess.DEVNULL
-        )
-
-    holder = begun()
+@contextmanager
+def _holding(lab: FleetLab, bench: Bench, rig: Rig) -> Iterator[None]:
+    """Have alice's program hold 2 V by its lease."""
+    arguments = _HOLDER, lab.endpoint, str(lab.made / "alice.pem")
+    holder = bench.client(*arguments)
 
     def holds() -> bool:
         nonlocal holder
         if holder.poll() is not None:  # the daemon has not found its router yet
-            holder = begun()
+            holder = bench.client(*arguments)
         return bench.volts() > 1.9 and rig.status().owner == "a test (certificate alice)"
 
-    wait_for(holds, WITHIN_S)
-    return holder
+    try:
+        wait_for(holds, WITHIN_S)
+        yield
+    finally:
+        holder.kill()
+        holder.wait()
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (("--listen", "tcp/127.0.0.1:7447"), "by their certificates: use tls/127.0.0.1:7447"),
-        (
-            ("--listen", "tls/192.0.2.1:7447"),
-            "Cannot assign requested address; check that the host",
-        ),
-        (("--certificate", "alice.pem"), "has another purpose; `armrig pki router` makes"),
-        (("--names", "nothing.toml"), "there is no such file; `armrig pki ca` writes one"),
-    ],
-)
-def test_a_router_that_cannot_be_says_so(
-    lab: FleetLab,
-    change: tuple[str, str],
-    says: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+def test_a_router_that_cannot_listen_reports_the_reason(
+    lab: FleetLab, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(lab.made)
+    assert main([*lab.router_command(), "--listen", "tls/192.0.2.1:7447"]) == 1
 
-    assert main([*lab.router_command(), *change]) == 1
-
-    assert says in " ".join(capsys.readouterr().err.split())
+    said = " ".join(capsys.readouterr().err.split())
+    assert "Cannot assign requested address; check that the host is this machine" in said
 
 
 def test_a_router_ends_in_order_at_a_signal(lab: FleetLab) -> None:
@@ -376,81 +176,27 @@ def test_a_router_ends_in_order_at_a_signal(lab: FleetLab) -> None:
     assert (router.returncode, rest) == (0, "")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--all", "--rig", "1"], "--all with --rig 1: give only one"),
-        (["--rig", "1", "--rig", "../x"], "rig id '../x'"),
-    ],
-)
-def test_which_rigs_are_recorded_must_be_clear(
-    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["record", "--from", "tls/localhost:1", *arguments]) == 1
-    assert says in capsys.readouterr().err
-
-
-def test_one_command_records_the_rigs_that_are_named(
+def test_one_command_records_the_named_rigs_and_reports_a_missing_rig(
     lab: FleetLab, stack: ExitStack, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stack.enter_context(lab.router())
-    daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
+    daemons = [stack.enter_context(lab.daemon(rig)) for rig in ("1", "2")]
     publish(daemons, range(100))
     connected(*daemons)
-    given = ["--rig", "1", "--rig", "3", "-o", str(lab.folder / "files"), "--seconds", "3"]
+    given = ["--rig", "1", "--rig", "3", "-o", str(lab.folder / "files"), "--seconds", "2"]
 
-    assert main(["record", "--from", lab.endpoint, *given, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-
-    assert [(f["rig"], f["samples"], f["missing"]) for f in told["recordings"]] == [
-        ("1", 100, 0),
-        ("3", 100, 0),
-    ]
-    assert {recorded_k(Path(f["recording"]))[-1] for f in told["recordings"]} == {99}
-
-
-def test_a_rig_that_is_named_and_not_there_is_reported(
-    lab: FleetLab, stack: ExitStack, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stack.enter_context(lab.router())
-    daemon = stack.enter_context(lab.daemon("1"))
-    publish([daemon], range(100))
-    connected(daemon)
-    given = ["--rig", "1", "--rig", "3", "-o", str(lab.folder / "files"), "--seconds", "3"]
-
-    assert main(["record", "--from", lab.endpoint, *given]) == 1
+    assert main(["record", "--from", lab.endpoint, *given, "--json"]) == 1
     said = capsys.readouterr()
 
-    assert "100 samples, 0 missing, complete" in said.out
+    (file,) = json.loads(said.out)["recordings"]
+    assert (file["rig"], file["samples"], file["missing"]) == ("1", 100, 0)
+    assert recorded_k(Path(file["recording"])) == list(range(100))
     assert "rig 3: no sample arrived, so it has no recording" in said.err
 
 
-def test_a_recorder_of_named_rigs_ends_where_all_have_ended(
+def test_a_session_at_a_router_receives_only_the_samples_of_its_rig(
     lab: FleetLab, stack: ExitStack
 ) -> None:
-    stack.enter_context(lab.router())
-    daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
-    publish(daemons, range(100))
-    connected(*daemons)
-    session = stack.enter_context(open_endpoint(lab.endpoint).session)
-    ended, told = threading.Event(), list[str]()
-    recorder = FleetRecorder(
-        session,
-        lab.endpoint,
-        lambda rig: lab.folder / "gone" / f"{rig}.mcap",
-        lambda _: None,
-        told.append,
-    )
-    thread = threading.Thread(target=recorder.record, args=(ended, None, ["1", "3"]))
-    thread.start()
-    stack.callback(thread.join)
-    stack.callback(ended.set)
-
-    wait_for(lambda: not thread.is_alive(), WITHIN_S)
-    assert len([line for line in told if "its recording ended" in line]) == 2
-
-
-def test_the_rig_of_a_session_is_the_client_s(lab: FleetLab, stack: ExitStack) -> None:
     stack.enter_context(lab.router())
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
     with Publisher(*daemons), Rig("3", connect=lab.endpoint) as rig:

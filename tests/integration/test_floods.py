@@ -11,15 +11,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from armrig.rig.client import Rig
-from armrig.rig.replies import RefusedError
 from armrig_core import commands
 
+from tests.integration.driving import begin
 from tests.integration.processes import Bench, wait_for
 from tests.integration.test_dead_man import DEAD_MAN_S, LATE_S, RUNNER
 
 pytestmark = pytest.mark.timed
-NOT_HELD = "not the lease in force: arm first"
 STRANGER = """
 import sys, time, zenoh
 endpoint, name, payload = sys.argv[1:4]
@@ -41,9 +39,8 @@ while True:
 @contextmanager
 def _flooded(bench: Bench, name: str, **fields: object) -> Iterator[None]:
     """Have a stranger send a request a thousand times a second, or as often as it is answered."""
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
     stranger = subprocess.Popen(
-        ["nice", sys.executable, "-c", STRANGER, endpoint, name, json.dumps(fields)],
+        ["nice", sys.executable, "-c", STRANGER, bench.endpoint, name, json.dumps(fields)],
         stdout=subprocess.PIPE,
         text=True,
     )
@@ -56,50 +53,7 @@ def _flooded(bench: Bench, name: str, **fields: object) -> Iterator[None]:
         stranger.communicate()
 
 
-def _said_to(rig: Rig, name: str, **fields: object) -> str:
-    """Return the answer to an anonymous command."""
-    payload = json.dumps(fields)
-    (reply,) = rig._connected().get(f"rig/1/cmd/{name}", payload=payload, timeout=30)
-    return "" if reply.err is None else json.loads(reply.err.payload.to_bytes())["error"]
-
-
-def test_a_run_that_is_not_the_holder_s_next_is_not_rehearsed(bench: Bench) -> None:
-    bench.configure(more="[limits]\nrevolutions = 1.0")
-    bench.emulate()
-    bench.serve()
-    far = {"u": [5.0] * 1000}
-
-    with bench.rig() as rig:
-        before = _said_to(rig, "run", lease="0" * 32, n=1, **far)
-        lease = rig.arm("a test", Ts=0.01).lease
-        stranger = _said_to(rig, "run", lease="0" * 32, n=1, **far)
-        holder = _said_to(rig, "run", lease=lease, n=5, **far)
-        assert _said_to(rig, "set", lease=lease, n=6, u=1.0) == ""
-        old = _said_to(rig, "run", lease=lease, n=6, **far)
-        by_hand = _said_to(rig, "run", lease=lease, n=7, **far)
-
-    assert (before, stranger) == (NOT_HELD, NOT_HELD)
-    assert "the rehearsal turns the chassis" in holder
-    assert old == "n=6 must be greater than the last, 6"
-    assert by_hand == "the motor is driven by hand: disarm first"
-
-
-def test_a_lease_that_is_over_lets_nobody_in(served: Bench) -> None:
-    with served.rig() as rig:
-        lease = rig.arm("a test").lease
-        rig.stop()
-        wait_for(lambda: rig.status().phase == "safe")
-        fields = {"lease": lease, "n": 3}
-
-        assert _said_to(rig, "set", u=1.0, **fields) == NOT_HELD
-        assert _said_to(rig, "run", u=[1.0], **fields) == NOT_HELD
-        assert _said_to(rig, "renew", **fields) == NOT_HELD
-        assert _said_to(rig, "disarm", **fields) == NOT_HELD
-        assert _said_to(rig, "status", x=" " * 5000).endswith("at most 4096 B are allowed")
-        rig.arm("another")
-
-
-def test_strangers_that_request_runs_do_not_prevent_the_holder_s_run(served: Bench) -> None:
+def test_run_requests_of_other_clients_do_not_prevent_the_run_of_the_holder(served: Bench) -> None:
     with (
         _flooded(served, "run", lease="0" * 32, n=1, u=[1.0, 2.0] * 10_000),
         served.rig() as rig,
@@ -115,13 +69,10 @@ def test_strangers_that_request_runs_do_not_prevent_the_holder_s_run(served: Ben
     ("name", "fields"),
     [
         ("status", {}),
-        ("set", {"lease": "0" * 32, "n": 1, "u": 5.0}),
         ("renew", {"lease": "0" * 32, "n": 1}),
-        ("arm", {"owner": "a stranger"}),
-        ("note", {"text": "the arm was touched"}),
     ],
 )
-def test_a_flood_hides_neither_the_client_nor_its_end(
+def test_a_flood_hides_neither_the_signs_nor_the_end_of_a_client(
     served: Bench, name: str, fields: dict[str, object]
 ) -> None:
     """There are three attempts.
@@ -144,14 +95,8 @@ def _killed_in_a_flood(
     bench: Bench, name: str, fields: dict[str, object]
 ) -> tuple[float, commands.LastRun]:
     """Return when a run whose client is killed came to 0 V, in s after that, and how it ended."""
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    before = len(bench.voltage_changes())
-    client = subprocess.Popen(
-        [sys.executable, "-c", RUNNER, endpoint, "1000", "scheduled", str(DEAD_MAN_S)],
-        stderr=subprocess.DEVNULL,
-    )
+    client = begin(bench, 50, RUNNER, "1000", "scheduled", str(DEAD_MAN_S))
     try:
-        wait_for(lambda: len(bench.voltage_changes()) > before + 50)
         with _flooded(bench, name, **fields):
             time.sleep(2 * DEAD_MAN_S)
             client.send_signal(signal.SIGKILL)
@@ -164,13 +109,3 @@ def _killed_in_a_flood(
         last = rig.status().last_run
     assert last is not None
     return took_s, last
-
-
-def test_a_rig_that_somebody_holds_is_not_looked_at_for_another(served: Bench) -> None:
-    with served.rig() as rig, served.rig() as other:
-        rig.arm("a student")
-        with pytest.raises(
-            RefusedError,
-            match="a student has the rig: wait until it is free, or end it with `armrig stop`",
-        ):
-            other.arm("another")

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 
@@ -28,34 +25,32 @@ KILLED_AT = 50
 class Router:
     """A router as a process that is killed and started again."""
 
-    def __init__(self, lab: FleetLab) -> None:
-        self._command = [sys.executable, "-m", "armrig", *lab.router_command()]
+    def __init__(self, bench: Bench, lab: FleetLab) -> None:
+        self._bench, self._command = bench, lab.router_command()
         self.start()
 
     def start(self) -> None:
         """Start it."""
-        self._process = subprocess.Popen(self._command, stdout=subprocess.DEVNULL)
+        self._process = self._bench.start("armrig", *self._command)
 
     def kill(self) -> None:
         """Kill it."""
         self._process.kill()
-        self._process.wait()
+        self._process.popen.wait()
 
 
 @pytest.fixture
 def lab(bench: Bench) -> FleetLab:
     """Give a lab whose first rig is that of the bench."""
-    lab = FleetLab(bench.folder)
+    lab = FleetLab(bench.folder, rigs=("1",))
     bench.configure(watchdog_ms=250, more=lab.access("1"))
     return lab
 
 
 @pytest.fixture
-def router(lab: FleetLab) -> Iterator[Router]:
+def router(bench: Bench, lab: FleetLab) -> Router:
     """Give the lab's router."""
-    router = Router(lab)
-    yield router
-    router.kill()
+    return Router(bench, lab)
 
 
 @pytest.fixture
@@ -107,7 +102,7 @@ def test_a_run_is_complete_if_its_router_returns(connect: str, router: Router) -
 
 
 @pytest.mark.timed
-def test_a_client_without_a_link_ends_after_the_time_of_its_dead_man(
+def test_a_client_that_lost_its_link_ends_after_its_dead_man_time(
     connect: str, router: Router, bench: Bench
 ) -> None:
     lost_ns: list[int] = []

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import subprocess
 import sys
 import tempfile
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +17,17 @@ import zenoh
 from armrig.cli import main
 from armrig.recordings.recording import Recording
 from armrig.recordings.verification import verify
-from armrig.rig.remote_recording import STARTED_ANEW, RemoteRecording
+from armrig.rig.remote_recording import RemoteRecording
 from armrig.rig.remote_source import Piece, RemoteSource
-from armrig.rig.session import RigError, open_session
+from armrig.rig.session import open_session
 from armrig_core import protobuf
 from armrig_core.codes import COMPLETE
-from armrig_core.history import ANSWER_LIMIT, encode_past
-from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.service.history import History
 from armrig_daemon.service.publish import Session
 
+from tests.integration.fleet_lab import Publisher, publish, recorded_k
 from tests.integration.processes import Bench, newest, wait_for
 from tests.sampling import sampled
-
-TS_NS = 10_000_000
 
 
 @pytest.fixture
@@ -43,28 +37,14 @@ def where() -> Iterator[str]:
         yield f"unixsock-stream/{directory}/1.sock"
 
 
-def sample(k: int) -> bytes:
-    """Return sample k."""
-    due = 5_000_000_000 + k * TS_NS
-    return encode_sample(Sample(k, due, due + 9, k * 10_000, 0.1, 0.0, 1.0, 1.0, 32768, 32768, 3))
-
-
-def state(k: int, Ts: float = 0.01) -> bytes:
-    """Return the state at sample k."""
-    message = protobuf.message_class(protobuf.STATE)(
-        t_host_ns=5_000_000_000 + k * TS_NS, phase="safe", Ts_s=Ts, device='{"uid": "7"}'
-    )
-    return bytes(message.SerializeToString())
-
-
 def gap(k_first: int, count: int) -> bytes:
     """Return a gap record of the daemon."""
-    t_ns = 5_000_000_000 + k_first * TS_NS
+    t_ns = 5_000_000_000 + k_first * 10_000_000
     message = protobuf.message_class(protobuf.GAP)(
         k_first=k_first,
         count=count,
         t_from_ns=t_ns,
-        t_to_ns=t_ns + count * TS_NS,
+        t_to_ns=t_ns + count * 10_000_000,
         u_held_v=2.5,
         reason="link silent",
     )
@@ -102,32 +82,20 @@ class Recorder:
         return [armrig.load(file.path) for file in self.recording.done]
 
 
-def publish(session: Session, ks: range) -> None:
-    """Publish the state and these samples."""
-    session.put("state", state(ks.start))
-    for k in ks:
-        session.put("sample", sample(k))
-
-
-def recorded_k(recording: Recording) -> list[int]:
-    """Return the indices of the samples in a file."""
-    return [int(k) for k in recording.samples["k"]]
-
-
-def test_a_late_recorder_gets_what_is_kept(where: str, tmp_path: Path) -> None:
+def test_a_late_recorder_receives_the_kept_messages(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
-        publish(daemon, range(1000))
+        publish([daemon], range(1000))
         with open_session(where, rig="1") as session:
             recorder = Recorder(session, tmp_path / "a.mcap")
             recorder.take()
-            publish(daemon, range(1000, 5000))
+            publish([daemon], range(1000, 5000))
             daemon.put("gap", gap(5000, 5))
-            publish(daemon, range(5005, 5010))
+            publish([daemon], range(5005, 5010))
             recorder.take()
             assert recorder.take().past.messages == ()
         [found] = recorder.files()
 
-    assert recorded_k(found) == [*range(5000), *range(5005, 5010)]
+    assert recorded_k(found.path) == [*range(5000), *range(5005, 5010)]
     assert [(g.k_first, g.count, g.reason) for g in found.gaps] == [(5000, 5, "link silent")]
     assert found.missing == 5
     assert recorder.told == []
@@ -142,20 +110,18 @@ def test_a_late_recorder_gets_what_is_kept(where: str, tmp_path: Path) -> None:
     assert verify(found.path).passed
 
 
-def test_what_is_lost_for_good_is_a_gap(
-    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lost_samples_are_a_gap_in_the_recording(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
-        monkeypatch.setattr(daemon, "_history", History(bytes(16), most_bytes=100 * 87))
-        publish(daemon, range(50))
+        daemon._history = History(bytes(16), most_bytes=100 * 87)
+        publish([daemon], range(50))
         with open_session(where, rig="1") as session:
             recorder = Recorder(session, tmp_path / "a.mcap")
             recorder.take()
-            publish(daemon, range(50, 1000))
+            publish([daemon], range(50, 1000))
             recorder.take()
         [found] = recorder.files()
 
-    ks = recorded_k(found)
+    ks = recorded_k(found.path)
     assert ks == [*range(50), *range(ks[50], 1000)]
     [missing] = found.gaps
     assert (missing.k_first, missing.count, missing.code) == (50, ks[50] - 50, "recorder_cut_off")
@@ -165,139 +131,17 @@ def test_what_is_lost_for_good_is_a_gap(
     assert len(recorder.told) == 1
 
 
-def test_a_restarted_daemon_begins_a_file(where: str, tmp_path: Path) -> None:
-    with Session(where, "1", lambda: None) as daemon:
-        publish(daemon, range(30))
-        session = open_session(where, rig="1")
-        recorder = Recorder(session, tmp_path / "a.mcap")
-        recorder.take()
-    with session:
-        assert recorder.source.next_piece() is None
-        with Session(where, "1", lambda: None) as daemon:
-            publish(daemon, range(40))
-            assert recorder.take().is_new_life
-        first, second = recorder.files()
-
-    assert recorded_k(first) == list(range(30))
-    assert first.outcome is not None
-    assert first.outcome.outcome == STARTED_ANEW
-    assert recorded_k(second) == list(range(40))
-    assert [first.path.name, second.path.name] == ["a.mcap", "a-2.mcap"]
-    assert recorder.told == [STARTED_ANEW]
-
-
-def test_another_sampling_time_begins_a_file(where: str, tmp_path: Path) -> None:
-    with Session(where, "1", lambda: None) as daemon, open_session(where, rig="1") as session:
-        publish(daemon, range(10))
-        daemon.put("state", state(10, Ts=0.002))
-        for k in range(10, 15):
-            daemon.put("sample", sample(k))
-        recorder = Recorder(session, tmp_path / "a.mcap")
-        recorder.take()
-        first, second = recorder.files()
-
-    assert (first.Ts, recorded_k(first)) == (0.01, list(range(10)))
-    assert (second.Ts, recorded_k(second)) == (0.002, list(range(10, 15)))
-
-
-def node(mode: str, where: str) -> zenoh.Session:
-    """Return a session that listens at an endpoint, or is a client of it."""
-    way = "connect" if mode == "client" else "listen"
-    config = {"mode": mode, way: {"endpoints": [where]}, "scouting": {}}
-    config["scouting"] = {"multicast": {"enabled": False}}
-    return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [
-        b"nonsense",
-        encode_past(bytes(16), 0, 0, [("event", b"\xff\xff")]),
-        encode_past(bytes(16), 0, 0, [("sample", b"\xff" * 87)]),
-        encode_past(bytes(16), 0, 0, [("event", bytes(ANSWER_LIMIT))]),
-    ],
-)
-def test_an_answer_of_no_daemon_is_reported(where: str, tmp_path: Path, answer: bytes) -> None:
-    with node("peer", where) as other:
-        other.declare_queryable("rig/1/history", lambda query: query.reply(query.key_expr, answer))
-        with open_session(where, rig="1") as session:
-            recorder = Recorder(session, tmp_path / "a.mcap")
-            with pytest.raises(RigError, match=r"not an armrigd|not a message of armrigd"):
-                recorder.take()
-
-
-def test_an_answer_to_what_was_not_asked_is_none_of_a_daemon(where: str) -> None:
-    """The same messages would be recorded twice."""
-    answer = encode_past(bytes(16), 0, 0, [("sample", sample(0))])
-    with node("peer", where) as other:
-        other.declare_queryable("rig/1/history", lambda query: query.reply(query.key_expr, answer))
-        with open_session(where, rig="1") as session:
-            source = RemoteSource(session, "1")
-            next_piece(source)
-            with pytest.raises(
-                RigError, match="from number 1 on were requested, but messages from 0 on"
-            ):
-                source.next_piece()
-
-
-def two_daemons_answer(session: zenoh.Session) -> bool:
-    """Return whether a new source is answered twice and refuses it."""
-    try:
-        RemoteSource(session, "1").next_piece()
-    except RigError as err:
-        return "2 daemons answer" in str(err)
-    return False
-
-
-def test_of_two_that_answer_the_first_one_s_is_taken(where: str) -> None:
-    answers = {life: History(life * 16) for life in (b"a", b"b")}
-    for history in answers.values():
-        history.add("sample", sample(0))
-
-    def answer(life: bytes) -> Callable[[zenoh.Query], None]:
-        return lambda query: query.reply(query.key_expr, answers[life].reply(0, 0))
-
-    with node("router", where), node("client", where) as one, node("client", where) as other:
-        one.declare_queryable("rig/1/history", answer(b"a"))
-        with open_session(where, rig="1") as session:
-            source = RemoteSource(session, "1")
-            piece = next_piece(source)
-            other.declare_queryable("rig/1/history", answer(b"b"))
-            answers[b"a"] = History(b"a" * 16)
-            answers[b"a"].add("sample", sample(0))
-            wait_for(lambda: two_daemons_answer(session))
-            lives = {source._asked(0, piece.past.life).life for _ in range(20)}  # type: ignore[union-attr]
-
-    assert lives == {b"a" * 16}
-
-
 @pytest.fixture
-def published(where: str) -> Iterator[Callable[[], int]]:
-    """Publish samples until the end; give a function that returns their number."""
-    with Session(where, "1", lambda: None) as daemon:
-        stop, k = threading.Event(), 0
-
-        def until_stopped() -> None:
-            nonlocal k
-            while not stop.wait(0.001):
-                if k % 100 == 0:
-                    daemon.put("state", state(k))
-                daemon.put("sample", sample(k))
-                k += 1
-
-        thread = threading.Thread(target=until_stopped)
-        thread.start()
-        try:
-            yield lambda: k
-        finally:
-            stop.set()
-            thread.join()
+def published(where: str) -> Iterator[Publisher]:
+    """Publish samples until the end."""
+    with Session(where, "1", lambda: None) as daemon, Publisher(daemon) as published:
+        yield published
 
 
 def test_the_command_records_until_its_time_is_over(
     where: str,
     tmp_path: Path,
-    published: Callable[[], int],
+    published: Publisher,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -308,20 +152,20 @@ def test_the_command_records_until_its_time_is_over(
     [facts] = json.loads(capsys.readouterr().out)["recordings"]
 
     found = armrig.load("a.mcap")
-    assert recorded_k(found) == list(range(found.N))
+    assert recorded_k(found.path) == list(range(found.N))
     assert told.out == f"a.mcap: {found.N} samples, 0 missing, complete\n"
     assert told.err.endswith("next: armrig info a.mcap\n")
     assert Path(facts["recording"]).name.startswith("1-remote-")
     assert facts["samples"] == armrig.load(facts["recording"]).N > 0
 
 
-def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path: Path) -> None:
+def test_every_message_published_before_the_end_is_recorded(where: str, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with Session(where, "1", lambda: None) as daemon:
-        publish(daemon, range(20_000))
+        publish([daemon], range(20_000))
         assert main(["record", "--from", where, "-o", str(path), "--seconds", "0.001"]) == 0
 
-    assert recorded_k(armrig.load(path)) == list(range(20_000))
+    assert recorded_k(path) == list(range(20_000))
 
 
 @pytest.mark.parametrize(
@@ -331,19 +175,12 @@ def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path:
         (["-o", "there.mcap"], "there.mcap exists; give another name"),
         (["-o", "none/a.mcap"], "No such file or directory"),
         (["--rig", "9"], "no reply from rig 9"),
-        (["--rig", "../x"], "rig id '../x': use 1 to 40 characters, each a-z, 0-9 or -"),
-        (
-            ["--rig", "played-1"],
-            "an id that begins with played- belongs to a recording that `armrig play` plays",
-        ),
-        (["--seconds", "nan"], "--seconds nan: must be more than 0"),
-        (["--seconds", "-1"], "--seconds -1: must be more than 0"),
     ],
 )
-def test_what_cannot_be_recorded_is_reported(
+def test_a_mistake_of_the_record_command_is_reported(
     where: str,
     tmp_path: Path,
-    published: Callable[[], int],
+    published: Publisher,
     arguments: list[str],
     told: str,
     monkeypatch: pytest.MonkeyPatch,
@@ -351,8 +188,7 @@ def test_what_cannot_be_recorded_is_reported(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("there.mcap").touch()
-    while published() < 5:
-        time.sleep(0.01)
+    published.wait_for_more(5)
 
     assert main(["record", "--from", where, "--seconds", "1", *arguments]) == 1
 
@@ -361,68 +197,32 @@ def test_what_cannot_be_recorded_is_reported(
 
 
 @pytest.mark.parametrize(("number", "code"), sampled([(15, 128 + 15), (2, 0), (1, 128 + 1)]))
-def test_a_signal_ends_it_with_a_whole_file(
-    where: str, tmp_path: Path, published: Callable[[], int], number: int, code: int
+def test_a_signal_ends_the_recorder_with_a_complete_file(
+    where: str, tmp_path: Path, published: Publisher, number: int, code: int
 ) -> None:
     path = tmp_path / "a.mcap"
     command = [sys.executable, "-m", "armrig", "record", "--from", where, "-o", str(path)]
     with subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE) as process:
-        while not path.with_name("a.mcap.active").exists():
-            assert process.poll() is None
-            time.sleep(0.05)
-        came = published()
+        wait_for(path.with_name("a.mcap.active").exists)
+        came = published.k
         process.send_signal(number)
         out = process.communicate(timeout=60)[0]
 
     assert process.returncode == code
     assert json.loads(out)["recordings"][0]["outcome"] == "complete"
-    ks = recorded_k(armrig.load(path))
+    ks = recorded_k(path)
     assert ks == list(range(len(ks)))
     assert len(ks) >= came
 
 
-@pytest.mark.exhaustive
-def test_what_came_before_an_end_by_force_is_recovered(
-    where: str, tmp_path: Path, published: Callable[[], int]
+def test_a_remote_recording_has_the_samples_of_the_daemon_s_recording(
+    bench: Bench, tmp_path: Path
 ) -> None:
-    path = tmp_path / "a.mcap"
-    command = [sys.executable, "-m", "armrig", "record", "--from", where, "-o", str(path)]
-    with subprocess.Popen(command) as process:
-        while published() < 2000 or not path.with_name("a.mcap.active").exists():
-            assert process.poll() is None
-            time.sleep(0.05)
-        wait_for(lambda: newest(path.with_name("a.mcap.active"), "k") > 1000)
-        process.kill()
-
-    assert main(["recover", str(tmp_path)]) == 0
-    ks = recorded_k(armrig.load(path))
-    assert ks == list(range(len(ks)))
-    assert len(ks) > 1000
-
-
-def test_a_disk_that_is_full_ends_it_with_a_whole_prefix(where: str, tmp_path: Path) -> None:
-    """A limit of the file's size acts as a full disk."""
-    path = tmp_path / "a.mcap"
-    command = f"ulimit -f 600; exec {sys.executable} -m armrig record --from {where} -o {path}"
-    with Session(where, "1", lambda: None) as daemon:
-        publish(daemon, range(20_000))
-        done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=120)
-
-    active = path.with_name("a.mcap.active")
-    assert done.returncode == 1
-    assert f"{active}: File too large; the flushed samples are kept there" in done.stderr
-    ks = recorded_k(armrig.load(active))
-    assert ks == list(range(len(ks)))
-    assert 1000 < len(ks) < 20_000
-
-
-def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
     bench.configure()
     bench.emulate()
     bench.serve()
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
     path = tmp_path / "afar.mcap"
-    command = [sys.executable, "-m", "armrig", "record", "--from", endpoint, "-o", str(path)]
+    command = [sys.executable, "-m", "armrig", "record", "--from", bench.endpoint, "-o", str(path)]
     pipe = subprocess.PIPE
     with subprocess.Popen([*command, "--json"], stdout=pipe, stderr=pipe) as process:
         assert process.stderr is not None
@@ -431,7 +231,8 @@ def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
             with bench.rig() as rig:
                 rig.arm("a test", Ts=0.01)
                 there = armrig.load(rig.run(np.full(150, 1.0)))
-            time.sleep(1.0)
+            afar = path.with_name("afar.mcap.active")
+            wait_for(lambda: newest(afar, "k") >= there.samples["k"][-1])
         finally:
             process.send_signal(2)
         out: Any = process.communicate(timeout=60)[0]
@@ -442,25 +243,3 @@ def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
     assert len(rows) > there.samples.size
     assert all(rows[int(row["k"])] == bytes(row) for row in there.samples)
     assert all(here.missing == sum(gap.count for gap in here.gaps) for here in files)
-
-
-def test_a_recording_that_is_played_at_a_daemon_s_place_reaches_no_motor(
-    bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bench.configure()
-    bench.emulate()
-    bench.serve()
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    with bench.rig() as rig:
-        rig.arm("a test", Ts=0.01)
-        run = rig.run(np.full(30, 4.0))
-        rig.arm("a test", Ts=0.01)
-        rig.set(0.0)
-
-        assert main(["play", str(run), "--listen", endpoint]) == 1
-        assert "no session can listen at" in capsys.readouterr().err
-
-        with bench.rig() as other:
-            heard = list(itertools.islice(other.stream("sample"), 50))
-        rig.stop()
-    assert {s.u_applied_v for s in heard if isinstance(s, Sample)} == {0.0}

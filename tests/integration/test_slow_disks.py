@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,11 +10,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-import zenoh
 from armrig.rig.replies import RunEndedError
-from armrig.rig.session import open_session
-from armrig_core.telemetry import decode_sample
-from armrig_core.topics import stream_key
 
 from tests.integration.driving import driven
 from tests.integration.processes import Bench, Process, wait_for
@@ -33,7 +26,6 @@ DEAD_C = """
 int fdatasync(int fd) { for (;;) pause(); }
 int fsync(int fd) { for (;;) pause(); }
 """
-MOST_AGE_S = 0.2
 ENDS_S = 60.0
 Serve = Callable[..., Process]
 
@@ -59,10 +51,9 @@ def served(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ser
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("wait_us", [1_200_000, 2_000_000])
-def test_a_run_on_a_slow_disk_is_complete(bench: Bench, served: Serve, wait_us: int) -> None:
+def test_a_run_on_a_slow_disk_is_complete(bench: Bench, served: Serve) -> None:
     """An SD card, or a busy disk: fdatasync takes longer than the time between two syncs."""
-    daemon = served(SLOW_C, wait_us)
+    daemon = served(SLOW_C, 2_000_000)
     with bench.rig() as rig:
         rig.arm("a test", Ts=0.005)
         path = rig.run(np.full(1600, 1.0))
@@ -72,30 +63,6 @@ def test_a_run_on_a_slow_disk_is_complete(bench: Bench, served: Serve, wait_us: 
     assert (last.samples, last.synced, last.outcome) == (1600, 1600, "complete")
     assert armrig.load(path).samples.size == 1600
     assert daemon.end() == 0
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("wait_us", [800_000, 2_000_000])
-def test_a_kill_loses_no_more_on_a_slow_disk(bench: Bench, served: Serve, wait_us: int) -> None:
-    """L1: the flushes go on during a sync."""
-    daemon = served(SLOW_C, wait_us)
-    published: list[int] = []
-
-    def heard(message: zenoh.Sample) -> None:
-        sample = decode_sample(message.payload.to_bytes())
-        assert sample is not None
-        published.append(sample.k)
-
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    with driven(bench, samples=6000, Ts=0.005), open_session(endpoint, rig="1") as session:
-        session.declare_subscriber(stream_key("1", "sample"), heard)
-        wait_for(lambda: len(published) > 500)
-        last_k = published[-1]
-        daemon.popen.send_signal(signal.SIGKILL)
-    (left,) = bench.recordings.glob("*.active")
-    newest_k = int(armrig.load(left).samples["k"][-1])
-
-    assert (last_k - newest_k) * 0.005 <= MOST_AGE_S
 
 
 @pytest.mark.exhaustive
@@ -116,7 +83,7 @@ def test_a_disk_that_stops_for_good_is_reported_and_the_next_run_begins(
 
 
 @pytest.mark.exhaustive
-def test_sigterm_says_what_a_disk_that_does_not_answer_may_have_lost(
+def test_sigterm_reports_what_an_unresponsive_disk_may_have_lost(
     bench: Bench, served: Serve
 ) -> None:
     daemon = served(DEAD_C)
@@ -128,27 +95,3 @@ def test_sigterm_says_what_a_disk_that_does_not_answer_may_have_lost(
     assert code == 1
     assert time.monotonic() - begun_s < ENDS_S
     assert "samples are lost; `armrig recover` the others" in daemon.said
-
-
-@pytest.mark.exhaustive
-def test_a_recorder_that_is_killed_is_not_called_a_daemon(bench: Bench) -> None:
-    bench.emulate()
-    bench.serve()
-    out = bench.folder / "remote.mcap"
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    command = [sys.executable, "-m", "armrig", "record", "--from", endpoint, "-o", str(out)]
-    with Path(os.devnull).open("wb") as nowhere:
-        recorder = subprocess.Popen(command, stdout=nowhere, stderr=nowhere)
-    active = out.with_name("remote.mcap.active")
-    try:
-        wait_for(lambda: active.exists() and active.stat().st_size > 0)
-        wait_for(lambda: armrig.load(active).samples.size > 20)
-    finally:
-        recorder.kill()
-        recorder.wait()
-
-    recovered = bench.armrig("recover", str(bench.folder))
-    shown = bench.armrig("info", str(out))
-
-    assert "of 0 s" not in recovered.stdout
-    assert "cut off: its recorder died or could not write" in shown.stdout

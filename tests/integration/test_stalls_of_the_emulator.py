@@ -6,24 +6,9 @@ import os
 import re
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
-import armrig
-import numpy as np
-import pytest
-from armrig.recordings.jitter import disturbances
-
-from tests.integration.fork_server import ForkServer
 from tests.integration.processes import Bench, Process, freeze, wait_for
-
-
-@pytest.fixture
-def bench(tmp_path: Path, forks: ForkServer) -> Iterator[Bench]:
-    """Give a rig in a folder of its own."""
-    bench = Bench(tmp_path, forks)
-    yield bench
-    bench.end()
 
 
 def _emulated(bench: Bench) -> tuple[Process, int]:
@@ -55,33 +40,3 @@ def test_the_daemon_reports_the_length_of_a_stall(bench: Bench) -> None:
 
     wait_for(lambda: max(_held_up_ms(daemon.said), default=0) >= 380)
     assert daemon.popen.poll() is None
-
-
-@pytest.mark.exhaustive
-def test_the_stall_is_in_the_recording(bench: Bench) -> None:
-    _, pid = _emulated(bench)
-    stops: list[int] = []
-
-    def stop_once(done: int, total: int) -> None:
-        if done > 20 and not stops:
-            stops.append(done)
-            _stop(pid, 0.1)
-
-    with bench.rig() as rig:
-        rig.arm("a test")
-        path = rig.run(np.full(250, 1.5), progress=stop_once)
-
-    found = disturbances(armrig.load(path))
-    assert found.held_up_ms >= 80
-    assert found.texts()["emulator held up"].startswith(f"{found.held_up_ms}")
-
-
-def test_an_emulator_that_tolerates_nothing_says_nothing(bench: Bench) -> None:
-    emulator = bench.emulate()
-    daemon = bench.serve()
-
-    _stop(emulator.popen.pid, 0.4)
-    time.sleep(0.2)
-    wait_for(lambda: bench.phase() != "")
-
-    assert not _held_up_ms(daemon.said + emulator.said)

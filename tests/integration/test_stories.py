@@ -1,10 +1,9 @@
 """Output of commands and the daemon's log during work at a rig, word for word.
 
 A file in `stories/` is a script and its stored output. A line that begins with `$` is a command, a
-line with `%` an event of the rig. A line with `=` belongs to its configuration, after `[emulator]`.
-The other lines are the output. Words are compared exactly; numbers, names of
-recordings and folders are not. `make stored` writes the files again: read the difference before you
-commit it.
+line with `%` an event of the rig. The other lines are the output. Words are compared exactly;
+numbers, names of recordings and folders are not. `make stored` writes the files again: read the
+difference before you commit it.
 """
 
 from __future__ import annotations
@@ -20,10 +19,8 @@ import pytest
 
 from tests.integration.driving import driven, recorded
 from tests.integration.processes import Bench, wait_for
-from tests.sampling import without_slow
 
 STORIES = sorted(Path(__file__).with_name("stories").glob("*.txt"))
-SLOW = {"a_cable", "a_chassis", "a_run", "two_groups"}
 _OF_A_RUN = re.compile(r"\d{8}T\d{6}|\b[0-9a-f]{8,}\b|\d{4}-\d\d-\d\dT[\d:.+]+")
 _CLOSED = re.compile("end of file|Connection reset by peer|Broken pipe")  # as it comes
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
@@ -36,10 +33,8 @@ _OF_THIS_HOST = re.compile(
 class Stage:
     """A rig with its daemon, and the events of a story."""
 
-    def __init__(self, bench: Bench, stack: ExitStack, configuration: str = "") -> None:
+    def __init__(self, bench: Bench, stack: ExitStack) -> None:
         self._bench = bench
-        if configuration:
-            bench.configure(more=configuration)
         self._emulator = bench.emulate()
         self._daemon = bench.serve()
         self._logged = 0
@@ -110,20 +105,17 @@ def told(script: str, stage: Stage) -> str:
             parts.append(line + stage.command(line[2:].strip()))
         elif line.startswith("% "):
             parts.append(line + stage.act(line[2:].strip()))
-        elif line.startswith(("# ", "= ")):
+        elif line.startswith("# "):
             parts.append(line)
     return "".join(parts)
 
 
-@pytest.mark.parametrize(
-    "story", without_slow(STORIES, lambda story: story.stem in SLOW), ids=lambda story: story.stem
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("story", STORIES, ids=lambda story: story.stem)
 def test_a_story_is_printed_word_for_word(bench: Bench, story: Path) -> None:
     stored = story.read_text()
-    configured = [line[2:] for line in stored.splitlines() if line.startswith("= ")]
-
     with ExitStack() as stack:
-        now = told(stored, Stage(bench, stack, "\n".join(configured)))
+        now = told(stored, Stage(bench, stack))
 
     found, wanted = words(now, bench.folder), words(stored, bench.folder)
     if os.environ.get("WRITE_STORED") and found != wanted:

@@ -68,15 +68,11 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Programs:
     return Programs(folder, folder / "venv" / "bin" / "python")
 
 
-def _endpoint(bench: Bench) -> str:
-    return f"unixsock-stream/{bench.folder}/armrig/1.sock"
-
-
 def _rows(printed: str) -> list[list[str]]:
     return [*csv.reader(printed.splitlines())]
 
 
-def test_the_environment_has_no_armrig(programs: Programs) -> None:
+def test_the_environment_of_the_page_s_programs_has_no_armrig(programs: Programs) -> None:
     """Otherwise the other tests of this page would prove nothing."""
     for module in ("armrig", "armrig_core", "numpy"):
         command = [programs.python, "-I", "-c", f"import {module}"]
@@ -85,7 +81,7 @@ def test_the_environment_has_no_armrig(programs: Programs) -> None:
 
 
 def test_the_subscriber_prints_each_sample(served: Bench, programs: Programs) -> None:
-    rows = _rows(programs.run("subscribe.py", _endpoint(served), "50"))
+    rows = _rows(programs.run("subscribe.py", served.endpoint, "50"))
 
     k = np.array([int(row[0]) for row in rows])
     assert [len(row) for row in rows] == [6] * 50
@@ -93,9 +89,11 @@ def test_the_subscriber_prints_each_sample(served: Bench, programs: Programs) ->
     assert {float(row[2]) for row in rows} == {0.0}
 
 
-def test_the_recorder_records_what_is_published(served: Bench, programs: Programs) -> None:
+def test_the_recorder_of_the_page_records_every_published_message(
+    served: Bench, programs: Programs
+) -> None:
     file = programs.folder / "recorded.mcap"
-    program = programs.start("record.py", _endpoint(served), str(file))
+    program = programs.start("record.py", served.endpoint, str(file))
     assert program.stdout is not None
     wanted = {f"recording rig/1/{stream}" for stream in ("sample", "state")}
     begun: set[str] = set()
@@ -121,7 +119,9 @@ def test_the_recorder_records_what_is_published(served: Bench, programs: Program
     assert len({c.topic for _, c, _ in messages}) >= 4
 
 
-def test_the_reader_reads_what_armrig_reads(served: Bench, programs: Programs) -> None:
+def test_the_reader_of_the_page_reads_the_same_values_as_armrig(
+    served: Bench, programs: Programs
+) -> None:
     with served.rig() as rig:
         rig.arm("a test")
         path = rig.run([1.0, 4.0] * 50)
@@ -135,13 +135,15 @@ def test_the_reader_reads_what_armrig_reads(served: Bench, programs: Programs) -
         np.testing.assert_array_equal(column, samples[name].astype(np.float64))
 
 
-def test_the_daemon_is_asked_and_stopped(served: Bench, programs: Programs) -> None:
-    status = json.loads(programs.run("ask.py", _endpoint(served), "status"))
+def test_the_page_s_program_reads_the_status_and_stops_the_rig(
+    served: Bench, programs: Programs
+) -> None:
+    status = json.loads(programs.run("ask.py", served.endpoint, "status"))
     with served.rig() as rig:
         rig.arm("a test")
-        stopped = json.loads(programs.run("ask.py", _endpoint(served), "stop"))
+        stopped = json.loads(programs.run("ask.py", served.endpoint, "stop"))
         wait_for(lambda: rig.status().phase == "safe")
-    refused = json.loads(programs.run("ask.py", _endpoint(served), "fly"))
+    refused = json.loads(programs.run("ask.py", served.endpoint, "fly"))
 
     assert (status["rig"], status["phase"], status["owner"]) == ("1", "safe", "")
     assert stopped == {"done": True}

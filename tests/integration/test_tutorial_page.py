@@ -124,7 +124,7 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
 
 
 @pytest.mark.timed
-def test_every_line_that_needs_a_rig_is_taken(lab: Lab) -> None:
+def test_every_line_that_needs_a_rig_is_a_valid_command(lab: Lab) -> None:
     names: dict[str, Any] = {}
     done: list[str] = []
     said: list[str] = []

@@ -106,7 +106,7 @@ class Client:
 
 def endpoint(bench: Bench) -> str:
     """Return where the bench's daemon listens."""
-    return f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    return bench.endpoint
 
 
 @contextmanager
@@ -126,7 +126,8 @@ def recorded(client: Client, experiment: dict[str, Any]) -> str:
 
 
 def begin(client: Client, bench: Bench, experiment: dict[str, Any] = STEP) -> None:
-    """Have a dashboard run an experiment, and wait until the motor is driven."""
+    """Have a dashboard that hears its rig run an experiment, and wait until the motor is driven."""
+    client.wait("live", lambda seen: not seen["is_stale"])
     before = len(bench.voltage_changes())
     status, told = client.ask("/api/run", {"owner": "a page", "experiment": experiment})
     assert status == 200, told

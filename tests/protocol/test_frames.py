@@ -13,8 +13,8 @@ import pytest
 from armrig_protocol import cobs
 from armrig_protocol.crc import CHECK, crc32
 from armrig_protocol.decoder import MAX_STUFFED, Received, feed
-from armrig_protocol.frame import Spoilt, Unknown, encode, wire_length
-from armrig_protocol.messages import ARRAYS, LAYOUTS, MESSAGES, Exchange, Message, Sample, Setpoints
+from armrig_protocol.frame import Spoilt, Unknown, encode
+from armrig_protocol.messages import ARRAYS, LAYOUTS, MESSAGES, Exchange, Message
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -54,7 +54,7 @@ def _event(vector: dict[str, Any]) -> Received:
 
 
 @pytest.mark.parametrize("vector", VECTORS, ids=[v["doc"] for v in VECTORS])
-def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
+def test_encoding_and_decoding_match_the_golden_vectors(vector: dict[str, Any]) -> None:
     wire = bytes.fromhex(vector["wire"])
     expected = [_event(dict(event)) for event in vector["events"]]
 
@@ -73,7 +73,7 @@ def test_every_message_has_a_vector() -> None:
     assert {message.__name__ for message in MESSAGES.values()} <= named
 
 
-def test_the_worked_frame_is_in_the_protocol() -> None:
+def test_the_protocol_page_contains_the_encoding_of_its_example() -> None:
     text = (Path(__file__).parents[2] / "firmware_protocol/PROTOCOL.md").read_text()
 
     wire = encode(Exchange(0, 2, 256, 32768))
@@ -81,7 +81,7 @@ def test_the_worked_frame_is_in_the_protocol() -> None:
     assert f"\n{wire.hex(' ')}\n" in text
 
 
-def test_the_crc_is_that_of_the_catalogue() -> None:
+def test_the_crc_equals_the_check_value_of_the_catalogue() -> None:
     """CRC-32/ISO-HDLC of 123456789 is CBF43926."""
     assert crc32(b"123456789") == CHECK
 
@@ -137,7 +137,7 @@ def test_one_flipped_bit_never_gives_another_message(message: Message, where: in
 
 
 @given(st.lists(st.binary(max_size=300), max_size=20))
-def test_what_is_left_over_is_bounded(pieces: list[bytes]) -> None:
+def test_pending_bytes_are_bounded(pieces: list[bytes]) -> None:
     pending = b""
     for piece in pieces:
         pending, _ = feed(pending, piece.replace(b"\0", b"\x01"))
@@ -145,15 +145,10 @@ def test_what_is_left_over_is_bounded(pieces: list[bytes]) -> None:
         assert len(pending) <= MAX_STUFFED + 1
 
 
-def test_no_frame_is_cut_out_of_one_that_is_too_long() -> None:
+def test_an_overlong_frame_is_spoilt_and_not_truncated() -> None:
     text = b"\xff\x00\x01\x00".ljust(MAX_STUFFED - 5, b"x")
     longest = cobs.stuff(text + crc32(text).to_bytes(4, "little"))
     assert len(longest) == MAX_STUFFED
 
     assert _feed_in_pieces([longest, b"\0"]) == [Unknown(0, 1, 0xFF)]
     assert _feed_in_pieces([longest + b"x", b"\0"]) == [Spoilt("length")]
-
-
-def test_the_frames_take_what_the_design_of_the_budget_says() -> None:
-    """SAMPLE 36, EXCHANGE 16 and SETPOINTS 64 bytes on the wire."""
-    assert (wire_length(Sample), wire_length(Exchange), wire_length(Setpoints)) == (36, 16, 64)

@@ -9,7 +9,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from armrig_protocol import generate
 from armrig_protocol.generate import ROOT, generated, main
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
 
@@ -27,12 +26,12 @@ def _generated_python(root: Path) -> str:
     return generated(root)[root / "armrig_protocol" / "messages.py"]
 
 
-def test_the_files_are_what_the_schema_says(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_generated_files_match_the_schema(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--check"]) == 0
     assert capsys.readouterr().out == ""
 
 
-def test_words_do_not_change_the_hash_and_fields_do(tmp_path: Path) -> None:
+def test_the_schema_hash_depends_on_fields_and_not_on_descriptions(tmp_path: Path) -> None:
     root = _copy(tmp_path)
     schema = (root / "schema.toml").read_text()
     ours = f"SCHEMA_HASH = 0x{SCHEMA_HASH:08X}"
@@ -46,7 +45,7 @@ def test_words_do_not_change_the_hash_and_fields_do(tmp_path: Path) -> None:
     assert ours not in _generated_python(root)
 
 
-def test_a_field_that_is_added_renews_the_vectors_of_its_message_alone(tmp_path: Path) -> None:
+def test_an_added_field_changes_only_the_vectors_of_its_message(tmp_path: Path) -> None:
     root = _copy(tmp_path)
     vectors = root / "vectors" / "frames.json"
     before = vectors.read_text().splitlines()
@@ -67,12 +66,12 @@ def test_a_field_that_is_added_renews_the_vectors_of_its_message_alone(tmp_path:
     assert "more" in new
 
 
-def test_an_argument_that_is_not_known_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_argument_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--chekc"]) == 2
     assert "--chekc: only --check is allowed" in capsys.readouterr().err
 
 
-def test_the_header_compiles_and_its_sizes_hold(tmp_path: Path) -> None:
+def test_the_generated_header_compiles_and_its_sizes_are_correct(tmp_path: Path) -> None:
     source = tmp_path / "header.c"
     main_c = f"int main(void) {{ return RIG_VERSION - {VERSION}; }}"
     source.write_text(f'#include "rig_protocol.h"\n{main_c}\n')
@@ -92,20 +91,19 @@ def test_the_header_compiles_and_its_sizes_hold(tmp_path: Path) -> None:
     assert ("rig_setpoints_t", "62") in asserts
 
 
-def test_what_differs_from_the_schema_is_named_and_then_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_file_that_differs_from_the_schema_is_reported_and_regenerated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     root = _copy(tmp_path)
     for path in ("armrig_protocol/messages.py", "firmware/rig_protocol.h"):
         (root / path).parent.mkdir()
         shutil.copy(ROOT / path, root / path)
-    monkeypatch.setattr(generate, "ROOT", root)
     header = root / "firmware" / "rig_protocol.h"
     sound = header.read_text()
     header.write_text(sound + "\n")
     (root / "armrig_protocol" / "messages.py").unlink()
 
-    codes = [main(["--check"]), main([]), main(["--check"]), main([])]
+    codes = [main(arguments, root) for arguments in (["--check"], [], ["--check"], [])]
 
     assert codes == [1, 0, 0, 0]
     said = [line.removeprefix(f"{root}/") for line in capsys.readouterr().out.splitlines()]
@@ -119,10 +117,8 @@ def test_what_differs_from_the_schema_is_named_and_then_written(
     assert header.read_text() == sound
 
 
-def test_without_a_checkout_nothing_is_generated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_files_are_generated_only_in_a_checkout(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(generate, "ROOT", tmp_path)
-
-    assert main([]) == 2
+    assert main([], tmp_path) == 2
     assert f"{tmp_path}: no schema.toml; run this in a checkout" in capsys.readouterr().err

@@ -74,8 +74,8 @@ class WatchedLoop(Loop):
 
     def __init__(self, rules: Rules, rig: Rig) -> None:
         super().__init__(rules, rig)
-        self._meter = Silent()  # type: ignore[assignment]
-        self._outbox = rig.outbox()  # type: ignore[assignment]
+        self._meter = Silent()
+        self._outbox = rig.outbox()
         self._rig = rig
 
     def _step(self, now_ns: int, events: list[Event]) -> None:

@@ -16,7 +16,7 @@ def _latched(frame: Frame, code: int = 500, k: int = 9, last_k: int = 8, slew: i
     return may_exchange(frame, code, k, last_k=last_k, last_code=0, slew=slew)
 
 
-def test_an_old_exchange_is_latched_where_its_k_is_ahead_and_within_slew() -> None:
+def test_an_old_exchange_is_latched_if_its_k_is_ahead_and_its_u_within_slew() -> None:
     frame = _frame(Exchange(0, 7, 9, 500))
 
     assert not _latched(frame)
@@ -31,7 +31,7 @@ def test_an_old_exchange_is_latched_where_its_k_is_ahead_and_within_slew() -> No
     assert _latched(_frame(Setpoints(0, 7, 9, 1, 0, (500,) + 23 * (0,))))
 
 
-def test_old_setpoints_fill_the_samples_that_they_carry() -> None:
+def test_old_setpoints_may_fill_only_their_samples() -> None:
     frame = _frame(Setpoints(0, 7, 24, 2, 0, (500, 600) + 22 * (0,)))
 
     assert not may_fill(frame, 500, 24)

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.simulator.mutants import DESIGN, MUTANTS, Mutant, planted
+from tests.simulator.mutants import MUTANTS, Mutant, planted
 from tests.simulator.options import draw
 from tests.simulator.rig import simulate
 
-MOST = 40
+SEEDS = range(1000, 1040)
 
 
 @pytest.fixture(autouse=True)
@@ -27,38 +27,9 @@ def _broken(mutant: Mutant, seed: int) -> str:
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: m.name)
-def test_a_planted_bug_is_seen(mutant: Mutant) -> None:
-    with planted(mutant.plant, *mutant.without):
-        seeds = range(mutant.first, mutant.first + MOST)
-        seed = next((s for s in seeds if _broken(mutant, s) in mutant.breaks), None)
-    assert seed is not None, f"{mutant.name}: not seen in {MOST} schedules"
+def test_a_planted_bug_violates_its_invariant(mutant: Mutant) -> None:
+    with planted(mutant):
+        seed = next((s for s in SEEDS if _broken(mutant, s) in mutant.breaks), None)
+    assert seed is not None, f"{mutant.name}: not seen in {len(SEEDS)} schedules"
 
-    with planted(*mutant.without):
-        assert _broken(mutant, seed) not in mutant.breaks
-
-
-@pytest.mark.parametrize("mutant", [m for m in MUTANTS if m.without], ids=lambda m: m.name)
-def test_a_bug_that_another_guard_covers_is_masked_by_it(mutant: Mutant) -> None:
-    with planted(mutant.plant):
-        broken = {_broken(mutant, seed) for seed in range(mutant.first, mutant.first + 2)}
-
-    assert not broken & mutant.breaks
-
-
-def test_the_bugs_of_the_design_come_first() -> None:
-    """All thirteen, in its order."""
-    assert [m.name for m in MUTANTS[:DESIGN]] == [
-        "freshness by the time of arrival",
-        "no boot nonce",
-        "no CRC",
-        "what is no code is let through (NaN, an integer beyond u16)",
-        "no lease",
-        "any owner",
-        "no staleness",
-        "no firmware timeout",
-        "replay of a frame accepted",
-        "silent gap",
-        "wrong scale in the host",
-        "no pause detection",
-        "no firmware clamp",
-    ]
+    assert _broken(mutant, seed) not in mutant.breaks

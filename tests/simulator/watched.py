@@ -44,7 +44,7 @@ class Watching:
         super().__init__(settings, 0, self._changed)
         self._really_latch = self._board.latch
         # The board is the device's own; its latch is where a code becomes a voltage.
-        self._board.latch = self._latch  # type: ignore[method-assign]
+        self._board.latch = self._latch
 
     # -- the process that emulates it ------------------------------------------------------------
 

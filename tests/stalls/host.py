@@ -1,45 +1,37 @@
-"""The stalls of the host."""
+"""The stalls of the host.
+
+As a program, `host.py [CPU]` compares the clock with deadlines, because a thread would also wait
+for the interpreter of the tests. With the number of a processor, it runs there at the highest
+real-time priority, if it may, as a loop does.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import select
 import subprocess
 import sys
-from pathlib import Path
-from typing import NamedTuple
+import time
+from contextlib import suppress
+from typing import Any
 
-STOPS = "SHAKE_STOPS"
-"""Environment variable: file in which `make shake` writes each process that it stops, and when."""
+PERIOD_NS = 5_000_000
+SHORTEST_NS = 10_000_000  # shorter stalls are not reported
 GAP_NS = 20_000_000
 """Two stalls with less between them are one: a loop does not catch up in so short a time."""
-_MONITOR = Path(__file__).with_name("monitor.py")
-
-
-class Stall(NamedTuple):
-    """A time in which a process could not run, by the monotonic clock."""
-
-    began_ns: int
-    ended_ns: int
-
-    def overlaps(self, began_ns: int, ended_ns: int) -> bool:
-        """Return whether a part of the stall lies between two times."""
-        return self.began_ns < ended_ns and began_ns < self.ended_ns
+Stall = tuple[int, int]
+"""Begin and end of a time in which a process could not run, in ns of the monotonic clock."""
 
 
 class Host:
-    """The host's stalls since the monitor was started."""
+    """The host's stalls since the monitors were started: one for each processor, and one more."""
 
     def __init__(self) -> None:
-        cpus = [[], *([str(cpu)] for cpu in os.sched_getaffinity(0))]
+        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "bufsize": 0}
         self._monitors = [
-            subprocess.Popen(
-                [sys.executable, "-I", "-S", str(_MONITOR), *cpu],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                bufsize=0,
-            )
-            for cpu in cpus
+            subprocess.Popen([sys.executable, "-I", "-S", __file__, *cpu], **pipes)
+            for cpu in [[], *([str(cpu)] for cpu in os.sched_getaffinity(0))]
         ]
         self._stalls: list[Stall] = []
         self._ask()  # a monitor measures from its first answer on
@@ -47,45 +39,43 @@ class Host:
     def longest_ns(self, began_ns: int, ended_ns: int) -> int:
         """Return the longest stall that overlaps a time, in ns; 0 without any."""
         self._ask()
-        stalls = merged(self._stalls + stops_of(os.getpid(), os.environ.get(STOPS)))
-        overlapping = [stall for stall in stalls if stall.overlaps(began_ns, ended_ns)]
-        return max((stall.ended_ns - stall.began_ns for stall in overlapping), default=0)
+        times = (stall for stall in self._stalls if stall[0] < ended_ns and began_ns < stall[1])
+        return max((end - begin for begin, end in times), default=0)
 
     def end(self) -> None:
-        """End the monitors."""
         for monitor in self._monitors:
             with monitor:
-                assert monitor.stdin is not None
                 monitor.stdin.close()
 
     def _ask(self) -> None:
         for monitor in self._monitors:
-            assert monitor.stdin is not None
-            assert monitor.stdout is not None
             monitor.stdin.write(b"\n")
-            self._stalls += [Stall(*times) for times in json.loads(monitor.stdout.readline())]
+            self._stalls += map(tuple, json.loads(monitor.stdout.readline()))
 
 
-def merged(stalls: list[Stall]) -> list[Stall]:
-    """Return the stalls in their order; those with less than `GAP_NS` between them are one."""
-    whole: list[Stall] = []
-    for stall in sorted(stalls):
-        if whole and stall.began_ns - whole[-1].ended_ns < GAP_NS:
-            stall = Stall(whole[-1].began_ns, max(whole.pop().ended_ns, stall.ended_ns))
-        whole.append(stall)
-    return whole
+def monitor(cpu: int | None) -> None:
+    """Answer each line of input with the stalls since the last answer."""
+    if cpu is not None:
+        with suppress(PermissionError):
+            highest = os.sched_get_priority_max(os.SCHED_FIFO)
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(highest))
+            os.sched_setaffinity(0, [cpu])
+    stalls: list[Stall] = []
+    now_ns = time.monotonic_ns()
+    while True:
+        # From the last reading, so that a stall after it counts wherever it lies.
+        due_ns = now_ns + PERIOD_NS
+        asked, _, _ = select.select([0], [], [], PERIOD_NS / 1e9)
+        now_ns = time.monotonic_ns()
+        if now_ns - due_ns > SHORTEST_NS:
+            is_near = stalls and due_ns - stalls[-1][1] < GAP_NS
+            stalls.append((stalls.pop()[0] if is_near else due_ns, now_ns))
+        if asked:
+            if not os.read(0, 1):
+                return
+            print(json.dumps(stalls), flush=True)
+            stalls.clear()
 
 
-def stops_of(pid: int, path: str | None) -> list[Stall]:
-    """Return when `make shake` stopped a process of ours.
-
-    Parameters
-    ----------
-    pid : int
-        Process of the tests; the stopped process is that one or descends from it.
-    path : str, optional
-        File of the stops. A line contains both times and the stopped process with its ancestors.
-    """
-    lines = Path(path).read_text().splitlines() if path else []
-    numbers = [[int(number) for number in line.split()] for line in lines]
-    return [Stall(began, ended) for began, ended, *pids in numbers if pid in pids]
+if __name__ == "__main__":
+    monitor(int(sys.argv[1]) if len(sys.argv) > 1 else None)

@@ -40,7 +40,7 @@ def _properties(machine: Machine, board: str) -> list[str]:
         ),
     ],
 )
-def test_a_board_has_one_name_that_stays(machine: Machine, board: str, name: str) -> None:
+def test_a_board_has_one_persistent_name(machine: Machine, board: str, name: str) -> None:
     properties = _properties(machine, board)
 
     assert f"DEVLINKS={name}" in properties
@@ -50,5 +50,5 @@ def test_a_board_has_one_name_that_stays(machine: Machine, board: str, name: str
 @pytest.mark.parametrize(
     "other", [f'{USB}, ENV{{ID_VENDOR_ID}}="1199"', 'ENV{ID_VENDOR_ID}="2341"']
 )
-def test_what_is_no_board_is_left_alone(machine: Machine, other: str) -> None:
+def test_a_device_that_is_not_a_board_gets_no_name(machine: Machine, other: str) -> None:
     assert not [line for line in _properties(machine, other) if "armrig" in line or "MM" in line]

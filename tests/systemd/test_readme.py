@@ -24,7 +24,9 @@ WITH_PIPX = "pipx install ."
     [(("python3", "python3-venv"), LINES), (("pipx",), f"{WITH_PIPX}\n. ~/.profile\n{DEMO}")],
     ids=["venv", "pipx"],
 )
-def test_the_demo_on_an_empty_debian(packages: tuple[str, ...], lines: str, tmp_path: Path) -> None:
+def test_the_demo_of_the_readme_runs_on_an_empty_debian(
+    packages: tuple[str, ...], lines: str, tmp_path: Path
+) -> None:
     if why := missing() or empty_debian.missing():
         pytest.skip(why)
     assert {f"`{name}`" in README for name in (*packages, WITH_PIPX)} == {True}

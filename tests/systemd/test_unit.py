@@ -13,7 +13,9 @@ from tests.tools import needs
 
 ROOT = Path(__file__).parents[2]
 UNITS = sorted((ROOT / "deploy" / "systemd").glob("*.service"))
-SERVICE = (ROOT / "docs" / "service.md").read_text(encoding="utf-8")
+SERVICE, ACCESS = (
+    (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8") for page in ("service", "access")
+)
 OVER_NETWORK = ("armrig-recorder.service", "armrig-router.service")
 WITHOUT_NETWORK = (
     "PrivateNetwork=yes\nIPAddressDeny=any\nRestrictAddressFamilies=~AF_INET AF_INET6\n"
@@ -65,14 +67,14 @@ def test_systemd_finds_no_fault_in_the_unit(unit: Path) -> None:
     assert (verified.returncode, verified.stdout) == (0, "")
 
 
-def test_the_unit_is_exposed_to_little(unit: Path) -> None:
+def test_the_unit_has_a_low_exposure_level(unit: Path) -> None:
     more = WITHOUT_NETWORK if unit.name in OVER_NETWORK else ""
 
     assert _score(unit, more=more) <= MOST_EXPOSED
 
 
 @pytest.mark.parametrize("name", OVER_NETWORK)
-def test_a_unit_with_network_is_exposed_as_the_page_says(name: str, tmp_path: Path) -> None:
+def test_the_exposure_level_of_a_network_unit_equals_the_page(name: str, tmp_path: Path) -> None:
     unit = _with_our_program(ROOT / "deploy" / "systemd" / name, tmp_path)
 
     as_installed, for_a_lab = _score(unit), _score(unit, more=FOR_A_LAB)
@@ -81,7 +83,16 @@ def test_a_unit_with_network_is_exposed_as_the_page_says(name: str, tmp_path: Pa
     assert f"`IPAddressAllow=` lowers (improves) the score to {for_a_lab}" in SERVICE
 
 
-def test_a_unit_starts_nothing_that_a_small_system_has_not() -> None:
+def test_the_exposure_level_of_a_network_daemon_equals_the_page(tmp_path: Path) -> None:
+    unit = _with_our_program(ROOT / "deploy" / "systemd" / "armrigd@.service", tmp_path)
+    (network,) = re.findall(r"```ini\n\[Service\]\n(.*?)```", ACCESS, re.DOTALL)
+
+    scores = _score(unit), _score(unit, more=network)
+
+    assert "reports increases from {} to {}:".format(*scores) in ACCESS
+
+
+def test_a_unit_starts_only_programs_of_a_minimal_system() -> None:
     """An empty Debian has no kill, which is part of procps."""
     text = "".join(unit.read_text(encoding="utf-8") for unit in UNITS)
     started = re.findall(r"^Exec\w+=[-@:+!]*(\S+)", text, re.MULTILINE)

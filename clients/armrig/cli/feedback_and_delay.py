@@ -15,7 +15,6 @@ from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import chassis, kind_of, say_next, typed
 from armrig.cli.options import (
     Json,
-    NoOutput,
     Verbose,
     fields_of,
     inform,
@@ -43,7 +42,6 @@ _CHASSIS = (
 def check(
     file: DataFile,
     signals: SignalChoice,
-    output: NoOutput = None,
     level: Annotated[
         float, typer.Option("--level", help="Significance level of the test for feedback.")
     ] = 0.05,

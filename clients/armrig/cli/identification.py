@@ -23,7 +23,6 @@ from armrig.cli.model_structures import (
 from armrig.cli.next_step import say_next, typed, validation_beside
 from armrig.cli.options import (
     Json,
-    NoOutput,
     Verbose,
     print_json,
     say,
@@ -95,7 +94,6 @@ def identify(
     validate: ValidationFile = None,
     signals: SignalChoice,
     shared: Shared = False,
-    output: NoOutput = None,
     save: Save = None,
     plot: Plot = None,
     json: Json = False,

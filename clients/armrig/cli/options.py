@@ -69,15 +69,6 @@ Detrend = Annotated[
 ]
 
 
-def _refuse_output(given: str | None) -> None:
-    if given is not None:
-        raise typer.BadParameter(
-            f"--signal {given} chooses the signal; -o names a figure, --save a model"
-        )
-
-
-NoOutput = Annotated[str | None, typer.Option("--output", hidden=True, callback=_refuse_output)]
-"""Option that chose the signal in release 0.1."""
 Na = Annotated[int, typer.Option("--na", help="Number of a's (ARX).")]
 Nb = Annotated[int, typer.Option("--nb", help="Number of b's.")]
 Nf = Annotated[int, typer.Option("--nf", help="Number of f's (OE); an integrator counts as one.")]

@@ -15,7 +15,6 @@ from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
     Json,
-    NoOutput,
     Verbose,
     echo,
     fields_of,
@@ -85,7 +84,6 @@ def greybox(
     friction: Friction = None,
     given: Given = None,
     signal: GreySignals = THETA_1,
-    output: NoOutput = None,
     part: SignalChoice,
     json: Json = False,
     verbose: Verbose = False,
@@ -162,7 +160,6 @@ def split(
     free: Studied = None,
     given: Given = None,
     signal: GreySignal = THETA_1,
-    output: NoOutput = None,
     part: SignalChoice,
     json: Json = False,
     verbose: Verbose = False,

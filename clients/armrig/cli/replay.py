@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.manifest import RUN, Manifest, manifest_of
-from armrig_core.protobuf import ABSENT
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.telemetry import Sample
 from armrig_core.volts import codes_of
@@ -110,7 +109,7 @@ def _chunks_of(paths: Sequence[Path]) -> Iterator[Any]:
 def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     manifest = manifest_of(content.metadata[RUN])
     codes = _codes(paths[0], content, manifest)
-    state = trace.restored(begin.state, codes, _version(begin))
+    state = trace.restored(begin.state, codes, begin.version)
     # Samples read together with the answer to START precede the first step.
     k = content.samples["k"]
     compared = _Compared(content.samples[k > state.last_reported_k], manifest)
@@ -195,7 +194,7 @@ class _Chunks:
                     f"a chunk of steps has {len(chunk.steps)} B; "
                     f"the daemon writes at most {MAX_CHUNK_BYTES} B"
                 )
-            yield from trace.steps_of(chunk.steps, _version(chunk))
+            yield from trace.steps_of(chunk.steps, chunk.version)
 
     def holes(self) -> int:
         """Return the number of missing chunks before the last existing chunk."""
@@ -217,11 +216,6 @@ def _same_rows(ours: Any, theirs: Any) -> int:
     a, b = (np.frombuffer(x[:n].tobytes(), np.uint8).reshape(n, -1) for x in (ours, theirs))
     different = np.flatnonzero((a != b).any(axis=1))
     return int(different[0]) if different.size else n
-
-
-def _version(chunk: Any) -> int:
-    """Return the version of the trace in a chunk; it is 1 if the chunk contains no version."""
-    return 1 if chunk.version == ABSENT["fixed64"] else int(chunk.version)
 
 
 def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:

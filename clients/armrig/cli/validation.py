@@ -16,7 +16,6 @@ from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import estimation_of, say_next, typed
 from armrig.cli.options import (
     Json,
-    NoOutput,
     Verbose,
     print_json,
     say,
@@ -64,7 +63,6 @@ def validate(
     file: DataFile,
     model: ModelFile,
     signals: SignalChoice,
-    output: NoOutput = None,
     horizon: Horizons = None,
     lags: Lags = None,
     plot: Plot = None,

@@ -18,7 +18,7 @@ from armrig.numerics.whiteness import Whiteness
 
 MAX_TRUSTED_CURVATURE = 0.5
 """Largest `Estimate.curvature` at which the coefficients' standard deviations are reliable. Up to
-this limit the 95 % intervals contain 93 % of the true values in tests/benchmarks/cancelling.py."""
+this limit the 95 % intervals contain 95 % of the true values (docs/benchmarks.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +57,7 @@ class Estimate(Model):
     whiteness: float
     """p value of the whiteness test of the residuals on the estimation data."""
     whiteness_test: str = ""
-    """Name of the test of whiteness; "" in files of armrig 0.1."""
+    """Name of the test of whiteness."""
     converged: bool = True
     """True if the search for the minimum converged within its tolerance."""
     starts: tuple[Start, ...] = ()

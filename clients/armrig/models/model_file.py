@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import MISSING, fields
 from os import PathLike
 from pathlib import Path
@@ -14,7 +13,7 @@ from armrig_core.bounded import read_text
 from armrig_core.errors import FileError
 
 from armrig.data.finding import EstimateFinding
-from armrig.data.step import LINE, MEAN, Step
+from armrig.data.step import Step
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.model_writing import FORMAT, VERSION
@@ -97,7 +96,7 @@ def fit_of(text: str, path: str) -> Fit:
 
 def _restored(content: dict[str, Any]) -> Fit:
     kind = _KINDS.get(content["structure"], Fit)
-    # A file of an earlier release lacks some fields, which keep their defaults.
+    # Fields that a file of an earlier release lacks keep their defaults.
     known = [f for f in fields(kind) if f.name in content or f.default is MISSING]
     values = {f.name: content[f.name] for f in known}
     arrays = [name for name in (*_ARRAYS, *_SINGULAR) if name in values]
@@ -114,37 +113,14 @@ def _restored(content: dict[str, Any]) -> Fit:
         )
         for free in values["free"]
     )
-    values["history"] = tuple(_steps(content))
-    values["findings"] = tuple(_findings(content))
+    values["history"] = tuple(map(Step, content["history"], content["treatment"]))
+    values["findings"] = tuple(map(_finding, content["findings"]))
     return kind(**values)
 
 
-def _findings(content: dict[str, Any]) -> Iterator[EstimateFinding]:
-    """Yield the findings of a file; armrig 0.1 wrote only their sentences."""
-    said = content.get("findings") or [{"about": ""}] * len(content["warnings"])
-    for text, finding in zip(content["warnings"], said, strict=True):
-        numbers = {name: float(x) for name, x in finding.get("numbers", {}).items()}
-        given = {"level": "warning"} | finding | {"text": text, "numbers": numbers}
-        yield EstimateFinding(**given)
-
-
-def _steps(content: dict[str, Any]) -> Iterator[Step]:
-    """Yield the steps of the history.
-
-    A file of armrig 0.1 has only sentences; each sentence is mapped to its code.
-    """
-    history = content["history"]
-    codes = content.get("treatment") or [_code_of_sentence(text) for text in history]
-    for text, code in zip(history, codes, strict=True):
-        yield Step(text, code)
-
-
-def _code_of_sentence(text: str) -> str:
-    """Return the code of a step whose sentence armrig 0.1 wrote, or "" for another sentence."""
-    return next((code for sentence, code in _SENTENCES if sentence in text), "")
-
-
-_SENTENCES = (("removed the mean from ", MEAN), ("removed a straight line from ", LINE))
+def _finding(content: dict[str, Any]) -> EstimateFinding:
+    numbers = {name: float(x) for name, x in content["numbers"].items()}
+    return EstimateFinding(**(content | {"numbers": numbers}))
 
 
 def _numbers(values: Any) -> Any:

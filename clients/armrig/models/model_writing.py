@@ -37,12 +37,11 @@ def save_fit(fit: Estimate, path: str | PathLike[str]) -> Path:
 def model_text(fit: Estimate) -> str:
     """Return a model as the JSON text of its file."""
     content = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
-    # armrig 0.1 reads only the sentences of the findings, as `warnings`.
-    names = ("warnings" if f.name == "findings" else f.name for f in fields(fit))
-    content |= {name: plain(getattr(fit, name)) for name in names}
+    content |= {f.name: plain(getattr(fit, f.name)) for f in fields(fit) if f.name != "findings"}
     content["treatment"] = codes_of(fit.history)
     content["findings"] = [
-        {"about": f.about, "level": f.level, "asks": f.asks, "numbers": plain(f.numbers)}
+        {"about": f.about, "level": f.level, "asks": f.asks, "text": f.text}
+        | {"numbers": plain(f.numbers)}
         for f in fit.findings
     ]
     return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"

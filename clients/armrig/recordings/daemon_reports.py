@@ -9,7 +9,8 @@ from math import floor
 from operator import attrgetter
 from typing import Any
 
-from armrig_core import protobuf, version_1
+from armrig_core import protobuf
+from armrig_core.codes import GapCode
 
 from armrig.numerics.quantities import plural
 
@@ -147,7 +148,7 @@ def gap_of(message: Any, clock: Clock) -> Gap:
         t=clock.seconds(message.t_from_ns),
         u_held_v=message.u_held_v,
         reason=message.reason,
-        code=message.code or version_1.gap_code(message.reason),
+        code=message.code or GapCode.UNKNOWN,
     )
 
 
@@ -156,13 +157,11 @@ def event_of(message: Any, clock: Clock) -> Event:
     stamp = message.timestamp
     real_ns = stamp.seconds * 1_000_000_000 + stamp.nanos
     level = _LEVELS[message.level] if 0 <= message.level < len(_LEVELS) else str(message.level)
-    text = message.message
-    known = message.HasField(protobuf.EMULATOR_STALL_NS)
     return Event(
         t=clock.seconds(real_ns - clock.offset_ns),
         level=level,
-        message=text,
-        emulator_stall_ns=message.emulator_stall_ns if known else version_1.emulator_stall_ns(text),
+        message=message.message,
+        emulator_stall_ns=message.emulator_stall_ns,
     )
 
 

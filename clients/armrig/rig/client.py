@@ -431,7 +431,7 @@ class Rig:
         try:
             reply = self._ask(commands.Stop(by=who), commands.Done)
         except RefusedError:
-            # A daemon of an earlier version accepts only a stop without a name.
+            # A name must not prevent a stop, for example if the command is too long.
             reply = self._ask(commands.Stop(), commands.Done)
         if not reply.done:
             raise no_daemon(

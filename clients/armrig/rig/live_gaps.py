@@ -9,7 +9,6 @@ from math import nan
 from threading import Lock
 from typing import Any, Generic, TypeVar
 
-from armrig_core import version_1
 from armrig_core.codes import GapCode
 from armrig_core.telemetry import Sample
 
@@ -87,7 +86,7 @@ def gaps_between(before: Sample, after: Sample, told: Iterable[Any]) -> Iterator
             u_held_v=gap.u_held_v,
             reason=gap.reason,
             published=False,
-            code=gap.code or version_1.gap_code(gap.reason),
+            code=gap.code or GapCode.UNKNOWN,
         )
         k = after_last
     if k < end:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import msgspec
-from armrig_core import commands, version_1
+from armrig_core import commands
 from armrig_core.codes import OutcomeCode, RefusalCode
 from armrig_core.errors import MalformedReplyError
 from msgspec.structs import replace
@@ -49,17 +49,12 @@ def refusal_of(name: str, payload: bytes) -> commands.Refused:
     """Decode the refusal of the command `name`; the refusal is JSON or plain text.
 
     Only a refusal that is too long raises MalformedReplyError.
-
-    A daemon of an earlier release sends only a sentence. In this case the code of the refusal is
-    empty, and `version_1` decides whether the refusal is temporary.
     """
     _check_length(name, payload)
     try:
         refusal = reply_of(name, payload, commands.Refused)
     except MalformedReplyError:
         refusal = commands.Refused(error=f"{name}: {payload[:200].decode(errors='replace')}")
-    if refusal.passes is None:
-        refusal = replace(refusal, passes=version_1.passes(refusal.error))
     if len(refusal.error) > _MAX_ERROR_CHARACTERS:
         refusal = replace(refusal, error=f"{refusal.error[:_MAX_ERROR_CHARACTERS]} …")
     return refusal

@@ -6,13 +6,12 @@ of `decisions/step.py: step`. `step` is pure: the same arguments result in the s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import NamedTuple, TypeVar
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import msgspec
 from msgspec.structs import replace
 
-from armrig_daemon.decisions import trace_v1
 from armrig_daemon.decisions.state import (
     Action,
     Event,
@@ -28,9 +27,8 @@ from armrig_daemon.decisions.state import (
 )
 from armrig_daemon.pipe import Arm, Leased, Order, Orders, Run
 
-T = TypeVar("T")
 VERSION = 2
-"""Version of the names in a trace; `trace_v1` reads version 1."""
+"""Version of the names in a trace."""
 CHUNK_BYTES = 3000
 """Largest size of a chunk's steps, in bytes; with the state, a chunk has at most 4096 bytes."""
 _HELD = "held"  # replaces the lease in force
@@ -51,9 +49,9 @@ class Step(NamedTuple):
 
 _Written = list[tuple[int, list[tuple[int, bytes]], list[bytes]]]
 _ENCODER, _STEPS = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Written)
-_STATE_OF = {1: trace_v1.state_of, VERSION: msgspec.msgpack.Decoder(State).decode}
+_STATE = msgspec.msgpack.Decoder(State)
 _EVENTS = [msgspec.msgpack.Decoder(kind) for kind in _KINDS]
-_ORDER_OF = {1: trace_v1.order_of, VERSION: msgspec.msgpack.Decoder(Orders).decode}
+_ORDER = msgspec.msgpack.Decoder(Orders)
 
 
 class Chunk(NamedTuple):
@@ -148,23 +146,23 @@ def restored(data: bytes, codes: bytes, version: int = VERSION) -> State:
     msgspec.DecodeError
         The bytes do not encode a state, or the version is unknown.
     """
-    state = _known(_STATE_OF, version)(data)
+    _check(version)
+    state = _STATE.decode(data)
     return state if state.run is None else replace(state, run=replace(state.run, codes=codes))
 
 
 def steps_of(chunk: bytes, version: int = VERSION) -> list[Step]:
     """Return the steps of a chunk; raise as `restored` does."""
-    order_of = _known(_ORDER_OF, version)
+    _check(version)
     return [
-        Step(now_ns, tuple(_event(number, data, order_of) for number, data in events), tuple(sent))
+        Step(now_ns, tuple(_event(number, data) for number, data in events), tuple(sent))
         for now_ns, events, sent in _STEPS.decode(chunk)
     ]
 
 
-def _known(readers: dict[int, Callable[[bytes], T]], version: int) -> Callable[[bytes], T]:
-    if version not in readers:
-        raise msgspec.DecodeError(f"trace of version {version}: 1 to {VERSION} are known")
-    return readers[version]
+def _check(version: int) -> None:
+    if version != VERSION:
+        raise msgspec.DecodeError(f"trace of version {version}: only {VERSION} is known")
 
 
 def _written_event(event: Event, lease: str) -> bytes:
@@ -187,12 +185,12 @@ def _without_secrets(order: Order, lease: str) -> Order:
     return order
 
 
-def _event(number: int, data: bytes, order_of: Callable[[bytes], Orders]) -> Event:
+def _event(number: int, data: bytes) -> Event:
     kind = _KINDS[number] if number < len(_KINDS) else None
     if kind is Received:
         return Received(data)
     if kind is Ordered:
-        return Ordered(order_of(data))
+        return Ordered(_ORDER.decode(data))
     if kind is None:
         raise msgspec.DecodeError(f"event of kind {number}: 0 to {len(_KINDS) - 1} are known")
     event: Event = _EVENTS[number].decode(data)

@@ -14,14 +14,16 @@ from armrig_protocol.messages import State as DeviceState
 from armrig_daemon.loop.link import Link, TakenPortError, open_link
 
 WITHIN_S = 0.5
-"""Longest duration of a call of `estop`, in s."""
+"""Longest duration of a call of `estop`, in s, by default."""
 _PORT_WAIT_S = 0.2  # a dying daemon releases its port within milliseconds
 _ESTOP_COUNT = 3  # PROTOCOL.md, section 9, ESTOP
 _SPACING_S = 0.02  # a burst of noise that spoils one frame does not spoil them all
 _POLL_S = 0.01
 
 
-def estop(port: str, baud: int) -> bool:
+def estop(
+    port: str, baud: int, *, within_s: float = WITHIN_S, port_wait_s: float = _PORT_WAIT_S
+) -> bool:
     """Send ESTOP three times; return whether the device reported that it has stopped.
 
     Opening the port may reset the device. A reset device is at 0 V and discards all bytes that
@@ -34,8 +36,8 @@ def estop(port: str, baud: int) -> bool:
     LinkError
         The port cannot be opened or written; `TakenPortError` if another program has opened it.
     """
-    until_s = time.monotonic() + WITHIN_S
-    link = _opened(port, baud, time.monotonic() + _PORT_WAIT_S)
+    until_s = time.monotonic() + within_s
+    link = _opened(port, baud, time.monotonic() + port_wait_s)
     try:
         pending, has_to_hear, seq = b"", True, 0
         while (now_s := time.monotonic()) < until_s:

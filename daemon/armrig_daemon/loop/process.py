@@ -167,7 +167,7 @@ class ProcessPorts:
 
     def _open_again(self) -> list[Event]:
         """Try to open a lost line, at intervals; report each reason of a failure once."""
-        now = realtime.now_ns()
+        now = self.now_ns()
         if now < self._reopen_ns:
             return []
         self._reopen_ns = now + REOPEN_NS
@@ -188,7 +188,7 @@ class ProcessPorts:
             self._link.close()
             self._link = None
             self._is_hung_up = self._is_unread = False
-        self._reopen_ns = realtime.now_ns() + REOPEN_NS
+        self._reopen_ns = self.now_ns() + REOPEN_NS
         self._reopen_error = str(err)
         return [LinkDown(self._reopen_error)]
 

@@ -172,9 +172,8 @@ class Commands:
                 cause=cause,
             )
 
-    def refuse_overdue(self) -> None:
-        """Refuse commands that the loop has not answered in time."""
-        now = time.monotonic()
+    def refuse_overdue(self, now: float) -> None:
+        """Refuse commands that the loop has not answered in time; `now` is monotonic, in s."""
         for number in [n for n, w in self._waiting.items() if now > w.until]:
             self._give_up(self._waiting.pop(number), _SILENT)
 

@@ -30,11 +30,10 @@ def served(config: Config, ended_by: str = "Ctrl-C") -> str:
 
 
 def line_and_limits(config: Config) -> str:
-    """Return the port, the range of voltages, and a notice if a configured key has no effect."""
+    """Return the port and the range of voltages."""
     device, limits = config.device, config.limits
     volts = f"{limits.u_min_v:g} to {limits.u_max_v:g} V"
-    rest = "" if config.motor.rest_v is None else "; motor.rest_v = 0 has no effect: remove it"
-    return f"port {device.port} at {device.baud} baud, {volts}{rest}"
+    return f"port {device.port} at {device.baud} baud, {volts}"
 
 
 def endpoint_error(endpoint: str, rig: str, err: Exception) -> str:

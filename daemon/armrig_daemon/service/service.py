@@ -416,7 +416,7 @@ class Service:
         self._loop.order(Alive())
         self._standstill()
         self._woken()  # a disk that does not answer wakes nobody
-        self._commands.refuse_overdue()
+        self._commands.refuse_overdue(time.monotonic())
         if line := self._files.look():
             self._say(*line)
         if self._guard is not None:

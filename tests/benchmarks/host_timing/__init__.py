@@ -1,5 +1,1 @@
-"""The timing of one host against the limit: what runs in turn, what is compared, the targets.
-
-Each of the contestants is a program of its own; `rounds` lets them take turns, `targets` compares
-what they measured. Nothing here imports the daemon: it is started as its users start it.
-"""
+"""The timing of one host: the daemon compared with cyclictest, a bare loop and bare zenoh."""

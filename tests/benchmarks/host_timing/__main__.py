@@ -1,70 +1,80 @@
-"""`make timing`: this host's timing against the limit. `make timing ARGS=--help` says how."""
+"""`make timing`: this host's timing against the targets. `make timing ARGS=--help` says how."""
 
 from __future__ import annotations
 
+import os
+import re
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
-from armrig.cli.figures import check_figure, check_output
+from armrig.lab.host import cpuinfo, governors, granted, load, preemption, text, virtual
 from armrig_core.errors import ArmrigError
 from rich.console import Console
 
-from tests.benchmarks.host_timing.machine import machine
-from tests.benchmarks.host_timing.results import Result, lines, write_figure
-from tests.benchmarks.host_timing.rounds import Plan, measure
+from tests.benchmarks.host_timing.targets import DEFINITIONS, Rate, against_targets
+from tests.benchmarks.host_timing.turns import ROUNDS, measure, ticks_of_a_turn
 
 
 def main(
     seconds: Annotated[
-        float, typer.Option("--seconds", help="For each contestant at each rate, over 4 rounds.")
+        float, typer.Option(help="Time of each program at each rate, over 4 rounds, in s.")
     ] = 20.0,
     rates: Annotated[
-        str, typer.Option("--rates", metavar="HZ,…", help="Sampling rates.")
+        str, typer.Option(metavar="HZ,…", help="Sampling rates, in Hz.")
     ] = "100,500,1000,2000",
-    burn: Annotated[
-        bool, typer.Option("--burn", help="Keep all processors busy beside everybody.")
-    ] = False,
-    json: Annotated[Path | None, typer.Option("--json", metavar="F", help="JSON to write.")] = None,
-    plot: Annotated[
-        Path | None, typer.Option("-o", "--plot", metavar="F", help="Figure to write.")
-    ] = None,
 ) -> None:
-    """Measure this host's timing against the limit.
+    """Measure this host's timing: cyclictest, bare loop, bare zenoh and daemon in turn.
 
-    Daemon, cyclictest, bare loop and bare zenoh, in turn, in one run.
-
-    The exit code says that all was measured, not that the targets are met.
+    The exit code is 0 if everything was measured, also if a target is not met.
     """
-    for file in (json, plot):  # not after minutes of measuring
-        if file is not None:
-            check_output(file, [])
-    if plot is not None:
-        check_figure(plot)
-    host = machine()
-    plan = Plan(rates_hz=_rates(rates), seconds=seconds, burners=host.cpus if burn else 0)
-    with Console(stderr=True).status("measuring") as status:
-        result = Result(machine=host, plan=plan, rates=measure(plan, host, status.update))
-    print("\n".join(lines(result)))
-    if json is not None:
-        json.write_bytes(msgspec.json.format(msgspec.json.encode(result.facts())))
-    if plot is not None:
-        write_figure(result, plot)
-
-
-def _rates(text: str) -> tuple[int, ...]:
     try:
-        return tuple(int(rate) for rate in text.split(","))
+        rates_hz = [int(rate) for rate in rates.split(",")]
     except ValueError as err:
-        raise typer.BadParameter(
-            f"--rates {text!r}: whole numbers of Hz with commas are wanted, such as 100,1000"
-        ) from err
+        raise typer.BadParameter(f"--rates {rates}: give whole numbers of Hz: 100,1000") from err
+    ticks = {rate_hz: ticks_of_a_turn(rate_hz, seconds) for rate_hz in rates_hz}
+    print("\n".join(machine(seconds)), flush=True)
+    with Console(stderr=True).status("measuring") as status:
+        measured = measure(ticks, status.update)
+    print("\n".join(lines(measured, seconds)))
+
+
+def machine(seconds: float, root: Path = Path("/")) -> Iterator[str]:
+    """Yield lines that describe the machine and the measurement."""
+    model = re.search(r"^(?:model name|Model)\s*:\s*(.+)$", cpuinfo(root), re.MULTILINE)
+    cpus = f"{len(os.sched_getaffinity(0))} to use{', virtual' if virtual(root) else ''}"
+    governor = ", ".join(governors(root)) or "none: the kernel scales no frequency"
+    yield f"kernel      {text(root / 'proc/sys/kernel/osrelease')}, preemption {preemption(root)}"
+    yield f"processor   {model[1] if model else 'unknown'}, {cpus}; governor {governor}"
+    yield f"SCHED_FIFO  {'allowed' if granted()[0] else 'NOT allowed'}"
+    yield f"load        {load(root):g} before the measurement"
+    yield f"rounds      {ROUNDS}, together {seconds:g} s for each program and rate"
+
+
+def lines(rates: Sequence[Rate], seconds: float) -> Iterator[str]:
+    """Yield the results line by line."""
+    for rate in rates:
+        heads = "".join(f"{name:>10}" for name in ("n", "p50", "p99", "p99.9", "max"))
+        yield f"\n{rate.rate_hz} Hz, times in µs".ljust(35) + heads
+        for name, (n, *tail) in rate.tails().items():
+            yield f"  {name:32}{n:>10.0f}" + "".join(f"{v:>10.1f}" for v in tail)
+        for name, count in rate.counts.items():
+            yield f"  {name:32}{count:>10}"
+        yield from (f"  {remark}" for remark in dict.fromkeys(rate.remarks))
+    yield f"\n{'against the targets':40}{'Hz':>6}{'measured':>12}{'at most':>10}"
+    for rate in rates:
+        for t in against_targets(rate, seconds):
+            value = f"{t.value:.3g} {t.unit}"
+            yield f"  {t.what:38}{rate.rate_hz:>6}{value:>12}{t.limit:>10g}  {t.verdict}"
+    yield ""
+    yield from (f"{name}: {definition}" for name, definition in DEFINITIONS.items())
+    yield "own work per tick: median of the daemon's CPU time per tick less the bare loop's"
 
 
 def run(arguments: list[str]) -> int:
-    """Measure, or print the reason why not, and return the exit code."""
+    """Measure, or print why this is not possible, and return the exit code."""
     app = typer.Typer(add_completion=False)
     app.command()(main)
     try:

@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
-import io
-import json
-import sys
-from collections.abc import Iterator
-from math import tau
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import armrig
 import pytest
 from armrig.cli import main
 from armrig.cli.calibrate import _checked, _default, _measured, _Wanted
 from armrig.cli.calibration_runs import check_turns, meter_reading
-from armrig.recordings.loading import load
 from armrig.rig import collection
 from armrig.rig.collection import Collected, Plan
 from armrig_core import commands
-from armrig_core.calibration import Calibration, Driver, Made, Potentiometer
+from armrig_core.calibration import Calibration, Made
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
 from armrig_core.codes import RefusalCode
-from armrig_core.errors import FileError, InputError
+from armrig_core.errors import InputError
 from msgspec.structs import replace
 
 from tests.clients.calibration_rig import recording_of
 from tests.clients.fake_daemon import FakeDaemon
-from tests.clients.made_recordings import recorded, sample, written
-from tests.clients.made_turns import D, made_turns, still
+from tests.clients.made_recordings import written
+from tests.clients.made_turns import made_turns, still
 
 TURNED = made_turns(noise=32.0, direction=-1)
 
@@ -51,30 +45,6 @@ def _files(folder: Path) -> tuple[str, ...]:
     return tuple(options)
 
 
-def test_recordings_made_before_are_calibrated_without_a_rig_or_a_question(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    output = tmp_path / "new" / "c.toml"
-
-    code = main(["calibrate", *_files(tmp_path), "--meter", "65535=4.9", "--save", str(output)])
-
-    said = capsys.readouterr()
-    assert code == 0, said.err
-    assert "not in use: no daemon of rig 1 answers" in said.err
-    assert f'[calibration]\nfile = "{output}"\n' in said.err
-    found = read_calibration(output)
-    assert found.theta_1.rad_per_count == pytest.approx(-tau / D, rel=1e-3)
-    assert found.driver.gain == pytest.approx(4.9 / 5, rel=1e-3)
-    made = found.made
-    assert made is not None
-    assert (made.rig, made.device_uid) == ("1", "0001")
-    assert made.recordings["turns"] == load(tmp_path / "turns.mcap").sha256
-    assert made.figures["theta_1_rad_per_count"].std > 0
-    assert raw_path(output).stat().st_size < 100_000
-    assert "theta_1_rad_per_count" in said.out
-    assert " ± " in said.out
-
-
 class _Daemon(FakeDaemon):
     """Reports the calibration file of its configuration."""
 
@@ -92,7 +62,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Daemon]:
 
 
 @pytest.mark.parametrize(
-    ("options", "typed", "is_used", "said"),
+    ("options", "answer", "is_used", "said"),
     [
         ((), "\n", True, "Load the calibration into the running daemon now? [Y/n]"),
         ((), "n\n", False, "not in use\n"),
@@ -112,17 +82,17 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Daemon]:
         (("--no-use", "--yes"), None, False, "not in use\n"),
     ],
 )
-def test_the_running_daemon_takes_it_where_that_is_wanted(
+def test_the_running_daemon_loads_a_calibration_after_consent(
     options: tuple[str, ...],
-    typed: str | None,
+    answer: str | None,
     is_used: bool,
     said: str,
     daemon: _Daemon,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    typed: Callable[[str | None], None],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(sys, "stdin", _Terminal(typed) if typed else io.StringIO())
+    typed(answer)
     output = tmp_path / "c.toml"
     given = [*_files(tmp_path), "--save", str(output), "--connect", daemon.endpoint, *options]
 
@@ -136,7 +106,7 @@ def test_the_running_daemon_takes_it_where_that_is_wanted(
     assert [r.raw for r in sent] == [raw_path(output).read_bytes()] * is_used
 
 
-def test_what_the_configuration_names_is_reported_with_the_copy_that_replaces_it(
+def test_calibrate_prints_the_copy_that_replaces_the_configured_file(
     daemon: _Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "c.toml"
@@ -155,7 +125,7 @@ def test_what_the_configuration_names_is_reported_with_the_copy_that_replaces_it
     assert "reads this file at its next start, too" in capsys.readouterr().err
 
 
-def test_a_daemon_that_refuses_leaves_the_file_and_an_exit_code(
+def test_calibrate_keeps_its_file_if_the_daemon_refuses(
     daemon: _Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "c.toml"
@@ -174,30 +144,11 @@ def test_a_daemon_that_refuses_leaves_the_file_and_an_exit_code(
     assert read_calibration(output).made is not None
 
 
-def test_its_figure_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    figure = tmp_path / "f.svg"
-
-    given = [*_files(tmp_path), "--save", str(tmp_path / "c.toml"), "-o", str(figure)]
-    assert main(["calibrate", *given]) == 0
-
-    assert f"figure: {figure}" in capsys.readouterr().err
-    assert "<svg" in figure.read_text()
-
-
-def test_a_meter_is_held_against_what_the_device_made_of_the_code(tmp_path: Path) -> None:
-    """Code 1000 is 76.3 mV; the nearest of the 1024 duties is 16/1024, 78.1 mV."""
-    output = tmp_path / "c.toml"
-
-    assert (
-        main(["calibrate", *_files(tmp_path), "--meter", "1000=0.078125", "--save", str(output)])
-        == 0
-    )
-
-    assert read_calibration(output).driver.gain == pytest.approx(1.0, rel=1e-4)
-
-
-def test_the_person_is_led_through_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_calibrate_guides_the_user_through_each_step(
+    tmp_path: Path,
+    typed: Callable[[str | None], None],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     _files(tmp_path)
     plans: list[Plan] = []
@@ -208,7 +159,7 @@ def test_the_person_is_led_through_it(
         return Collected(path, 0, 0.01, None, "", None)
 
     monkeypatch.setattr(collection, "collect", collect)
-    monkeypatch.setattr(sys, "stdin", _Terminal("\ny\n\n0.97\n\n"))
+    typed("\ny\n\n0.97\n\n")
     output = tmp_path / "c.toml"
 
     code = main(["calibrate", "--volts", "1", "--volts", "2", "--save", str(output)])
@@ -233,28 +184,8 @@ def test_the_person_is_led_through_it(
     assert read_calibration(output).driver.gain == pytest.approx(0.97, rel=2e-3)
 
 
-def test_without_a_meter_none_is_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    files = _files(tmp_path)
-    played = Collected(Path(files[3]), 0, 0.01, None, "", None)
-    monkeypatch.setattr(collection, "collect", lambda *_, **__: played)
-    monkeypatch.setattr(sys, "stdin", _Terminal("\n\n"))
-    output = tmp_path / "c.toml"
-
-    assert main(["calibrate", *files[:2], "--save", str(output)]) == 0
-
-    assert "of the meter at" not in capsys.readouterr().err
-    assert read_calibration(output).driver.gain == 1.0
-
-
-class _Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
 @pytest.mark.parametrize("given", [(), ("--rest",), ("--rest", "--turns", "--by-hand")])
-def test_without_a_terminal_nothing_is_asked_and_nothing_done(
+def test_calibrate_without_a_terminal_requires_yes(
     given: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = _files(tmp_path)
@@ -266,90 +197,13 @@ def test_without_a_terminal_nothing_is_asked_and_nothing_done(
     assert "there is no terminal for questions: give --yes" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--meter", "5=x"], "--meter 5=x: must be CODE=VOLTS"),
-        (["--meter", "5=0"], "--meter 5=0: must be CODE=VOLTS"),
-        (["--meter", "5=10.1"], "--meter 5=10.1: must be CODE=VOLTS"),
-        (["--meter", "65536=2"], "--meter 65536=2: must be CODE=VOLTS"),
-        (["--volts", "5.1"], "--volts 5.1: must be more than 0 and at most 5 V"),
-        (["--level-seconds", "3"], "--level-seconds 3: must be more than 3 s"),
-        (["--save", "c.json"], "a calibration is a TOML"),
-        (["-o", "c.toml"], "-o c.toml: -o writes a figure; --save"),
-        (["-o", "f.png", "--by-hand"], "the figure shows turns, but --by-hand records none"),
-        (["-o", "f.xyz"], "f.xyz"),
-        (["--save", "{}/other.toml"], "exists and is not a calibration"),
-        (["--rest-seconds", "nan"], "--seconds nan: must be a number of seconds"),
-    ],
-)
-def test_what_cannot_be_used_is_refused_before_a_rig_is_asked(
-    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "other.toml").write_text("[device]\n")
-    given = [a.format(tmp_path) for a in arguments]
-
-    output = [] if "--save" in given else ["--save", str(tmp_path / "c.toml")]
-    assert main(["calibrate", "--yes", *given, *output]) == 1
-
-    assert said in capsys.readouterr().err
-    assert (tmp_path / "other.toml").read_text() == "[device]\n"
-
-
-OTHER = Calibration(
-    theta_1=Potentiometer(zero_counts=32768.0, rad_per_count=-2e-5),
-    driver=Driver(gain=0.9, offset_v=0.1),
-)
-
-
-def test_a_recording_is_read_with_another_calibration(tmp_path: Path) -> None:
-    samples = [sample(k, u_applied_v=float(k), theta_1_counts=32768 + 100 * k) for k in range(3)]
-    path = written(tmp_path, recorded(samples))
-    file = tmp_path / "c.toml"
-    file.write_text(toml_of(OTHER))
-
-    for calibration in (OTHER, file, str(file)):
-        rec = armrig.load(path, calibration)
-        assert rec.u.tolist() == pytest.approx([0.0, 1.0, 1.9])
-        assert rec.theta_1.tolist() == pytest.approx([0.0, -2e-3, -4e-3])
-        assert rec.calibration == OTHER
-    assert armrig.load(path).u.tolist() == [0.0, 1.0, 2.0]
-    with pytest.raises(FileError, match=r"nowhere\.toml: No such file"):
-        armrig.load(path, tmp_path / "nowhere.toml")
-
-
-@pytest.mark.parametrize("command", [["info"], ["info", "--json"]])
-def test_info_reports_a_rig_that_was_not_calibrated(
-    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = str(written(tmp_path, recorded([sample(k) for k in range(3)])))
-    output = tmp_path / "c.toml"
-    assert main(["calibrate", *_files(tmp_path), "--save", str(output)]) == 0
-    capsys.readouterr()
-
-    assert main([*command, path]) == 0
-    assert "The rig was not calibrated" in capsys.readouterr().out
-    assert main([*command, path, "--calibration", str(output)]) == 0
-    good = capsys.readouterr().out
-    text = output.read_text().replace('device_uid = "0001"', 'device_uid = "0002"')
-    output.write_text(text)
-    assert main([*command, path, "--calibration", str(output)]) == 0
-    stale = capsys.readouterr().out
-
-    assert "2026-11-20T05:00" in good or "2026-11-20 05:00" in good
-    assert "alibration is of another device" not in good
-    assert "The calibration is of another device: it was made on 0002" in stale
-    if "--json" in command:
-        assert json.loads(good)["remarks"] == []
-
-
 def _wanted(**changes: Any) -> _Wanted:
     given: dict[str, Any] = {"readings": [], "levels": [2.0], "level_seconds": 1.0}
     given |= {"rest_seconds": 3.0, "by_hand": False, "rest_file": None, "turns_file": None}
     return _Wanted(**given | changes)
 
 
-def test_a_person_is_asked_to_deflect_the_arm_before_that_is_recorded() -> None:
+def test_calibrate_requests_a_deflection_before_it_records_the_arm() -> None:
     done: list[str] = []
     ask: Any = SimpleNamespace(ready=done.append)
     play: Any = SimpleNamespace(rest=lambda experiment, s: done.append(f"{experiment} {s:g} s"))
@@ -362,7 +216,7 @@ def test_a_person_is_asked_to_deflect_the_arm_before_that_is_recorded() -> None:
     assert done[2].endswith("hold it for 3 s.")
 
 
-def test_readings_that_are_given_are_not_asked_for() -> None:
+def test_calibrate_does_not_request_readings_given_as_options() -> None:
     done: list[str] = []
     ask: Any = SimpleNamespace(ready=lambda _: None)
     play: Any = SimpleNamespace(
@@ -380,7 +234,7 @@ def test_readings_that_are_given_are_not_asked_for() -> None:
     ("text", "reading"),
     [("65535=10", (65535, 10.0)), ("1=0.01", (1, 0.01)), ("32768=5.1", (32768, 5.1))],
 )
-def test_a_reading_may_be_of_any_code_and_of_another_supply(
+def test_a_meter_reading_may_be_at_any_code_and_with_another_supply(
     text: str, reading: tuple[int, float]
 ) -> None:
     assert meter_reading(text) == reading
@@ -401,7 +255,7 @@ def test_turns_may_have_the_rig_s_largest_voltage_and_any_time_up_to_ten_minutes
 
 
 @pytest.mark.parametrize("other", [{"device": {"uid": "beef"}}, {"rig": "9"}])
-def test_recordings_of_two_rigs_or_of_two_devices_give_no_calibration(
+def test_recordings_of_different_rigs_or_devices_are_refused(
     other: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = _files(tmp_path)
@@ -413,7 +267,7 @@ def test_recordings_of_two_rigs_or_of_two_devices_give_no_calibration(
     assert not (tmp_path / "c.toml").exists()
 
 
-def test_the_file_of_a_calibration_is_of_its_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_name_of_a_calibration_file_contains_its_rig(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", "/of/mine")
 
     assert _default("7") == Path("/of/mine/armrig/calibration-7.toml")
@@ -426,9 +280,7 @@ def test_the_file_of_a_calibration_is_of_its_rig(monkeypatch: pytest.MonkeyPatch
         ("[device]\n", "exists and is not a calibration"),
     ],
 )
-def test_a_calibration_of_another_origin_is_not_replaced(
-    text: str, said: str, tmp_path: Path
-) -> None:
+def test_calibrate_replaces_only_calibration_files(text: str, said: str, tmp_path: Path) -> None:
     other, own = tmp_path / "other.toml", tmp_path / "own.toml"
     other.write_text(text)
     made = Made(**dict.fromkeys(("date", "rig", "device_uid", "armrig"), "1"), raw_sha256="ab")

@@ -11,10 +11,6 @@ import pytest
 import typer
 from armrig import Signals
 from armrig.cli.channels import (
-    as_modelled,
-    modelled_outputs,
-    names,
-    recorded_outputs,
     require_as_many,
 )
 from armrig.cli.column_notes import check_varies, far_from_zero, hint_at_means, tell_of_reading
@@ -22,18 +18,6 @@ from armrig_core.errors import InputError
 
 MODEL: Any = SimpleNamespace(outputs=("y1", "y2"), inputs=("a", "b", "c"))
 REFUSED = typer.BadParameter
-
-
-def test_names_are_between_commas_and_each_is_given_once() -> None:
-    assert names("--signal", " theta_1, alpha ") == ("theta_1", "alpha")
-    assert names("--signal", None) == names("--signal", "") == ()
-    assert recorded_outputs(["velocity", "alpha"]) == ["velocity", "alpha"]
-    with pytest.raises(REFUSED, match="--input b,a,c,a: a is repeated; name it once"):
-        names("--input", "b,a,c,a")
-    with pytest.raises(REFUSED, match="--signal a,,b: a name is empty"):
-        names("--signal", "a,,b")
-    with pytest.raises(REFUSED, match="--signal u: a recording has theta_1, alpha, velocity"):
-        recorded_outputs(["alpha", "u"])
 
 
 @pytest.mark.parametrize(
@@ -47,7 +31,7 @@ def test_names_are_between_commas_and_each_is_given_once() -> None:
         ((), (), ""),
     ],
 )
-def test_a_column_is_named_for_each_signal_of_the_model_or_for_none(
+def test_columns_are_named_for_all_signals_of_the_model_or_none(
     outputs: tuple[str, ...], inputs: tuple[str, ...], said: str
 ) -> None:
     if not said:
@@ -55,42 +39,6 @@ def test_a_column_is_named_for_each_signal_of_the_model_or_for_none(
         return
     with pytest.raises(REFUSED, match=said):
         require_as_many(MODEL, outputs, inputs)
-
-
-def test_columns_of_other_names_become_the_model_s_signals_in_its_order(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    y, u = np.arange(8.0).reshape(4, 2), np.arange(12.0).reshape(4, 3) + 20
-
-    def given(outputs: tuple[str, ...], inputs: tuple[str, ...]) -> Signals:
-        return Signals(u=u, y=y, Ts=0.1, outputs=outputs, inputs=inputs)
-
-    same = as_modelled(Path("f"), given(("y2", "y1"), ("c", "a", "b")), MODEL)
-    silent = capsys.readouterr().err
-    other = as_modelled(Path("f"), given(("y2", "p"), ("b", "c", "a")), MODEL)
-
-    assert (same.outputs, same.inputs) == (other.outputs, other.inputs)
-    assert (same.outputs, same.inputs) == (MODEL.outputs, MODEL.inputs)
-    assert same.y.tolist() == y[:, [1, 0]].tolist()
-    assert same.u.tolist() == u[:, [1, 2, 0]].tolist()
-    assert other.y.tolist() == y.tolist()
-    assert other.u.tolist() == u[:, [2, 0, 1]].tolist()
-    assert silent == ""
-    said = capsys.readouterr().err
-    assert said == "armrig: f: for the model's y1, y2 the command reads y2, p\n"
-
-
-def test_a_recording_has_the_signals_of_the_model_in_any_order() -> None:
-    of: Any = SimpleNamespace(outputs=("alpha", "theta_1"), inputs=("u",))
-
-    assert modelled_outputs(of, ()) == ["alpha", "theta_1"]
-    assert modelled_outputs(of, ("theta_1", "alpha")) == ["alpha", "theta_1"]
-    with pytest.raises(REFUSED, match="--signal alpha: the model's outputs are alpha, theta_1"):
-        modelled_outputs(of, ("alpha",))
-    for outputs, inputs in ((("alpha", "y"), ("u",)), (("alpha",), ("v",))):
-        other: Any = SimpleNamespace(outputs=outputs, inputs=inputs)
-        with pytest.raises(InputError, match=f"inputs are {inputs[0]} and its outputs alpha"):
-            modelled_outputs(other, ())
 
 
 def _about(mean: float, n: int = 20) -> Any:

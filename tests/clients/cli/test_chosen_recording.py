@@ -6,12 +6,10 @@ import json
 import re
 from pathlib import Path
 
-import armrig
 import pytest
 from armrig.cli import main
-from armrig.recordings import recording_summary
 from armrig.recordings.recording_names import answering_among, short_name
-from armrig.recordings.recording_summary import RecordingSummary, summary_of
+from armrig.recordings.recording_summary import summary_of
 from armrig_core.manifest import Outcome
 
 from tests.clients.made_recordings import manifest, recorded, sample, written
@@ -82,21 +80,13 @@ def read(name: str, capsys: pytest.CaptureFixture[str]) -> str:
         ("@1-step-20261120T130000-0000000a", "0000000a"),
     ],
 )
-def test_a_recording_has_names(
+def test_a_recording_can_be_selected_by_several_names(
     folder: Path, name: str, run_id: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert read(name, capsys) == run_id
 
 
-def test_python_takes_the_names_of_the_commands(folder: Path) -> None:
-    meant = {"@last": "0000000e", "@monday": "0000000b", "@monday/validation": "0000000c"}
-
-    assert {name: armrig.load(name).manifest.run_id for name in meant} == meant
-    with pytest.raises(armrig.FileError, match=r"@munday: no finished .* did you mean @monday\?"):
-        armrig.load("@munday")
-
-
-def test_the_last_is_the_newest_that_is_whole(
+def test_the_name_last_means_the_newest_complete_file(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     written(folder, b"\x89MCAP0\r\nrest", "1-step-20261120T150000-00000010.mcap")
@@ -106,18 +96,7 @@ def test_the_last_is_the_newest_that_is_whole(
     assert read("@last", capsys) == "0000000e"
 
 
-def test_the_recording_of_a_name_is_printed(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["info", "@monday", "--json"]) == 0
-
-    told = capsys.readouterr().err
-    assert told == "@monday is @0000000b, blackbox monday, 0.1 s, 2026-11-20 13:10:00\n"
-
-
-def test_of_one_name_a_complete_run_is_meant(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_name_prefers_a_complete_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for run_id, experiment in (("aaaaaaa1", "blackbox-monday"), ("aaaaaaa2", "step-cut")):
         data = of_run(experiment, run_id, "12:01:00", {}, outcome="stopped by A")
         written(folder, data, f"1-{experiment}-20261120T120100-{run_id}.mcap")
@@ -143,47 +122,6 @@ def test_an_ambiguous_name_is_refused_with_the_list(
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("@tuesday", "@tuesday: no finished recording in {} has that name (1 still being written)"),
-        (
-            "@0000000f",
-            "@0000000f: no finished recording in {} has that name (1 still being written)",
-        ),
-        ("@", "@: no finished recording in {} has that name (1 still being written)"),
-    ],
-)
-def test_a_name_of_no_recording_is_refused(
-    folder: Path, name: str, expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["info", name]) == 1
-
-    told = capsys.readouterr().err
-    assert told == f"armrig: {expected.format(folder)}; `armrig ls` lists all names\n"
-
-
-def test_a_name_with_a_typing_error_is_asked_about(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["info", "@mondy"]) == 1
-
-    assert capsys.readouterr().err.endswith("lists all names: did you mean @monday?\n")
-
-
-def test_without_a_recording_the_way_to_one_is_shown(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path / "none"))
-
-    assert main(["info", "@last"]) == 1
-    assert main(["ls"]) == 0
-
-    told = capsys.readouterr().err
-    assert f"there is no finished recording in {tmp_path / 'none'}; make one with" in told
-    assert f"there are no recordings in {tmp_path / 'none'}; make one with" in told
-
-
-@pytest.mark.parametrize(
     "arguments",
     [
         ["info", "@x"],
@@ -202,7 +140,7 @@ def test_without_a_recording_the_way_to_one_is_shown(
         ["calibrate", "--turns", "@x"],
     ],
 )
-def test_every_command_that_takes_a_recording_takes_a_name(
+def test_every_command_with_a_recording_argument_accepts_a_name(
     folder: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(arguments) == 1
@@ -210,7 +148,7 @@ def test_every_command_that_takes_a_recording_takes_a_name(
     assert "@x: no finished recording in" in capsys.readouterr().err
 
 
-def test_the_short_name_of_a_recording_means_no_other(folder: Path, tmp_path: Path) -> None:
+def test_the_short_name_of_a_recording_is_unique(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     again = put(folder, "blackbox-monday", at="15:00:00", run_id="00000010")
     alone = put(tmp_path / "other", "step")
@@ -233,26 +171,7 @@ def test_the_short_name_of_a_recording_means_no_other(folder: Path, tmp_path: Pa
     assert short_name(summary_of(alone), answering_among(known)) == str(alone)
 
 
-def test_a_name_reads_only_what_may_be_meant(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    opened: list[str] = []
-    whole = recording_summary.read_metadata
-
-    def counted(path: Path) -> dict[str, dict[str, str]]:
-        opened.append(path.name)
-        return whole(path)
-
-    monkeypatch.setattr("armrig.recordings.recording_summary.read_metadata", counted)
-
-    assert read("@step", capsys) == "0000000a"
-    assert opened == ["1-step-20261120T130000-0000000a.mcap"]
-    opened.clear()
-    read("@last", capsys)
-    assert len(opened) == 1
-
-
-def test_the_folder_is_that_of_the_configuration(
+def test_the_folder_of_recordings_comes_from_the_configuration(
     folder: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -271,20 +190,7 @@ def test_the_folder_is_that_of_the_configuration(
     assert f"{file}: [recording] directory must be the path of" in capsys.readouterr().err
 
 
-def test_ls_lists_the_newest_first(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["ls"]) == 0
-
-    out, err = capsys.readouterr()
-    lines = out.splitlines()
-    assert lines[0].split() == ["recording", "kind", "length", "Ts", "missing", "started"]
-    names = ["@0000000d/validation", "@0000000d", "@monday/validation", "@monday", "@0000000a"]
-    assert [line.split()[0] for line in lines[1:]] == names
-    assert lines[3].endswith("blackbox  0.1 s   0.01 s  2        2026-11-20 13:20")
-    assert max(map(len, lines)) <= 80
-    assert "1 being written, or left by a dead daemon" in err
-
-
-def test_ls_lists_as_many_as_asked_for_or_all(
+def test_ls_lists_the_requested_number_of_recordings_or_all(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = []
@@ -296,7 +202,7 @@ def test_ls_lists_as_many_as_asked_for_or_all(
     assert found == [(2, True), (5, False), (5, False)]
 
 
-def test_ls_says_what_a_recording_validates_where_its_name_does_not(
+def test_ls_shows_the_estimation_recording_that_a_recording_validates(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["ls"]) == 0
@@ -315,54 +221,6 @@ def test_ls_says_what_a_recording_validates_where_its_name_does_not(
     assert [line.split()[0] for line in unknown] == ["@00000010", "@0000000e"]
 
 
-def test_ls_says_what_is_not_listed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    written(folder, b"\x89MCAP0\r\nrest", "cut.mcap")
-
-    assert main(["ls", "--count", "2"]) == 0
-    few = capsys.readouterr()
-    assert main(["ls", "--all"]) == 0
-    every = capsys.readouterr()
-
-    assert len(few.out.splitlines()) == 3
-    assert "older recordings: --all" in few.err
-    assert len(every.out.splitlines()) == 6
-    assert "damaged: cut.mcap; `armrig info FILE` shows the damage" in every.err
-
-
-def test_ls_of_all_reads_each_recording_once(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["ls"]) == 0
-    few = capsys.readouterr().out
-    seen: list[Path] = []
-
-    def counted(path: Path) -> RecordingSummary:
-        seen.append(path)
-        return summary_of(path)
-
-    monkeypatch.setattr("armrig.recordings.catalogue.summary_of", counted)
-    assert main(["ls", "--all"]) == 0
-
-    assert capsys.readouterr().out == few
-    assert len(seen) == len(set(seen)) == 5
-
-
-def test_ls_is_read_by_programs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cut = written(folder, b"\x89MCAP0\r\nrest", "cut.mcap")
-    assert main(["ls", "--json"]) == 0
-
-    found = json.loads(capsys.readouterr().out)
-    assert found["folder"] == str(folder)
-    newest = found["recordings"][2]
-    assert newest["recording"] == str(next(folder.glob("*-0000000c.mcap")))
-    assert (newest["name"], newest["validation_of"]) == ("monday", "0000000b")
-    assert (newest["seconds"], newest["Ts"], newest["missing"]) == (0.1, 0.01, 2)
-    assert [(left["recording"], "cut off" in left["why"]) for left in found["left_out"]] == [
-        (str(cut), True)
-    ]
-    assert [Path(path).suffix for path in found["unfinished"]] == [".active"]
-
-
 @pytest.mark.parametrize(
     ("kind", "outcome", "said"),
     [
@@ -371,7 +229,7 @@ def test_ls_is_read_by_programs(folder: Path, capsys: pytest.CaptureFixture[str]
         ("step", "stopped", "no reply from rig 1"),
     ],
 )
-def test_the_name_of_a_complete_recording_is_refused_before_a_rig_is_asked_for(
+def test_a_name_in_use_is_refused_before_connecting(
     kind: str,
     outcome: str,
     said: str,
@@ -392,12 +250,3 @@ def test_the_name_of_a_complete_recording_is_refused_before_a_rig_is_asked_for(
     told = capsys.readouterr().err
     assert said in told
     assert ("no reply" in told) == (outcome == "stopped")
-
-
-@pytest.mark.parametrize("name", ["last", "validation", "validation-2"])
-def test_a_name_that_would_mean_another_recording_cannot_be_given(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["collect", "step", "--name", name, "--connect", "nowhere"]) == 1
-
-    assert f"--name {name}: " in capsys.readouterr().err

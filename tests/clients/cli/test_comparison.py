@@ -10,8 +10,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.comparison import _same, print_comparison
-from armrig.validation.comparison import ComparisonTable, row_line
+from armrig.cli.comparison import _same
 from armrig_core.arm import ArmParameters
 
 from tests.clients.made_recordings import of_the_arm, written
@@ -63,44 +62,7 @@ def test_saved_models_and_the_physics_are_compared_at_the_horizon_on_the_part(
         assert rig.F.tolist() == armrig.physical_model(p, data).F.tolist()
 
 
-def _row(name: str, **changes: Any) -> Any:
-    of = {"fit_percent": 9.5, "rms_error": 0.0123456, "velocity_fit_percent": None}
-    return SimpleNamespace(**of | {"name": name, "on_estimation_data": False} | changes)
-
-
-class _Table(ComparisonTable):
-    def explain(self, *, brief: bool = False) -> str:
-        return "OE is the best." + "\nOE differs." * 6
-
-    def table(self, *, brief: bool = False) -> str:
-        return "the table"
-
-
-@pytest.mark.parametrize(
-    ("horizon", "how"), [(None, "simulated"), (7, "predicted 7 samples ahead")]
-)
-def test_a_comparison_begins_with_the_best_and_has_a_line_for_each_model(
-    horizon: int | None, how: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rows = [_row("OE"), _row("the physics of it", velocity_fit_percent=3.0)]
-    table = _Table(rows=tuple(rows), horizon=horizon, unit="rad", note="", data=None)  # type: ignore[arg-type]
-    fits = [
-        *("OE is the best.", f"{how} on F"),
-        "  OE                 fit    9.50 %  rms 0.01235 rad",
-        "  the physics of it  fit    9.50 %  rms 0.01235 rad  velocity fit    3.00 %",
-    ]
-
-    print_comparison(table, "on F", verbose=False)
-    *short, more = capsys.readouterr().out.splitlines()
-    print_comparison(table, "on F", verbose=True)
-    whole = capsys.readouterr().out.splitlines()
-
-    assert short == [*fits, *["OE differs."] * 4]
-    assert more.startswith("--verbose: 2 more differences, ")
-    assert whole == [*fits, "the table", *["OE differs."] * 6]
-
-
-def test_models_are_the_same_by_their_polynomials_and_their_sampling_time() -> None:
+def test_models_with_equal_polynomials_and_sampling_time_are_the_same() -> None:
     of = {name: np.array([1.0, 0.5, -0.25]) for name in "ABCDF"} | {"Ts": 0.01}
 
     def model(**changes: Any) -> Any:
@@ -112,12 +74,3 @@ def test_models_are_the_same_by_their_polynomials_and_their_sampling_time() -> N
         assert _same(model(), model(**{name: np.array([1.0, 0.5, -0.25 - 1e-8])}))
         assert not _same(model(), model(**{name: np.array([1.0, 0.5, -0.25 - 1e-5])}))
         assert not _same(model(), model(**{name: np.array([1.0, 0.5])}))
-
-
-def test_a_row_has_what_is_known_of_a_model() -> None:
-    full = _row("OE", velocity_fit_percent=-3.0, on_estimation_data=True)
-
-    assert row_line("OE", _row("OE"), "rad") == "  OE  fit    9.50 %  rms 0.01235 rad"
-    assert row_line("OE", full, "") == (
-        "  OE  fit    9.50 %  rms 0.01235  velocity fit   -3.00 %  (estimation data)"
-    )

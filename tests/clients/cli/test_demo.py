@@ -27,7 +27,8 @@ LATE = "the host was up to 264 ms late in the last second: try again"
 
 @pytest.fixture(autouse=True)
 def sockets(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Keep the sockets apart from those of a daemon that the user may have."""
+    """Keep the sockets apart from those of a daemon of the user, and repeat no command."""
+    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     directory = tmp_path_factory.mktemp("s")
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(directory))
@@ -51,10 +52,9 @@ class StallingDaemon(FakeDaemon):
         return super()._carry_out(request)
 
 
-def test_what_a_stalling_machine_costs_is_repeated(
+def test_the_demonstration_repeats_runs_that_a_stall_ended(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     out = StringIO()
     daemon = StallingDaemon(where, refusals=[LATE, LATE], ends=["WATCHDOG (load 3)"])
 
@@ -67,10 +67,9 @@ def test_what_a_stalling_machine_costs_is_repeated(
     assert "WATCHDOG (load 3)" in said[2]
 
 
-def test_a_machine_that_ends_three_runs_is_given_up(
+def test_the_demonstration_gives_up_after_three_ended_runs(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     out = StringIO()
     daemon = StallingDaemon(where, refusals=[LATE] * 4, ends=["first", "second", "third", "x"])
 
@@ -84,11 +83,10 @@ def test_a_machine_that_ends_three_runs_is_given_up(
     assert out.getvalue().count("again: ") == 6
 
 
-def test_a_machine_that_refuses_for_good_is_given_up_in_time(
+def test_the_demonstration_gives_up_at_its_time_limit(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The limit is 150 s after the beginning."""
-    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     monkeypatch.setattr(demo_rig, "MAX_REAL_TIME_S", -1.0)
     daemon = StallingDaemon(where, refusals=[LATE] * 2, ends=[])
 
@@ -100,7 +98,7 @@ def test_a_machine_that_refuses_for_good_is_given_up_in_time(
         _recorded(rig, StringIO())
 
 
-def test_a_refusal_that_does_not_pass_is_reported_at_once(where: str) -> None:
+def test_a_permanent_refusal_is_reported_at_once(where: str) -> None:
     out, held = (
         StringIO(),
         "a student has the rig: wait until it is free, or end it with `armrig stop`",
@@ -130,10 +128,9 @@ def test_a_rig_that_tripped_before_its_run_is_armed_again(where: str) -> None:
     assert "again: " in out.getvalue()
 
 
-def test_a_rig_that_trips_after_a_refusal_is_reset(
+def test_a_rig_tripped_after_a_refusal_is_reset(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     daemon = LateTrippingDaemon(where, refusals=[LATE], ends=[])
 
     with daemon, Rig(demo_plan.RIG, connect=where) as rig:
@@ -143,7 +140,7 @@ def test_a_rig_that_trips_after_a_refusal_is_reset(
     assert daemon.fault == ""
 
 
-def test_a_rig_that_stays_in_its_fault_is_named_with_it(
+def test_a_fault_that_remains_is_named_in_the_error(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(demo_rig, "_SAFE_TIMEOUT_S", 0.0)
@@ -182,7 +179,7 @@ class TrippingDaemon(FakeDaemon):
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("runtime", sampled(["/tmp/" + 100 * "x", "/dev/null/none"]))
-def test_what_cannot_be_done_in_real_time_is_done_in_virtual_time(
+def test_the_demonstration_continues_in_virtual_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, runtime: str
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
@@ -221,7 +218,7 @@ def test_an_interrupted_demonstration_leaves_no_player(
     assert player.returncode is not None
 
 
-def test_the_report_says_what_was_made_in_virtual_time_and_why() -> None:
+def test_the_report_names_recordings_in_virtual_time_and_the_reason() -> None:
     assert "virtual" not in " ".join(demo._remarks(3, 3, ""))
     assert "All recordings were made in virtual time" in demo._remarks(3, 0, "")[-1]
     remark = demo._remarks(3, 1, "too busy")[-1]

@@ -31,7 +31,9 @@ def test_each_entry_of_the_page_is_a_term_of_one_sentence() -> None:
 @pytest.mark.parametrize(
     "typed", ["velocity fit", "Velocity-Fit", "velocity_fit", " VELOCITY  FIT"]
 )
-def test_a_term_is_found_in_any_spelling(typed: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_term_is_found_in_any_case_and_hyphenation(
+    typed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["glossary", typed]) == 0
 
     assert capsys.readouterr().out.startswith("velocity fit: The fit computed")
@@ -45,7 +47,7 @@ def test_a_term_is_found_in_any_spelling(typed: str, capsys: pytest.CaptureFixtu
         ("zzzz", "`armrig glossary`"),
     ],
 )
-def test_an_unknown_term_is_refused_with_the_nearest(
+def test_an_unknown_term_is_refused_with_the_nearest_terms(
     typed: str, offered: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["glossary", typed]) == 1
@@ -55,7 +57,7 @@ def test_an_unknown_term_is_refused_with_the_nearest(
     assert offered in shown.err
 
 
-def test_terms_that_contain_the_word_are_offered_before_those_that_look_like_it() -> None:
+def test_terms_containing_the_word_are_offered_before_similar_terms() -> None:
     terms = dict.fromkeys(["grain", "Static gain", "train", "gain of the loop", "again"], "")
 
     with pytest.raises(InputError, match=r"nearest: Static gain, gain of the loop, again$"):
@@ -64,7 +66,7 @@ def test_terms_that_contain_the_word_are_offered_before_those_that_look_like_it(
         _found("trains", terms)
 
 
-def test_without_a_term_all_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_glossary_without_a_term_lists_all_terms(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["glossary"]) == 0
     listed = capsys.readouterr().out.splitlines()
     assert main(["glossary", "--json"]) == 0

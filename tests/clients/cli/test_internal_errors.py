@@ -26,7 +26,7 @@ def _faulty(*_: Any) -> None:
 
 
 @pytest.mark.parametrize("options", [[], ["--debug"]], ids=["plain", "debug"])
-def test_an_error_of_numpy_is_an_internal_one(
+def test_an_error_of_numpy_is_an_internal_error(
     options: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -46,16 +46,6 @@ def test_an_error_of_numpy_is_an_internal_one(
     assert found is not None
     assert "in _faulty" in Path(found[1]).read_text()
     assert any("in _faulty" in text for text in traceback) == bool(options)
-
-
-def test_a_wrong_option_is_a_users_mistake(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code = main(["ls", "--live", str(tmp_path)])
-
-    assert code == 1
-    assert capsys.readouterr().err.startswith("armrig: --live lists rigs: ")
-    assert not list(tmp_path.iterdir())
 
 
 def test_an_internal_error_stops_the_rig_that_the_command_holds(

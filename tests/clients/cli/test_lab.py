@@ -8,9 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +22,7 @@ from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError
 from armrig_core.commands import LastRun, StatusReport
 
+from tests.clients.fake_daemon import status_report
 from tests.integration.processes import settled
 from tests.sampling import sampled
 
@@ -33,7 +33,7 @@ _LAB = """
 import signal, sys
 from armrig.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
-sys.exit(main(["lab", *sys.argv[1:]]))
+sys.exit(main(["lab"]))
 """
 
 
@@ -46,15 +46,15 @@ def folders(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFa
         monkeypatch.setenv(name, str(directory))
 
 
-@contextmanager
-def started(said: Path, until: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Give a lab after this line of its output."""
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Give a lab whose rig is ready."""
+    said = tmp_path / "said"
     with said.open("w") as out:
-        program = [sys.executable, "-c", _LAB, *arguments]
-        process = subprocess.Popen(program, stdout=out, stderr=out, text=True)
+        process = subprocess.Popen([sys.executable, "-c", _LAB], stdout=out, stderr=out, text=True)
         try:
             until_s = time.monotonic() + _PATIENCE_S
-            while until not in said.read_text():
+            while "rig ready, 0 V" not in said.read_text():
                 assert process.poll() is None, said.read_text()
                 assert time.monotonic() < until_s, said.read_text()
                 time.sleep(0.1)
@@ -62,13 +62,6 @@ def started(said: Path, until: str, *arguments: str) -> Iterator[subprocess.Pope
         finally:
             process.terminate()
             process.wait(_PATIENCE_S)
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """Give a lab whose rig is ready."""
-    with started(tmp_path / "said", "rig ready, 0 V") as process:
-        yield process
 
 
 def of_this_test() -> list[str]:
@@ -87,7 +80,7 @@ def of_this_test() -> list[str]:
 
 @pytest.mark.real_time
 @pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM, signal.SIGHUP]))
-def test_a_lab_leaves_nothing(number: signal.Signals, lab: subprocess.Popen[str]) -> None:
+def test_a_lab_ends_all_its_processes(number: signal.Signals, lab: subprocess.Popen[str]) -> None:
     with Rig() as rig:  # as any command in a second terminal, by default
         rig.arm("a student")
         with rig.arrivals("sample") as samples:
@@ -105,7 +98,7 @@ def test_a_lab_leaves_nothing(number: signal.Signals, lab: subprocess.Popen[str]
 
 
 @pytest.mark.exhaustive
-def test_a_second_lab_is_refused_with_the_first(lab: subprocess.Popen[str]) -> None:
+def test_a_second_lab_is_refused_while_the_first_runs(lab: subprocess.Popen[str]) -> None:
     second = subprocess.run(
         [sys.executable, "-m", "armrig", "lab"], capture_output=True, text=True, check=False
     )
@@ -118,46 +111,19 @@ def test_a_second_lab_is_refused_with_the_first(lab: subprocess.Popen[str]) -> N
         assert settled(rig) == "safe"
 
 
-@pytest.mark.exhaustive
-def test_a_port_that_is_not_there_is_reported_with_the_way_out(tmp_path: Path) -> None:
-    said = tmp_path / "said"
-    with started(said, "Ctrl-C ends the lab", "--port", "/dev/nowhere") as lab:
-        assert (
-            "not ready: /dev/nowhere: no rig is connected, and the daemon waits for one: check "
-            in (said.read_text())
-        )
-        lab.send_signal(signal.SIGINT)
-        assert lab.wait(_PATIENCE_S) == 128 + signal.SIGINT
-
-    assert of_this_test() == []
-
-
-@pytest.mark.exhaustive
-@pytest.mark.real_time
-def test_a_program_hears_of_each_change_in_json(tmp_path: Path) -> None:
-    said = tmp_path / "said"
-    with started(said, '"phase":"safe"', "--json"), Rig() as rig:
-        rig.arm("a student")
-        until_s = time.monotonic() + _PATIENCE_S
-        while '"phase":"armed"' not in said.read_text():
-            assert time.monotonic() < until_s
-            time.sleep(0.1)
-
-    lines = said.read_text().splitlines()
-    phases = [json.loads(line)["phase"] for line in lines if line.startswith("{")]
-    assert phases[-2:] == ["safe", "armed"]
-    assert "ending: the motor goes to 0 V" in lines
-
-
 @pytest.mark.parametrize("terminal", [True, False])
 @pytest.mark.parametrize("screen", ["DISPLAY", "WAYLAND_DISPLAY", ""])
 def test_a_browser_is_opened_from_a_terminal_on_a_screen(
     screen: str, terminal: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     served, opened = serving.Served(url="http://page", browser_url="http://token"), list[str]()
-    monkeypatch.setattr(serving, "dashboard", lambda _: nullcontext(served))
-    monkeypatch.setattr(webbrowser, "open", opened.append)
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
+    fakes: dict[str, Any] = {
+        "armrig.dashboard.serving.dashboard": lambda _: nullcontext(served),
+        "webbrowser.open": opened.append,
+        "sys.stdout.isatty": lambda: terminal,
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(name, fake)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     if screen:
@@ -167,13 +133,6 @@ def test_a_browser_is_opened_from_a_terminal_on_a_screen(
         assert url == "http://page"
 
     assert opened == (["http://token"] if terminal and screen else [])
-
-
-def _status(**changes: Any) -> StatusReport:
-    of: dict[str, Any] = dict.fromkeys(("reason", "owner", "version", "endpoint"), "")
-    of |= {"rig": "7", "phase": "safe", "Ts": 0.01, "u_min": 0.0, "u_max": 5.0, "device": {}}
-    of |= {"host": {}, "last_run": None, "recordings": "/of/mine"}
-    return StatusReport(**of | changes)
 
 
 READY = ["rig ready, 0 V: /dev/a, rig 7; Ctrl-C ends the lab", "in a browser: U"]
@@ -201,11 +160,9 @@ READY = ["rig ready, 0 V: /dev/a, rig 7; Ctrl-C ends the lab", "in a browser: U"
         ({"phase": "init"}, []),
     ],
 )
-def test_a_lab_says_that_its_rig_is_ready_or_why_it_is_not(
-    changes: dict[str, Any], lines: list[str]
-) -> None:
-    assert _sentence(_status(**changes), _Lab("/dev/a", "U"), "N").splitlines() == lines
-    without_page = _sentence(_status(**changes), _Lab("/dev/a", ""), "N").splitlines()
+def test_a_lab_reports_a_ready_rig_or_the_reason(changes: dict[str, Any], lines: list[str]) -> None:
+    assert _sentence(status_report(**changes), _Lab("/dev/a", "U"), "N").splitlines() == lines
+    without_page = _sentence(status_report(**changes), _Lab("/dev/a", ""), "N").splitlines()
     assert without_page == [line for line in lines if "in a browser" not in line]
 
 
@@ -216,14 +173,14 @@ def test_the_view_of_a_lab_has_degrees_and_the_newest_run() -> None:
     going = LastRun(**run, outcome="", finished=False)
     ended = LastRun(**run, outcome="complete", finished=True)
 
-    assert _lines(_status(phase="run", owner="ada"), None) == "rig 7: run, owner ada"
-    head, values, last = _lines(_status(last_run=ended), sample).splitlines()
+    assert _lines(status_report(phase="run", owner="ada"), None) == "rig 7: run, owner ada"
+    head, values, last = _lines(status_report(last_run=ended), sample).splitlines()
     assert (head, last) == (
         "rig 7: safe, no owner",
         "recorded, complete: 30 samples, 1-step.mcap",
     )
     assert values == "u 2.500 V   theta_1 -57.3°   alpha –"
-    assert _lines(_status(last_run=going), None).splitlines()[1:] == [
+    assert _lines(status_report(last_run=going), None).splitlines()[1:] == [
         "recording: 30 samples, 1-step.mcap"
     ]
 
@@ -237,16 +194,17 @@ def test_a_lab_prints_each_change_once(
 
     def status() -> StatusReport:
         try:
-            return _status(**(next(now, None) or next(later)))
+            return status_report(**(next(now, None) or next(later)))
         except StopIteration:
             raise KeyboardInterrupt from None
 
     arrivals = nullcontext(lambda: [])
     rig: Any = SimpleNamespace(status=status, arrivals=lambda _: arrivals)
-    monkeypatch.setattr(of_lab, "_STATUS_INTERVAL_S", 0.0)
-    monkeypatch.setattr(of_lab, "_VIEW_INTERVAL_S", 0.0)
+    fakes: dict[str, Any] = dict.fromkeys(("_STATUS_INTERVAL_S", "_VIEW_INTERVAL_S"), 0.0)
+    fakes["next_line"] = lambda after, rig: f"{after}{rig}"
+    for name, fake in fakes.items():
+        monkeypatch.setattr(of_lab, name, fake)
     monkeypatch.setattr("armrig.rig.local_daemon.require_running", lambda *_: None)
-    monkeypatch.setattr(of_lab, "next_line", lambda after, rig: f"{after}{rig}")
 
     with pytest.raises(KeyboardInterrupt):
         _show(rig, SimpleNamespace(), Path("log"), _Lab("/dev/a", ""), json=as_json)  # type: ignore[arg-type]
@@ -262,7 +220,7 @@ def test_a_lab_prints_each_change_once(
         assert len(said) == 5
 
 
-def test_lines_to_copy_are_not_folded() -> None:
+def test_lines_to_copy_are_not_wrapped() -> None:
     words = "word " * 12
     text = f"next: {words}\nin a browser: {words}\n{words}"
 

@@ -67,7 +67,7 @@ def refused(line: str) -> str:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_command_line_of_a_page_is_taken(page: Path) -> None:
+def test_every_command_line_of_a_page_is_valid(page: Path) -> None:
     said = {line: refused(line) for line in _lines(page)}
 
     assert {line: why for line, why in said.items() if why} == {}

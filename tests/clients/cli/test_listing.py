@@ -1,9 +1,10 @@
-"""The table of `armrig ls`, for any folder and any file in it."""
+"""The table of `armrig ls`, for any folder and any file in it; notes and ends in `armrig info`."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -11,10 +12,10 @@ import pytest
 from armrig.cli import main
 from armrig.rig import live_rigs
 from armrig.rig.live_rigs import LiveRig
-from armrig_core.commands import StatusReport
 from armrig_core.manifest import Outcome
 
-from tests.clients.made_recordings import manifest, recorded, sample, written
+from tests.clients.fake_daemon import status_report
+from tests.clients.made_recordings import manifest, note, recorded, sample, written
 
 
 def recording(**changes: object) -> bytes:
@@ -35,49 +36,12 @@ def test_a_rig_is_listed_with_the_reason_of_its_fault_or_its_silence(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    fields = dict.fromkeys(("reason", "owner", "version", "endpoint", "recordings"), "")
-    fields |= {"u_min": 0.0, "u_max": 5.0, "device": {}, "host": {}, "last_run": None} | why
-    rig = LiveRig(rig="7", endpoint="unix:x", status=StatusReport(rig="7", Ts=0.01, **fields))
+    rig = LiveRig(rig="7", endpoint="unix:x", status=status_report(**why))
     monkeypatch.setattr(live_rigs, "live_rigs", lambda _: ("unix:x", [rig]))
 
     assert main(["ls", "--live"]) == 0
 
     assert capsys.readouterr().out.splitlines()[1].split("  ")[-1].strip() == shown
-
-
-def test_a_folder_that_is_named_is_listed_by_its_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """@NAME searches only the user's own folder."""
-    synced = tmp_path / "from the lab"
-    synced.mkdir()
-    path = written(synced, recording(experiment="blackbox-monday"))
-    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path / "own"))
-
-    assert main(["ls", str(synced)]) == 0
-    told = capsys.readouterr()
-    assert main(["ls", str(synced), "--json"]) == 0
-
-    assert told.out.splitlines()[1].startswith(f"{path}  blackbox")
-    assert told.err.splitlines() == [
-        f"in {synced}",
-        f"next: armrig info '{path}'",
-    ]
-    found = json.loads(capsys.readouterr().out)
-    assert (found["folder"], found["recordings"][0]["recording"]) == (str(synced), str(path))
-
-
-@pytest.mark.parametrize(
-    ("name", "why"), [("none", "No such file or directory"), ("file", "Not a directory")]
-)
-def test_what_is_no_folder_is_reported(
-    tmp_path: Path, name: str, why: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-
-    assert main(["ls", str(tmp_path / name)]) == 1
-
-    assert f"{tmp_path / name}: {why}" in capsys.readouterr().err
 
 
 def test_each_recording_has_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -93,7 +57,7 @@ def test_each_recording_has_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert len(plain.removeprefix(str(tmp_path))) < 140
 
 
-def test_an_outcome_has_a_column_of_its_own(
+def test_the_list_has_a_column_for_the_outcome(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     written(tmp_path, recording(), "whole.mcap")
@@ -112,7 +76,7 @@ def test_an_outcome_has_a_column_of_its_own(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="names are text there")
 @pytest.mark.parametrize("command", ["verify", "info", "ls"])
-def test_a_name_that_is_no_text_is_reported_to_programs(
+def test_a_file_name_that_is_not_text_is_escaped_in_json(
     tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = os.fsdecode(bytes(tmp_path) + b"/a\xff.mcap")
@@ -125,7 +89,9 @@ def test_a_name_that_is_no_text_is_reported_to_programs(
         assert found["recording"] == f"{tmp_path}/a\\udcff.mcap"
 
 
-def test_what_is_not_whole_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_names_damaged_recordings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for i in range(5):
         written(tmp_path, recording()[:5000], f"{i}.mcap")
 
@@ -134,20 +100,6 @@ def test_what_is_not_whole_is_named(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "and 2 more; `armrig info FILE` shows the damage" in " ".join(
         capsys.readouterr().err.split()
     )
-
-
-def test_info_shows_no_more_of_a_text_than_a_person_reads(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = written(tmp_path, recording(details={"why": "z" * 5000}))
-
-    assert main(["info", str(path)]) == 0
-    shown = capsys.readouterr().out
-    assert main(["info", str(path), "--json"]) == 0
-
-    assert max(map(len, shown.splitlines())) < 1100
-    assert "zzz…; --json shows all of it" in shown
-    assert "z" * 5000 in capsys.readouterr().out
 
 
 def test_a_recording_whose_name_begins_with_an_at_sign_is_read(
@@ -159,3 +111,37 @@ def test_a_recording_whose_name_begins_with_an_at_sign_is_read(
     assert main(["info", "./@last.mcap"]) == 0
 
     assert "@last.mcap" in capsys.readouterr().out
+
+
+def test_notes_are_listed_with_their_times_and_authors(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    notes = [note(k, f"touched #{k}") for k in range(12)]
+    path = str(written(tmp_path, recorded([*(sample(k) for k in range(40)), *notes])))
+
+    assert main(["info", path]) == 0
+    brief = capsys.readouterr().out
+    assert main(["info", path, "--verbose"]) == 0
+    full = capsys.readouterr().out
+
+    assert re.search(r"^note +at 0\.09 s, Ada: touched #9\nnote +2 more; --verbose", brief, re.M)
+    assert brief.count("touched") == 10
+    assert re.search(r"^note +at 0\.11 s, Ada: touched #11$", full, re.M)
+
+
+def test_info_distinguishes_a_cut_file_from_a_stopped_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = {"manifest": manifest(samples=40, k_first=0), "flush_every": 10}
+    whole = recorded([sample(k) for k in range(40)], **run, outcome_first=True)
+    left = recorded([sample(k) for k in range(40)], **run, outcome=None)
+
+    assert main(["info", str(written(tmp_path, whole[:-200]))]) == 0
+    of_whole = capsys.readouterr().out
+    assert main(["info", str(written(tmp_path, left[:-400], "run.mcap.active"))]) == 0
+    of_left = capsys.readouterr().out
+
+    assert "of the run: complete; but the file is cut off" in of_whole
+    assert re.search(r"samples +\d+ at 0.01 s, 0 missing", of_whole)
+    assert "s of 0.4 s" in of_whole
+    assert "the file is cut off before the outcome, or is still being written" in of_left

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Iterator
+from contextlib import redirect_stderr
 from itertools import takewhile
 from pathlib import Path
 
@@ -37,7 +38,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     written(folder, b"", "empty.mcap")
     written(folder, recording[: len(recording) // 2], "run.mcap.active")
     written(folder, b"%PDF-1.7 \xff", "report.pdf")
-    (folder / "folder").mkdir()
     rng = np.random.default_rng(1)
     t, u = TS * np.arange(N), 0.5 + 4.0 * rng.integers(0, 2, N)
     y = np.zeros(N)
@@ -72,25 +72,13 @@ def folder(made: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 REFUSED = [
     # A file that is not what was meant.
     ("info last", "did you mean @last?"),
-    ("info est", "did you mean est.mcap?"),
     ("identify last --structure arx", "did you mean @last?"),
-    ("info @lst", "`armrig ls` lists all names"),
     ("info @last", "make one with `armrig collect`"),
-    ("info none.mcap", "`armrig ls` lists the recordings, each with its @NAME"),
-    ("info folder", "give a file in the folder"),
-    ("info report.pdf", "give a recording (*.mcap, or @NAME of `armrig ls`)"),
-    (
-        "greybox data.csv",
-        "sampling, hints, identify, validate and check also read other data",
-    ),
     ("info empty.mcap", "is empty, 0 B: nothing was recorded; record again"),
     ("identify run.mcap.active --structure arx", "still being recorded, or the daemon was kill"),
     ("validate est.mcap --model est.mcap", "a model is what `armrig identify --save`"),
-    ("validate est.mcap --model none.json", "--save MODEL.json` writes a model"),
-    ("simulate est.mcap --model data.csv", "`armrig identify --save`"),
     # Arguments that are missing, too many, or in another order.
     ("identify", "F is missing: recording (*.mcap, @last or @NAME)"),
-    ("identify est.mcap", "give --structure, such as --structure oe --integrator, or --search"),
     (
         "identify est.mcap step.mcap",
         "step.mcap: superfluous; `armrig identify` takes F and options",
@@ -98,36 +86,25 @@ REFUSED = [
     ("identify est.mcap --structure oe --nb 4 4", "4: superfluous; `armrig identify` takes F"),
     ("model est.mcap", "`armrig model` takes no file"),
     ("stop 1", "1: superfluous; `armrig stop` takes no file, options only"),
-    ("validate model.json", "--model JSON is missing: model file written by identify --save"),
     ("compare est.mcap", "give a second recording to validate with"),
     ("identify est.mcap --validate", "--validate is given without a value; see `armrig identify"),
     ("model --set", "--set is given without a value; see `armrig model --help`"),
-    ("plot", "F is missing"),
     # Commands and options that there are not.
     ("stpo", "no such command 'stpo': did you mean stop?; see `armrig --help`"),
-    ("idntify est.mcap", "did you mean identify?"),
-    ("help", "`armrig --help` lists the commands"),
-    ("version", "`armrig --version` shows it"),
     ("arx est.mcap", "`armrig identify F --structure arx` estimates one"),
-    ("est.mcap", "the command precedes the file, armrig info est.mcap"),
     ("collect black", "did you mean blackbox"),
     ("--verbose identify est.mcap", "options follow the command, armrig COMMAND --verbose"),
     ("identify est.mcap -nb 4", "a name of several letters has two dashes, --nb"),
     ("identify est.mcap --nb4", "did you mean --nb"),
-    ("plot est.mcap --out f.png", "no such option: --out: did you mean -o FIGURE?; see"),
     ("identify est.mcap --fig f.png", "no such option: --fig: did you mean -o FIGURE?; see"),
     ("report est.mcap --out f.pdf", "no such option: --out: did you mean -o PDF?; see"),
     ("ls --out f.txt", "no such option: --out; see `armrig ls --help`"),
     ("plot est.mcap --input u", "no such option: --input; see `armrig plot --help`"),
     # Structures and orders.
     ("identify est.mcap --structure OE", "'OE' is not one of 'arx', 'armax', 'oe'"),
-    ("identify est.mcap --structure ssest", "'bj', 'iv4', 'n4sid'"),
     ("identify est.mcap --structure oe --nb=-1", "nb=-1 must be an integer >= 1"),
-    ("identify est.mcap --structure oe --nf 400", "lower nb or nf, or record longer"),
     ("identify est.mcap --structure arx --nk 0,1", "--nk 0,1: must be an integer; --search"),
     ("identify est.mcap --structure oe --na 4", "an OE model has nb, nf and nk"),
-    ("identify est.mcap --structure arx --integrator", "goes with --structure armax or oe"),
-    ("identify est.mcap --search --nb 4", "tries orders up to --max-order"),
     # Tables.
     ("identify data.csv --structure arx --Ts 0,01", "decimals have a point: 0.01"),
     ("identify est.mcap --structure arx --Ts 0.01", "applies to other data"),
@@ -150,41 +127,27 @@ REFUSED = [
     # Where to write.
     ("identify est.mcap --structure arx -o no/f.png", "there is no directory no; create it first"),
     ("identify est.mcap --structure arx --save est.mcap", "would be lost; give another name"),
-    ("identify est.mcap --structure arx --save m.png", "a name that ends in .json"),
-    ("identify est.mcap --structure arx -o f.xyz", "the name of a figure ends in one of"),
     ("report", "give recordings to report on"),
     ("report est.mcap -o report.docx", "give a name that ends in .pdf"),
     ("report est.mcap -o report.pdf", "--force overwrites it, or give another name"),
     # The rig, and what it plays.
-    ("stop", "no rig runs here; in another terminal: `armrig lab`"),
-    ("stop --rig 2", "no rig 2 runs here; in another terminal: `armrig lab --rig 2`"),
-    ("collect blackbox", "a rig elsewhere needs --connect"),
     ("collect blackbox --connect localhost", "not a zenoh endpoint, such as"),
-    ("collect blackbox --rig 1/2", "use 1 to 40 characters, each a-z, 0-9 or -"),
     ("collect blackbox --seconds 30s", "must be a number without its unit, such as 30"),
-    ("collect blackbox --seconds 0", "more than 0"),
     ("collect blackbox --low 4.5 --high 0.5", "low=4.5 V must be below high=0.5 V"),
     ("collect blackbox --high 6", "high=6.0 V is outside the rig's 0 to 5 V"),
     ("collect blackbox --Ts 10", "in seconds; 10 ms are 0.01"),
     ("collect blackbox --input sine", "'telegraph', 'prbs', 'white', 'multisine', 'chirp'"),
-    ('collect blackbox --name "My run"', "a-z, 0-9 and - are allowed"),
-    ("collect step --at 10", "step earlier or record longer"),
     # The physics.
-    ("model --set J2=0.005", "names are J_1, J_2, N, K_lin, R_m, K_m, b_1"),
-    ("model --set J_2=0,005", "give NAME=VALUE, such as J_1=0.0017"),
     ("model --set J_2=6e-3kgm2", "give the number alone, in kg m², such as --set J_2=0.0048"),
     ("model --set J_1=-1", "J_1=-1.0 must be finite and > 0"),
-    ("greybox est.mcap --free J1", "is none of J_1, J_2, N"),
     ("greybox est.mcap --free J_1,K_m", "give several names as a sequence"),
-    ("split est.mcap --parts 1000", "record longer, or cut into fewer parts"),
-    ("integrate --method rk4", "is none of forward_euler, ab2, trapezoidal, heun, midpoint"),
     ("integrate --h 10ms", "must be a number without its unit, such as 0.01"),
 ]
 
 
 @pytest.mark.parametrize(("line", "way_out"), REFUSED, ids=[line for line, _ in REFUSED])
 @pytest.mark.usefixtures("folder")
-def test_a_mistake_is_refused_with_the_way_out(
+def test_an_invalid_command_line_is_refused_with_the_remedy(
     line: str, way_out: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code = main(shlex.split(line))
@@ -200,24 +163,21 @@ def test_a_mistake_is_refused_with_the_way_out(
 DOUBTED = [
     ("identify swapped.csv --structure arx", "the columns may be swapped"),
     ("identify data.csv --structure arx --Ts 10", "although the times are 0.01 s apart"),
-    ("identify step.mcap --structure arx", "identify from a telegraph"),
     ("identify est.mcap --structure arx --validate step.mcap", "validate on another telegraph"),
     (
         "identify est.mcap --structure arx --validate est.mcap",
         "validate on other data",
     ),
-    ("model --set J_1=1e9", "times the value of the handout, 0.0017; is it in SI units?"),
 ]
 
 
 @pytest.mark.parametrize(("line", "doubt"), DOUBTED, ids=[line for line, _ in DOUBTED])
 @pytest.mark.usefixtures("folder")
-def test_what_may_be_a_mistake_is_doubted_before_any_number(
-    line: str, doubt: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_warning_about_the_data_precedes_the_results(
+    line: str, doubt: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "stderr", sys.stdout)  # in the order in which they are written
-
-    code = main(shlex.split(line))
+    with redirect_stderr(sys.stdout):  # in the order in which they are written
+        code = main(shlex.split(line))
 
     lines = capsys.readouterr().out.splitlines()
     assert code == 0
@@ -226,7 +186,7 @@ def test_what_may_be_a_mistake_is_doubted_before_any_number(
     assert sum(doubt in text for text in before) == 1
 
 
-def test_an_input_of_ones_own_beyond_5_v_is_not_played(
+def test_a_file_with_voltages_above_5_v_is_not_played(
     folder: Path, where: str, daemon: FakeDaemon, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code = main(["collect", "blackbox", "--file", "high.csv", "--connect", where])

@@ -56,21 +56,35 @@ def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, three_recordings: Any)
     folder.mkdir()
     monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(folder))
     monkeypatch.chdir(tmp_path)
-    for experiment, run_id, details in (
-        ("blackbox", "0000000a", {}),
-        ("blackbox-validation", "0000000b", {"validation_of": "0000000a"}),
-    ):
-        about = manifest(experiment=experiment, run_id=run_id, details=details)
-        data = recorded([sample(k) for k in range(10)], manifest=about)
-        written(folder, data, f"1-{experiment}-20261120T130000-{run_id}.mcap")
+    put(folder, "blackbox", "0000000a", at="130000")
+    of = {"validation_of": "0000000a"}
+    put(folder, "blackbox-validation", "0000000b", at="130000", details=of)
     return folder
+
+
+def put(
+    folder: Path, experiment: str, run_id: str, at: str = "140000", outcome: str = "", **of: Any
+) -> None:
+    """Write a recording of ten samples under the daemon's name for it."""
+    about = manifest(experiment=experiment, run_id=run_id, **of)
+    ended = {"outcome": Outcome(outcome=outcome, samples=10, missing=0)} if outcome else {}
+    data = recorded([sample(k) for k in range(10)], manifest=about, **ended)
+    written(folder, data, f"1-{experiment}-20261120T{at}-{run_id}.mcap")
+
+
+def report_of(capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the arguments of the report that is proposed after an integration."""
+    assert main(["integrate"]) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("next: armrig report --handout ")
+    return last.removeprefix("next: armrig report --handout ")
 
 
 OPENED = {name for name, line in AFTER.items() if line.startswith("{opener}")}
 
 
 @pytest.mark.parametrize("after", sorted(AFTER.keys() - OPENED))
-def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
+def test_every_suggested_command_is_valid(after: str) -> None:
     words = shlex.split(AFTER[after].format(**VALUES))
     command = _command_line()
 
@@ -80,45 +94,18 @@ def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
     command.make_context("armrig", words)  # raises where an option or a value is not taken
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        ("model", "armrig model --set "),
-        ("model --set J_1=0.002", "armrig lab"),
-        ("ls", "armrig info @0000000a/validation"),
-        ("info @0000000a", "armrig plot @0000000a"),
-        ("integrate", "armrig report --handout @0000000a @0000000a/validation -o report.pdf"),
-    ],
-)
-def test_a_command_ends_with_what_comes_next(
-    pair: Path, arguments: str, expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(arguments.split()) == 0
-
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith(f"next: {expected}")
-
-
-def test_the_report_is_of_the_newest_step_pair_and_chassis(
+def test_the_report_uses_the_newest_step_pair_and_chassis_recordings(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for run_id, experiment in (("0000000c", "step-first"), ("0000000d", "greybox-chassis")):
-        data = recorded(
-            [sample(k) for k in range(10)], manifest=manifest(experiment=experiment, run_id=run_id)
-        )
-        written(pair, data, f"1-{experiment}-20261120T140000-{run_id}.mcap")
+    put(pair, "step-first", "0000000c")
+    put(pair, "greybox-chassis", "0000000d")
 
-    assert main(["integrate"]) == 0
-
+    first = report_of(capsys)
     Path("report.pdf").touch()
-    assert main(["integrate"]) == 0
 
-    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("next: ")]
     files = "@first @0000000a @0000000a/validation @chassis"
-    assert lines == [
-        f"next: armrig report --handout {files} -o {name}"
-        for name in ("report.pdf", "report-2.pdf")
-    ]
+    assert first == f"{files} -o report.pdf"
+    assert report_of(capsys) == f"{files} -o report-2.pdf"
 
 
 @pytest.mark.parametrize(
@@ -128,7 +115,7 @@ def test_the_report_is_of_the_newest_step_pair_and_chassis(
         ("greybox-chassis", "armrig greybox @chassis -o chassis.png"),
     ],
 )
-def test_the_path_leads_over_the_chassis_alone(
+def test_the_next_command_records_the_chassis_without_the_arm(
     pair: Path,
     three_recordings: tuple[Path, ...],
     recorded_before: str | None,
@@ -136,9 +123,7 @@ def test_the_path_leads_over_the_chassis_alone(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     if recorded_before:
-        about = manifest(experiment=recorded_before, run_id="0000000d")
-        data = recorded([sample(k) for k in range(10)], manifest=about)
-        written(pair, data, f"1-{recorded_before}-20261120T140000-0000000d.mcap")
+        put(pair, recorded_before, "0000000d")
 
     assert main(["check", str(three_recordings[1])]) == 0
 
@@ -147,7 +132,7 @@ def test_the_path_leads_over_the_chassis_alone(
     assert any("remove the arm" in line for line in lines) == (recorded_before is None)
 
 
-def test_after_the_chassis_alone_comes_the_integration(
+def test_the_next_command_after_the_chassis_is_the_integration(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = of_the_arm(telegraph(300, 0.05, seed=1), experiment="greybox-chassis")
@@ -158,7 +143,7 @@ def test_after_the_chassis_alone_comes_the_integration(
     assert capsys.readouterr().err.splitlines()[-1] == "next: armrig integrate -o integrate.png"
 
 
-def test_the_report_is_of_complete_recordings_that_belong_together(
+def test_the_report_uses_complete_recordings_that_belong_together(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = [
@@ -173,21 +158,12 @@ def test_the_report_is_of_complete_recordings_that_belong_together(
     ]
     for second, (run_id, experiment, outcome, details) in enumerate(made):
         Ts = 0.02 if experiment == "blackbox-slow" else 0.01
-        data = recorded(
-            [sample(k) for k in range(10)],
-            manifest=manifest(experiment=experiment, run_id=run_id, details=details, Ts=Ts),
-            outcome=Outcome(outcome=outcome, samples=10, missing=0),
-        )
-        written(pair, data, f"1-{experiment}-20261120T1500{second:02}-{run_id}.mcap")
+        put(pair, experiment, run_id, f"1500{second:02}", outcome, details=details, Ts=Ts)
 
-    assert main(["integrate"]) == 0
-
-    [line] = [x for x in capsys.readouterr().err.splitlines() if x.startswith("next: ")]
-    files = "@again @0000000a @0000000a/validation"
-    assert line == f"next: armrig report --handout {files} -o report.pdf"
+    assert report_of(capsys) == "@again @0000000a @0000000a/validation -o report.pdf"
 
 
-def test_the_report_is_of_one_calibration_and_has_the_answers(
+def test_the_report_uses_recordings_of_one_calibration_and_the_answers(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = [
@@ -196,19 +172,14 @@ def test_the_report_is_of_one_calibration_and_has_the_answers(
         ("00000022", "greybox-chassis", ""),
     ]
     for second, (run_id, experiment, hash_) in enumerate(made):
-        about = manifest(experiment=experiment, run_id=run_id, calibration_sha256=hash_)
-        data = recorded([sample(k) for k in range(10)], manifest=about)
-        written(pair, data, f"1-{experiment}-20261120T1500{second:02}-{run_id}.mcap")
+        put(pair, experiment, run_id, f"1500{second:02}", calibration_sha256=hash_)
     Path("reasons.toml").touch()
 
-    assert main(["integrate"]) == 0
-
-    [line] = [x for x in capsys.readouterr().err.splitlines() if x.startswith("next: ")]
     files = "@first @0000000a @0000000a/validation @chassis"
-    assert line == f"next: armrig report --handout {files} --answers reasons.toml -o report.pdf"
+    assert report_of(capsys) == f"{files} --answers reasons.toml -o report.pdf"
 
 
-def test_a_step_whose_rise_is_hidden_is_made_again(
+def test_the_next_command_repeats_a_step_whose_rise_is_hidden(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import numpy as np
@@ -238,54 +209,7 @@ def test_a_step_whose_rise_is_hidden_is_made_again(
     assert last == wanted.replace("step --Ts", "step --rig 7 --connect tcp/far:7447 --Ts")
 
 
-@pytest.mark.parametrize(
-    ("after", "experiment", "is_pair", "goes_on"),
-    [
-        ("status", "step-first", False, "armrig sampling @first -o sampling.png"),
-        ("status", "step-first", True, "armrig hints @0000000a -o hints.png"),
-        ("lab chassis", "greybox-chassis", True, "armrig greybox @chassis -o chassis.png"),
-    ],
-)
-def test_no_line_records_a_second_one_of_a_name(
-    pair: Path, after: str, experiment: str, is_pair: bool, goes_on: str
-) -> None:
-    if not is_pair:
-        _unpaired(pair)
-    collects = next_line(after, rig="")
-    samples = [sample(k) for k in range(10)]
-    for run_id, outcome in (("0000000e", "stopped"), ("0000000f", "complete")):
-        about = manifest(experiment=experiment, run_id=run_id)
-        assert next_line(after, rig="") == collects
-        ended = Outcome(outcome=outcome, samples=10, missing=0)
-        data = recorded(samples, manifest=about, outcome=ended)
-        written(pair, data, f"1-{experiment}-20261120T140000-{run_id}.mcap")
-
-    assert collects.startswith("next: armrig collect ")
-    assert next_line(after, rig="") == f"next: {goes_on}"
-
-
-def _unpaired(pair: Path) -> None:
-    """Remove the validation recording."""
-    next(pair.glob("*-validation-*")).unlink()
-
-
-def test_no_line_records_a_pair_again_or_starts_a_second_lab(
-    pair: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rigs: list[str] = []
-    monkeypatch.setattr("armrig.rig.session.local_rigs", lambda: rigs)
-
-    collects = [next_line("sampling", Ts=Ts) for Ts in (0.01, 0.005)]
-    starts = next_line("simulate")
-    rigs.append("1")
-
-    assert collects[0] == "next: armrig plot @0000000a"
-    assert collects[1].startswith("next: armrig collect blackbox --Ts 0.005 ")
-    assert starts == "next: armrig lab"
-    assert next_line("simulate") == "next: " + AFTER["lab"].format(rig="")
-
-
-def test_a_report_leads_to_the_questions_and_these_to_the_answers(
+def test_the_next_command_after_a_report_is_the_questions_then_the_answers(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["report", "--questions", "reasons.toml"]) == 0
@@ -296,70 +220,20 @@ def test_a_report_leads_to_the_questions_and_these_to_the_answers(
     assert goes_on == f"next: armrig report --handout {files} -o report.pdf"
 
 
-def test_a_step_that_was_made_again_replaces_the_first(pair: Path) -> None:
-    _unpaired(pair)
-    for run_id, experiment in (("0000000e", "step-first"), ("0000000f", "step-first-again")):
-        about = manifest(experiment=experiment, run_id=run_id)
-        data = recorded([sample(k) for k in range(10)], manifest=about)
-        written(pair, data, f"1-{experiment}-20261120T140000-{run_id}.mcap")
+def test_the_report_uses_the_repetition_of_a_step(pair: Path) -> None:
+    next(pair.glob("*-validation-*")).unlink()
+    put(pair, "step-first", "0000000e")
+    put(pair, "step-first-again", "0000000f")
 
     assert next_line("calibrate", rig="") == "next: armrig sampling @first-again -o sampling.png"
 
 
-def test_a_program_gets_no_next_line(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for arguments in ("model", "ls", "info @0000000a", "integrate"):
-        assert main([*arguments.split(), "--json"]) == 0
-
-    assert "next:" not in "".join(capsys.readouterr())
-
-
-@pytest.mark.exhaustive
-def test_the_way_from_a_structure_to_its_validation(
-    three_recordings: tuple[Path, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    estimation, validation = map(str, three_recordings[1:])
-    typed = ["hints", estimation]
-    walked = []
-    for _ in range(4):
-        walked.append(typed[0])
-        assert main(typed) == 0
-        last = capsys.readouterr().err.splitlines()[-1]
-        typed = shlex.split(last.removeprefix("next: armrig "))
-        if walked[-1] == "hints":
-            typed += ["--validate", validation]
-
-    assert walked == ["hints", "identify", "compare", "check"]
-    assert (tmp_path / "model.json").exists()
-    assert (tmp_path / "compare.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_recording_elsewhere_is_named_by_its_path(
-    pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import numpy as np
-
-    path = written(tmp_path, of_the_arm(np.full(50, 1.0)), "my run.mcap")
-
-    assert main(["info", str(path)]) == 0
-
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last == f"next: armrig plot '{path}'"
-    assert re.search(r"'.* .*'", last)
-
-
-def test_the_report_has_the_sinusoid_that_was_solved(
-    pair: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["integrate", "--omega", "5", "--amplitude", "2"]) == 0
-
-    assert " --omega 5 --amplitude 2 -o report.pdf" in capsys.readouterr().err
-
-
 OE: dict[str, Any] = {"structure": "oe", "orders": {"nb": 4, "nf": 3}, "nk": 2}
+INTEGRATING = OE | {"integrator": True}
+BJ: dict[str, Any] = {"structure": "bj", "orders": {"nb": 1, "nc": 2, "nd": 3, "nf": 4}}
+PEM: dict[str, Any] = {
+    **{"structure": "pem", "orders": {"na": 0, "nb": 2, "nc": 0, "nd": 0, "nf": 2}}
+}
 ARX: dict[str, Any] = {"structure": "arx", "orders": {"na": 2, "nb": 3}}
 OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
 
@@ -372,19 +246,14 @@ OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
         (OE, "integrator level", "", f"{OPTIONS} --offset"),
         (OE, "level", "detrended", "--structure oe --nb 4 --nf 3 --nk 2 --offset"),
         (OE | {"offset": True}, "level", "", "--structure oe --nb 3 --nf 2 --nk 2 --offset"),
-        (OE | {"integrator": True}, "level", "searched", f"{OPTIONS} --integrator"),
+        (INTEGRATING, "level", "searched", f"{OPTIONS} --integrator"),
         (OE | {"offset": True}, "integrator", "", f"{OPTIONS} --integrator"),
         (OE, "outliers", "", f"{OPTIONS} --hampel"),
         (OE, "outliers feedback", "", f"{OPTIONS} --hampel"),
         (OE, "order", "", "--structure oe --nb 3 --nf 2 --nk 2"),
         (OE, "poles", "complex", "--structure oe --nb 2 --nf 1 --nk 2"),
         (OE, "order", "complex real", "--structure oe --nb 1 --nf 1 --nk 2"),
-        (
-            OE | {"integrator": True},
-            "order",
-            "complex real",
-            "--structure oe --nb 1 --nf 2 --nk 2 --integrator",
-        ),
+        (INTEGRATING, "order", "complex real", "--structure oe --nb 1 --nf 2 --nk 2 --integrator"),
         (OE, "", "unconverged", "--structure oe --nb 3 --nf 2 --nk 2"),
         (OE, "residuals", "", "--structure oe --search"),
         (OE, "residuals", "searched", OPTIONS),
@@ -393,21 +262,11 @@ OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
         (ARX, "level", "detrended", "--structure arx --na 1 --nb 2 --nk 1"),
         (ARX, "integrator", "", "--structure arx --na 2 --nb 3 --nk 1"),
         (ARX, "structure", "", "--structure oe --nb 3 --nf 2 --nk 1 --integrator"),
-        (
-            {"structure": "bj", "orders": {"nb": 1, "nc": 2, "nd": 3, "nf": 4}},
-            "order",
-            "complex",
-            "--structure bj --nb 1 --nc 2 --nd 3 --nf 2 --nk 1",
-        ),
-        (
-            {"structure": "pem", "orders": {"na": 0, "nb": 2, "nc": 0, "nd": 0, "nf": 2}},
-            "residuals",
-            "",
-            "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1",
-        ),
+        (BJ, "order", "complex", "--structure bj --nb 1 --nc 2 --nd 3 --nf 2 --nk 1"),
+        (PEM, "residuals", "", "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1"),
     ],
 )
-def test_the_next_estimation_does_what_the_findings_ask_for(
+def test_the_next_estimation_follows_the_findings(
     asked: dict[str, Any], about: str, how: str, wanted: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request = Request(**asked)
@@ -429,14 +288,14 @@ def test_the_next_estimation_does_what_the_findings_ask_for(
     assert options == wanted
 
 
-def test_a_rig_and_its_endpoint_are_named_where_they_are_not_the_defaults() -> None:
+def test_the_next_command_names_a_rig_and_endpoint_that_are_not_defaults() -> None:
     assert naming("1") == naming("1", None) == naming("1", "") == ""
     assert naming("7") == " --rig 7"
     assert naming("1", "tcp/a:1") == " --connect tcp/a:1"
     assert naming("7", "unixsock-stream/my rig") == " --rig 7 --connect 'unixsock-stream/my rig'"
 
 
-def test_the_report_gets_the_first_name_that_is_free(
+def test_the_report_gets_the_first_unused_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

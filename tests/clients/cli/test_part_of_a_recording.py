@@ -1,17 +1,17 @@
-"""--from and --to, wherever a recording is read."""
+"""--from and --to, wherever a recording is read, and recordings that ended early."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import typer
-from armrig.cli import app, main
+from armrig.cli import app
 from armrig.cli.recorded_data import between, loaded
 from armrig.data.dataset import Dataset
+from armrig_core.manifest import Outcome
 
 from tests.clients.made_recordings import manifest, recorded, turning, written
 
@@ -29,7 +29,7 @@ def _commands() -> dict[str, set[str]]:
     return {name: known for name, known in options.items() if "--calibration" in known}
 
 
-def test_every_command_that_reads_a_recording_takes_a_part_of_it() -> None:
+def test_every_command_that_reads_a_recording_accepts_a_part_of_it() -> None:
     found = _commands()
 
     assert len(found) > 8
@@ -37,29 +37,8 @@ def test_every_command_that_reads_a_recording_takes_a_part_of_it() -> None:
     assert lacking <= WHOLE
 
 
-@pytest.mark.parametrize(
-    "line",
-    ["greybox {1}", "split {1} --parts 1,2", "simulate {1}", "compare {1} {2}"],
-    ids=lambda line: line.partition(" ")[0],
-)
-def test_the_part_is_what_is_used(
-    line: str, three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = [word.format(*map(str, three_recordings)) for word in line.split()]
-
-    found = []
-    for part in ((), ("--from", "2", "--to", "9")):
-        assert main([*arguments, *part, "--json"]) == 0
-        found.append(json.loads(capsys.readouterr().out))
-    assert found[0] != found[1]
-    if "N" in found[1]:
-        assert 600 < found[1]["N"] <= 700
-    assert main([*arguments, "--from", "1000"]) == 1
-    assert "1000" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(("t", "k"), [(0.07, 7), (0.57, 57), (0.065, 7), (0.071, 8)])
-def test_a_part_begins_and_ends_at_the_sample_that_is_due_then(t: float, k: int) -> None:
+def test_a_part_begins_and_ends_at_the_sample_due_at_its_time(t: float, k: int) -> None:
     """0.07 / 0.01 is 7 plus a rounding error."""
     data = Dataset(u=np.arange(100.0), y=np.zeros(100), Ts=0.01)
 
@@ -67,7 +46,7 @@ def test_a_part_begins_and_ends_at_the_sample_that_is_due_then(t: float, k: int)
     assert len(between(data, None, t)) == k
 
 
-def test_the_end_of_a_part_is_no_early_end_of_its_run(
+def test_the_end_of_a_part_is_not_reported_as_an_early_end_of_its_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     samples = turning([30_000 + 40 * (k % 50) for k in range(200)])
@@ -77,3 +56,28 @@ def test_the_end_of_a_part_is_no_early_end_of_its_run(
     for part in ({}, {"stop": 1.0}, {"start": 0.1}):
         loaded([file], None, **part)
         assert ("ended early" in capsys.readouterr().err) == (not part)
+
+
+@pytest.mark.parametrize(
+    ("asked", "outcome", "said"),
+    [
+        (600, "stopped by root", "ended early, after 300 of 600 samples: stopped by root\n"),
+        (300, "complete", ""),
+        (0, "the rig went away", ""),
+    ],
+)
+def test_a_command_warns_before_it_uses_a_run_that_ended_early(
+    asked: int, outcome: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended = Outcome(outcome=outcome, samples=300, missing=0)
+    data = recorded(
+        turning([30_000 + 40 * (k % 50) for k in range(300)]),
+        manifest=manifest(samples=asked),
+        outcome=ended,
+    )
+    path = written(tmp_path, data)
+
+    loaded([path], None)
+
+    told = capsys.readouterr().err
+    assert told == (f"armrig: {path.name} {said}" if said else "")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import armrig
 import pytest
 from armrig.cli import main
 from armrig_core.recording_file.file_lock import lock
@@ -21,7 +19,7 @@ DATA = recorded(
 )[:-100]
 
 
-def test_a_folder_is_recovered_but_for_what_is_being_written(
+def test_a_folder_is_recovered_except_files_in_use(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in "ab":
@@ -43,20 +41,7 @@ def test_a_folder_is_recovered_but_for_what_is_being_written(
     assert "B were kept" in info
 
 
-def test_one_that_cannot_be_recovered_is_named_and_the_rest_is_done(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bad, good = written(tmp_path, b"", "1-a.mcap.active"), written(tmp_path, DATA, "x.mcap.active")
-
-    assert main(["recover", str(bad), str(good)]) == 1
-
-    out, err = capsys.readouterr()
-    assert "x.mcap: recovered" in out
-    assert err == f"armrig: {bad}: 0 B: nothing was recorded; delete it\n"
-    assert bad.exists()
-
-
-def test_the_recorder_of_another_machine_s_rig_has_no_length_and_no_daemon(
+def test_a_remote_recording_is_recovered_without_its_length(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A killed `armrig record`: the run's length was not requested, and the daemon lives."""
@@ -73,40 +58,3 @@ def test_the_recorder_of_another_machine_s_rig_has_no_length_and_no_daemon(
     assert main(["verify", str(tmp_path / "b.mcap")]) == 1
     out, _ = capsys.readouterr()
     assert "samples        failed: the file was cut off before its first sample" in out
-
-
-def test_json_says_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    written(tmp_path, b"", "1-a.mcap.active")
-    written(tmp_path, DATA, "1-b.mcap.active")
-
-    assert main(["recover", "--json", str(tmp_path)]) == 1
-
-    told = json.loads(capsys.readouterr().out)
-    (file,), (left,) = told["recovered"], told["left"]
-    assert (file["recording"], file["samples"]) == (str(tmp_path / "1-b.mcap"), N)
-    assert file["recovered"]["cut_off_bytes"] > 0
-    assert "0 B" in left["why"]
-
-
-def test_without_a_path_it_is_the_folder_of_the_recordings(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path))
-    written(tmp_path, DATA, "1-a.mcap.active")
-    assert main(["ls"]) == 0
-    assert "left by a dead daemon: `armrig recover`" in capsys.readouterr().err
-
-    assert main(["recover"]) == 0
-    assert armrig.load(tmp_path / "1-a.mcap").samples.size == N
-    capsys.readouterr()
-
-    assert main(["recover"]) == 0
-    assert f"nothing to recover in {tmp_path}" in capsys.readouterr().err
-
-
-def test_a_file_that_is_named_and_not_there_fails(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["recover", str(tmp_path / "1-a.mcap.active")]) == 1
-
-    assert "there is no such file" in capsys.readouterr().err

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import armrig
 import numpy as np
 import pytest
-from armrig.cli.replay import Replay, _messages, _version, replay
+from armrig.cli.replay import Replay, _messages, replay
 from armrig_core.commands import Run
-from armrig_core.protobuf import ABSENT
 from armrig_core.telemetry import decode_sample, encode_sample
 from armrig_core.topics import stream_of
 from armrig_daemon.config import Config
@@ -66,7 +64,7 @@ def replayed(run: Path, path: Path, change: Change, volts: bytes = b"") -> Repla
     return replay(path)
 
 
-def test_a_copy_is_decided_as_the_run_was(run: Path, tmp_path: Path) -> None:
+def test_the_replay_of_a_copy_equals_the_run(run: Path, tmp_path: Path) -> None:
     found = replayed(run, tmp_path / "a.mcap", lambda _, __, data: data)
 
     assert found.difference == found.until == ""
@@ -77,7 +75,7 @@ def test_a_copy_is_decided_as_the_run_was(run: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("n", [0, 57, 299])
-def test_a_sample_that_was_changed_is_found(run: Path, tmp_path: Path, n: int) -> None:
+def test_a_replay_reports_a_changed_sample(run: Path, tmp_path: Path, n: int) -> None:
     def change(stream: str, i: int, data: bytes) -> bytes:
         if (stream, i) != ("sample", n):
             return data
@@ -92,9 +90,7 @@ def test_a_sample_that_was_changed_is_found(run: Path, tmp_path: Path, n: int) -
     assert found.difference == f"the file has 300 samples, the replay has 300; {same}"
 
 
-def test_an_input_that_was_changed_is_found_in_the_frame_that_has_it(
-    run: Path, tmp_path: Path
-) -> None:
+def test_a_replay_reports_the_frame_of_a_changed_input(run: Path, tmp_path: Path) -> None:
     found = replayed(run, tmp_path / "a.mcap", lambda _, __, data: data, volts=b"0.75")
 
     sent, now = found.difference.partition(": ")[2].split(", now decides ")
@@ -108,7 +104,7 @@ def test_an_input_that_was_changed_is_found_in_the_frame_that_has_it(
 @pytest.mark.parametrize(
     ("gone", "said"), [({7}, "1 chunk of steps is"), ({3, 4, 9}, "3 chunks of steps are")]
 )
-def test_steps_that_are_missing_are_counted(
+def test_a_replay_counts_missing_steps(
     run: Path, tmp_path: Path, gone: set[int], said: str
 ) -> None:
     def change(stream: str, n: int, data: bytes) -> bytes | None:
@@ -120,7 +116,7 @@ def test_steps_that_are_missing_are_counted(
     assert 0 < found.samples < 300
 
 
-def test_warnings_and_errors_of_the_core_are_those_that_are_told() -> None:
+def test_a_replay_reports_only_warnings_and_errors_of_the_core() -> None:
     levels = ("debug", "info", "warning", "error")
     actions = [
         Emit(Log(t_host_ns=3_500_000_000 + k, level=level, message=f"a {level}"))
@@ -133,8 +129,3 @@ def test_warnings_and_errors_of_the_core_are_those_that_are_told() -> None:
         *(("warning", "a warning"), ("error", "a error")),
     ]
     assert told[0].t == pytest.approx(1.5, abs=1e-8)
-
-
-def test_a_trace_without_a_version_is_of_version_1() -> None:
-    for version, known in ((ABSENT["fixed64"], 1), (1, 1), (3, 3)):
-        assert _version(SimpleNamespace(version=version)) == known

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from armrig.cli import main, record
+from armrig.cli.rig import _WATCH_HEADING, _sample_line
 from armrig.rig.live_gaps import LiveGap
 from armrig.rig.replies import RefusedError
 from armrig_core.codes import COMPLETE, RefusalCode
 from armrig_core.commands import StatusReport
 
+from tests.clients.fake_daemon import status_report
 from tests.clients.made_recordings import sample
 from tests.clients.told import told
 
@@ -42,10 +45,7 @@ class _Rig:
         self.asked.append("closed")
 
     def status(self) -> StatusReport:
-        of: dict[str, Any] = dict.fromkeys(("reason", "owner", "version", "endpoint"), "")
-        of |= {"rig": "7", "phase": "safe", "Ts": 0.01, "u_min": 0.0, "u_max": 5.0, "device": {}}
-        of |= {"host": {}, "last_run": None, "recordings": "/of/mine"}
-        return StatusReport(**of | self.report)
+        return status_report(**self.report)
 
     def stream(self, name: str) -> Iterator[Any]:
         self.asked.append(name)
@@ -98,9 +98,9 @@ def test_a_stop_reports_the_motor_after_the_end_of_the_input(
         return of_the_rig(self)
 
     of_the_rig = rig.status
-    monkeypatch.setattr(rig, "status", status)
-    monkeypatch.setattr("time.sleep", waited)
-    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+    rig.status = status  # type: ignore[method-assign]
+    for name, fake in (("sleep", waited), ("monotonic", lambda: now_s[0])):
+        monkeypatch.setattr(f"time.{name}", fake)
 
     assert main(["stop"]) == 0
 
@@ -121,7 +121,7 @@ def test_a_stop_reports_the_motor_after_the_end_of_the_input(
         ),
     ],
 )
-def test_a_request_is_made_of_its_rig_and_closed(
+def test_a_command_sends_its_request_to_its_rig_and_disconnects(
     words: list[str],
     asked: tuple[str, ...],
     said: str,
@@ -142,7 +142,9 @@ def test_a_request_is_made_of_its_rig_and_closed(
     assert json.loads(capsys.readouterr().out) == {"rig": "7", **facts}
 
 
-def test_what_had_no_effect_is_said_so(rig: type[_Rig], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_request_without_effect_is_reported_as_such(
+    rig: type[_Rig], capsys: pytest.CaptureFixture[str]
+) -> None:
     rig.done = False
 
     assert main(["reset"]) == main(["note", "touched"]) == 0
@@ -179,7 +181,7 @@ def test_a_refusal_names_the_command_that_resets_this_rig(
         ({"phase": "fault", "reason": "link lost"}, ""),
     ],
 )
-def test_a_rig_that_is_ready_leads_to_its_first_recording(
+def test_the_status_of_a_ready_rig_suggests_its_first_recording(
     report: dict[str, Any],
     goes_on: str,
     rig: type[_Rig],
@@ -196,7 +198,17 @@ def test_a_rig_that_is_ready_leads_to_its_first_recording(
     assert (facts["rig"], facts["phase"]) == ("7", report.get("phase", "safe"))
 
 
-def test_samples_and_gaps_are_watched_in_lines_and_in_json(
+def test_a_line_of_watch_has_its_units() -> None:
+    volts = {"u_applied_v": 1.25, "u_cmd_v": 3.0}
+    one = sample(42)._replace(**volts, theta_1_rad=-1.0, alpha_rad=0.5, t_host_ns=0)
+
+    line = _sample_line(one._replace(t_sched_ns=-7_500))
+
+    assert line.split() == ["42", "1.250", "-57.30", "28.65", "7.5"]
+    assert len(line) == len(_WATCH_HEADING)
+
+
+def test_watch_prints_samples_and_gaps_as_lines_or_json(
     rig: type[_Rig], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["watch", "--count", "3"]) == 0
@@ -212,7 +224,7 @@ def test_samples_and_gaps_are_watched_in_lines_and_in_json(
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan"])
-def test_a_recording_of_no_time_is_refused(
+def test_a_recording_of_zero_duration_is_refused(
     seconds: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["record", "--seconds", seconds, "--from", "tcp/nowhere:1"]) == 1
@@ -221,7 +233,7 @@ def test_a_recording_of_no_time_is_refused(
 
 
 @pytest.mark.parametrize("error", [None, OSError("disk full"), RuntimeError("lost")])
-def test_a_remote_recording_ends_with_its_reason(
+def test_a_remote_recording_reports_the_reason_of_its_end(
     error: Exception | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ended: list[Any] = []
@@ -236,17 +248,15 @@ def test_a_remote_recording_ends_with_its_reason(
         return SimpleNamespace(begin=lambda: True, record=recorded)
 
     recording = SimpleNamespace(done=files, finish=ended.append)
-    remote, session = "armrig.rig.remote_recording", "armrig.rig.session"
-    monkeypatch.setattr(f"{remote}.RemoteRecorder", recorder)
-    monkeypatch.setattr(f"{remote}.RemoteRecording", lambda **_: recording)
-    monkeypatch.setattr("armrig.cli.record.typed", str)
-
-    class Session:
-        def __enter__(self) -> None: ...
-        def __exit__(self, *_: object) -> None: ...
-
-    connection = SimpleNamespace(session=Session(), endpoint="E")
-    monkeypatch.setattr(f"{session}.open_connection", lambda *_, **__: connection)
+    connection = SimpleNamespace(session=nullcontext(), endpoint="E")
+    fakes: dict[str, Any] = {
+        "rig.remote_recording.RemoteRecorder": recorder,
+        "rig.remote_recording.RemoteRecording": lambda **_: recording,
+        "cli.record.typed": str,
+        "rig.session.open_connection": lambda *_, **__: connection,
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(f"armrig.{name}", fake)
     stopped: Any = SimpleNamespace(is_set=lambda: False)
 
     def run() -> None:

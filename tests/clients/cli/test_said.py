@@ -6,11 +6,11 @@ the present output; read the difference by `git diff`.
 
 from __future__ import annotations
 
-import io
 import os
+import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from difflib import unified_diff
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -40,9 +40,12 @@ from tests.sampling import without_slow
 SAID = Path(__file__).parent / "said"
 OF_A_HOST = {"lab", "doctor"}
 AGAIN = "If this is what the command is to say: make stored"
-SLOW = {"hints", "report", "batch", "host", "compare", "identify_noise"}
+SLOW = {"hints", "report", "batch", "host", "identify_noise"}
 FILES = sorted(SAID.rglob("*.txt"))
-DATA = Path(__file__).parents[2] / "data" / "0.1.0"
+DATA = Path(__file__).parents[2] / "data" / "0.2.0"
+WHOLE = re.compile(r"--(verbose|json|help)|-v\b|^armrigd?$")
+"""Commands that print all that they know."""
+SCREEN_LINES = 23
 
 
 @pytest.fixture(scope="session")
@@ -128,13 +131,15 @@ def _recorded(
 
 
 @pytest.fixture
-def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(
+    made: Path, tmp_path: Path, typed: Callable[[None], None], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Path]:
     """Change into a copy of the folder, without files of this machine."""
     here = tmp_path / "here"
     shutil.copytree(made, here)
     (here / ".home").mkdir()
     monkeypatch.chdir(here)
-    monkeypatch.setattr("sys.stdin", io.StringIO())
+    typed(None)
     # Whether this machine has a programmer is no command's doing; none of them starts it.
     programmer = made / "programs" / "avrdude"
     programmer.parent.mkdir(exist_ok=True)
@@ -197,7 +202,7 @@ def rig(folder: Path) -> Iterator[None]:
 @pytest.mark.parametrize(
     "file", without_slow(FILES, lambda file: file.stem in SLOW), ids=lambda file: file.stem
 )
-def test_a_command_says_what_it_said(
+def test_a_command_prints_the_stored_output(
     file: Path, folder: Path, request: pytest.FixtureRequest
 ) -> None:
     stored = file.read_text(encoding="utf-8")
@@ -216,9 +221,17 @@ def test_a_command_says_what_it_said(
         pytest.fail("\n".join([*lines, "", AGAIN]), pytrace=False)
 
 
-def test_every_command_is_in_a_file() -> None:
+def test_every_command_has_a_stored_output() -> None:
     text = "".join(file.read_text(encoding="utf-8") for file in FILES)
 
     for program, app in (("armrig", armrig_app()), ("armrigd", armrigd_app)):
         for name in get_command(app).commands.keys() - OF_A_HOST:
             assert f"$ {program} {name}" in text
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_an_output_without_verbose_fits_a_screen(file: Path) -> None:
+    answers = re.findall(r"^\$ (.*)\n((?:  .*\n)*)", file.read_text(encoding="utf-8"), re.MULTILINE)
+    long = {line: text.count("\n") for line, text in answers if not WHOLE.search(line)}
+
+    assert {line: n for line, n in long.items() if n > SCREEN_LINES} == {}

@@ -2,164 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import shlex
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import armrig
 import numpy as np
 import pytest
-from armrig.cli import main, several_output
+from armrig.cli import several_output
 from armrig.cli.recorded_data import SignalChoice
-from armrig.cli.several_next import after_compare, after_validate, better_options, options_of
-from armrig.estimation.multivariable.request import SignalsRequest
-
-
-@pytest.fixture
-def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Give a file of two inputs and two outputs about an operating point; we are in its folder."""
-    rng = np.random.default_rng(3)
-    u, y = rng.choice([-1.0, 1.0], (200, 2)), np.zeros((200, 2))
-    for k in range(1, 200):
-        y[k] = [0.8, 0.5] * y[k - 1] + [[1.0, 0.3], [0.4, 2.0]] @ u[k - 1]
-    table = np.column_stack([u + 3, y + 50 + 0.1 * rng.standard_normal(y.shape)])
-    monkeypatch.chdir(tmp_path)
-    np.savetxt("plant.csv", table, "%.5f", ",", header="u1,u2,y1,y2", comments="")
-    return tmp_path
-
-
-def _walk(line: str, steps: int, capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """Type a line and each line after `next:`; return the commands."""
-    typed = shlex.split(line)
-    walked = []
-    for _ in range(steps):
-        assert main(typed) == 0, typed
-        walked.append(typed[0])
-        last = capsys.readouterr().err.splitlines()[-1]
-        typed = shlex.split(last.removeprefix("next: armrig "))
-    return [*walked, " ".join(typed)]
-
-
-@pytest.mark.exhaustive
-def test_the_way_of_both_outputs_leads_to_the_physics(
-    three_recordings: tuple[Path, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    estimation, validation = three_recordings[1:]
-    line = f"identify {estimation} --structure arx --signal theta_1,alpha --validate {validation}"
-
-    *walked, last = _walk(line, 3, capsys)
-
-    assert walked == ["identify", "identify", "simulate"]
-    assert last == f"check {validation}"
-    assert armrig.load_fit(tmp_path / "model.json").form.integrators == (True, False)
-
-
-def test_the_way_of_other_data_subtracts_their_means_before_it_searches(
-    plant: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = "identify plant.csv --input u1,u2 --signal y1,y2 --Ts 3 --structure oe --nb 1 --nf 1"
-
-    *walked, last = _walk(line, 3, capsys)
-
-    assert walked == ["identify", "identify", "check"]
-    assert "MEAN" in armrig.load_fit("model.json").history[0].code.upper()
-    assert last.startswith("hints plant.csv --input u1 --signal y1")
-
-
-def test_the_order_of_the_columns_changes_nothing(
-    plant: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = (
-        "identify plant.csv --input u1,u2 --signal y1,y2 --Ts 3 --detrend --structure ss --order 2"
-    )
-    assert main(shlex.split(f"{line} --save model.json")) == 0
-    found = []
-    for columns in ("", "--signal y2,y1 --input u2,u1", "--signal 4,3"):
-        capsys.readouterr()
-        line = f"validate plant.csv --model model.json --Ts 3 --detrend --json {columns}"
-        assert main(shlex.split(line)) == 0
-        found.append(json.loads(capsys.readouterr().out))
-
-    assert found[0]["comparisons"][0]["outputs"]["y1"]["fit_percent"] > 90
-    assert found[1] == found[0] == found[2]
-
-
-def test_a_state_space_of_data_with_gaps_has_a_model_of_the_noise(plant: Path) -> None:
-    text = (plant / "plant.csv").read_text().splitlines()
-    text[50] = text[50].rpartition(",")[0] + ","
-    (plant / "plant.csv").write_text("\n".join(text))
-    line = "identify plant.csv --input u1,u2 --signal y1,y2 --Ts 3 --detrend --structure ss"
-
-    assert main(shlex.split(f"{line} --order 2 --save model.json")) == 0
-
-    _, _, _, _, K = armrig.load_fit("model.json").state_space()
-    assert K.any()
-
-
-@pytest.mark.exhaustive
-def test_the_model_that_is_the_closest_is_named_for_each_output(
-    three_recordings: tuple[Path, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    signals = armrig.load(three_recordings[1]).signals()
-    best = {"integrator": "theta_1", "shared": "denominator"}
-    armrig.oe(signals, nb=[[4], [3]], nf=3, **best).save("good.json")
-    armrig.oe(signals, nb=[[2], [1]], nf=1, **best).save("poor.json")
-
-    validation = str(three_recordings[2])
-    assert main(["compare", validation, "--model", "poor.json", "--model", "good.json"]) == 0
-
-    said = capsys.readouterr()
-    first = said.out.splitlines()[0]
-    assert first == "Simulated, good has the least error of theta_1 and alpha."
-    assert said.err.splitlines()[-1].startswith("next: armrig check ")
-
-
-@pytest.mark.parametrize(
-    ("request_", "source", "outputs", "expected"),
-    [
-        ({"structure": "ss"}, "", ("theta_1", "alpha"), "--structure oe --integrator"),
-        (
-            {"structure": "oe", "integrating": ("theta_1",)},
-            "",
-            ("theta_1", "alpha"),
-            "--search",
-        ),
-        ({"structure": "ss"}, "", ("alpha", "velocity"), "--search"),
-        ({"structure": "ss"}, "data:", ("theta_1", "alpha"), "--search"),
-    ],
-)
-def test_coloured_residuals_lead_to_the_rig_s_structure_or_a_search(
-    request_: dict[str, object], source: str, outputs: tuple[str, ...], expected: str
-) -> None:
-    request = SignalsRequest(orders={}, **request_)
-    data = armrig.Signals(
-        u=np.ones((9, 1)), y=np.ones((9, 2)), Ts=0.01, outputs=outputs, source=source
-    )
-
-    assert better_options(request, data) == expected
-
-
-def test_the_options_of_a_request_are_those_that_make_it() -> None:
-    request = SignalsRequest(
-        structure="oe",
-        orders={"nb": 4, "nf": 3},
-        nk=2,
-        integrating=("theta_1",),
-        shared=True,
-    )
-
-    assert options_of(request) == "--structure oe --nb 4 --nf 3 --nk 2 --integrator --shared"
-
+from armrig.cli.several_next import after_compare, after_validate
 
 P = np.array([[0.5, 0.004, 0.0005], [0.02, 1.0, np.nan]])
 """p values of two outputs and three inputs; 0.01 / 6 is 0.0017."""
@@ -239,34 +90,10 @@ def _table(horizon: int | None, **rms: list[float]) -> Any:
         (2, {"a": [3, 5]}, "Predicted 2 ahead, a fits y to 97.00 % (rms 3 rad) and z to 95.00 %"),
     ],
 )
-def test_the_model_of_the_least_error_is_named_for_each_output(
+def test_the_model_with_the_least_error_is_named_for_each_output(
     horizon: int | None, rms: dict[str, list[float]], said: str
 ) -> None:
     assert several_output.closest(_table(horizon, **rms)).startswith(said)
-
-
-@pytest.mark.parametrize(
-    ("family", "integrators", "orders"),
-    [
-        ("oe", (True, False), {"nb": 4, "nf": 4}),
-        ("oe", (False, False), {"nb": 3, "nf": 3}),
-        ("ss", (False, True), {"order": 3}),
-    ],
-)
-def test_a_model_that_a_search_chose_is_estimated_again_by_its_request(
-    family: str, integrators: tuple[bool, bool], orders: dict[str, int]
-) -> None:
-    fit = SimpleNamespace(outputs=("y", "z"), form=SimpleNamespace(integrators=integrators))
-    chosen = SimpleNamespace(family=family, order=3)
-    found: Any = SimpleNamespace(chosen=chosen, fit=fit, nk=2)
-
-    assert several_output.request_of(found) == SignalsRequest(
-        structure=family,
-        orders=orders,
-        nk=2,
-        integrating=tuple(name for name, yes in zip("yz", integrators, strict=True) if yes),
-        shared=family == "oe",
-    )
 
 
 @pytest.mark.parametrize(
@@ -277,7 +104,7 @@ def test_a_model_that_a_search_chose_is_estimated_again_by_its_request(
         ("csv:12", ("y", "z"), "check F --input w --signal alpha --detrend --from 1 --to 9"),
     ],
 )
-def test_a_validation_leads_to_the_physics_or_to_the_poorest_channel(
+def test_a_validation_suggests_the_physics_or_the_poorest_channel(
     source: str, outputs: tuple[str, ...], wanted: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     tests: Any = SimpleNamespace(poorest_pair=("alpha", "w"))
@@ -300,7 +127,7 @@ def test_a_validation_leads_to_the_physics_or_to_the_poorest_channel(
         ("csv:12", None, None, " --input u --signal theta_1"),
     ],
 )
-def test_a_comparison_leads_to_the_first_output_and_the_first_input(
+def test_a_comparison_suggests_the_first_output_and_the_first_input(
     source: str,
     signal: str | None,
     input_: str | None,

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from contextlib import nullcontext
-from pathlib import Path
+from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
 
 import armrig
-import numpy as np
 import pytest
-import typer
-from armrig.cli import main, options, record, recording_info
-from armrig.cli.options import agree, print_table, question, warned
+from armrig.cli import main, options, recording_info
+from armrig.cli.options import agree, print_table, question
 from armrig.cli.parameters import cases, changes, physics_beside
-from armrig.cli.reporting import _report_ignored, _report_study
-from armrig.cli.usage_errors import _in_whole_units, _plainly
+from armrig.cli.usage_errors import _in_whole_units
 from armrig_core.arm import ArmParameters
-from armrig_core.codes import COMPLETE
-from armrig_core.errors import InputError, OperationError
-
-from tests.clients.made_recordings import of_the_arm, written
+from armrig_core.errors import OperationError
 
 
 @pytest.mark.parametrize(
@@ -31,7 +22,7 @@ from tests.clients.made_recordings import of_the_arm, written
         *(("J_2", 1 / 101, True), ("K_m", 1e-3, True), ("K_m", 1.0, False)),
     ],
 )
-def test_a_parameter_a_hundred_times_too_large_or_too_small_is_doubted(
+def test_a_parameter_wrong_by_a_factor_of_100_causes_a_warning(
     name: str, times: float, is_doubted: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     handout = getattr(ArmParameters(), name)
@@ -43,20 +34,6 @@ def test_a_parameter_a_hundred_times_too_large_or_too_small_is_doubted(
     said = " ".join(capsys.readouterr().err.split())
     assert (doubt in said) == is_doubted
     assert (f"of the handout, {handout:g}; is it in SI units?" in said) == is_doubted
-
-
-@pytest.mark.parametrize(
-    ("given", "unit"), [("K_lin=2Nm", "N m/rad"), ("R_m=4 Ω", "Ω"), ("N=15x", "")]
-)
-def test_a_value_with_its_unit_is_answered_with_the_handout_s_own(given: str, unit: str) -> None:
-    name = given.partition("=")[0]
-    with pytest.raises(typer.BadParameter) as refused:
-        changes([given])
-
-    said = str(refused.value)
-    assert said.startswith(f"--set {given}: give the number alone")
-    assert said.endswith(f", such as --set {name}={getattr(ArmParameters(), name):g}")
-    assert bool(unit) == (", in " in said)
 
 
 def test_changed_parameters_are_simulated_alone_and_together() -> None:
@@ -81,175 +58,55 @@ def test_changed_parameters_are_simulated_alone_and_together() -> None:
         ("1.2.3", "ms", "1.2.3"),
     ],
 )
-def test_a_value_with_a_prefix_is_offered_in_whole_units(
+def test_a_value_with_a_unit_prefix_is_converted_to_the_unit(
     number: str, unit: str, whole: str
 ) -> None:
     assert _in_whole_units(number, unit) == whole
 
 
-def test_a_wrong_value_is_answered_in_our_words() -> None:
-    for theirs, came, ours in (
-        ("Invalid value for '--from': 'a' is not a valid float.", "", "--from: 'a' is not a valid"),
-        ("--Ts: Input should be a valid number, unable to parse", "0,5", "a number, decimals have"),
-        ("--Ts: Input should be a valid number, unable", "10 ms", "without its unit, such as 0.01"),
-        ("--na: Input should be a valid integer, unable", "1:4", "integer; --search tries several"),
-        ("--na: Input should be a valid integer, unable", "x", "--na x: must be an integer"),
-        ("--kind: 'ocho' is not one of 'echo', 'bar'.", "", "'bar': did you mean echo?"),
-    ):
-        assert ours in _plainly(theirs, came)
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """Give a terminal, whose columns a test may set; 0: there is none."""
+    terminal = SimpleNamespace(columns=0)
+    monkeypatch.setattr(options, "_columns", lambda _: terminal.columns)
+    return terminal
 
 
-def test_a_question_leaves_room_for_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_question_leaves_space_for_its_answer(terminal: SimpleNamespace) -> None:
     text = "word " * 12
 
-    for columns, widest in ((50, 34), (33, 17), (32, len(text)), (0, len(text))):
-        monkeypatch.setattr(options, "_columns", lambda _, columns=columns: columns)
+    for terminal.columns, widest in ((50, 34), (33, 17), (32, len(text)), (0, len(text))):
         lines = question(text).split("\n")
 
         assert max(map(len, lines)) <= widest
-        assert (len(lines) == 1) == (columns <= 32)
+        assert (len(lines) == 1) == (terminal.columns <= 32)
         assert not any(line.startswith(" ") for line in lines)
 
 
-def test_nothing_is_done_without_agreement(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-    monkeypatch.setattr("typer.confirm", lambda text, err: asked.append(text) or "yes" in text)
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
-
-    agree("no", yes=True)
-    agree("yes", yes=False)
+def test_an_action_requires_consent(
+    typed: Callable[[str | None], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    typed("y\nn\n")
+    agree("first", yes=True)
+    agree("second", yes=False)
     with pytest.raises(OperationError, match="nothing was done"):
-        agree("no", yes=False)
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: False))
+        agree("third", yes=False)
+    typed(None)
     with pytest.raises(OperationError, match="no terminal for the question: --yes agrees"):
-        agree("yes", yes=False)
-    assert asked == ["yes", "no"]
+        agree("fourth", yes=False)
+    assert capsys.readouterr().err == "second [y/N]:third [y/N]:"
 
 
-def test_values_stand_below_each_other(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_values_of_a_table_are_aligned(
+    terminal: SimpleNamespace, capsys: pytest.CaptureFixture[str]
 ) -> None:
     print_table(("a", "first"), ("longer", "one two three"))
-    monkeypatch.setattr(options, "_columns", lambda _: 18)
+    terminal.columns = 18
     print_table(("longer", "one two three"))
 
     assert capsys.readouterr().out.splitlines() == [
         *("a       first", "longer  one two three", "longer  one two", "        three"),
     ]
-
-
-@pytest.mark.parametrize(
-    ("name", "truncated", "said"),
-    [
-        ("a.mcap", True, "a.mcap: cut\n"),
-        ("a.mcap.active", True, "a.mcap.active: still being recorded, or the daemon was killed; "),
-        ("a.mcap.active", False, ""),
-    ],
-)
-def test_the_damage_of_a_recording_is_printed(
-    name: str, truncated: bool, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    one = SimpleNamespace(path=Path(name), truncated=truncated, damage="cut")
-
-    assert warned(one) is one
-
-    err = capsys.readouterr().err
-    assert err.startswith(f"armrig: {said}") if said else not err
-
-
-def _recorded_file(name: str) -> Any:
-    return SimpleNamespace(path=Path(name), samples=len(name), missing=2, outcome="complete")
-
-
-def test_a_remote_recording_says_each_file_and_goes_on_with_the_last(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    done: Any = SimpleNamespace(done=[_recorded_file("a.mcap"), _recorded_file("a.2.mcap")])
-
-    record._say(done, json=False)
-
-    said = capsys.readouterr()
-    assert said.out.splitlines() == [
-        "a.mcap: 6 samples, 2 missing, complete",
-        "a.2.mcap: 8 samples, 2 missing, complete",
-    ]
-    assert said.err == "next: armrig info a.2.mcap\n"
-
-
-def test_a_remote_recording_that_ends_early_names_its_last_file(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    files = [_recorded_file("a.mcap"), _recorded_file("a.2.mcap")]
-    failed: Any = SimpleNamespace(code="failed")
-    for done, ending, said in (
-        (files, failed, "armrig: recorded up to the error: a.2.mcap, the last of 2 files\n"),
-        (files[:1], failed, "armrig: recorded up to the error: a.mcap\n"),
-        ([], failed, ""),
-        (files, COMPLETE, ""),
-    ):
-        ended: list[Any] = []
-        recording: Any = SimpleNamespace(done=done, finish=ended.append)
-
-        record._finish(recording, ending)
-
-        assert (capsys.readouterr().err, ended) == (said, [ending])
-
-
-def test_a_remote_recording_replaces_no_file(tmp_path: Path) -> None:
-    (tmp_path / "a.mcap").touch()
-    (tmp_path / "b.mcap.active").touch()
-
-    assert record._checked(tmp_path / "c.mcap") == tmp_path / "c.mcap"
-    for name, said in (
-        ("a.mcap", "a.mcap exists"),
-        ("b.mcap", "b.mcap.active exists"),
-        ("c.csv", "ends in .mcap"),
-    ):
-        with pytest.raises(InputError, match=f"-o {tmp_path / name}: .*{said}"):
-            record._checked(tmp_path / name)
-
-
-def test_a_router_counts_the_names_of_each_right(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    people = SimpleNamespace(rigs="a", operators="bc", observers="def")
-    opened = nullcontext(), people
-    monkeypatch.setattr("armrig.lab.router.open_router", lambda *_: opened)
-    ended = SimpleNamespace(wait=lambda: None)
-    monkeypatch.setattr("armrig.cli.router.until_signal", lambda: nullcontext(ended))
-
-    assert main(["router", "--listen", "tls/a:1"]) == 0
-
-    said = "router at tls/a:1: 1 rigs, 2 may drive and 3 may watch; Ctrl-C ends the router"
-    assert capsys.readouterr().err == f"{said}\n"
-
-
-def test_a_report_names_the_recordings_that_give_no_model(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = {kind: of_the_arm(np.full(60, 1.0), experiment=kind) for kind in ("step-a", "blackbox")}
-    kinds = {"s": "step-a", "a": "blackbox", "b": "blackbox", "c": "blackbox"}
-    files = [written(tmp_path, data[kind], f"{name}.mcap") for name, kind in kinds.items()]
-
-    _report_ignored([armrig.load(file) for file in files])
-
-    said = " ".join(capsys.readouterr().err.split())
-    used = "the models are estimated from a.mcap and validated on b.mcap"
-    assert f"c.mcap is only listed in the report: {used}" in said
-    assert said.count("is only listed") == 1
-
-
-def test_a_recovered_file_says_what_was_kept_and_cut_off() -> None:
-    how: dict[str, Any] = {"when": "2026-11-20T13:00:05.123+01:00", "armrig": "1.2"}
-    how |= {"kept_bytes": 900, "cut_off_bytes": 70, "damage": "torn"}
-
-    said = recording_info._recovered(SimpleNamespace(**how))  # type: ignore[arg-type]
-
-    assert said == (
-        "2026-11-20 13:00:05 by armrig 1.2: 900 B were kept, the last 70 B were cut off; torn"
-    )
-    how |= {"cut_off_bytes": 0, "damage": ""}
-    assert recording_info._recovered(SimpleNamespace(**how)).endswith(" 900 B were kept")  # type: ignore[arg-type]
 
 
 def test_a_long_text_is_cut_at_its_end_and_a_spread_has_its_figures() -> None:
@@ -268,31 +125,6 @@ def test_a_long_text_is_cut_at_its_end_and_a_spread_has_its_figures() -> None:
 
 
 @pytest.mark.parametrize(("name", "known"), [("dataset", "Dataset"), ("ARMAX", "armax")])
-def test_a_name_of_the_package_in_another_case_is_answered_with_the_right_one(
-    name: str, known: str
-) -> None:
+def test_a_misspelt_case_of_a_name_is_reported_with_the_right_name(name: str, known: str) -> None:
     with pytest.raises(AttributeError, match=rf"'{name}'; did you mean armrig\.{known}\?"):
         getattr(armrig, name)
-
-
-@pytest.mark.parametrize("digests", ["aa", "ab"])
-def test_a_report_says_that_its_models_are_judged_on_their_own_data(
-    digests: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    estimation, validation = (SimpleNamespace(digest=digest) for digest in digests)
-    done = SimpleNamespace(estimation=estimation, validation=validation)
-    typeset: list[Any] = []
-    monkeypatch.setattr("armrig.cli.recorded_data.loaded", lambda *_: [])
-    monkeypatch.setattr("armrig.report.study.study", lambda *_, **__: done)
-    monkeypatch.setattr("armrig.report.document.report", lambda *_, **how: typeset.append(how))
-    source = Path("source")
-
-    _report_study([], Path("r.pdf"), None, source, orders=None, outputs=[])  # type: ignore[arg-type]
-
-    said = "judged on their own estimation data"
-    [how] = typeset
-    assert (said in capsys.readouterr().err) == (digests == "aa")
-    assert [remark[0] == "T" and said in remark for remark in how["remarks"]] == (
-        [True] if digests == "aa" else []
-    )
-    assert how["source"] == source

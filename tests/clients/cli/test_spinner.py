@@ -16,7 +16,7 @@ from rich.console import Console
 from tests.integration.processes import wait_for
 
 
-def test_a_long_estimation_shows_that_it_lives() -> None:
+def test_a_long_estimation_shows_a_spinner() -> None:
     out = StringIO()
     terminal = Console(file=out, force_terminal=True)
 
@@ -29,7 +29,7 @@ def test_a_long_estimation_shows_that_it_lives() -> None:
     assert quick == ""
 
 
-def test_a_counted_wait_shows_its_task_and_the_time_left() -> None:
+def test_a_counted_spinner_shows_its_task_and_the_remaining_time() -> None:
     out, nowhere = StringIO(), StringIO()
     terminal = Console(file=out, force_terminal=True, width=100)
 
@@ -54,12 +54,14 @@ def test_a_counted_wait_shows_its_task_and_the_time_left() -> None:
         (40, 9.0, "0 of 40 remain"),
     ],
 )
-def test_the_time_left_is_that_of_what_was_done(done: int, elapsed_s: float, told: str) -> None:
+def test_the_remaining_time_is_extrapolated_from_the_finished_share(
+    done: int, elapsed_s: float, told: str
+) -> None:
     assert remaining(done, 40, elapsed_s) == told
 
 
 @pytest.mark.exhaustive
-def test_a_figure_that_takes_long_shows_that_it_is_drawn(
+def test_a_slow_figure_shows_a_spinner(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")

@@ -37,7 +37,7 @@ def test_the_verdict_is_bold_and_a_note_is_dim() -> None:
     ("terminal", "environment"),
     [(False, {"TERM": "xterm"}), (True, {"NO_COLOR": "1"}), (True, {"TERM": "dumb"})],
 )
-def test_a_pipe_or_a_plain_terminal_gets_plain_text(
+def test_the_output_to_a_pipe_or_plain_terminal_is_plain_text(
     terminal: bool, environment: dict[str, str]
 ) -> None:
     assert "\x1b" not in _shown(terminal=terminal, **environment)

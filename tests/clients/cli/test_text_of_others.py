@@ -51,7 +51,7 @@ def recording(tmp_path: Path) -> Path:
     return written(tmp_path, recorded(messages, manifest=told, outcome=outcome))
 
 
-def test_a_recording_s_texts_do_nothing_to_a_terminal(
+def test_texts_of_a_recording_are_escaped_on_a_terminal(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["info", str(recording)]) == 0
@@ -80,7 +80,7 @@ def test_a_recording_as_json_keeps_its_texts(
     assert facts["gaps"][0]["reason"] == facts["events"][0]["message"] == HOSTILE
 
 
-def test_a_file_s_own_name_does_nothing_to_a_terminal(
+def test_the_name_of_a_file_is_escaped_on_a_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     hostile = tmp_path / "\x1b[2J\x9b.mcap"
@@ -94,7 +94,9 @@ def test_a_file_s_own_name_does_nothing_to_a_terminal(
     assert (told.out + told.err).replace("\n", "").isprintable()
 
 
-def test_a_line_on_standard_error_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_message_on_standard_error_is_escaped_to_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     tell(f"held by {HOSTILE}")
 
     assert capsys.readouterr().err == (
@@ -102,7 +104,7 @@ def test_a_line_on_standard_error_is_one_line(capsys: pytest.CaptureFixture[str]
     )
 
 
-def test_the_name_of_a_file_does_nothing_to_a_terminal_while_it_is_at_work() -> None:
+def test_the_name_of_a_file_is_escaped_next_to_a_spinner() -> None:
     shown = StringIO()
     console = Console(file=shown, force_terminal=True, width=120)
 
@@ -115,7 +117,7 @@ def test_the_name_of_a_file_does_nothing_to_a_terminal_while_it_is_at_work() -> 
     assert HOSTILE[:7] not in shown.getvalue()
 
 
-def test_brackets_are_no_markup_next_to_a_bar() -> None:
+def test_brackets_next_to_a_progress_bar_are_not_markup() -> None:
     shown = StringIO()
     console = Console(file=shown, force_terminal=True, width=120)
 

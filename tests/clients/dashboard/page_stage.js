@@ -24,6 +24,17 @@ const replies = {};
 const streams = [];
 const lines = [];
 const say = (text) => lines.push(`  ${text}`);
+// What several charts have in common is told once.
+const sayOf = (chart, text) => {
+  const n = charts.indexOf(chart);
+  for (const [i, line] of lines.entries()) {
+    const [, before, same] = /^  charts? ([\d ]+): (.*)$/.exec(line) ?? [];
+    if (same !== text || before.split(" ").includes(`${n}`)) continue;
+    lines[i] = `  charts ${before} ${n}: ${text}`;
+    return;
+  }
+  say(`chart ${n}: ${text}`);
+};
 
 class Element {
   constructor(tag = "") {
@@ -167,10 +178,12 @@ globalThis.uPlot = class {
     const splits = [axes[0].splits(this, 0, ...x, (x[1] - x[0]) / 3), [y[0], (y[0] + y[1]) / 2, y[1]]];
     this.axes = splits.map((_splits, i) => ({ _splits, _values: axes[i].values(this, _splits) }));
     const over = data[3]?.some((value) => value !== null) ? `; over it${path(3)}` : "";
-    say(`chart ${charts.indexOf(this)}: ${axes[0].values(this, [0, 1.23456])} x ${short(x)}, y ${short(y)},${path(1)}${over}`);
     this.ctx = pen();
     for (const does of hooks.draw) does(this);
-    if (this.ctx.drawn) say(`  its marks:${this.ctx.drawn}`);
+    const labels = axes[0].values(this, [0, 1.23456]).join("");
+    const parts = [`x ${short(x)}`, `y ${short(y)},${path(1)}${over}`, labels && `axis ${labels}`, this.ctx.drawn && `marks${this.ctx.drawn}`];
+    parts.forEach((text, i) => text && text !== this.told?.[i] && sayOf(this, text));
+    this.told = parts;
   }
   valToPos(value) {
     return +value.toFixed(3);
@@ -180,17 +193,17 @@ globalThis.uPlot = class {
   }
   setSelect() {}
   setCursor(at) {
-    say(`chart ${charts.indexOf(this)}: cursor at ${JSON.stringify(at)}`);
+    sayOf(this, `cursor at ${JSON.stringify(at)}`);
   }
   setSize(size) {
-    say(`chart ${charts.indexOf(this)}: ${JSON.stringify(size)}`);
+    sayOf(this, JSON.stringify(size));
   }
   redraw() {
-    say(`chart ${charts.indexOf(this)}: is drawn again in ${this.options.series[1].stroke()}`);
+    sayOf(this, `is drawn again in ${this.options.series[1].stroke()}`);
   }
   destroy() {
     for (const does of this.options.hooks.destroy) does(this);
-    say(`chart ${charts.indexOf(this)}: is gone`);
+    sayOf(this, "is gone");
   }
   drag(left, width) {
     this.select = { left, width };
@@ -255,7 +268,7 @@ const stage = {
     const told = name === "live" ? { at_s: performance.now() / 1000, ...value } : value;
     streams.at(-1).give(`event: ${name}\ndata: ${JSON.stringify(told)}\n\n`);
   },
-  file: async () => say(`its text: ${(await saved.text()).trim().replaceAll("\n", "\n    ")}`),
+  file: async (most) => say(`its text: ${(await saved.text()).trim().split("\n").slice(0, most).join("\n    ")}`),
   raw: (text) => streams.at(-1).give(text),
   set: (id, value) => {
     byId(id).value = value;
@@ -283,10 +296,12 @@ const settled = async () => {
   for (let i = 0; i < 8; i += 1) await new Promise((done) => setImmediate(done));
 };
 
+const isValue = (id) => id.startsWith("value-"); // told with its chart
+
 // One element as text: its words, and what is not usual about it. What has an id stands for itself.
 function told(one, isInside) {
   if (!(one instanceof Element)) return [String(one)];
-  if (isInside && one.known) return [`#${one.known}`];
+  if (isInside && one.known && !isValue(one.known)) return [`#${one.known}`];
   const about = [one.className, ...one.kinds, one.title, one.hidden && "hidden", one.disabled && "disabled", one.value, parseFloat(one.style.height)];
   about.push(...Object.entries(one.attributes).map(([name, value]) => `${name}=${value}`), ...Object.values(one.dataset), one.download);
   if (one.open !== undefined) about.push(`open=${one.open}`);
@@ -298,6 +313,7 @@ function told(one, isInside) {
 const before = new Map();
 function changes() {
   for (const [id, one] of known) {
+    if (isValue(id)) continue;
     const text = told(one).join(" | ");
     if ((text || before.has(id)) && before.get(id) !== text) say(`${id}: ${text}`);
     before.set(id, text);

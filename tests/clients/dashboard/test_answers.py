@@ -40,7 +40,7 @@ def _raises(error: Exception) -> Any:
         (_raises(RigError("gone")), 502, b'{"error":"gone"}'),
     ],
 )
-def test_an_error_is_told_in_the_page_s_words_or_as_a_fault_of_armrig(
+def test_an_error_is_reported_in_a_sentence_or_as_an_internal_error(
     does: Any, status: int, said: bytes
 ) -> None:
     app = application([Route("/does", answered(does), methods=["POST"])])
@@ -53,7 +53,7 @@ def test_an_error_is_told_in_the_page_s_words_or_as_a_fault_of_armrig(
     assert (found[0], found[1][: len(said)]) == (status, said)
 
 
-def test_an_address_that_there_is_not_is_told_in_a_line() -> None:
+def test_an_unknown_address_is_refused_in_one_line() -> None:
     app = application([Route("/does", answered(_of_numpy), methods=["POST"])])
 
     assert asked(app, "/did") == (404, b'{"error":"no such address"}')

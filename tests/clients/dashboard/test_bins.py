@@ -45,7 +45,7 @@ def test_a_bin_holds_the_least_and_the_largest() -> None:
     np.testing.assert_allclose(rows[:, 4], [7, 1])
 
 
-def test_slow_samples_are_bins_of_their_own() -> None:
+def test_each_sample_of_a_slow_stream_is_a_bin() -> None:
     assert _binned(_samples([1, 2, 3], Ts=0.01)).shape[0] == 3
 
 
@@ -57,11 +57,11 @@ def test_a_wrap_ends_a_bin() -> None:
     assert rows[:, 4].round().tolist() == [359, 2]
 
 
-def test_less_than_half_a_turn_is_no_wrap() -> None:
+def test_a_change_below_half_a_turn_is_not_a_wrap() -> None:
     assert _binned(_samples([0, 170])).shape[0] == 1
 
 
-def test_a_wrap_inside_of_the_dead_band_ends_a_bin() -> None:
+def test_a_wrap_inside_the_dead_band_ends_a_bin() -> None:
     nan = float("nan")
     rows = _binned(_samples([358, 359, nan, nan, 1, 2]))
     wide = coarser(_binned(_samples([358, 359, nan, nan, 1, 2], Ts=0.01)), 0.1)
@@ -71,7 +71,7 @@ def test_a_wrap_inside_of_the_dead_band_ends_a_bin() -> None:
         assert found[:, 4].round().tolist() == [359, 2]
 
 
-def test_what_is_not_known_hides_nothing() -> None:
+def test_an_unknown_angle_does_not_hide_a_known_angle_of_its_bin() -> None:
     nan = float("nan")
     rows = _binned(_samples([nan, 5, nan, nan, nan, nan, nan, nan, nan, nan] + [nan] * 10))
 
@@ -95,7 +95,7 @@ def test_the_rate_is_a_slope_over_a_tenth_of_a_second_of_time() -> None:
         assert rate(found[:-1], found[-1:])[0] == pytest.approx(3.5), Ts
 
 
-def test_a_missing_sample_or_a_hidden_angle_costs_no_rate_of_another() -> None:
+def test_a_missing_sample_or_angle_does_not_remove_other_rates() -> None:
     """The slope then uses an older sample, at most 0.2 s older."""
     nan = float("nan")
     samples = _samples([nan if k in (3, 25) else float(k) for k in range(60)], Ts=0.01)
@@ -127,7 +127,7 @@ def test_slow_samples_have_a_rate_from_one_to_the_next() -> None:
         np.testing.assert_allclose(rate(before, found[n:]), rate(found[:n], found[n:]))
 
 
-def test_few_samples_are_kept_for_a_rate_whatever_their_times() -> None:
+def test_the_number_of_samples_kept_for_a_rate_is_bounded() -> None:
     """A foreign recording may give all samples the same time; they need no more memory."""
     found = np.zeros((5000, 5))
 
@@ -160,7 +160,7 @@ def test_each_signal_has_its_columns_and_unit() -> None:
     assert rows == [[0.0, 3.0, 3.0, 1.0, 2.0, 50.0, 70.0, -2.0, -1.0]]
 
 
-def test_json_has_three_places_of_time_and_voltage_and_two_of_angles() -> None:
+def test_json_has_three_decimals_of_time_and_voltage_and_two_of_angles() -> None:
     row = np.array([[12.34549, 1.23449, 2.71851, -3.14159, 0.005, 1e4 / 3, 99.996, 0.1, np.nan]])
 
     sent = msgspec.json.encode(as_lists(row))

@@ -76,7 +76,7 @@ def _app(driver: Any, feed: Feed, *, may_command: bool) -> Starlette:
         ("stop", {"owner": "Ada"}, ("stop", "Ada"), [{"stopped": True}] * 2),
     ],
 )
-def test_a_command_is_passed_on_with_all_that_was_given(
+def test_a_command_is_forwarded_with_all_its_fields(
     driver: Any, path: str, body: dict[str, Any], given: tuple[Any, ...], answers: list[Any]
 ) -> None:
     app = _app(driver, Feed(), may_command=True)
@@ -100,9 +100,7 @@ def test_a_command_is_passed_on_with_all_that_was_given(
         ("run", b'{"owner": "Ada", "experiment": {"kind": "step", "at": 9}}'),
     ],
 )
-def test_a_command_that_is_not_allowed_does_not_reach_the_rig(
-    driver: Any, path: str, body: bytes
-) -> None:
+def test_a_forbidden_command_does_not_reach_the_rig(driver: Any, path: str, body: bytes) -> None:
     status, said = asked(_app(driver, Feed(), may_command=True), f"/api/{path}", body)
 
     assert (status, driver.given) == (400, [])
@@ -111,20 +109,22 @@ def test_a_command_that_is_not_allowed_does_not_reach_the_rig(
 
 @pytest.mark.parametrize("body", [b"", b"{}", b"[", b'{"owner": 7}', b'{"owner": "\xff"}'])
 @pytest.mark.parametrize(("may_command", "by"), [(True, ""), (False, VISITOR)])
-def test_a_stop_with_any_body_stops(driver: Any, body: bytes, may_command: bool, by: str) -> None:
+def test_a_stop_with_an_invalid_body_stops_the_rig(
+    driver: Any, body: bytes, may_command: bool, by: str
+) -> None:
     app = _app(driver, Feed(), may_command=may_command)
 
     assert asked(app, "/api/stop", body)[0] == 200
     assert driver.given == [("stop", by)]
 
 
-def test_a_visitor_stops_in_no_name_of_its_choice(driver: Any) -> None:
+def test_a_visitor_cannot_choose_the_name_of_a_stop(driver: Any) -> None:
     asked(_app(driver, Feed(), may_command=False), "/api/stop", b'{"owner": "Ada"}')
 
     assert driver.given == [("stop", VISITOR)]
 
 
-def test_a_stop_that_is_not_delivered_is_told(driver: Any) -> None:
+def test_an_undelivered_stop_is_reported(driver: Any) -> None:
     driver.error = RigError("no daemon")
 
     found = asked(_app(driver, Feed(), may_command=True), "/api/stop", b"{}")
@@ -132,7 +132,7 @@ def test_a_stop_that_is_not_delivered_is_told(driver: Any) -> None:
     assert found == (502, b'{"error":"no daemon"}')
 
 
-def test_without_a_rig_a_preview_tells_why(driver: Any) -> None:
+def test_a_preview_without_a_rig_reports_the_reason(driver: Any) -> None:
     feed = Feed()
     feed.trouble = "the service of rig 1 has stopped"
 
@@ -144,14 +144,14 @@ def test_without_a_rig_a_preview_tells_why(driver: Any) -> None:
 @pytest.mark.parametrize(
     ("file", "stored"), [("a/mine.csv", "mine.csv"), ("u.txt", "u.txt"), ("", "input.csv")]
 )
-def test_of_a_file_of_the_user_the_name_alone_is_stored(file: str, stored: str) -> None:
+def test_only_the_name_of_a_user_s_file_is_stored(file: str, stored: str) -> None:
     plan = plan_of(Experiment(kind="csv", file=file, text="u\n1\n2\n"), "Ada")
 
     assert plan.details == {"input": "csv", "file": stored}
     assert plan.make(0, 0.01).tolist() == [1.0, 2.0]
 
 
-def test_a_live_model_is_begun_and_ended_on_request(driver: Any) -> None:
+def test_a_live_model_starts_and_ends_on_request(driver: Any) -> None:
     feed = Feed()
     app = _app(driver, feed, may_command=True)
 

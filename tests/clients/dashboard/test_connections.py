@@ -10,18 +10,19 @@ from typing import Any
 
 import pytest
 import uvicorn
-from armrig.dashboard import connections
-from armrig.dashboard.connections import Address, BoundedProtocol, Connections
+from armrig.dashboard.connections import MOST, Address, BoundedProtocol, Connections
 from armrig.dashboard.serving import QUIET
 from uvicorn.server import ServerState
 
 
 class Table:
-    """Connections by a letter each, and which of them were closed."""
+    """Connections by a letter each, with room for three of them, and which of them were closed."""
 
     def __init__(self) -> None:
         self.all = Connections()
         self.closed: list[str] = []
+        for k in range(MOST - 3):
+            self.add(chr(1000 + k), is_asked=True)
 
     def add(self, name: str, *, is_asked: bool = False, is_unread: bool = False) -> None:
         """Take one more."""
@@ -36,13 +37,12 @@ class Table:
 
 
 @pytest.fixture
-def table(monkeypatch: pytest.MonkeyPatch) -> Table:
-    """Give a table for three."""
-    monkeypatch.setattr(connections, "MOST", 3)
+def table() -> Table:
+    """Give a table."""
     return Table()
 
 
-def test_the_oldest_that_asks_nothing_gives_way(table: Table) -> None:
+def test_the_oldest_connection_without_a_request_is_closed_first(table: Table) -> None:
     table.add("a", is_asked=True)
     table.add("b")
     table.add("c", is_asked=True, is_unread=True)
@@ -52,7 +52,7 @@ def test_the_oldest_that_asks_nothing_gives_way(table: Table) -> None:
     assert table.closed == ["b"]
 
 
-def test_else_the_oldest_that_does_not_read_gives_way_and_at_last_the_new_one(table: Table) -> None:
+def test_the_oldest_unread_connection_is_closed_next_and_the_new_one_last(table: Table) -> None:
     table.add("a", is_asked=True)
     table.add("b", is_asked=True, is_unread=True)
     table.add("c", is_asked=True, is_unread=True)
@@ -62,7 +62,7 @@ def test_else_the_oldest_that_does_not_read_gives_way_and_at_last_the_new_one(ta
     assert table.closed == ["b", "c", "f"]
 
 
-def test_one_that_has_left_makes_room_and_the_end_closes_the_rest(table: Table) -> None:
+def test_a_closed_connection_frees_its_place_and_the_end_closes_all(table: Table) -> None:
     for name in "abc":
         table.add(name)
     table.all.remove(table.address("b"))
@@ -72,10 +72,12 @@ def test_one_that_has_left_makes_room_and_the_end_closes_the_rest(table: Table) 
     table.all.end()
     table.all.end()
 
-    assert table.closed == ["a", "c", "d"]
+    assert table.closed[0] == "a"
+    assert table.closed[-2:] == ["c", "d"]
+    assert len(table.closed) == MOST
 
 
-def test_a_connection_is_asked_from_its_whole_request_to_the_end_of_its_answer() -> None:
+def test_a_connection_is_busy_from_its_request_to_the_end_of_its_response() -> None:
     seen: list[bool] = []
     table, made = Connections(), list[BoundedProtocol]()
 

@@ -1,24 +1,13 @@
-"""Messages from the dashboard to its page about an odd rig, and about a model of a recording."""
+"""Messages from the dashboard to its page about an odd rig."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from tests.clients.said import assert_said
 
-HERE = Path(__file__).parent
 
-
-def test_the_messages_to_the_page_of_an_odd_rig_are_those_stored(tmp_path: Path) -> None:
+def test_the_messages_to_the_page_of_an_unusual_rig_are_the_stored_ones(tmp_path: Path) -> None:
     (tmp_path / "recordings").mkdir()
 
-    assert_said(HERE / "said.txt", tmp_path)
-
-
-@pytest.mark.exhaustive
-def test_the_message_of_a_model_is_the_one_stored(tmp_path: Path) -> None:
-    (tmp_path / "recordings").mkdir()
-
-    assert_said(HERE / "said_of_a_model.txt", tmp_path)
+    assert_said(Path(__file__).with_name("said.txt"), tmp_path)

@@ -32,9 +32,7 @@ def _wait_for_the_end(driver: Driver) -> None:
         time.sleep(0.01)
 
 
-def test_a_stop_holds_for_a_run_that_was_asked_for_before(
-    driver: Driver, daemon: FakeDaemon
-) -> None:
+def test_a_stop_cancels_a_run_requested_before_it(driver: Driver, daemon: FakeDaemon) -> None:
     """The daemon stops only an armed run, and a run is armed some time after its request."""
     asked_s = time.monotonic()
     driver.stop("somebody")
@@ -45,7 +43,7 @@ def test_a_stop_holds_for_a_run_that_was_asked_for_before(
     assert daemon.names() == ["stop", "arm", "disarm"]
 
 
-def test_a_stop_does_not_hold_for_the_next_run(driver: Driver, daemon: FakeDaemon) -> None:
+def test_a_stop_does_not_cancel_the_next_run(driver: Driver, daemon: FakeDaemon) -> None:
     driver.stop("somebody")
     driver.start(PLAN, asked_s=time.monotonic())
     _wait_for_the_end(driver)
@@ -53,7 +51,9 @@ def test_a_stop_does_not_hold_for_the_next_run(driver: Driver, daemon: FakeDaemo
     assert daemon.names() == ["stop", "arm", "run"]
 
 
-def test_a_run_keeps_nothing_of_the_run_before(driver: Driver, daemon: FakeDaemon) -> None:
+def test_a_run_starts_without_the_error_of_the_previous_run(
+    driver: Driver, daemon: FakeDaemon
+) -> None:
     daemon.refusals["arm"] = "busy"
     driver.start(PLAN, asked_s=time.monotonic())
     _wait_for_the_end(driver)
@@ -66,7 +66,7 @@ def test_a_run_keeps_nothing_of_the_run_before(driver: Driver, daemon: FakeDaemo
     assert (before != "", driver.run.error) == (True, "")
 
 
-def test_a_driver_that_has_ended_takes_no_run(driver: Driver, daemon: FakeDaemon) -> None:
+def test_a_closed_driver_accepts_no_run(driver: Driver, daemon: FakeDaemon) -> None:
     driver.end()
     with pytest.raises(BusyDriverError, match="the dashboard is ending"):
         driver.start(PLAN, asked_s=time.monotonic())
@@ -90,7 +90,7 @@ class SlowDaemon(FakeDaemon):
         return super()._carry_out(request)
 
 
-def test_the_end_waits_for_an_arming(where: str) -> None:
+def test_the_end_of_a_driver_waits_for_an_arming(where: str) -> None:
     with SlowDaemon(where) as daemon:
         driver = Driver(rig="1", connect=daemon.endpoint)
         arming = threading.Thread(target=driver.arm, args=("a page", None))
@@ -140,7 +140,7 @@ def test_a_trip_is_reported_with_the_page_s_own_button(driver: Driver, daemon: F
     )
 
 
-def test_a_stop_finds_a_restarted_daemon(where: str) -> None:
+def test_a_stop_reaches_a_restarted_daemon(where: str) -> None:
     driver = Driver(rig="1", connect=where)
     with FakeDaemon(where):
         driver.stop("Ada")
@@ -164,7 +164,7 @@ def test_a_stop_uses_the_connection_that_was_opened_for_it(
     assert daemon.names() == ["stop"]
 
 
-def test_a_rig_that_the_page_has_is_given_back_once(driver: Driver, daemon: FakeDaemon) -> None:
+def test_a_rig_held_by_the_page_is_released_once(driver: Driver, daemon: FakeDaemon) -> None:
     driver.arm("a page", 0.04)
     driver.arm("a page", None)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import replace as other
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,9 +13,10 @@ import pytest
 from armrig.dashboard import feed as feed_module
 from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, LATE_US, Feed
 from armrig.dashboard.stream import live_facts
-from armrig_core.commands import StatusReport
 from armrig_core.telemetry import Sample
+from msgspec.structs import replace
 
+from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import event, gap, note, sample
 
 
@@ -53,17 +54,7 @@ def test_a_gap_that_is_reported_before_its_next_sample_is_counted() -> None:
     assert counted(feed) == (4, 0, "link silent")
 
 
-def test_a_gap_is_counted_once() -> None:
-    feed = Feed()
-    feed.add_samples(samples(0))
-    feed.add_gaps([gap(1, 2, 1.0, "overrun")])
-    for k in range(3, 8):
-        feed.add_samples(samples(k))
-
-    assert counted(feed) == (2, 0, "overrun")
-
-
-def test_samples_without_a_reported_gap_were_published_and_not_heard() -> None:
+def test_missing_samples_without_a_reported_gap_count_as_not_received() -> None:
     feed = Feed()
     feed.add_samples(samples(0))
     feed.add_gaps([gap(2, 3, 1.0, "overrun")])
@@ -72,7 +63,7 @@ def test_samples_without_a_reported_gap_were_published_and_not_heard() -> None:
     assert counted(feed) == (3, 2, "overrun")
 
 
-def test_a_sample_that_came_before_is_passed_over() -> None:
+def test_a_repeated_sample_is_ignored() -> None:
     feed = Feed()
     feed.add_samples(samples(0, 1, 2))
     feed.add_samples(samples(1, 2, 3), live=False)
@@ -81,7 +72,7 @@ def test_a_sample_that_came_before_is_passed_over() -> None:
     assert counted(feed) == (0, 0, "")
 
 
-def test_what_is_new_is_reported_once() -> None:
+def test_each_new_row_is_reported_once() -> None:
     feed = Feed()
     feed.add_samples(samples(0, 1))
     first = feed.news()
@@ -97,19 +88,7 @@ def test_what_is_new_is_reported_once() -> None:
     assert (second.newest.k, third.newest.k) == (2, 2)
 
 
-def test_another_clock_reports_nothing_old() -> None:
-    """A daemon on a restarted machine counts from 0."""
-    feed = Feed()
-    feed.add_samples(samples(300, 301))
-    before = feed.news().pieces
-    feed.add_samples(samples(0, 1))
-
-    rows = feed.news(before).rows
-
-    assert rows[:, 0].tolist() == [sample(k).t_sched_ns / 1e9 for k in (0, 1)]
-
-
-def test_the_rate_is_the_same_however_few_samples_come_at_once() -> None:
+def test_the_rate_does_not_depend_on_the_size_of_the_batches() -> None:
     """The rate is a slope over ten samples, most of which came in earlier pieces."""
     whole, piecewise = Feed(), Feed()
     whole.add_samples(samples(*range(30)))
@@ -122,7 +101,7 @@ def test_the_rate_is_the_same_however_few_samples_come_at_once() -> None:
     np.testing.assert_array_equal(piecewise.news().rows[:, 5:7], rates)
 
 
-def test_news_are_of_one_instant(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_news_are_collected_under_one_lock(monkeypatch: pytest.MonkeyPatch) -> None:
     """Otherwise a row that the listener adds in between would be lost."""
     feed = Feed()
     feed.add_samples(samples(0))
@@ -140,7 +119,7 @@ def test_news_are_of_one_instant(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(held)
 
 
-def test_the_lines_of_a_model_are_read_while_it_cannot_be_removed() -> None:
+def test_a_live_model_is_not_removed_while_its_lines_are_read() -> None:
     feed = Feed()
     feed._model = SimpleNamespace(lines=lambda: [str(feed._lock.locked())])  # type: ignore[assignment]
 
@@ -159,7 +138,7 @@ class _Watched(deque[Any]):
         return super().__reversed__()
 
 
-def test_what_is_exactly_at_an_edge_is_not_later() -> None:
+def test_a_lateness_exactly_at_an_edge_belongs_to_the_lower_bar() -> None:
     """50 µs belongs to the first bar, because the title of a bar is "at most"."""
     feed = Feed()
     edges = [late(k, edge) for k, edge in enumerate(LATE_US)]
@@ -168,7 +147,7 @@ def test_what_is_exactly_at_an_edge_is_not_later() -> None:
     assert feed.timing().late == [1] * (len(LATE_US) + 1)
 
 
-def test_the_past_is_fine_up_to_its_edge_and_coarse_before_it() -> None:
+def test_the_history_is_fine_up_to_its_edge_and_coarse_before_it() -> None:
     feed = Feed()
     # A second has 100 rows; one row a second is enough to see the edges.
     step, n = 100, round(HISTORY_S) + 3
@@ -183,7 +162,7 @@ def test_the_past_is_fine_up_to_its_edge_and_coarse_before_it() -> None:
     assert np.count_nonzero(t >= newest - FINE_S) == FINE_S + 1
 
 
-def test_the_coarse_past_begins_where_the_fine_part_ends() -> None:
+def test_the_coarse_history_ends_where_the_fine_part_begins() -> None:
     """Five rows of 10 ms become one if they are 30 s older than the newest."""
     feed = Feed()
     feed.add_samples(samples(*range(3200)), live=False)
@@ -198,13 +177,13 @@ def test_the_coarse_past_begins_where_the_fine_part_ends() -> None:
 
 @pytest.mark.parametrize(("age_s", "is_stale"), [(0.3, False), (0.301, True), (np.inf, True)])
 def test_data_are_stale_beyond_the_limit(age_s: float, is_stale: bool) -> None:
-    facts = live_facts(replace(Feed().news(), age_s=age_s), None)
+    facts = live_facts(other(Feed().news(), age_s=age_s), None)
 
     assert facts["is_stale"] is is_stale
     assert facts["age_s"] == (None if age_s == np.inf else age_s)
 
 
-def test_a_clock_that_begins_again_empties_the_past() -> None:
+def test_a_restarted_clock_clears_the_history() -> None:
     """A restarted machine counts from 0; a sample that is a little late is no new clock."""
     feed = Feed()
     feed.add_samples(samples(500, 501))
@@ -217,7 +196,7 @@ def test_a_clock_that_begins_again_empties_the_past() -> None:
     assert feed.news().newest == sample(2)
 
 
-def test_at_another_sampling_time_the_model_starts_again() -> None:
+def test_a_changed_sampling_time_restarts_the_live_model() -> None:
     changed, fresh = Feed(), Feed()
     rng = np.random.default_rng(1)
     u, theta_1 = rng.choice([1.0, 4.0], 300), np.cumsum(rng.uniform(0.0, 0.1, 300))
@@ -229,10 +208,10 @@ def test_at_another_sampling_time_the_model_starts_again() -> None:
         for Ts, part in ((0.01, range(100)), (0.02, range(100, 300)))
     )
     for feed, Ts in ((changed, 0.01), (fresh, 0.02)):
-        feed.status = _status(Ts)
+        feed.status = replace(FakeDaemon("there").status(), Ts=Ts)
         feed.set_model(wanted=True)
     changed.add_samples(first)
-    changed.status = _status(0.02)
+    changed.status = fresh.status
 
     for feed in (changed, fresh):
         feed.add_samples(second)
@@ -243,25 +222,7 @@ def test_at_another_sampling_time_the_model_starts_again() -> None:
     assert changed.model_lines() == lines
 
 
-def _status(Ts: float) -> StatusReport:
-    return StatusReport(
-        rig="1",
-        version="0.1.0",
-        phase="safe",
-        reason="",
-        owner="",
-        Ts=Ts,
-        u_min=0.0,
-        u_max=5.0,
-        endpoint="",
-        device={},
-        host={},
-        last_run=None,
-        recordings="",
-    )
-
-
-def test_the_histogram_is_of_the_last_minute_and_of_what_came_live(
+def test_the_histogram_counts_live_samples_of_the_last_minute(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """62 s with one sample each: 60 samples count."""
@@ -277,7 +238,7 @@ def test_the_histogram_is_of_the_last_minute_and_of_what_came_live(
     assert feed.timing().late[1] == 0
 
 
-def test_the_past_teaches_a_live_model_nothing() -> None:
+def test_a_live_model_is_not_estimated_from_the_history() -> None:
     feed, rng = Feed(), np.random.default_rng(3)
     rows = [
         sample(k, u_applied_v=rng.choice([1.0, 4.0]), theta_1_rad=0.02 * k + rng.uniform(0, 0.1))
@@ -323,7 +284,7 @@ def test_start_end_and_trip_are_marked() -> None:
     assert feed.marks() == []
 
 
-def test_states_that_come_twice_are_marked_once() -> None:
+def test_repeated_states_are_marked_once() -> None:
     feed = Feed()
     phases = ("safe", "armed", "active", "safe", "armed", "active")
     states = [state(k, phase) for k, phase in enumerate(phases)]
@@ -334,7 +295,7 @@ def test_states_that_come_twice_are_marked_once() -> None:
     assert feed.marks() == [(2.0, "start"), (3.0, "end"), (5.0, "start")]
 
 
-def test_marks_of_another_clock_are_forgotten() -> None:
+def test_a_restarted_clock_removes_earlier_marks() -> None:
     """Marks of the old clock would lie in the future."""
     feed = Feed()
     feed.add_samples(samples(100_000))
@@ -349,7 +310,7 @@ def test_marks_of_another_clock_are_forgotten() -> None:
     assert max(t for t, _ in feed.marks()) < 100.0
 
 
-def test_a_note_is_marked_once_and_pushes_out_no_start() -> None:
+def test_a_note_is_marked_once_and_does_not_displace_a_start() -> None:
     feed = Feed()
     notes = [note(k, "note") for k in range(500)]
 

@@ -50,7 +50,7 @@ def _passed_on(
     return given, ends.waited
 
 
-def test_of_each_period_the_newest_sample_is_sent_with_its_angles_and_of_others_all(
+def test_each_period_sends_the_newest_sample_and_every_other_message(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     samples = [sample(k, theta_1_rad=0.1 * k, alpha_rad=-0.01 * k) for k in range(6)]
@@ -81,5 +81,5 @@ def test_a_rig_without_samples_for_three_seconds_is_connected_again(
     assert (periods - n) * foxglove._PERIOD_S == pytest.approx(3.0, abs=0.05)
 
 
-def test_the_end_ends_it_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_end_of_the_server_ends_its_stream_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _passed_on(monkeypatch, {}, most=3) == ({n: [] for n in (*STREAMS, "transforms")}, 4)

@@ -7,8 +7,7 @@ import time
 from collections.abc import Sequence
 
 import pytest
-from armrig.dashboard import guard
-from armrig.dashboard.guard import HEADERS, Guard, Pass
+from armrig.dashboard.guard import HEADERS, MOST_BODY, Guard, Pass
 from starlette.types import Message, Receive, Scope, Send
 
 
@@ -18,12 +17,19 @@ def test_a_pass_opens_once() -> None:
     assert [once.opens(code) for code in (b"wrong", b"right", b"right")] == [False, True, False]
 
 
-def test_a_pass_ends() -> None:
+def test_a_pass_expires() -> None:
     assert not Pass("right", until_s=time.monotonic() - 1).opens(b"right")
+
+
+def test_only_the_page_s_own_scripts_run_and_no_page_embeds_it() -> None:
+    rules = dict(HEADERS)[b"content-security-policy"].decode().split("; ")
+
+    assert {"default-src 'none'", "script-src 'self'", "frame-ancestors 'none'"} <= {*rules}
 
 
 HOST = (b"Host", b"127.0.0.1:8807")
 TOKEN = (b"authorization", b"Bearer right")
+MOST = "at most 8388608 B"
 
 
 def _asked(
@@ -81,9 +87,9 @@ def _asked(
         ("POST", "/api/run", [HOST, (b"authorization", b"Bearer code")], 403, "the token is"),
         ("POST", "/api/token", [HOST, TOKEN], 403, "the token is missing or wrong"),
         ("POST", "/api/token", [HOST, (b"authorization", b"Bearer code")], 200, ""),
-        ("POST", "/api/run", [HOST, TOKEN, (b"content-length", b"11")], 413, "at most 10 B"),
-        ("POST", "/api/run", [HOST, TOKEN, (b"content-length", b"-1")], 413, "at most 10 B"),
-        ("POST", "/api/run", [HOST, TOKEN, (b"content-length", b"10")], 200, ""),
+        ("POST", "/api/run", [HOST, TOKEN, (b"content-length", b"8388609")], 413, MOST),
+        ("POST", "/api/run", [HOST, TOKEN, (b"content-length", b"-1")], 413, MOST),
+        ("POST", "/api/run", [HOST, TOKEN, (b"content-length", b"8388608")], 200, ""),
     ],
 )
 def test_permitted_requests_are_admitted_and_others_get_the_reason(
@@ -92,10 +98,7 @@ def test_permitted_requests_are_admitted_and_others_get_the_reason(
     headers: list[tuple[bytes, bytes]],
     status: int,
     why: str,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(guard, "MOST_BODY", 10)
-
     found, body = _asked(method, path, headers)
 
     assert found == status
@@ -106,15 +109,15 @@ def test_permitted_requests_are_admitted_and_others_get_the_reason(
     ("pieces", "status", "body"),
     [
         ((b"abc", b"", b"defghij"), 200, "abcdefghij"),
-        ((b"abcdef", b"ghijk"), 413, "at most 10 B"),
+        ((bytes(MOST_BODY - 1), b"a"), 200, "a"),
+        ((bytes(MOST_BODY - 1), b"ab"), 413, MOST),
         ((b"abc", None), 400, "the body is incomplete"),
     ],
+    ids=["several pieces", "the longest", "too long", "incomplete"],
 )
-def test_a_body_comes_in_pieces_and_is_bounded_as_a_whole(
-    pieces: tuple[bytes | None, ...], status: int, body: str, monkeypatch: pytest.MonkeyPatch
+def test_the_size_limit_of_a_body_applies_to_the_sum_of_its_pieces(
+    pieces: tuple[bytes | None, ...], status: int, body: str
 ) -> None:
-    monkeypatch.setattr(guard, "MOST_BODY", 10)
-
     found, answered = _asked("POST", "/api/run", [HOST, TOKEN], pieces)
 
     assert found == status

@@ -55,7 +55,7 @@ def test_plotjuggler_s_layout_names_what_is_in_a_recording(there: Kinds) -> None
     assert {named.get(source) for source in sources} == {"number", "text"}
 
 
-def test_plotjuggler_s_rate_passes_the_wrap_and_averages_the_steps() -> None:
+def test_plotjuggler_s_rate_ignores_wraps_and_averages_converter_steps() -> None:
     require("lua5.4")
     t, step = 1e9 + np.arange(2000) * 1e-3, 2 * pi / 1024
     theta_1 = np.round(((9.0 * (t - t[0])) % (2 * pi)) / step) * step

@@ -30,7 +30,7 @@ def _poles() -> list[complex]:
     return [complex(s) for s in np.linalg.eigvals(A) if abs(s) > 1e-6]
 
 
-def test_it_finds_the_swing_of_the_arm() -> None:
+def test_a_live_model_estimates_the_natural_frequency_of_the_arm() -> None:
     model = LiveModel(TS)
     model.take(_samples(1500))
     said = " ".join(model.lines())
@@ -45,7 +45,7 @@ def test_it_finds_the_swing_of_the_arm() -> None:
     assert abs(float(constant[1]) * slow - 1) < 0.02
 
 
-def test_a_missing_sample_spoils_nothing() -> None:
+def test_a_missing_sample_does_not_change_a_live_model() -> None:
     whole, some = LiveModel(TS), LiveModel(TS)
     samples = _samples(1500)
     whole.take(samples)
@@ -55,7 +55,7 @@ def test_a_missing_sample_spoils_nothing() -> None:
     assert some.lines()[1:] == whole.lines()[1:]
 
 
-def test_at_rest_it_says_that_it_knows_nothing() -> None:
+def test_a_live_model_at_rest_requests_an_input() -> None:
     model = LiveModel(TS)
     assert "play an input" in model.lines()[0]
     rest = np.zeros((200, 5))

@@ -72,7 +72,7 @@ def test_the_newest_recordings_are_listed_first_and_the_damaged_ones_with_the_re
     assert any(line.startswith("damaged: broken.mcap: ") for line in told["left_out"])
 
 
-def test_a_folder_that_there_is_not_is_told_with_the_way_out(tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported_with_a_remedy(tmp_path: Path) -> None:
     routes = _Routes(tmp_path / "none")
     routes._folder = lambda: tmp_path / "none"  # type: ignore[method-assign]
 
@@ -94,7 +94,7 @@ def test_a_folder_that_there_is_not_is_told_with_the_way_out(tmp_path: Path) -> 
         ("report", {}, [("report", "d")]),
     ],
 )
-def test_a_question_about_a_recording_is_passed_on_as_it_was_asked(
+def test_a_request_about_a_recording_is_forwarded_unchanged(
     folder: Path, path: str, more: dict[str, Any], asks: list[tuple[Any, ...]]
 ) -> None:
     routes = _Routes(folder)
@@ -111,7 +111,7 @@ def test_a_question_about_a_recording_is_passed_on_as_it_was_asked(
 
 
 @pytest.mark.parametrize(("name", "validation"), [("a", "d"), ("b", None), ("c", "b"), ("d", None)])
-def test_a_validation_recording_is_that_of_its_own_recording(
+def test_a_validation_recording_belongs_to_its_estimation_recording(
     folder: Path, name: str, validation: str | None
 ) -> None:
     found = _Routes(folder)._validation_of(folder / f"{name}.mcap")
@@ -123,7 +123,7 @@ def test_a_validation_recording_is_that_of_its_own_recording(
     "file",
     ["link.mcap", "folder.mcap", "none.mcap", "a.mca", "../a.mcap", "./a.mcap", "", "x/a.mcap"],
 )
-def test_what_is_no_recording_in_the_folder_is_refused(folder: Path, file: str) -> None:
+def test_a_file_that_is_not_a_recording_of_the_folder_is_refused(folder: Path, file: str) -> None:
     (folder / "a.mca").touch()
     (folder / "folder.mcap").mkdir()
     (folder / "link.mcap").symlink_to(folder / "a.mcap")
@@ -137,13 +137,11 @@ def test_what_is_no_recording_in_the_folder_is_refused(folder: Path, file: str) 
 
 
 @pytest.mark.parametrize("more", [{"start": -1}, {"stop": 1e8}, {"output": "beta"}, {"End": 1}])
-def test_a_question_with_a_value_that_there_is_not_is_refused(
-    folder: Path, more: dict[str, Any]
-) -> None:
+def test_a_request_with_an_invalid_value_is_refused(folder: Path, more: dict[str, Any]) -> None:
     assert _answer(_Routes(folder), "curves", file="a.mcap", **more)[0] == 400
 
 
-def test_a_process_that_died_is_begun_anew_by_the_next_question(folder: Path) -> None:
+def test_a_process_that_died_is_restarted_by_the_next_request(folder: Path) -> None:
     routes = _Routes(folder)
     routes._worker = worker = SimpleNamespace()  # type: ignore[assignment]
 
@@ -159,11 +157,11 @@ def test_a_process_that_died_is_begun_anew_by_the_next_question(folder: Path) ->
     assert routes._worker is None
 
 
-def test_the_folder_is_the_daemon_s_if_this_user_may_read_it(
+def test_the_folder_of_the_daemon_is_used_if_this_user_may_read_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = tmp_path / "own"
-    monkeypatch.setattr(recording_routes, "directory_to_look_in", lambda *_: own)
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(own))
     of_daemon = tmp_path / "of the daemon"
     routes = _Routes(of_daemon)
     before = routes._folder()
@@ -174,13 +172,10 @@ def test_the_folder_is_the_daemon_s_if_this_user_may_read_it(
     assert [before, there, routes._folder()] == [own, of_daemon, own]
 
 
-@pytest.mark.parametrize("piece", [1, 7, 1 << 18])
-def test_a_file_that_grows_is_sent_in_the_size_that_was_told(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, piece: int
-) -> None:
-    monkeypatch.setattr(recording_routes, "_PIECE", piece)
+def test_a_growing_file_is_sent_in_the_announced_size(folder: Path) -> None:
     path = folder / "a.mcap"
-    data = path.read_bytes()
+    data = path.read_bytes() + bytes(range(256)) * (1 << 11)  # longer than what is read at once
+    path.write_bytes(data)
 
     size, pieces = whole_file(path)
     with path.open("ab") as file:

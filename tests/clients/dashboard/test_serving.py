@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import http.client
 import json
-import logging
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
@@ -27,7 +25,7 @@ from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import gap, note, sample
 
 
-def test_two_dashboards_that_start_at_once_have_a_port_each() -> None:
+def test_two_dashboards_started_at_once_have_different_ports() -> None:
     """The first dashboard holds its port from the bind on, before it serves."""
     with closing(_listening(HOST, 0, None)) as free:
         port = free.getsockname()[1]
@@ -39,26 +37,7 @@ def test_two_dashboards_that_start_at_once_have_a_port_each() -> None:
         assert second.getsockname()[1] != port
 
 
-def test_a_broken_connection_writes_nothing_on_the_terminal(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """The event loop warns of each connection that is lost during a write."""
-    with dashboard(Settings(connect=f"unixsock-stream/{tmp_path}/none.sock")):
-        logging.getLogger("asyncio").warning("socket.send() raised exception.")
-
-    assert caplog.text == ""
-
-
-def test_a_dashboard_that_has_ended_listens_to_no_rig(tmp_path: Path) -> None:
-    before = {*threading.enumerate()}
-
-    with dashboard(Settings(connect=f"unixsock-stream/{tmp_path}/none.sock")):
-        pass
-
-    assert not [t.name for t in {*threading.enumerate()} - before if t.name == "listener"]
-
-
-def test_the_page_is_at_both_names_of_this_machine_and_its_code_opens_once(tmp_path: Path) -> None:
+def test_the_page_has_both_names_of_this_machine_and_a_single_use_code(tmp_path: Path) -> None:
     with dashboard(Settings(connect=f"unixsock-stream/{tmp_path}/none.sock")) as served:
         shown, given = urlsplit(served.url), urlsplit(served.browser_url)
         once, token = given.fragment.removeprefix("once="), shown.fragment.removeprefix("token=")
@@ -81,7 +60,7 @@ def test_the_page_is_at_both_names_of_this_machine_and_its_code_opens_once(tmp_p
     assert recordings == (200, b'{"released":false}')
 
 
-def test_the_page_and_the_visitors_have_the_ports_that_were_asked_for(tmp_path: Path) -> None:
+def test_the_page_and_the_visitors_have_the_requested_ports(tmp_path: Path) -> None:
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
     with closing(_listening(HOST, 0, None)) as one, closing(_listening(HOST, 0, None)) as two:
         port, share_port = (free.getsockname()[1] for free in (one, two))
@@ -101,7 +80,7 @@ def test_the_page_and_the_visitors_have_the_ports_that_were_asked_for(tmp_path: 
     assert len(served.fingerprint) == 95
 
 
-def test_a_port_that_was_asked_for_and_is_in_use_is_told() -> None:
+def test_a_requested_port_in_use_is_reported() -> None:
     with closing(_listening(HOST, 0, None)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(RigError, match=f"^port {port} of {HOST}: .*; take another --port$"):
@@ -148,6 +127,17 @@ class _Rig:
         return self.report
 
 
+class _Listener(Listener):
+    """Listener without a past, which ends by a clock."""
+
+    def __init__(self, feed: Feed, clock: _Clock, found: list[float]) -> None:
+        super().__init__(feed, rig="1", connect=None, found=lambda: found.append(clock.now_s))
+        self._ends = clock  # type: ignore[assignment]
+
+    def _take_past(self) -> None:
+        pass
+
+
 def _listened(
     monkeypatch: pytest.MonkeyPatch,
     Ts: float,
@@ -157,11 +147,8 @@ def _listened(
     """Listen to a rig; return the rig, what was heard, and when the listener gave up."""
     clock, feed, found = _Clock(until_s), Feed(), list[float]()
     monkeypatch.setattr(serving.time, "monotonic", lambda: clock.now_s)
-    listener = Listener(feed, rig="1", connect=None, found=lambda: found.append(clock.now_s))
-    monkeypatch.setattr(listener, "_ends", clock)
-    monkeypatch.setattr(listener, "_take_past", lambda: None)
     rig: Any = _Rig(clock, Ts, published)
-    listener._listen(rig)
+    _Listener(feed, clock, found)._listen(rig)
     assert found == [0.0]
     return rig, feed, clock.now_s
 
@@ -179,7 +166,7 @@ def test_a_rig_without_samples_is_connected_again_after_two_seconds_and_two_samp
     assert feed.news().newest == (sample(round(100 * last_s)) if last_s else None)
 
 
-def test_the_status_is_asked_for_twice_a_second_and_after_each_change(
+def test_the_status_is_requested_twice_a_second_and_after_each_change(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def state(**changed: str) -> Any:
@@ -199,7 +186,7 @@ def test_the_status_is_asked_for_twice_a_second_and_after_each_change(
     assert (feed.trouble, feed.status) == ("", rig.report)
 
 
-def test_all_that_a_rig_publishes_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_dashboard_receives_every_message_of_a_rig(monkeypatch: pytest.MonkeyPatch) -> None:
     report = SimpleNamespace(
         **{
             name: SimpleNamespace(p50=1.0, p99=2.0, max=3.0)
@@ -222,7 +209,9 @@ def test_all_that_a_rig_publishes_is_heard(monkeypatch: pytest.MonkeyPatch) -> N
     assert feed.marks() == [(sample(2).t_host_ns / 1e9, "note")]
 
 
-def test_the_past_is_taken_to_its_end_and_is_not_live(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_whole_history_is_read_and_does_not_count_as_live(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def piece(is_full: bool, *messages: tuple[str, Any]) -> Any:
         sent = tuple(
             (name, encode_sample(m) if isinstance(m, Sample) else m.SerializeToString())

@@ -11,7 +11,7 @@ from armrig.dashboard.share import certificate, qr_code
 
 
 @pytest.mark.parametrize("address", ["192.0.2.7", "2001:db8::7"])
-def test_a_certificate_is_of_its_address_for_two_days_and_gone_after_its_block(
+def test_a_temporary_certificate_is_for_its_address_and_two_days(
     address: str,
 ) -> None:
     x509 = pytest.importorskip("cryptography.x509", reason="no cryptography")
@@ -36,7 +36,7 @@ def test_a_certificate_is_of_its_address_for_two_days_and_gone_after_its_block(
     assert not Path(folder).exists()
 
 
-def test_a_longer_address_is_a_larger_code() -> None:
+def test_a_longer_address_gives_a_larger_qr_code() -> None:
     pytest.importorskip("segno", reason="no segno")
 
     assert len(qr_code("https://192.0.2.7:8808/#token=" + 40 * "x")) > len(qr_code("x")) > 100

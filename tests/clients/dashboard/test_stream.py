@@ -37,7 +37,7 @@ async def _until(name: str, messages: AsyncIterator[bytes]) -> list[bytes]:
     return found
 
 
-def test_a_run_that_is_over_before_the_next_turn_is_reported_as_over() -> None:
+def test_a_run_that_ends_between_two_updates_is_reported_as_ended() -> None:
     async def heard() -> list[bytes]:
         driver = Driver(rig="1", connect=None)
         driver.run = BEFORE
@@ -73,7 +73,7 @@ def test_the_advice_for_an_emulated_rig_names_no_cable(fault: Id) -> None:
     assert (found[1]["remedy"], found[1]["line"]) == (REMEDIES[fault], silent["line"])
 
 
-def test_a_viewer_that_leaves_makes_room() -> None:
+def test_a_viewer_that_leaves_frees_its_place() -> None:
     async def counts() -> list[int]:
         stream = Stream(Feed(), Driver(rig="1", connect=None), [], may_command=True)
         found = []
@@ -89,7 +89,7 @@ def test_a_viewer_that_leaves_makes_room() -> None:
     assert asyncio.run(counts()) == [1, 0, 1, 0]
 
 
-def test_a_new_viewer_gets_the_whole_past_and_each_state_once() -> None:
+def test_a_new_viewer_receives_the_whole_history_and_each_state_once() -> None:
     async def heard() -> tuple[list[bytes], list[bytes]]:
         feed = Feed()
         feed.add_samples([sample(k) for k in range(1203)], live=False)
@@ -114,7 +114,7 @@ def test_a_new_viewer_gets_the_whole_past_and_each_state_once() -> None:
     assert not [m for m in then if m.startswith((b"event: status", b"event: run"))]
 
 
-def test_the_viewers_of_all_doors_are_counted() -> None:
+def test_the_viewers_of_all_ports_are_counted() -> None:
     async def counted() -> list[int]:
         driver, audience = Driver(rig="1", connect=None), list[Viewers]()
         streams = [Stream(Feed(), driver, audience, may_command=c) for c in (True, False)]
@@ -128,7 +128,7 @@ def test_the_viewers_of_all_doors_are_counted() -> None:
     assert asyncio.run(counted()) == [1, 2, 3, 4]
 
 
-def test_viewers_that_come_at_once_are_let_in_one_after_the_other() -> None:
+def test_simultaneous_viewers_are_admitted_one_after_the_other() -> None:
     async def times_s() -> list[float]:
         stream = Stream(Feed(), Driver(rig="1", connect=None), [], may_command=True)
 
@@ -143,7 +143,7 @@ def test_viewers_that_come_at_once_are_let_in_one_after_the_other() -> None:
     assert min(np.diff(times)) > 0.9 * OPEN_S
 
 
-def test_only_so_many_viewers_wait_to_be_let_in() -> None:
+def test_the_number_of_waiting_viewers_is_limited() -> None:
     async def tried() -> None:
         stream = Stream(Feed(), Driver(rig="1", connect=None), [], may_command=True)
         first = [
@@ -162,7 +162,7 @@ def test_only_so_many_viewers_wait_to_be_let_in() -> None:
     asyncio.run(tried())
 
 
-def test_visitors_keep_no_operator_out() -> None:
+def test_visitors_do_not_take_the_places_of_operators() -> None:
     async def tried() -> None:
         driver, audience = Driver(rig="1", connect=None), list[Viewers]()
         visitors = Stream(Feed(), driver, audience, may_command=False)
@@ -177,7 +177,7 @@ def test_visitors_keep_no_operator_out() -> None:
     asyncio.run(tried())
 
 
-def test_the_past_is_made_once_for_all_waiting_viewers() -> None:
+def test_the_history_is_encoded_once_for_all_waiting_viewers() -> None:
     """A hundred viewers cost one encoding."""
     made: list[int] = []
 
@@ -198,7 +198,7 @@ def test_the_past_is_made_once_for_all_waiting_viewers() -> None:
     assert found[-1] == encoded(np.full((1, COLUMNS), 2.0))
 
 
-def test_a_viewer_that_leaves_takes_the_past_from_nobody() -> None:
+def test_a_viewer_that_leaves_does_not_cancel_the_history_of_others() -> None:
     async def heard() -> list[bytes]:
         history = History(lambda: np.zeros((0, COLUMNS)))
         gone, stays = (asyncio.create_task(history.messages()) for _ in range(2))
@@ -209,7 +209,7 @@ def test_a_viewer_that_leaves_takes_the_past_from_nobody() -> None:
     assert asyncio.run(heard()) == encoded(np.zeros((0, COLUMNS)))
 
 
-def test_a_long_past_is_in_pieces() -> None:
+def test_a_long_history_is_sent_in_pieces() -> None:
     rows = np.zeros((1001, COLUMNS))
     rows[:, 0] = np.arange(1001)
 

@@ -66,7 +66,7 @@ def test_rows_that_touch_a_missing_sample_are_left_out() -> None:
     np.testing.assert_allclose(fit.A, [1, -1.2, 0.6], atol=1e-9)
 
 
-def test_nothing_is_carried_over_the_boundary_of_two_experiments() -> None:
+def test_rows_do_not_span_two_experiments() -> None:
     """Each experiment begins in a state of its own."""
     data = merge([simulated(1, 40), simulated(2, 40)[15:]])
 
@@ -100,7 +100,7 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
     assert arx(late, na=1, nb=2, nk=9).N == 4
 
 
-def test_an_input_that_does_not_excite_is_refused() -> None:
+def test_an_input_without_excitation_is_refused() -> None:
     """A constant determines one number, not two."""
     rng = np.random.default_rng(0)
 

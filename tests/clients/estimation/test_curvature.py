@@ -58,7 +58,7 @@ def test_a_zero_on_a_pole_makes_coefficients_that_are_not_trusted(estimator: str
 
 @pytest.mark.parametrize("converged", [False, True])
 @pytest.mark.parametrize("agreed", [False, True])
-def test_the_end_of_a_search_is_told_with_its_numbers(converged: bool, agreed: bool) -> None:
+def test_the_end_of_a_search_is_reported_with_its_numbers(converged: bool, agreed: bool) -> None:
     best = Optimum(theta=np.zeros(1), cost=3.0, iterations=17, converged=converged)
     starts = tuple(
         Start(name=name, loss=loss, iterations=k, converged=True)
@@ -84,7 +84,7 @@ def test_the_end_of_a_search_is_told_with_its_numbers(converged: bool, agreed: b
         ([1.0], 4, 6.0, True, []),
     ],
 )
-def test_parameters_without_a_meaning_are_told(
+def test_undetermined_parameters_are_reported(
     C: list[float], rank: int, curved: float, coloured: bool, told: list[str]
 ) -> None:
     """If the residuals are coloured, the standard deviations are not trusted anyway."""
@@ -109,7 +109,7 @@ def test_parameters_without_a_meaning_are_told(
         ([[9, 1]], 99, "1 gap"),
     ],
 )
-def test_gaps_with_more_pulses_than_a_hundredth_of_the_errors_are_told(
+def test_gaps_with_more_pulses_than_a_hundredth_of_the_errors_are_reported(
     pulses: list[list[int]], N: int, gaps: str | None
 ) -> None:
     """The pulses at the beginning of the data are none of a gap."""
@@ -127,7 +127,7 @@ def test_a_linear_regression_is_a_parabola() -> None:
     assert armrig.arx(plant(0.605, std=0.5), na=2, nb=2).curvature == 0.0
 
 
-def test_it_is_the_logarithm_of_the_ratio_of_rises() -> None:
+def test_the_curvature_is_the_logarithm_of_the_ratio_of_rises() -> None:
     """Both ways along the axis of one pole, two deviations away."""
     data = plant(0.6, std=0.3)
     n = Structure(nb=1, nf=1, nk=1)
@@ -148,11 +148,3 @@ def test_a_pole_that_may_be_unstable_is_not_trusted() -> None:
     problem = PredictionErrorProblem(experiments=(prepared(data, n),), structure=n)
 
     assert curvature(problem, np.array([-0.9]), np.array([[0.01]]), 0.1) > 6
-
-
-def test_it_is_kept_in_the_file(tmp_path: object) -> None:
-    fit = armrig.oe(plant(0.605, std=0.5), nb=2, nf=2)
-    path = f"{tmp_path}/model.json"
-    fit.save(path)
-
-    assert armrig.load_fit(path).curvature == fit.curvature

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import armrig
 import numpy as np
@@ -41,27 +42,27 @@ def dataset(seed: int = 1, N: int = 1000, std: float = 0.2, noise: str = "normal
     return Dataset(u=u, y=filtered(B, F, u) + std * e, Ts=0.1)
 
 
-def spoilt(data: Dataset) -> Dataset:
-    """Return the data with five wrong samples."""
+@cache
+def spoilt_and_marked() -> tuple[Dataset, Dataset]:
+    """Return data with five wrong samples, and the same data with these samples missing."""
+    data = dataset()
     y = data.y.copy()
     y[[101, 333, 334, 600, 871]] += 1e6 * np.array([1, -1, 1, 1, -1])
-    return data.replaced(y=y, step=None)
+    data = data.replaced(y=y, step=None)
+    return data, armrig.hampel(data)
 
 
 def about(fit: Fit, word: str) -> list[str]:
-    """Return the warnings with that word."""
     return [w for w in fit.warnings if word in w]
 
 
 @estimators
 def test_outliers_that_the_model_follows_are_reported(estimate: Callable[[Dataset], Fit]) -> None:
-    data = spoilt(dataset())
-
-    fit, mended = estimate(data), estimate(armrig.hampel(data))
+    fit, marked = map(estimate, spoilt_and_marked())
 
     assert about(fit, "5 samples of y look wrong (101, 333, 334, 600, 871)")
     assert about(fit, "mark them missing (hampel)")
-    assert not about(mended, "hampel")
+    assert not about(marked, "hampel")
 
 
 @pytest.mark.parametrize(
@@ -105,7 +106,7 @@ def test_few_residuals_show_no_wrong_samples(known: int, is_told: bool) -> None:
 @pytest.mark.parametrize(
     ("N", "levels", "is_told"), [(100, 45, False), (100, 55, True), (400, 90, False), (400, 110, 1)]
 )
-def test_columns_look_swapped_from_50_levels_and_a_quarter_of_the_samples_on(
+def test_swapped_columns_are_reported_from_50_levels_and_a_quarter_on(
     N: int, levels: int, is_told: bool
 ) -> None:
     u = np.arange(float(N)) % levels
@@ -168,7 +169,7 @@ def test_the_level_without_input_has_its_sign_its_unit_and_its_deviations(
     assert not level_without_input(data, least=1.1 * sigmas)
 
 
-def test_data_that_show_no_level_have_none() -> None:
+def test_data_without_a_level_have_no_finding() -> None:
     u = np.random.default_rng(9).standard_normal(200)
     data = Dataset(u=u, y=filtered([0, 1.0], [1, -0.5], u), Ts=1.0)
 
@@ -177,7 +178,7 @@ def test_data_that_show_no_level_have_none() -> None:
 
 
 @pytest.mark.parametrize("noise", sampled(["laplace", "normal"]))
-def test_noise_is_no_outlier_and_a_mean_of_the_input_no_offset(noise: str) -> None:
+def test_noise_is_not_an_outlier_and_a_mean_of_u_is_not_an_offset(noise: str) -> None:
     """40 runs of each noise."""
     for seed in range(40):
         fit = armrig.oe(dataset(seed, 500, noise=noise), nb=2, nf=2, starts="few")
@@ -186,7 +187,7 @@ def test_noise_is_no_outlier_and_a_mean_of_the_input_no_offset(noise: str) -> No
         assert not about(fit, "at u = 0")
 
 
-def test_steps_that_a_poor_model_misses_are_no_outliers() -> None:
+def test_steps_missed_by_a_poor_model_are_not_outliers() -> None:
     """Few large residuals, each after a step of the input: the order is too low."""
     u = np.repeat([0.0, 1.0, 0.0, 1.0, 0.0], 400)
     y = filtered([0, 0, 0, 0, 0, 1.0], [1.0, -0.3], u)
@@ -196,7 +197,7 @@ def test_steps_that_a_poor_model_misses_are_no_outliers() -> None:
 
 
 @pytest.mark.parametrize("name", ["arx", "iv4", "n4sid", "armax", "oe"])
-def test_an_offset_of_y_is_reported_with_the_way_out(name: str) -> None:
+def test_an_offset_of_y_is_reported_with_the_remedy(name: str) -> None:
     """The offset is 5 above any response to u."""
     data = dataset()
     data = data.replaced(y=data.y + 5.0, step=None)
@@ -208,7 +209,7 @@ def test_an_offset_of_y_is_reported_with_the_way_out(name: str) -> None:
     assert float(said.split("about ")[1].split()[0]) == pytest.approx(5.0, abs=0.3)
 
 
-def test_an_integrator_has_a_level_of_its_own() -> None:
+def test_an_integrator_has_a_separate_level() -> None:
     """The offset of the input is estimated with it, so that no other remedy is named."""
     data = dataset(N=300)
     data = data.replaced(y=data.y + 5.0, step=None)
@@ -217,7 +218,7 @@ def test_an_integrator_has_a_level_of_its_own() -> None:
     assert not about(armrig.n4sid(data, 2, integrator=True), "at u = 0")
 
 
-def test_with_offset_true_the_model_is_right() -> None:
+def test_the_model_with_an_offset_is_unbiased() -> None:
     data = dataset(std=0.05)
     fit = armrig.oe(data.replaced(y=data.y + 5.0, step=None), nb=2, nf=2, offset=True)
 
@@ -226,7 +227,7 @@ def test_with_offset_true_the_model_is_right() -> None:
 
 
 @pytest.mark.exhaustive
-def test_coloured_noise_is_no_offset() -> None:
+def test_coloured_noise_is_not_an_offset() -> None:
     """30 runs with noise filtered by a pole at 0.9, which an OE model leaves coloured."""
     for seed in range(30):
         data = dataset(seed, 500, std=0.0)

@@ -25,7 +25,7 @@ ESTIMATORS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("of", ["u", "y"])
-def test_numbers_whose_powers_are_none_are_refused(of: str) -> None:
+def test_numbers_whose_powers_overflow_are_refused(of: str) -> None:
     """Every estimator failed differently."""
     signals = {"u": U, "y": Y}
     signals[of] = signals[of] * 1e150
@@ -48,17 +48,9 @@ def test_numbers_whose_powers_vanish_are_refused(name: str, of: str) -> None:
         getattr(armrig, name)(data, **ESTIMATORS.get(name, {}))
 
 
-def test_an_output_of_zeros_is_not_called_too_small() -> None:
-    data = armrig.Dataset(u=U, y=0.0 * Y, Ts=1.0)
-
-    still = armrig.detrend(data)
-
-    assert not still.y.any()
-
-
-@pytest.mark.parametrize("factor", [1e3, 1e-3, 1e25, 1e-25])
+@pytest.mark.parametrize("factor", [1e25, 1e-25])
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-def test_a_unit_changes_nothing_but_the_numbers(estimator: str, factor: float) -> None:
+def test_units_change_neither_fit_nor_whiteness(estimator: str, factor: float) -> None:
     estimate = getattr(armrig, estimator)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -71,7 +63,7 @@ def test_a_unit_changes_nothing_but_the_numbers(estimator: str, factor: float) -
     assert other.whiteness == pytest.approx(plain.whiteness, rel=1e-4)
 
 
-def test_a_noise_model_at_the_circle_says_so() -> None:
+def test_a_root_of_c_on_the_unit_circle_is_reported() -> None:
     """White noise of the differenced output has C = 1 - q^-1."""
     y = np.diff(filtered([0.0, 1.0], [1.0, -0.5], U) + E)
 
@@ -81,18 +73,6 @@ def test_a_noise_model_at_the_circle_says_so() -> None:
     assert any(w.startswith("C has a root on the unit circle") for w in fit.warnings)
 
 
-def test_three_samples_are_counted_as_three() -> None:
+def test_too_few_samples_are_counted_in_the_refusal() -> None:
     with pytest.raises(ValueError, match="needs at least 26 samples, got 3"):
         armrig.n4sid(armrig.Dataset(u=U[:3], y=Y[:3], Ts=1.0), order=2)
-
-
-def test_the_noise_model_is_a_transfer_function() -> None:
-    """H = C / (D A)."""
-    fit = armrig.armax(armrig.Dataset(u=U, y=Y, Ts=0.1), na=2, nb=2, nc=1)
-
-    H = fit.noise_to_control()
-
-    assert (H.dt, H.input_labels, H.output_labels) == (0.1, ["e"], ["y"])
-    z = np.exp(0.7j)
-    expected = np.polyval(np.append(fit.C, 0.0), z) / np.polyval(fit.A, z)
-    assert H(z) == pytest.approx(expected)

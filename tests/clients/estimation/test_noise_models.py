@@ -58,7 +58,6 @@ CASES: list[tuple[Callable[..., Fit], Callable[..., Dataset], dict[str, int], li
     (armax, armax_data, {"na": 2, "nb": 2, "nc": 1}, [-1.2, 0.6, 1, 0.5, 0.5]),
     (bj, bj_data, {"nb": 2, "nc": 1, "nd": 1, "nf": 2}, [1, 0.5, 0.5, -0.7, -1.2, 0.6]),
     (pem, bj_data, {"nb": 2, "nc": 1, "nd": 1, "nf": 2}, [1, 0.5, 0.5, -0.7, -1.2, 0.6]),
-    (pem, armax_data, {"na": 2, "nb": 2, "nc": 1}, [-1.2, 0.6, 1, 0.5, 0.5]),
     (ararx, ararx_data, {"na": 2, "nb": 2, "nd": 1}, [-1.2, 0.6, 1, 0.5, -0.7]),
 ]
 
@@ -83,7 +82,7 @@ def test_the_true_system_is_found(
 
 
 @pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES)
-def test_gaps_and_pieces_do_not_bias_the_estimate(
+def test_gaps_and_several_experiments_do_not_bias_the_estimate(
     estimate: Callable[..., Fit],
     made: Callable[..., Dataset],
     orders: dict[str, int],
@@ -131,7 +130,7 @@ def test_without_a_noise_model_an_equation_error_is_that_of_arx(
     assert same.loss == pytest.approx(expected.loss, rel=1e-12)
 
 
-def test_the_state_before_the_first_sample_does_not_show(plant: HandoutPlant) -> None:
+def test_the_state_before_the_first_sample_does_not_bias_the_estimate(plant: HandoutPlant) -> None:
     """With almost no noise any initial state gives back the plant."""
     whole = plant.dataset(1, std=1e-5)
 
@@ -140,19 +139,6 @@ def test_the_state_before_the_first_sample_does_not_show(plant: HandoutPlant) ->
     np.testing.assert_allclose(fit.theta[:4], plant.B[1:], rtol=0, atol=1e-4)
     np.testing.assert_allclose(fit.theta[6:], plant.F[1:], rtol=0, atol=1e-2)
     assert np.count_nonzero(fit.poles().values == 1.0) == 1
-
-
-def test_an_autoregression_of_the_equation_error_may_integrate_too() -> None:
-    """(1 - q^-1) Ã y = B (u - u0) + e/D: the model of the rate, with the offset found."""
-    rate = ararx_data(5, N=3000)
-    angle = Dataset(u=rate.u + 0.3, y=np.cumsum(rate.y), Ts=0.1)
-
-    fit = ararx(angle, na=3, nb=2, nd=1, integrator=True)
-
-    assert (np.abs(fit.theta[3:] - [1, 0.5, -0.7]) < 4 * fit.std[3:]).all()
-    np.testing.assert_allclose(fit.A, np.convolve([1, -1], A), atol=0.1)
-    assert np.count_nonzero(fit.poles().values == 1.0) == 1
-    assert fit.free[0].offset == pytest.approx(0.3, abs=0.1)
 
 
 def test_the_deviations_of_an_ararx_model_hold() -> None:
@@ -166,17 +152,27 @@ def test_the_deviations_of_an_ararx_model_hold() -> None:
         assert 0.75 < (z**2).mean() < 1.25, name
 
 
-def test_an_armax_model_may_integrate_its_noise_too() -> None:
-    """(1 - q^-1) Ã y = B (u - u0) + C e: the model of the rate, with the offset found."""
-    rate = armax_data(5, N=3000)
+@pytest.mark.parametrize(
+    ("estimate", "made", "orders", "truth"),
+    [(armax, armax_data, {"nc": 1}, [1, 0.5, 0.5]), (ararx, ararx_data, {"nd": 1}, [1, 0.5, -0.7])],
+    ids=["armax", "ararx"],
+)
+def test_a_model_of_equation_error_may_integrate_its_noise(
+    estimate: Callable[..., Fit],
+    made: Callable[..., Dataset],
+    orders: dict[str, int],
+    truth: list[float],
+) -> None:
+    """(1 - q^-1) Ã y = B (u - u0) + C e or + e/D: the model of the rate, with the offset found."""
+    rate = made(5, N=3000)
     angle = Dataset(u=rate.u + 0.3, y=np.cumsum(rate.y), Ts=0.1)
 
-    fit = armax(angle, na=3, nb=2, nc=1, integrator=True)
+    fit = estimate(angle, na=3, nb=2, **orders, integrator=True)
 
-    assert (np.abs(fit.theta[3:5] - [1, 0.5]) < 4 * fit.std[3:5]).all()
+    assert (np.abs(fit.theta[3:] - truth) < 4 * fit.std[3:]).all()
     np.testing.assert_allclose(fit.A, np.convolve([1, -1], A), atol=0.1)
     assert abs(fit.A.sum()) < 1e-12
-    assert fit.free[0].offset == pytest.approx(0.3, abs=0.06)
+    assert fit.free[0].offset == pytest.approx(0.3, abs=0.06 if "nc" in orders else 0.1)
     assert np.count_nonzero(fit.poles().values == 1.0) == 1
     assert np.isinf(np.abs(fit.frequency_response([0.0]).G[0]))
     assert np.isinf(fit.noise_spectrum([0.0]).Phi[0])
@@ -185,7 +181,7 @@ def test_an_armax_model_may_integrate_its_noise_too() -> None:
 
 
 @pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES)
-def test_an_input_offset_is_estimated_along(
+def test_an_input_offset_is_estimated_with_the_model(
     estimate: Callable[..., Fit],
     made: Callable[..., Dataset],
     orders: dict[str, int],
@@ -201,7 +197,7 @@ def test_an_input_offset_is_estimated_along(
     assert residuals(fit, moved).whiteness == pytest.approx(fit.whiteness, rel=1e-3)
 
 
-def test_the_initial_state_is_kept_where_an_f_test_says_so() -> None:
+def test_the_initial_state_is_kept_if_an_f_test_is_significant() -> None:
     rng = np.random.default_rng(7)
     u = rng.standard_normal(400)
     y = filtered(B, A, u) + filtered(C, D, 0.05 * rng.standard_normal(400))
@@ -247,18 +243,6 @@ def test_the_predictor_stays_stable() -> None:
     assert -1 < fit.C[1] < -0.9
 
 
-@pytest.mark.parametrize("k", [1, 2, 5])
-def test_a_prediction_errs_as_the_noise_model_says(k: int) -> None:
-    """Var(y - ŷ) at horizon k is lambda sum of h_i², i < k, with h = C/D's impulse response."""
-    seen = bj_data(10, N=20_000)
-    fit = bj(seen, nb=2, nc=1, nd=1, nf=2, starts="few")
-
-    error = seen.y - fit.predict(seen, horizon=k)
-
-    h = filtered(C, D, np.eye(k)[0])
-    assert np.mean(error**2) == pytest.approx(0.25 * np.sum(h**2), rel=0.05)
-
-
 @pytest.mark.parametrize(
     "options", [{"offset": True}, {"integrator": True, "initial": "zero"}], ids=["offset", "angle"]
 )
@@ -276,24 +260,6 @@ def test_a_prediction_without_c_finds_the_level_of_u(options: dict[str, Any]) ->
     assert np.nanstd(error) == pytest.approx(0.05, rel=0.1)
 
 
-@pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES[:2])
-def test_what_a_model_predicts_from_is_only_the_past(
-    estimate: Callable[..., Fit],
-    made: Callable[..., Dataset],
-    orders: dict[str, int],
-    truth: list[float],
-) -> None:
-    seen = made(11)
-    fit = estimate(seen, **orders)
-    y = seen.y.copy()
-    y[400] += 3.0
-
-    moved = fit.predict(Dataset(u=seen.u, y=y, Ts=0.1), horizon=3) - fit.predict(seen, horizon=3)
-
-    np.testing.assert_allclose(moved[100:403], 0, atol=1e-9)
-    assert abs(moved[403]) > 0.1
-
-
 def test_residuals_of_the_estimation_are_those_of_the_test() -> None:
     for estimate, made, orders, _ in CASES:
         seen = made(12)[50:]
@@ -304,22 +270,6 @@ def test_residuals_of_the_estimation_are_those_of_the_test() -> None:
         assert np.nanmean(tested.e**2) == pytest.approx(fit.loss, rel=1e-9)
         assert tested.whiteness == pytest.approx(fit.whiteness, rel=1e-6)
         assert tested.on_estimation_data
-
-
-@pytest.mark.exhaustive
-def test_the_noise_spectrum_is_that_of_the_noise() -> None:
-    """Its integral is the variance of C/A e."""
-    omega = np.linspace(0, np.pi / 0.1, 2001)
-    fit = armax(armax_data(13, N=5000), na=2, nb=2, nc=1)
-    many = [armax(armax_data(seed), na=2, nb=2, nc=1, starts="few") for seed in range(100, 180)]
-
-    Phi = fit.noise_spectrum(omega).Phi
-    at = [f.noise_spectrum([1.0, 10.0]) for f in many]
-
-    variance = 0.25 * np.sum(filtered(C, A, np.eye(200)[0]) ** 2)
-    assert np.trapezoid(Phi, omega) / np.pi == pytest.approx(variance, rel=0.1)
-    scatter = np.std([s.Phi for s in at], axis=0)
-    np.testing.assert_allclose(np.mean([s.std for s in at], axis=0), scatter, rtol=0.3)
 
 
 def test_the_hair_dryer_has_a_coloured_noise(
@@ -335,7 +285,7 @@ def test_the_hair_dryer_has_a_coloured_noise(
     assert fit.loss < 0.9 * arx(seen, na=2, nb=2, nk=3).loss
 
 
-def test_instruments_are_not_biased_by_coloured_noise() -> None:
+def test_instrumental_variables_are_not_biased_by_coloured_noise() -> None:
     fits = [iv4(bj_data(seed), na=2, nb=2) for seed in range(200)]
     truth = [-1.2, 0.6, 1.0, 0.5]
 
@@ -385,7 +335,7 @@ def test_the_four_stages_are_those_of_the_textbook() -> None:
     assert fit.noise_variance == pytest.approx(v @ v / (n.size - 4))
 
 
-def test_instruments_leave_out_what_is_missing() -> None:
+def test_instrumental_variables_omit_missing_samples() -> None:
     whole = bj_data(1, N=3000)
     valid = np.random.default_rng(2).random(whole.N) > 0.01
     spoilt = Dataset(u=whole.u, y=np.where(valid, whole.y, 1e6), Ts=0.1, valid=valid)
@@ -421,18 +371,3 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
     assert iv4(seen, na=2, nb=2, nk=2).N == 9
     with pytest.raises(ValueError, match=r"determine only|instruments determine"):
         iv4(Dataset(u=np.ones(50), y=bj_data(1).y[:50], Ts=1), na=1, nb=2)
-
-
-@pytest.mark.exhaustive
-def test_the_four_stages_make_instruments_as_sharp_as_the_noise_allows() -> None:
-    """Their deviations are those of Box-Jenkins with the true noise model, within 10 %.
-
-    Any filtered input would be consistent, with twice the deviation.
-    """
-    seeds = range(20)
-    instruments = np.mean([iv4(bj_data(seed), na=2, nb=2).std for seed in seeds], axis=0)
-
-    fits = [bj(bj_data(seed), nb=2, nc=1, nd=1, nf=2) for seed in seeds[:5]]
-
-    sharpest = np.mean([fit.std for fit in fits], axis=0)[[4, 5, 0, 1]]
-    np.testing.assert_allclose(instruments, sharpest, rtol=0.1)

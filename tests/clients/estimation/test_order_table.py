@@ -9,11 +9,9 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.arx import arx
-from armrig.estimation.order_table import ArxOrders, OrderTable, select_orders
+from armrig.estimation.order_table import OrderTable, select_orders
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered, lagged
-from matplotlib.figure import Figure
-from matplotlib.text import Annotation
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
@@ -44,7 +42,7 @@ def _plainly(parts: list[Dataset], na: int, nb: int, nk: int, skip: int) -> tupl
 
 
 @pytest.mark.parametrize("orders", [(1, 1, 0), (4, 3, 3), (2, 2, 2), (0, 2, 1), (3, 1, 3)])
-def test_each_loss_is_that_of_the_structure_s_own_least_squares(
+def test_each_loss_equals_that_of_a_separate_least_squares_fit(
     orders: tuple[int, int, int],
 ) -> None:
     valid = np.ones(600, dtype=np.bool_)
@@ -80,15 +78,7 @@ def test_the_true_orders_are_found() -> None:
     assert "mdl        chooses na=2, nb=2, nk=2" in repr(table)
 
 
-def test_orders_are_a_mapping_of_three_names() -> None:
-    orders = ArxOrders(na=1, nb=2, nk=3)
-
-    assert dict(**orders) == {"na": 1, "nb": 2, "nk": 3}
-    with pytest.raises(KeyError, match="nc"):
-        orders["nc"]
-
-
-def test_validation_data_decide_where_there_are_some() -> None:
+def test_validation_data_decide_on_the_order_if_given() -> None:
     table = select_orders(_data(1, 3000), validation=_data(2, 3000))
 
     best, i = table.best(), table.chosen()
@@ -132,26 +122,7 @@ def test_validation_data_with_few_rows_have_a_batch_for_each_row() -> None:
     assert np.isfinite(table.batch_losses).all()
 
 
-def test_the_choice_is_explained_in_words() -> None:
-    validated = select_orders(_data(1, 1000), validation=_data(2, 1000))
-    alone = select_orders(_data(1, 3000))
-    short = select_orders(_data(1, 1000), na=[1, 2], nb=[1, 2, 3], validation=_data(2, 1000))
-
-    text = validated.explain()
-    assert "lowest loss on the validation data: na=" in text
-    assert "within the effect of chance" in text
-    assert "fewer parameters are not enough" in text
-    assert "try higher" not in text
-    assert "chosen: na=2, nb=2, nk=2, by lowest MDL" in alone.explain()
-    assert "give select_orders validation" in alone.explain()
-    assert "na=2 is the highest that was tried: try higher values" in short.explain()
-    assert "nb=" not in short.explain().split("standard errors above the lowest loss")[1]
-    assert validated.explain().splitlines()[0] in repr(validated)
-    one = select_orders(_data(1, 300), na=[1, 2], nb=[1, 2, 3], nk=[2])
-    assert "nk=2 is the highest" not in one.explain()
-
-
-def test_the_best_of_fewer_parameters_is_named() -> None:
+def test_the_table_names_the_best_structure_with_fewer_parameters() -> None:
     table = select_orders(_data(1, 1000), validation=_data(2, 1000))
     loss, d = table.values("validation"), table.parameters
     fewer = d < d[table.chosen()]
@@ -196,28 +167,7 @@ def test_the_published_dryer_is_chosen_from_many(
     assert dict(table.best("validation")) == {"na": 2, "nb": 2, "nk": 3}
 
 
-@pytest.mark.parametrize("validated", [True, False])
-def test_the_figure_marks_what_each_criterion_chooses(validated: bool) -> None:
-    validation = _data(2) if validated else None
-    table = select_orders(_data(1), range(3, 6), range(1, 4), range(1, 4), validation)
-
-    figure = Figure()
-    ax = figure.subplots()
-    table.plot(ax=ax)
-
-    texts = [text.get_text() for text in ax.texts]
-    o = table.best("mdl")
-    assert any("MDL" in x and x.endswith(f"[{o.na} {o.nb} {o.nk}]") for x in texts)
-    assert any("validation" in x for x in texts) == validated
-    assert "validation" in ax.get_ylabel() or not validated
-    lowest = {tuple(np.round(text.xy, 9)) for text in ax.texts if isinstance(text, Annotation)}
-    i = int(np.argmin(table.mdl))
-    loss = table.loss if table.validation_loss is None else table.validation_loss
-    expected = (float(o.na + o.nb), round(loss[i] / np.nanmin(loss), 9))
-    assert expected in lowest
-
-
-def test_what_cannot_be_asked_is_refused() -> None:
+def test_a_table_without_structures_or_samples_is_refused() -> None:
     with pytest.raises(ValueError, match="give select_orders the validation data"):
         select_orders(_data(1)).best("validation")
     with pytest.raises(ValueError, match="needs at least 26 samples, got 12"):

@@ -35,7 +35,7 @@ def _with(option: str) -> Request:
 
 
 @pytest.mark.parametrize("option", OPTIONS)
-def test_what_is_typed_after_a_model_asks_for_the_same(
+def test_options_of_a_request_are_parsed_to_the_same_request(
     option: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request, asked, tasks = _with(option), list[Any](), list[Any]()
@@ -72,13 +72,13 @@ def test_an_option_of_another_structure_is_refused(
         assert f"{typed} goes with --structure {' or '.join(users(option))}" in said
 
 
-def test_an_order_and_a_delay_of_0_are_asked_for() -> None:
+def test_an_order_and_a_delay_of_0_reach_the_estimator() -> None:
     fit = Request(structure="armax", orders={"na": 1, "nb": 1, "nc": 0}, nk=0).estimated(DATA)
 
     assert fit.orders == {"na": 1, "nb": 1, "nc": 0, "nk": 0}
 
 
-def test_a_model_is_asked_for_again_with_its_orders() -> None:
+def test_the_request_of_a_fit_has_its_orders_and_options() -> None:
     request = Request(structure="n4sid", orders={"order": None}, weights="moesp", stable=True)
     fit = request.estimated(DATA)
 
@@ -90,7 +90,7 @@ def test_a_model_is_asked_for_again_with_its_orders() -> None:
 
 
 @pytest.mark.parametrize("option", ["integrator", "offset", None])
-def test_an_integrator_and_an_offset_are_asked_for_again(option: str | None) -> None:
+def test_the_request_of_a_fit_repeats_its_integrator_or_offset(option: str | None) -> None:
     """With an integrator the offset is estimated anyway, so it is not asked for."""
     more = {option: True} if option else {}
     orders: dict[str, int | None] = {"na": 2, "nb": 1, "nc": 0}
@@ -103,7 +103,7 @@ def test_an_integrator_and_an_offset_are_asked_for_again(option: str | None) -> 
     assert (again.orders, again.nk) == (orders, 2)
 
 
-def test_orders_are_held_against_the_samples_with_an_output() -> None:
+def test_orders_are_limited_by_the_number_of_samples_with_an_output() -> None:
     data = DATA.replaced(valid=np.arange(200) % 5 < 2, step=None)
     request = Request(structure="armax", orders={"na": 4, "nb": 4, "nc": 1}, integrator=True)
 
@@ -116,7 +116,7 @@ def test_orders_are_held_against_the_samples_with_an_output() -> None:
 
 
 @pytest.mark.parametrize("samples", [10, 19, 75, 200])
-def test_a_tenth_of_the_samples_is_the_most_of_parameters_and_of_nk(samples: int) -> None:
+def test_parameters_and_nk_are_limited_to_a_tenth_of_the_samples(samples: int) -> None:
     most = samples // 10
 
     require_sensible(samples=samples, nk=most, na=most - 1, nb=1)
@@ -126,7 +126,7 @@ def test_a_tenth_of_the_samples_is_the_most_of_parameters_and_of_nk(samples: int
             require_sensible(samples=samples, nk=nk, na=na, nb=1)
 
 
-def test_another_structure_takes_what_it_can_of_a_request() -> None:
+def test_a_request_of_another_structure_keeps_common_options() -> None:
     """An output-error model has no projection whose weights could be chosen."""
     request = Request(structure="n4sid", orders={"order": 2}, nk=3, weights="moesp", stable=True)
 
@@ -135,7 +135,7 @@ def test_another_structure_takes_what_it_can_of_a_request() -> None:
     assert other == Request(structure="oe", orders={"nb": 2, "nf": 2}, nk=3, stable=True)
 
 
-def test_an_appended_option_leaves_the_hash_of_a_task() -> None:
+def test_an_appended_option_does_not_change_the_hash_of_a_task() -> None:
     """A batch of an earlier release resumes, because unused options are not in the hash."""
     task = Identify(structure="oe", orders={"nb": 4, "nf": 4}, integrator=True)
 

@@ -74,7 +74,7 @@ def test_models_are_compared_on_the_longest_stretches() -> None:
     assert all(np.array_equal(u, y) for u, y in parts)
 
 
-def test_the_model_of_least_loss_is_taken_and_the_first_without_noise() -> None:
+def test_the_model_of_least_loss_is_chosen_or_the_first_without_noise() -> None:
     true, other = (np.array([1.0, -0.5]), np.ones(1)), (np.array([1.0, 0.3]), np.ones(1))
 
     for models, best in (((true, other), 0), ((other, true), 1)):
@@ -96,7 +96,9 @@ def test_shortened_windows_are_the_middle_of_the_long_ones() -> None:
 
 
 @pytest.mark.parametrize(("most", "N"), [(None, 23 + 33 + 63), (70, 70), (30, 30), (20, 20)])
-def test_the_first_windows_are_taken_over_gaps_and_experiments(most: int | None, N: int) -> None:
+def test_the_first_windows_are_counted_across_gaps_and_experiments(
+    most: int | None, N: int
+) -> None:
     """Stretches of 30, 40 and 70 samples have 23, 33 and 63 windows of 8 samples."""
     [(u, y)] = signals(148)
     y[[30, 71, 72]] = np.nan
@@ -106,7 +108,7 @@ def test_the_first_windows_are_taken_over_gaps_and_experiments(most: int | None,
     assert windows(parts, past=5, future=3, most=most).N == N
 
 
-def test_the_memory_of_the_predictor_is_that_of_aic() -> None:
+def test_the_memory_of_the_predictor_minimises_aic() -> None:
     """A lag has two parameters, one of u and one of y."""
     orders = []
     for seed in range(12):
@@ -127,7 +129,7 @@ def test_the_memory_of_the_predictor_is_that_of_aic() -> None:
     assert len(set(orders)) > 2
 
 
-def test_a_state_costs_three_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_state_counts_as_three_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second state is worth 3 log N = 20.7 for 1000 windows."""
     w = windows(signals(1009), past=5, future=5)
     found = projection(w, "cva")
@@ -207,7 +209,7 @@ def test_data_without_noise_show_the_states_of_their_system() -> None:
 
 @pytest.mark.parametrize("N", [60, 12])
 @pytest.mark.parametrize("direct", [False, True])
-def test_the_loss_is_that_of_least_squares(direct: bool, N: int) -> None:
+def test_the_loss_equals_that_of_least_squares(direct: bool, N: int) -> None:
     """Fewer than 4 n + 4 samples are left out."""
     rng = np.random.default_rng(5)
     u, y = rng.standard_normal((2, N))

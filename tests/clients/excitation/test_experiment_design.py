@@ -1,4 +1,4 @@
-"""Standard deviations are known before the experiment; Monte Carlo is in tests/benchmarks."""
+"""Standard deviations are known before the experiment."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.armax import armax
-from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.excitation import step, telegraph
@@ -25,33 +24,12 @@ B, A = np.array([0, 1, 0.5]), np.array([1, -1.2, 0.6])
 RUNS, N = 200, 400
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("structure", ["oe", "arx"])
-def test_the_prediction_is_what_repeated_experiments_scatter_by(structure: str) -> None:
-    """The scatter is known to 5 % (1/sqrt(2 RUNS)); the tolerance of 15 % is three times that."""
-    u = telegraph(N, 0.3)
-    denominator = {"oe": "F", "arx": "A"}[structure]
-    model = PlannedModel(B=B, noise_variance=0.25, Ts=1.0, **{denominator: A})  # type: ignore[arg-type]
-    theta = []
-    for seed in range(RUNS):
-        e = 0.5 * np.random.default_rng(seed).standard_normal(N)
-        v = e if structure == "oe" else filtered([1], A, e)
-        data = Dataset(u=u, y=filtered(B, A, u) + v, Ts=1)
-        fit = oe(data, nb=2, nf=2, starts="few") if structure == "oe" else arx(data, na=2, nb=2)
-        theta.append(fit.theta)
-
-    predicted = predicted_std(model, u)
-
-    np.testing.assert_allclose(predicted.std / np.std(theta, axis=0, ddof=1), 1.0, atol=0.15)
-    assert predicted.names == fit.names
-
-
-def test_for_the_data_it_was_estimated_from_a_fit_predicts_its_own_std(plant: Any) -> None:
+def test_a_fit_predicts_its_std_for_its_estimation_data(plant: Any) -> None:
     """The arm with its integrator, gaps and two experiments: the same covariance, to 1 %."""
     first, second = plant.dataset(0, N=1500), plant.dataset(1, N=1500)
     holed = first.replaced(valid=np.arange(1500) % 70 > 3, step=None)
     data = merge([holed, second])
-    fit = oe(data, nb=4, nf=4, integrator=True)
+    fit = oe(data, nb=4, nf=4, integrator=True, starts="few")
 
     predicted = predicted_std(fit, data)
 
@@ -63,7 +41,7 @@ def test_for_the_data_it_was_estimated_from_a_fit_predicts_its_own_std(plant: An
 @pytest.mark.parametrize(
     "structure", sampled(["armax", "integrating bj", "integrating armax", "bj"], 2)
 )
-def test_models_with_a_noise_model_predict_their_own_std_too(structure: str) -> None:
+def test_models_with_a_noise_model_predict_their_std(structure: str) -> None:
     """On 4000 samples, within 10 %, because the noise of the data is one draw."""
     rng = np.random.default_rng(5)
     u, e = telegraph(4000, 0.3, seed=rng), 0.3 * rng.standard_normal(4000)
@@ -73,12 +51,12 @@ def test_models_with_a_noise_model_predict_their_own_std_too(structure: str) -> 
         y = integrated(filtered(B, A, u) + filtered(C, A, e))
         data = Dataset(u=u, y=y, Ts=1)
         na = 3 if "integrating" in structure else 2
-        fit = armax(data, na=na, nb=2, nc=1, integrator=na == 3)
+        fit = armax(data, na=na, nb=2, nc=1, integrator=na == 3, starts="few")
     else:
         y = integrated(filtered(B, A, u)) + filtered(C, D, e)
         data = Dataset(u=u, y=y, Ts=1)
         nf = 3 if "integrating" in structure else 2
-        fit = bj(data, nb=2, nc=1, nd=1, nf=nf, integrator=nf == 3)
+        fit = bj(data, nb=2, nc=1, nd=1, nf=nf, integrator=nf == 3, starts="few")
 
     predicted = predicted_std(fit, u)
 
@@ -86,7 +64,7 @@ def test_models_with_a_noise_model_predict_their_own_std_too(structure: str) -> 
     np.testing.assert_allclose(predicted.std, fit.std, rtol=0.1)
 
 
-def test_coloured_noise_is_planned_for_as_theory_says() -> None:
+def test_the_plan_for_coloured_noise_agrees_with_theory() -> None:
     """ARMA(1, 1) noise has its asymptotic variance in closed form.
 
     For A = 1 + a/q, C = 1 + c/q: cov N = [[1/(1-a²), -1/(1-ac)], [-1/(1-ac), 1/(1-c²)]]^-1.
@@ -120,7 +98,9 @@ def test_a_coloured_noise_model_weighs_the_frequencies() -> None:
 
 @settings(max_examples=20)
 @given(st.floats(0.1, 10), st.floats(0.1, 1.0))
-def test_a_stronger_input_teaches_more_and_noise_less(noise: float, gain: float) -> None:
+def test_deviations_are_proportional_to_noise_and_inverse_to_input(
+    noise: float, gain: float
+) -> None:
     """The standard deviation is proportional to noise and inverse to the input's size."""
     u = telegraph(300, 0.3, 0.0, 5.0)
     one, other = (
@@ -131,7 +111,7 @@ def test_a_stronger_input_teaches_more_and_noise_less(noise: float, gain: float)
     np.testing.assert_allclose(other, one * noise / gain, rtol=1e-6)
 
 
-def test_it_is_said_in_words_whether_the_experiment_is_long_enough() -> None:
+def test_the_text_of_a_plan_states_whether_the_experiment_is_long_enough() -> None:
     u = telegraph(3000, 0.3)
     predicted = predicted_std(PlannedModel(B=B, F=A, noise_variance=0.1, Ts=0.01), u)
     got = float(predicted.std[2])
@@ -141,11 +121,6 @@ def test_it_is_said_in_words_whether_the_experiment_is_long_enough() -> None:
     assert "30 s is long enough, about 7.5 s are needed" in predicted.explain(f1=2 * got)
     both = predicted.explain(f1=2 * got, b1=float(predicted.std[0]) / 3)
     assert both.splitlines()[-1] == "together: 30 s is too short, about 270 s are needed"
-    assert repr(predicted) == predicted.explain()
-    assert repr(predicted).startswith("predicted for 3000 samples in 30 s:\n  b1 = 1 ± ")
-    for name, value, std in zip(predicted.names, predicted.theta, predicted.std, strict=True):
-        share = f"({100 * std / abs(value):.2g} %)"
-        assert f"\n  {name} = {value:g} ± {std:.2g} {share}" in repr(predicted)
     with pytest.raises(ValueError, match="'g1' is not among the parameters b1, b2, f1, f2"):
         predicted.explain(g1=1.0)
     with pytest.raises(ValueError, match="f1=0: a wanted standard deviation must be > 0"):
@@ -180,7 +155,7 @@ def test_the_inertia_s_standard_deviation_is_predicted_from_physics() -> None:
     assert predicted.names == ("J_1",)
 
 
-def test_an_input_that_teaches_too_little_is_refused_beforehand() -> None:
+def test_an_input_with_too_little_information_is_refused() -> None:
     """A step at the first sample excites nothing if the initial state is unknown."""
     model, u = PlannedModel(B=B, F=A, noise_variance=1.0, Ts=1.0), telegraph(300, 0.1)
 
@@ -204,12 +179,12 @@ def test_an_input_that_teaches_too_little_is_refused_beforehand() -> None:
         ({"B": [0.0, 0.0]}, "all coefficients of B are 0"),
     ],
 )
-def test_a_model_that_cannot_be_is_refused(change: dict[str, Any], message: str) -> None:
+def test_an_impossible_planned_model_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         PlannedModel(**({"B": B, "F": A, "noise_variance": 1.0, "Ts": 1.0} | change))
 
 
-def test_what_cannot_be_planned_is_refused() -> None:
+def test_impossible_arguments_of_a_plan_are_refused() -> None:
     u = telegraph(300, 0.3)
     model = PlannedModel(B=B, A=A, noise_variance=1.0, Ts=1.0)
     gaps = Dataset(u=u, y=u, Ts=1.0, valid=np.arange(300) > 3)
@@ -222,7 +197,7 @@ def test_what_cannot_be_planned_is_refused() -> None:
         predicted_std(model, Dataset(u=u, y=u, Ts=2.0))
     with pytest.raises(ValueError, match='initial=\'guess\' must be "estimate" or "zero"'):
         predicted_std(model, u, initial="guess")  # type: ignore[arg-type]
-    for free in (("J_3",), ("b_1",), ()):
+    for free in (("b_1",), ()):
         with pytest.raises(ValueError, match="must name parameters that are > 0"):
             predicted_parameter_std(arm, u, Ts=0.01, noise_variance=1e-6, free=free)
     with pytest.raises(ValueError, match="output='beta' is not among the outputs theta_1, alpha"):
@@ -230,7 +205,7 @@ def test_what_cannot_be_planned_is_refused() -> None:
 
 
 @pytest.mark.parametrize("initial", ["estimate", "zero"])
-def test_a_gap_at_the_end_teaches_as_little_as_a_shorter_experiment(initial: Any) -> None:
+def test_a_gap_at_the_end_informs_like_a_shorter_experiment(initial: Any) -> None:
     """For a physical model and a black box; the planned length still contains the gap."""
     u = telegraph(300, 0.1)
     y, there = np.where(np.arange(300) < 180, 0.0, np.nan), np.arange(300) < 180
@@ -264,17 +239,8 @@ def test_each_experiment_adds_its_information() -> None:
         np.testing.assert_allclose(two, one / 2, rtol=1e-9)
 
 
-def test_the_noise_variance_may_be_another_than_the_model_s() -> None:
-    model = PlannedModel(B=B, F=A, noise_variance=1.0, Ts=0.01)
-    u = telegraph(200, 0.1)
-
-    quiet = predicted_std(model, u, noise_variance=0.04)
-
-    np.testing.assert_allclose(quiet.std, 0.2 * predicted_std(model, u).std)
-
-
 @pytest.mark.parametrize("structure", ["A", "F"])
-def test_an_integrator_from_a_known_state_is_known_better(structure: str) -> None:
+def test_a_known_initial_state_lowers_the_deviation_of_an_integrator(structure: str) -> None:
     """Initial state and offset are then not estimated."""
     u = telegraph(60, 0.1) - 2.5
     integrating = np.convolve(A, [1.0, -1.0])

@@ -95,37 +95,15 @@ def test_sixteen_samples_have_a_spectrum() -> None:
     assert np.sum(density) > 0
 
 
-def test_a_spectrum_leaves_out_what_it_cannot_use() -> None:
-    x = np.cos(0.5 * np.arange(4000))
-    holed = x.copy()
-    holed[[1000, 1003, 2500]] = np.nan
-
-    omega, density = power_spectrum([holed, x[:7]], 1.0)
-
-    assert omega[np.argmax(density)] == pytest.approx(0.5, abs=omega[1])
-    assert np.sum(density) * omega[1] == pytest.approx(0.5, rel=0.02)
-    with pytest.raises(ValueError, match="longest stretch without a gap has 7 samples"):
-        power_spectrum([x[:7]], 1.0)
-
-
 @pytest.mark.parametrize("u", [telegraph(3000, 0.1), np.ones(40), np.array([1.0]), white_noise(12)])
 def test_every_input_can_be_described_and_shown(u: NDArray[np.float64]) -> None:
     d = describe_input(u, 0.01)
 
     assert f"input of {u.size} samples at 0.01 s" in repr(d)
-    figure = d.plot()
-    figure.canvas.draw()
-    plt.close(figure)
+    plt.close(d.plot())
 
 
-def test_what_is_no_input_is_refused() -> None:
-    with pytest.raises(ValueError, match="u is not finite at 1"):
-        describe_input([1.0, np.nan], 0.01)
-    with pytest.raises(ValueError, match="Ts=0 must be finite"):
-        describe_input([1.0, 2.0], 0)
-
-
-def test_half_of_the_power_is_told_by_its_frequency() -> None:
+def test_half_of_the_power_is_reported_by_its_frequency() -> None:
     """A line with four tenths of the power, and a faster line with the rest."""
     t = 0.02 * np.arange(8000)
     for slow, half in ((0.4, 50.0), (0.6, 10.0)):
@@ -136,29 +114,3 @@ def test_half_of_the_power_is_told_by_its_frequency() -> None:
         (told,) = re.findall(r"half of the power below (\S+) rad/s \(Nyquist 157.1 rad/s\)", said)
         assert float(told) == pytest.approx(half, abs=1.0)
         assert said.startswith("input of 8000 samples at 0.02 s (160 s), ")
-
-
-def test_the_figure_of_an_input_shows_its_first_samples_its_spectrum_and_its_levels() -> None:
-    u = white_noise(1200, seed=2)
-    described = describe_input(u, 0.02)
-    figure = described.plot()
-    time, spectrum, levels = figure.axes
-    few = describe_input(staircase(90, 3), 0.02).plot()
-
-    (line,) = time.lines
-    np.testing.assert_allclose(line.get_xdata(), 0.02 * np.arange(1000))
-    np.testing.assert_array_equal(line.get_ydata(), u[:1000])
-    assert time.get_xlabel() == "$t$ [s], the first 1000 of 1200 samples"
-    assert few.axes[0].get_xlabel() == "$t$ [s]"
-    np.testing.assert_allclose(spectrum.lines[0].get_xdata(), described.omega[1:-1])
-    assert spectrum.get_xlim() == pytest.approx((described.omega[1], np.pi / 0.02))
-    heights, widths = ([getattr(bar, f"get_{k}")() for bar in levels.patches] for k in SIZES)
-    np.testing.assert_allclose(heights, 100 * described.shares)
-    assert widths == pytest.approx([np.ptp(described.levels) / 10] * 10)
-    assert few.axes[2].patches[0].get_width() == pytest.approx(0.1)  # type: ignore[attr-defined]
-    assert "order at least 50" in time.get_title(loc="left")
-    plt.close(figure)
-    plt.close(few)
-
-
-SIZES = ("height", "width")

@@ -6,6 +6,8 @@ import dataclasses
 import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -61,12 +63,11 @@ def host(root: Path, files: dict[str, str] | None = None, **granted: Any) -> Hos
 
 
 def found(findings: list[HostCheck], name: str) -> HostCheck:
-    """Return the one finding of a name."""
     (finding,) = (f for f in findings if f.name == name)
     return finding
 
 
-def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
+def test_a_suitable_host_has_only_good_findings(tmp_path: Path) -> None:
     findings = examine(host(tmp_path))
 
     assert {f.level for f in findings} == {"good"}
@@ -80,22 +81,7 @@ def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "files", "granted", "words", "way_out"),
     [
-        ("SCHED_FIFO", {}, {"fifo": False}, "priority 80", "rtprio 95"),
         ("mlockall", {}, {"memory_lock": False}, "not allowed", "memlock unlimited"),
-        (
-            "governor",
-            {"sys/devices/system/cpu/cpu1/cpufreq/scaling_governor": "powersave"},
-            {},
-            "performance, powersave",
-            "frequency-set -g performance",
-        ),
-        (
-            "swap",
-            {"proc/swaps": "Filename Type Size Used Priority\n/dev/sda2 partition 9999 2048 -2"},
-            {},
-            "2 MB in use",
-            "swapoff",
-        ),
         (
             "preemption",
             {
@@ -107,33 +93,17 @@ def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
             "preempt=full",
         ),
         (
-            "FTDI latency timer",
-            {"sys/bus/usb-serial/devices/ttyUSB0/latency_timer": "16"},
-            {},
-            "ttyUSB0 16 ms",
-            "echo 1 > /sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
-        ),
-        (
-            "RT throttling",
-            {"proc/sys/kernel/sched_rt_runtime_us": "300000"},
-            {},
-            "30%",
-            "sched_rt_runtime_us",
-        ),
-        (
             "virtual machine",
             {"proc/stat": "cpu  100 0 100 8800 0 0 0 1000 0 0"},
             {},
             "10.0%",
             "real hardware",
         ),
-        ("load", {"proc/loadavg": "7.10 1 1 1/2 3"}, {}, "7.1 on 4", "end other programs"),
         ("serial ports", {}, {"groups": frozenset({"student"})}, "dialout", "usermod -aG dialout"),
-        ("disk", {}, {"free_bytes": 3 << 20}, "3 MiB free in /data", "make room"),
     ],
     ids=lambda value: value if isinstance(value, str) and value[:1] != "#" else "",
 )
-def test_what_costs_timing_is_reported_with_the_way_out(
+def test_each_cause_of_poor_timing_is_reported_with_the_remedy(
     tmp_path: Path,
     name: str,
     files: dict[str, str],
@@ -151,7 +121,7 @@ def test_what_costs_timing_is_reported_with_the_way_out(
     assert not is_well(findings)
 
 
-def test_what_cannot_be_corrected_here_is_a_note_and_does_not_count(tmp_path: Path) -> None:
+def test_a_finding_without_a_remedy_on_this_host_is_a_note(tmp_path: Path) -> None:
     files = {
         "proc/cpuinfo": "flags\t\t: fpu hypervisor tsc\n",
         "proc/sys/kernel/version": "#1 SMP PREEMPT_DYNAMIC @0",
@@ -163,7 +133,7 @@ def test_what_cannot_be_corrected_here_is_a_note_and_does_not_count(tmp_path: Pa
     assert is_well(findings)
 
 
-def test_a_host_without_information_is_no_error(tmp_path: Path) -> None:
+def test_a_host_without_information_is_not_an_error(tmp_path: Path) -> None:
     findings = examine(Host(root=tmp_path, granted=Granted(**GRANTED)))
 
     assert {f.name for f in findings if f.level == "note"} == {
@@ -172,7 +142,7 @@ def test_a_host_without_information_is_no_error(tmp_path: Path) -> None:
     assert is_well(findings)
 
 
-def test_a_deep_idle_state_costs_where_the_loop_cannot_hold_it_off(tmp_path: Path) -> None:
+def test_a_deep_idle_state_is_reported_unless_the_loop_can_prevent_it(tmp_path: Path) -> None:
     """The loop writes /dev/cpu_dma_latency while it runs."""
     state = "sys/devices/system/cpu/cpu1/cpuidle/state3"
     made = host(tmp_path, {f"{state}/latency": "133", f"{state}/name": "C6"})
@@ -180,25 +150,10 @@ def test_a_deep_idle_state_costs_where_the_loop_cannot_hold_it_off(tmp_path: Pat
     assert found(examine(made), "idle states").level == "good"
 
     (tmp_path / "dev/cpu_dma_latency").unlink()
-    finding = found(examine(made), "idle states")
-    assert finding.level == "bad"
-    assert finding.found == "C6 takes 133 µs to wake from"
-    assert "idle-set" in finding.mend
+    assert found(examine(made), "idle states").level == "bad"
 
 
-def test_deep_idle_states_that_cannot_be_held_off_are_noted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = host(tmp_path)
-    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write to each
-
-    finding = found(examine(made), "cpu_dma_latency")
-
-    assert (finding.level, finding.found) == ("note", "not writable")
-    assert finding.costs == "the loop cannot prevent deep idle states"
-
-
-def test_an_idle_state_that_is_disabled_costs_nothing(tmp_path: Path) -> None:
+def test_a_disabled_idle_state_is_not_reported(tmp_path: Path) -> None:
     state = "sys/devices/system/cpu/cpu0/cpuidle/state1"
     made = host(tmp_path, {f"{state}/latency": "300", f"{state}/disable": "1"})
     (tmp_path / "dev/cpu_dma_latency").unlink()
@@ -217,7 +172,7 @@ def test_an_idle_state_that_is_disabled_costs_nothing(tmp_path: Path) -> None:
         ({}, "unknown"),
     ],
 )
-def test_the_preemption_model_is_reported_by_the_first_that_knows(
+def test_the_preemption_model_is_read_from_the_first_available_source(
     tmp_path: Path, files: dict[str, str], model: str
 ) -> None:
     for name, content in files.items():
@@ -227,7 +182,7 @@ def test_the_preemption_model_is_reported_by_the_first_that_knows(
     assert preemption(tmp_path) == model
 
 
-def test_recordings_go_where_the_users_configuration_says(tmp_path: Path) -> None:
+def test_the_folder_of_recordings_is_that_of_the_user_s_configuration(tmp_path: Path) -> None:
     user = tmp_path / "user"
     for directory, content in (
         (tmp_path / "etc/armrig", '[recording]\ndirectory = "/srv/rig"\n'),
@@ -292,7 +247,7 @@ def test_a_brief_result_has_few_lines_and_the_remedies_of_an_ordinary_laptop(
 
 
 @pytest.mark.parametrize(("fifo", "code"), [(True, 0), (False, 1)])
-def test_the_exit_code_says_whether_all_is_well(
+def test_the_exit_code_is_0_only_if_all_findings_are_good(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -317,7 +272,7 @@ def test_the_exit_code_says_whether_all_is_well(
     assert [f["level"] for f in said].count("bad") == code
 
 
-def test_this_host_is_looked_at_whatever_it_is() -> None:
+def test_the_doctor_examines_any_host() -> None:
     assert len(doctor.doctor()) >= 14
 
 
@@ -363,7 +318,7 @@ def test_a_daemon_that_answers_is_judged_and_not_the_calling_user(
     assert not [f for f in findings if "dialout" in str(f)]
 
 
-def test_the_daemon_s_refused_requests_are_reported_to_root_too(tmp_path: Path) -> None:
+def test_the_refused_requests_of_the_daemon_are_reported_to_root_too(tmp_path: Path) -> None:
     made = host(tmp_path, is_root=True)
 
     findings = examine(
@@ -383,7 +338,7 @@ def test_the_daemon_s_refused_requests_are_reported_to_root_too(tmp_path: Path) 
     assert found(none, "SCHED_FIFO").mend == "[timing] priority is 0"
 
 
-def test_where_a_service_has_stopped_nobody_is_judged_in_its_place(tmp_path: Path) -> None:
+def test_the_permissions_of_a_stopped_service_are_not_judged(tmp_path: Path) -> None:
     made = host(tmp_path, **NOBODY)
 
     findings = examine(dataclasses.replace(made, silent="the service of rig 1 has stopped"))
@@ -427,15 +382,12 @@ def test_the_share_of_real_time_programs_is_judged(
 
     assert finding.level == level
     assert words in finding.found
+    assert ("sched_rt_runtime_us" in finding.mend) == (level == "bad")
 
 
-def test_kernel_workers_of_ordinary_priority_are_reported_with_the_way_out(tmp_path: Path) -> None:
-    """Kernel workers move the bytes of the serial port."""
-    stat = "50 (kworker/u8:1-events_unbound) I 2 0 0 0 -1 69238880 0 0 0 0 0 0 0 0 20 0 1 0"
-    findings = examine(host(tmp_path, {"proc/50/stat": stat}))
+def test_the_module_of_a_host_does_not_load_zenoh() -> None:
+    program = "import sys, armrig.lab.host; sys.exit('zenoh' in sys.modules)"
 
-    workers = found(findings, "kernel workers")
-    assert workers.level == "note"
-    assert "1 of 2" in workers.found
-    assert "chrt -f -p 79" in workers.mend
-    assert is_well(findings)
+    done = subprocess.run([sys.executable, "-c", program], check=False)
+
+    assert done.returncode == 0

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import threading
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,10 +26,13 @@ class _Rigs:
         self.told: list[str] = []
         self.of_samples: Exception | None = None
         self.of_end: Exception | None = None
+        self.missing_bytes = 0
+        self.during: Callable[[str, threading.Event], None] = lambda *_: self._end(self.of_samples)
+        monkeypatch.setattr(shutil, "disk_usage", self._disk_usage)
         monkeypatch.setattr(fleet_recorder, "RemoteRecording", self._recording)
         monkeypatch.setattr(fleet_recorder, "RemoteRecorder", self._recorder)
         session: Any = None
-        self._fleet = FleetRecorder(
+        self.fleet = FleetRecorder(
             session,
             "a router",
             lambda rig: folder / f"{rig}.mcap",
@@ -37,18 +42,21 @@ class _Rigs:
 
     def record(self) -> fleet_recorder.RigRecorded:
         """Record rig 1 to the end of its recording; return what became of it."""
-        (recorded,) = self._fleet.record(threading.Event(), 0.05, ["1"])
+        (recorded,) = self.fleet.record(threading.Event(), 0.05, ["1"])
         return recorded
 
-    def _recording(self, *, tell: Any, **_: object) -> Any:
+    def _recording(self, *, rig: str, tell: Any, **_: object) -> Any:
         tell("the sampling time became 0.02 s")
         tell("rig 1 does not answer; waiting for it")
         files = [f"file {self.began}-{i}" for i in range(2)]
-        return SimpleNamespace(finish=lambda _: self._end(self.of_end), done=files)
+        return SimpleNamespace(rig=rig, finish=lambda _: self._end(self.of_end), done=files)
 
-    def _recorder(self, *_: object) -> Any:
+    def _recorder(self, _: object, recording: Any) -> Any:
         self.began += 1
-        return SimpleNamespace(begin=lambda: True, record=lambda _: self._end(self.of_samples))
+        return SimpleNamespace(begin=lambda: True, record=partial(self.during, recording.rig))
+
+    def _disk_usage(self, _: Path) -> Any:
+        return SimpleNamespace(free=fleet_recorder._MIN_FREE_BYTES - self.missing_bytes)
 
     @staticmethod
     def _end(error: Exception | None) -> None:
@@ -58,7 +66,6 @@ class _Rigs:
 
 @pytest.fixture
 def rigs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> _Rigs:
-    """Give rigs whose recordings have no error."""
     return _Rigs(monkeypatch, tmp_path)
 
 
@@ -84,80 +91,50 @@ def test_a_recording_that_ends_early_is_one_error(
 
 
 @pytest.mark.parametrize(
-    ("error", "pause_s", "missing_bytes", "times"),
+    ("error", "later_s", "missing_bytes", "times"),
     [
-        (DiskError("full"), 0.0, 0, 2),
-        (DiskError("full"), 0.0, 1, 1),
-        (DiskError("full"), 60.0, 0, 1),
-        (RigError("nonsense"), 0.0, 0, 1),
+        (DiskError("full"), 60.0, 0, 2),
+        (DiskError("full"), 60.0, 1, 1),
+        (DiskError("full"), 29.0, 0, 1),
+        (RigError("nonsense"), 60.0, 0, 1),
     ],
 )
 def test_a_rig_is_recorded_again_after_a_full_disk_with_a_pause_and_room(
-    rigs: _Rigs,
-    monkeypatch: pytest.MonkeyPatch,
-    error: Exception,
-    pause_s: float,
-    missing_bytes: int,
-    times: int,
+    rigs: _Rigs, error: Exception, later_s: float, missing_bytes: int, times: int
 ) -> None:
-    free = SimpleNamespace(free=fleet_recorder._MIN_FREE_BYTES - missing_bytes)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
-    monkeypatch.setattr(fleet_recorder, "_DISK_PAUSE_S", pause_s)
-    rigs.of_samples = error
+    rigs.of_samples, rigs.missing_bytes = error, missing_bytes
 
-    rigs.record()
+    rigs.record().again_s -= later_s
     recorded = rigs.record()
+    recorded.again_s -= later_s
 
     assert rigs.began == times
     files = [f"file {k}-{i}" for k in range(times) for i in range(2)]
     assert [str(file) for file in recorded.files] == files
-
-
-def test_a_recording_that_ends_in_order_after_a_full_disk_is_the_last(
-    rigs: _Rigs, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    free = SimpleNamespace(free=fleet_recorder._MIN_FREE_BYTES)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
-    monkeypatch.setattr(fleet_recorder, "_DISK_PAUSE_S", 0.0)
-    rigs.of_samples = DiskError("full")
-    rigs.record()
     rigs.of_samples = None
-    rigs.record()
-
-    rigs.record()
-
-    assert rigs.began == 2
+    for _ in range(2):  # a recording that ends in order is the last
+        rigs.record()
+    assert rigs.began == times + (times == 2)
 
 
-def test_all_rigs_are_recorded_until_the_last_of_them_has_ended(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    ended, begun, goes_on, errors = threading.Event(), list[str](), list[str](), list[str]()
-    last = threading.Event()
+def test_recording_continues_until_the_last_rig_has_ended(rigs: _Rigs) -> None:
+    begun, goes_on, last = list[str](), list[str](), threading.Event()
 
-    def recorder(_: Any, recording: Any) -> Any:
-        def record(is_over: threading.Event) -> None:
-            begun.append(recording.rig)
-            if recording.rig == "b":
-                last.wait(10.0)
-                assert not is_over.is_set()
-                goes_on.append("b")
-                return
-            threading.Timer(0.05, last.set).start()
-            raise RigError("it ended early")
+    def record(rig: str, is_over: threading.Event) -> None:
+        begun.append(rig)
+        if rig == "b":
+            last.wait(10.0)
+            assert not is_over.is_set()
+            goes_on.append("b")
+            return
+        threading.Timer(0.05, last.set).start()
+        raise RigError("it ended early")
 
-        return SimpleNamespace(begin=lambda: True, record=record)
+    rigs.during = record
 
-    monkeypatch.setattr(fleet_recorder, "RemoteRecorder", recorder)
-    monkeypatch.setattr(fleet_recorder, "_LOOK_INTERVAL_S", 0.01)
-    session: Any = None
-    fleet = FleetRecorder(
-        session, "a router", lambda rig: tmp_path / f"{rig}.mcap", lambda _: None, errors.append
-    )
-
-    found = fleet.record(ended, None, ["b", "a"])
+    found = rigs.fleet.record(threading.Event(), None, ["b", "a"])
 
     assert goes_on == ["b"]
     assert sorted(begun) == ["a", "b"]
     assert [(one.rig, one.why) for one in found] == [("a", "it ended early"), ("b", "")]
-    assert errors == ["rig a: its recording ended: it ended early"]
+    assert rigs.errors == ["rig a: its recording ended: it ended early"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,6 @@ from armrig.lab import installation
 from armrig.lab.installation import (
     SHIPPED,
     UNITS,
-    Plan,
     Unit,
     files,
     installing,
@@ -35,14 +34,12 @@ class Commands:
         self._root = root
 
     def __call__(self, command: Sequence[str]) -> None:
-        """Take one."""
         self.given.append(" ".join(command))
         self.files.append(sum(path.is_file() for path in self._root.rglob("*")))
 
 
 @pytest.fixture
 def commands(tmp_path: Path) -> Commands:
-    """Give what takes commands and runs none."""
     return Commands(tmp_path)
 
 
@@ -50,7 +47,7 @@ def _contents(root: Path) -> dict[str, str]:
     return {str(p.relative_to(root)): p.read_text() for p in root.rglob("*") if p.is_file()}
 
 
-def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) -> None:
+def test_the_files_of_the_rig_service_are_installed(tmp_path: Path, commands: Commands) -> None:
     before = os.umask(0o077)  # of a careful administrator
     try:
         installing(tmp_path).carry_out(commands)
@@ -79,7 +76,7 @@ def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) ->
         ("recorder", {RECORDER, "etc/sysusers.d/armrig-recorder.conf"}),
     ],
 )
-def test_a_machine_without_rigs_gets_what_it_needs(
+def test_a_machine_without_rigs_gets_the_files_of_its_part(
     part: installation.Part, own: set[str], tmp_path: Path, commands: Commands
 ) -> None:
     installing(tmp_path, [part]).carry_out(commands)
@@ -91,7 +88,7 @@ def test_a_machine_without_rigs_gets_what_it_needs(
     }
 
 
-def test_all_that_is_deployed_is_of_a_part_or_of_each(tmp_path: Path) -> None:
+def test_each_deployed_file_belongs_to_a_part(tmp_path: Path) -> None:
     of_parts = [file for part in UNITS for file in files(tmp_path, [part])]
 
     deployed = Path(__file__).parents[3] / "deploy"
@@ -99,7 +96,7 @@ def test_all_that_is_deployed_is_of_a_part_or_of_each(tmp_path: Path) -> None:
     assert {file.path for file in of_parts} == {file.path for file in files(tmp_path)}
 
 
-def test_what_is_installed_already_is_renewed(tmp_path: Path, commands: Commands) -> None:
+def test_an_installation_renews_the_installed_parts(tmp_path: Path, commands: Commands) -> None:
     installing(tmp_path, ["router", "recorder"]).carry_out(commands)
     (tmp_path / ROUTER).write_text("[Unit]\n")
 
@@ -109,20 +106,7 @@ def test_what_is_installed_already_is_renewed(tmp_path: Path, commands: Commands
     assert written == [ROUTER, UNIT, "etc/udev/rules.d/70-armrig.rules"]
 
 
-def test_to_install_twice_is_as_once(tmp_path: Path, commands: Commands) -> None:
-    installing(tmp_path).carry_out(commands)
-    before = _contents(tmp_path)
-
-    again = installing(tmp_path)
-    again.carry_out(commands)
-
-    assert again.written == ()
-    assert _contents(tmp_path) == before
-
-
-def test_what_was_changed_is_shown_before_it_is_replaced(
-    tmp_path: Path, commands: Commands
-) -> None:
+def test_a_changed_file_is_shown_before_its_replacement(tmp_path: Path, commands: Commands) -> None:
     installing(tmp_path).carry_out(commands)
     unit = tmp_path / UNIT
     kept = unit.with_name("kept")
@@ -140,7 +124,7 @@ def test_what_was_changed_is_shown_before_it_is_replaced(
     assert "WatchdogSec=99" in kept.read_text()
 
 
-def test_what_is_taken_away_is_what_was_installed(tmp_path: Path, commands: Commands) -> None:
+def test_an_uninstallation_removes_the_installed_files(tmp_path: Path, commands: Commands) -> None:
     installing(tmp_path, UNITS).carry_out(commands)
     own = tmp_path / "etc/armrig/1.toml"
     own.parent.mkdir()
@@ -158,7 +142,7 @@ def test_what_is_taken_away_is_what_was_installed(tmp_path: Path, commands: Comm
     assert _contents(tmp_path) == {"etc/armrig/1.toml": "[device]\n"}
 
 
-def test_what_was_changed_is_taken_away_and_named(tmp_path: Path, commands: Commands) -> None:
+def test_a_changed_file_is_removed_and_named(tmp_path: Path, commands: Commands) -> None:
     installing(tmp_path).carry_out(commands)
     (tmp_path / UNIT).write_text("[Unit]\n")
 
@@ -171,16 +155,22 @@ def test_what_was_changed_is_taken_away_and_named(tmp_path: Path, commands: Comm
     assert _contents(tmp_path) == {}
 
 
-def test_a_machine_without_it_has_nothing_to_take_away(tmp_path: Path) -> None:
-    assert uninstalling(tmp_path) == Plan()
+@pytest.fixture
+def python(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], None]:
+    """Give a function that moves the environment of Python, and its base."""
+
+    def at(prefix: str, base: str) -> None:
+        for name, folder in (("prefix", prefix), ("base_prefix", base)):
+            monkeypatch.setattr(sys, name, folder)
+
+    return at
 
 
 def test_the_unit_of_this_machine_starts_the_program_of_this_installation(
-    monkeypatch: pytest.MonkeyPatch,
+    python: Callable[[str, str], None],
 ) -> None:
     """A root that does not run gets the path of the documentation."""
-    monkeypatch.setattr(sys, "prefix", "/srv/armrig-2")
-    monkeypatch.setattr(sys, "base_prefix", "/usr")
+    python("/srv/armrig-2", "/usr")
 
     units = {file.path.name: file.text for file in files(Path("/"))}
 
@@ -212,30 +202,16 @@ def test_a_program_that_the_sandbox_hides_is_refused(
     prefix: str,
     base: str,
     says: str,
-    monkeypatch: pytest.MonkeyPatch,
+    python: Callable[[str, str], None],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """A checkout in a home folder, and a Python in it: the unit would fail at each start."""
-    monkeypatch.setattr(sys, "prefix", prefix)
-    monkeypatch.setattr(sys, "base_prefix", base)
+    python(prefix, base)
 
     assert main(["service", "install", "--dry-run"]) == 1
     said = capsys.readouterr().err
     assert says in said
     assert "install armrig into /opt/armrig with /usr/bin/python3" in said
-
-
-def test_a_dry_run_shows_every_line_and_writes_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["service", "install", "--root", str(tmp_path), "--dry-run"]) == 0
-
-    said = capsys.readouterr().out.splitlines()
-    for file in files(tmp_path, ["rig"]):
-        begin = said.index(f"write    {file.path}") + 1
-        lines = file.text.splitlines()
-        assert [line[9:] for line in said[begin : begin + len(lines)]] == lines
-    assert not [*tmp_path.iterdir()]
 
 
 def test_a_router_and_a_recorder_are_shown_together_and_a_dry_run_needs_no_agreement(
@@ -272,7 +248,7 @@ def test_the_state_of_each_part_is_reported(
     assert not any("armrigd@" in line for line in said)
 
 
-def test_without_anybody_to_agree_nothing_is_written(
+def test_no_file_is_written_without_consent(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["service", "install", "--root", str(tmp_path)]) == 1
@@ -295,14 +271,14 @@ def test_a_service_that_is_loaded_and_not_enabled_is_listed(
     assert units == [Unit(part="rig", rig="7", enabled=False, active="active", status="sampling")]
 
 
-def test_a_command_that_fails_or_is_not_there_is_said() -> None:
+def test_a_failed_or_missing_command_is_reported() -> None:
     with pytest.raises(RuntimeError, match=r"^false: ended with 1$"):
         installation.run_command(["false"])
     with pytest.raises(RuntimeError, match=r"^no-such-command: not found; the service needs syst"):
         installation.run_command(["no-such-command"])
 
 
-def test_a_drop_in_that_leads_nowhere_keeps_nothing_installed(tmp_path: Path) -> None:
+def test_a_dangling_drop_in_does_not_count_as_installed(tmp_path: Path) -> None:
     installing(tmp_path).carry_out(lambda _: None)
     drop_ins = tmp_path / "etc/systemd/system/armrigd@1.service.d"
     (drop_ins / "a.conf").mkdir(parents=True)
@@ -331,7 +307,7 @@ def test_a_drop_in_that_leads_nowhere_keeps_nothing_installed(tmp_path: Path) ->
         ("RestrictAddressFamilies=AF_UNIX\n", False),
     ],
 )
-def test_a_drop_in_stays_and_is_named(
+def test_an_uninstallation_keeps_and_names_a_drop_in(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, opens: bool
 ) -> None:
     drop_in = tmp_path / "etc/systemd/system/armrigd@1.service.d/override.conf"

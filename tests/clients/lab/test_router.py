@@ -53,8 +53,8 @@ def _opened(config: dict[str, Any]) -> closing[zenoh.Session]:
     return closing(zenoh.open(zenoh.Config.from_json5(json.dumps(config))))
 
 
-@pytest.mark.parametrize("size", [60_000, 1_000_000, 8_000_000])
-def test_no_part_of_a_long_command_is_dropped(made: Path, size: int) -> None:
+@pytest.mark.parametrize("size", [60_000, 8_000_000])
+def test_a_router_does_not_truncate_a_long_command(made: Path, size: int) -> None:
     """A run of 400 000 samples has 8 MB, and its parts fill each queue."""
     people = read_access_list(made / "access.toml")
     config = router_config("tls/h:1", read_credential(made / "router.pem", "router"), people)

@@ -1,4 +1,4 @@
-"""Models made by hand, without an estimate, for tests of their texts and numbers."""
+"""Models and frequency responses made by hand, for tests of their texts and numbers."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 from armrig.models.fit import Fit
+from armrig.models.spectral_estimate import SpectralEstimate
+from numpy.typing import NDArray
 
 
 def made(
@@ -41,3 +43,21 @@ def made(
     polynomials = {"A": A, "B": B, "C": C, "D": D, "F": F}
     arrays = {letter: np.array(p, dtype=float) for letter, p in polynomials.items()}
     return Fit(**(values | arrays | {"nk": nk} | fields))
+
+
+def made_estimate(omega: NDArray[np.float64], G: Any, **fields: Any) -> SpectralEstimate:
+    """Return an estimate by hand, without deviations unless given."""
+    unknown = np.full(omega.size, np.nan)
+    values: dict[str, Any] = {
+        "std_magnitude": unknown,
+        "std_phase": unknown,
+        "method": "by hand, Hann",
+        "integrator": False,
+        "N": 60,
+        "Ts": 0.1,
+        "output": "theta_1",
+        "unit": "rad",
+        "input_unit": "V",
+        "source": "",
+    }
+    return SpectralEstimate(omega=omega, G=np.asarray(G, complex), **(values | fields))

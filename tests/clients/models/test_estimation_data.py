@@ -7,7 +7,6 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig.cli import main
 from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding
 from armrig.data.signals import Signals
@@ -26,7 +25,6 @@ def dataset(source: str = "a") -> Dataset:
 
 
 def signals() -> Signals:
-    """Return the same input with two outputs."""
     data = dataset()
     y = np.column_stack([data.y, data.y + np.roll(data.y, 1)])
     return Signals(u=data.u[:, None], y=y, Ts=data.Ts, source=data.source)
@@ -52,7 +50,7 @@ def test_an_overlap_has_a_code_and_its_times() -> None:
     assert found(data[200:], fit) == []
 
 
-def test_the_times_of_a_part_of_a_part_are_those_of_the_file() -> None:
+def test_the_times_of_a_part_of_a_part_refer_to_the_file() -> None:
     data = dataset()
     fit = armrig.arx(data[100:][50:200], na=1, nb=1)
 
@@ -72,7 +70,7 @@ def test_a_treatment_does_not_hide_the_overlap() -> None:
         assert finding.numbers == pytest.approx(dict(zip(("start", "stop"), times, strict=True)))
 
 
-def test_the_same_data_have_a_code_of_their_own() -> None:
+def test_identical_data_have_a_separate_code() -> None:
     data = dataset()
 
     [finding] = found(data, armrig.arx(data, na=1, nb=1))
@@ -80,7 +78,7 @@ def test_the_same_data_have_a_code_of_their_own() -> None:
     assert finding.about == "own data"
 
 
-def test_beside_a_model_of_the_same_data_another_one_overlaps() -> None:
+def test_models_of_identical_and_overlapping_data_have_separate_findings() -> None:
     """Each overlap has its model's name and its own times; the end is that of the shorter."""
     data = dataset()
     own, first, last = (armrig.arx(part, na=1, nb=1) for part in (data, data[:50], data[390:]))
@@ -127,26 +125,3 @@ def test_several_signals_have_the_same_findings(tmp_path: Path) -> None:
         numbers = [x for f in table.findings for x in f.numbers.values()]
         assert numbers == pytest.approx(times)
         assert tests.findings == table.findings
-
-
-@pytest.mark.parametrize("several", [False, True])
-def test_the_commands_print_the_overlap(
-    several: bool,
-    three_recordings: tuple[Path, Path, Path],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    recording, model = str(three_recordings[1]), str(tmp_path / "m.json")
-    signal = "theta_1,alpha" if several else "alpha"
-    structure = ["--structure", "arx", "--na", "2", "--nb", "2", "--signal", signal]
-    assert main(["identify", recording, *structure, "--to", "8", "--save", model]) == 0
-
-    warned = []
-    for command, start in (("validate", "6"), ("compare", "6"), ("validate", "8")):
-        capsys.readouterr()
-        assert main([command, recording, "--model", model, "--from", start]) == 0
-        warned.append(
-            "was also estimated from 6 to 8 s of the same file" in capsys.readouterr().err
-        )
-
-    assert warned == [True, True, False]

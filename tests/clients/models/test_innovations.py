@@ -62,7 +62,7 @@ def columns(s: Structure, rows: Any, C: Array, D: Array, F: Array, part: Dataset
 
 
 @pytest.mark.parametrize(("orders", "C", "D", "F"), CASES)
-def test_the_unknown_past_is_projected_out_as_its_columns_say(
+def test_the_unknown_past_is_projected_out_by_its_columns(
     orders: dict[str, Any], C: Array, D: Array, F: Array
 ) -> None:
     s, part = Structure(**orders), data()
@@ -81,7 +81,7 @@ def test_the_unknown_past_is_projected_out_as_its_columns_say(
 
 
 @pytest.mark.parametrize(("orders", "C", "D", "F"), CASES)
-def test_the_errors_have_the_derivatives_of_small_steps(
+def test_the_derivatives_of_the_errors_equal_finite_differences(
     orders: dict[str, Any], C: Array, D: Array, F: Array
 ) -> None:
     """Projected on the unknown past, de/dp for c, d and f, which the docstring has."""
@@ -136,7 +136,7 @@ def test_the_volume_of_the_unknown_past_has_its_gradient() -> None:
             assert gradient[k] == pytest.approx(slope, rel=1e-4, abs=1e-7)
 
 
-def test_at_rest_the_input_is_summed_from_zero_and_nothing_is_forgotten() -> None:
+def test_the_input_of_a_rig_at_rest_is_summed_from_zero() -> None:
     part = data()
     rest, moving = (
         Structure(nb=1, nk=1, nf=1, nd=2, integrator="f", at_rest=at_rest)
@@ -155,7 +155,7 @@ def test_at_rest_the_input_is_summed_from_zero_and_nothing_is_forgotten() -> Non
     np.testing.assert_allclose(y[1:][known], np.diff(part.y)[known])
 
 
-def test_an_impulse_response_ends_where_it_has_decayed() -> None:
+def test_an_impulse_response_is_truncated_after_its_decay() -> None:
     """A slow one is longer than 256 samples; a sum of lags ends with its last."""
     quick, slow = response([1.0], [1.0, -0.5], 5000), response([1.0], [1.0, -0.98], 5000)
 

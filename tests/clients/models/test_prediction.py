@@ -41,7 +41,7 @@ def conditional_means(fit: Fit, data: Dataset) -> Array:
 
 
 @pytest.mark.parametrize("na", [1, 2, 3])
-def test_over_gaps_an_arx_model_predicts_the_conditional_mean(na: int) -> None:
+def test_an_arx_model_predicts_the_conditional_mean_over_gaps(na: int) -> None:
     """Two gaps with measured samples between them, fewer and more than na."""
     A = np.real(np.poly([0.9, 0.7 + 0.3j, 0.7 - 0.3j][3 - na :] if na != 2 else [0.9, -0.5]))
     fit = made(A=A.tolist(), B=(0, 0.5, -0.2), structure="arx", output="y", unit="")
@@ -60,7 +60,7 @@ def test_over_gaps_an_arx_model_predicts_the_conditional_mean(na: int) -> None:
 
 
 @pytest.mark.parametrize("horizon", [1, 3, 9])
-def test_a_model_of_coloured_noise_leaves_the_innovations_of_the_horizon(horizon: int) -> None:
+def test_the_prediction_errors_of_a_noise_model_are_its_innovations(horizon: int) -> None:
     """The error is the sum of h(j) e(t - j), j < horizon; h is the response of C/(A D)."""
     fit = made(
         A=(1, -0.4), B=(0, 0, 0.5), C=(1, 0.5), D=(1, -0.7), F=(1, -0.6), nk=2, output="y", unit=""
@@ -76,9 +76,7 @@ def test_a_model_of_coloured_noise_leaves_the_innovations_of_the_horizon(horizon
 
 
 @pytest.mark.parametrize(("offset", "integrator"), [(True, False), (False, False), (False, True)])
-def test_an_offset_of_the_input_is_estimated_where_the_model_has_one(
-    offset: bool, integrator: bool
-) -> None:
+def test_an_input_offset_is_estimated_if_the_model_has_one(offset: bool, integrator: bool) -> None:
     """Two experiments with offsets of their own and some missing samples."""
     F = np.convolve([1, -1], [1, -0.6]) if integrator else np.array([1, -1.2, 0.5])
     fit = made(
@@ -102,7 +100,7 @@ def test_an_offset_of_the_input_is_estimated_where_the_model_has_one(
         assert (off > 0.1) == offset
 
 
-def test_other_signals_are_named_with_the_model_s_first() -> None:
+def test_a_mismatch_of_signals_names_those_of_the_model_first() -> None:
     fit, u = made(), np.zeros(5)
 
     for data, said in (
@@ -141,7 +139,7 @@ def sums(fit: Fit, data: Dataset) -> tuple[NDArray[np.float64], NDArray[np.bool_
 
 
 @pytest.mark.parametrize(("na", "nk"), [(1, 1), (2, 4), (3, 1)])
-def test_the_errors_of_an_equation_need_their_own_samples_only(na: int, nk: int) -> None:
+def test_an_equation_error_depends_only_on_the_samples_of_its_row(na: int, nk: int) -> None:
     """Late input is known during a gap, so that after the gap na errors are lost."""
     A = np.real(np.poly([0.5, -0.3, 0.7][:na]))
     fit = made(A=A.tolist(), B=[0.0] * nk + [0.5, 0.25], nk=nk, output="y", unit="")

@@ -28,7 +28,6 @@ ONE = np.ones(1)
 
 
 def vectors(*rows: Any) -> Any:
-    """Return nested tuples of arrays."""
     return tuple(tuple(np.array(p, float) for p in row) for row in rows)
 
 
@@ -102,7 +101,7 @@ FORMS = {"apart": apart, "joined": joined, "matrices": matrices}
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_each_channel_is_that_of_the_state_space_with_its_derivatives(name: str) -> None:
+def test_each_channel_and_its_derivatives_equal_those_of_the_state_space(name: str) -> None:
     form: Any = FORMS[name]()
     z = np.exp(1j * np.array([0.2, 1.0, 2.8]))
 
@@ -142,7 +141,7 @@ def without_denominators() -> Polynomials:
 
 
 @pytest.mark.parametrize("form", [apart(), joined(), without_denominators()])
-def test_the_noise_of_the_state_space_is_that_of_the_polynomials(form: Polynomials) -> None:
+def test_the_noise_spectra_of_state_space_and_polynomials_are_equal(form: Polynomials) -> None:
     """H = 1 + C inv(q - A) K in the innovations form, and inv(A) C/D of the rows."""
     model = form.realised()
     for z in np.exp(1j * np.array([0.2, 1.0, 2.8])):
@@ -158,7 +157,7 @@ def test_the_noise_of_the_state_space_is_that_of_the_polynomials(form: Polynomia
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_theta_is_put_back_where_it_was_taken(name: str) -> None:
+def test_each_coefficient_of_theta_is_replaced_at_its_position(name: str) -> None:
     form: Any = FORMS[name]()
     theta = np.arange(1.0, form.theta.size + 1)
 
@@ -181,7 +180,7 @@ def test_theta_is_put_back_where_it_was_taken(name: str) -> None:
         form.slice_of("x", 0, 0)
 
 
-def test_delays_of_a_state_space_are_chains_of_states() -> None:
+def test_the_delays_of_a_state_space_are_chains_of_states() -> None:
     form = matrices()
 
     system = form.realised()
@@ -224,7 +223,7 @@ def test_a_channel_has_the_signals_and_numbers_of_its_output_and_input() -> None
             fit[channel]  # type: ignore[index]
 
 
-def test_responses_of_all_channels_are_those_of_each() -> None:
+def test_the_joint_response_contains_the_response_of_each_channel() -> None:
     fit, omega = fit_of(apart()), np.array([0.5, 9.0])
 
     G, step = fit.frequency_response(omega), fit.step_response(7)
@@ -260,33 +259,6 @@ def test_poles_of_equal_denominators_count_once() -> None:
     determinant = np.pad(np.convolve(a, b), (0, 1)) - np.pad(np.convolve(ab, ba), (0, 1))
     found = coupled[np.abs(coupled) > 1e-6]
     np.testing.assert_allclose(np.poly(found), determinant[:4], atol=1e-9)
-
-
-def test_a_model_is_described_output_by_output() -> None:
-    start = Start(name="x", loss=1.0, iterations=3, converged=False)
-    F = vectors([(1, -1.2, 0.52)] * 3, [(1, -0.5)] * 3)
-    fit = fit_of(
-        replace(apart(), F=F), converged=False, starts=(start,),
-        findings=(warning("gaps", "a < b"),),
-    )  # fmt: skip
-
-    lines = repr(fit).splitlines()
-
-    assert lines[:4] == [
-        "BJ(nb=2, nf=2, nk=1): u [V], v [A], w to 2 outputs, Ts 0.1 s, "
-        f"{fit.theta.size} parameters",
-        "  a [rad]  fit  80.50 % one step ahead, loss 0.05, N 90, residuals white (p = 0.500, "
-        "portmanteau)",
-        "  b [m]    fit  -3.25 % one step ahead, loss 0.1, N 95, residuals coloured (p < 0.001, "
-        "Ljung-Box)",
-        "  correlation of the noise: a and b -0.50",
-    ]
-    assert lines[4].startswith("  poles: 0.6000 ± 0.4000i (std ")
-    assert "), 0.5000 (std " in lines[4]
-    assert lines[4].count("(std") == 2
-    assert lines[5:] == ["  NOT CONVERGED", "  warning: a < b"]
-    assert "a &lt; b" in fit._repr_html_()
-    assert "CONVERGED" not in repr(replace(fit, starts=()))
 
 
 def noise_free(system: StateSpace, N: int = 60) -> tuple[Signals, Array]:
@@ -344,7 +316,7 @@ def test_a_prediction_ahead_leaves_the_noise_of_its_horizon() -> None:
     np.testing.assert_allclose(left[40:], expected[40:], atol=1e-3)
 
 
-def test_a_ramp_of_an_integrating_output_is_estimated_along() -> None:
+def test_the_ramp_of_an_integrating_output_is_estimated_with_the_model() -> None:
     """An offset of the inputs makes the ramp in a alone."""
     form = apart((True, False))
     rng = np.random.default_rng(7)
@@ -369,7 +341,7 @@ def test_a_ramp_of_an_integrating_output_is_estimated_along() -> None:
     np.testing.assert_allclose(clean, expected, atol=1e-9)
 
 
-def test_other_signals_are_refused_by_name() -> None:
+def test_signals_with_other_names_are_refused() -> None:
     fit = fit_of(apart())
     u, y = np.zeros((5, 3)), np.zeros((5, 2))
     names: dict[str, Any] = {"inputs": ["u", "v", "w"], "outputs": ["a", "b"]}
@@ -391,11 +363,9 @@ class Constant:
     label = "constant"
 
     def __init__(self, *y: float) -> None:
-        """Predict these outputs."""
         self.y = np.array(y)
 
     def predict(self, data: Signals, horizon: int | None = 1) -> Array:
-        """Return the numbers."""
         return np.tile(self.y, (data.u.shape[0], 1))
 
     def estimated_from(self, data: Signals) -> bool:
@@ -424,15 +394,6 @@ def test_outputs_are_compared_at_their_measured_samples() -> None:
     assert second.rms_error == pytest.approx((np.sqrt(35 / 3), np.sqrt(8 / 3)))
     assert second.fit_percent == pytest.approx((100 * (1 - np.sqrt(35) / spread), 0.0))
     assert (first.on_estimation_data, second.on_estimation_data) == (False, True)
-    assert repr(compared()).splitlines() == [
-        "2 samples ahead; initial state estimated from these data by least squares",
-        "  first",
-        "    a     fit    0.00 %  rms 1.633 rad",
-        "    long  fit -164.58 %  rms 4.32",
-        "  second  (estimation data)",
-        "    a     fit -109.17 %  rms 3.416 rad",
-        "    long  fit    0.00 %  rms 1.633",
-    ]
     assert [f.about for f in compared().findings] == ["own data"]
     unbounded: Any = Constant(np.inf, 0.0)
     row = compare(compared().data, unbounded)[0]
@@ -457,20 +418,6 @@ def test_a_panel_for_each_output_has_the_fits_of_its_models() -> None:
             np.testing.assert_array_equal(line.get_ydata(), row.y[:, i])
     assert "rad" in panels[0].get_ylabel()
     assert panels[1].get_xlim() == (0.0, 1.5)
-
-
-def test_models_that_cannot_be_compared_are_refused() -> None:
-    data, model = compared().data, Constant(1.0, 2.0)
-    one: Any = fit_of(apart())["a", "u"]
-
-    for models, labels, said in (
-        ((), None, "at least one model"),
-        ((one,), None, "a Fit has one output"),
-        ((model,), ("a", "b"), "give a name for each of 1 models"),
-        ((model, model), "ab", "labels='ab': give a name for each of 2 models"),
-    ):
-        with pytest.raises((InputError, TypeError), match=said):
-            compare(data, *models, labels=labels)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", FORMS)
@@ -515,7 +462,7 @@ def test_a_file_keeps_each_field_of_each_form(name: str, tmp_path: Path) -> None
         ({"format": "x"}, "is a model of several signals|is no model file"),
     ],
 )
-def test_a_file_that_is_not_such_a_model_is_refused(
+def test_a_file_of_another_kind_of_model_is_refused(
     change: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "m.json"

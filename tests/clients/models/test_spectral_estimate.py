@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from armrig.models.spectral_estimate import (
-    SpectralEstimate,
     high_band,
     high_slope,
     log_slope,
@@ -15,49 +12,16 @@ from armrig.models.spectral_estimate import (
     phase_delay,
 )
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+
+from tests.clients.models.made_fits import made_estimate
 
 
-def test_an_unknown_frequency_does_not_cost_the_phase_after_it() -> None:
+def test_the_phase_continues_after_an_unknown_frequency() -> None:
     """A delay of three samples turns the phase by more than a circle; one frequency is NaN."""
     omega = np.linspace(0.1, 3.0, 30)
     delay = -3 * np.where(np.arange(30) == 10, np.nan, omega)
-    unknown = np.full(30, np.nan)
 
-    estimate = SpectralEstimate(
-        omega=omega,
-        G=np.exp(1j * delay),
-        std_magnitude=unknown,
-        std_phase=unknown,
-        method="by hand",
-        integrator=False,
-        N=60,
-        Ts=1.0,
-        output="y",
-        unit="",
-        input_unit="V",
-        source="",
-    )
-
-    np.testing.assert_allclose(estimate.phase, delay)
-
-
-def estimate(omega: NDArray[np.float64], G: Any, **fields: Any) -> SpectralEstimate:
-    """Return an estimate by hand, without deviations unless given."""
-    unknown = np.full(omega.size, np.nan)
-    values: dict[str, Any] = {
-        "std_magnitude": unknown,
-        "std_phase": unknown,
-        "method": "by hand, Hann",
-        "integrator": False,
-        "N": 60,
-        "Ts": 0.1,
-        "output": "theta_1",
-        "unit": "rad",
-        "input_unit": "V",
-        "source": "",
-    }
-    return SpectralEstimate(omega=omega, G=np.asarray(G, complex), **(values | fields))
+    np.testing.assert_allclose(made_estimate(omega, np.exp(1j * delay), Ts=1.0).phase, delay)
 
 
 def test_the_rate_of_an_estimate_is_its_difference_quotient() -> None:
@@ -71,7 +35,7 @@ def test_the_rate_of_an_estimate_is_its_difference_quotient() -> None:
         )
     }
     kept = {"std_phase": np.array([0.1, 0.3, 0.7]), "coherence": np.array([0.9, 0.5, 0.1])}
-    found = estimate(omega, [1.0, 2j, -3.0], integrator=True, **known, **kept)
+    found = made_estimate(omega, [1.0, 2j, -3.0], integrator=True, **known, **kept)
 
     rate = found.rate()
 
@@ -82,40 +46,15 @@ def test_the_rate_of_an_estimate_is_its_difference_quotient() -> None:
     for name, x in kept.items():
         np.testing.assert_array_equal(getattr(rate, name), x)
     assert (rate.output, rate.unit, rate.integrator) == ("velocity", "rad/s", False)
-    bare = estimate(omega, found.G, unit="").rate()
+    bare = made_estimate(omega, found.G, unit="").rate()
     assert (bare.unit, bare.noise_spectrum, bare.nonlinear_std) == ("", None, None)
-
-
-def test_an_estimate_is_printed_in_rad_per_s_and_degrees() -> None:
-    omega = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 31.0])
-    G = [2.0, 2j, -1.0, 0.5 - 0.5j, 0.25, 0.125]
-    std = np.array([0.1, np.nan, 0.1, 0.1, 0.1, 0.02])
-    coherence = np.linspace(1.0, 0.0, 6)
-    found = estimate(
-        omega, G, std_magnitude=std, std_phase=std / 2, coherence=coherence, integrator=True,
-        notes=("a note", "another"),
-    )  # fmt: skip
-
-    lines = repr(found).splitlines()
-
-    assert lines[:3] == [
-        "frequency response to theta_1: by hand, Hann",
-        "  6 frequencies, 1 … 31 rad/s (Nyquist 31.42), 60 samples at 0.1 s",
-        "  y integrates: the response of its rate was estimated, then integrated",
-    ]
-    assert lines[3] == "          1 rad/s  |G| 2 ± 0.1, arg G 0.0 ± 2.9°, coherence 1.000"
-    assert lines[4] == "          2 rad/s  |G| 2, arg G 90.0°, coherence 0.800"
-    assert lines[7] == "         31 rad/s  |G| 0.125 ± 0.02, arg G 0.0 ± 0.57°, coherence 0.000"
-    assert lines[8:] == ["  note: a note", "  note: another"]
-    assert "integrates" not in repr(estimate(omega, G))
-    assert "coherence" not in repr(estimate(omega, G))
 
 
 def test_slopes_are_those_of_the_bands_at_each_end() -> None:
     """First decade -20 dB, then -60 dB a decade; one frequency is not believed."""
     omega = np.geomspace(0.1, 30.0, 60)
     G = np.where(omega < 1, 1 / omega, 1 / omega**3)
-    found, believed = estimate(omega, G), np.delete(np.arange(60), 3)
+    found, believed = made_estimate(omega, G), np.delete(np.arange(60), 3)
 
     slope, std, low = low_slope(found, believed)
 
@@ -151,7 +90,7 @@ def test_the_phase_that_the_roll_off_does_not_explain_is_a_delay(sign: float, de
     """1/(iω)² has -40 dB a decade and -180°; the known delay differs by less than a turn."""
     omega = np.geomspace(0.5, 15.0, 40)
     G = sign / (1j * omega) ** 2 * np.exp(-1j * omega * delay)
-    found, every = estimate(omega, G), np.arange(40)
+    found, every = made_estimate(omega, G), np.arange(40)
 
     for shown in (delay, delay + 0.1, max(delay - 0.1, 0.0)):
         got = phase_delay(found, every, -40.0, sign=sign, shown=shown)
@@ -159,10 +98,10 @@ def test_the_phase_that_the_roll_off_does_not_explain_is_a_delay(sign: float, de
     assert np.isnan(phase_delay(found, every[:0], -40.0, sign=sign, shown=0.0))
 
 
-def test_only_known_values_are_handed_to_python_control() -> None:
+def test_only_known_values_are_passed_to_python_control() -> None:
     omega = np.array([1.0, 2.0, 4.0])
 
-    system = estimate(omega, [1.0, np.nan, 3j]).to_control()
+    system = made_estimate(omega, [1.0, np.nan, 3j]).to_control()
 
     assert system.omega.tolist() == [1.0, 4.0]
     assert np.ravel(system.frdata).tolist() == [1.0, 3j]
@@ -175,7 +114,7 @@ def test_a_figure_begins_between_minus_360_and_0_degrees() -> None:
     for first in (10.0, 170.0, -350.0):
         G = 2.0 * np.exp(1j * np.radians(first - 40 * np.log(omega)))
         std = np.full(20, 0.1)
-        found = estimate(
+        found = made_estimate(
             omega, G, std_magnitude=std, std_phase=std, coherence=np.linspace(0.2, 0.9, 20),
             nonlinear_std=0.02 * G.real**2, noise_only_std=np.full(20, 0.02),
         )  # fmt: skip

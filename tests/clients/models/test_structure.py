@@ -10,9 +10,8 @@ from armrig.models.structure import (
     Structure,
     free_columns,
     offset_from_ramp,
-    transient_count,
 )
-from armrig.models.structure_table import DESCRIBED, OF_SEVERAL, users, with_article
+from armrig.models.structure_table import with_article
 from armrig.numerics.polynomial import filtered
 
 
@@ -39,7 +38,7 @@ from armrig.numerics.polynomial import filtered
         ({"nb": 2, "nf": 2, "nk": 1, "integrator": "f", "at_rest": True}, 0, 0, 0, 0),
     ],
 )
-def test_each_structure_has_its_unknowns(
+def test_each_structure_has_its_number_of_parameters(
     orders: dict[str, Any], memory: int, count: int, first: int, trend: int
 ) -> None:
     s = Structure(**orders)
@@ -49,7 +48,7 @@ def test_each_structure_has_its_unknowns(
     assert s.reach == orders["nk"] + orders["nb"] - 1
 
 
-def test_the_ramp_of_an_offset_gives_back_the_offset() -> None:
+def test_the_offset_is_recovered_from_its_ramp() -> None:
     """B/F̃ of the summed input: the slope is the gain times mean(u) - u0 = 0.6."""
     B, F = np.array([0.0, 0.2, 0.3]), np.array([1.0, -0.6, 0.1])
     u = np.full(400, 0.6)
@@ -59,19 +58,6 @@ def test_the_ramp_of_an_offset_gives_back_the_offset() -> None:
     assert offset_from_ramp(B, F, slope, 1.5) == pytest.approx(1.5 - 0.6)
     assert offset_from_ramp(B, F, -slope, 1.5) == pytest.approx(1.5 + 0.6)
     assert np.isnan(offset_from_ramp(np.array([0.0, 1.0, -1.0]), F, slope, 1.5))
-
-
-@pytest.mark.parametrize(
-    ("degrees", "integrator", "n"),
-    [((3, 2), False, 3), ((2, 4), False, 4), ((3, 2), True, 2), ((0, 0), True, 0)],
-)
-def test_a_state_has_a_pulse(degrees: tuple[int, int], integrator: bool, n: int) -> None:
-    numerator, denominator = degrees
-    found = transient_count(
-        numerator_degree=numerator, denominator_degree=denominator, integrator=integrator
-    )
-
-    assert found == n
 
 
 def test_free_columns_are_delayed_responses_then_level_and_ramp() -> None:
@@ -84,21 +70,8 @@ def test_free_columns_are_delayed_responses_then_level_and_ramp() -> None:
     np.testing.assert_array_equal(free_columns(F, 4, count=2, drift=False), columns[:, :2])
 
 
-def test_an_article_is_that_of_the_spoken_letter() -> None:
+def test_the_indefinite_article_follows_the_spoken_letter() -> None:
     """An F, an L, an M, an N, an R, an S and an X begin with a vowel when they are spelled."""
     spelled = {letter: with_article(letter).split()[0] for letter in "ABCDEFHJLMNPRSTUVX"}
 
     assert {letter for letter, article in spelled.items() if article == "an"} == set("AEFHLMNRSX")
-
-
-def test_an_argument_has_its_users() -> None:
-    assert users("nf") == ["oe", "bj"]
-    assert users("offset") == ["armax", "oe", "bj", "ararx"]
-    assert users("integrator") == ["armax", "oe", "bj", "n4sid", "ararx"]
-    assert users("focus") == ["n4sid"]
-    assert users("na") == ["arx", "armax", "iv4", "ararx"]
-    assert set(users("nk")) == set(users("stable")) == {*users("na"), *users("nf"), "n4sid"}
-    assert set(OF_SEVERAL) == {"arx", "armax", "oe", "bj", "n4sid", "ss"}
-    assert {name for name, row in DESCRIBED.items() if not row.closed_loop} == {
-        *("oe", "iv4", "n4sid", "channel"),
-    }

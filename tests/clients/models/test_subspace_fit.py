@@ -14,7 +14,6 @@ from tests.clients.models.made_fits import made
 
 
 def subspace(**orders: Any) -> SubspaceFit:
-    """Return a subspace model with these polynomials."""
     fit = made(structure="n4sid", **orders)
     known = {f.name: getattr(fit, f.name) for f in fields(Fit)}
     correlations = np.array([0.99999, 0.95, 0.3, 0.2, 0.1, 0.05, 0.04, 0.03, 0.02, 0.01, 0.001])
@@ -44,17 +43,3 @@ def test_the_matrices_have_the_responses_of_the_polynomials(
         noise = np.polyval(fit.C[::-1], 1 / z) / denominator
         assert (C @ inverse @ K + 1)[0, 0] == pytest.approx(noise)
         assert fit.to_control()(z) == pytest.approx(expected)
-
-
-def test_an_explanation_marks_the_order_and_names_the_suggested_one() -> None:
-    lines = subspace(A=(1, -1.2, 0.5), B=(0, 1, 0.5), C=(1, 0.4, 0.1)).explain().splitlines()
-
-    assert lines[1] == "   1   0.99999"
-    assert lines[2] == "   2   0.95000  <- order"
-    assert lines[3] == "   3   0.30000"
-    assert len([line for line in lines if "<- order" in line]) == 1
-    assert lines[-2].split() == ["10", "0.01000"]
-    assert lines[-1] == "the one-step errors suggest order 3 (MDL)"
-    high = subspace(A=[1.0] + [0.0] * 9, B=(0, 1), C=[1.0] + [0.0] * 9)
-    assert len(high.explain().splitlines()) == 2 + 11
-    assert (high.order, high.heading) == (9, "N4SID(order=9, nk=1)")

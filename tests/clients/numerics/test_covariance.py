@@ -15,24 +15,21 @@ from scipy.stats import chi2
 SIZES = (130, 90)
 
 
-def two_experiments(seed: int, C: list[float]) -> tuple[list[Array], list[Array]]:
+def two_experiments(
+    seed: int, C: list[float], sizes: tuple[int, int] = SIZES
+) -> tuple[list[Array], list[Array]]:
     """Return Psi and residuals 1/C e of two experiments, a hole in the second."""
     rng = np.random.default_rng(seed)
-    blocks = [rng.standard_normal((n, 3)).cumsum(axis=0) for n in SIZES]
-    residuals = [filtered([1.0], C, rng.standard_normal(n)) for n in SIZES]
+    blocks = [rng.standard_normal((n, 3)).cumsum(axis=0) for n in sizes]
+    residuals = [filtered([1.0], C, rng.standard_normal(n)) for n in sizes]
     residuals[1][40:43], blocks[1][40:43] = np.nan, 0.0
     return blocks, residuals
 
 
-@pytest.mark.parametrize("rows", [1 << 11, 65])
-def test_newey_and_west_weigh_the_pairs_of_each_experiment(
-    rows: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The weights are 1 - k/(L + 1) up to L = 4 (N/100)^(2/9), in blocks as in one piece."""
-    blocks, residuals = two_experiments(1, [1.0, -0.8])
-    monkeypatch.setattr(covariance, "_SUM_ROWS", rows)
-    L = 4
-    assert int(4 * (sum(SIZES) / 100) ** (2 / 9)) == L
+@pytest.mark.parametrize(("sizes", "L"), [(SIZES, 4), ((2200, 90), 8)])
+def test_newey_and_west_weigh_the_pairs_of_each_experiment(sizes: tuple[int, int], L: int) -> None:
+    """The weights are 1 - k/(L + 1) up to L = 4 (N/100)^(2/9), also in blocks of 2048 rows."""
+    blocks, residuals = two_experiments(1, [1.0, -0.8], sizes)
 
     M = correlated_score(blocks, residuals)
 

@@ -16,7 +16,7 @@ from armrig.numerics.criteria import (
 )
 
 
-def test_the_deviance_is_that_of_the_gaussian_density() -> None:
+def test_the_deviance_follows_from_the_gaussian_density() -> None:
     """-2 log of the density of N residuals, at the variance that maximises it."""
     e = np.random.default_rng(1).standard_normal(50)
     loss = float(np.mean(e**2))
@@ -26,7 +26,7 @@ def test_the_deviance_is_that_of_the_gaussian_density() -> None:
     assert deviance(loss, e.size) == pytest.approx(-2 * np.sum(log_density))
 
 
-def test_a_parameter_costs_two_or_the_logarithm_of_the_samples() -> None:
+def test_the_penalty_of_a_parameter_is_2_or_the_logarithm_of_the_samples() -> None:
     assert aic(0.5, 3, 100) - aic(0.5, 2, 100) == pytest.approx(2)
     assert mdl(0.5, 3, 100) - mdl(0.5, 2, 100) == pytest.approx(np.log(100))
     loss, d = np.array([0.5, 0.1]), np.array([2, 3])
@@ -54,7 +54,7 @@ def test_an_undetermined_model_has_no_criterion() -> None:
     assert np.isnan([aic(np.nan, 2, 10), mdl(np.nan, 2, 10), fpe(np.nan, 2, 10)]).all()
 
 
-def test_batches_allow_for_samples_that_depend_on_their_neighbours() -> None:
+def test_batches_account_for_correlated_samples() -> None:
     """The mean of an autoregression scatters by this deviation over runs, not by s / sqrt(N)."""
     from scipy.signal import lfilter
 

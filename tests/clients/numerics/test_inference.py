@@ -22,13 +22,12 @@ def fitted(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def regression(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Inference]:
-    """Return a regression and its inference, in two experiments."""
     Phi, y, theta = fitted(seed, C)
     e, blocks = np.split(y - Phi @ theta, [150]), np.split(Phi, [150])
     return Phi, y, theta, infer(e, blocks, score="exogenous", y=y)
 
 
-def test_the_figures_of_least_squares_are_the_textbooks() -> None:
+def test_the_results_of_least_squares_equal_those_of_the_textbook() -> None:
     """Lambda (Phi^T Phi)^-1 with N - d degrees of freedom."""
     Phi, y, theta, found = regression(1, [1.0])
 
@@ -59,9 +58,7 @@ def test_the_robust_form_holds_for_coloured_noise(score: Score) -> None:
 
 @pytest.mark.parametrize("score", ["exogenous", "correlated"])
 @pytest.mark.parametrize("apart", [1e-5, 1e-7, 1e-9])
-def test_columns_that_are_nearly_alike_leave_no_variance_below_zero(
-    score: Score, apart: float
-) -> None:
+def test_nearly_equal_columns_give_no_negative_variance(score: Score, apart: float) -> None:
     """Bread times M times bread would round to negative values, whose root is NaN."""
     rng = np.random.default_rng(4)
     x, z, w, v = rng.standard_normal((4, N))
@@ -77,7 +74,7 @@ def test_columns_that_are_nearly_alike_leave_no_variance_below_zero(
 
 @pytest.mark.parametrize("test", ["portmanteau", "ljung-box"])
 @pytest.mark.parametrize("samples", [N, 99])
-def test_missing_residuals_are_as_if_they_had_never_been(samples: int, test: Test) -> None:
+def test_missing_residuals_do_not_change_the_result(samples: int, test: Test) -> None:
     """59 residuals of 99 samples are left: too few for 25 lags."""
     Phi, y, theta, _ = regression(2, [1.0])
     Phi, y = Phi[:samples], y[:samples]
@@ -99,7 +96,7 @@ def test_missing_residuals_are_as_if_they_had_never_been(samples: int, test: Tes
     assert holed.white.p_value == pytest.approx(cut.white.p_value, rel=1e-9)
 
 
-def test_what_else_was_estimated_costs_degrees_of_freedom() -> None:
+def test_nuisance_parameters_reduce_the_degrees_of_freedom() -> None:
     Phi, y, theta, plain = regression(3, [1.0])
     e = y - Phi @ theta
     span = orthonormal(np.ones((N, 1))).Q
@@ -111,7 +108,7 @@ def test_what_else_was_estimated_costs_degrees_of_freedom() -> None:
     assert by_span.noise_variance == pytest.approx(plain.noise_variance * (N - D) / (N - D - 1))
 
 
-def test_coloured_residuals_are_found_out_and_white_ones_are_not() -> None:
+def test_coloured_residuals_are_rejected_and_white_residuals_are_not() -> None:
     for C, white in (([1.0], True), ([1.0, 0.9], False)):
         Phi, y, theta, found = regression(4, C)
         e = [y - Phi @ theta]
@@ -122,19 +119,7 @@ def test_coloured_residuals_are_found_out_and_white_ones_are_not() -> None:
         assert np.isnan(infer(e, [Phi], score="exogenous", rounding=1e9).white.p_value)
 
 
-def test_other_parameters_have_the_covariance_that_their_derivatives_carry_on() -> None:
-    """J C J^T in both forms."""
-    *_, found = regression(5, [1.0])
-    J = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
-
-    other = found.transformed(J)
-
-    np.testing.assert_allclose(other.covariance, J @ found.covariance @ J.T)
-    np.testing.assert_allclose(other.covariance_robust, J @ found.covariance_robust @ J.T)
-    assert other.loss == found.loss
-
-
-def test_as_many_parameters_as_samples_leave_no_noise_to_estimate() -> None:
+def test_the_noise_is_unknown_with_as_many_parameters_as_samples() -> None:
     Phi, y, theta, _ = regression(6, [1.0])
     e = (y - Phi @ theta)[:4]
 
@@ -142,7 +127,7 @@ def test_as_many_parameters_as_samples_leave_no_noise_to_estimate() -> None:
         infer([e], [Phi[:4]], nuisance=1, score="exogenous")
 
 
-def test_a_fitted_autoregression_costs_the_ljung_box_test_degrees_of_freedom() -> None:
+def test_a_fitted_autoregression_reduces_the_ljung_box_degrees_of_freedom() -> None:
     """At most all degrees but one."""
     Phi, y, theta, _ = regression(7, [1.0])
     e = y - Phi @ theta

@@ -6,7 +6,7 @@ import numpy as np
 from armrig.numerics.least_squares import least_squares, orthonormal, without_span
 
 
-def test_with_and_without_a_basis_the_answer_is_the_same() -> None:
+def test_the_solution_does_not_depend_on_the_use_of_a_basis() -> None:
     rng = np.random.default_rng(1)
     M = rng.standard_normal((40, 6)) * 10.0 ** np.arange(-4, 8, 2)
     M[:, 3] = M[:, 0] * 1e3 + M[:, 1]
@@ -23,7 +23,7 @@ def test_with_and_without_a_basis_the_answer_is_the_same() -> None:
     np.testing.assert_array_equal(M, before)
 
 
-def test_nothing_explains_nothing() -> None:
+def test_a_matrix_of_zeros_or_without_columns_explains_nothing() -> None:
     Y = np.ones((3, 2))
 
     assert not least_squares(np.zeros((3, 2)), Y).any()

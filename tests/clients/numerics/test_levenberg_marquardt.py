@@ -8,7 +8,7 @@ from armrig.numerics.levenberg_marquardt import levenberg_marquardt
 from armrig.numerics.polynomial import Array
 
 
-def test_residuals_of_nothing_end_the_search() -> None:
+def test_residuals_of_zero_end_the_search() -> None:
     """Data without noise have no relative change that becomes small."""
     truth = np.array([3.0, -5.0])
 
@@ -53,7 +53,7 @@ def test_the_gradient_is_zero_at_the_minimum(start: tuple[float, float]) -> None
         np.testing.assert_allclose(found.theta * scale, DECAY, rtol=0.1)
 
 
-def test_every_trial_is_admissible_and_as_many_are_tried_as_asked() -> None:
+def test_every_trial_is_admissible_and_their_number_is_the_requested() -> None:
     tried: list[float] = []
 
     def watched(theta: Array) -> tuple[Array, Array]:
@@ -99,7 +99,7 @@ class Below:
         return np.array([[0.0, 1.0]])[: int(theta[1] >= self.edge)]
 
 
-def test_a_search_goes_along_a_wall_to_the_least_cost_on_it() -> None:
+def test_a_search_follows_a_bound_to_its_least_cost() -> None:
     """With the rate held, the amplitude is linear least squares."""
     edge = 0.4
     found = levenberg_marquardt(
@@ -116,7 +116,7 @@ def test_a_search_goes_along_a_wall_to_the_least_cost_on_it() -> None:
     assert free.theta[1] == pytest.approx(DECAY[1], rel=0.1)
 
 
-def test_a_parameter_without_effect_stays_where_it_is() -> None:
+def test_a_parameter_without_effect_keeps_its_value() -> None:
     found = levenberg_marquardt(
         lambda theta: (decay(theta[:2])[0], np.pad(decay(theta[:2])[1], ((0, 0), (0, 1)))),
         np.array([1.0, 0.1, 9.0]),

@@ -21,7 +21,7 @@ def known(gaps: str) -> Array:
 
 
 @pytest.mark.parametrize("gaps", GAPS)
-def test_innovations_are_those_of_the_covariance_matrix(gaps: str) -> None:
+def test_innovations_equal_those_of_the_covariance_matrix(gaps: str) -> None:
     rows = known(gaps)
     v = filtered(C, D, np.random.default_rng(1).normal(size=N))
     L = np.tril(toeplitz(filtered(C, D, np.eye(1, N)[0])))
@@ -36,7 +36,7 @@ def test_innovations_are_those_of_the_covariance_matrix(gaps: str) -> None:
 
 
 @pytest.mark.parametrize("gaps", GAPS)
-def test_derivatives_are_differences(gaps: str) -> None:
+def test_derivatives_equal_finite_differences(gaps: str) -> None:
     v = np.random.default_rng(2).normal(size=N)
     x0 = np.array([0.7, -0.3])
     h = 1e-6
@@ -56,7 +56,7 @@ def test_derivatives_are_differences(gaps: str) -> None:
         assert by_scale[k] == pytest.approx((up_scale - down_scale) / (2 * h), abs=1e-6)
 
 
-def test_white_noise_is_its_own_innovation() -> None:
+def test_the_innovations_of_white_noise_equal_the_noise() -> None:
     rows = known("scattered")
     one = np.ones(1)
 

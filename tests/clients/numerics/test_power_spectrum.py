@@ -27,9 +27,7 @@ def by_segments(
 @pytest.mark.parametrize(
     ("sizes", "L"), [((700, 90, 290), 135), ((130,), 16), ((37, 20), 16), ((20, 17), 16)]
 )
-def test_all_segments_count_alike_whatever_stretch_they_are_from(
-    sizes: tuple[int, ...], L: int
-) -> None:
+def test_all_segments_have_equal_weight_in_the_average(sizes: tuple[int, ...], L: int) -> None:
     """A stretch that is shorter than a segment does not count."""
     rng, Ts = np.random.default_rng(1), 0.02
     parts = [10 + (k + 1) * rng.standard_normal(n) for k, n in enumerate(sizes)]

@@ -27,7 +27,7 @@ from armrig.numerics.quantities import (
 )
 
 
-def test_one_is_singular_and_all_other_numbers_plural() -> None:
+def test_a_noun_is_singular_after_1_and_plural_after_other_numbers() -> None:
     assert [plural(n, "sample") for n in (0, 1, 2)] == ["0 samples", "1 sample", "2 samples"]
 
 
@@ -62,7 +62,7 @@ def test_times_have_the_unit_of_the_longest(seconds: tuple[float, ...], text: st
         (1.234567, inf, "1.2346"),
     ],
 )
-def test_a_number_has_the_digits_that_its_standard_deviation_leaves_it(
+def test_the_digits_of_a_number_follow_from_its_standard_deviation(
     value: float, std: float, text: str
 ) -> None:
     """Two digits of σ; a power of ten replaces many zeros."""
@@ -87,7 +87,7 @@ def test_a_number_with_its_range_has_the_digits_of_the_range() -> None:
         (0.0, 0.012, "0.000 ± 0.012 m"),
     ],
 )
-def test_a_quantity_has_a_power_of_ten_that_has_a_name(value: float, std: float, text: str) -> None:
+def test_a_quantity_is_written_with_a_unit_prefix(value: float, std: float, text: str) -> None:
     """The power is divisible by three; between 0.01 and 9999 there is none."""
     assert scaled(value, std, "m").replace(NBSP, " ") == text
 
@@ -126,7 +126,7 @@ def test_a_quantity_has_a_power_of_ten_that_has_a_name(value: float, std: float,
         (p_value(nan), "–"),
     ],
 )
-def test_a_number_is_written_as_its_kind_is(written: str, text: str) -> None:
+def test_a_number_is_formatted_according_to_its_kind(written: str, text: str) -> None:
     assert written.replace(NBSP, " ") == text
 
 
@@ -136,5 +136,5 @@ def test_two_digits_of_a_standard_deviation_are_shown() -> None:
 
 
 @pytest.mark.parametrize(("names", "text"), [("a", "a"), ("ab", "a and b"), ("abc", "a, b and c")])
-def test_names_are_listed_as_in_a_sentence(names: str, text: str) -> None:
+def test_a_list_of_names_has_commas_and_an_and(names: str, text: str) -> None:
     assert listed([*names]) == text

@@ -3,27 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from armrig.numerics.regressors import arx_rows, complete, in_blocks, past
+from armrig.numerics.regressors import arx_rows, in_blocks
 from hypothesis import given
 from hypothesis import strategies as st
 
 NAN = np.nan
-
-
-def test_what_lies_before_the_first_sample_is_not_known() -> None:
-    x = np.array([1.0, 2.0, 3.0])
-
-    np.testing.assert_array_equal(past(x, [0, 1, 3]), [[1, NAN, NAN], [2, 1, NAN], [3, 2, NAN]])
-    np.testing.assert_array_equal(past(x, [7]), np.full((3, 1), NAN))
-    assert past(x, []).shape == (3, 0)
-
-
-def test_a_row_is_complete_where_every_column_is_known() -> None:
-    M = np.array([[1.0, NAN], [2.0, 2.0], [3.0, 3.0]])
-    y = np.array([1.0, 1.0, NAN])
-
-    assert complete(M, y).tolist() == [False, True, False]
-    assert complete(M[:, :0], y).tolist() == [True, True, False]
 
 
 @given(
@@ -32,7 +16,7 @@ def test_a_row_is_complete_where_every_column_is_known() -> None:
     st.integers(0, 4),
     st.sets(st.integers(0, 19), max_size=5),
 )
-def test_a_row_is_usable_if_all_that_it_looks_back_on_was_measured(
+def test_a_row_is_usable_if_all_its_lagged_samples_were_measured(
     na: int, nb: int, nk: int, missing: set[int]
 ) -> None:
     rng = np.random.default_rng(3)
@@ -51,7 +35,7 @@ def test_a_row_is_usable_if_all_that_it_looks_back_on_was_measured(
     np.testing.assert_array_equal(rows.y, y)
 
 
-def test_blocks_of_rows_are_the_matrix_again() -> None:
+def test_blocks_of_rows_equal_the_regressor_matrix() -> None:
     M = np.arange(14.0).reshape(7, 2)
 
     blocks = list(in_blocks(M, 3))

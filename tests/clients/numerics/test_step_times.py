@@ -55,7 +55,7 @@ def _shown(p: ArmParameters, Ts: float) -> Iterator[tuple[str, float, float, flo
 
 @EVERY
 @pytest.mark.parametrize("Ts", sampled([0.01, 0.005]))
-def test_a_time_is_the_same_wherever_it_is_shown(p: ArmParameters, Ts: float) -> None:
+def test_a_time_is_equal_in_all_places_that_show_it(p: ArmParameters, Ts: float) -> None:
     """`armrig model`, `compare`, the step analysis and `armrig sampling` give one number."""
     truth = armrig.characteristics(p)
 
@@ -86,7 +86,9 @@ def test_the_arms_times_are_known_in_closed_form() -> None:
 
 
 @given(tau=st.floats(1.0, 200.0), dead=st.integers(0, 5))
-def test_of_a_first_order_system_all_three_are_its_time_constant(tau: float, dead: int) -> None:
+def test_all_three_times_of_a_first_order_system_are_its_time_constant(
+    tau: float, dead: int
+) -> None:
     """The trapezoidal rule gives the area to 1/12 of a sample squared."""
     pole = np.exp(-1 / tau)
     y = 1 - pole ** np.arange(round(12 * tau))
@@ -113,7 +115,7 @@ def test_two_samples_are_a_straight_line() -> None:
     assert np.isnan(rise_time(np.array([0.0]), 0.1))
 
 
-def test_what_is_never_reached_is_no_time() -> None:
+def test_a_level_that_is_never_reached_has_no_time() -> None:
     y: NDArray[np.float64] = np.linspace(0.0, 0.6, 20)
 
     assert np.isnan(rise_time(y, 0.1))

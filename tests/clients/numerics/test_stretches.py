@@ -13,7 +13,7 @@ MASKS = st.lists(st.booleans(), max_size=40).map(lambda x: np.array(x, dtype=np.
 
 
 @given(MASKS)
-def test_stretches_cover_what_is_true_and_none_touches_another(mask: np.ndarray) -> None:
+def test_stretches_cover_the_mask_and_do_not_touch(mask: np.ndarray) -> None:
     found = stretches(mask)
 
     marked = np.zeros(mask.size, dtype=np.bool_)
@@ -31,7 +31,7 @@ def test_the_longest_stretch_is_counted_in_samples() -> None:
     assert longest(np.zeros(0, dtype=np.bool_)) == 0
 
 
-def test_a_signal_is_cut_where_it_changes() -> None:
+def test_a_signal_is_divided_at_its_changes() -> None:
     assert constant(np.array([1.0, 1.0, 2.0, 1.0])) == [slice(0, 2), slice(2, 3), slice(3, 4)]
     assert constant(np.array([np.nan, np.nan])) == [slice(0, 1), slice(1, 2)]
     assert constant(np.array([3.0])) == [slice(0, 1)]

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 
 def polynomial(*z: complex) -> NDArray[np.float64]:
-    """Return the monic polynomial with these roots."""
     return np.real(np.poly(z))
 
 

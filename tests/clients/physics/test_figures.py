@@ -2,53 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import Any
+from collections.abc import Iterator
 
-import armrig
 import matplotlib as mpl
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
-from armrig.physics.figures import (
-    plot_physical_step,
-    plot_rig,
-    plot_sensitivities,
-)
-from armrig.physics.grey_box.figures import plot_greybox, plot_split
-from armrig.physics.integrators.accuracy import convergence, sinusoid
+from armrig.physics.integrators.accuracy import sinusoid
 from armrig.physics.integrators.figures import (
-    plot_convergence,
     plot_solution,
     plot_stability_edge,
     plot_stability_regions,
 )
-from armrig.physics.systems import beside_the_handout
 from armrig_core.arm import ArmParameters, arm_matrices
 from matplotlib import pyplot as plt
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-
-from tests.clients.chassis_data import Make
 
 A, B, _ = arm_matrices(ArmParameters())
 PROBLEM = sinusoid(A, B, omega=5.0, span=1.0)
-Plot = Callable[[Dataset, Any], Axes]
-
-PLOTS: dict[str, Plot] = {
-    "regions": lambda d, ax: plot_stability_regions(A, ax=ax),
-    "convergence": lambda d, ax: plot_convergence(
-        [convergence(PROBLEM, "heun", [1e-2, 5e-3])], ax=ax
-    ),
-    "edge": lambda d, ax: plot_stability_edge(A, "ab2", ax=ax),
-    "solution": lambda d, ax: plot_solution(PROBLEM, 0.01, ax=ax),
-    "step": lambda d, ax: plot_physical_step(ax=ax),
-    "sensitivities": lambda d, ax: plot_sensitivities(ax=ax),
-    "grey box": lambda d, ax: plot_greybox(armrig.greybox(d), d, ax=ax),
-    "split": lambda d, ax: plot_split(armrig.split_study(d, (1, 2, 4)), ax=ax),
-}
-EVERY = pytest.mark.parametrize("plot", PLOTS.values(), ids=PLOTS.keys())
 
 
 @pytest.fixture(autouse=True)
@@ -57,37 +27,6 @@ def closed() -> Iterator[None]:
     with mpl.rc_context({"backend": "agg"}):
         yield
         plt.close("all")
-
-
-@pytest.fixture(scope="module")
-def data(make: Make) -> Dataset:
-    """Return short data."""
-    return make(N=1500)
-
-
-@EVERY
-def test_a_plot_draws_into_the_axes_it_is_given(plot: Plot, data: Dataset) -> None:
-    ax = Figure().add_subplot()
-
-    assert plot(data, ax) is ax
-    assert ax.has_data()
-    assert plt.get_fignums() == []
-    panels = ax.figure.axes
-    assert all(panel.get_ylabel() for panel in panels)
-    assert panels[-1].get_xlabel()
-
-
-@EVERY
-def test_a_plot_without_axes_makes_them(plot: Plot, data: Dataset) -> None:
-    assert plot(data, None).has_data()
-    assert len(plt.get_fignums()) == 1
-
-
-def test_the_structure_names_every_part() -> None:
-    texts = " ".join(t.get_text() for t in plot_rig(ax=Figure().add_subplot()).texts)
-
-    for part in ("circuit", "motor", "gear", "chassis", "spring", "arm", "back-EMF"):
-        assert part in texts
 
 
 def test_the_arm_s_points_lie_on_the_edge_at_the_limit() -> None:
@@ -99,61 +38,13 @@ def test_the_arm_s_points_lie_on_the_edge_at_the_limit() -> None:
     assert sorted(np.abs(z + 1))[-3:] == pytest.approx([1.0, 1.0, 1.0])
 
 
-def test_the_residual_of_the_grey_box_is_the_noise(data: Dataset) -> None:
-    """The lower panel shows 2 mrad, not the ramp."""
-    fit = armrig.greybox(data)
-    ax = fit.plot(data, ax=Figure().add_subplot()).axes[0]
-
-    error = np.asarray(ax.figure.axes[1].lines[0].get_ydata())
-    assert np.std(error) == pytest.approx(fit.loss**0.5, rel=1e-3)
-
-
-def test_an_edge_that_is_not_there_is_refused() -> None:
+def test_a_method_without_a_stability_edge_has_no_figure() -> None:
     with pytest.raises(ValueError, match="no figure is possible"):
         plot_stability_edge(A, "trapezoidal")
 
 
-@pytest.mark.parametrize(
-    ("u", "steady", "slopes"),
-    [(1.0, "1.8623", ("98.40", "49.20")), (2.5, "4.6558", ("246.00", "123.00"))],
-)
-def test_changed_parameters_are_shown_next_to_the_handouts_own(
-    u: float, steady: str, slopes: tuple[str, str]
-) -> None:
-    """Assignment 2.3: each change alone and both together, for the height of the step."""
-    p = ArmParameters()
-    cases = beside_the_handout(replace(p, J_1=2 * p.J_1, K_lin=2 * p.K_lin))
-    ax = plot_physical_step(cases, u=u, ax=Figure().add_subplot())
-
-    legend = ax.get_legend()
-    assert legend is not None
-    assert [" ".join(t.get_text().split()) for t in legend.get_texts()] == [
-        f"handout: steady {steady} rad/s, initial slope {slopes[0]} rad/s²",
-        f"$J_1$=0.0034: steady {steady} rad/s, initial slope {slopes[1]} rad/s²",
-        f"$K_{{lin}}$=2.38: steady {steady} rad/s, initial slope {slopes[0]} rad/s²",
-        f"both: steady {steady} rad/s, initial slope {slopes[1]} rad/s²",
-        "steady speed and initial slope, handout",
-    ]
-    assert legend.get_title().get_text() == f"step of {u:g} V from rest"
-    own, changed = (np.asarray(line.get_ydata()) for line in ax.lines[:2])
-    assert changed[5] == pytest.approx(own[5] / 2, rel=0.1)
-
-
-def test_each_method_is_drawn_at_its_own_step() -> None:
-    ax = plot_solution(PROBLEM, {"heun": 0.01, "ab2": 0.004}, ax=Figure().add_subplot())
-
-    legend = ax.get_legend()
-    assert legend is not None
-    assert [t.get_text() for t in legend.get_texts()] == [
-        "exact",
-        "Heun, RK(2), 10 ms",
-        "AB(2), 4 ms",
-    ]
-    assert [len(np.asarray(line.get_xdata())) for line in ax.lines[1:]] == [101, 251]
-
-
 @pytest.mark.parametrize("state", [0, 1, 3])
-def test_the_errors_of_a_solution_are_those_of_its_state(state: int) -> None:
+def test_the_error_figure_shows_the_errors_of_the_state(state: int) -> None:
     steps = {"heun": 0.01, "trapezoidal": 0.004}
     ax = plot_solution(PROBLEM, steps, state=state, label="x [m]", ax=Figure().add_subplot())
     below = ax.figure.axes[1]

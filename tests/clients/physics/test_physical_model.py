@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.numerics.polynomial import filtered
 from armrig.physics.physical_model import transfer
 from armrig.physics.systems import ArmParameters
-from armrig_core.arm import arm_matrices, chassis_matrices, zero_order_hold
+from armrig_core.arm import chassis_matrices
 
 
 @pytest.mark.parametrize("Ts", [1e-2, 1e-3])
@@ -26,15 +25,3 @@ def test_the_chassis_has_the_textbooks_coefficients(Ts: float) -> None:
     np.testing.assert_allclose(f, [1.0, -1.0 - a, a], rtol=1e-14)
     first, second = np.expm1(-x) + x, -np.expm1(-x) - x * a
     np.testing.assert_allclose(b, [0.0, K * tau * first, K * tau * second], rtol=1e-12)
-
-
-def test_the_arm_answers_as_its_states_do() -> None:
-    A, B, C = arm_matrices(ArmParameters())
-    Phi, Gamma = zero_order_hold(A, B, 0.01)
-    u = np.random.default_rng(1).standard_normal(200)
-    x, y = np.zeros(4), []
-    for value in u:
-        y.append(C[0] @ x)
-        x = Phi @ x + Gamma[:, 0] * value
-
-    np.testing.assert_allclose(filtered(*transfer(A, B, C[0], 0.01), u), y, atol=1e-10)

@@ -37,7 +37,7 @@ def moved(name: str, x: float) -> dict[str, float]:
     return {name: value + x if name == "b_1" else value * float(np.exp(x))}
 
 
-def test_the_model_is_sampled_as_the_core_samples_it() -> None:
+def test_the_model_is_sampled_like_in_the_core() -> None:
     A, B, _ = chassis_matrices(P)
     Phi, Gamma = zero_order_hold(A, B, Ts)
 
@@ -48,7 +48,7 @@ def test_the_model_is_sampled_as_the_core_samples_it() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_whole_rig_s_sensitivities(name: str) -> None:
+def test_the_sensitivities_of_the_rig_equal_finite_differences(name: str) -> None:
     physics = Physics(model=arm, fixed=P, output="alpha")
     x0, u0 = np.array([0.3, 0.1, 1.0, -2.0]), 0.2
 
@@ -80,33 +80,7 @@ def test_sensitivities_through_stops_and_starts(name: str) -> None:
     )
 
 
-def test_sensitivities_by_friction_and_by_the_initial_state() -> None:
-    sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
-    x0 = np.array([0.1, 3.0])
-    answer = with_friction(sampled, U, x0, 0.1, 1)
-
-    by_V = (
-        with_friction(sampled, U, x0, 0.1 + 1e-6, 1).y
-        - with_friction(sampled, U, x0, 0.1 - 1e-6, 1).y
-    ) / 2e-6
-    np.testing.assert_allclose(answer.by_friction, by_V, atol=1e-5 * np.abs(by_V).max())
-    for i, e in enumerate(1e-6 * np.eye(2)):
-        y = [with_friction(sampled, U, x0 + s * e, 0.1, 1).y for s in (1, -1)]
-        np.testing.assert_allclose(answer.by_initial[:, i], (y[0] - y[1]) / 2e-6, atol=1e-7)
-
-
-def test_sensitivity_by_an_offset_of_the_input() -> None:
-    sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
-    u, x0 = U - 2.0, np.array([0.1, 3.0])
-
-    answer = with_friction(sampled, u, x0, 0.1, 1)
-    y = [with_friction(sampled, u - s * 1e-6, x0, 0.1, 1).y for s in (1, -1)]
-
-    differences = (y[0] - y[1]) / 2e-6
-    np.testing.assert_allclose(answer.by_offset, differences, atol=1e-5 * np.abs(differences).max())
-
-
-def test_friction_is_the_emulator_s() -> None:
+def test_the_response_with_friction_equals_that_of_the_emulator() -> None:
     """The emulator splits each 0.1 ms; the angles agree to a fraction of a converter step."""
     u = telegraph(2000, 0.02, 0.0, 5.0, seed=4)
     V = 0.02 / P.torque_per_volt
@@ -118,7 +92,7 @@ def test_friction_is_the_emulator_s() -> None:
     assert np.abs(ours - rubbing(u, replace(P, b_1=0.0), 0.0)).max() > 0.5
 
 
-def test_without_friction_both_ways_agree() -> None:
+def test_zero_friction_gives_the_linear_response() -> None:
     sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
 
     np.testing.assert_allclose(
@@ -126,7 +100,7 @@ def test_without_friction_both_ways_agree() -> None:
     )
 
 
-def test_a_single_speed_is_braked_as_any_other() -> None:
+def test_the_special_case_of_one_speed_equals_the_general_friction() -> None:
     sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
     x0 = np.array([0.3, -20.0])
 
@@ -138,7 +112,7 @@ def test_a_single_speed_is_braked_as_any_other() -> None:
     np.testing.assert_allclose(frictions, expected, atol=1e-12)
 
 
-def test_a_direct_term_acts_at_once_and_an_offset_is_subtracted_before_it() -> None:
+def test_a_direct_term_acts_without_delay_on_the_input_less_its_offset() -> None:
     plain = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, ("J_1",), Ts)
     direct, x0 = replace(plain, D=0.7), np.zeros(2)
 
@@ -151,7 +125,7 @@ def test_a_direct_term_acts_at_once_and_an_offset_is_subtracted_before_it() -> N
     np.testing.assert_allclose(rubs.by_offset - rubs_plain.by_offset, -0.7, atol=1e-12)
 
 
-def test_the_columns_of_the_problem_with_friction_are_its_differences() -> None:
+def test_the_friction_derivatives_equal_finite_differences() -> None:
     """T_c acts as the voltage T_c R_m / (N K_m), so R_m changes both; two experiments, one gap."""
     names = ("R_m", "N", "b_1")
     parts = tuple(
@@ -175,7 +149,7 @@ def test_the_columns_of_the_problem_with_friction_are_its_differences() -> None:
         np.testing.assert_allclose(J[:, k], differences, atol=near, err_msg=str(k))
 
 
-def test_a_friction_may_act_as_its_square_in_a_model_of_one_s_own() -> None:
+def test_a_custom_model_may_depend_on_the_square_of_a_friction() -> None:
     """The derivative from above is exact to second order; below 0 the model goes on as a line."""
 
     def mine(p: ArmParameters) -> control.StateSpace:

@@ -13,24 +13,22 @@ from armrig.physics.grey_box.sampled_model import Physics
 from armrig.physics.grey_box.several_outputs import _minimised, _Problem
 from armrig_core.errors import InputError
 
-from tests.benchmarks.several_greybox import NAMES, simulated
+from tests.plants import ARM_PARAMETERS, simulated_arm
 
 
 def estimated(signals: Any, **options: Any) -> armrig.GreyFit:
-    """Return the estimates of the three parameters."""
-    return armrig.greybox(signals, armrig.arm, NAMES, **options)
+    return armrig.greybox(signals, armrig.arm, ARM_PARAMETERS, **options)
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.3])
 def test_the_parameters_are_found_within_their_deviations(missing: float) -> None:
-    """tests/benchmarks/several_greybox.py counts the coverage."""
     rng = np.random.default_rng([3, 7])
-    p, signals = simulated(rng, 800, 2e-3)
+    p, signals = simulated_arm(rng, 800, 2e-3)
     holed = signals.replaced(step=None, valid=rng.random(signals.y.shape) >= missing)
 
     fit = estimated(holed)
 
-    for name in NAMES:
+    for name in ARM_PARAMETERS:
         assert abs(fit.values[name] - getattr(p, name)) < 3.5 * fit.std[name]
     rms = [np.sqrt(q.loss) for q in fit.by_output.values()]
     np.testing.assert_allclose(rms, [5e-3, 2e-3], rtol=0.1)
@@ -38,19 +36,19 @@ def test_the_parameters_are_found_within_their_deviations(missing: float) -> Non
 
 
 def test_both_outputs_give_smaller_deviations_than_each_alone() -> None:
-    _, signals = simulated(np.random.default_rng([3, 8]), 800, 5e-3)
+    _, signals = simulated_arm(np.random.default_rng([3, 8]), 800, 5e-3)
 
     both = estimated(signals)
 
     for output in signals.outputs:
         alone = estimated(signals.dataset(output, "u"), output=output)
-        assert all(both.std[name] < 0.95 * alone.std[name] for name in NAMES)
+        assert all(both.std[name] < 0.95 * alone.std[name] for name in ARM_PARAMETERS)
     assert repr(both).count(": fit ") == 2
     assert both.output == "theta_1"
 
 
-def test_several_experiments_each_have_their_state() -> None:
-    p, signals = simulated(np.random.default_rng([3, 9]), 900, 2e-3)
+def test_each_of_several_experiments_has_its_initial_state() -> None:
+    p, signals = simulated_arm(np.random.default_rng([3, 9]), 900, 2e-3)
     two = armrig.merge([signals[100:500], signals[600:]])  # type: ignore[arg-type]
 
     fit = estimated(two, output="alpha")
@@ -65,12 +63,12 @@ def test_several_experiments_each_have_their_state() -> None:
     )
     assert fit.noise_variance == pytest.approx(fit.loss, rel=0.05)
     assert fit.by_output["theta_1"].loss != pytest.approx(fit.loss, rel=0.5)
-    for name in NAMES:
+    for name in ARM_PARAMETERS:
         assert abs(fit.values[name] - getattr(p, name)) < 3.5 * fit.std[name]
 
 
-def test_what_both_outputs_cannot_give_is_refused() -> None:
-    _, signals = simulated(np.random.default_rng([3, 9]), 100, 5e-3)
+def test_arguments_incompatible_with_two_outputs_are_refused() -> None:
+    _, signals = simulated_arm(np.random.default_rng([3, 9]), 100, 5e-3)
     twice = Signals(
         u=np.column_stack([signals.u, signals.u[::-1]]),
         y=signals.y,
@@ -91,7 +89,7 @@ def test_what_both_outputs_cannot_give_is_refused() -> None:
 
 def test_fixed_parameters_carry_their_uncertainty_into_both_forms() -> None:
     """The shares of R_m and K_m add as squares; influences are in percent for one percent."""
-    _, signals = simulated(np.random.default_rng([3, 9]), 250, 2e-3)
+    _, signals = simulated_arm(np.random.default_rng([3, 9]), 250, 2e-3)
     p = ArmParameters()
     shares = {"R_m": 0.01, "K_m": 0.02}
     known = {name: share * getattr(p, name) for name, share in shares.items()}
@@ -101,9 +99,9 @@ def test_fixed_parameters_carry_their_uncertainty_into_both_forms() -> None:
         estimated(signals, friction="viscous", fixed_std=known),
     )
 
-    assert fit.names == (*NAMES, "b_1")
+    assert fit.names == (*ARM_PARAMETERS, "b_1")
     assert fit.std_noise == pytest.approx(plain.std)
-    for name in NAMES:
+    for name in ARM_PARAMETERS:
         carried = [fit.influence[name][k] * share for k, share in shares.items()]
         added = (fit.values[name] * np.linalg.norm(carried)) ** 2
         assert fit.std[name] ** 2 - plain.std[name] ** 2 == pytest.approx(added, rel=1e-6)
@@ -111,13 +109,13 @@ def test_fixed_parameters_carry_their_uncertainty_into_both_forms() -> None:
         assert robust == pytest.approx(added, rel=1e-6)
 
 
-def test_the_weights_of_the_outputs_are_their_noise_whatever_they_were_first() -> None:
-    _, signals = simulated(np.random.default_rng([3, 9]), 200, 2e-3)
+def test_the_final_weights_of_the_outputs_do_not_depend_on_the_first() -> None:
+    _, signals = simulated_arm(np.random.default_rng([3, 9]), 200, 2e-3)
     physics = tuple(
         Physics(model=armrig.arm, fixed=ArmParameters(), output=name) for name in signals.outputs
     )
-    plain = GreyBox(physics=physics[0], names=NAMES, experiments=())
-    start = plain.coordinates({name: getattr(ArmParameters(), name) for name in NAMES})
+    plain = GreyBox(physics=physics[0], names=ARM_PARAMETERS, experiments=())
+    start = plain.coordinates({name: getattr(ArmParameters(), name) for name in ARM_PARAMETERS})
     found = []
     for first in ((1e3, 1.0), (1.0, 1e3)):
         begun = _Problem(plain=plain, physics=physics, experiments=(signals,), std=np.array(first))

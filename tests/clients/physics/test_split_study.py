@@ -29,7 +29,7 @@ def test_the_standard_deviation_follows_the_law(make: Make) -> None:
     np.testing.assert_allclose(scaled / scaled[0], 1.0, atol=0.1)
 
 
-def test_the_parts_are_those_of_the_data(make: Make) -> None:
+def test_each_part_has_the_estimate_of_its_slice(make: Make) -> None:
     data = make(N=2000)
     valid = np.arange(2000) >= 100
     holed = Dataset(u=data.u, y=data.y, Ts=Ts, valid=valid, output="theta_1", unit="rad")
@@ -44,7 +44,7 @@ def test_the_parts_are_those_of_the_data(make: Make) -> None:
     assert study.splits[1].std[1] == second.std["J_1"]
 
 
-def test_pooling_and_the_test_of_the_parts_by_hand() -> None:
+def test_pooling_and_the_homogeneity_test_match_the_manual_calculation() -> None:
     """Two estimates, 1 ± 1 and 4 ± 2."""
     split = Split(
         k=2, N=np.array([100.0, 100.0]), values=np.array([1.0, 4.0]), std=np.array([1.0, 2.0])
@@ -71,7 +71,7 @@ def test_the_scatter_of_few_parts_has_an_interval(make: Make) -> None:
     np.testing.assert_allclose(bar[:, 1] / bar[0, 1], [1.0, high / low])
 
 
-def test_a_rig_that_changes_half_way_is_noticed() -> None:
+def test_a_rig_that_changes_half_way_is_reported() -> None:
     """The chassis becomes 10 % heavier."""
     u = armrig.telegraph(4000, 0.02, seed=5)
     y = angle(u, ArmParameters())
@@ -84,7 +84,7 @@ def test_a_rig_that_changes_half_way_is_noticed() -> None:
     assert "DIFFER" in study.explain()
 
 
-def test_the_parameter_that_was_asked_for_is_studied() -> None:
+def test_the_requested_parameter_is_studied() -> None:
     rng = np.random.default_rng(1)
     u, e = rng.standard_normal((2, 240))
     data = Dataset(u=u, y=filtered([0, 1.0, 0.3], [1, -0.6], u) + 0.3 * e, Ts=1.0)
@@ -105,35 +105,6 @@ def test_the_parameter_that_was_asked_for_is_studied() -> None:
         assert study.std_growth == pytest.approx(thirds.std.mean() / study.splits[0].std[0])
         assert f"{study.std_growth:.2f}, its variance by {study.std_growth**2:.2f}" in study.verdict
         assert "the factors would be 1.73 and 3.00" in study.verdict
-
-
-def test_black_box_models_can_be_split_too(make: Make) -> None:
-    study = armrig.split_study(
-        make(), (1, 2), lambda d: armrig.oe(d, nb=2, nf=2, integrator=True), parameter="f1"
-    )
-
-    assert study.parameter == "f1"
-    assert study.exponent == pytest.approx(-0.5, abs=0.15)
-    assert "f1" in repr(study)
-    with pytest.raises(ValueError, match="parameter='J_2' is none of J_1"):
-        armrig.split_study(make(N=400), (1,), parameter="J_2")
-    with pytest.raises(ValueError, match="parts=0 must be an integer >= 1"):
-        armrig.split_study(make(N=400), (1, 0))
-
-
-def test_the_words_report_the_trend_and_its_reason(make: Make) -> None:
-    study = armrig.split_study(make(), (1, 2, 4))
-    text = study.explain()
-
-    assert "half the data have half the information and twice the variance" in text
-    last, whole = study.splits[-1], study.splits[0]
-    value, std = last.pooled
-    assert f"the estimate of the 4 parts is {value:.6g} ± {std:.2g}; the estimate" in text
-    assert f"from all data is {whole.values[0]:.6g} ± {whole.std[0]:.2g}." in text
-    assert f"scatter by {last.scatter:.2g}" in text
-    assert f"the reported standard deviation is {np.sqrt(np.mean(last.std**2)):.2g}." in text
-    assert f"chi² {last.chi2:.2f} with 3 degrees of freedom" in text
-    assert "4 parts agree" in text
 
 
 def test_progress_is_reported_before_each_part_and_at_the_end() -> None:

@@ -14,7 +14,7 @@ def test_signals_have_the_handout_s_names() -> None:
     assert system.state_labels == ["theta_1", "alpha", "theta_1_rate", "alpha_rate"]
 
 
-def test_the_chassis_turns_as_its_time_constant_and_gain_say() -> None:
+def test_the_chassis_responds_with_its_time_constant_and_gain() -> None:
     """G = K / (s (1 + s tau)) with K = 1.8623 rad/(s V) and 1/tau = 52.836 1/s."""
     s = 3.0j
 

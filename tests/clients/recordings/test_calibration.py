@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from math import degrees, erf, sqrt, tau
 
+import msgspec
 import numpy as np
 import pytest
 from armrig.recordings.calibration import (
@@ -30,7 +31,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure as Canvas
 
-from tests.clients.calibration_rig import REST, TURNS, calibrated, runs, truth, unknown_rig
+from tests.clients.calibration_rig import calibrated, truth, unknown_rig
 from tests.clients.made_recordings import manifest
 from tests.clients.made_turns import HIGH, LOW, D, made_turns, still
 from tests.sampling import sampled
@@ -39,11 +40,11 @@ MADE = Made(date="2026-11-01T00:00:00+00:00", rig="1", device_uid="0001", armrig
 
 
 @pytest.mark.parametrize("seed", sampled([1000, 1001]))
-def test_a_rig_that_nobody_has_seen_is_found_out(seed: int) -> None:
+def test_a_calibration_finds_the_figures_of_an_unknown_rig(seed: int) -> None:
     """Offsets, gains, directions, dead band and friction are each within four of their deviations.
 
-    With four, hardly one of 26 true numbers in 600 fails. tests/benchmarks/calibration.py measures
-    the share within three.
+    With four, hardly one of 26 true numbers in 600 fails. docs/calibration.md has the share within
+    three.
     """
     rig = unknown_rig(seed)
 
@@ -67,7 +68,7 @@ def test_a_rig_that_nobody_has_seen_is_found_out(seed: int) -> None:
     st.floats(1.2, 6.0),
     st.integers(0, 2**31),
 )
-def test_a_turn_is_found_whatever_the_speed_and_direction(
+def test_a_turn_is_found_at_any_speed_in_both_directions(
     direction: int, omega: float, seed: int
 ) -> None:
     readings = made_turns(direction=direction, noise=32.0, seed=seed, omega=(omega, omega + 1))
@@ -107,7 +108,7 @@ def test_the_deviations_of_a_turn_hold_in_monte_carlo() -> None:
         ({"theta_1": np.tile([9000.0, 60_000.0], 1200)}, "did not turn in one direction"),
     ],
 )
-def test_a_run_that_shows_no_turns_is_refused_with_the_way_out(
+def test_a_run_without_full_turns_is_refused_with_the_remedy(
     change: dict[str, np.ndarray], said: str
 ) -> None:
     with pytest.raises(InputError, match=said) as refused:
@@ -141,7 +142,7 @@ def test_a_worn_track_is_reported() -> None:
         turning(replace(readings, theta_1=np.where(worn, 0.0, readings.theta_1)), 64.0)
 
 
-def test_a_spot_that_is_misread_now_and_then_changes_nothing() -> None:
+def test_an_occasional_misreading_does_not_change_the_calibration() -> None:
     """Up to 2 % of the samples on the track may show a rail."""
     readings = made_turns(noise=32.0)
     spot = (readings.theta_1 > 55_000) & (readings.theta_1 < 55_700)
@@ -167,7 +168,7 @@ def test_a_speed_that_is_not_constant_is_reported() -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1, 0.2, 0.3, 0.5])
-def test_rounding_leaves_what_noise_does_not_smooth(noise: float) -> None:
+def test_the_variance_of_rounding_depends_on_the_noise(noise: float) -> None:
     """The reference is the mean square error of the mean reading over all positions in a step."""
     places = (np.arange(2000) + 0.5) / 2000
     steps = np.arange(-6, 8)
@@ -194,7 +195,7 @@ def test_the_noise_before_rounding_is_found_from_rounded_readings(
     assert noise_before_rounding(step**2 / 13, step) == 0.0
 
 
-def test_equal_readings_are_as_sure_as_the_converters_step() -> None:
+def test_equal_readings_have_the_deviation_of_a_converter_step() -> None:
     counts = np.full(400, 6400.0)
 
     assert mean_reading(counts, 64.0, 0.0).std == pytest.approx(64 / sqrt(12), rel=0.01)
@@ -222,7 +223,9 @@ def test_the_deviation_of_a_spread_holds_in_monte_carlo() -> None:
         ),
     ],
 )
-def test_a_rest_that_is_none_is_refused(change: dict[str, np.ndarray], said: str) -> None:
+def test_a_recording_that_is_not_at_rest_is_refused(
+    change: dict[str, np.ndarray], said: str
+) -> None:
     with pytest.raises(InputError, match=said):
         estimate(replace(still(), **change))
 
@@ -233,7 +236,7 @@ def test_readings_are_columns_of_as_many_samples(t: np.ndarray, alpha: np.ndarra
         Readings(t=t, u=t, theta_1=t, alpha=alpha)
 
 
-def test_without_a_motor_zeros_are_found_and_the_sign_by_hand() -> None:
+def test_without_a_motor_zeros_and_the_sign_by_hand_are_determined() -> None:
     held = replace(still(), alpha=still().alpha - 3000.0)
     base = Calibration(theta_1=Potentiometer(rad_per_count=-1e-4))
 
@@ -250,7 +253,7 @@ def test_without_a_motor_zeros_are_found_and_the_sign_by_hand() -> None:
 
 @pytest.mark.parametrize("counts", [3000.0, -3000.0])
 @pytest.mark.parametrize("rad_per_count", [1e-4, -1e-4])
-def test_a_hand_that_deflects_the_arm_for_a_while_determines_its_sign(
+def test_a_lasting_deflection_by_hand_determines_the_sign_of_alpha(
     counts: float, rad_per_count: float
 ) -> None:
     """Then the arm hangs again, or swings a little to the other side."""
@@ -265,7 +268,7 @@ def test_a_hand_that_deflects_the_arm_for_a_while_determines_its_sign(
 
 
 @pytest.mark.parametrize("rad_per_count", [1e-4, -1e-4])
-def test_without_a_deflection_alpha_keeps_its_direction(rad_per_count: float) -> None:
+def test_the_direction_of_alpha_is_kept_without_a_deflection(rad_per_count: float) -> None:
     base = Calibration(
         theta_1=Potentiometer(rad_per_count=3e-4, wraps=False),
         alpha=Potentiometer(rad_per_count=rad_per_count, wraps=True),
@@ -278,7 +281,7 @@ def test_without_a_deflection_alpha_keeps_its_direction(rad_per_count: float) ->
     assert found.driver == base.driver
 
 
-def test_what_moved_at_rest_is_reported_with_its_deviation() -> None:
+def test_a_motion_at_rest_is_reported_with_its_deviation() -> None:
     """700 counts of 65536 are 3.8°."""
     swing = 700 * np.sqrt(2) * np.sin(tau * np.arange(300) / 30)
 
@@ -290,7 +293,7 @@ def test_what_moved_at_rest_is_reported_with_its_deviation() -> None:
         )
 
 
-def test_the_angles_of_a_count_and_of_the_dead_band_are_as_sure_as_track_and_turn() -> None:
+def test_the_deviations_of_count_and_dead_band_follow_from_track_and_turn() -> None:
     found = estimate(still(), made_turns(noise=32.0))
     turned, count, band = found.turned, found.rad_per_count, found.dead_band
     assert turned is not None
@@ -306,7 +309,7 @@ def test_the_angles_of_a_count_and_of_the_dead_band_are_as_sure_as_track_and_tur
     assert band.std == pytest.approx(tau * np.linalg.norm(parts))
 
 
-def test_a_hand_that_only_touches_the_arm_says_nothing() -> None:
+def test_a_small_deflection_determines_no_sign() -> None:
     rest = Figure(value=20_000.0, std=1.0)
     touched = replace(still(), alpha=still().alpha + 100)
 
@@ -314,7 +317,7 @@ def test_a_hand_that_only_touches_the_arm_says_nothing() -> None:
     assert "alpha keeps the configured sign" in " ".join(estimate(still()).warnings)
 
 
-def test_a_meter_gives_the_line_through_its_readings() -> None:
+def test_the_driver_line_is_fitted_to_the_readings_of_the_meter() -> None:
     """Two readings give gain and offset, one gives the gain alone."""
     two = terminal_voltage([(1.0, 1.02), (4.0, 3.96)], 0.01)
     one = terminal_voltage([(2.0, 1.9)], 0.01)
@@ -332,7 +335,7 @@ def test_a_meter_gives_the_line_through_its_readings() -> None:
         terminal_voltage([(1.0, 1.0), (1.0, 1.1)], 0.01)
 
 
-def test_a_speed_and_a_standstill_are_as_sure_as_slopes_turn_and_meter() -> None:
+def test_the_deviations_of_speed_and_standstill_follow_from_slopes_turn_and_meter() -> None:
     """With two voltages no weight matters: J P J^T, with central differences by five numbers."""
     x = np.array([2.0e4, 6.0e4, 67_000.0, 0.05, 0.95])  # slopes, counts of a turn, offset, gain
     P = np.zeros((5, 5))
@@ -387,7 +390,7 @@ def test_a_driver_above_the_rig_s_limit_is_reported_with_the_limit_to_set() -> N
     assert "u_max_v" not in " ".join(weak)
 
 
-def test_the_samples_are_compact_and_come_back_to_the_bit() -> None:
+def test_the_samples_are_compressed_without_loss() -> None:
     """The hash of the bytes names the samples."""
     sources = {"rest": still(), "turns": made_turns(noise=32.0)}
 
@@ -414,8 +417,15 @@ def test_the_samples_are_compact_and_come_back_to_the_bit() -> None:
         (Calibration(made=MADE), {}, ""),
         (Calibration(made=MADE), {"device": {"uid": "0002"}}, "of another device: .* 0001"),
         (Calibration(made=MADE), {"device": {"uid": "0002"}, "rig": "2"}, "of another device"),
+        (Calibration(made=MADE), {"device": {}}, "made on 0001, .* on a device without an id"),
+        (
+            Calibration(made=msgspec.structs.replace(MADE, device_uid="")),
+            {},
+            "made on none, the recording was made on 0001",
+        ),
         (Calibration(made=MADE), {"rig": "2"}, "of rig 1, and the recording is of rig 2"),
         (Calibration(made=MADE), {"started": "2026-12-02T00:00:01+00:00"}, "31 days old"),
+        (Calibration(made=MADE), {"started": "2026-12-01T00:00:00+00:00"}, ""),
         (Calibration(made=MADE), {"started": "2026-10-01T00:00:00+00:00"}, ""),
         (Calibration(made=MADE), {"started": "2026-11-20"}, "age .* not known"),
     ],
@@ -430,7 +440,7 @@ def test_a_calibration_that_is_missing_or_stale_is_reported(
 
 
 def test_a_calibration_shows_its_track_and_the_motors_line() -> None:
-    rest, turns = runs(unknown_rig(1000), REST, TURNS)
+    rest, turns = still(), made_turns(noise=32.0)
     found = estimate(rest, turns)
 
     [ax, *_] = found.plot(turns, ax=Canvas().add_subplot()).axes
@@ -440,6 +450,6 @@ def test_a_calibration_shows_its_track_and_the_motors_line() -> None:
     assert edges == [found.turned.low.value, found.turned.high.value]
     below = ax.figure.axes[1]
     [points] = [c for c in below.containers if c.get_label() == "measured"]
-    assert len(points.lines[0].get_xdata()) == 3
+    assert len(points.lines[0].get_xdata()) == 2
     with pytest.raises(InputError, match="without turns"):
         estimate(rest).plot(turns)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import struct
-import subprocess
-import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 
@@ -58,7 +57,6 @@ def made(folder: Path, number: int, *, experiment: str = "step", samples: int = 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Return a folder of three recordings."""
     folder = tmp_path / "recordings"
     folder.mkdir()
     for number, experiment in enumerate(("step", "blackbox-monday", "blackbox-validation-monday")):
@@ -67,15 +65,17 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Have an index kept for the smallest folder, and give the names of the files opened.
+def opened(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> list[str]:
+    """Have an index kept for so few files, by default one, and give the names of the files opened.
 
-    The clock that says whether a file is settled is a minute ahead.
+    The clock that says whether a file is settled is by default a minute ahead.
     """
+    worth_keeping, ahead_s = getattr(request, "param", (1, 60))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(catalogue_module, "WORTH_KEEPING", 1)
-    ahead = NOW_NS() + 60_000_000_000
-    monkeypatch.setattr(catalogue_module, "now_ns", lambda: ahead)
+    monkeypatch.setattr(catalogue_module, "WORTH_KEEPING", worth_keeping)
+    monkeypatch.setattr(catalogue_module, "now_ns", lambda: NOW_NS() + ahead_s * 10**9)
     names: list[str] = []
 
     def counted(path: Path) -> RecordingSummary:
@@ -91,7 +91,7 @@ def index_files(tmp_path: Path) -> list[Path]:
     return list((tmp_path / "cache").rglob("*.*"))
 
 
-def test_it_is_a_table_of_what_each_recording_says(folder: Path) -> None:
+def test_a_catalogue_has_a_row_for_each_recording(folder: Path) -> None:
     found = armrig.catalogue(folder)
 
     assert len(found) == 3
@@ -134,7 +134,7 @@ def test_no_chunk_is_unpacked(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert catalogue(folder).recordings[0].path == path
 
 
-def test_what_cannot_be_listed_is_named_with_the_reason(folder: Path) -> None:
+def test_an_unreadable_file_is_listed_with_the_reason(folder: Path) -> None:
     cut = written(folder, made(folder, 5).read_bytes()[:-20], "cut.mcap")
     text = written(folder, b"not a recording", "text.mcap")
     written(folder, b"", "1-step-20261120T140000-0000000f.mcap.active")
@@ -155,7 +155,7 @@ def test_what_cannot_be_listed_is_named_with_the_reason(folder: Path) -> None:
     assert "2 left out, 1 unfinished" in repr(found)
 
 
-def test_a_file_without_a_time_in_its_name_is_as_old_as_its_last_change(tmp_path: Path) -> None:
+def test_a_file_without_a_time_in_its_name_has_that_of_its_last_change(tmp_path: Path) -> None:
     for name, clock in (
         ("2-step-20261120T050000-00000001.mcap", "20200101T000000"),
         ("1-step-20261120T070000-00000002.mcap", "20200101T000000"),
@@ -170,13 +170,13 @@ def test_a_file_without_a_time_in_its_name_is_as_old_as_its_last_change(tmp_path
     assert newest_first(tmp_path / "none") == newest_first(tmp_path / "mine.mcap") == []
 
 
-def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     """An empty table would mean that nothing was recorded."""
     with pytest.raises(FileNotFoundError, match="none"):
         catalogue(tmp_path / "none")
 
 
-def test_only_what_is_new_or_changed_is_opened_again(folder: Path, opened: list[str]) -> None:
+def test_a_catalogue_opens_only_new_and_changed_files(folder: Path, opened: list[str]) -> None:
     cold = catalogue(folder)
     assert len(opened) == 3
     opened.clear()
@@ -188,10 +188,10 @@ def test_only_what_is_new_or_changed_is_opened_again(folder: Path, opened: list[
     assert opened == [new.name]
 
 
+@pytest.mark.parametrize("opened", [(2, 60)], indirect=True)
 def test_the_index_is_written_again_only_for_enough_new_files(
-    folder: Path, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, opened: list[str]
 ) -> None:
-    monkeypatch.setattr(catalogue_module, "WORTH_KEEPING", 2)
     catalogue(folder)
     [index] = index_files(tmp_path)
     written_ns = index.stat().st_mtime_ns
@@ -217,48 +217,33 @@ def test_the_index_is_written_again_only_for_enough_new_files(
         ("mine.mcap", "0000000a", True, True),
     ],
 )
-def test_only_a_file_that_the_daemon_named_otherwise_need_not_be_opened(
+def test_a_file_is_opened_only_if_its_name_may_match_the_experiment(
     file: str, name: str, validation: bool, may: bool
 ) -> None:
     assert may_answer_to(Path(file), name, validation=validation) is may
 
 
-def renamed(path: Path) -> str:
-    """Rename it; return the files that are opened again."""
-    return path.rename(path.with_name("1-step-20261120T050000-000000aa.mcap")).name
-
-
-def deleted(path: Path) -> str:
-    """Remove it."""
-    path.unlink()
-    return ""
-
-
-def replaced(path: Path) -> str:
-    """Put another file of the same size and the same time in its place."""
+def rewritten(path: Path, *, is_same_file: bool) -> str:
+    """Give a file other bytes, of the same size and with the same time."""
     other = path.read_bytes().replace(b"00000000", b"000000bb")
-    path.unlink()
+    if not is_same_file:
+        path.unlink()
     path.write_bytes(other)
     os.utime(path, (OLD, OLD))
     return path.name
 
 
-def overwritten(path: Path) -> str:
-    """Write other bytes into it, and set its time back."""
-    other = path.read_bytes().replace(b"00000000", b"000000bb")
-    with path.open("r+b") as file:
-        file.write(other)
-    os.utime(path, (OLD, OLD))
-    return path.name
+CHANGES: dict[str, Callable[[Path], str]] = {
+    "renamed": lambda path: path.rename(path.with_stem("1-step-20261120T050000-000000aa")).name,
+    "deleted": lambda path: path.unlink() or "",
+    "replaced": partial(rewritten, is_same_file=False),
+    "overwritten": partial(rewritten, is_same_file=True),
+    "cut off": lambda path: os.truncate(path, path.stat().st_size - 1) or path.name,
+}
+"""Changes of a file; each returns the name of the file to read again."""
 
 
-def broken(path: Path) -> str:
-    """Cut its end off."""
-    os.truncate(path, path.stat().st_size - 1)
-    return path.name
-
-
-@pytest.mark.parametrize("change", [renamed, deleted, replaced, overwritten, broken])
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_a_file_that_changed_is_read_again(
     folder: Path, opened: list[str], change: Callable[[Path], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -270,15 +255,15 @@ def test_a_file_that_changed_is_read_again(
 
     found = catalogue(folder)
     assert opened == [again] * bool(again)
-    monkeypatch.setattr(catalogue_module, "read_index", lambda folder: {})
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "another"))
     assert found == catalogue(folder) != before
 
 
-def test_a_file_that_was_just_written_is_not_trusted(
-    folder: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("opened", [(1, 0)], indirect=True)
+def test_the_index_entry_of_a_file_just_written_is_not_used(
+    folder: Path, opened: list[str]
 ) -> None:
     """Within a tick of the file system's clock a file may change and keep its times."""
-    monkeypatch.setattr(catalogue_module, "now_ns", NOW_NS)
     catalogue(folder)
     opened.clear()
 
@@ -299,7 +284,7 @@ def test_a_file_that_was_just_written_is_not_trusted(
         lambda text: b"\xff" * 100,
     ],
 )
-def test_an_index_that_is_not_ours_is_made_again(
+def test_an_invalid_index_is_rebuilt(
     folder: Path, tmp_path: Path, opened: list[str], spoilt: Callable[[bytes], bytes]
 ) -> None:
     cold = catalogue(folder)
@@ -316,7 +301,9 @@ def test_an_index_that_is_not_ours_is_made_again(
         assert read_by_another.read() == spoilt(good)  # whole, as it was
 
 
-def test_without_a_cache_it_is_only_slower(folder: Path, tmp_path: Path, opened: list[str]) -> None:
+def test_a_catalogue_without_a_cache_is_complete(
+    folder: Path, tmp_path: Path, opened: list[str]
+) -> None:
     (tmp_path / "cache").write_text("a file where the folder should be")
     folder.chmod(0o555)
 
@@ -325,7 +312,7 @@ def test_without_a_cache_it_is_only_slower(folder: Path, tmp_path: Path, opened:
     assert len(opened) == 6
 
 
-def test_an_index_that_cannot_take_its_place_leaves_no_file(
+def test_an_index_that_cannot_be_renamed_leaves_no_file(
     folder: Path, tmp_path: Path, opened: list[str]
 ) -> None:
     assert len(catalogue(folder)) == 3
@@ -339,35 +326,9 @@ def test_an_index_that_cannot_take_its_place_leaves_no_file(
     assert list(index.parent.iterdir()) == [index]
 
 
-_LOOKED = """
-import sys
-from pathlib import Path
-from armrig.recordings import catalogue
-catalogue.WORTH_KEEPING = 1
-folder = Path(sys.argv[1])
-for number in range(30):
-    (folder / sys.argv[2]).write_bytes(bytes(number))
-    assert len(catalogue.catalogue(folder)) == 3
-"""
-
-
-def test_two_processes_at_once_leave_one_whole_index(
+def test_a_file_name_without_utf_8_is_listed(
     folder: Path, tmp_path: Path, opened: list[str]
 ) -> None:
-    both = [
-        subprocess.Popen([sys.executable, "-c", _LOOKED, str(folder), name])
-        for name in ("a.mcap", "b.mcap")
-    ]
-    assert [process.wait(60) for process in both] == [0, 0]
-
-    catalogue(folder)
-    assert len(index_files(tmp_path)) == 1
-    opened.clear()
-    catalogue(folder)
-    assert opened == []
-
-
-def test_a_name_that_is_no_text_is_listed(folder: Path, tmp_path: Path, opened: list[str]) -> None:
     strange = os.fsdecode(os.fsencode(folder) + b"/\xff.mcap")
     Path(folder / "1-step-20261120T050000-00000000.mcap").rename(strange)
 
@@ -382,7 +343,6 @@ def test_a_name_that_is_no_text_is_listed(folder: Path, tmp_path: Path, opened: 
 
 
 def with_metadata(folder: Path, run: dict[str, str], outcome: dict[str, str] | None = None) -> Path:
-    """Write a file of nothing but metadata."""
     out = BytesIO()
     writer = Writer(out)
     writer.start()
@@ -423,7 +383,7 @@ def test_a_text_may_have_4096_characters(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("started", ["yesterday", "2026-11-20T05:00:00", "9999-12-31T23:00-05:00"])
-def test_a_date_that_is_none_is_no_time(tmp_path: Path, started: str) -> None:
+def test_an_invalid_start_date_is_not_a_time(tmp_path: Path, started: str) -> None:
     with_metadata(tmp_path, manifest(started=started).metadata())
 
     found = catalogue(tmp_path)
@@ -432,14 +392,14 @@ def test_a_date_that_is_none_is_no_time(tmp_path: Path, started: str) -> None:
     assert found.to_pandas()["started"].isna().all()
 
 
-def test_an_index_of_a_hundred_thousand_records_costs_two_reads(tmp_path: Path) -> None:
+def test_an_index_of_thousands_of_records_is_read_in_two_reads(tmp_path: Path) -> None:
     """Otherwise a file of 8 MB would cause reads of terabytes."""
     path = with_metadata(tmp_path, manifest().metadata())
     data = path.read_bytes()
     summary = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
     builder = RecordBuilder()
     place = data.index(RUN.encode()) - 4 - 9
-    for _ in range(100_000):
+    for _ in range(5_000):
         MetadataIndex(offset=place, length=len(data), name=RUN).write(builder)
     Footer(summary_start=summary, summary_offset_start=0, summary_crc=0).write(builder)
     path.write_bytes(data[:summary] + builder.end() + b"\x89MCAP0\r\n")
@@ -466,15 +426,18 @@ def test_a_summary_longer_than_any_is_not_read(
     (start,) = struct.unpack_from("<Q", data, len(data) - 8 - 4 - 8 - 8)
     length = len(data) - start - 8 - 29  # up to the footer
 
-    monkeypatch.setattr(recording_summary, "RECORD_LIMIT", length)
-    assert RUN in recording_summary.read_metadata(path)
-    monkeypatch.setattr(recording_summary, "RECORD_LIMIT", length - 1)
-    with pytest.raises(DamageError, match="its footer does not point to a summary"):
-        recording_summary.read_metadata(path)
-    monkeypatch.undo()
-    path.write_bytes(data[:-28] + bytes(8) + data[-20:])
-    with pytest.raises(DamageError, match="its footer does not point to a summary"):
-        recording_summary.read_metadata(path)
+    for limit, content in (
+        (length, data),
+        (length - 1, data),
+        (RECORD_LIMIT, data[:-28] + bytes(8) + data[-20:]),
+    ):
+        monkeypatch.setattr(recording_summary, "RECORD_LIMIT", limit)
+        path.write_bytes(content)
+        if limit == length:
+            assert RUN in recording_summary.read_metadata(path)
+        else:
+            with pytest.raises(DamageError, match="its footer does not point to a summary"):
+                recording_summary.read_metadata(path)
 
 
 def test_a_record_longer_than_any_is_not_read(tmp_path: Path) -> None:

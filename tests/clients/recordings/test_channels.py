@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ast
-import re
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,6 @@ from numpy.lib.recfunctions import append_fields
 
 from tests.clients.made_recordings import recorded, sample, written
 
-ROOT = Path(__file__).parents[3]
 N = 60
 COUNTS = np.linspace(1_000, 60_000, N).astype(np.uint32)
 
@@ -64,34 +61,3 @@ def test_a_third_channel_of_the_table_reaches_an_export(path: Path) -> None:
     np.testing.assert_array_equal(table["beta"], loading.load(path).channel("beta").y)
     np.testing.assert_array_equal(np.flatnonzero(table["valid_beta"] == 0), [7])
     np.testing.assert_array_equal(table["beta_counts"], COUNTS)
-
-
-def test_the_name_of_a_channel_is_written_in_few_modules() -> None:
-    modules = {
-        path.relative_to(ROOT)
-        for folder in ("clients", "daemon")
-        for path in (ROOT / folder).rglob("*.[pj][ys]")
-        if re.search(r"([\"'])(theta_1|alpha)\1", text := path.read_text("utf-8"))
-        and (path.suffix == ".js" or _names(text))
-    }
-
-    assert len(modules) <= 5, sorted(map(str, modules))
-    assert Path("daemon/armrig_core/telemetry.py") in modules
-
-
-def _names(text: str) -> bool:
-    """Return whether a literal is the name of a channel, and none of matplotlib's options."""
-    tree = ast.parse(text)
-    options = {
-        id(key)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Dict)
-        for key, value in zip(node.keys, node.values, strict=True)
-        if isinstance(value, ast.Constant) and isinstance(value.value, float)
-    }
-    return any(
-        isinstance(node, ast.Constant)
-        and node.value in ("theta_1", "alpha")
-        and id(node) not in options
-        for node in ast.walk(tree)
-    )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import isnan, tau
+from math import isnan, nan, tau
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
-from armrig.recordings.calibration.staleness import remarks
+from armrig.numerics.quantities import NBSP
 from armrig.recordings.catalogue import catalogue
 from armrig.recordings.channels import turns_unknown
 from armrig.recordings.export import columns
@@ -38,7 +37,6 @@ from armrig_core.codes import OutcomeCode
 from armrig_core.manifest import Outcome
 from armrig_core.telemetry import decode_sample
 
-from tests.clients.made_recordings import manifest
 from tests.clients.odd_recording import (
     CLIPPED,
     GAPS,
@@ -64,7 +62,6 @@ NOISE = 6 * 17.0
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give the file."""
     path = tmp_path_factory.mktemp("odd") / "seven.mcap"
     path.write_bytes(odd_recording())
     return path
@@ -72,11 +69,10 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def odd(path: Path) -> Recording:
-    """Give the recording."""
     return load(path)
 
 
-def test_each_row_is_what_the_rig_did_then(odd: Recording) -> None:
+def test_each_row_contains_the_phase_at_its_time(odd: Recording) -> None:
     theta_1, alpha = angles()
     unknown = [120, *range(280, 284)]
 
@@ -99,7 +95,7 @@ def test_each_row_is_what_the_rig_did_then(odd: Recording) -> None:
     assert odd.turns_unknown == (207,)
 
 
-def test_the_data_are_cut_where_u_or_the_turns_are_not_known(odd: Recording) -> None:
+def test_the_data_are_divided_where_u_or_the_turns_are_unknown(odd: Recording) -> None:
     theta_1, alpha, rate = odd.dataset(), odd.dataset("alpha"), odd.dataset("velocity")
     known = np.flatnonzero(np.isfinite(odd.u))
 
@@ -119,7 +115,7 @@ def test_the_data_are_cut_where_u_or_the_turns_are_not_known(odd: Recording) -> 
     )
 
 
-def test_its_reports_are_on_its_own_time(odd: Recording) -> None:
+def test_reports_have_times_from_the_first_sample(odd: Recording) -> None:
     found = disturbances(odd)
 
     assert [(g.k_first - K_FIRST, g.count, g.reason) for g in odd.gaps] == [
@@ -139,9 +135,19 @@ def test_its_reports_are_on_its_own_time(odd: Recording) -> None:
     assert (found.cpu_pressure_percent, found.round_trip_us) == (31.0, 6500.0)
     assert (found.drift_ppm, found.drift_std_ppm, found.offset_std_us) == (81.0, 1.2, 1.5)
     assert found.held_up_ms == 35 + 7
+    assert found.texts() == {
+        "emulator held up": f"42{NBSP}ms",
+        "garbage collections of the loop": "4",
+        "processor wanted by others, worst second": f"31{NBSP}%",
+        "most tasks runnable": "7",
+        "longest round trip": f"6.50{NBSP}ms",
+        "device's clock slow by": f"81.0 ± 1.2{NBSP}ppm",
+        "device's clock known to": f"± 1.5{NBSP}µs",
+    }
+    assert disturbances(replace(odd, timing=(), clock=(), events=())).texts() == {}
 
 
-def test_its_sampling_is_measured_by_the_devices_clock(odd: Recording) -> None:
+def test_sampling_statistics_use_the_clock_of_the_device(odd: Recording) -> None:
     """The device's clock is 80 ppm slow."""
     k = odd.samples["k"].astype(np.int64)
     t_us, late = odd.samples["t_device_us"].astype(np.int64), odd.samples["t_host_ns"]
@@ -168,7 +174,7 @@ def test_its_sampling_is_measured_by_the_devices_clock(odd: Recording) -> None:
     assert (found.samples, found.missing, found.longest_gap) == (497, 21, 7)
 
 
-def test_signals_begin_anew_where_one_of_their_outputs_does(odd: Recording) -> None:
+def test_signals_begin_an_experiment_with_each_output(odd: Recording) -> None:
     alpha, rate, theta_1 = (odd.dataset(name) for name in ("alpha", "velocity", "theta_1"))
 
     found, of_alpha = odd.signals(["alpha", "velocity"]), odd.signals(["alpha"])
@@ -209,7 +215,7 @@ def test_a_part_has_the_rows_of_its_time(
     ]
 
 
-def test_what_was_published_comes_in_its_order(path: Path) -> None:
+def test_published_messages_keep_their_order(path: Path) -> None:
     run = published(path)
     part = published(path, 2.9, 14.2)
 
@@ -234,7 +240,7 @@ def test_what_was_published_comes_in_its_order(path: Path) -> None:
     assert all(2.9 <= m.t < 14.3 for m in of_part)
 
 
-def test_its_columns_and_its_summary_are_its_own(path: Path, odd: Recording) -> None:
+def test_columns_and_summary_contain_the_values_of_the_file(path: Path, odd: Recording) -> None:
     found, summary = columns(odd, raw=True), summary_of(path)
     row = 400
 
@@ -256,7 +262,7 @@ def test_its_columns_and_its_summary_are_its_own(path: Path, odd: Recording) -> 
     assert summary.size == path.stat().st_size
 
 
-def test_only_a_run_that_came_to_its_end_is_complete(path: Path) -> None:
+def test_only_a_run_that_reached_its_end_is_complete(path: Path) -> None:
     summary = summary_of(path)
 
     complete = [
@@ -268,7 +274,9 @@ def test_only_a_run_that_came_to_its_end_is_complete(path: Path) -> None:
     assert complete == ["complete"]
 
 
-def test_its_row_of_a_catalogue_is_its_own(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_row_of_a_catalogue_contains_the_values_of_the_file(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(path.parent / "cache"))
 
     row = {name: column[0] for name, column in catalogue(path.parent).columns().items()}
@@ -318,7 +326,7 @@ def test_a_first_look_reports_the_drift_of_each_experiment(odd: Recording) -> No
     assert rows["drift, alpha 3"].startswith("a drift: 0.05 ± ")
 
 
-def test_a_chassis_that_swings_has_turned_between_its_extremes(odd: Recording) -> None:
+def test_a_swinging_chassis_turns_by_the_difference_of_its_extremes(odd: Recording) -> None:
     swinging = np.where(odd.valid, 4.0 * np.sin(tau * odd.t / 0.7), np.nan)
     found = Overview(recording=replace(odd, theta_1=swinging), outliers={}, drift={}, reasons={})
 
@@ -329,7 +337,7 @@ def test_a_chassis_that_swings_has_turned_between_its_extremes(odd: Recording) -
     )
 
 
-def test_an_outlier_is_reported_at_its_own_time(odd: Recording) -> None:
+def test_an_outlier_is_reported_with_its_time(odd: Recording) -> None:
     alpha = odd.alpha.copy()
     alpha[[90, 330, 450]] += 0.5
 
@@ -363,7 +371,9 @@ def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:
         check_envelope(changed(300, u_cmd_v=5.0, u_applied_v=0.0)).text,
         check_envelope(changed(300, u_cmd_v=5.25)).text,
         check_envelope(changed(300, u_applied_v=-0.125)).text,
+        check_envelope(changed(300, u_cmd_v=nan)).text,
         check_input(changed(300, u_cmd_v=u[300] + 0.25), u).text,
+        check_input(changed(300, u_cmd_v=u[300] + 2 * 5 / 65535), u).result,
         check_input(changed(300, u_applied_v=u[300] + 0.0098), u).result,  # half a step of 8 bits
         check_input(changed(300, u_applied_v=u[300] - 0.0099), u).result,
         check_input(odd, u[:-1]).text,
@@ -381,8 +391,10 @@ def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:
         "0 to 3.301 V applied, inside 0 to 5 V",
         f"5.25 V was requested, outside 0 to 5 V, at k={k}",
         f"-0.125 V was applied, outside 0 to 5 V, at k={k}",
+        f"nan V was requested, outside 0 to 5 V, at k={k}",
         f"1 sample with another voltage requested, the first at k={k}: {u[300] + 0.25:.6g} V "
         f"instead of {u[300]:.6g} V",
+        "failed",
         "passed",
         "failed",
         "599 voltages are attached, but the run has 600 samples",
@@ -398,33 +410,8 @@ def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:
     ]
 
 
-def test_what_speaks_against_a_calibration_names_both_sides() -> None:
-    """An age of more than thirty days is too old."""
-    made = ODD.made
-    assert made is not None
-    of = {"rig": "8", "started": "2026-10-30T23:50:00+02:00", "device": {"uid": "beef"}}
-
-    def said(**changes: Any) -> list[str]:
-        uid = changes.pop("made_on", "beef")
-        calibration = msgspec.structs.replace(
-            ODD, made=msgspec.structs.replace(made, device_uid=uid)
-        )
-        return remarks(calibration, manifest(**(of | changes)))
-
-    another = "The calibration is of another device: it was made on "
-    assert said() == []
-    assert said(device={}) == [f"{another}beef, the recording was made on a device without an id."]
-    assert said(made_on="") == [f"{another}none, the recording was made on beef."]
-    assert said(rig="9") == ["The calibration is of rig 8, and the recording is of rig 9."]
-    assert said(started="2026-10-31T23:50:00+02:00") == [
-        "The calibration was 31 days old, more than 30 days: calibrate the rig again."
-    ]
-    assert said(started="2026-10-01") == ["The age of the calibration is not known."]
-    assert said(started="2026-01-01T00:00:00+00:00") == []  # made later, it is as good
-
-
 @pytest.mark.parametrize(("Ts", "missing"), [(0.05, 5), (0.01, 25), (0.002, 125)])
-def test_turns_are_lost_with_the_first_sample_beyond_a_quarter_of_a_second(
+def test_turns_are_lost_after_a_gap_longer_than_a_quarter_of_a_second(
     Ts: float, missing: int
 ) -> None:
     """The interval before the sample that came back is unseen, too: n samples hide n + 1."""
@@ -438,7 +425,7 @@ def test_turns_are_lost_with_the_first_sample_beyond_a_quarter_of_a_second(
 
 
 @pytest.mark.parametrize(("changes", "is_searched"), [(19, False), (20, True)])
-def test_outliers_are_searched_where_the_input_changes_twenty_times(
+def test_outliers_are_searched_if_the_input_changes_twenty_times(
     odd: Recording, changes: int, is_searched: bool
 ) -> None:
     """Fewer changes determine no model that separates an outlier from a swing."""
@@ -451,7 +438,7 @@ def test_outliers_are_searched_where_the_input_changes_twenty_times(
     assert found.reasons.get("outliers", "").startswith(reason) is not is_searched
 
 
-def test_the_first_figure_shades_what_is_missing_half_a_sample_either_way(odd: Recording) -> None:
+def test_the_first_figure_shades_gaps_widened_by_half_a_sample(odd: Recording) -> None:
     found = replace(overview(odd), outliers={"alpha": odd.t[[33, 451]]})
 
     input_, of_theta_1, of_rate, of_alpha = found.plot().axes
@@ -484,7 +471,7 @@ def test_the_first_figure_shades_what_is_missing_half_a_sample_either_way(odd: R
         assert drawn == pytest.approx((np.column_stack([begins, ends]) - 0.5) * TS)
 
 
-def test_a_cut_file_reports_the_time_that_it_holds_with_what_is_missing_in_it(path: Path) -> None:
+def test_the_duration_of_a_cut_file_includes_its_missing_samples(path: Path) -> None:
     data = path.read_bytes()
     cut = path.with_suffix(".active")
     cut.write_bytes(data[: len(data) * 2 // 3])

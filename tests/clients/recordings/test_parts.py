@@ -1,11 +1,14 @@
-"""A part of a recording, read without the rest."""
+"""A part of a recording is read without the rest, and a long recording within its memory."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from armrig.recordings.container import streamed
 from armrig.recordings.loading import load
 from armrig_core.errors import FileError
 from armrig_core.manifest import Outcome
@@ -67,7 +70,7 @@ def test_a_part_is_the_same_as_that_part_of_the_whole(long: Path, first: int, n:
     assert len(part.gaps) == (first < 50) + (first < 930 and end > 900)
 
 
-def test_samples_that_came_late_are_in_their_part(tmp_path: Path) -> None:
+def test_late_samples_belong_to_the_part_of_their_time(tmp_path: Path) -> None:
     late_ns = 5_000_000_000
     samples = [sample(k) for k in range(800)]
     samples[100:] = [s._replace(t_host_ns=s.t_host_ns + late_ns) for s in samples[100:]]
@@ -94,7 +97,7 @@ def test_a_second_around_the_part_is_read(tmp_path: Path) -> None:
     assert [e.message for e in load(path, start=0.5, stop=1.1).events] == ["told 0.9 s later"]
 
 
-def test_what_lies_outside_the_part_is_not_unpacked(
+def test_chunks_outside_the_part_are_not_unpacked(
     long: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first chunk is read, because it contains the comparison of the clocks."""
@@ -129,3 +132,54 @@ def test_a_range_without_samples_is_refused(
 ) -> None:
     with pytest.raises(FileError, match=why):
         load(long, start=start, stop=stop)
+
+
+_PEAK = """
+import sys
+from armrig.recordings.loading import load
+peak = lambda: int(open("/proc/self/status").read().split("VmHWM:")[1].split()[0]) / 1024
+load(sys.argv[1])
+before = peak()
+rec = load(sys.argv[2])
+names = ("t", "u", "theta_1", "alpha", "valid", "valid_alpha", "present", "samples")
+print(peak() - before, sum(getattr(rec, name).nbytes for name in names) / 2**20)
+"""
+
+
+@pytest.mark.exhaustive
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc/self/status")
+def test_memory_is_linear_in_the_arrays(tmp_path: Path) -> None:
+    """At most twice the returned arrays, in addition to what any file may need."""
+    N = 100_000
+    small = written(tmp_path, recorded([sample(0)]), "small.mcap")
+    messages = (sample(k) for k in range(N))
+    long = written(tmp_path, recorded(messages, manifest=manifest(samples=N)), "long.mcap")
+
+    told = subprocess.run(
+        [sys.executable, "-c", _PEAK, small, long], capture_output=True, text=True, check=True
+    ).stdout
+    peak, arrays = (float(word) for word in told.split())
+
+    assert arrays == pytest.approx(N * 111 / 2**20)
+    assert peak <= 2 * arrays + 16
+
+
+def test_a_file_may_have_more_samples_than_a_run(tmp_path: Path) -> None:
+    """An hour at 1 kHz has 3.6 million samples."""
+    from armrig.recordings.grid import grid
+
+    rows = grid(np.arange(3_600_000, dtype=np.uint64), manifest(), None, ())
+
+    assert rows.N == 3_600_000
+
+
+def test_a_stream_is_read_without_storing_it(tmp_path: Path) -> None:
+    messages = [m for k in range(300) for m in (sample(k), timing(k))]
+    whole = recorded(messages, flush_every=20)
+    path = written(tmp_path, whole)
+    cut = written(tmp_path, whole[: len(whole) // 2], "cut.mcap")
+
+    assert [m.t_host_ns for m in streamed(path, "timing")] == [
+        sample(k).t_host_ns for k in range(300)
+    ]
+    assert 0 < len(list(streamed(cut, "timing"))) < 300

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import resource
 import struct
 import sys
 import zlib
+from collections.abc import Callable
 from io import BytesIO
-from itertools import pairwise
 from math import nan, radians, tau
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 import zstandard
-from armrig.numerics.quantities import NBSP
 from armrig.recordings import container, grid, sample_rows
 from armrig.recordings.channels import unwrap
+from armrig.recordings.daemon_reports import Gap, gap_lines
 from armrig.recordings.jitter import disturbances, sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
@@ -33,7 +33,6 @@ from armrig_core.recording_file import budget, file_records
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import Wanted
-from armrig_protocol.messages import Flag
 from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -56,6 +55,13 @@ from tests.fuzz.cuts import edges
 
 IDENTITY = Calibration(theta_1=Potentiometer(rad_per_count=tau / 65536))
 _ROW_HEAD = struct.pack("<BQHIQQ", 0x05, 22 + telemetry.SAMPLE_LENGTH, 1, 0, 0, 0)
+
+
+METADATA = manifest().metadata()
+
+
+def _nested(depth: int) -> str:
+    return '{"a":' + "[" * depth + "]" * depth + "}"
 
 
 def _record(opcode: int, body: bytes) -> bytes:
@@ -81,19 +87,19 @@ def as_protobuf(one: telemetry.Sample, **unknown: bytes) -> bytes:
 
 
 def tried(path: Path) -> tuple[Recording | None, str]:
-    """Return the recording, or the refusal."""
     try:
         return load(path), ""
     except FileError as err:
         return None, str(err)
 
 
-def test_a_recording_gives_back_what_was_recorded(tmp_path: Path) -> None:
+def test_a_recording_returns_the_recorded_values(tmp_path: Path) -> None:
     samples = [sample(k, u_applied_v=k / 100, alpha_counts=32768 + k) for k in range(7, 107)]
 
-    rec = load(written(tmp_path, recorded(samples)))
+    rec = load(path := written(tmp_path, recorded(samples)))
 
     assert rec.N == 100
+    assert rec.dataset().source == hashlib.sha256(path.read_bytes()).hexdigest()
     np.testing.assert_allclose(rec.t, np.arange(100) * TS)
     np.testing.assert_allclose(rec.u, np.arange(7, 107) / 100)
     np.testing.assert_allclose(rec.alpha, np.arange(7, 107) * radians(352) / 65536)
@@ -105,21 +111,7 @@ def test_a_recording_gives_back_what_was_recorded(tmp_path: Path) -> None:
     assert not rec.theta_1.flags.writeable
 
 
-def test_gaps_events_and_timing_are_reported_in_seconds_from_the_first_sample(
-    tmp_path: Path,
-) -> None:
-    messages = [*(sample(k) for k in range(100, 120)), event(105, "hello", "warning"), timing(110)]
-
-    rec = load(written(tmp_path, recorded(messages)))
-
-    assert [(e.level, e.message) for e in rec.events] == [("warning", "hello")]
-    assert rec.events[0].t == pytest.approx(5 * TS, abs=1e-4)
-    assert rec.timing[0].t == pytest.approx(10 * TS, abs=1e-4)
-    assert rec.timing[0].wake_lateness_us.p50 == 3.0
-    assert rec.notes == ()
-
-
-def test_of_two_attachments_of_one_name_the_first_counts(tmp_path: Path) -> None:
+def test_the_first_of_two_attachments_of_one_name_is_used(tmp_path: Path) -> None:
     first, second = (
         recorded([sample(0, u_applied_v=2.0)], calibration=Calibration(driver=Driver(gain=gain)))
         for gain in (1.5, 0.5)
@@ -138,11 +130,12 @@ def test_of_two_attachments_of_one_name_the_first_counts(tmp_path: Path) -> None
     ("name", "content", "why"),
     [
         ("empty.mcap", b"", "is empty, 0 B: nothing was recorded; record again"),
+        ("run.mcap", b"\x89MCAP", "is not a recording of the rig; give"),
         ("run.csv", b"t,u,y\n", r"is not a recording of the rig; give a recording \(\*\.mcap"),
         ("run.bin", b"t,u,y\n", "is not a recording of the rig; .* also read other data"),
     ],
 )
-def test_another_file_than_a_recording_is_refused_with_what_reads_it(
+def test_a_file_of_another_kind_is_refused_with_the_function_that_reads_it(
     tmp_path: Path, name: str, content: bytes, why: str
 ) -> None:
     with pytest.raises(FileError, match=rf"{name}: {why}"):
@@ -170,7 +163,7 @@ def test_the_driver_s_line_holds_at_every_voltage_but_0(tmp_path: Path) -> None:
     np.testing.assert_allclose(rec.u, [0.0, 0.209, 0.29, 2.0, 0.0, 4.7])
 
 
-def test_a_note_is_known_by_its_field_and_never_read_as_a_line_of_the_daemon(
+def test_a_note_is_recognised_by_its_field_and_not_by_its_text(
     tmp_path: Path,
 ) -> None:
     """Some lines of the daemon count as disturbances of the timing."""
@@ -190,7 +183,7 @@ def test_a_note_is_known_by_its_field_and_never_read_as_a_line_of_the_daemon(
     assert [n.owner for n in part.notes] == ["Bob"]
 
 
-def test_a_missing_sample_has_its_row_and_the_voltage_that_was_held(tmp_path: Path) -> None:
+def test_a_missing_sample_has_a_row_with_the_held_voltage(tmp_path: Path) -> None:
     messages = [*(sample(k) for k in range(10)), gap(10, 3, 2.5), *(sample(k) for k in (13, 14))]
 
     rec = load(written(tmp_path, recorded(messages)))
@@ -211,24 +204,12 @@ def test_a_gap_record_does_not_overwrite_samples_that_came(tmp_path: Path) -> No
     np.testing.assert_array_equal(rec.u, [1.0] * 10 + [4.0, 1.0])
 
 
-def test_where_the_input_is_not_known_a_new_experiment_begins(tmp_path: Path) -> None:
-    """Without a gap record the voltage is unknown."""
-    messages = [sample(k) for k in range(20) if not 8 <= k < 12]
-
-    rec = load(written(tmp_path, recorded(messages)))
-    data = rec.dataset()
-
-    assert np.isnan(rec.u[8:12]).all()
-    assert data.N == 16
-    assert data.starts == (0, 8)
-
-
 def a_run(**changes: Any) -> Manifest:
     """Return the manifest of a run of 100 samples from k = 40 on."""
     return manifest(**({"k_first": 40, "samples": 100} | changes))
 
 
-def test_samples_missing_at_both_ends_have_their_rows(tmp_path: Path) -> None:
+def test_samples_missing_at_both_ends_have_rows(tmp_path: Path) -> None:
     messages = [gap(40, 2, 0.0), *(sample(k) for k in range(42, 137)), gap(137, 3, 2.5)]
     ended = Outcome(outcome="complete", samples=95, missing=5)
 
@@ -246,35 +227,33 @@ def test_samples_missing_at_both_ends_have_their_rows(tmp_path: Path) -> None:
     assert "100 samples at 0.01 s; 5 missing" in repr(rec)
 
 
-def test_without_a_gap_record_the_input_at_the_beginning_is_not_known(tmp_path: Path) -> None:
-    rec = load(written(tmp_path, recorded([sample(k) for k in range(43, 140)], manifest=a_run())))
-
-    assert (rec.N, rec.missing) == (100, 3)
-    assert np.isnan(rec.u[:3]).all()
-    assert rec.events == ()
-    assert rec.dataset().N == 97
+CAME, HELD = [sample(k) for k in range(42, 60)], gap(60, 4, 1.0)
+COMPLETE = Outcome(outcome="complete", samples=0, missing=0)
+STOPPED = Outcome(outcome="stopped", samples=18, missing=6)
 
 
-def test_a_run_in_which_nothing_came_is_all_missing(tmp_path: Path) -> None:
-    rec = load(written(tmp_path, recorded([gap(40, 100, 0.0)], manifest=a_run())))
-
-    assert (rec.N, rec.missing, rec.gaps[0].t) == (100, 100, 0.0)
-    assert sampling_statistics(rec).longest_gap == 100
-
-
-def test_a_run_that_was_stopped_is_as_long_as_it_was(tmp_path: Path) -> None:
-    messages = [*(sample(k) for k in range(40, 60)), gap(60, 4, 1.0)]
-    ended = Outcome(outcome="stopped", samples=20, missing=4)
-
+@pytest.mark.parametrize(
+    ("messages", "ended", "N", "missing", "unknown"),
+    [
+        pytest.param([sample(k) for k in range(43, 140)], COMPLETE, 100, 3, 3, id="without a gap"),
+        pytest.param([gap(40, 100, 0.0)], COMPLETE, 100, 100, 0, id="nothing came"),
+        pytest.param([*CAME, HELD], STOPPED, 24, 6, 2, id="stopped"),
+        pytest.param(CAME, STOPPED, 24, 6, 6, id="stopped, without a gap"),
+        pytest.param(CAME, None, 20, 2, 2, id="cut off"),
+        pytest.param([*CAME, HELD], None, 24, 6, 2, id="cut off after a gap"),
+    ],
+)
+def test_the_number_of_rows_follows_from_manifest_outcome_and_samples(
+    tmp_path: Path, messages: list[Any], ended: Outcome | None, N: int, missing: int, unknown: int
+) -> None:
+    """Without a gap record the voltage is unknown."""
     rec = load(written(tmp_path, recorded(messages, manifest=a_run(), outcome=ended)))
-    no_gap = load(written(tmp_path, recorded(messages[:-1], manifest=a_run(), outcome=ended)))
 
-    assert (rec.N, rec.missing) == (24, 4)
-    assert (no_gap.N, no_gap.missing) == (24, 4)
-    assert np.isnan(no_gap.u[20:]).all()
+    assert (rec.N, rec.missing, np.count_nonzero(np.isnan(rec.u))) == (N, missing, unknown)
+    assert rec.events == ()
 
 
-def test_what_a_cut_takes_away_is_not_missing(tmp_path: Path) -> None:
+def test_samples_after_a_cut_are_not_missing(tmp_path: Path) -> None:
     """A rewritten file contains its outcome first, so a cut may take samples that were there."""
     messages = [sample(k) for k in range(40, 60)]
     ended = Outcome(outcome="complete", samples=300, missing=0, code="complete")
@@ -291,17 +270,8 @@ def test_what_a_cut_takes_away_is_not_missing(tmp_path: Path) -> None:
         assert f"{cut.N * cut.Ts:g} s of {cut.asked_s:g} s" in cut.damage
 
 
-def test_a_file_that_was_changed_is_not_called_cut_off(tmp_path: Path) -> None:
-    whole = bytearray(recorded([sample(k) for k in range(10)]))
-    whole[whole.index(b"armrig.run") + 20] ^= 1
-
-    rec, _ = tried(written(tmp_path, bytes(whole)))
-
-    assert rec is None or (rec.truncated and not rec.cut_off)
-
-
 @pytest.mark.parametrize("change", ["a chunk", "a checksum", "the end"])
-def test_samples_before_a_change_are_kept_and_not_called_cut_off(
+def test_samples_before_a_damage_are_kept_and_not_reported_as_cut_off(
     tmp_path: Path, change: str
 ) -> None:
     whole = bytearray(recorded([sample(k) for k in range(30)], flush_every=10))
@@ -315,16 +285,6 @@ def test_samples_before_a_change_are_kept_and_not_called_cut_off(
     assert (rec.N, rec.truncated, rec.cut_off) == (kept, True, False)
 
 
-def test_a_run_that_was_cut_off_is_as_long_as_is_known(tmp_path: Path) -> None:
-    messages = [*(sample(k) for k in range(42, 60)), gap(60, 4, 1.0)]
-
-    cut = load(written(tmp_path, recorded(messages[:-1], manifest=a_run(), outcome=None)))
-    told = load(written(tmp_path, recorded(messages, manifest=a_run(), outcome=None)))
-
-    assert (cut.N, cut.missing) == (20, 2)
-    assert (told.N, told.missing) == (24, 6)
-
-
 @pytest.mark.parametrize("k", [39, 140])
 def test_a_sample_outside_its_run_is_reported(tmp_path: Path, k: int) -> None:
     messages = sorted([sample(50), sample(k)])
@@ -334,21 +294,9 @@ def test_a_sample_outside_its_run_is_reported(tmp_path: Path, k: int) -> None:
 
 
 @pytest.mark.parametrize("claimed", [{"samples": 10**15}, {"k_first": 2**80}, {"Ts": 1e300}])
-def test_a_manifest_cannot_ask_for_all_memory(tmp_path: Path, claimed: dict[str, Any]) -> None:
+def test_a_manifest_cannot_exhaust_the_memory(tmp_path: Path, claimed: dict[str, Any]) -> None:
     with pytest.raises(FileError, match=r"run\.mcap: "):
         load(written(tmp_path, recorded([sample(50)], manifest=a_run(**claimed))))
-
-
-def test_a_long_silence_leaves_the_turns_unknown(tmp_path: Path) -> None:
-    """Half a turn may have passed: an experiment of its own for theta_1, not for alpha."""
-    messages = [*(sample(k) for k in range(50)), gap(50, 30, 4.0)]
-    messages += [sample(k) for k in range(80, 99)]
-
-    rec = load(written(tmp_path, recorded(messages)))
-
-    assert rec.turns_unknown == (80,)
-    assert rec.dataset().starts == (0, 80)
-    assert rec.dataset("alpha").starts == (0,)
 
 
 def test_a_dead_band_of_any_length_does_not_lose_the_turns(tmp_path: Path) -> None:
@@ -397,7 +345,7 @@ def test_turns_are_counted_as_numpy_counts_them() -> None:
     assert np.isnan(found[~valid]).all()
 
 
-def test_a_sample_between_two_rails_shows_no_angle(tmp_path: Path) -> None:
+def test_a_sample_between_two_rail_readings_has_no_angle(tmp_path: Path) -> None:
     counts = [60000, 62000, 64000, 0, 31000, 0, 900, 1500, 3000]
 
     rec = load(written(tmp_path, recorded(turning(counts))))
@@ -406,24 +354,12 @@ def test_a_sample_between_two_rails_shows_no_angle(tmp_path: Path) -> None:
     assert rec.theta_1[7] == pytest.approx(POT.angle(1500) + tau)
 
 
-def test_the_first_sample_after_a_rail_is_not_believed_across_a_gap(tmp_path: Path) -> None:
+def test_the_first_sample_after_a_rail_and_a_gap_is_not_valid(tmp_path: Path) -> None:
     samples = turning([60000, 65500, 20000, 700, 1300])
 
     rec = load(written(tmp_path, recorded([*samples[:2], gap(2, 1, 1.0), *samples[3:]])))
 
     np.testing.assert_array_equal(rec.valid, [True, False, False, False, True])
-
-
-def test_alpha_has_a_validity_of_its_own(tmp_path: Path) -> None:
-    flags = int(Flag.RUN | Flag.ADC1_RAIL)
-    samples = turning([30000, 0, 0, 30000, 30000])
-    samples[3] = samples[3]._replace(alpha_counts=65535, flags=flags)
-
-    rec = load(written(tmp_path, recorded(samples)))
-
-    np.testing.assert_array_equal(rec.valid_alpha, [True, True, True, False, True])
-    np.testing.assert_array_equal(rec.valid, [True, False, False, False, True])
-    assert rec.dataset("alpha").missing == 1
 
 
 def test_a_calibration_is_repaired_on_reading(tmp_path: Path) -> None:
@@ -435,26 +371,6 @@ def test_a_calibration_is_repaired_on_reading(tmp_path: Path) -> None:
 
     assert right.theta_1[0] == pytest.approx(tau / 4)
     assert without.theta_1[0] == 99.0
-
-
-def test_velocity_is_the_difference_of_the_angle(tmp_path: Path) -> None:
-    samples = turning([10000 + 100 * k for k in range(20)])
-
-    data = load(written(tmp_path, recorded(samples))).dataset("velocity")
-
-    assert data.output == "velocity"
-    assert data.unit == "rad/s"
-    assert data.missing == 1
-    np.testing.assert_allclose(data.y[1:], 100 * POT.rad_per_count / TS)
-
-
-def test_a_dataset_names_the_recording_by_its_hash(tmp_path: Path) -> None:
-    """The hash is that of the file, as sha256sum prints it."""
-    import hashlib
-
-    path = written(tmp_path, recorded([sample(0), sample(1)]))
-
-    assert load(path).dataset().source == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_another_layout_of_the_sample_reads_the_same(tmp_path: Path) -> None:
@@ -496,7 +412,7 @@ def test_an_angle_that_a_file_lacks_is_not_0_rad(tmp_path: Path) -> None:
         np.testing.assert_array_equal(rec.samples["k"], np.arange(8))
 
 
-def test_the_code_of_a_gap_is_not_looked_for_in_its_sentence(tmp_path: Path) -> None:
+def test_the_code_of_a_gap_is_read_from_its_field_and_not_its_text(tmp_path: Path) -> None:
     """A release without codes sends the sentence alone; a later release may have other codes."""
     first, second = (gap(k, 1, 0.0, "a frame was lost") for k in (3, 6))
     second.code = "a code of tomorrow"
@@ -506,22 +422,21 @@ def test_the_code_of_a_gap_is_not_looked_for_in_its_sentence(tmp_path: Path) -> 
     assert [g.code for g in rec.gaps] == [GapCode.FRAME_LOST, "a code of tomorrow"]
 
 
-def test_a_stall_of_an_emulator_is_a_number_and_not_looked_for_in_a_sentence(
+def test_a_stall_of_an_emulator_is_read_from_its_field_and_not_its_text(
     tmp_path: Path,
 ) -> None:
-    """Two stalls of 0.4 ms are one of 0.8 ms; an older daemon reports it in words."""
-    old = event(3, "emulator held up 7 ms by this machine; its device's clock stood still")
-    new = [event(k, "emulator held up 9999 ms") for k in (4, 5, 6)]
-    for message, stall_ns in zip(new, (400_000, 400_000, 0), strict=True):
+    """Two stalls of 0.4 ms are one of 0.8 ms."""
+    events = [event(k, "emulator held up 9999 ms") for k in (4, 5, 6)]
+    for message, stall_ns in zip(events, (7_400_000, 400_000, 0), strict=True):
         message.emulator_stall_ns = stall_ns
 
-    rec = load(written(tmp_path, recorded([*map(sample, range(10)), old, *new])))
+    rec = load(written(tmp_path, recorded([*map(sample, range(10)), *events])))
 
-    assert [e.emulator_stall_ns for e in rec.events] == [7_000_000, 400_000, 400_000, 0]
+    assert [e.emulator_stall_ns for e in rec.events] == [7_400_000, 400_000, 0]
     assert disturbances(rec).held_up_ms == 8
 
 
-def test_what_the_daemon_did_not_report_is_not_reported_as_0(tmp_path: Path) -> None:
+def test_values_missing_in_the_reports_are_unknown(tmp_path: Path) -> None:
     report = timing(5)
     for name in ("collections", "cpu_pressure_percent", "run_queue"):
         report.ClearField(name)
@@ -551,7 +466,7 @@ def test_chunks_of_any_size_read_the_same(
     assert len(rec.timing) == 30
 
 
-def test_a_cut_file_gives_its_beginning_wherever_it_is_cut(tmp_path: Path) -> None:
+def test_a_file_cut_anywhere_is_read_up_to_the_cut(tmp_path: Path) -> None:
     """L3: a prefix without holes, or one line that names the file's kind.
 
     The file is cut at every byte near the beginning of a record, and at some bytes within;
@@ -561,7 +476,7 @@ def test_a_cut_file_gives_its_beginning_wherever_it_is_cut(tmp_path: Path) -> No
     path = tmp_path / "cut.mcap.active"
     lengths: list[int] = []
     near = {edge + byte for edge in [*edges(whole), len(whole) - 8] for byte in range(-2, 12)}
-    for cut in sorted(near.union(range(0, len(whole), 11)).intersection(range(len(whole)))):
+    for cut in sorted(near.union(range(0, len(whole), 41)).intersection(range(len(whole)))):
         path.write_bytes(whole[:cut])
         rec, told = tried(path)
         if rec is None:
@@ -577,24 +492,9 @@ def test_a_cut_file_gives_its_beginning_wherever_it_is_cut(tmp_path: Path) -> No
     assert set(lengths) == {0, 8, 16, 24, 32, 40}
 
 
-def test_a_changed_opcode_makes_no_hole() -> None:
-    path = Path(SMALL_DIRECTORY.name) / "opcode.mcap"
-    at = len(file_records.MAGIC)
-    while at < len(SMALL) - len(file_records.MAGIC):
-        _, length = struct.unpack_from("<BQ", SMALL, at)
-        for bit in range(8):
-            spoilt = bytearray(SMALL)
-            spoilt[at] ^= 1 << bit
-            path.write_bytes(spoilt)
-            rec, _ = tried(path)
-            if rec is not None:
-                np.testing.assert_array_equal(rec.samples["k"], np.arange(rec.samples.size))
-        at += 9 + length
-
-
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(st.data())
-def test_a_flipped_bit_is_found_or_does_no_harm(data: st.DataObject) -> None:
+def test_a_flipped_bit_is_detected_or_harmless(data: st.DataObject) -> None:
     at = data.draw(st.integers(0, len(SMALL) * 8 - 1))
     spoilt = bytearray(SMALL)
     spoilt[at // 8] ^= 1 << at % 8
@@ -609,9 +509,9 @@ def test_a_flipped_bit_is_found_or_does_no_harm(data: st.DataObject) -> None:
     assert (rec.samples["u_applied_v"] == 1.0).all()
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(st.binary(max_size=300), st.integers(0, 400))
-def test_random_bytes_raise_nothing_else(noise: bytes, at: int) -> None:
+def test_random_bytes_of_a_file_raise_no_other_error(noise: bytes, at: int) -> None:
     path = Path(SMALL_DIRECTORY.name) / "noise.mcap"
     path.write_bytes(file_records.MAGIC + SMALL[8:at] + noise)
     rec, told = tried(path)
@@ -619,70 +519,28 @@ def test_random_bytes_raise_nothing_else(noise: bytes, at: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [b"\x89MCAP", b"hello", b"\x89HDF\r\n\x1a\n" + bytes(100), bytes(1000)]
+    ("k", "why"),
+    [(1, "each k must be larger"), (1 << 62, "less than 2^62"), ((1 << 64) - 1, "less than 2^62")],
 )
-def test_what_is_no_mcap_is_reported_in_one_line(tmp_path: Path, content: bytes) -> None:
-    path = written(tmp_path, content)
+def test_a_sample_number_that_decreases_or_overflows_ends_the_reading(
+    tmp_path: Path, k: int, why: str
+) -> None:
+    """Not every program has integers of 62 bit."""
+    wrong = sample(3)._replace(k=k)
 
-    with pytest.raises(
-        FileError, match=r"run\.mcap: is not a recording of the rig; give"
-    ) as caught:
-        load(path)
-
-    assert "\n" not in str(caught.value)
-
-
-def test_an_mcap_of_something_else_is_reported(tmp_path: Path) -> None:
-    """Such as the log of a robot."""
-    out = BytesIO()
-    writer = Writer(out)
-    writer.start()
-    writer.finish()
-
-    with pytest.raises(
-        FileError, match=r"not made by armrig; .* `armrig hints \S+run\.mcap` lists"
-    ):
-        load(written(tmp_path, out.getvalue()))
-
-
-def test_a_manifest_of_another_shape_is_reported(tmp_path: Path) -> None:
-    out = BytesIO()
-    writer = Writer(out)
-    writer.start()
-    writer.add_metadata(RUN, {"rig": '"1"'})
-    writer.finish()
-
-    with pytest.raises(FileError, match="run_id"):
-        load(written(tmp_path, out.getvalue()))
-
-
-def test_k_that_does_not_rise_ends_the_reading(tmp_path: Path) -> None:
-    messages = [sample(k) for k in (0, 1, 2, 2, 3)]
-
-    rec = load(written(tmp_path, recorded(messages)))
-
-    assert rec.N == 3
-    assert "each k must be larger" in rec.damage
-
-
-@pytest.mark.parametrize("k", [1 << 62, (1 << 64) - 1])
-def test_an_index_beyond_any_ends_the_reading(tmp_path: Path, k: int) -> None:
-    """Not every program has integers of that size."""
-    beyond = sample(3)._replace(k=k)
-
-    rec = load(written(tmp_path, recorded([sample(0), sample(1), beyond])))
+    rec = load(written(tmp_path, recorded([sample(0), sample(1), wrong, sample(4)])))
 
     assert rec.N == 2
-    assert "less than 2^62" in rec.damage
+    assert why in rec.damage
 
 
 @pytest.mark.parametrize("Ts", [5e-324, 0.9e-6, 86_400.0, -1.0])
-def test_a_sampling_time_that_none_has_is_reported(tmp_path: Path, Ts: float) -> None:
+def test_a_sampling_time_out_of_range_is_refused(tmp_path: Path, Ts: float) -> None:
     with pytest.raises(FileError, match="from 1 µs to below a day"):
         load(written(tmp_path, recorded([sample(0)], manifest=manifest(Ts=Ts))))
 
 
-def test_a_recording_without_samples_says_so_when_asked_for_data(tmp_path: Path) -> None:
+def test_a_recording_without_samples_has_no_dataset(tmp_path: Path) -> None:
     rec = load(written(tmp_path, recorded([])))
 
     assert rec.N == 0
@@ -690,40 +548,66 @@ def test_a_recording_without_samples_says_so_when_asked_for_data(tmp_path: Path)
         rec.dataset()
 
 
-def test_a_chunk_that_declares_little_and_holds_much_is_not_unpacked(tmp_path: Path) -> None:
+def _chunk_head(size: int, compression: bytes, packed: int) -> bytes:
+    head = struct.pack("<QQQII", 0, 0, size, 0, len(compression)) + compression
+    return head + struct.pack("<Q", packed)
+
+
+@pytest.mark.parametrize(
+    ("opcode", "body", "why"),
+    [
+        pytest.param(
+            *(0x09, bytes(24) + struct.pack("<Q", 2**64 - 1) + bytes(4), "a record cannot be read"),
+            id="an attachment longer than memory",  # its length overflowed a C integer
+        ),
+        pytest.param(
+            *(0x06, _chunk_head(1 << 62, b"zstd", 0), f"larger than the {8 << 20} B allowed"),
+            id="a chunk that declares too much",
+        ),
+        pytest.param(
+            *(0x06, _chunk_head(4, b"bzip9", 4) + bytes(4), "compression 'bzip9': allowed are"),
+            id="compression",
+        ),
+        pytest.param(
+            0x06,
+            _chunk_head(9, b"", 9) + struct.pack("<BQ", 0x06, 0),
+            "(opcode 6) that must not be in a chunk",  # nested chunks would unpack without end
+            id="a chunk in a chunk",
+        ),
+    ],
+)
+def test_a_record_that_cannot_be_read_ends_the_reading(
+    tmp_path: Path, opcode: int, body: bytes, why: str
+) -> None:
+    assert why in load(written(tmp_path, _with_record(opcode, body))).damage
+
+
+def test_a_chunk_larger_than_its_declared_size_is_not_unpacked(tmp_path: Path) -> None:
     """Zeros that would fill 2 GB, in 64 kB of file."""
     packer = zstandard.ZstdCompressor().compressobj()
     packed = b"".join([*(packer.compress(bytes(1 << 24)) for _ in range(128)), packer.flush()])
-    body = struct.pack("<QQQII", 0, 0, 4096, 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
+    body = _chunk_head(4096, b"zstd", len(packed)) + packed
     before = _peak_mib()
 
-    rec = load(written(tmp_path, _with_record(0x06, body + packed)))
+    rec = load(written(tmp_path, _with_record(0x06, body)))
 
     assert "the size of a chunk is wrong" in rec.damage
     assert _peak_mib() - before < 64
 
 
-def test_a_chunk_that_declares_too_much_is_not_unpacked(tmp_path: Path) -> None:
-    body = struct.pack("<QQQII", 0, 0, 1 << 62, 0, 4) + b"zstd" + struct.pack("<Q", 0)
+@pytest.fixture
+def limited(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Give a function that sets limits on the cost of reading."""
 
-    rec = load(written(tmp_path, _with_record(0x06, body)))
+    def limit(module: ModuleType = budget, **limits: int) -> None:
+        for name, value in limits.items():
+            monkeypatch.setattr(module, name, value)
 
-    assert f"larger than the {8 << 20} B allowed" in rec.damage
-
-
-def test_a_break_in_k_cannot_ask_for_all_memory(tmp_path: Path) -> None:
-    """Two samples, 10^15 rows apart."""
-    messages = [sample(0), sample(1)._replace(k=10**15)]
-
-    with pytest.raises(FileError, match="too many for a recording"):
-        load(written(tmp_path, recorded(messages)))
+    return limit
 
 
-def test_a_flood_of_messages_ends_the_reading(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(budget, "MESSAGES_LIMIT", 10_000)
-    monkeypatch.setattr(budget, "MESSAGES_PER_BYTE", 0)
+def test_a_flood_of_messages_ends_the_reading(tmp_path: Path, limited: Callable[..., None]) -> None:
+    limited(MESSAGES_LIMIT=10_000, MESSAGES_PER_BYTE=0)
     messages = [sample(0), *(event(0, "x") for _ in range(100)), sample(1)]
 
     rec = load(written(tmp_path, recorded(messages)))
@@ -733,11 +617,10 @@ def test_a_flood_of_messages_ends_the_reading(
 
 
 def test_a_stream_of_any_length_is_read_message_by_message(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, limited: Callable[..., None]
 ) -> None:
     """The limit is on the messages that are in memory at the same time."""
-    monkeypatch.setattr(budget, "MESSAGES_LIMIT", 10_000)
-    monkeypatch.setattr(budget, "MESSAGES_PER_BYTE", 0)
+    limited(MESSAGES_LIMIT=10_000, MESSAGES_PER_BYTE=0)
     messages = [sample(0), *(timing(k) for k in range(40))]
     path = written(tmp_path, recorded(messages, flush_every=2))
 
@@ -745,18 +628,6 @@ def test_a_stream_of_any_length_is_read_message_by_message(
 
     assert times == [timing(k).t_host_ns for k in range(40)]
     assert len(load(path).timing) < 40
-
-
-def test_a_small_file_cannot_cost_hours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """260 000 messages in each chunk, with hardly any bytes in the file."""
-    message = _record(0x05, struct.pack("<HIQQ", 999, 0, 0, 0))
-    chunk = _chunk(message * (file_records.CHUNK_LIMIT // len(message)))
-    monkeypatch.setattr(budget, "UNPACKED_LIMIT", 2 * file_records.CHUNK_LIMIT)
-
-    rec = load(written(tmp_path, _broken_off(chunk * 20)))
-
-    assert "B in its unpacked chunks" in rec.damage
-    assert _read_of(rec) < 4 * len(chunk)
 
 
 HOSTILE = {
@@ -769,10 +640,9 @@ HOSTILE = {
 
 @pytest.mark.parametrize("records", HOSTILE.values(), ids=HOSTILE.keys())
 def test_every_record_in_a_chunk_counts_by_its_length(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, records: bytes
+    tmp_path: Path, limited: Callable[..., None], records: bytes
 ) -> None:
-    monkeypatch.setattr(budget, "UNPACKED_LIMIT", 3 * len(records))
-    monkeypatch.setattr(budget, "UNPACKED_PER_BYTE", 0)
+    limited(UNPACKED_LIMIT=3 * len(records), UNPACKED_PER_BYTE=0)
 
     rec = load(written(tmp_path, _broken_off(_chunk(records) * 10)))
 
@@ -789,11 +659,10 @@ def test_every_record_in_a_chunk_counts_by_its_length(
     ],
 )
 @pytest.mark.parametrize("within_a_chunk", [True, False])
-def test_every_record_is_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record: bytes, within_a_chunk: bool
+def test_every_record_counts_towards_the_work_limit(
+    tmp_path: Path, limited: Callable[..., None], record: bytes, within_a_chunk: bool
 ) -> None:
-    monkeypatch.setattr(budget, "WORK_LIMIT", 900)
-    monkeypatch.setattr(budget, "BYTES_PER_WORK", 1 << 30)
+    limited(WORK_LIMIT=900, BYTES_PER_WORK=1 << 30)
     chunk = _chunk(record * 1000) if within_a_chunk else record * 1000
 
     rec = load(written(tmp_path, _broken_off(chunk)))
@@ -801,11 +670,10 @@ def test_every_record_is_work(
     assert "more than 900 units of work with records" in rec.damage
 
 
-def test_samples_of_another_layout_and_their_runs_are_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_samples_of_another_layout_count_towards_the_work_limit(
+    tmp_path: Path, limited: Callable[..., None]
 ) -> None:
-    monkeypatch.setattr(budget, "WORK_LIMIT", 900)
-    monkeypatch.setattr(budget, "BYTES_PER_WORK", 1 << 30)
+    limited(WORK_LIMIT=900, BYTES_PER_WORK=1 << 30)
     messages = [as_protobuf(sample(k)) if k % 2 else sample(k) for k in range(1000)]
 
     rec = load(written(tmp_path, recorded(messages)))
@@ -814,7 +682,7 @@ def test_samples_of_another_layout_and_their_runs_are_work(
     assert 50 < rec.N < 500
 
 
-def test_only_our_names_are_kept(tmp_path: Path) -> None:
+def test_names_of_channels_of_other_programs_are_not_stored(tmp_path: Path) -> None:
     foreign = b"A" * 100_000
     schema = _record(0x03, struct.pack("<HI", 77, len(foreign)) + foreign + bytes(8))
     metadata = _record(0x0C, struct.pack("<I", len(foreign)) + foreign + bytes(4))
@@ -830,10 +698,9 @@ def test_only_our_names_are_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("flush_every", [0, 30, 50])
 def test_a_file_has_no_more_samples_than_a_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flush_every: int
+    tmp_path: Path, limited: Callable[..., None], flush_every: int
 ) -> None:
-    monkeypatch.setattr(sample_rows, "SAMPLES_LIMIT", 250)
-    monkeypatch.setattr(sample_rows, "_MAX_PENDING_BYTES", 0)
+    limited(sample_rows, SAMPLES_LIMIT=250, _MAX_PENDING_BYTES=0)
     data = recorded([sample(k) for k in range(300)], flush_every=flush_every)
 
     rec = load(written(tmp_path, data))
@@ -847,7 +714,7 @@ def test_a_file_has_no_more_samples_than_a_run(
     st.lists(st.lists(st.integers(0, 12) | st.integers(2**62 - 2, 2**62 + 1), max_size=4)),
     st.integers(0, 30),
 )
-def test_samples_are_kept_for_as_long_as_k_rises(packs: list[list[int]], spoilt: int) -> None:
+def test_samples_are_kept_until_k_does_not_rise(packs: list[list[int]], spoilt: int) -> None:
     rows, failed, expected = sample_rows.SampleRows(), False, []
     all_k = [k for pack in packs for k in pack]
     for k, last in zip(all_k, [-1, *all_k], strict=False):
@@ -873,7 +740,7 @@ def test_samples_are_kept_for_as_long_as_k_rises(packs: list[list[int]], spoilt:
     assert failed == (len(expected) < len(all_k))
 
 
-def test_samples_do_not_keep_the_chunk_they_came_in() -> None:
+def test_samples_do_not_keep_their_chunk_in_memory() -> None:
     """One sample in each of many chunks of 8 MB must not keep all of them in memory."""
     chunk = _ROW_HEAD + telemetry.encode_sample(sample(0)) + bytes(100_000)
     rows = sample_rows.SampleRows()
@@ -886,10 +753,8 @@ def test_samples_do_not_keep_the_chunk_they_came_in() -> None:
     assert sys.getrefcount(chunk) == before
 
 
-def test_a_grid_has_no_more_rows_than_a_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(grid, "SAMPLES_LIMIT", 250)
+def test_a_grid_has_no_more_rows_than_a_run(tmp_path: Path, limited: Callable[..., None]) -> None:
+    limited(grid, SAMPLES_LIMIT=250)
 
     assert load(written(tmp_path, recorded([sample(k) for k in (0, 1, 249)]))).N == 250
     with pytest.raises(FileError, match="too many for a recording"):
@@ -897,7 +762,7 @@ def test_a_grid_has_no_more_rows_than_a_run(
 
 
 @pytest.mark.parametrize(("came", "missing"), [(0, 200_000), (7, 200_070)])
-def test_a_grid_lacks_no_more_samples_than_it_may(came: int, missing: int) -> None:
+def test_a_grid_has_a_bounded_number_of_missing_samples(came: int, missing: int) -> None:
     """200 000, and ten more for each sample that came; one more is refused."""
     k = np.arange(came, dtype=np.uint64)
 
@@ -914,7 +779,7 @@ def test_a_grid_lacks_no_more_samples_than_it_may(came: int, missing: int) -> No
     st.lists(st.tuples(st.integers(0, 60), st.integers(0, 2**64), st.floats(-9, 9)), max_size=12)
     | st.lists(st.tuples(st.integers(0, 60), st.integers(0, 20), st.floats(-9, 9)), max_size=12)
 )
-def test_gaps_fill_rows_as_if_one_after_the_other(gaps: list[tuple[int, int, float]]) -> None:
+def test_gaps_fill_rows_as_if_applied_in_order(gaps: list[tuple[int, int, float]]) -> None:
     rows = grid.Grid(k_first=10, N=40, present=np.zeros(40, np.bool_), taken=slice(0))
     expected = np.full(40, nan)
     for k_first, count, value in gaps:
@@ -923,7 +788,7 @@ def test_gaps_fill_rows_as_if_one_after_the_other(gaps: list[tuple[int, int, flo
     np.testing.assert_array_equal(rows.filled(gaps), expected)
 
 
-def test_gaps_without_end_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_overlapping_gaps_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The work is rows plus gaps, not rows times gaps."""
     written_rows = 0
 
@@ -943,47 +808,33 @@ def test_gaps_without_end_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -
     assert written_rows == 500
 
 
-def test_a_pipe_is_refused_without_waiting(tmp_path: Path) -> None:
-    """A writer may never open the pipe."""
-    path = tmp_path / "run.mcap"
-    os.mkfifo(path)
-
-    with pytest.raises(FileError, match=r"run\.mcap: not a regular file"):
-        load(path)
-
-
-def test_a_device_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    path.symlink_to("/dev/zero")
-
-    with pytest.raises(FileError, match="not a regular file"):
-        load(path)
-
-
 @pytest.mark.parametrize(
-    ("name", "text", "why"),
+    ("entries", "why"),
     [
-        ("clock_offset_ns", "1" + "0" * 400, "clock_offset_ns does not fit into 64 bit"),
-        ("clock_offset_ns", "-" + "9" * 309, "clock_offset_ns does not fit into 64 bit"),
-        ("clock_offset_ns", str(2**63), "clock_offset_ns does not fit into 64 bit"),
-        ("k_first", "1" + "0" * 400, "k_first does not fit into 64 bit"),
-        ("details", '{"a":' + "[" * 100_000 + "]" * 100_000 + "}", "recursion"),
-        (
-            "details",
-            '{"a":' + "[" * 100 + "]" * 100 + "}",
-            "details is nested more than 32 levels deep",
+        pytest.param(None, r"not made by armrig; .* `armrig hints \S+run\.mcap` lists", id="none"),
+        pytest.param({"rig": '"1"'}, "run_id", id="of another shape"),
+        *(
+            (METADATA | {name: text}, f"{name} {why}")
+            for name, text, why in (
+                ("clock_offset_ns", "1" + "0" * 400, "does not fit into 64 bit"),
+                ("clock_offset_ns", "-" + "9" * 309, "does not fit into 64 bit"),
+                ("clock_offset_ns", str(2**63), "does not fit into 64 bit"),
+                ("k_first", "1" + "0" * 400, "does not fit into 64 bit"),
+                ("details", _nested(100), "is nested more than 32 levels deep"),
+            )
         ),
-        ("experiment", "[" * 100_000, "recursion"),
+        pytest.param(METADATA | {"details": _nested(100_000)}, "recursion", id="recursion"),
+        pytest.param(METADATA | {"experiment": "[" * 100_000}, "recursion", id="no end"),
     ],
 )
-def test_a_manifest_that_overstrains_is_reported_in_one_line(
-    tmp_path: Path, name: str, text: str, why: str
+def test_an_invalid_manifest_is_reported_in_one_line(
+    tmp_path: Path, entries: dict[str, str] | None, why: str
 ) -> None:
-    entries = manifest().metadata() | {name: text}
     out = BytesIO()
     writer = Writer(out)
     writer.start()
-    writer.add_metadata(RUN, entries)
+    if entries:
+        writer.add_metadata(RUN, entries)
     writer.finish()
 
     with pytest.raises(FileError, match=why) as caught:
@@ -993,18 +844,7 @@ def test_a_manifest_that_overstrains_is_reported_in_one_line(
     assert len(str(caught.value)) < 1000
 
 
-def test_an_attachment_longer_than_memory_ends_the_reading(tmp_path: Path) -> None:
-    """The length is a number in the file; it overflowed a C integer."""
-    body = bytes(16) + bytes(8) + struct.pack("<Q", 2**64 - 1) + bytes(4)
-
-    rec = load(written(tmp_path, _with_record(0x09, body)))
-
-    assert "a record cannot be read" in rec.damage
-
-
 class _Counted(BytesIO):
-    """A file that counts the bytes read from it."""
-
     count = 0
 
     def read(self, n: int | None = -1) -> bytes:
@@ -1027,30 +867,7 @@ def test_a_file_is_read_once() -> None:
     assert file.count == len(data)
 
 
-def test_a_hash_that_was_not_asked_for_is_refused() -> None:
-    with pytest.raises(ValueError, match="is_hashed"):
-        ByteSource(BytesIO(b"x"), 1).sha256()
-
-
-def test_compression_that_is_not_known_is_named(tmp_path: Path) -> None:
-    body = struct.pack("<QQQII", 0, 0, 4, 0, 5) + b"bzip9" + struct.pack("<Q", 4) + bytes(4)
-
-    rec = load(written(tmp_path, _with_record(0x06, body)))
-
-    assert "compression 'bzip9': allowed are" in rec.damage
-
-
-def test_a_chunk_within_a_chunk_is_refused(tmp_path: Path) -> None:
-    """Nested chunks would unpack without end."""
-    inner = struct.pack("<BQ", 0x06, 0)
-    body = struct.pack("<QQQII", 0, 0, len(inner), 0, 0) + struct.pack("<Q", len(inner)) + inner
-
-    rec = load(written(tmp_path, _with_record(0x06, body)))
-
-    assert "(opcode 6) that must not be in a chunk" in rec.damage
-
-
-def test_a_change_outside_the_chunks_is_found(tmp_path: Path) -> None:
+def test_a_change_outside_the_chunks_is_detected(tmp_path: Path) -> None:
     """The manifest has no checksum of its own, but the file has one over all data."""
     whole = recorded([sample(0)])
     assert whole.count(b'"seed":1') == 1
@@ -1059,15 +876,6 @@ def test_a_change_outside_the_chunks_is_found(tmp_path: Path) -> None:
 
     assert rec.N == 1
     assert "checksum over all data" in rec.damage
-
-
-def test_experiments_follow_each_other_in_order(tmp_path: Path) -> None:
-    present = [*range(50), *range(100, 150), *range(151, 200)]
-
-    data = load(written(tmp_path, recorded([sample(k) for k in present]))).dataset()
-
-    assert data.starts == (0, 50, 100)
-    assert all(a < b for a, b in pairwise(data.starts))
 
 
 def _with_record(opcode: int, body: bytes) -> bytes:
@@ -1082,7 +890,6 @@ def _broken_off(rest: bytes) -> bytes:
 
 
 def _read_of(rec: Recording) -> int:
-    """Return how many bytes of the file were read."""
     return int(rec.damage.rsplit(" samples, ", 1)[1].split()[0])
 
 
@@ -1095,42 +902,26 @@ SMALL = recorded([sample(k) for k in range(30)], flush_every=10)
 SMALL_DIRECTORY = TemporaryDirectory(prefix="armrig-tests-")
 
 
-def test_what_disturbed_the_timing_is_listed_with_the_clock(tmp_path: Path) -> None:
-    reports = [timing(k) for k in (110, 120, 130)]
-    for report, done, pressure, waiting in zip(
-        reports, (7, 7, 9), (1.0, float("nan"), 12.5), (2, 5, 1), strict=True
-    ):
-        report.collections, report.cpu_pressure_percent = done, pressure
-        report.run_queue = waiting
-        report.link_round_trip_us.max, report.link_round_trip_us.n = 900.0 * waiting, 10
-    clock = protobuf.message_class(protobuf.CLOCK)(
-        t_host_ns=sample(120).t_host_ns, drift_ppm=-12.0, drift_std_ppm=0.5, offset_std_ns=4000.0
-    )
-
-    rec = load(written(tmp_path, recorded([*map(sample, range(100, 140)), *reports, clock])))
-
-    found = disturbances(rec)
-    assert (found.seconds, found.collections, found.run_queue) == (3, 2, 5)
-    assert found.cpu_pressure_percent == 12.5
-    assert found.round_trip_us == 4500.0
-    assert rec.clock[0].t == pytest.approx(20 * TS, abs=1e-4)
-    assert found.texts() == {
-        "garbage collections of the loop": "2",
-        "processor wanted by others, worst second": f"12{NBSP}%",
-        "most tasks runnable": "5",
-        "longest round trip": f"4.50{NBSP}ms",
-        "device's clock slow by": f"\u221212.0 ± 0.5{NBSP}ppm",
-        "device's clock known to": f"± 4.0{NBSP}µs",
-    }
-
-
 def test_seconds_without_a_round_trip_have_no_longest_one(tmp_path: Path) -> None:
     rec = load(written(tmp_path, recorded([*map(sample, range(10)), timing(5)])))
 
     assert "longest round trip" not in disturbances(rec).texts()
 
 
-def test_a_recording_without_reports_has_no_disturbances(tmp_path: Path) -> None:
-    rec = load(written(tmp_path, recorded([*map(sample, range(10))])))
+def _gap(t: float, count: int = 1, code: GapCode = GapCode.FRAME_LOST) -> Gap:
+    k = round(t * 100)
+    return Gap(k_first=k, count=count, t=t, u_held_v=1.0, reason=code.sentence, code=code)
 
-    assert disturbances(rec).texts() == {}
+
+def test_a_single_gap_is_reported_unchanged() -> None:
+    assert gap_lines([_gap(3.25, 7)]) == ["7 samples at 3.250 s, a frame was lost"]
+    assert gap_lines([]) == []
+
+
+def test_the_gaps_of_a_second_share_a_line() -> None:
+    gaps = [_gap(0.5), *(_gap(2 + i / 100) for i in range(50)), _gap(2.9, 3, GapCode.HOST_LATE)]
+
+    assert gap_lines(gaps) == [
+        "1 sample at 0.500 s, a frame was lost",
+        "53 samples in 51 gaps from 2.000 s to 2.900 s, a frame was lost, the host was late",
+    ]

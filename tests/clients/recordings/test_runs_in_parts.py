@@ -16,7 +16,7 @@ from armrig_core.errors import FileError
 from armrig_core.manifest import RUN, Outcome, manifest_of
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.part_names import part_number, part_paths
+from armrig_core.recording_file.part_names import part_paths
 from mcap.reader import make_reader
 
 from tests.clients.made_recordings import gap, manifest, recorded, sample, written
@@ -57,7 +57,7 @@ def test_the_parts_of_a_run_are_read_as_one(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load(paths, start=1.5, stop=2.5).t, whole.t[150:250])
 
 
-def test_a_run_one_of_whose_parts_is_missing_is_not_taken_for_whole(tmp_path: Path) -> None:
+def test_a_run_with_a_missing_part_is_refused(tmp_path: Path) -> None:
     one, two, three = _parts(tmp_path)
     run = tmp_path / "run.mcap"
     kept = {path: path.read_bytes() for path in (one, two)}
@@ -80,28 +80,14 @@ def test_a_run_one_of_whose_parts_is_missing_is_not_taken_for_whole(tmp_path: Pa
     assert verify(two).checks[0].result == "passed"
 
 
-def test_a_run_of_many_parts_is_read_in_the_order_of_their_numbers(tmp_path: Path) -> None:
-    for number in (10_000, 9_999, 2, 1):
-        (tmp_path / f"run.part-{number:04}.mcap").touch()
-    (tmp_path / "run.part-0003.mcap.active").touch()
-    for other in ("run.part-4.csv", "run.part-x.mcap", "run-b.part-0001.mcap", "run.part-²2.mcap"):
-        (tmp_path / other).touch()
-
-    found = part_paths(tmp_path / "run.mcap")
-
-    assert [part_number(path) for path in found] == [1, 2, 3, 9_999, 10_000]
-    others = ("run.mcap", "run.part-x.mcap", "1.mcap", ".part-1.mcap")
-    assert {part_number(tmp_path / name) for name in others} == {0}
-
-
-def test_a_second_part_given_as_a_calibration_is_refused_with_the_way_out(tmp_path: Path) -> None:
+def test_a_recording_given_as_a_calibration_is_refused_with_the_remedy(tmp_path: Path) -> None:
     one, two, _ = _parts(tmp_path)
 
     with pytest.raises(FileError, match=r"is a recording, not a calibration.*as a list"):
         load(one, two)
 
 
-def test_the_command_line_leads_from_the_parts_to_the_run(
+def test_the_name_of_a_run_selects_all_its_parts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _parts(tmp_path)
@@ -157,7 +143,7 @@ def _record_in_parts(whole: Path, path: Path, *, samples: int) -> None:
 
 @pytest.mark.parametrize("pacing", ["exchange", "scheduled"])
 def test_a_run_in_parts_is_replayed_as_one(tmp_path: Path, pacing: str) -> None:
-    whole = Path(__file__).parents[2] / "data" / "0.1.0" / f"{pacing}.mcap"
+    whole = Path(__file__).parents[2] / "data" / "0.2.0" / f"{pacing}.mcap"
     _record_in_parts(whole, tmp_path / "run.mcap", samples=60)
 
     again = replay(tmp_path / "run.mcap")
@@ -191,7 +177,7 @@ def test_parts_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_a_part_that_was_cut_off_is_reported(tmp_path: Path, number: int) -> None:
+def test_a_cut_off_part_is_reported_with_its_number(tmp_path: Path, number: int) -> None:
     paths = _parts(tmp_path)
     cut = paths[number - 1]
     sizes = [path.stat().st_size for path in paths]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, nan, pi, remainder, tau
+from math import inf, nan, remainder, tau
 from pathlib import Path
 
 import numpy as np
@@ -28,18 +28,11 @@ def rec(tmp_path: Path) -> Recording:
     return load(written(tmp_path, of_the_arm(u, missing=slice(50, 60), start=2.5)))
 
 
-def test_the_arm_is_at_the_sum_of_both_frame_angles() -> None:
-    found = frame_angles(transforms(pi / 3, -pi / 6, 0).encode())
-
-    assert found == {("rig", "chassis"): pytest.approx(pi / 3), ("chassis", "arm"): -pi / 6}
-    assert sum(found.values()) == pytest.approx(pi / 6)
-
-
 @pytest.mark.parametrize(
     ("theta_1", "alpha", "left"),
     [(nan, 0.1, {"arm"}), (0.1, inf, {"chassis"}), (-inf, nan, set())],
 )
-def test_an_angle_that_is_not_known_leaves_its_frame_out(
+def test_the_frame_of_an_unknown_angle_is_omitted(
     theta_1: float, alpha: float, left: set[str]
 ) -> None:
     """A viewer would place a frame of NaN anywhere; infinity, in a foreign file, has no sine."""
@@ -47,7 +40,7 @@ def test_an_angle_that_is_not_known_leaves_its_frame_out(
 
 
 @pytest.mark.parametrize("offset_ns", [-4 * 10**18, 72 * 10**17])
-def test_times_that_foxglove_does_not_have_are_refused(
+def test_times_outside_the_range_of_foxglove_are_refused(
     offset_ns: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The offset of a recording's clocks may be of any size."""

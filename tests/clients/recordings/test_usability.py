@@ -1,4 +1,4 @@
-"""Usability of the data: each fault of a recording is reported, a sound recording has none."""
+"""Usability of recordings: each fault and doubt is reported, a sound recording has none."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pytest
 from armrig.data.finding import Finding
 from armrig.numerics.quantities import NBSP
 from armrig.recordings.findings import (
+    HiddenStep,
     check_angle,
     check_run,
     check_signal,
@@ -24,7 +25,16 @@ from armrig.recordings.findings import (
 from armrig.recordings.jitter import fastest_rate, sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from armrig.recordings.usability import DataVerdict, data_verdict
+from armrig.recordings.usability import (
+    DataVerdict,
+    all_doubts,
+    data_verdict,
+    different_calibrations,
+    doubts_of_estimation,
+    doubts_of_pair,
+    early_ends,
+)
+from armrig_core.calibration import Calibration, Driver
 from armrig_core.manifest import Outcome
 from armrig_core.predicted_motion import Rehearsal
 from armrig_protocol.messages import Flag
@@ -35,12 +45,10 @@ from tests.clients.odd_recording import odd_recording
 
 
 def judged(directory: Path, u: NDArray[np.float64], **options: Any) -> DataVerdict:
-    """Return the verdict on the arm driven by u."""
     return data_verdict(load(written(directory, of_the_arm(u, **options))))
 
 
 def by_hand(directory: Path, messages: list[Any], **about: Any) -> Recording:
-    """Return a recording of these messages."""
     whole = manifest(samples=len(messages), **about)
     return load(written(directory, recorded(messages, manifest=whole)))
 
@@ -57,11 +65,10 @@ def swinging(n: int, **changes: Any) -> list[Any]:
 
 
 def levels(verdict: DataVerdict) -> dict[str, str]:
-    """Return the level of each finding by what it is about."""
     return {f.about: f.level for f in verdict.findings}
 
 
-def test_a_sound_recording_has_nothing_against_it(tmp_path: Path) -> None:
+def test_a_sound_recording_has_no_findings(tmp_path: Path) -> None:
     found = judged(tmp_path, armrig.telegraph(3000, 0.05))
 
     assert found.usable
@@ -78,19 +85,6 @@ def test_a_sound_recording_has_nothing_against_it(tmp_path: Path) -> None:
     assert f"({found.noise_rad / step:.2g} steps of the converter)" in signal.text
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "level"),
-    [(0.5, 4.5, "good"), (2.45, 2.55, "warning"), (2.499, 2.501, "unusable")],
-)
-def test_levels_too_near_each_other_are_too_quiet(
-    low: float, high: float, level: str, tmp_path: Path
-) -> None:
-    found = judged(tmp_path, armrig.telegraph(3000, 0.05, low, high))
-
-    assert levels(found)["signal"] == level
-    assert found.usable == (level != "unusable")
-
-
 def test_the_signal_does_not_count_its_noise_nor_the_start(tmp_path: Path) -> None:
     found = judged(tmp_path, np.full(1000, 2.0))
 
@@ -99,35 +93,41 @@ def test_the_signal_does_not_count_its_noise_nor_the_start(tmp_path: Path) -> No
     assert "the input never changes" in found.summary
 
 
-def test_what_the_handout_asks_for_is_loud_enough(tmp_path: Path) -> None:
+def test_the_inputs_of_the_handout_have_no_warnings(tmp_path: Path) -> None:
     for u in (armrig.white_noise(3000), armrig.step(500, at=100), armrig.staircase(3000)):
         assert judged(tmp_path, u).warnings == ()
 
 
-def test_a_step_whose_rise_the_dead_band_hides_is_reported_with_when_to_step(
-    tmp_path: Path,
+def stepped(directory: Path, start: float, at: float, seconds: float) -> Recording:
+    """Return the recording of a step of a chassis that rests at `start`, in rad."""
+    u = np.where(np.arange(round(seconds / 0.01)) < round(at / 0.01), 0.5, 4.5)
+    return load(written(directory, of_the_arm(u, experiment="step", start=start)))
+
+
+Hidden = list[tuple[Recording, HiddenStep]]
+
+
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory: pytest.TempPathFactory) -> Hidden:
+    """Return the steps of a turn of starts whose rise the dead band hides."""
+    directory = tmp_path_factory.mktemp("steps")
+    every = (stepped(directory, float(start), 1.0, 2.0) for start in np.arange(0, tau, 0.1))
+    return [(r, found) for r in every if (found := hidden_step(r)) is not None]
+
+
+def test_a_step_hidden_by_the_dead_band_is_reported_with_the_time_to_step(
+    hidden: Hidden, tmp_path: Path
 ) -> None:
-    def stepped(start: float, at: float, seconds: float) -> Recording:
-        u = np.where(np.arange(round(seconds / 0.01)) < round(at / 0.01), 0.5, 4.5)
-        whole = of_the_arm(u, experiment="step", start=start)
-        return load(written(tmp_path, whole))
-
-    told = 0
-    for start in np.arange(0, tau, 0.05):
-        first = stepped(start, 1.0, 2.0)
-        hidden = hidden_step(first)
-        if hidden is None:
-            continue
-        told += 1
-        found = data_verdict(first)
-        assert levels(found)["step"] == "warning"
-        assert f"--at {hidden.at_s:g} --seconds {hidden.seconds:g}" in found.summary
+    for first, found in hidden:
+        verdict = data_verdict(first)
+        assert levels(verdict)["step"] == "warning"
+        assert f"--at {found.at_s:g} --seconds {found.seconds:g}" in verdict.summary
         rest = first.theta_1[first.valid][-1] + 0.6  # the motor brakes it within a few 0.1 s
-        assert hidden_step(stepped(rest, hidden.at_s, hidden.seconds)) is None
-    assert 3 <= told <= 20
+        assert hidden_step(stepped(tmp_path, rest, found.at_s, found.seconds)) is None
+    assert 2 <= len(hidden) <= 10
 
 
-def test_missing_samples_are_reported_and_many_are_warned_of(tmp_path: Path) -> None:
+def test_missing_samples_are_reported_and_many_cause_a_warning(tmp_path: Path) -> None:
     """One in a hundred may be missing."""
     u = armrig.telegraph(1000, 0.05)
 
@@ -140,14 +140,7 @@ def test_missing_samples_are_reported_and_many_are_warned_of(tmp_path: Path) -> 
     assert "15 of 1000 samples are missing" in many.summary
 
 
-def test_turns_that_are_not_known_are_warned_of(tmp_path: Path) -> None:
-    """Half a turn takes a quarter of a second."""
-    found = judged(tmp_path, armrig.telegraph(1000, 0.05), missing=slice(500, 540))
-
-    assert "the number of turns is unknown from 5.4" in found.summary
-
-
-def test_jitter_that_moves_the_angle_by_more_than_its_noise_is_warned_of(tmp_path: Path) -> None:
+def test_jitter_beyond_the_noise_of_the_angle_causes_a_warning(tmp_path: Path) -> None:
     """At 10 rad/s, a millisecond is a hundredth of a rad."""
     rng = np.random.default_rng(1)
 
@@ -175,7 +168,7 @@ def test_alpha_at_a_rail_is_reported_as_clipped(tmp_path: Path) -> None:
     assert found.usable
 
 
-def test_an_angle_that_never_shows_cannot_be_used(tmp_path: Path) -> None:
+def test_an_angle_without_a_valid_sample_is_unusable(tmp_path: Path) -> None:
     """A wire is loose, or the chassis is in the dead band."""
     found = data_verdict(by_hand(tmp_path, swinging(100, flags=int(Flag.ADC0_RAIL))))
 
@@ -185,30 +178,14 @@ def test_an_angle_that_never_shows_cannot_be_used(tmp_path: Path) -> None:
     assert b'"usable":false' in msgspec.json.encode(found.facts())
 
 
-@pytest.mark.parametrize(("hidden", "said"), [(150, "1.5 s without a break"), (0, "")])
-def test_a_chassis_at_rest_in_the_dead_band_is_warned_of(
-    hidden: int, said: str, tmp_path: Path
-) -> None:
-    """No turning chassis is hidden for so long."""
-    made = swinging(1000)
-    made[400 : 400 + hidden] = [
-        s._replace(flags=int(Flag.ADC0_RAIL)) for s in made[400 : 400 + hidden]
-    ]
-
-    found = data_verdict(by_hand(tmp_path, made))
-
-    assert levels(found)["angle"] == ("warning" if hidden else "good")
-    assert said in found.summary
-
-
-def test_a_few_samples_are_no_data(tmp_path: Path) -> None:
+def test_fewer_than_20_samples_are_unusable(tmp_path: Path) -> None:
     found = data_verdict(by_hand(tmp_path, swinging(19)))
 
     assert not found.usable
     assert "19 samples are too few" in found.summary
 
 
-def test_what_makes_data_unusable_comes_before_any_warning(tmp_path: Path) -> None:
+def test_unusable_findings_precede_warnings(tmp_path: Path) -> None:
     found = data_verdict(by_hand(tmp_path, swinging(100)))
     levels = ("warning", "good", "unusable", "warning", "unusable")
     every = tuple(
@@ -228,17 +205,6 @@ def test_what_makes_data_unusable_comes_before_any_warning(tmp_path: Path) -> No
     ]
 
 
-def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
-    ended = Outcome(outcome="stopped", samples=300, missing=0)
-    data = recorded(swinging(300), manifest=manifest(samples=600), outcome=ended)
-
-    early = data_verdict(load(written(tmp_path, data)))
-    cut = data_verdict(load(written(tmp_path, data[: len(data) - 400])))
-
-    assert "the run ended early: stopped" in early.summary
-    assert "the file is cut off: it contains 3 of 6 s" in cut.summary
-
-
 @pytest.mark.parametrize(
     ("moves", "told_on", "level", "said"),
     [
@@ -248,7 +214,7 @@ def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
         (False, False, "good", "is removed"),
     ],
 )
-def test_a_greybox_recording_is_of_the_chassis_alone(
+def test_a_greybox_recording_must_be_without_the_arm(
     moves: bool, told_on: bool, level: str, said: str, tmp_path: Path
 ) -> None:
     made = [
@@ -264,7 +230,7 @@ def test_a_greybox_recording_is_of_the_chassis_alone(
     assert said in arm.text
 
 
-def test_a_gap_without_a_record_of_its_voltage_is_judged_all_the_same(tmp_path: Path) -> None:
+def test_a_gap_without_a_recorded_voltage_is_evaluated(tmp_path: Path) -> None:
     made = swinging(200)
     del made[100:103]
     messages = [gap(0, 5, 0.0), *made[5:]]
@@ -275,27 +241,19 @@ def test_a_gap_without_a_record_of_its_voltage_is_judged_all_the_same(tmp_path: 
     assert found.missing_share == pytest.approx(8 / 200)
 
 
-def test_a_step_is_made_again_at_one_time_whichever_way_the_angle_counts(tmp_path: Path) -> None:
+def test_the_time_to_step_does_not_depend_on_the_sign_of_the_angle(hidden: Hidden) -> None:
     """A reversed potentiometer changes the sign of the angle, not the place of its dead band."""
-    u = np.where(np.arange(200) < 100, 0.5, 4.5)
-    recordings = (
-        load(written(tmp_path, of_the_arm(u, experiment="step", start=float(start))))
-        for start in np.arange(0, tau, 0.1)
-    )
-    found = [(r, hidden) for r in recordings if (hidden := hidden_step(r)) is not None]
+    mirrored = [hidden_step(replace(r, theta_1=-r.theta_1)) for r, _ in hidden]
 
-    mirrored = [hidden_step(replace(r, theta_1=-r.theta_1)) for r, _ in found]
-
-    assert len(found) >= 2
-    assert mirrored == [hidden for _, hidden in found]
-    for r, hidden in found:
-        ends = [100 + round(t / r.Ts) for t in (hidden.begins_s, hidden.ends_s)]
+    assert mirrored == [found for _, found in hidden]
+    for r, found in hidden:
+        ends = [100 + round(t / r.Ts) for t in (found.begins_s, found.ends_s)]
         assert r.valid[ends].all()
         assert not r.valid[ends[0] + 1 : ends[1]].any()
-        assert (hidden.begins_s, hidden.ends_s) == pytest.approx(r.t[ends] - 1.0)
+        assert (found.begins_s, found.ends_s) == pytest.approx(r.t[ends] - 1.0)
 
 
-def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
+def test_each_finding_reports_its_figures(tmp_path: Path) -> None:
     path = tmp_path / "odd.mcap"
     path.write_bytes(odd_recording())
     odd = load(path)
@@ -316,6 +274,7 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
         "three": check_turns(three),
         "four": check_turns(four),
         "damaged": check_run(damaged),
+        "stopped": check_run(odd),
         "unknown": check_run(replace(odd, outcome=None)),
         "cut": check_run(replace(damaged, cut_off=True)),
         "quiet": check_signal(0.0299, 0.01, 0.004),
@@ -333,6 +292,7 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
     assert "unknown from 1.05, 2.05, 3.05 s on" in texts["three"].text
     assert "unknown from 1.05, 2.05, 3.05, … s on" in texts["four"].text
     assert texts["damaged"].text == "the file is damaged: a bit has flipped"
+    assert texts["stopped"].text == "the run ended early: stopped by bob"
     assert texts["unknown"].text == "the run ended early: the file does not contain the reason"
     assert texts["cut"].text == "the file is cut off: it contains 25.9 of 30 s"
     levels = [texts[name].level for name in ("nothing", "quiet", "loud")]
@@ -340,3 +300,115 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
     assert texts["quiet"].text.startswith("signal to noise 3 to 1: theta_1 deviates from a steady")
     assert f"29.9{NBSP}mrad rms" in texts["quiet"].text
     assert f"is 10{NBSP}mrad (2.5 steps of the converter); use levels" in texts["quiet"].text
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return armrig.load(
+        written(tmp_path_factory.mktemp("sound"), of_the_arm(armrig.telegraph(600, 0.05)))
+    )
+
+
+def changed(recording: Recording, **fields: Any) -> Recording:
+    return replace(recording, manifest=msgspec.structs.replace(recording.manifest, **fields))
+
+
+def test_sound_recordings_of_one_rig_have_no_findings(sound: Recording) -> None:
+    """The handout requires a recording of the chassis alone, too."""
+    step, chassis = (changed(sound, experiment=name) for name in ("step", "greybox-chassis"))
+
+    assert all_doubts([step, sound, sound]) == all_doubts([sound, sound, chassis]) == []
+
+
+def test_each_finding_names_its_reason_and_its_file(sound: Recording) -> None:
+    other_rig = changed(sound, rig="2")
+    other_device = changed(sound, device=sound.manifest.device | {"uid": "9999"})
+    calibration = msgspec.structs.replace(sound.calibration or Calibration(), driver=Driver(gain=2))
+    chassis = changed(sound, experiment="greybox-monday")
+
+    for other, said in (
+        (other_rig, "of rig 1 (device 0001)"),
+        (other_device, "a model of one rig does not describe another rig"),
+        (replace(sound, calibration=calibration), "different calibrations"),
+        (chassis, "are two plants"),
+    ):
+        [text] = all_doubts([sound, other])
+        told_of_both = all_doubts([sound, other], one_plant=False)
+        assert told_of_both == ([] if "two plants" in text else [text])
+        assert said in text
+        assert sound.path.name in text
+
+
+def test_recordings_of_several_calibrations_are_grouped(sound: Recording) -> None:
+    def named(name: str, gain: float) -> Recording:
+        return replace(
+            sound,
+            path=sound.path.with_name(name),
+            calibration=Calibration(driver=Driver(gain=gain)),
+        )
+
+    of_three = [named("a", 1.0), named("b", 2.0), named("c", 1.0), named("d", 3.0)]
+
+    assert different_calibrations([]) == different_calibrations(of_three[::2]) == []
+    [two] = different_calibrations(of_three[:3])
+    [three] = different_calibrations(of_three)
+    assert "with 2 different calibrations (a and c; b): their angles" in two
+    assert "with 3 different calibrations (a and c; b; d): their angles" in three
+
+
+@pytest.mark.parametrize(
+    ("experiment", "is_poor"),
+    [("step", True), ("staircase-monday", True), ("stepper", False), ("blackbox-step", False)],
+)
+def test_a_step_is_a_poor_input_for_estimation_and_validation(
+    sound: Recording, experiment: str, is_poor: bool
+) -> None:
+    kind = experiment.partition("-")[0]
+    step = changed(sound, experiment=experiment)
+
+    estimated, validated = doubts_of_estimation(step), doubts_of_pair(sound, step)
+
+    assert len(estimated) == len(validated) == is_poor
+    for text in (*estimated, *validated):
+        assert text.startswith(f"{step.path.name} is a {kind}, which excites few frequencies")
+    assert doubts_of_pair(step, sound) == []
+
+
+def test_an_incomplete_run_is_reported_unless_its_length_is_unknown(sound: Recording) -> None:
+    def ended(code: str, **fields: Any) -> Recording:
+        outcome = Outcome(outcome=f"it was {code}", samples=9, missing=0, code=code)
+        return changed(replace(sound, outcome=outcome), **fields)
+
+    n = sound.samples.size
+    stopped, unknown = ended("stopped", samples=700), replace(sound, outcome=None)
+    remote = ended("stopped", samples=0)
+
+    assert early_ends([sound, ended("complete"), ended("continued"), remote]) == []
+    assert early_ends([sound, stopped, unknown]) == [
+        f"{sound.path.name} ended early, after {n} of 700 samples: it was stopped.",
+        f"{sound.path.name} ended early, after {n} of 600 samples: the reason is not recorded.",
+    ]
+
+
+@pytest.mark.parametrize(("fall", "is_reversed"), [(0.0, False), (0.49, False), (0.51, True)])
+def test_a_measured_angle_may_fall_by_half_a_radian_without_a_finding(
+    sound: Recording, fall: float, is_reversed: bool
+) -> None:
+    """A chassis at rest shows no direction, and neither does a touch by hand."""
+    theta_1 = np.linspace(1.0, 1.0 - fall, sound.N)
+    ends = np.r_[np.nan, theta_1, np.nan][: sound.N + 1]
+
+    assert bool(all_doubts([replace(sound, theta_1=theta_1)])) is is_reversed
+    assert bool(all_doubts([replace(sound, theta_1=ends)])) is is_reversed
+
+
+def test_a_reversed_sensor_and_too_few_samples_are_reported(
+    sound: Recording, tmp_path: Path
+) -> None:
+    """The voltage is never negative, so the angle of a reversed sensor falls."""
+    [reversed_] = all_doubts([replace(sound, theta_1=-sound.theta_1)])
+    short = armrig.load(written(tmp_path, of_the_arm(armrig.telegraph(50, 0.2))))
+    [few] = [t for t in all_doubts([short]) if "record 300" in t]
+
+    assert "reversed" in reversed_
+    assert "50 samples" in few

@@ -10,7 +10,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from armrig.cli import main
 from armrig.recordings import verification
 from armrig.recordings.container import Content
 from armrig.recordings.loading import beginning, load
@@ -67,18 +66,16 @@ def verified(
     u: Sequence[float] | None = U.tolist(),
     cut: int = 0,
 ) -> Verification:
-    """Return the findings of a recording of these messages."""
     ended = Outcome(outcome="complete", samples=came, missing=missing)
     data = recorded(messages, manifest=manifest(k_first=0, samples=N), outcome=ended, u=u)
     return verify(written(directory, data[: len(data) - cut]))
 
 
 def failed(found: Verification) -> dict[str, str]:
-    """Return what failed, by its name."""
     return {c.about: c.text for c in found.checks if c.result == "failed"}
 
 
-def test_a_run_as_it_was_asked_for_passes(tmp_path: Path) -> None:
+def test_a_run_that_matches_its_request_passes(tmp_path: Path) -> None:
     found = verified(tmp_path, [*run(), clock(100, 50), clock(200, 70)])
 
     assert found.passed
@@ -86,18 +83,6 @@ def test_a_run_as_it_was_asked_for_passes(tmp_path: Path) -> None:
     assert [c.about for c in found.checks if c.result == "not checked"] == ["configuration"]
     assert found.sha256 == hashlib.sha256((tmp_path / "run.mcap").read_bytes()).hexdigest()
     assert len(repr(found).splitlines()) == len(found.checks)
-
-
-def test_missing_samples_must_be_reported(tmp_path: Path) -> None:
-    messages: list[Any] = run()
-    del messages[100:110]
-    told = [*messages[:100], gap(100, 10, 1.0), *messages[100:]]
-
-    assert verified(tmp_path, told, came=N - 10, missing=10).passed
-    found = verified(tmp_path, messages, came=N - 10, missing=10)
-    assert failed(found) == {
-        "samples": "10 samples are missing without a gap record, from k=100 on"
-    }
 
 
 def test_reported_gaps_may_overlap(tmp_path: Path) -> None:
@@ -113,51 +98,13 @@ def test_reported_gaps_may_overlap(tmp_path: Path) -> None:
     assert failed(short)["samples"] == ("5 samples are missing without a gap record, from k=105 on")
 
 
-@pytest.mark.parametrize(
-    ("came", "says"),
-    [
-        (0, "it has no usable sample"),
-        (19, "19 samples are left, at least 20 are needed"),
-        (20, "its 20 samples can be used, with care"),
-    ],
-)
-def test_what_is_left_of_a_damaged_file_is_called_usable_if_it_is(
-    came: int, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    about = manifest(k_first=0, samples=N)
-    path = written(tmp_path, recorded(run()[:came], manifest=about, outcome=None))
-
-    assert main(["verify", str(path)]) == 1
-    assert capsys.readouterr().err == f"armrig: {path}: failed: file; {says}\n"
-
-
-def test_nothing_is_said_of_samples_that_there_are_not(tmp_path: Path) -> None:
+def test_checks_are_skipped_without_samples(tmp_path: Path) -> None:
     about = manifest(k_first=0, samples=N)
     ended = Outcome(outcome="stopped", samples=0, missing=0)
     found = verify(written(tmp_path, recorded([], manifest=about, outcome=ended, u=U.tolist())))
 
     assert [c.about for c in found.checks if c.result == "passed"] == ["file"]
     assert dict(rows(found))["verdict"].startswith("passed; not checked: samples, envelope, input")
-
-
-@pytest.mark.parametrize("field", ["u_cmd_v", "u_applied_v"])
-@pytest.mark.parametrize("volts", [5.001, -0.001, float("nan")])
-def test_a_voltage_outside_the_envelope_is_reported(
-    tmp_path: Path, field: str, volts: float
-) -> None:
-    messages = run()
-    messages[7] = messages[7]._replace(**{field: volts})
-
-    assert "at k=7" in failed(verified(tmp_path, messages))["envelope"]
-
-
-def test_a_voltage_held_in_a_gap_is_in_the_envelope_too(tmp_path: Path) -> None:
-    messages: list[Any] = run()
-    messages[100:110] = [gap(100, 10, 6.0)]
-
-    found = verified(tmp_path, messages, came=N - 10, missing=10)
-
-    assert "6 V was held in a gap" in failed(found)["envelope"]
 
 
 @pytest.mark.parametrize(("experiment", "may"), [("remote", True), ("blackbox", False)])
@@ -181,20 +128,7 @@ def test_only_a_remote_recorder_may_lack_a_voltage(
         assert text.endswith("unknown in 1 gap that the recorder missed")
 
 
-def test_another_voltage_than_the_experiments_is_reported(tmp_path: Path) -> None:
-    """By two steps of the wire's code, or one of the device's."""
-    for field, off in (("u_cmd_v", 2 * 5 / 65535), ("u_applied_v", 5 / 1024)):
-        messages = run()
-        messages[50] = messages[50]._replace(**{field: getattr(messages[50], field) + off})
-        text = failed(verified(tmp_path, messages))["input"]
-        assert "1 sample with another voltage" in text
-        assert "at k=50" in text
-
-
-def test_an_input_of_another_length_is_reported(tmp_path: Path) -> None:
-    assert (
-        "399 voltages are attached" in failed(verified(tmp_path, run(), u=U[:-1].tolist()))["input"]
-    )
+def test_a_run_without_an_attached_input_passes(tmp_path: Path) -> None:
     without = verified(tmp_path, run(), u=None)
     assert without.passed
     assert [c.result for c in without.checks if c.about == "input"] == ["not checked"]
@@ -205,25 +139,6 @@ def test_a_file_that_is_cut_off_fails_and_can_still_be_loaded(tmp_path: Path) ->
 
     assert "cut off" in failed(found)["file"]
     assert load(tmp_path / "run.mcap").N > 0
-
-
-def test_counts_that_do_not_agree_are_reported(tmp_path: Path) -> None:
-    assert "contains 400 and 0" in failed(verified(tmp_path, run(), came=399))["file"]
-
-
-def test_time_that_goes_back_is_reported(tmp_path: Path) -> None:
-    for field in ("t_device_us", "t_sched_ns"):
-        messages = run()
-        messages[9] = messages[9]._replace(**{field: getattr(messages[8], field)})
-        assert "at k=9" in failed(verified(tmp_path, messages))["timing"]
-
-
-def test_clocks_that_jump_or_run_apart_are_reported(tmp_path: Path) -> None:
-    jump = verified(tmp_path, [*run(), clock(100, 0), clock(200, 50_000)])
-    apart = [s._replace(t_device_us=5_000 + s.k * 10_200) for s in run()]
-
-    assert "jumps by 50 µs" in failed(jump)["clock"]
-    assert "ppm off the host's" in failed(verified(tmp_path, apart))["clock"]
 
 
 @pytest.mark.parametrize(
@@ -242,7 +157,7 @@ def test_clocks_that_jump_or_run_apart_are_reported(tmp_path: Path) -> None:
         ({}, {"drift_std_ppm": 8.5}, False),  # what it may gain from there on
     ],
 )
-def test_clocks_may_differ_by_what_the_comparisons_do_not_know(
+def test_clocks_may_differ_by_the_uncertainty_of_their_comparison(
     tmp_path: Path, before: dict[str, float], after: dict[str, float], may: bool
 ) -> None:
     """50 µs in 1 s: both bounds, the reported drift, and six deviations of offset and drift."""
@@ -262,7 +177,7 @@ def test_clocks_may_differ_by_what_the_comparisons_do_not_know(
         (N, 44_000, False),
     ],
 )
-def test_a_clock_may_be_off_by_a_resonator_and_a_sample_at_either_end(
+def test_a_clock_may_differ_by_its_resonator_tolerance_and_two_samples(
     tmp_path: Path, n: int, gained_us: int, may: bool
 ) -> None:
     """A short run cannot determine the resonator's error."""
@@ -276,7 +191,7 @@ def test_a_clock_may_be_off_by_a_resonator_and_a_sample_at_either_end(
     assert ("clock" not in failed(found)) == may
 
 
-def test_a_later_sample_is_compared_with_its_own_voltage(tmp_path: Path) -> None:
+def test_each_sample_is_compared_with_the_voltage_of_its_number(tmp_path: Path) -> None:
     messages: list[Any] = run()
     messages[0:3] = [gap(0, 3, 0.0)]
     ended = Outcome(outcome="complete", samples=N - 3, missing=3)

@@ -27,7 +27,7 @@ def answers(tmp_path: Path, text: str) -> Answers:
     return read_answers(path)
 
 
-def test_the_file_of_questions_is_a_file_of_answers(tmp_path: Path) -> None:
+def test_the_file_of_questions_can_be_read_as_answers(tmp_path: Path) -> None:
     text = questions_toml("reasons.toml")
 
     found = answers(tmp_path, text)
@@ -54,7 +54,7 @@ def test_names_and_reasons_are_read(tmp_path: Path) -> None:
     )
 
 
-def test_a_name_and_reasons_may_fill_their_room(tmp_path: Path) -> None:
+def test_a_name_and_reasons_of_the_greatest_length_are_accepted(tmp_path: Path) -> None:
     name, reasons = "é" * MAX_NAME, "x" * MAX_REASONS
 
     found = answers(
@@ -87,7 +87,7 @@ def test_a_name_and_reasons_may_fill_their_room(tmp_path: Path) -> None:
         ("[[students]]\nregistration_number = 9001011234", ".*, of at most 80 characters"),
     ],
 )
-def test_what_is_no_answer_is_refused(text: str, message: str, tmp_path: Path) -> None:
+def test_a_wrong_answer_is_refused(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(FileError, match=rf"reasons\.toml: {message}"):
         answers(tmp_path, text)
 

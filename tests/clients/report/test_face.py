@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 
-def test_the_report_is_imported_from_the_room() -> None:
+def test_the_public_names_of_the_report_can_be_imported() -> None:
     from armrig.report import document, recording_facts, report, treatment
 
     assert report is document.report
     assert treatment is recording_facts.treatment
 
 
-def test_a_name_that_the_room_has_not_is_refused() -> None:
+def test_an_unknown_name_of_the_report_is_refused() -> None:
     import armrig.report
 
     with pytest.raises(AttributeError, match=r"'armrig\.report' has no attribute 'raport'"):

@@ -141,18 +141,12 @@ def test_the_timing_of_a_recording_is_reported_by_its_names() -> None:
 
 def test_shared_facts_are_those_of_the_estimation_recording(done: Study) -> None:
     step, *others = done.recordings
-    other = replace(step, manifest=replace_device(step, "9999"))
+    device = {**step.manifest.device, "uid": "9999"}
+    other = replace(step, manifest=msgspec.structs.replace(step.manifest, device=device))
 
     said = shared_facts(replace(done, recordings=(other, *others)))
 
     assert "uid 0001" in said[0]
-
-
-def replace_device(r: Recording, uid: str) -> object:
-    """Return the manifest of a recording as if another device had made it."""
-    import msgspec
-
-    return msgspec.structs.replace(r.manifest, device={**r.manifest.device, "uid": uid})
 
 
 def test_the_worse_of_two_calibrations_is_reported(done: Study) -> None:
@@ -172,7 +166,7 @@ def test_the_worse_of_two_calibrations_is_reported(done: Study) -> None:
         assert "no meter was read" in said
 
 
-def test_how_much_of_the_estimation_data_is_hidden_is_a_percentage(done: Study) -> None:
+def test_the_share_of_hidden_estimation_data_is_a_percentage(done: Study) -> None:
     share = 100 * done.estimation.missing / done.estimation.N
     assert f"{share:.1f}" != f"{100 * done.validation.missing / done.validation.N:.1f}"
 
@@ -196,7 +190,7 @@ def test_the_abstract_counts_what_the_models_were_estimated_from(done: Study) ->
     assert said.endswith("by a median of 2.5\xa0%.")
 
 
-def test_each_model_is_off_by_its_own_error(done: Study) -> None:
+def test_the_error_of_each_model_is_reported(done: Study) -> None:
     arx, oe = (
         replace(m, comparison=replace(m.comparison, rms_error=error))
         for m, error in zip(done.estimated, (0.03, 0.002), strict=True)
@@ -211,7 +205,7 @@ def test_each_model_is_off_by_its_own_error(done: Study) -> None:
     )
 
 
-def test_the_jitter_is_that_of_the_validation(done: Study) -> None:
+def test_the_jitter_is_that_of_the_validation_recording(done: Study) -> None:
     timing = tuple(replace(TIMING, std_us=std) for std in (101.0, 202.0, 303.0))
 
     said = " ".join(conclusions(replace(done, timing=timing)))
@@ -229,7 +223,7 @@ def test_the_jitter_is_that_of_the_validation(done: Study) -> None:
         (0.5, 0.0005, "look at its orders and its delay."),
     ],
 )
-def test_the_verdict_on_residuals_says_where_to_look(
+def test_the_verdict_on_residuals_suggests_what_to_check(
     done: Study, white: float, free: float, ending: str
 ) -> None:
     judged = with_tests(done.best, whiteness=white, missing_dynamics=free)

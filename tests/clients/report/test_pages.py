@@ -131,16 +131,7 @@ def test_the_results_are_on_the_first_page_and_the_device_in_the_appendix(of_stu
     assert headings["Recordings"] > headings["Comparison with the physics"]
 
 
-@pytest.mark.exhaustive
-def test_the_best_model_comes_first_in_the_handout_s_report(of_handout: Made) -> None:
-    sections = {s["number"]: s for s in of_handout.values["sections"]}
-
-    coefficients, validation = sections["3.3"]["tables"]
-    assert coefficients["header"] == ["k", "OE, b_k", "OE, f_k", "ARX, a_k", "ARX, b_k"]
-    assert [row[0] for row in validation["rows"]] == ["OE", "ARX"]
-
-
-def test_a_text_of_a_figure_is_enlarged_to_seven_points(tmp_path: Path) -> None:
+def test_the_text_of_a_figure_is_enlarged_to_seven_points(tmp_path: Path) -> None:
     figure = Figure()
     figure.add_subplot().set_xlabel("$K_{lin}$", fontsize=8)
 
@@ -176,7 +167,7 @@ def punctual(recording: Recording, **late: int) -> Recording:
         ),
     ],
 )
-def test_times_that_are_all_the_same_have_no_panel(
+def test_constant_times_have_no_panel(
     done: Study,
     late: dict[str, int],
     panels: int,
@@ -184,17 +175,12 @@ def test_times_that_are_all_the_same_have_no_panel(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     recordings = tuple(punctual(r, **late) for r in done.recordings)
-    figures: dict[str, Figure] = {}
-    monkeypatch.setattr(
-        "armrig.report.figures.save", lambda of, path: figures.update({path.stem: of})
-    )
     found = replace(done, recordings=recordings)
 
-    write_figures(found, Path())
+    figures = drawn_by(found, monkeypatch)
 
-    drawn = figures["timing"].axes if "timing" in figures else []
-    assert len(drawn) == panels
-    assert all(ax.has_data() for figure in figures.values() for ax in figure.axes)
+    assert len(figures.get("timing", [])) == panels
+    assert all(ax.has_data() for axes in figures.values() for ax in axes)
     told = content(found, [])["timing_figure"]
     assert told is None if caption is None else told.startswith(caption)
 

@@ -8,8 +8,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.loading import load
-from armrig.report.conclusions import abstract, conclusions
-from armrig.report.document import content, report
+from armrig.report.document import content
 from armrig.report.study import Orders, Study, each_output, study
 from armrig_core.errors import InputError
 
@@ -69,32 +68,7 @@ def test_each_table_has_rows_for_each_output(both: Study) -> None:
     assert values["orders"] == "for θ₁ na = nb = nf = 4, nk = 1; for α na = nb = nf = 3, nk = 1"
 
 
-def test_the_sentences_name_the_output(both: Study) -> None:
-    said = conclusions(both)
-
-    assert "simulates the chassis angle with an rms error of" in abstract(both)
-    assert "and the arm angle with an rms error of" in abstract(both)
-    assert "the rms error of the chassis angle is" in said[0]
-    assert "the rms error of the arm angle is" in said[1]
-    assert any("residuals of OE, all outputs together, are white" in text for text in said)
-    assert len(said) == len(set(said))
-    estimation = content(both, ())["estimation"]
-    assert estimation.count("outside the unit circle") <= 1
-    assert "OE of α: loss" in estimation
-
-
-@pytest.mark.exhaustive
-def test_the_document_has_the_figures_of_both_outputs(both: Study, tmp_path: Path) -> None:
-    pdf = report(both, tmp_path / "report.pdf", figures=tmp_path)
-
-    names = {path.stem for path in tmp_path.glob("*.svg")}
-    of_each = {"data", "compare", "velocity", "bode", "step_poles", "residuals"}
-    assert names == {"timing", "step"} | of_each | {f"{name}-alpha" for name in of_each}
-    assert "alpha" in (tmp_path / "velocity-alpha.svg").read_text()
-    assert pdf.read_bytes().startswith(b"%PDF-")
-
-
-def test_a_report_may_be_of_alpha_alone(three_recordings: tuple[Path, Path, Path]) -> None:
+def test_a_report_may_have_only_the_output_alpha(three_recordings: tuple[Path, Path, Path]) -> None:
     found = study([load(path) for path in three_recordings], outputs=("alpha",))
 
     assert found.best.fit.orders == {"nb": 3, "nf": 3, "nk": 1}

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import getpass
-import math
 import os
 import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from itertools import islice
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import zenoh
 from armrig.rig import telemetry_stream
 from armrig.rig.client import REPLY_S, Rig, longest_reply_s
 from armrig.rig.replies import RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError, open_session
-from armrig.rig.telemetry_stream import decoded, stream
-from armrig_core import commands, protobuf, telemetry
-from armrig_core.endpoint import endpoint, socket_directory
+from armrig.rig.telemetry_stream import stream
+from armrig_core import commands, telemetry
 from armrig_core.predicted_motion import Rehearsal
 
 from tests.clients.fake_daemon import FakeDaemon
@@ -43,47 +39,27 @@ with FakeDaemon(sys.argv[2]) as daemon:
 """
 
 
-def test_a_service_finds_its_socket_where_systemd_says() -> None:
-    both = {"RUNTIME_DIRECTORY": "/run/armrig:/run/b", "XDG_RUNTIME_DIR": "/run/user/7"}
-
-    service = socket_directory(both, uid=7, temporary="/tmp")
-    login = socket_directory({"XDG_RUNTIME_DIR": "/run/user/7"}, uid=7, temporary="/tmp")
-    bare = socket_directory({"XDG_RUNTIME_DIR": ""}, uid=7, temporary="/tmp")
-
-    assert endpoint("1", service) == "unixsock-stream//run/armrig/1.sock"
-    assert endpoint("1", login) == "unixsock-stream//run/user/7/armrig/1.sock"
-    assert endpoint("a-2", bare) == "unixsock-stream//tmp/armrig-7/a-2.sock"
-
-
-def test_a_socket_path_that_is_too_long_is_refused_with_a_way_out() -> None:
-    """The kernel's limit is 107 bytes."""
-    assert endpoint("1", PurePosixPath("/" + "d" * 99)).endswith("/1.sock")
-
-    with pytest.raises(ValueError, match=r"108 B.*at most 107.*XDG_RUNTIME_DIR"):
-        endpoint("1", PurePosixPath("/" + "d" * 100))
+@pytest.fixture
+def rig(daemon: FakeDaemon, where: str) -> Iterator[Rig]:
+    with Rig("1", connect=where) as rig:
+        yield rig
 
 
 @pytest.mark.parametrize("rig", ["", "Arm", "../1", "a b", "*"])
-def test_a_rig_id_that_cannot_be_a_key_is_refused(rig: str) -> None:
+def test_a_rig_id_that_is_not_a_valid_key_is_refused(rig: str) -> None:
     with pytest.raises(ValueError, match="each a-z, 0-9 or -"):
         Rig(rig)
 
 
-def test_status_comes_back_as_it_was_sent(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig:
-        assert rig.status() == daemon.status()
-
-
-def test_a_run_is_sent_whole_and_waited_for(daemon: FakeDaemon, where: str) -> None:
+def test_the_client_sends_a_whole_run_and_waits_for_its_end(daemon: FakeDaemon, rig: Rig) -> None:
     seen: list[tuple[int, int]] = []
-    with Rig("1", connect=where) as rig:
-        rig.arm("me", Ts=0.02)
-        path = rig.run(
-            [0.5, 4.5, 0.5],
-            experiment="blackbox",
-            details={"seed": 3},
-            progress=lambda done, total: seen.append((done, total)),
-        )
+    rig.arm("me", Ts=0.02)
+    path = rig.run(
+        [0.5, 4.5, 0.5],
+        experiment="blackbox",
+        details={"seed": 3},
+        progress=lambda done, total: seen.append((done, total)),
+    )
 
     assert path == Path(daemon.recording)
     arm, run = [r for r in daemon.asked if not isinstance(r, commands.Status)][:2]
@@ -96,28 +72,26 @@ def test_a_run_is_sent_whole_and_waited_for(daemon: FakeDaemon, where: str) -> N
 
 
 def test_a_sleep_during_a_run_is_reported_once(
-    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
+    daemon: FakeDaemon, rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slept, told = iter(["this computer slept for 30 s"]), list[str]()
     monkeypatch.setattr("armrig.rig.client.Standstill.look", lambda _: next(slept, ""))
 
-    with Rig("1", connect=where) as rig:
-        rig.arm("ada")
-        rig.run([1.0, 2.0], dead_man=2.0, tell=told.append)
+    rig.arm("ada")
+    rig.run([1.0, 2.0], dead_man=2.0, tell=told.append)
 
     assert told == ["this computer slept for 30 s"]
 
 
-def test_a_run_with_a_dead_man_gives_signs_while_it_is_waited_for(
-    daemon: FakeDaemon, where: str
+def test_a_client_with_a_dead_man_sends_signs_of_life_during_its_run(
+    daemon: FakeDaemon, rig: Rig
 ) -> None:
     daemon.polls_per_run = 4
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        rig.run([1.0, 2.0], dead_man=2.0)
-        rig.arm("me")
-        daemon.refusals["renew"] = "no run of this lease is planned or running"
-        rig.run([1.0, 2.0], dead_man=2.0)
+    rig.arm("me")
+    rig.run([1.0, 2.0], dead_man=2.0)
+    rig.arm("me")
+    daemon.refusals["renew"] = "no run of this lease is planned or running"
+    rig.run([1.0, 2.0], dead_man=2.0)
 
     first = [r for r in daemon.asked if isinstance(r, commands.Leased)][:4]
     assert [r.name for r in first] == ["run", "renew", "renew", "renew"]
@@ -127,14 +101,11 @@ def test_a_run_with_a_dead_man_gives_signs_while_it_is_waited_for(
     assert {r.lease for r in first} == {"0" * 32}
 
 
-def test_the_daemon_s_rehearsal_is_handed_over_before_the_run_is_waited_for(
-    daemon: FakeDaemon, where: str
-) -> None:
+def test_the_rehearsal_is_returned_before_the_end_of_the_run(daemon: FakeDaemon, rig: Rig) -> None:
     daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
     seen: list[Any] = []
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        rig.run([1.0], accepted=seen.append, progress=lambda done, total: seen.append(done))
+    rig.arm("me")
+    rig.run([1.0], accepted=seen.append, progress=lambda done, total: seen.append(done))
 
     assert seen[0].rehearsal == daemon.rehearsal
     assert seen[1:] != []
@@ -151,31 +122,21 @@ def test_each_command_of_a_lease_has_a_greater_number(daemon: FakeDaemon, where:
     assert daemon.names() == ["arm", "set", "set", "disarm"]
 
 
-def test_stop_and_reset_need_no_lease(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig:
-        rig.stop()
-        rig.reset()
-
-    assert daemon.names() == ["stop", "reset"]
-
-
-def test_the_sender_of_a_stop_is_named(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig:
-        rig.stop()
-        rig.arm("a student")
-        rig.stop()
-        rig.stop("the teacher")
+def test_the_sender_of_a_stop_is_named(daemon: FakeDaemon, rig: Rig) -> None:
+    rig.stop()
+    rig.arm("a student")
+    rig.stop()
+    rig.stop("the teacher")
 
     stops = [r.by for r in daemon.asked if isinstance(r, commands.Stop)]
     assert stops == [getpass.getuser(), "a student", "the teacher"]
 
 
-def test_the_author_of_a_note_is_named(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig:
-        assert rig.note("the belt was changed")
-        rig.arm("a student")
-        rig.note("the arm was touched")
-        rig.note("so it was", "the teacher")
+def test_the_author_of_a_note_is_named(daemon: FakeDaemon, rig: Rig) -> None:
+    assert rig.note("the belt was changed")
+    rig.arm("a student")
+    rig.note("the arm was touched")
+    rig.note("so it was", "the teacher")
 
     notes = [(r.text, r.owner) for r in daemon.asked if isinstance(r, commands.Note)]
     assert notes == [
@@ -185,29 +146,17 @@ def test_the_author_of_a_note_is_named(daemon: FakeDaemon, where: str) -> None:
     ]
 
 
-@pytest.mark.parametrize("text", ["", " ", "\x1b[2J", "a\nb", "x" * 10_000])
-def test_a_note_that_is_not_allowed_is_not_sent(daemon: FakeDaemon, where: str, text: str) -> None:
-    with Rig("1", connect=where) as rig, pytest.raises(ValueError, match=r"500"):
-        rig.note(text)
-
-    assert daemon.asked == []
-
-
-def test_a_daemon_that_is_older_than_notes_is_named_in_a_line(
-    daemon: FakeDaemon, where: str
-) -> None:
+def test_a_daemon_too_old_for_notes_is_reported_in_a_line(daemon: FakeDaemon, rig: Rig) -> None:
     daemon.refusals["note"] = "command 'note': allowed are arm, disarm"
 
-    with Rig("1", connect=where) as rig, pytest.raises(RefusedError) as refused:
+    with pytest.raises(RefusedError) as refused:
         rig.note("the arm was touched")
 
     told = "the daemon of rig 1 takes no notes: update armrig on its machine"
     assert str(refused.value) == told
 
 
-def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(
-    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stop_without_a_name_is_sent_to_an_older_daemon(daemon: FakeDaemon, rig: Rig) -> None:
     carry_out = daemon._carry_out
 
     def earlier(request: commands.Request) -> Any:
@@ -215,99 +164,70 @@ def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(
             raise ValueError("stop: Object contains unknown field `by`")
         return carry_out(request)
 
-    monkeypatch.setattr(daemon, "_carry_out", earlier)
-    with Rig("1", connect=where) as rig:
-        rig.stop()
+    daemon._carry_out = earlier
+    rig.stop()
 
     assert [r.by for r in daemon.asked if isinstance(r, commands.Stop)] == [""]
 
 
 @pytest.mark.parametrize("answer", [{}, {"stopped": True}, {"done": False}, [], "done"])
-def test_a_stop_that_is_not_confirmed_is_no_stop(
-    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch, answer: Any
-) -> None:
-    monkeypatch.setattr(daemon, "_carry_out", lambda _: answer)
+def test_an_unconfirmed_stop_raises_an_error(daemon: FakeDaemon, rig: Rig, answer: Any) -> None:
+    daemon._carry_out = lambda _: answer
 
-    with Rig("1", connect=where) as rig, pytest.raises(RigError, match="the answer to 'stop'"):
+    with pytest.raises(RigError, match="the answer to 'stop'"):
         rig.stop()
 
 
-def test_without_arming_nothing_is_sent(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig, pytest.raises(RefusedError, match=r"call arm\(owner\)"):
+def test_a_command_without_arming_is_not_sent(daemon: FakeDaemon, rig: Rig) -> None:
+    with pytest.raises(RefusedError, match=r"call arm\(owner\)"):
         rig.run([1.0])
 
     assert daemon.asked == []
 
 
-def test_a_voltage_outside_the_rig_s_never_leaves_the_client(
-    daemon: FakeDaemon, where: str
-) -> None:
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        with pytest.raises(ValueError, match=r"u\[1\] = 5.5 V is outside 0 … 5 V"):
-            rig.run([1.0, 5.5])
-        with pytest.raises(ValueError, match=r"u\[0\] = nan V is outside"):
-            rig.set(float("nan"))
-
-    assert not {"run", "set"} & {request.name for request in daemon.asked}
-
-
-def test_a_voltage_outside_what_was_granted_never_leaves_the_client(
-    daemon: FakeDaemon, where: str
-) -> None:
+def test_a_voltage_outside_the_granted_limits_is_not_sent(daemon: FakeDaemon, rig: Rig) -> None:
     daemon.limits_v = (0.5, 4.5)
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        with pytest.raises(ValueError, match=r"u\[2\] = 4.8 V is outside 0.5 … 4.5 V"):
-            rig.run([1.0, 4.5, 4.8, 0.0])
-        with pytest.raises(ValueError, match=r"u\[1\] = 0.4 V is outside 0.5 … 4.5 V"):
-            rig.run([1.0, 0.4, 4.8, 0.3])
-        with pytest.raises(ValueError, match=r"u\[0\] = 0 V is outside 0.5 … 4.5 V"):
-            rig.set(0.0)
+    rig.arm("me")
+    with pytest.raises(ValueError, match=r"u\[2\] = 4.8 V is outside 0.5 … 4.5 V"):
+        rig.run([1.0, 4.5, 4.8, 0.0])
+    with pytest.raises(ValueError, match=r"u\[1\] = 0.4 V is outside 0.5 … 4.5 V"):
+        rig.run([1.0, 0.4, 4.8, 0.3])
+    for volts in (0.0, float("nan")):
+        with pytest.raises(ValueError, match=rf"u\[0\] = {volts:g} V is outside 0.5 … 4.5 V"):
+            rig.set(volts)
 
     assert not {"run", "set"} & {request.name for request in daemon.asked}
 
 
 @pytest.mark.parametrize("u", [[[1.0, 2.0], [3.0, 4.0]], 1.0, []])
-def test_an_input_that_is_no_row_of_voltages_is_refused(
-    u: Any, daemon: FakeDaemon, where: str
+def test_an_input_that_is_not_a_vector_of_voltages_is_refused(
+    u: Any, daemon: FakeDaemon, rig: Rig
 ) -> None:
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        with pytest.raises(ValueError, match=r"u has shape \(.*\), it must be \(N,\)"):
-            rig.run(np.array(u))
+    rig.arm("me")
+    with pytest.raises(ValueError, match=r"u has shape \(.*\), it must be \(N,\)"):
+        rig.run(np.array(u))
 
     assert "run" not in daemon.names()
 
 
-def test_a_run_whose_answer_was_lost_is_stopped(
-    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        ask = rig._ask
+def test_a_run_without_a_reply_is_stopped(daemon: FakeDaemon, rig: Rig) -> None:
+    rig.arm("me")
+    ask = rig._ask
 
-        def interrupted(request: commands.Request, answer: Any) -> Any:
-            answered = ask(request, answer)
-            if isinstance(request, commands.Run):
-                raise KeyboardInterrupt
-            return answered
+    def interrupted(request: commands.Request, answer: Any) -> Any:
+        answered = ask(request, answer)
+        if isinstance(request, commands.Run):
+            raise KeyboardInterrupt
+        return answered
 
-        monkeypatch.setattr(rig, "_ask", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            rig.run([1.0])
+    rig._ask = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        rig.run([1.0])
 
     assert daemon.names() == ["arm", "run", "stop"]
 
 
-def test_a_refusal_is_reported_in_the_daemons_words(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        with pytest.raises(RefusedError, match="experiment"):
-            rig.run([1.0], experiment="No Such Name")
-
-
-def test_a_run_that_ends_early_says_why_and_where(daemon: FakeDaemon, where: str) -> None:
+def test_a_run_that_ends_early_reports_reason_and_recording(daemon: FakeDaemon, where: str) -> None:
     daemon.outcome = "no answer from the device for 60 ms"
     with Rig("1", connect=where) as rig:
         rig.arm("me")
@@ -318,35 +238,18 @@ def test_a_run_that_ends_early_says_why_and_where(daemon: FakeDaemon, where: str
     assert "stop" not in daemon.names()
 
 
-def test_ctrl_c_during_a_run_stops_the_rig(daemon: FakeDaemon, where: str) -> None:
+def test_ctrl_c_during_a_run_stops_the_rig(daemon: FakeDaemon, rig: Rig) -> None:
     def interrupted(done: int, total: int) -> None:
         raise KeyboardInterrupt
 
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        with pytest.raises(KeyboardInterrupt):
-            rig.run([1.0] * 100, progress=interrupted)
+    rig.arm("me")
+    with pytest.raises(KeyboardInterrupt):
+        rig.run([1.0] * 100, progress=interrupted)
 
     assert daemon.names() == ["arm", "run", "stop"]
 
 
-def test_an_endpoint_without_a_daemon_is_reported_with_the_way_out(where: str) -> None:
-    with (
-        pytest.raises(NoReplyError, match="not running, or not permitted") as caught,
-        Rig("1", connect=where),
-    ):
-        pass
-
-    assert "\n" not in str(caught.value)
-    assert "armrigd run" in str(caught.value)
-
-
-def test_a_daemon_of_another_rig_does_not_reply(daemon: FakeDaemon, where: str) -> None:
-    with Rig("2", connect=where) as rig, pytest.raises(NoReplyError, match="rig 2"):
-        rig.status()
-
-
-def test_an_endpoint_that_is_none_is_reported() -> None:
+def test_an_invalid_endpoint_is_reported() -> None:
     with (
         pytest.raises(RigError, match="not a zenoh endpoint, such as"),
         Rig("1", connect="nonsense"),
@@ -354,39 +257,14 @@ def test_an_endpoint_that_is_none_is_reported() -> None:
         pass
 
 
-def test_a_rig_is_used_in_a_with_block(where: str) -> None:
+def test_a_rig_outside_a_with_block_is_refused(where: str) -> None:
     """Otherwise the session would never be closed."""
     with pytest.raises(RigError, match="with block"):
         Rig("1", connect=where).status()
 
 
-def test_live_samples_arrive_in_order(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig, daemon.session.declare_publisher("rig/1/sample") as out:
-        samples = rig.stream("sample")
-        _first(samples, out)
-        sent = [sample(k) for k in range(1, 50)]
-        for one in sent:
-            out.put(telemetry.encode_sample(one))
-
-        got = list(islice((s for s in samples if s.k > 0), 49))
-
-    assert got == sent
-
-
-def test_a_stream_ends_when_its_daemon_goes(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig, daemon.session.declare_publisher("rig/1/sample") as out:
-        samples = rig.stream("sample")
-        _first(samples, out)
-        daemon.alive.undeclare()
-
-        with pytest.raises(NoReplyError, match="stopped"):
-            for _ in samples:
-                pass
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_a_stream_ends_when_the_process_of_its_daemon_does(
-    number: signal.Signals, where: str, monkeypatch: pytest.MonkeyPatch
+def test_a_stream_ends_with_the_process_of_its_daemon(
+    where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     is_alive = telemetry_stream._is_alive
     program = [sys.executable, "-c", ALIVE, str(Path(__file__).parents[3]), where]
@@ -402,7 +280,7 @@ def test_a_stream_ends_when_the_process_of_its_daemon_does(
             os.waitid(os.P_PID, daemon.pid, os.WSTOPPED)  # until its last thread stands still
             stood_alive = is_alive(session, "1")
             daemon.send_signal(signal.SIGCONT)
-        daemon.send_signal(number)
+        daemon.kill()
         daemon.wait()
         assert (was_alive, stood_alive) == (True, False)
 
@@ -411,7 +289,7 @@ def test_a_stream_ends_when_the_process_of_its_daemon_does(
                 pass
 
 
-def test_silence_of_a_living_daemon_is_waited_through(
+def test_a_stream_continues_after_the_silence_of_a_living_daemon(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
@@ -435,58 +313,18 @@ def test_silence_of_a_living_daemon_is_waited_through(
     thread.join()
 
 
-def test_a_stream_of_a_rig_that_is_not_there_ends(
-    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
-
+def test_a_stream_of_a_missing_rig_ends(daemon: FakeDaemon, where: str) -> None:
     with pytest.raises(NoReplyError, match="rig 2: its daemon stopped"):
         next(stream("rig/2/sample", connect=where))
 
 
 @pytest.mark.parametrize("key", ["rig/1", "rig/1/nothing", "rig/../sample", "sample"])
-def test_a_key_that_is_no_stream_is_refused(key: str) -> None:
+def test_a_key_without_a_stream_is_refused(key: str) -> None:
     with pytest.raises(ValueError, match=r"key|a-z"):
         next(stream(key))
 
 
-def test_messages_of_later_versions_are_understood() -> None:
-    later = telemetry.encode_sample(sample(5)) + b"\x79" + bytes(8)
-    state = protobuf.message_class(protobuf.STATE)(phase="safe")
-
-    assert decoded("sample", later) == sample(5)
-    assert decoded("state", state.SerializeToString()).phase == "safe"
-
-
-def test_an_angle_that_an_earlier_daemon_does_not_send_is_not_0_rad() -> None:
-    sent = protobuf.message_class(protobuf.SAMPLE)(**sample(5)._asdict())
-    sent.ClearField("alpha_rad")
-
-    shown = decoded("sample", sent.SerializeToString())
-
-    assert math.isnan(shown.alpha_rad)
-    assert shown._replace(alpha_rad=0.0) == sample(5)._replace(alpha_rad=0.0)
-    assert math.isnan(decoded("timing", b"").cpu_pressure_percent)
-
-
-def _first(samples: Iterator[telemetry.Sample], out: zenoh.Publisher) -> None:
-    """Put sample 0 until the listener, which declares itself at its first step, has seen it."""
-    seen = threading.Event()
-
-    def publish() -> None:
-        while not seen.wait(0.01):
-            out.put(telemetry.encode_sample(sample(0)))
-
-    thread = threading.Thread(target=publish)
-    thread.start()
-    try:
-        assert next(samples).k == 0
-    finally:
-        seen.set()
-        thread.join()
-
-
-def test_a_long_run_may_be_looked_at_for_longer() -> None:
+def test_the_reply_timeout_grows_with_the_run() -> None:
     """The daemon reads, checks and rehearses the run first: a second per million and more."""
     short, long = (
         longest_reply_s(commands.Run(lease="a" * 32, n=1, u=[1.0] * n)) for n in (1, 1_000_000)

@@ -1,4 +1,4 @@
-"""End of a collection, and the message after an interruption."""
+"""Collections: the progress, the end, and the message after an interruption."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 import pytest
 import zenoh
 from armrig.rig.client import Rig
 from armrig.rig.collection import Plan, _interrupted_sentence, collect
-from armrig.rig.replies import Progress, RunEndedError
+from armrig.rig.progress import TimingNote
+from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError
 from armrig_core.codes import OutcomeCode
 from armrig_core.commands import Arm, LastRun, Run, Status, StatusReport
 from msgspec.structs import replace
 
 from tests.clients.fake_daemon import FakeDaemon, step_plan
+from tests.clients.made_recordings import sample, timing
 
 NEW = LastRun(run_id="new", recording="new.mcap", finished=True, samples=7, outcome="stopped")
 OLD = LastRun(run_id="old", recording="old.mcap", finished=True, samples=9, outcome="complete")
@@ -63,7 +64,7 @@ class _SlowDisk(FakeDaemon):
         return replace(found, last_run=late, phase="safe" if is_done else "active")
 
 
-def test_a_collection_ends_with_the_last_sample_that_there_is(where: str) -> None:
+def test_a_collection_of_an_interrupted_run_ends_with_its_last_sample(where: str) -> None:
     shown: list[tuple[int, int]] = []
 
     @contextmanager
@@ -106,7 +107,7 @@ class _CutOff(FakeDaemon):
             query.drop()
 
 
-def test_a_daemon_that_ends_during_a_run_leaves_what_it_had_recorded(where: str) -> None:
+def test_a_daemon_that_ends_during_a_run_leaves_its_partial_recording(where: str) -> None:
     plan = step_plan("Ada", seconds=3.0)
     with _CutOff(where), pytest.raises(NoReplyError) as told:
         collect(plan, rig="1", connect=where, tell=print, shown=_unseen)
@@ -119,37 +120,57 @@ def test_a_daemon_that_ends_during_a_run_leaves_what_it_had_recorded(where: str)
     )
 
 
-def test_a_recording_is_named_once_where_a_run_ended_early(where: str) -> None:
-    with FakeDaemon(where) as daemon:
-        daemon.outcome = "the disk is full; /nowhere/run.mcap is whole up to there"
-        daemon.code = OutcomeCode.RECORDING
-        with Rig("1", connect=where) as rig:
-            rig.arm("Ada")
-            with pytest.raises(RunEndedError) as ended:
-                rig.run([1.0, 2.0])
-
-    assert str(ended.value) == f"the run ended after 2 of 2 samples: {daemon.outcome}"
-
-
 @pytest.mark.parametrize(
     ("code", "outcome", "is_complete"),
     [
         (OutcomeCode.COMPLETE, "all of it", True),
         (OutcomeCode.STOPPED, "complete", False),
         ("a code of tomorrow", "complete", False),
-        ("", "complete", True),
-        ("", "stopped by Ada", False),
+        ("", "complete", False),
     ],
 )
-def test_a_run_is_complete_by_its_code(code: str, outcome: str, is_complete: bool) -> None:
-    """A daemon of 0.1.0 sends no code; its sentence decides."""
+def test_the_outcome_code_decides_whether_a_run_is_complete(
+    code: str, outcome: str, is_complete: bool
+) -> None:
     last = replace(NEW, code=code, outcome=outcome)
 
     assert last.is_complete == is_complete
 
 
-def test_a_client_of_yesterday_reads_a_run_of_today() -> None:
-    yesterday = msgspec.defstruct("LastRun", [("run_id", str), ("outcome", str)], frozen=True)
-    told = msgspec.json.encode(replace(NEW, code=OutcomeCode.COMPLETE, outcome="complete"))
+class Missing(NamedTuple):
+    """Content of a gap record."""
 
-    assert msgspec.json.decode(told, type=yesterday) == yesterday("new", "complete")
+    k_first: int
+    count: int
+
+
+def test_the_progress_shows_the_lateness_and_the_queue_of_the_last_report() -> None:
+    def late(first: int, count: int, late_us: int) -> list[Any]:
+        return [
+            sample(k, t_host_ns=sample(k).t_sched_ns + late_us * 1000)
+            for k in range(first, first + count)
+        ]
+
+    def report(p50: float, n: int) -> Any:
+        made = timing(0)
+        made.queue_depth.p50, made.queue_depth.n = p50, n
+        return made
+
+    lots = [
+        [sample(6, flags=0)],
+        [sample(6, flags=0), *late(7, 100, 5000)],
+        late(107, 20, 300),
+        late(127, 80, 50),
+    ]
+    gaps: list[list[Any]] = [[Missing(5, 4)], [], [Missing(206, 9)]]
+    reports = [[report(3, 9)], [report(17, 100)], [report(17, 100), report(5, 0)]]
+    pieces = [iter(each) for each in (lots, gaps, reports)]
+
+    note = TimingNote(200, *(lambda piece=piece: next(piece) for piece in pieces))
+
+    assert [note() for _ in range(4)] == [
+        "",
+        "host late p99 5000 µs, missing 2, queue 3",
+        "host late p99 5000 µs, missing 2, queue 17",
+        "host late p99 300 µs, missing 3",
+    ]

@@ -10,17 +10,16 @@ from contextlib import contextmanager
 from math import isnan
 from typing import Any
 
-import armrig
 import pytest
 import zenoh
 from armrig.cli import main
-from armrig.rig import live_gaps, telemetry_stream
-from armrig.rig.live_gaps import LiveGap, gaps_between
+from armrig.rig import telemetry_stream
+from armrig.rig.live_gaps import LiveGap, Newest, gaps_between
 from armrig.rig.session import open_session
 from armrig.rig.telemetry_stream import arrivals, stream
 from armrig_core import telemetry
 from armrig_core.codes import GapCode
-from hypothesis import given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.clients.fake_daemon import FakeDaemon
@@ -30,7 +29,7 @@ spans = st.lists(st.tuples(st.integers(0, 60), st.integers(1, 20)), max_size=8)
 
 
 @given(st.integers(0, 50), st.integers(0, 50), spans)
-def test_what_is_missing_is_reported_once_and_in_order(
+def test_missing_samples_are_reported_once_and_in_order(
     first: int, second: int, told: list[tuple[int, int]]
 ) -> None:
     gaps = [gap(k, n, 1.0) for k, n in told]
@@ -47,108 +46,38 @@ def test_what_is_missing_is_reported_once_and_in_order(
         assert isnan(one.u_held_v) == one.published
 
 
-class Published:
-    """Publishes as the daemon does, after the first subscription."""
-
-    def __init__(self, daemon: FakeDaemon) -> None:
-        self.session = daemon.session
-
-    def sample(self, k: int) -> None:
-        """Publish sample k."""
-        self.session.put("rig/1/sample", telemetry.encode_sample(sample(k)))
-
-    def gap(self, k_first: int, count: int) -> None:
-        """Publish a gap."""
-        self.session.put("rig/1/gap", gap(k_first, count, 2.5).SerializeToString())
-
-
-@pytest.fixture
-def listening(daemon: FakeDaemon, where: str) -> Iterator[tuple[Published, Iterator[Any]]]:
-    """Give what publishes, and a stream that has heard sample 0."""
-    out, samples = Published(daemon), stream("rig/1/sample", connect=where)
-    heard = threading.Event()
-
-    def until_heard() -> None:
-        while not heard.wait(0.01):
-            out.sample(0)
-
-    thread = threading.Thread(target=until_heard)
-    thread.start()
-    assert next(samples).k == 0
-    heard.set()
-    thread.join()
-    yield out, (value for value in samples if isinstance(value, LiveGap) or value.k > 0)
-    samples.close()
+def published(daemon: FakeDaemon, k: int) -> None:
+    daemon.session.put("rig/1/sample", telemetry.encode_sample(sample(k)))
 
 
 def up_to(samples: Iterator[Any], k: int) -> list[Any]:
-    """Return the items of a stream up to sample k."""
     values = [next(samples)]
     while getattr(values[-1], "k", -1) != k:
         values.append(next(samples))
     return values
 
 
-def test_a_gap_that_the_daemon_reports_is_in_its_place(
-    listening: tuple[Published, Iterator[Any]],
-) -> None:
-    out, samples = listening
-    out.sample(1)
-    out.gap(2, 3)
-    out.sample(5)
-    out.sample(6)
-
-    before, missing, *after = up_to(samples, 6)
-
-    assert before == sample(1)
-    assert missing == LiveGap(
-        k_first=2,
-        count=3,
-        t_from_ns=sample(2).t_sched_ns,
-        t_to_ns=sample(5).t_sched_ns,
-        u_held_v=2.5,
-        reason="link silent",
-        published=False,
-        code=GapCode.UNKNOWN,
-    )
-    assert isinstance(missing, armrig.LiveGap)
-    assert after == [sample(5), sample(6)]
-
-
-def test_samples_that_were_dropped_on_the_way_are_reported(
-    listening: tuple[Published, Iterator[Any]],
-) -> None:
-    out, samples = listening
-    for k in (1, 2, 6, 7):
-        out.sample(k)
-
-    found = up_to(samples, 7)
-
-    assert [f.k_first if isinstance(f, LiveGap) else f.k for f in found] == [1, 2, 3, 6, 7]
-    assert (found[2].count, found[2].code, found[2].published) == (3, GapCode.LISTENER_LATE, True)
-
-
 def test_a_slow_listener_is_notified_of_its_missing_samples(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(telemetry_stream, "_RING_MESSAGES", 10)
-    out, samples = Published(daemon), stream("rig/1/sample", connect=where)
+    samples = stream("rig/1/sample", connect=where)
     begun = threading.Event()
 
     def publish() -> None:
         k = 0
         while not begun.wait(0.005):
-            out.sample(k)
+            published(daemon, k)
             k += 1
         for later in range(k, k + 1000):
-            out.sample(later)
+            published(daemon, later)
 
     thread = threading.Thread(target=publish)
     thread.start()
     first = next(samples)
     begun.set()
     thread.join()  # meanwhile nobody reads
-    out.sample(9999)
+    published(daemon, 9999)
     found = [first, *up_to(samples, 9999)]
     samples.close()
 
@@ -161,82 +90,66 @@ def test_a_slow_listener_is_notified_of_its_missing_samples(
     assert {f.code for f in found if isinstance(f, LiveGap)} == {GapCode.LISTENER_LATE}
 
 
-def test_a_daemon_that_counts_again_misses_nothing(
-    listening: tuple[Published, Iterator[Any]],
-) -> None:
-    out, samples = listening
-    for k in (900, 901, 5, 6):
-        out.sample(k)
-
-    found = up_to(samples, 6)
-
-    assert [type(f).__name__ for f in found] == ["LiveGap", *["Sample"] * 4]
-    assert [f.k for f in found[1:]] == [900, 901, 5, 6]
-
-
-@contextmanager
-def scripted(_: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
-    """Replace the line by lots, because no machine makes the same lots twice."""
-    lots = iter(SCRIPT[key.rsplit("/", 1)[1]])
-    yield lambda: next(lots, [])
-
-
-SCRIPT: dict[str, list[list[Any]]] = {}
-
-
 @pytest.fixture
-def listed(
-    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
-) -> Callable[..., list[Any]]:
-    """Give a function that returns a stream of lots of samples, with the gaps of each lot."""
+def lots(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Give a function that replaces the line by lots: no machine makes the same lots twice."""
 
-    def values(samples: list[list[Any]], gaps: list[list[Any]]) -> list[Any]:
-        monkeypatch.setattr(telemetry_stream, "arrivals", scripted)
-        monkeypatch.setitem(SCRIPT, "sample", samples)
-        monkeypatch.setitem(SCRIPT, "gap", gaps)
-        heard = stream("rig/1/sample", connect=where)
-        found = up_to(heard, samples[-1][-1].k)
-        heard.close()
-        return found
+    def come(samples: list[list[int]], gaps: list[list[tuple[int, int]]]) -> None:
+        script = {
+            "sample": [[sample(k) for k in lot] for lot in samples],
+            "gap": [[gap(k, count, 2.5) for k, count in lot] for lot in gaps],
+        }
 
-    return values
+        @contextmanager
+        def arrivals(_: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
+            of_stream = iter(script[key.rsplit("/", 1)[1]])
+            yield lambda: next(of_stream, [])
+
+        monkeypatch.setattr(telemetry_stream, "arrivals", arrivals)
+
+    return come
 
 
-def test_a_gap_that_came_before_its_place_is_kept_until_there(
-    listed: Callable[..., list[Any]],
+@pytest.mark.parametrize(
+    ("samples", "gaps", "expected"),
+    [
+        pytest.param([[1, 5, 6]], [[(2, 3)]], [1, (2, 3, "unknown"), 5, 6], id="in its place"),
+        pytest.param([[1, 2, 6, 7]], [], [1, 2, (3, 3, "listener_late"), 6, 7], id="dropped"),
+        pytest.param([[900, 901, 5, 6]], [], [900, 901, 5, 6], id="the daemon counts again"),
+        pytest.param(
+            [[1, 2, 5, 6], [7], [9]],
+            [[(3, 2), (8, 1)]],
+            [1, 2, (3, 2, "unknown"), 5, 6, 7, (8, 1, "unknown"), 9],
+            id="the gap came before its place",
+        ),
+        pytest.param(
+            [[1, 4], [1, 4, 5]],
+            [[(2, 2)]],
+            [1, (2, 2, "unknown"), 4, 1, (2, 2, "listener_late"), 4, 5],
+            id="a gap covers only samples before the daemon counts again",
+        ),
+    ],
+)
+@pytest.mark.usefixtures("daemon")
+def test_a_stream_contains_each_gap_between_its_samples(
+    lots: Callable[..., None],
+    where: str,
+    samples: list[list[int]],
+    gaps: list[list[tuple[int, int]]],
+    expected: list[Any],
 ) -> None:
-    found = listed(
-        [[sample(1), sample(2), sample(5), sample(6)], [sample(7)], [sample(9)]],
-        [[gap(3, 2, 2.5), gap(8, 1, 2.5)]],
-    )
+    lots(samples, gaps)
+    heard = stream("rig/1/sample", connect=where)
+    found = up_to(heard, samples[-1][-1])
+    heard.close()
 
-    assert [f.k_first if isinstance(f, LiveGap) else f.k for f in found] == [1, 2, 3, 5, 6, 7, 8, 9]
-    assert [f.reason for f in found if isinstance(f, LiveGap)] == ["link silent"] * 2
+    shown = [(f.k_first, f.count, f.code) if isinstance(f, LiveGap) else f.k for f in found]
+    assert shown == expected
 
 
-def test_a_gap_covers_only_samples_before_the_daemon_counts_again(
-    listed: Callable[..., list[Any]],
+def test_another_publisher_cannot_fill_the_memory_of_a_listener(
+    daemon: FakeDaemon, where: str
 ) -> None:
-    found = listed([[sample(1), sample(4)], [sample(1), sample(4), sample(5)]], [[gap(2, 2, 2.5)]])
-
-    assert [f.code for f in found if isinstance(f, LiveGap)] == ["unknown", "listener_late"]
-
-
-def test_reported_gaps_do_not_pile_up(
-    listed: Callable[..., list[Any]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The oldest and the too long gaps are discarded."""
-    monkeypatch.setattr(live_gaps, "MOST_TOLD", 3)
-    few = listed([[sample(0), sample(10)]], [[gap(k, 1, 2.5) for k in range(1, 10)]])
-    monkeypatch.setattr(live_gaps, "MOST_TOLD_BYTES", 1000)
-    long = [gap(k, 1, 2.5, "x" * 400) for k in range(1, 10)]
-    short = listed([[sample(0), sample(10)]], [long])
-
-    assert [(f.k_first, f.count) for f in few[1:-1]] == [(1, 6), (7, 1), (8, 1), (9, 1)]
-    assert [(f.k_first, f.count) for f in short[1:-1]] == [(1, 7), (8, 1), (9, 1)]
-
-
-def test_a_stranger_cannot_fill_the_memory_of_a_listener(daemon: FakeDaemon, where: str) -> None:
     """100 MB arrive without a reader: the newest 16 MiB are kept."""
     large = event(0, "x" * (1 << 20)).SerializeToString()
     last = event(0, "last").SerializeToString()
@@ -262,28 +175,39 @@ def test_a_stranger_cannot_fill_the_memory_of_a_listener(daemon: FakeDaemon, whe
     assert sum(one.ByteSize() for one in kept) <= 16 << 20
 
 
+@pytest.mark.usefixtures("daemon")
 def test_watch_shows_a_gap(
-    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+    lots: Callable[..., None], where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = Published(daemon)
-    stop = threading.Event()
+    lots([[0, 3, 6]], [])
 
-    def until_stopped() -> None:
-        k = 0
-        while not stop.wait(0.002):
-            out.sample(k)
-            k += 3
-
-    thread = threading.Thread(target=until_stopped)
-    thread.start()
-    try:
-        assert main(["watch", "--connect", where, "--count", "4"]) == 0
-        lines = capsys.readouterr().out.splitlines()
-        assert main(["watch", "--connect", where, "--count", "4", "--json"]) == 0
-        values = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    finally:
-        stop.set()
-        thread.join()
+    assert main(["watch", "--connect", where, "--count", "4"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert main(["watch", "--connect", where, "--count", "4", "--json"]) == 0
+    values = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
     assert sum(f"2 missing: {GapCode.LISTENER_LATE.sentence}" in line for line in lines) == 2
     assert [value["count"] for value in values if "k_first" in value] == [2, 2]
+
+
+@settings(max_examples=30)
+@example([12, 8, 1, 1, 1, 1, (4,), 12, 8, None, 12, 8])
+@given(st.lists(st.none() | st.integers(0, 12) | st.tuples(st.integers(0, 40)), max_size=40))
+def test_a_bounded_queue_keeps_the_newest_messages(steps: list[int | tuple[int] | None]) -> None:
+    """At most 4 items and 20 B."""
+    queue, model = Newest[tuple[int, int]](4, 20), list[tuple[int, int]]()
+    for number, step in enumerate(steps):
+        if step is None:
+            assert queue.take() == model
+            model.clear()
+        elif isinstance(step, tuple):
+            last = step[0]
+            queue.forget_while(lambda one, last=last: one[0] < last)  # type: ignore[misc]
+            model = [one for one in model if one[0] >= last]
+        else:
+            queue.add((number, step), step)
+            model.append((number, step))
+            while len(model) > 4 or sum(size for _, size in model) > 20:
+                del model[0]
+
+        assert (list(queue), len(queue)) == (model, len(model))

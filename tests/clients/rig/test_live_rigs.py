@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,10 +23,10 @@ class _Session:
         self._answers = {name.replace("_", "-"): answer for name, answer in answers.items()}
 
     def __enter__(self) -> None:
-        """Begin."""
+        pass
 
     def __exit__(self, *_: object) -> None:
-        """End."""
+        pass
 
     def liveliness(self) -> Any:
         """Return the tokens: each twice, the last of the table first."""
@@ -35,7 +35,6 @@ class _Session:
         return SimpleNamespace(get=lambda *_, **__: [SimpleNamespace(ok=None), *replies])
 
     def get(self, key: str, **_: Any) -> Iterator[Any]:
-        """Yield the answers of a rig."""
         answer = self._answers[key.split("/")[1]]
         sent = SimpleNamespace(to_bytes=lambda: answer)
         if answer.startswith(b'{"rig"'):
@@ -49,24 +48,37 @@ def _status(rig: str) -> bytes:
     return msgspec.json.encode(FakeDaemon("there", rig).status())
 
 
-def test_the_ids_of_living_rigs_are_in_order_and_each_is_there_once(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Give a function that sets what this machine has configured, and what opens."""
+
+    def has(**names: Any) -> None:
+        for name, value in names.items():
+            monkeypatch.setattr(module, name, value)
+
+    return has
+
+
+def test_the_ids_of_live_rigs_are_sorted_and_unique(
+    machine: Callable[..., None],
 ) -> None:
     session: Any = _Session(lab_9=b"", a=b"", lab_10=b"", z=b"", m=b"", lab_1=b"", c=b"", b=b"")
 
     assert ids_alive(session) == ["a", "b", "c", "lab-1", "lab-10", "lab-9", "m", "z"]
-    monkeypatch.setattr(module, "MOST_RIGS", 3)
+    machine(MOST_RIGS=3)
     assert ids_alive(session) == ["a", "b", "c"]
 
 
 def test_each_rig_at_an_endpoint_has_its_own_status_or_the_reason(
-    monkeypatch: pytest.MonkeyPatch,
+    machine: Callable[..., None],
 ) -> None:
     session: Any = _Session(
         c=_status("c"), a=b"", d=b"Timeout", b=_status("b"), e=b'{"error": "not permitted"}'
     )
-    monkeypatch.setattr(module, "configured_connect", lambda: "tls/configured:1")
-    monkeypatch.setattr(module, "open_endpoint", lambda at: Connection(session, at, ""))
+    machine(
+        configured_connect=lambda: "tls/configured:1",
+        open_endpoint=lambda at: Connection(session, at, ""),
+    )
 
     where, found = live_rigs("tls/lab:7447")
 
@@ -82,8 +94,8 @@ def test_each_rig_at_an_endpoint_has_its_own_status_or_the_reason(
     assert live_rigs(None)[0] == "tls/configured:1"
 
 
-def test_of_this_machine_a_rig_that_cannot_be_reached_hides_no_other(
-    monkeypatch: pytest.MonkeyPatch,
+def test_an_unreachable_rig_of_this_machine_hides_no_other(
+    machine: Callable[..., None],
 ) -> None:
     def opened(_: None, *, rig: str) -> Connection:
         if rig in ("a", "c"):
@@ -91,10 +103,12 @@ def test_of_this_machine_a_rig_that_cannot_be_reached_hides_no_other(
         session: Any = _Session(**{rig: _status(rig)})
         return Connection(session, f"socket of {rig}", "")
 
-    monkeypatch.setattr(module, "configured_connect", lambda: "")
-    monkeypatch.setattr(module, "local_rigs", lambda: ["a", "b", "c", "d"])
-    monkeypatch.setattr(module, "default_endpoint", lambda rig: f"default of {rig}")
-    monkeypatch.setattr(module, "open_connection", opened)
+    machine(
+        configured_connect=lambda: "",
+        local_rigs=lambda: ["a", "b", "c", "d"],
+        default_endpoint=lambda rig: f"default of {rig}",
+        open_connection=opened,
+    )
 
     where, found = live_rigs(None)
 

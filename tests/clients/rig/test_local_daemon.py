@@ -27,7 +27,7 @@ def sockets(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFa
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(directory))
 
 
-def test_it_answers_while_it_is_needed_and_ends_when_that_fails(tmp_path: Path) -> None:
+def test_a_child_daemon_ends_with_its_context(tmp_path: Path) -> None:
     log = tmp_path / "armrigd.log"
     with (
         pytest.raises(KeyboardInterrupt),
@@ -41,7 +41,7 @@ def test_it_answers_while_it_is_needed_and_ends_when_that_fails(tmp_path: Path) 
         pass
 
 
-def test_one_that_refuses_to_start_is_quoted(tmp_path: Path) -> None:
+def test_the_error_of_a_daemon_that_fails_to_start_is_quoted(tmp_path: Path) -> None:
     config = tmp_path / "armrig.toml"
     config.write_text('[rig]\nid = "child"\nname = "x"\n')
 
@@ -52,7 +52,7 @@ def test_one_that_refuses_to_start_is_quoted(tmp_path: Path) -> None:
         pass
 
 
-def test_one_whose_parent_was_killed_before_it_looked_ends_at_once() -> None:
+def test_a_daemon_without_its_parent_ends_at_once() -> None:
     """The kernel reports only a parent that ends later."""
     program = [sys.executable, "-m", "armrig_daemon", "run", "--emulate", "--rig", RIG]
 
@@ -69,9 +69,7 @@ def test_one_whose_parent_was_killed_before_it_looked_ends_at_once() -> None:
         ("", "it printed nothing in "),
     ],
 )
-def test_the_last_line_of_one_that_has_ended_is_quoted(
-    tmp_path: Path, log: str, quoted: str
-) -> None:
+def test_the_last_line_of_an_ended_daemon_is_quoted(tmp_path: Path, log: str, quoted: str) -> None:
     path = tmp_path / "log"
     path.write_text(log)
     ended: Any = SimpleNamespace(poll=lambda: 78, returncode=78)
@@ -112,9 +110,7 @@ class _Child:
         (_Child(ends=True, has_ended=True), []),
     ],
 )
-def test_ctrl_c_does_not_keep_a_daemon_from_its_end_and_works_afterwards(
-    child: Any, did: list[str]
-) -> None:
+def test_ctrl_c_does_not_interrupt_the_end_of_a_daemon(child: Any, did: list[str]) -> None:
     before = signal.getsignal(signal.SIGINT)
 
     stop(child)

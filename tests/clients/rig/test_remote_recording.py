@@ -14,7 +14,6 @@ import pytest
 from armrig.recordings.grid import MISSING_LIMIT
 from armrig.recordings.verification import verify
 from armrig.rig import remote_recording
-from armrig.rig.live_gaps import MOST_TOLD
 from armrig.rig.remote_recording import STARTED_ANEW, DiskError, RecordedFile, RemoteRecording
 from armrig.rig.remote_source import Piece
 from armrig.rig.session import RigError
@@ -36,30 +35,25 @@ Message = tuple[str, bytes]
 
 
 def message(stream: str, **fields: Any) -> Message:
-    """Return a message of a stream other than sample."""
     made = protobuf.message_class(protobuf.OF_STREAM[stream])(**fields)
     return stream, made.SerializeToString()
 
 
 def state(Ts: float = 0.01, device: str = '{"uid": "7"}') -> Message:
-    """Return a state."""
     return message("state", t_host_ns=5_000_000_000, phase="safe", Ts_s=Ts, device=device)
 
 
 def sample(number: int, **changes: Any) -> Message:
-    """Return the sample of a number."""
     due = 5_000_000_000 + number * TS_NS
     made = Sample(number, due, due + 9, number * 10_000, 0.1, 0.0, 1.0, 1.0, 32768, 32768, 3)
     return "sample", encode_sample(made._replace(**changes))
 
 
 def sample_ns(number: int) -> int:
-    """Return when the sample of a number was due."""
     return 5_000_000_000 + number * TS_NS
 
 
 def gap(k_first: int, count: int) -> Message:
-    """Return a gap record of the daemon."""
     t_ns = 5_000_000_000 + k_first * TS_NS
     return message(
         "gap",
@@ -75,13 +69,11 @@ def gap(k_first: int, count: int) -> Message:
 def piece(
     *messages: Message, lost: int = 0, anew: bool = False, offset_ns: int = OFFSET_NS
 ) -> Piece:
-    """Return what came by one question."""
     return Piece(past=Past(bytes(16), 0, offset_ns, messages), is_new_life=anew, lost=lost)
 
 
 @pytest.fixture
 def recording(tmp_path: Path) -> RemoteRecording:
-    """Return a recorder to `monday.mcap`."""
     told: list[str] = []
     return RemoteRecording(
         path=tmp_path / "monday.mcap", rig="1", endpoint="there", tell=told.append
@@ -98,11 +90,10 @@ def files(recording: RemoteRecording) -> list[armrig.Recording]:
 
 
 def ks(recording: armrig.Recording) -> list[int]:
-    """Return the indices of a file's samples."""
     return [int(k) for k in recording.samples["k"]]
 
 
-def test_a_gap_belongs_to_the_file_that_has_a_sample_on_either_side(
+def test_a_gap_is_recorded_in_the_file_with_samples_on_both_sides(
     recording: RemoteRecording,
 ) -> None:
     recording.add(piece(state(), gap(0, 5), sample(5), sample(6), gap(7, 2)))
@@ -114,7 +105,7 @@ def test_a_gap_belongs_to_the_file_that_has_a_sample_on_either_side(
     assert [(g.k_first, g.count, g.reason) for g in found.gaps] == [(7, 2, "link silent")]
 
 
-def test_a_break_that_no_file_can_hold_begins_another(recording: RemoteRecording) -> None:
+def test_a_break_too_long_for_a_file_begins_a_new_file(recording: RemoteRecording) -> None:
     behind = 6 + MISSING_LIMIT + 1
     recording.add(piece(state(), sample(5)))
     recording.add(piece(sample(behind), sample(behind + 1), lost=7))
@@ -125,16 +116,6 @@ def test_a_break_that_no_file_can_hold_begins_another(recording: RemoteRecording
     assert first.outcome is not None
     assert first.outcome.outcome == "200001 samples are missing after its last sample"
     assert second.path.name == "monday-2.mcap"
-
-
-def test_breaks_add_up(recording: RemoteRecording) -> None:
-    half = MISSING_LIMIT // 2 + 2
-    recording.add(piece(state(), *(sample(i * half) for i in range(5))))
-
-    found = files(recording)
-
-    assert [len(ks(file)) for file in found] == [2, 2, 1]
-    assert all(gap.code == GapCode.RECORDER_CUT_OFF for file in found for gap in file.gaps)
 
 
 def test_a_file_ends_before_it_is_too_long_to_be_loaded(
@@ -149,7 +130,7 @@ def test_a_file_ends_before_it_is_too_long_to_be_loaded(
     assert [file.outcome for file in recording.done] == ["continued", "continued", "complete"]
 
 
-def test_samples_that_came_before_the_state_are_recorded(recording: RemoteRecording) -> None:
+def test_samples_received_before_the_first_state_are_recorded(recording: RemoteRecording) -> None:
     recording.add(piece(sample(0), gap(1, 1), sample(2)))
     recording.add(piece(state(), sample(3)))
 
@@ -159,7 +140,7 @@ def test_samples_that_came_before_the_state_are_recorded(recording: RemoteRecord
     assert [(g.k_first, g.count) for g in found.gaps] == [(1, 1)]
 
 
-def test_each_file_is_of_one_life_of_the_daemon(recording: RemoteRecording) -> None:
+def test_a_restart_of_the_daemon_begins_a_new_file(recording: RemoteRecording) -> None:
     hour_ns = 3_600_000_000_000
     at = {"seconds": OFFSET_NS // 10**9 + 5, "nanos": 8 * TS_NS}
     hello = message("event", message="hello", timestamp=at)
@@ -226,7 +207,7 @@ def test_lost_messages_are_an_event_at_the_time_of_the_rig_s_machine(
     assert warning.t == pytest.approx(0.0, abs=30.0)
 
 
-def test_no_file_that_is_there_is_replaced(recording: RemoteRecording, tmp_path: Path) -> None:
+def test_an_existing_file_is_not_replaced(recording: RemoteRecording, tmp_path: Path) -> None:
     for name in ("monday-2.mcap", "monday-3.mcap.active"):
         (tmp_path / name).write_bytes(b"precious")
     recording.add(piece(state(), sample(0), state(0.02), sample(1)))
@@ -255,7 +236,7 @@ def test_no_file_that_is_there_is_replaced(recording: RemoteRecording, tmp_path:
         (state(), sample(5), sample(4)),
     ],
 )
-def test_what_no_daemon_sends_is_refused(
+def test_an_invalid_message_is_refused(
     recording: RemoteRecording, messages: tuple[Message, ...]
 ) -> None:
     recording.add(piece(state(), sample(1), sample(2)))
@@ -268,13 +249,13 @@ def test_what_no_daemon_sends_is_refused(
 
 
 @pytest.mark.parametrize("offset_ns", [-1, 1 << 62, -(2**63)])
-def test_a_clock_that_no_machine_has_is_refused(recording: RemoteRecording, offset_ns: int) -> None:
+def test_an_invalid_clock_offset_is_refused(recording: RemoteRecording, offset_ns: int) -> None:
     with pytest.raises(RigError, match="the clock offset"):
         recording.add(piece(state(), sample(1), offset_ns=offset_ns))
 
 
 @pytest.mark.parametrize("seconds", [2**62, -(2**62), 0])
-def test_an_event_of_any_time_is_recorded(recording: RemoteRecording, seconds: int) -> None:
+def test_an_event_with_any_time_stamp_is_recorded(recording: RemoteRecording, seconds: int) -> None:
     event = message("event", message="hello", timestamp={"seconds": seconds})
     recording.add(piece(state(), sample(1), event, sample(2)))
 
@@ -287,7 +268,9 @@ def test_an_event_of_any_time_is_recorded(recording: RemoteRecording, seconds: i
     "device",
     ["[1]", "none", '{"a": "\\ud800"}', "[" * 5000, '{"a":' * 40 + "1" + "}" * 40, '{"a": 1e999}'],
 )
-def test_a_device_that_says_anything_is_recorded(recording: RemoteRecording, device: str) -> None:
+def test_an_invalid_device_description_is_recorded_as_empty(
+    recording: RemoteRecording, device: str
+) -> None:
     recording.add(piece(state(device=device), sample(1)))
 
     [found] = files(recording)
@@ -296,7 +279,7 @@ def test_a_device_that_says_anything_is_recorded(recording: RemoteRecording, dev
     assert found.manifest.device == {}
 
 
-def test_messages_without_a_sampling_time_do_not_pile_up(recording: RemoteRecording) -> None:
+def test_messages_without_a_sampling_time_do_not_accumulate(recording: RemoteRecording) -> None:
     """16 MB of them cannot come from a daemon, whose second is far smaller."""
     large = message("event", message="x" * 1_000_000)
 
@@ -306,7 +289,7 @@ def test_messages_without_a_sampling_time_do_not_pile_up(recording: RemoteRecord
         recording.add(piece(large))
 
 
-def test_a_rig_that_changes_its_rate_all_the_time_is_none(recording: RemoteRecording) -> None:
+def test_a_recorder_begins_at_most_60_files_in_a_minute(recording: RemoteRecording) -> None:
     changing = [m for i in range(100) for m in (state(0.01 + i / 1000), sample(i))]
 
     with pytest.raises(RigError, match="60 files in a minute"):
@@ -315,19 +298,7 @@ def test_a_rig_that_changes_its_rate_all_the_time_is_none(recording: RemoteRecor
     assert len(recording.done) == 60
 
 
-def test_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> None:
-    recording.add(piece(state(), sample(0)))
-    recording.add(piece(*(gap(k, 1) for k in range(1, MOST_TOLD + 101))))
-    assert len(recording._told) == MOST_TOLD
-    recording.add(piece(sample(MOST_TOLD + 101)))
-
-    [found] = files(recording)
-
-    assert (found.gaps[0].count, found.gaps[0].code) == (100, GapCode.RECORDER_CUT_OFF)
-    assert found.missing == MOST_TOLD + 100
-
-
-def test_long_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> None:
+def test_long_gaps_without_a_sample_do_not_accumulate(recording: RemoteRecording) -> None:
     """A daemon sends no reason of 100 kB: 1 MiB of them is kept."""
     when = {"t_from_ns": 0, "t_to_ns": 0}
     reason = "x" * 100_000
@@ -338,7 +309,7 @@ def test_long_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -
     assert [int(told.k_first) for told in recording._told] == list(range(20, 30))
 
 
-def test_a_slow_disk_is_waited_for(
+def test_the_recorder_waits_for_a_slow_disk(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goes = threading.Event()
@@ -386,7 +357,7 @@ def test_a_disk_that_does_not_answer_ends_the_recorder(
     goes.set()
 
 
-def test_a_file_that_a_full_disk_has_ended_is_whole_and_listed(
+def test_a_file_ended_by_a_full_disk_is_complete_and_listed(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The reserve completes the file; the error names the disk's reason."""
@@ -411,7 +382,7 @@ def test_a_file_that_a_full_disk_has_ended_is_whole_and_listed(
     assert armrig.load(file.path).samples.size == 5
 
 
-def test_a_folder_that_is_gone_is_reported(recording: RemoteRecording, tmp_path: Path) -> None:
+def test_a_removed_folder_is_reported(recording: RemoteRecording, tmp_path: Path) -> None:
     recording.path = tmp_path / "gone" / "monday.mcap"
 
     with pytest.raises(RigError, match=r"monday\.mcap: No such file or directory; .* by -o"):

@@ -22,7 +22,6 @@ class _Daemon:
         self.life, self.first, self.n, self.most = life, first, n, most
 
     def answer(self, asked: int) -> bytes:
-        """Return the messages from a number on, or from the oldest that is kept."""
         first = max(asked, self.first)
         last = min(first + self.most, self.first + self.n)
         sent = [("event", b"%d" % k) for k in range(first, last)]
@@ -37,7 +36,6 @@ class _Line:
         self.asked: list[int] = []
 
     def get(self, key: str, *, payload: bytes, **_: Any) -> list[Any]:
-        """Return the answers."""
         assert key == "rig/lab-2/history"
         first = msgspec.json.decode(payload, type=HistoryRequest).first
         self.asked.append(first)
@@ -63,7 +61,7 @@ def _next(source: RemoteSource) -> tuple[list[int], bool, int]:
     return [int(data) for _, data in piece.past.messages], piece.is_new_life, piece.lost
 
 
-def test_each_message_comes_once_and_what_the_daemon_has_dropped_is_counted() -> None:
+def test_each_message_is_returned_once_and_dropped_messages_are_counted() -> None:
     line, source = _source(daemon := _Daemon(LIFE, 5, 4))
 
     assert [_next(source) for _ in range(3)] == [
@@ -76,7 +74,7 @@ def test_each_message_comes_once_and_what_the_daemon_has_dropped_is_counted() ->
     assert line.asked == [0, 8, 9, 9]
 
 
-def test_a_restarted_daemon_is_read_from_its_beginning() -> None:
+def test_the_history_of_a_restarted_daemon_is_read_from_its_beginning() -> None:
     line, source = _source(_Daemon(LIFE, 0, 3))
     _next(source)
     line.daemons = [_Daemon(OTHER, 2, 5)]
@@ -87,7 +85,7 @@ def test_a_restarted_daemon_is_read_from_its_beginning() -> None:
 
 
 @pytest.mark.parametrize("others", [(None,), (), (b"",)])
-def test_where_nobody_answers_there_is_no_piece(others: tuple[Any, ...]) -> None:
+def test_a_silent_rig_yields_no_messages(others: tuple[Any, ...]) -> None:
     line, source = _source(*others)
     if others == (b"",):
         with pytest.raises(RigError, match=r"^rig/lab-2/history: 0 B: .* not an armrigd of this"):
@@ -99,7 +97,7 @@ def test_where_nobody_answers_there_is_no_piece(others: tuple[Any, ...]) -> None
     assert _next(source) == ([0], False, 0)
 
 
-def test_of_two_daemons_the_one_that_was_heard_is_heard_on() -> None:
+def test_the_source_keeps_the_daemon_that_answered_first() -> None:
     line, source = _source(_Daemon(OTHER, 0, 9), _Daemon(LIFE, 0, 9))
 
     with pytest.raises(RigError, match="2 daemons answer and cannot be distinguished"):
@@ -112,7 +110,7 @@ def test_of_two_daemons_the_one_that_was_heard_is_heard_on() -> None:
     assert source.next_piece() is None
 
 
-def test_messages_from_before_the_question_are_of_no_daemon() -> None:
+def test_messages_before_the_requested_number_are_refused() -> None:
     line, source = _source(_Daemon(LIFE, 0, 3))
     _next(source)
     line.daemons = [encode_past(LIFE, 1, 7, [])]

@@ -7,5 +7,5 @@ from pathlib import Path
 from tests.clients.said import assert_said
 
 
-def test_what_is_said_of_an_odd_rig_is_what_was_said(tmp_path: Path) -> None:
+def test_messages_about_an_odd_rig_are_the_stored_texts(tmp_path: Path) -> None:
     assert_said(Path(__file__).with_name("said.txt"), tmp_path)

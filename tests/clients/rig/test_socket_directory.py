@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import pwd
 import socket
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
-from types import SimpleNamespace
 
 import armrig
 import pytest
@@ -21,6 +19,7 @@ from armrig_core.endpoint import endpoint
 from armrig_core.topics import PLAYED
 
 from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.rig.conftest import SERVICE_UID
 
 # Most of these tests give a directory to another user.
 pytestmark = pytest.mark.root
@@ -55,12 +54,12 @@ def _chown(directory: Path) -> None:
     os.chown(directory, NOBODY, NOBODY)
 
 
-def test_a_daemon_in_a_directory_of_ours_is_asked(directory: Path) -> None:
+def test_a_daemon_in_a_private_directory_is_accepted(directory: Path) -> None:
     with Rig() as rig:
         assert rig.status().rig == "1"
 
 
-def test_the_endpoint_of_the_configuration_comes_first(
+def test_the_endpoint_of_the_configuration_has_precedence(
     directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ours = Rig().endpoint
@@ -78,7 +77,7 @@ def test_the_endpoint_of_the_configuration_comes_first(
         (_link, "is a symbolic link"),
     ],
 )
-def test_a_directory_that_may_be_a_stranger_s_is_refused(
+def test_a_directory_writable_by_another_user_is_refused(
     directory: Path,
     spoil: Callable[[Path], None],
     wrong: str,
@@ -98,14 +97,14 @@ def test_a_directory_that_may_be_a_stranger_s_is_refused(
         assert "--connect" in told.err
 
 
-def test_an_endpoint_that_is_given_is_the_user_s_own_choice(directory: Path) -> None:
+def test_an_explicit_endpoint_is_not_checked(directory: Path) -> None:
     directory.chmod(0o777)
 
     with Rig(connect=endpoint("1", directory)) as rig:
         assert rig.status().rig == "1"
 
 
-def test_where_there_is_no_directory_nobody_answers(directory: Path) -> None:
+def test_a_missing_directory_is_reported_as_no_rig(directory: Path) -> None:
     directory.rename(directory.with_name("elsewhere"))
 
     missing = "no rig runs here; in another terminal: `armrig lab`"
@@ -113,27 +112,14 @@ def test_where_there_is_no_directory_nobody_answers(directory: Path) -> None:
         pass
 
 
-SERVICE_UID = 4711
-
-
 @pytest.fixture
-def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def service(services: Path) -> Iterator[Path]:
     """Give the folder of a rig's service on a machine where its user runs it, with one in it."""
     if os.getuid() != 0:
         pytest.skip("only root can give a directory to another user")
-    with (
-        tempfile.TemporaryDirectory(prefix="armrig-") as temporary,
-        tempfile.TemporaryDirectory(prefix="armrig-") as login,
-    ):
-        monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-        monkeypatch.setenv("XDG_RUNTIME_DIR", login)
-        monkeypatch.setattr(session, "SERVICES", PurePosixPath(temporary) / "armrig")
-        monkeypatch.setattr(silent_daemon, "service_owners", lambda: {0, SERVICE_UID})
-        found = Path(temporary) / "armrig" / "1"
-        found.mkdir(mode=0o750, parents=True)
-        os.chown(found, SERVICE_UID, SERVICE_UID)
-        with FakeDaemon(endpoint("1", found)):
-            yield found
+    os.chown(services / "1", SERVICE_UID, SERVICE_UID)
+    with FakeDaemon(endpoint("1", services / "1")):
+        yield services / "1"
 
 
 def test_the_service_of_this_machine_is_found(service: Path) -> None:
@@ -144,7 +130,7 @@ def test_the_service_of_this_machine_is_found(service: Path) -> None:
             assert rig.endpoint == endpoint("1", service)
 
 
-def test_one_s_own_daemon_is_asked_first(service: Path) -> None:
+def test_the_daemon_of_the_user_precedes_the_service(service: Path) -> None:
     own = Path(os.environ["XDG_RUNTIME_DIR"]) / "armrig"
     own.mkdir(mode=0o700)
     with FakeDaemon(endpoint("1", own)) as daemon, Rig() as rig:
@@ -164,7 +150,7 @@ def test_one_s_own_daemon_is_asked_first(service: Path) -> None:
         (lambda path: path.chmod(0o770), "can be written by other users"),
     ],
 )
-def test_a_service_s_folder_that_may_be_a_stranger_s_is_refused(
+def test_a_service_folder_writable_by_another_user_is_refused(
     service: Path, spoil: Callable[[Path], None], wrong: str, above: bool
 ) -> None:
     spoil(service.parent if above else service)
@@ -173,24 +159,14 @@ def test_a_service_s_folder_that_may_be_a_stranger_s_is_refused(
         pass
 
 
-def test_the_service_s_user_is_looked_up() -> None:
-    assert silent_daemon.service_owners() >= {0}
-    assert len(silent_daemon.service_owners()) <= 2
-
-
-def test_root_and_the_service_s_user_own_a_service_s_folder(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("user", "uids"), [("nobody", {NOBODY}), ("nobody-here", set())])
+def test_a_service_folder_may_belong_to_root_or_the_service_user(
+    user: str, uids: set[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def user(name: str) -> SimpleNamespace:
-        if name != "armrig":
-            raise KeyError(name)
-        return SimpleNamespace(pw_uid=977)
+    assert silent_daemon.SERVICE_USER == "armrig"
+    monkeypatch.setattr(silent_daemon, "SERVICE_USER", user)
 
-    monkeypatch.setattr(pwd, "getpwnam", user)
-    there = silent_daemon.service_owners()
-    monkeypatch.setattr(silent_daemon, "SERVICE_USER", "nobody-here")
-
-    assert (there, silent_daemon.service_owners()) == ({0, 977}, {0})
+    assert silent_daemon.service_owners() == {0} | uids
 
 
 def test_a_user_outside_the_group_gets_the_reason(
@@ -202,7 +178,7 @@ def test_a_user_outside_the_group_gets_the_reason(
         Rig().__enter__()
 
 
-def test_the_rigs_of_this_machine_are_those_with_a_socket_and_no_played_recordings(
+def test_the_rigs_of_this_machine_do_not_include_played_recordings(
     service: Path,
 ) -> None:
     own = Path(session._socket_directory())
@@ -214,7 +190,7 @@ def test_the_rigs_of_this_machine_are_those_with_a_socket_and_no_played_recordin
     assert session.local_rigs() == ["1", "lab-1", "lab-2"]
 
 
-def test_a_rig_whose_daemon_is_gone_is_listed_with_the_reason(directory: Path) -> None:
+def test_a_rig_without_its_daemon_is_listed_with_the_reason(directory: Path) -> None:
     with socket.socket(socket.AF_UNIX) as killed:
         killed.bind(str(directory / "0.sock"))
 

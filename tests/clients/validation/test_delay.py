@@ -106,7 +106,7 @@ def resonant(seed: int, N: int = 2000, noise: float = 1.0) -> Dataset:
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
-def test_a_plant_of_another_order_at_0_db_keeps_its_delay(seed: int) -> None:
+def test_the_delay_is_found_for_plants_of_other_orders_at_0_db(seed: int) -> None:
     """A model of the arm's order gave nk = 5 for the first of these plants."""
     found = armrig.delay(resonant(seed))
 
@@ -125,16 +125,8 @@ def test_data_without_noise_give_the_delay_exactly(integrates: bool) -> None:
         assert (found.nk, found.interval) == (4, (4, 4))
 
 
-def test_a_pure_delay_is_found_exactly() -> None:
-    u = np.random.default_rng(0).standard_normal(400)
-
-    found = armrig.delay(Dataset(u=u, y=np.append(np.zeros(3), u[:-3]), Ts=1.0))
-
-    assert (found.nk, found.interval) == (3, (3, 3))
-
-
 @pytest.mark.parametrize("Ts", sampled([0.02, 0.01, 0.005], 2))
-def test_an_unnamed_output_that_integrates_is_found_to(Ts: float) -> None:
+def test_an_unnamed_output_that_integrates_is_recognised(Ts: float) -> None:
     data = unnamed(arm(1, Ts=Ts, N=3000))
 
     found = armrig.delay(data)
@@ -146,24 +138,7 @@ def test_an_unnamed_output_that_integrates_is_found_to(Ts: float) -> None:
     assert "integrator=False" in found.explain()
 
 
-def test_an_output_that_is_said_to_integrate_needs_no_remark() -> None:
-    data = arm(1, Ts=0.01, N=1000)
-
-    assert armrig.delay(unnamed(data), integrator=True).remarks == ()
-    assert armrig.delay(data).remarks == ()
-    assert not armrig.delay(unnamed(data), integrator=False).integrator
-
-
-@pytest.mark.exhaustive
-def test_holes_and_several_experiments_are_no_delay(plant: HandoutPlant) -> None:
-    parts = [
-        plant.through_potentiometer(late(plant.dataset(seed, N=1500), 2), seed) for seed in (1, 2)
-    ]
-
-    assert armrig.delay(merge(parts)).delay == 2
-
-
-def test_many_short_experiments_are_enough() -> None:
+def test_many_short_experiments_determine_the_delay() -> None:
     rng = np.random.default_rng(3)
     parts = []
     for _ in range(12):
@@ -189,7 +164,7 @@ def test_with_three_samples_in_ten_missing_the_impulse_response_is_tested() -> N
     assert lag_tests(data, found.response, 70).N == found.response.N > 1000
 
 
-def test_the_time_that_quantisation_hides_is_separate(plant: HandoutPlant) -> None:
+def test_the_time_hidden_by_quantisation_is_reported_separately(plant: HandoutPlant) -> None:
     """t_q = sqrt(2 LSB / (b Δu)) with the handout's b of 98.4 rad/s² per V, a step of 5 V."""
     found = armrig.delay(plant.through_potentiometer(plant.dataset(1), 1))
 
@@ -197,13 +172,6 @@ def test_the_time_that_quantisation_hides_is_separate(plant: HandoutPlant) -> No
     assert found.t_q == pytest.approx(np.sqrt(2 * LSB / (98.4 * 5.0)), rel=0.1)
     assert found.delay == 0
     assert "Quantisation is no delay" in found.explain()
-
-
-def test_without_quantisation_there_is_no_hidden_time(plant: HandoutPlant) -> None:
-    found = armrig.delay(plant.dataset(1))
-
-    assert found.t_q is None
-    assert "Quantisation" not in found.explain()
 
 
 def test_an_input_that_follows_from_its_own_past_is_refused() -> None:
@@ -217,7 +185,7 @@ def test_an_input_that_follows_from_its_own_past_is_refused() -> None:
             armrig.delay(Dataset(u=u, y=filtered([0, 0.5], [1, -0.8], u) + noise, Ts=1.0))
 
 
-def test_a_prbs_of_a_short_period_is_enough() -> None:
+def test_a_prbs_of_a_short_period_determines_the_delay() -> None:
     """A PRBS of 31 samples determines 30 lags, which A and B share."""
     rng = np.random.default_rng(6)
     u = armrig.prbs(1000, register=5)
@@ -228,20 +196,12 @@ def test_a_prbs_of_a_short_period_is_enough() -> None:
     assert (found.nk, found.interval) == (2, (2, 2))
 
 
-def test_an_input_that_does_not_act_is_reported() -> None:
+def test_an_input_without_effect_is_reported() -> None:
     rng = np.random.default_rng(1)
     data = Dataset(u=rng.standard_normal(200), y=rng.standard_normal(200), Ts=1.0)
 
     with pytest.raises(ValueError, match="no response to u above the noise"):
         armrig.delay(data)
-
-
-def test_the_level_of_the_tests_is_reported(plant: HandoutPlant) -> None:
-    found = armrig.delay(plant.dataset(1, N=500))
-
-    assert found.level == 0.001
-    assert "level 0.1 %" in repr(found)
-    assert "a level of 0.1 %" in found.explain()
 
 
 def angle(u: Vector, Ts: float, finer: int = 1) -> Vector:
@@ -277,7 +237,7 @@ def test_at_a_short_sampling_time_the_shape_of_the_onset_decides(samples: int) -
 
 
 @pytest.mark.exhaustive
-def test_half_a_sample_is_neither_of_its_neighbours() -> None:
+def test_a_delay_of_half_a_sample_leaves_both_neighbours_possible() -> None:
     found = armrig.delay(arm(2, delayed=1.5))
 
     assert found.interval == (2, 3)
@@ -285,7 +245,7 @@ def test_half_a_sample_is_neither_of_its_neighbours() -> None:
     assert "nk between 2 and 3: not determined at this Ts and noise" in repr(found)
 
 
-def test_without_its_shape_an_onset_within_the_noise_is_not_claimed() -> None:
+def test_an_onset_within_the_noise_is_not_reported_without_its_shape() -> None:
     found = armrig.delay(unnamed(arm(1)), integrator=False)
 
     assert not found.told
@@ -295,7 +255,7 @@ def test_without_its_shape_an_onset_within_the_noise_is_not_claimed() -> None:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(("Ts", "at", "high"), sampled([(0.002, 161, 4.5), (0.001, 157, 1.5)]))
-def test_one_step_read_in_steps_is_no_delay(Ts: float, at: int, high: float) -> None:
+def test_one_step_with_quantised_readings_shows_no_delay(Ts: float, at: int, high: float) -> None:
     u = np.where(np.arange(round(3 / Ts)) < at, 0.5, high)
     y = (np.floor(angle(u, Ts) / LSB) + 0.5) * LSB
 
@@ -335,20 +295,12 @@ def test_a_direct_term_and_feedback_without_delay_look_the_same() -> None:
         assert "feedback looks the same as a direct term" in found.brief()
 
 
-def test_a_gain_without_dynamics_is_a_direct_term() -> None:
-    u, e = np.random.default_rng(1).standard_normal((2, 1000))
-
-    found = armrig.delay(Dataset(u=u, y=0.5 * u + 0.1 * e, Ts=1.0))
-
-    assert (found.nk, found.interval) == (0, (0, 0))
-
-
 @pytest.mark.parametrize(
     ("changes", "t_q", "low"),
     [(3, 0.025, 2), (3, 0.045, 1), (3, 0.2, 1), (10, 0.2, 2), (3, None, 2)],
     ids=["3 samples", "5 samples", "all", "many changes", "not read in steps"],
 )
-def test_what_quantisation_hides_is_not_ruled_out(
+def test_lags_hidden_by_quantisation_are_not_ruled_out(
     changes: int, t_q: float | None, low: int
 ) -> None:
     """Lags 2 to 6 at 10 ms; if u changes often, the error of a reading averages out."""
@@ -412,7 +364,7 @@ def test_the_last_lag_of_a_model_is_not_the_first_lag_of_u(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [22, 33, 42])
-def test_one_spike_is_no_effect_of_u(seed: int) -> None:
+def test_a_single_spike_is_not_an_effect_of_u(seed: int) -> None:
     """If u changes rarely, one wrong sample made the coefficient of an early lag significant."""
     data = held(seed, gain=0.25, pole=0.97, walk=0.7, spikes=(0.02, 15.0))
 
@@ -439,7 +391,7 @@ def test_the_p_value_without_one_row_is_the_largest_of_all_rows() -> None:
 def test_the_progress_of_the_fits_of_an_onset_is_reported() -> None:
     seen: list[tuple[int, int, str]] = []
 
-    armrig.delay(unnamed(arm(1)), integrator=True, progress=lambda *of: seen.append(of))
+    armrig.delay(unnamed(arm(1, N=2000)), integrator=True, progress=lambda *of: seen.append(of))
 
     (done, total, name), *_ = seen
     assert (done, name.split()[0]) == (0, "lag")

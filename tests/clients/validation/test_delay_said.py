@@ -11,23 +11,16 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.polynomial import Array, filtered
-from armrig.numerics.quantities import NBSP
 from armrig.validation.feedback_and_delay.delay import (
     _enough,
-    _hidden_by_steps,
-    _Onset,
-    _Readings,
     _readings,
     determined_lags,
 )
-from armrig.validation.feedback_and_delay.delay_result import Delay
-from armrig.validation.feedback_and_delay.figures import plot_delay, plot_open_loop
-from armrig.validation.feedback_and_delay.lag_tests import Before, LagTests
+from armrig.validation.feedback_and_delay.lag_tests import LagTests
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, _is_exact, _remarks, open_loop
 from armrig.validation.feedback_and_delay.sims import FUTURE, Sims, sims
 from armrig.validation.feedback_and_delay.smooth_onset import _averaged, possible
 from armrig_core.errors import InputError
-from matplotlib.figure import Figure
 
 
 def response(*, integrating: bool = False, **fields: Any) -> ImpulseResponse:
@@ -54,132 +47,7 @@ def response(*, integrating: bool = False, **fields: Any) -> ImpulseResponse:
     return ImpulseResponse(**(values | fields))
 
 
-def found(**fields: Any) -> Delay:
-    """Return a delay of two samples at 10 ms."""
-    values: dict[str, Any] = {
-        "nk": 3,
-        "interval": (3, 3),
-        "may_be_feedback": False,
-        "p_values": {1: 0.5, 2: 0.25, 3: 1e-5},
-        "before": Before(k=2, found=0.61, predicted=5.44, p_value=1e-6),
-        "misfit": {},
-        "arx_loss": {0: 3.0, 1: 2.0, 2: 1.5, 3: 1.0, 4: 1.25},
-        "response": response(),
-        "integrator": False,
-        "na": 4,
-        "t_q": None,
-        "quantum": 0.0,
-        "largest_step": 5.0,
-        "remarks": (),
-        "acceleration": 98.0,
-        "output": "theta_1",
-        "Ts": 0.01,
-        "unit": "rad",
-        "input_unit": "V",
-        "source": "",
-    }
-    return Delay(**(values | fields))
-
-
-def test_a_delay_is_printed_with_its_last_tests() -> None:
-    assert repr(found()).splitlines() == [
-        "nk = 3: 2 samples (20 ms) in addition to the hold (level 0.1 %)",
-        "  lags 1 to 2: their coefficients together, p = 0.250: not shown to matter",
-        "  lags 1 to 3: their coefficients together, p < 0.001: u acts there",
-        "  lag 2 alone: its coefficient is 0.6σ, and would be 5.4σ or more if u acted there "
-        "first, p < 0.001: ruled out",
-    ]
-    late = found(
-        nk=1, interval=(1, 4), before=Before(k=0, found=0.6, predicted=1.0, p_value=0.4),
-        p_values={1: 1e-9}, misfit={1: 4.567, 2: 123.4}, t_q=0.0123, remarks=("a remark", "b"),
-    )  # fmt: skip
-    assert repr(late).splitlines() == [
-        "nk between 1 and 4: not determined at this Ts and noise (level 0.1 %)",
-        "  lag 1: its coefficient, p < 0.001: u acts there",
-        "  lag 0 alone: its coefficient is 0.6σ, and would be 1.0σ or more if u acted there "
-        "first, p = 0.400: not ruled out",
-        "  near the noise, the shape of the onset decides: a smooth onset at lag 1, 2 has chi² "
-        "4.57, 123 (limit 9.21 at the level 1 %)",
-        "  quantisation hides theta_1 for t_q = 12 ms: no delay",
-        "  note: a remark",
-        "  note: b",
-    ]
-    brief = late.brief().splitlines()
-    assert brief[0] == "nk between 1 and 4: not determined at this Ts and noise (level 0.1 %)"
-    assert "take nk = 1, since one coefficient too many" in brief[1]
-    assert "or at a Ts above 10 ms" in brief[1]
-    assert brief[2:] == ["  note: a remark", "  note: b"]
-    assert found().brief() == repr(found()).splitlines()[0]
-
-
-@pytest.mark.parametrize(
-    ("nk", "interval", "feedback", "said"),
-    [
-        (0, (0, 0), False, "nk = 0: a direct term, u acts within its own sample"),
-        (0, (0, 0), True, "nk = 0: a direct term, or feedback, which looks the same"),
-        (1, (1, 1), False, "nk = 1: no input delay"),
-        (2, (2, 2), False, "nk = 2: 1 sample (10 ms) in addition to the hold"),
-        (1, (0, 1), True, "nk between 0 and 1: not determined at this Ts and noise"),
-    ],
-)
-def test_each_delay_has_its_answer(
-    nk: int, interval: tuple[int, int], feedback: bool, said: str
-) -> None:
-    answer = found(nk=nk, interval=interval, may_be_feedback=feedback)
-
-    assert repr(answer).startswith(f"{said} (level 0.1 %)\n")
-    assert (answer.delay, answer.told) == (nk - 1, interval[0] == interval[1])
-    way_out = "Take nk = 1 if y was read before u was applied, otherwise nk = 0."
-    assert (way_out in answer.brief()) == (feedback and not answer.told)
-
-
-@pytest.mark.parametrize("integrating", [False, True])
-def test_an_explanation_has_the_coefficients_in_their_deviations(integrating: bool) -> None:
-    answer = found(
-        response=response(integrating=integrating), t_q=0.0123, quantum=0.006, remarks=("a", "b")
-    )
-
-    text = answer.explain()
-
-    values = "+2.0σ, 2 +3.0σ, 3 +4.0σ, 4 +5.0σ, 5 +6.0σ"
-    if integrating:
-        values = "-2.0σ, 2 -3.0σ, 3 -4.0σ, 4 -5.0σ, 5 -6.0σ"
-    of = "of theta_1's rate " if integrating else ""
-    assert f"the impulse response {of}at lags 1 {values}. A coefficient" in text
-    assert "Each test has a level of 0.1 %." in text
-    assert "read in steps of 6 mrad (1 LSB). After a step of 5 V in u, theta_1 changes" in text
-    assert "t_q = sqrt(2 LSB / (b Δu)) = 12 ms, 1.2 samples." in text
-    assert text.endswith("\nNote: a.\nNote: b.")
-    assert text.startswith("nk = 3: 2 samples (20 ms) in addition to the hold.\n")
-    volts = found(unit="V", t_q=0.1, quantum=0.006).explain()
-    assert "in steps of 0.006 V (1 LSB)" in volts
-    assert "Assumption" not in found(before=None).explain()
-
-
-def test_the_figure_of_a_delay_has_the_lags_and_the_losses() -> None:
-    for integrating, unit in ((False, "[rad/V]"), (True, "[rad/s/V]")):
-        answer = found(response=response(integrating=integrating))
-
-        ax, below, *_ = plot_delay(answer, ax=Figure().add_subplot()).figure.axes
-
-        (points,) = (line for line in ax.lines if line.get_marker() == "o")
-        g = 0.1 * np.arange(1, 11) * (-10 if integrating else 1)
-        np.testing.assert_allclose(np.asarray(points.get_ydata()), g)
-        band = ax.collections[0].get_paths()[0].vertices[:, 1]
-        assert band.max() == pytest.approx(3.29 * (1.0 if integrating else 0.1))
-        (losses,) = (line for line in below.lines if line.get_label() == "ARX model")
-        assert np.asarray(losses.get_xdata()).tolist() == [0, 1, 2, 3, 4]
-        expected = 200 * np.log([3.0, 2.0, 1.5, 1.0, 1.25])
-        np.testing.assert_allclose(np.asarray(losses.get_ydata()), expected)
-        assert unit in ax.get_ylabel()
-        marks = [
-            line for panel in (ax, below) for line in panel.lines if line.get_label() == "nk = 3"
-        ]
-        assert [line.get_xdata()[0] for line in marks] == [3, 3]
-
-
 def of_lags(p_values: Any, coefficient: Any, std: Any, answer: Any, first: int = 0) -> LagTests:
-    """Return tests of lags."""
     arrays = [np.array(x, float) for x in (p_values, coefficient, std, answer)]
     return LagTests(
         first=first, p_values=arrays[0], p_without_one=arrays[0], coefficient=arrays[1],
@@ -209,7 +77,7 @@ def test_the_bound_of_an_overlooked_coefficient_is_a_share_of_later_ones(first: 
     assert steep.predicted == pytest.approx(min(2 / 4, 2 / 2) / 0.2)
 
 
-def test_lags_are_ruled_out_one_by_one_from_the_first_significant_one() -> None:
+def test_lags_are_ruled_out_in_turn_below_the_first_significant_lag() -> None:
     p, g = [0.5, 0.4, 0.3, 1e-6], [0.0, 0.0, 0.0, 4.0, 4.0, 4.0]
 
     for std, least in (([0.01] * 4, 3), ([0.01, 0.01, 2.0, 0.1], 2), ([0.01, 2.0, 2.0, 0.1], 1)):
@@ -312,39 +180,6 @@ def feedback(**fields: Any) -> OpenLoop:
     return OpenLoop(**(values | fields))
 
 
-def test_a_test_for_feedback_is_told_with_its_numbers() -> None:
-    test = feedback()
-    said = "FEEDBACK (Sims' F-test of alpha on future u: p = 0.002, level 5 %)"
-
-    assert repr(test).splitlines() == [said, "  note: a remark"]
-    brief = test.brief().splitlines()
-    assert (brief[0], brief[-1], len(brief)) == (said, "  note: a remark", 4)
-    assert brief[2].startswith("But one open-loop experiment in 20 fails the test by chance")
-    lines = test.explain().splitlines()
-    assert lines[0] == "FEEDBACK."
-    assert lines[2] == (
-        f"Finding: it explains 4.12{NBSP}% of the part of alpha that the past does not explain; "
-        "F = 3.46 with 5 and 400 degrees of freedom, p = 0.002."
-    )
-    assert lines[-1] == "Note: a remark."
-    sure = feedback(p_value=0.00099)
-    assert "by chance" not in sure.explain()
-    assert sure.brief().count("So there is feedback, at a level of 5 %") == 1
-    free = feedback(feedback=False, p_value=0.3, level=0.1, remarks=())
-    assert repr(free) == (
-        "open loop: no feedback found (Sims' F-test of alpha on future u: p = 0.300, level 10 %)"
-    )
-    assert "do not contradict open loop, at a level of 10 %" in free.explain()
-    assert free.brief() == repr(free)
-    unknown = feedback(feedback=None, sims=None, p_value=float("nan"), remarks=("no noise",))
-    assert unknown.explain() == "no decision on feedback.\nno noise."
-    assert repr(unknown) == "no decision on feedback\n  note: no noise"
-    exact = feedback(exact=True).explain()
-    assert "Finding: u(t) follows from alpha(t) exactly, in all samples." in exact
-    large = feedback(sims=replace(test.sims, F=2e6)).explain()  # type: ignore[type-var]
-    assert "F = more than 1e+06 with" in large
-
-
 @pytest.mark.parametrize(
     ("p", "later", "exact", "direct"),
     [
@@ -363,22 +198,6 @@ def test_a_direct_term_may_be_the_cause_if_no_later_input_depends_on_y(
     remarks = _remarks(s, 0.05, exact=exact)
     assert any("nk = 0" in remark for remark in remarks) is direct
     assert any("P controller" in remark for remark in remarks) is exact
-
-
-def test_the_figure_of_a_test_for_feedback_shades_the_tested_lags() -> None:
-    ax = plot_open_loop(feedback(), ax=Figure().add_subplot())
-
-    (points,) = (line for line in ax.lines if line.get_marker() == "o")
-    assert np.asarray(points.get_xdata()).tolist() == list(range(-4, 16))
-    np.testing.assert_allclose(np.asarray(points.get_ydata()), np.linspace(-1, 1, 25)[:20])
-    band = ax.collections[0].get_paths()[0].vertices[:, 1]
-    assert band.max() == pytest.approx(0.258)
-    (shade,) = ax.patches
-    assert np.min(shade.get_xy()) == pytest.approx(-4.5)
-    texts = " ".join(text.get_text() for text in ax.get_legend().get_texts())
-    titles = f"{texts} {ax.get_legend().get_title().get_text()}"
-    assert f"p = 0.002, level 5{NBSP}%" in titles
-    assert "[rad/V]" in ax.get_ylabel()
 
 
 def test_an_exact_relation_need_not_hold_at_missing_samples() -> None:
@@ -471,10 +290,3 @@ def test_sims_test_is_the_regression_of_its_docstring() -> None:
     order = [*range(Phi.shape[1] - 1, d - 1, -1), *range(begin, begin + found_.p)]
     np.testing.assert_allclose(found_.coefficients, theta[order], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(found_.std, std[order], rtol=1e-6)
-
-
-def test_a_response_at_lag_1_is_hidden_by_no_reading() -> None:
-    read = _Readings(quantum=1e-3, largest_step=5.0, changes=3, acceleration=1.0, t_q=0.2)
-
-    assert _hidden_by_steps(_Onset(first=0, last=1, misfit={}), read, 0.01) == (0, [])
-    assert _hidden_by_steps(_Onset(first=2, last=2, misfit={}), read, 0.01)[0] == 1

@@ -16,8 +16,8 @@ from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from armrig.validation.model_search import _ranked, search
 from armrig.validation.search_result import Candidate, OfferedName, Scored, SearchResult
-from matplotlib.figure import Figure
 
+from tests.clients.validation.plants import of_second_order, switched, under_control
 from tests.sampling import sampled
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def test_the_true_structure_is_chosen_by_prediction(
     assert (np.diff(found.rms) >= 0).all()
 
 
-def test_the_arm_gets_its_integrator_and_the_reasons(plant: HandoutPlant) -> None:
+def test_the_search_finds_the_integrator_of_the_arm_and_states_reasons(plant: HandoutPlant) -> None:
     found = search(
         plant.dataset(1), plant.dataset(2), families=("arx", "oe", "n4sid"), orders=range(2, 6)
     )
@@ -71,7 +71,7 @@ def test_the_arm_gets_its_integrator_and_the_reasons(plant: HandoutPlant) -> Non
 
 
 @pytest.mark.parametrize(("highest", "said"), [(2, True), (3, False)])
-def test_the_highest_order_that_was_tried_is_no_answer(highest: int, said: bool) -> None:
+def test_the_highest_order_that_was_tried_is_reported_if_chosen(highest: int, said: bool) -> None:
     found = search(
         _data(1, [1.0], [1.0]),
         _data(2, [1.0], [1.0]),
@@ -86,7 +86,7 @@ def test_the_highest_order_that_was_tried_is_no_answer(highest: int, said: bool)
 
 
 @pytest.mark.parametrize(("direct", "delays"), [(0.4, {0, 1}), (0.0, {1})])
-def test_a_direct_term_is_tried_where_the_data_show_one(direct: float, delays: set[int]) -> None:
+def test_a_direct_term_is_tried_if_the_data_show_one(direct: float, delays: set[int]) -> None:
     rng = np.random.default_rng(1)
     u = telegraph(1000, 0.3, 1.5, 3.5, seed=rng) - 2.5
     y = filtered([direct, 1.0], [1.0, -0.8], u) + 0.3 * rng.standard_normal(1000)
@@ -97,7 +97,7 @@ def test_a_direct_term_is_tried_where_the_data_show_one(direct: float, delays: s
     assert found.fit.nk == min(delays)
 
 
-def test_a_subspace_model_is_made_for_what_it_is_ranked_by() -> None:
+def test_a_subspace_model_is_estimated_for_the_horizon_of_the_ranking() -> None:
     """The best simulation model is the output-error model, but one step ahead it is not."""
     data, other = (_data(seed, [1.0], [1.0, -0.9], 600) for seed in (1, 2))
 
@@ -115,13 +115,14 @@ def _of(found: SearchResult, family: str) -> Fit:
 
 @pytest.fixture(scope="module")
 def elsewhere() -> Iterator[ProcessPoolExecutor]:
-    """Give two other processes."""
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
         yield executor
 
 
 @pytest.mark.exhaustive
-def test_other_processes_find_the_same(elsewhere: ProcessPoolExecutor) -> None:
+def test_a_search_with_several_processes_finds_the_same_model(
+    elsewhere: ProcessPoolExecutor,
+) -> None:
     data = _data(1, [1.0], [1.0], 400)
 
     here = search(data, families=("oe",), orders=(1, 2))
@@ -131,7 +132,7 @@ def test_other_processes_find_the_same(elsewhere: ProcessPoolExecutor) -> None:
     np.testing.assert_array_equal(here.rms, there.rms)
 
 
-def test_what_fails_is_reported_and_does_not_stop_the_search() -> None:
+def test_a_failed_candidate_is_reported_and_does_not_stop_the_search() -> None:
     data = _data(1, [1.0], [1.0], 80)
 
     found = search(data, families=("arx",), orders=(1, 2, 30))
@@ -155,7 +156,7 @@ def test_a_pole_outside_the_circle_is_never_chosen(family: OfferedName) -> None:
     assert moved or family in ("oe", "bj", "n4sid")  # those look inside the circle only
 
 
-def test_a_pole_that_rounding_leaves_outside_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pole_that_rounding_leaves_outside_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four poles at 1 hardly move by the reflection."""
     data = _of_one_pole(1.004, 200, 1)
 
@@ -168,7 +169,7 @@ def test_a_pole_that_rounding_leaves_outside_is_said(monkeypatch: pytest.MonkeyP
         search(data, families=("arx",), orders=(1,))
 
 
-def test_a_model_whose_output_has_no_bound_is_not_ranked() -> None:
+def test_a_model_with_an_unbounded_output_is_not_ranked() -> None:
     estimation, validation = (
         _of_one_pole(pole, N, seed) for pole, N, seed in ((1.3, 100, 1), (0.9, 700, 2))
     )
@@ -194,8 +195,8 @@ def test_orders_one_to_five_are_tried_by_default() -> None:
     assert sorted(poles) == [1, 2, 3, 4, 5]
 
 
-def test_a_structure_that_is_not_searched_by_default_is_searched_if_asked_for() -> None:
-    data = _of_second_order()
+def test_an_optional_structure_is_searched_on_request() -> None:
+    data = of_second_order(switched())
 
     usual = search(data, orders=(2,), nk=1)
     asked = search(data, families=("ararx",), orders=(2,), nk=1)
@@ -204,7 +205,7 @@ def test_a_structure_that_is_not_searched_by_default_is_searched_if_asked_for() 
     assert {j.candidate.name for j in asked.ranked} == {"ARARX[2 2 1 1]", "ARARX[2 2 2 1]"}
 
 
-def test_what_cannot_be_searched_is_refused() -> None:
+def test_unknown_families_and_impossible_orders_are_refused() -> None:
     data = _data(1, [1.0], [1.0], 80)
 
     with pytest.raises(ValueError, match="families has 'arimax'; each must be one of arx, armax"):
@@ -222,27 +223,6 @@ def test_models_without_a_sample_in_common_are_not_compared() -> None:
 
     with pytest.raises(ValueError, match="no validation sample is predicted by all models"):
         _ranked(scored, Dataset(u=[0.0, 0.0], y=[1.0, 1.0], Ts=1.0))
-
-
-def test_a_search_shows_each_structure_and_rings_the_choice() -> None:
-    data = _data(1, [1.0], [1.0]), _data(2, [1.0], [1.0])
-    found = search(*data, families=("arx", "oe"), orders=(1, 2, 3))
-
-    ax = found.plot(ax=Figure().add_subplot()).axes[0]
-
-    legend = ax.get_legend()
-    assert legend is not None
-    names = [t.get_text() for t in legend.get_texts()]
-    assert names == ["ARX", "OE", f"chosen: {found.chosen.candidate.name}"]
-    [ring] = [line for line in ax.lines if line.get_markerfacecolor() == "none"]
-    assert ring.get_xdata() == [found.chosen.parameters]
-    assert ring.get_ydata() == [found.rms[found.chosen_index]]
-    best = next(line for line in ax.lines if line.get_label() == "OE")
-    x, y = (np.asarray(values) for values in best.get_data())
-    assert (np.diff(x) > 0).all()
-    assert y.min() == min(
-        r for r, s in zip(found.rms, found.ranked, strict=True) if s.candidate.family == "oe"
-    )
 
 
 @pytest.mark.exhaustive
@@ -266,8 +246,8 @@ def test_progress_is_reported_before_each_candidate_and_at_the_end(
 
 
 @pytest.mark.exhaustive
-def test_in_closed_loop_the_controller_is_not_taken_for_the_rig() -> None:
-    found = search(_under_control(), orders=(1, 2))
+def test_a_search_in_closed_loop_does_not_identify_the_controller() -> None:
+    found = search(under_control(), orders=(1, 2))
 
     assert {j.candidate.family for j in found.ranked} == {"arx", "armax", "bj"}
     assert {dict(j.candidate.orders)["nk"] for j in found.ranked} == {1}
@@ -276,23 +256,9 @@ def test_in_closed_loop_the_controller_is_not_taken_for_the_rig() -> None:
     assert "doubt about the data, feedback: u depends on y" in found.explain()
 
 
-def _under_control() -> Dataset:
-    """Return a plant of second order under u = (r - y)/2, with noise, r a step every 50."""
-    rng, N = np.random.default_rng(5), 1500
-    r, e = np.repeat(rng.uniform(-1, 1, N // 50), 50), 0.1 * rng.standard_normal(N)
-    x, v, u, y = np.zeros((4, N))
-    for t in range(N):
-        v[t] = 0.9 * v[t - 1] + e[t]
-        if t > 1:
-            x[t] = 1.4 * x[t - 1] - 0.5 * x[t - 2] + 0.1 * u[t - 1] + 0.05 * u[t - 2]
-        y[t] = x[t] + v[t]
-        u[t] = 0.5 * (r[t] - y[t])
-    return Dataset(u=u, y=y, Ts=0.02)
-
-
 def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     """The nk is four; another delay would need three more coefficients."""
-    found = search(_of_second_order(nk=4), families=("oe",), orders=(1, 2, 3))
+    found = search(of_second_order(switched(), nk=4), families=("oe",), orders=(1, 2, 3))
 
     assert {j.fit.nk for j in found.ranked if j.fit is not None} == {4}
     assert found.chosen.candidate.order <= 3
@@ -300,19 +266,8 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     assert "the second part of the data" in found.table()
 
 
-@pytest.mark.exhaustive
-def test_a_level_that_u_does_not_make_is_estimated_along() -> None:
-    """Otherwise a pole and a zero at 1 would replace the level."""
-    found = search(_of_second_order(level=5.0), orders=(1, 2, 3))
-
-    assert found.chosen.candidate.order == 2
-    assert found.fit.offset
-    assert any("can estimate it" in note for note in found.notes)
-    assert not found.doubts
-
-
-def test_a_level_of_the_validation_data_alone_is_estimated_along() -> None:
-    first, second = _of_second_order().split(2)
+def test_a_level_of_only_the_validation_data_is_estimated() -> None:
+    first, second = of_second_order(switched()).split(2)
     second = Dataset(u=second.u, y=second.y + 5.0, Ts=second.Ts)
 
     found = search(first, second, families=("arx", "oe"), orders=(1, 2, 3))
@@ -322,14 +277,8 @@ def test_a_level_of_the_validation_data_alone_is_estimated_along() -> None:
     assert any(note.startswith("in the validation data y is about") for note in found.notes)
 
 
-def _of_second_order(nk: int = 1, level: float = 0.0) -> Dataset:
-    u = telegraph(1500, 0.1, 0.0, 5.0, seed=1) - 2.5
-    y = filtered(np.append(np.zeros(nk), [0.1, 0.05]), [1.0, -1.4, 0.5], u) + level
-    return Dataset(u=u, y=y + 0.05 * np.random.default_rng(3).standard_normal(1500), Ts=0.02)
-
-
 def test_an_output_that_is_found_to_integrate_gets_its_integrator() -> None:
-    data = _of_second_order()
+    data = of_second_order(switched())
     found = search(
         Dataset(u=data.u, y=0.05 * np.cumsum(data.y), Ts=0.02), families=("oe",), orders=(3,)
     )

@@ -29,7 +29,6 @@ def data(seed: int, N: int, B: list[float] | None = None) -> Dataset:
 
 
 def two_experiments() -> Dataset:
-    """Return two experiments of other lengths."""
     return merge([data(2, 180), data(3, 130)])
 
 
@@ -104,7 +103,7 @@ def test_no_pair_of_residuals_spans_two_experiments() -> None:
 
 
 @pytest.mark.parametrize("own", [False, True])
-def test_whiteness_allows_for_theta_as_the_data_demand(own: bool) -> None:
+def test_the_whiteness_test_accounts_for_the_estimated_parameters(own: bool) -> None:
     """By its projection on the estimation data, by its covariance on other data."""
     judged = two_experiments()
     fit = oe(judged if own else data(1, 100), nb=2, nf=2)
@@ -131,3 +130,16 @@ def test_the_allowance_is_the_widening_of_the_band() -> None:
     assert wide.allowance > 10 * sure.allowance
     assert not sure.powerless
     assert f"correlations by a factor of {wide.allowance:.0f}" in wide.powerless
+
+
+def test_a_constant_input_tests_neither_dynamics_nor_feedback() -> None:
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.choice([-1.0, 1.0], 100), 4)
+    noise = 0.1 * rng.standard_normal(400)
+    fit = arx(Dataset(u=u, y=filtered([0, 1], [1, -0.7], u) + noise, Ts=0.1), na=1, nb=1)
+
+    said = repr(residuals(fit, Dataset(u=np.ones(400), y=3.3 + noise, Ts=0.1)))
+
+    assert "dynamics missing: not tested" in said
+    assert "feedback: not tested" in said
+    assert "no feedback" not in said

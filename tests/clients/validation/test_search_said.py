@@ -13,35 +13,28 @@ from armrig.data.finding import Finding, warning
 from armrig.numerics.criteria import batch_means
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import model_search
-from armrig.validation.figures import plot_search
-from armrig.validation.model_search import _likely_delays, _offered, _orders, _ranked
+from armrig.validation.model_search import _ranked
 from armrig.validation.multivariable.search import (
     SignalsCandidate,
     SignalsSearch,
     _free,
 )
-from armrig.validation.multivariable.search import _estimated as estimated_of_several
 from armrig.validation.multivariable.search import _ranked as ranked_of_several
 from armrig.validation.recommended_structures import (
     Recommendation,
     Recommended,
     _busiest,
-    _neighbours,
-    _of_order,
     _trimmed,
 )
 from armrig.validation.search_result import Candidate, Scored, SearchResult
 from armrig.validation.structure_hints import (
-    StructureHints,
     _agreed,
     _confirmed,
     _end_of_step,
-    _extremes_told,
     _returns,
     _sign,
     _stays,
 )
-from matplotlib.figure import Figure
 
 from tests.clients.models.made_fits import made
 
@@ -59,7 +52,6 @@ def scored(family: str, order: int, *, reason: str = "", **fields: Any) -> Score
 
 
 def of_residuals(**fields: Any) -> Any:
-    """Return the tests of residuals with these results."""
     values = {
         "powerless": "",
         "missing_dynamics": 0.5,
@@ -88,56 +80,6 @@ def result(**fields: Any) -> SearchResult:
     return SearchResult(**(values | fields))
 
 
-def test_a_search_is_a_table_with_a_mark() -> None:
-    assert result().table().splitlines() == [
-        "4 models, simulated, ranked by their error on the validation data",
-        "  model      parameters rms [rad/s]  excess mean square ± se [(rad/s)²]",
-        "  OE[3 3 1]           6         0.5                                    ",
-        "  ARX[4 4 1]          8     0.51236                       0.0125 ± 0.02",
-        "  OE[2 2 1]           4        0.52                         0.02 ± 0.03  <- chosen",
-        "  ARX[1 1 1]          2         0.9                          0.56 ± 0.1",
-    ]
-    failed = (scored("arx", 9, reason="too few samples"),)
-    short = result(halved=True, horizon=1, failed=failed, unit="").table(most=1).splitlines()
-    assert short[0] == (
-        "5 models, predicted 1 sample ahead, ranked by their error on the second part of the data; "
-        "the first estimated them"
-    )
-    assert [line.split()[0] for line in short[2:]] == ["OE[3", "OE[2", "…"]
-    assert short[-1] == "  … and 2 more"
-    assert "[" not in short[1]
-    assert (
-        result(unit="V").table().splitlines()[1].endswith("rms [V]  excess mean square ± se [V²]")
-    )
-
-
-def test_the_choice_of_a_simpler_model_is_explained() -> None:
-    found = result(
-        doubts=(Finding(level="warning", about="feedback", text="a doubt"),), notes=("a note",)
-    )
-
-    assert found.explain().splitlines() == [
-        "- doubt about the data, feedback: a doubt",
-        "- best simulation of the validation data: OE[3 3 1], rms error 0.5 rad/s",
-        "- chosen: OE[2 2 1], 4 parameters instead of 6; its mean squared error is higher by "
-        "0.02 ± 0.03, within its standard error",
-        "- fewer parameters are not enough: ARX[1 1 1] has 2, rms error 0.9, and a mean squared "
-        "error 5.6 standard errors above the least",
-        "- a note",
-    ]
-    assert (found.chosen.candidate.order, found.fit.label) == (2, "OE[2 2 1]")
-    assert found.within.tolist() == [True, True, True, False]
-    best = result(chosen_index=0, horizon=2, unit="").reasons
-    assert (
-        best[0]
-        == "best prediction 2 samples ahead of the validation data: OE[3 3 1], rms error 0.5"
-    )
-    assert best[1] == (
-        "chosen: the best, since no simpler model is within one standard error of it"
-    )
-    assert best[2].startswith("fewer parameters are not enough: OE[2 2 1] has 4, rms error 0.52,")
-
-
 @pytest.mark.parametrize(
     ("rms", "excess", "said"),
     [
@@ -153,43 +95,6 @@ def test_arx_is_called_biased_if_it_is_clearly_worse(
 
     expected = "the best ARX model's error is 1.12 times the error of the best OE model"
     assert any(line.startswith(expected) for line in found.reasons) is said
-
-
-def test_the_highest_order_counts_those_that_failed() -> None:
-    high = (scored("oe", 3), scored("oe", 2))
-    numbers = {"rms": np.array([0.5, 0.9]), "excess": np.zeros(2), "excess_std": np.zeros(2)}
-    said = "order 3 is the highest that was tried, so a higher order may be better: search with "
-    said += "--max-order 6 (in Python, orders=range(1, 7))"
-
-    alone = result(ranked=high, chosen_index=0, **numbers).reasons
-    failed = (scored("arx", 4, reason="why not"), scored("arx", 5, reason="other"))
-    other = result(ranked=high, chosen_index=0, failed=failed, **numbers).reasons
-
-    assert said in alone
-    assert said not in other
-    assert other[-1] == "without a usable model: 2, such as ARX[4 4 1]: why not"
-
-
-def test_the_tests_of_the_residuals_are_reasons() -> None:
-    for fields, said in (
-        ({"powerless": "why"}, "the tests of its residuals have no power: why"),
-        (
-            {"missing_dynamics": 0.0099, "feedback": 1e-9},
-            "the input still explains its residuals: dynamics are missing (p = 0.010)",
-        ),
-        (
-            {"feedback": 1e-9},
-            "its residuals are correlated with later input: feedback, or nk is too large "
-            "(p < 0.001)",
-        ),
-        (
-            {"white": Whiteness(p_value=1e-5, test="Ljung-Box test")},
-            "its residuals are coloured (p < 0.001, Ljung-Box test): simulate with this model, "
-            "but trust the robust deviations, and estimate a noise model for prediction",
-        ),
-    ):
-        assert result(tests=of_residuals(**fields)).reasons[3:] == (said,)
-    assert len(result(tests=of_residuals(missing_dynamics=0.01, feedback=0.01)).reasons) == 3
 
 
 @pytest.mark.parametrize(
@@ -209,63 +114,6 @@ def test_findings_of_the_chosen_model_are_reasons(family: str, expected: list[st
 
     assert list(reasons[-len(expected) :]) == expected
     assert ("short" in reasons) == (family == "oe")
-
-
-def test_the_figure_of_a_search_counts_what_it_does_not_draw() -> None:
-    ranked = (scored("oe", 3), scored("oe", 2), scored("arx", 4), scored("arx", 1), scored("oe", 1))
-    rms = np.array([0.5, 0.6, 0.7, 501.0, 1e9])
-    numbers = {"excess": np.zeros(5), "excess_std": np.zeros(5)}
-    found = result(ranked=ranked, rms=rms, chosen_index=1, horizon=3, **numbers)
-
-    ax = plot_search(found, ax=Figure().add_subplot())
-
-    lines = {line.get_label(): line for line in ax.lines}
-    assert np.asarray(lines["OE"].get_xdata()).tolist() == [4, 6]
-    assert np.asarray(lines["OE"].get_ydata()).tolist() == [0.6, 0.5]
-    assert np.asarray(lines["ARX"].get_ydata()).tolist() == [0.7]
-    ring = lines["chosen: OE[2 2 1]"]
-    assert (ring.get_xdata(), ring.get_ydata()) == ([4.0], [0.6])
-    legend = ax.get_legend()
-    assert legend is not None
-    texts = [text.get_text() for text in legend.get_texts()] + [legend.get_title().get_text()]
-    assert any("2 more models have over 1000 times the least error" in text for text in texts)
-    assert ax.get_ylabel() == "rms error, 3 ahead [rad/s]"
-    assert ax.get_ylim() == pytest.approx((0.4, 0.91))
-
-
-@pytest.mark.parametrize(
-    ("family", "expected"),
-    [
-        ("arx", [{"na": 3, "nb": 3}]),
-        ("armax", [{"na": 3, "nb": 3, "nc": 3}]),
-        ("bj", [{"nb": 3, "nc": n, "nd": n, "nf": 3} for n in (1, 2)]),
-        ("ararx", [{"na": 3, "nb": 3, "nd": n} for n in (1, 2)]),
-        ("n4sid", [{"order": 3}]),
-    ],
-)
-def test_only_a_separate_noise_model_has_orders_of_its_own(family: Any, expected: Any) -> None:
-    assert _orders(family, 3) == expected
-
-
-def delays(nk: int, low: int) -> Any:
-    """Return tests of which only the delay is known."""
-    late = object.__new__(model_search.Delay)
-    object.__setattr__(late, "nk", nk)
-    object.__setattr__(late, "interval", (low, nk + 2))
-    return SimpleNamespace(late=late, closed=False)
-
-
-def test_lag_0_is_tried_if_it_is_not_ruled_out() -> None:
-    assert [_likely_delays(delays(nk, low)) for nk, low in ((3, 2), (0, 0), (2, 0), (1, 1))] == [
-        [3],
-        [0, 1],
-        [0, 2],
-        [1],
-    ]
-    unknown: Any = SimpleNamespace(late="no response", closed=True)
-    assert _likely_delays(unknown) == [1]
-    assert _offered(unknown) == ["arx", "armax", "bj"]
-    assert _offered(delays(1, 1)) == ["arx", "armax", "oe", "bj", "iv4", "n4sid"]
 
 
 @pytest.mark.parametrize("integrates", [False, True])
@@ -331,123 +179,7 @@ def test_models_are_ranked_at_the_samples_that_all_of_them_predict() -> None:
         ranking.usable[0].error[0] = 1.0
 
 
-def hints(**fields: Any) -> StructureHints:
-    """Return hints of a plant of third order."""
-    structures = (
-        Recommended(nb=3, nf=3, nk=1, integrator=True),
-        Recommended(nb=2, nf=3, nk=2, integrator=False),
-    )
-    values: dict[str, Any] = {
-        "structures": structures,
-        "integrator": True,
-        "integrator_shown": True,
-        "low_slope": -20.25,
-        "low_slope_std": 0.1,
-        "low_band": np.array([0.1, 0.2]),
-        "high_slope": -41.2,
-        "high_band": np.array([20.0, 30.0, 41.25]),
-        "relative_degree": 2,
-        "resonances": (18.04, 40.0),
-        "antiresonances": (15.7,),
-        "phase_delay": 0.0061,
-        "nk_interval": (1, 1),
-        "singular_values": np.array([1.0, 0.5, 0.04, 0.03, 0.02, 0.01, 0.005]),
-        "threshold": 0.0456,
-        "order": 3,
-        "trusted": 50.0,
-        "spectrum": SimpleNamespace(Ts=0.01),
-        "response": None,
-    }
-    return StructureHints(**(values | fields))
-
-
-def test_hints_are_told_with_their_numbers() -> None:
-    assert repr(hints()).splitlines() == [
-        "structure hints: begin with oe(data, nb=3, nf=3, nk=1, integrator=True)",
-        "  integrator: |G| has a slope of −20.2 dB a decade at low frequency (0 without one, −20 "
-        "with one): y integrates: fix a pole at 1",
-        "  shape of the rate: resonances at 18, 40 rad/s (two poles each), antiresonance at 15.7 "
-        "rad/s (two zeros)",
-        "  order: Hankel singular values 1, 0.5, 0.04, 0.03, 0.02, 0.01 …, uncertainty alone "
-        "causes up to 0.046: 2 stand out, and the integrator",
-        "  roll-off: −41 dB a decade from 20 to 41.2 rad/s: 2 more poles than zeros up to these "
-        "frequencies",
-        "  phase: in addition to the lag of the roll-off, the phase lags like a delay of 6.1 ms; "
-        "the hold causes 5 ms of this delay",
-        "  delay: u acts at lag 1: no input delay (nk = 1)",
-        "  try also: oe(data, nb=2, nf=3, nk=2, integrator=False)",
-    ]
-    assert hints().explain().startswith("- integrator: |G| has")
-    assert (hints().nb, hints().nf, hints().nk) == (3, 3, 1)
-
-
-def lines_of(**fields: Any) -> dict[str, str]:
-    """Return the reasons by their first word."""
-    lines = hints(**fields).explain().splitlines()
-    return dict(line.removeprefix("- ").split(": ", 1) for line in lines)
-
-
-@pytest.mark.parametrize(
-    ("fields", "about", "said"),
-    [
-        ({"low_slope": None}, "integrator", "y integrates: fix a pole at 1"),
-        ({"low_slope": None, "integrator": False}, "integrator", "no integrator"),
-        (
-            {"low_slope": None, "integrator_shown": False},
-            "integrator",
-            "not shown, because a slow pole looks the same: try both",
-        ),
-        ({"phase_delay": 0.0049}, "phase", None),
-        ({"phase_delay": None}, "phase", None),
-        ({"high_slope": None}, "roll-off", None),
-        ({"resonances": (), "antiresonances": ()}, "shape of the rate", None),
-        ({"nk_interval": None}, "delay", "not shown (armrig.delay, `armrig check` say why)"),
-        (
-            {"nk_interval": (1, 3)},
-            "delay",
-            "nk between 1 and 3 (armrig.delay, `armrig check` test it)",
-        ),
-    ],
-)
-def test_each_hint_has_its_words(fields: dict[str, Any], about: str, said: str | None) -> None:
-    assert lines_of(**fields).get(about) == said
-
-
-@pytest.mark.parametrize(
-    ("nk", "said"),
-    [
-        (0, "u acts at lag 0: a direct term, or feedback, which looks the same (nk = 0)"),
-        (2, "u acts at lag 2: an input delay of 1 sample (nk = 2)"),
-        (4, "u acts at lag 4: an input delay of 3 samples (nk = 4)"),
-    ],
-)
-def test_a_delay_is_one_sample_less_than_its_lag(nk: int, said: str) -> None:
-    first = Recommended(nb=3, nf=3, nk=nk, integrator=True)
-
-    assert lines_of(structures=(first,), nk_interval=(nk, nk))["delay"] == said
-
-
-def test_a_slow_pole_and_extra_poles_are_told() -> None:
-    slow = lines_of(integrator=False, low_slope=-10.1)["integrator"]
-    flat = lines_of(integrator=False, low_slope=-9.9)["integrator"]
-    few = lines_of(order=1, relative_degree=0, resonances=(), integrator=False)
-
-    assert "a slow pole, and no integrator, since the effect of a pulse" in slow
-    assert flat.endswith("(0 without one, −20 with one): no integrator")
-    assert "1 stands out; nf = 3 has the shortest description" in few["order"]
-    assert "a model with nf = 1 has coloured residuals" in few["order"]
-    assert few["roll-off"].endswith("no more poles than zeros up to these frequencies")
-    assert few["shape of y"] == "no resonance, antiresonance at 15.7 rad/s (two zeros)"
-    one = lines_of(relative_degree=1, order=1)
-    assert ": 1 more pole than zeros" in one["roll-off"]
-    assert "none stands out, and the integrator" in one["order"]
-    assert _extremes_told(hints(resonances=(), antiresonances=(1.0, 2.0))) == (
-        "no resonance, antiresonances at 1, 2 rad/s (two zeros each)"
-    )
-
-
 def recommendation(B: Any, F: Any, *, integrator: bool = False) -> Recommendation:
-    """Return a recommended model of this transfer function."""
     s = Recommended(nb=1, nf=1, nk=1, integrator=integrator)
     return Recommendation(
         structures=(s,), shown=True, B=np.array(B, float), F=np.array(F, float),
@@ -455,7 +187,7 @@ def recommendation(B: Any, F: Any, *, integrator: bool = False) -> Recommendatio
     )  # fmt: skip
 
 
-def test_a_slope_is_told_if_the_model_has_it_to_3_db_a_decade() -> None:
+def test_a_slope_is_reported_if_the_model_has_it_to_3_db_a_decade() -> None:
     """An integrator of Ts 0.01 s: -20 dB a decade at 1 to 3 rad/s."""
     best, omega = recommendation([0, 0.01], [1, -1]), np.array([1.0, 2.0, 3.0])
 
@@ -467,7 +199,7 @@ def test_a_slope_is_told_if_the_model_has_it_to_3_db_a_decade() -> None:
 
 
 @pytest.mark.parametrize("integrator", [False, True])
-def test_an_extreme_is_told_if_the_model_has_roots_within_12_percent(integrator: bool) -> None:
+def test_an_extreme_is_reported_if_the_model_has_roots_within_12_percent(integrator: bool) -> None:
     poles, zeros = (np.exp(w * 0.01 * 1j) * r for w, r in ((20.0, 0.99), (40.0, 0.995)))
     B = np.real(np.poly([zeros, zeros.conjugate()]))
     F = np.real(np.poly([poles, poles.conjugate(), *([1.0] if integrator else [])]))
@@ -488,7 +220,7 @@ def test_an_extreme_is_told_if_the_model_has_roots_within_12_percent(integrator:
     ],
 )
 @pytest.mark.parametrize("sign", [2.0, -2.0])
-def test_a_rate_stays_or_returns_by_three_deviations_of_its_end(
+def test_a_rate_settles_or_returns_by_three_deviations_of_its_end(
     end: float, std: float, stays: bool, returns: bool, sign: float
 ) -> None:
     """The step response goes to ±2 and ends at a share of that; one variance is that of the sum."""
@@ -502,46 +234,7 @@ def test_a_rate_stays_or_returns_by_three_deviations_of_its_end(
     assert _sign(SimpleNamespace(decaying=(sign * np.array([1.0, -0.5]), None))) == np.sign(sign)  # type: ignore[arg-type]
 
 
-def test_recommended_orders_are_arguments_of_oe() -> None:
-    s = Recommended(nb=4, nf=3, nk=2, integrator=True)
-
-    assert dict(**s) == {"nb": 4, "nf": 3, "nk": 2, "integrator": True}
-    with pytest.raises(KeyError, match="na"):
-        s["na"]
-
-
-def test_neighbours_differ_by_one_pole_or_one_b_at_an_end() -> None:
-    def of(nb: int, nf: int, nk: int) -> set[tuple[int, int, int]]:
-        s = Recommended(nb=nb, nf=nf, nk=nk, integrator=False)
-        return {(t.nb, t.nf, t.nk) for t in _neighbours(s)}
-
-    poles = (2, 3, 4)
-    inner = {(2, 2), (3, 1), (1, 3), (2, 1), (2, 3), (1, 2), (3, 2)}
-    assert of(2, 3, 2) == {(nb, nf, nk) for nf in poles for nb, nk in inner}
-    # nk is not less than 1 without a direct term; nb is not less than 1; nf is 1 to 7.
-    assert {nk for _, _, nk in of(2, 3, 1)} == {1, 2}
-    assert {nk for _, _, nk in of(2, 3, 0)} == {0, 1}
-    assert min(nb for nb, _, _ in of(1, 3, 2)) == 1
-    assert {nf for _, nf, _ in of(2, 1, 2)} == {1, 2}
-    assert {nf for _, nf, _ in of(2, 7, 2)} == {6, 7}
-
-
-def test_a_denominator_gets_roots_or_loses_some() -> None:
-    F = np.real(np.poly([0.9, 0.5 + 0.4j, 0.5 - 0.4j]))
-
-    same, more, fewer = ([*_of_order(F, nf)] for nf in (3, 5, 2))
-
-    np.testing.assert_allclose(same, [F])
-    for f, root in zip(more, (0.3, 0.8), strict=True):
-        expected = [0.9, 0.5 + 0.4j, 0.5 - 0.4j, root, root]
-        np.testing.assert_allclose(f, np.real(np.poly(expected)), atol=1e-12)
-    assert fewer
-    assert all(f.size == 3 for f in fewer)
-    for f in fewer:
-        assert any(np.isclose(np.roots(f)[:, None], [[0.9, 0.5 + 0.4j]], atol=1e-6).ravel())
-
-
-def test_long_data_are_cut_to_where_the_input_changes() -> None:
+def test_long_data_are_shortened_to_the_part_with_input_changes() -> None:
     N = 9000
     u = np.zeros(N)
     u[5000:7500] = np.where(np.arange(2500) % 10 < 5, 1.0, -1.0)
@@ -554,7 +247,7 @@ def test_long_data_are_cut_to_where_the_input_changes() -> None:
     assert _busiest(data[:3000]).N == 3000
 
 
-def test_without_first_or_last_b_the_cost_rises_as_their_covariance_says() -> None:
+def test_the_cost_without_a_b_coefficient_rises_as_its_covariance_predicts() -> None:
     """Least squares of b alone: leaving out columns of X raises the squared error exactly."""
     rng = np.random.default_rng(3)
     X = rng.standard_normal((80, 4))
@@ -583,7 +276,6 @@ def test_without_first_or_last_b_the_cost_rises_as_their_covariance_says() -> No
 def of_several(
     name: Any, order: int, error: Any, *, reason: str = "", parameters: int = 1
 ) -> SignalsCandidate:
-    """Return a candidate of several signals."""
     theta = np.zeros(parameters)
     fit: Any = SimpleNamespace(structure="oe", theta=theta)
     return SignalsCandidate(
@@ -592,7 +284,7 @@ def of_several(
     )  # fmt: skip
 
 
-def test_a_search_of_several_signals_is_told() -> None:
+def test_a_search_of_several_signals_is_ranked_and_explained() -> None:
     rng = np.random.default_rng(4)
     base = 1.0 + 0.1 * rng.standard_normal(90)
     near = rng.standard_normal(90)
@@ -629,7 +321,7 @@ def test_a_search_of_several_signals_is_told() -> None:
 
 
 @pytest.mark.parametrize(("direct", "free"), [(False, 3 * (2 + 6)), (True, 3 * (2 + 6) + 6)])
-def test_the_coordinates_of_the_state_are_no_parameters(direct: bool, free: int) -> None:
+def test_the_coordinates_of_the_state_do_not_count_as_parameters(direct: bool, free: int) -> None:
     """Three states, two inputs, three outputs."""
     D = np.full((3, 2), float(direct))
     matrices = np.zeros((3, 3)), np.zeros((3, 2)), np.zeros((3, 3)), D, np.zeros((3, 3))
@@ -637,22 +329,3 @@ def test_the_coordinates_of_the_state_are_no_parameters(direct: bool, free: int)
 
     assert _free(fit) == free
     assert _free(SimpleNamespace(structure="oe", theta=np.zeros(7))) == 7  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("missing", [0, 3])
-def test_a_state_space_has_no_k_if_samples_are_missing(
-    missing: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: dict[str, Any] = {}
-    for name in ("ss", "oe", "n4sid"):
-        path = f"armrig.validation.multivariable.search.{name}"
-        monkeypatch.setattr(path, lambda data, *given, **options: asked.update(options))
-    data: Any = SimpleNamespace(missing=missing, outputs=("a", "b"), inputs=("u", "v"))
-
-    estimated_of_several("ss", 3, data, 2, False)
-
-    assert asked == {"order": 3, "nk": 2, "noise": not missing}
-    asked.clear()
-    estimated_of_several("oe", 3, data, 2, "b")
-    assert asked["nb"] == {("a", "u"): 3, ("a", "v"): 3, ("b", "u"): 4, ("b", "v"): 4}
-    assert (asked["nf"], asked["nk"], asked["shared"]) == (3, 2, "denominator")

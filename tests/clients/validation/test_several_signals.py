@@ -13,12 +13,11 @@ from armrig import MultivariableFit, Signals
 from armrig.estimation.multivariable.oe import oe as oe_of_several
 from armrig.numerics.polynomial import filtered
 from armrig.validation.multivariable import feedback_and_delay
-from armrig.validation.multivariable.feedback_and_delay import ByChannel
 from armrig.validation.multivariable.projection import parts_of, projection
 from armrig.validation.multivariable.residuals import residuals as residuals_of_several
 from armrig_core.errors import InputError
 
-from tests.benchmarks.several_signals import Plant
+from tests.plants import chassis_and_arm
 from tests.sampling import sampled
 
 N = 400
@@ -52,13 +51,11 @@ def estimated(seed: int, missing: float = 0.0, *, nk_12: int = 2) -> Multivariab
 
 
 def joint(test: Any) -> list[float]:
-    """Return the p values of the joint tests."""
     return [test.white.p_value, test.missing_dynamics, test.feedback]
 
 
 @pytest.mark.parametrize("missing", sampled([0.0, 0.2]))
 def test_the_tests_of_a_true_model_pass(missing: float) -> None:
-    """tests/benchmarks/several_residuals.py counts their false alarms over many plants."""
     p = []
     for seed in range(4):
         fit = estimated(seed, missing)
@@ -67,29 +64,6 @@ def test_the_tests_of_a_true_model_pass(missing: float) -> None:
 
     assert min(p) > 0.0005
     assert 0.2 < np.mean(p) < 0.8
-
-
-def test_tests_that_any_residuals_pass_say_so() -> None:
-    fit, data = estimated(0), plant(100)
-    unsure = replace(fit, covariance_robust=1e6 * fit.covariance_robust)
-
-    found = armrig.residuals(unsure, data)
-
-    assert armrig.residuals(fit, data).powerless == ""
-    assert f"correlations by a factor of {found.allowance:.0f}" in found.powerless
-    assert f"no power: {found.powerless}" in repr(found)
-    assert armrig.residuals(unsure, plant(0)).powerless == ""  # the tests on its own data have
-
-
-@pytest.mark.parametrize("missing", sampled([0.0, 0.2]))
-def test_each_output_of_its_own_estimate_has_the_test_of_one_output(missing: float) -> None:
-    fit = estimated(0, missing)
-
-    found = armrig.residuals(fit, plant(0, missing=missing))
-
-    for white, quality in zip(found.white_by_output, fit.quality, strict=True):
-        assert white.p_value == pytest.approx(quality.white.p_value, rel=0.02)
-        assert white.test == quality.white.test
 
 
 def test_the_residuals_of_a_joint_estimate_have_no_part_that_was_estimated() -> None:
@@ -109,7 +83,7 @@ def test_the_residuals_of_a_joint_estimate_have_no_part_that_was_estimated() -> 
 @pytest.mark.parametrize("run", [10, 60])
 def test_a_sum_that_the_estimate_determines_is_not_tested(run: int) -> None:
     """The poles are so quick that B nearly fits each lag. A rest of the ramp would be p < 1e-40."""
-    drawn = Plant("shared", 23)
+    drawn = chassis_and_arm(23)
     data = drawn.signals(500, 0.0, (23, 500, run, 0))
 
     found = armrig.residuals(drawn.fit(data), data)
@@ -133,34 +107,22 @@ def test_several_experiments_are_tested_together() -> None:
     assert min(joint(found)) > 0.001
 
 
-def test_a_pair_has_its_tests() -> None:
-    fit = estimated(0, nk_12=3)
-
-    found = armrig.residuals(fit, plant(100))
-
-    pair = found["y1", "u2"]
-    assert repr(pair) == (
-        "u2 to y1\n  dynamics missing (p < 0.001)\n"
-        f"  no feedback (p = {found.feedback_by_pair[0, 1]:.3f})"
-    )
-    np.testing.assert_array_equal(pair.correlation, found.cross_correlation[0, 1])
-    with pytest.raises(InputError, match="no channel; give an output of y1 and y2 and an input of"):
-        found["u2", "y1"]
-
-
-def test_a_delay_too_long_is_shown_at_its_pair_alone() -> None:
-    fit = estimated(0, nk_12=3)
-
-    found = armrig.residuals(fit, plant(100))
+def test_a_delay_too_long_shows_only_in_its_pair() -> None:
+    found = armrig.residuals(estimated(0, nk_12=3), plant(100))
 
     assert found.missing_dynamics < 1e-6
     p = found.missing_dynamics_by_pair
     assert p[0, 1] < 1e-6
     assert min(p[0, 0], p[1, 0], p[1, 1]) > 1e-3
     assert "u2 to y1: dynamics missing (p < 0.001)" in repr(found)
+    pair = found["y1", "u2"]
+    assert pair.missing_dynamics == p[0, 1]
+    np.testing.assert_array_equal(pair.correlation, found.cross_correlation[0, 1])
+    with pytest.raises(InputError, match="no channel; give an output of y1 and y2 and an input of"):
+        found["u2", "y1"]
 
 
-def test_noise_that_the_outputs_share_later_is_seen_jointly_only() -> None:
+def test_only_the_joint_test_rejects_delayed_common_noise() -> None:
     """y2 contains the noise of y1 three samples later: each output alone is white."""
     data, other = plant(0), plant(100)
     rng = np.random.default_rng(5)
@@ -196,21 +158,7 @@ def test_an_input_that_follows_an_output_shows_as_feedback() -> None:
     assert not armrig.open_loop(data)["y", "u1"].feedback  # type: ignore[index]
 
 
-def test_the_figure_has_a_panel_for_each_test() -> None:
-    found = armrig.residuals(estimated(0), plant(0))
-
-    assert len(found.plot().axes) == 2 * 3
-    assert found.on_estimation_data
-    assert "<pre>" in found._repr_html_()
-
-
-@pytest.mark.parametrize("lags", [0, N])
-def test_impossible_lags_are_refused(lags: int) -> None:
-    with pytest.raises(InputError, match=rf"lags={lags} must be 1 to 200"):
-        armrig.residuals(estimated(0), plant(0), lags)
-
-
-def test_a_long_angle_is_predicted_to_its_noise() -> None:
+def test_the_prediction_error_of_a_long_angle_is_its_noise() -> None:
     """Its initial state and ramp are a million times its noise, so that each digit counts."""
     rng = np.random.default_rng(3)
     n = 2000
@@ -228,7 +176,7 @@ def test_a_long_angle_is_predicted_to_its_noise() -> None:
     np.testing.assert_allclose(np.std(e, axis=0), 1e-4, rtol=0.1)
 
 
-def test_each_channel_has_its_delay() -> None:
+def test_each_channel_has_a_separate_delay() -> None:
     found = armrig.delay(plant(1))
 
     nk = {name: found[name].nk for name in found}  # type: ignore[attr-defined, index]
@@ -246,7 +194,7 @@ def test_a_channel_without_a_response_has_a_reason() -> None:
         found["y9", "u2"]
 
 
-def test_search_chooses_the_order_of_the_plant() -> None:
+def test_the_search_chooses_the_order_of_the_plant() -> None:
     data = plant(2, cross=0.0)  # poles: a pair, 0.3, 0.7
     done: list[str] = []
 
@@ -269,8 +217,15 @@ def test_search_chooses_the_order_of_the_plant() -> None:
     assert "  chosen" in repr(found)
 
 
+@pytest.mark.parametrize("missing", [0.0, 0.1])
+def test_a_state_space_has_no_k_if_samples_are_missing(missing: float) -> None:
+    found: Any = armrig.search(plant(2, missing=missing), families=["ss"], orders=[2])
+
+    assert found.fit.form.K.any() == (not missing)
+
+
 @pytest.mark.exhaustive
-def test_search_knows_the_integrator_of_one_output() -> None:
+def test_the_search_finds_the_integrator_of_one_output() -> None:
     rng = np.random.default_rng(3)
     u = np.repeat(np.sign(rng.standard_normal(N // 4)), 4)
     rate = filtered([0, 0.4, 0.2], np.poly([0.8, 0.5]), u)
@@ -290,14 +245,14 @@ def test_every_family_of_a_search_has_all_orders_of_an_iterator() -> None:
     assert tried == {("n4sid", 1), ("n4sid", 2), ("oe", 1), ("oe", 2)}
 
 
-def test_a_search_that_cannot_be_is_refused() -> None:
+def test_unknown_families_and_too_high_orders_are_refused() -> None:
     with pytest.raises(InputError, match="families has 'arx'; each must be one of ss, n4sid, oe"):
         armrig.search(plant(0), families=["arx"])
     with pytest.raises(InputError, match="none of the models could be estimated"):
         armrig.search(plant(0)[:20], orders=[9])
 
 
-def test_a_search_needs_every_input_to_move_in_both_parts() -> None:
+def test_a_search_needs_every_input_to_change_in_both_parts() -> None:
     data = plant(0)
     u = np.column_stack([data.u[:, 0], np.where(np.arange(data.N) < 9, 0.0, 1.0), data.u[:, 1:]])
     rests = Signals(u=u, y=data.y, Ts=1.0)
@@ -306,7 +261,7 @@ def test_a_search_needs_every_input_to_move_in_both_parts() -> None:
         armrig.search(rests, families=["oe"], orders=[1])
 
 
-def test_each_output_has_its_orders() -> None:
+def test_each_output_has_separate_orders() -> None:
     rng = np.random.default_rng(6)
     u = rng.standard_normal((N, 2))
     y = np.column_stack(
@@ -335,38 +290,6 @@ def test_each_output_has_its_orders() -> None:
     assert table.parameters[at] == 5
     assert len(found) == 2
     assert repr(found).startswith("a:\n- chosen")
-
-
-def test_given_delays_of_each_channel_are_kept() -> None:
-    """Output b has the delays 2 and 4."""
-    rng = np.random.default_rng(7)
-    u = rng.standard_normal((N, 2))
-    y = np.column_stack(
-        [
-            filtered([0, 1.0], [1, -0.6], u[:, 0]) + filtered([0, 0.4], [1, -0.6], u[:, 1]),
-            filtered([0, 0, 1.0], [1, -0.7], u[:, 0])
-            + filtered([0, 0, 0, 0, 0.5], [1, -0.7], u[:, 1]),
-        ]
-    )
-    e = 0.2 * rng.standard_normal((N, 2))
-    y += np.column_stack([filtered([1], [1, -0.6], e[:, 0]), filtered([1], [1, -0.7], e[:, 1])])
-    data = Signals(u=u, y=y, Ts=0.1, outputs=["a", "b"])
-    nk: Any = {("b", "u1"): 2, ("b", "u2"): 4}
-
-    found: Any = armrig.select_orders(data, range(1, 4), range(1, 4), nk)
-
-    assert found.best("mdl") == {
-        "na": [[1, 0], [0, 1]],
-        "nb": [[1, 1], [1, 1]],
-        "nk": [[1, 1], [2, 4]],
-    }
-    fit: Any = armrig.arx(data, **found.best("mdl"))  # type: ignore[arg-type]
-    table = found["b"]
-    at = int(np.flatnonzero((table.na == 1) & (table.nb == 1))[0])
-    np.testing.assert_allclose(table.loss[at], fit.quality[1].loss, rtol=0.02)
-    assert "b: given delays 2, 4" in repr(found)
-    with pytest.raises(InputError, match="nk: there is no"):
-        armrig.select_orders(data, range(1, 4), range(1, 4), {("b", "u9"): 1})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("seed", [1])
@@ -413,33 +336,6 @@ def test_sums_and_deviations_of_each_pair_are_those_of_its_signals() -> None:
         at = int(np.flatnonzero(found.cross_lags == k)[0])
         assert found.cross_correlation[i, j, at] == pytest.approx(expected, abs=1e-9)
     np.testing.assert_allclose(found.cross_std, 1 / np.sqrt(N), rtol=0.5)
-
-
-def test_channels_are_named_from_the_input_to_the_output() -> None:
-    found: Any = ByChannel(results={("a", "u"): 1, ("b", "u"): 2}, refused={("a", "v"): "why"})
-
-    assert repr(found).splitlines() == ["u to a: 1", "u to b: 2", "v to a: why"]
-    assert ([*found], len(found), found["b", "u"]) == ([("a", "u"), ("b", "u")], 2, 2)
-    with pytest.raises(InputError, match="v to a: why"):
-        found["a", "v"]
-    with pytest.raises(InputError, match=r"\('u', 'a'\): there is no such channel; there are"):
-        found["u", "a"]
-
-
-@pytest.mark.parametrize("integrator", [None, True, False])
-def test_several_inputs_are_tested_without_an_integrator(
-    integrator: bool | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[Any] = []
-    monkeypatch.setattr(
-        feedback_and_delay, "delay_of_one", lambda data, integrator: asked.append(integrator)
-    )
-    data = plant(1)
-
-    armrig.delay(data, integrator=integrator)
-    armrig.delay(data.channels(["y1", "y2"], ["u1"]), integrator=integrator)
-
-    assert asked == [False] * 4 + [integrator] * 2
 
 
 def test_given_weights_of_the_outputs_are_those_of_the_projection() -> None:

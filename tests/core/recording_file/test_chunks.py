@@ -31,7 +31,7 @@ def test_a_budget_may_be_spent_to_its_last_unit() -> None:
 
 
 @pytest.mark.parametrize("is_hashed", [False, True])
-def test_what_is_passed_over_is_counted(is_hashed: bool) -> None:
+def test_skipped_bytes_are_counted(is_hashed: bool) -> None:
     data = b"0123456789"
     source = ByteSource(BytesIO(data + b"behind its end"), len(data), is_hashed=is_hashed)
 
@@ -54,7 +54,7 @@ def records_of(data: bytes, wanted: Wanted) -> list[tuple[int, bytes]]:
     return [(record.opcode, record.body) for record in found]
 
 
-def test_a_footer_among_the_data_is_a_damage() -> None:
+def test_a_footer_within_the_data_is_reported_as_damage() -> None:
     """Data that follow it would be lost without a word."""
     assert records_of(END + FOOTER, Wanted()) == []
     with pytest.raises(DamageError, match="the data section contains a record of opcode 2"):
@@ -62,7 +62,7 @@ def test_a_footer_among_the_data_is_a_damage() -> None:
 
 
 @pytest.mark.parametrize("longer", [0, 1])
-def test_an_attachment_that_is_too_long_is_skipped_and_what_follows_is_read(longer: int) -> None:
+def test_the_records_after_an_overlong_attachment_are_read(longer: int) -> None:
     limit = 300
     long, short = (
         struct.pack("<BQ", opcode, len(body)) + body
@@ -88,7 +88,7 @@ def chunk(data: bytes, declared: int) -> bytes:
 
 
 @pytest.mark.parametrize("declared", [99, 101])
-def test_a_chunk_without_a_checksum_is_held_against_its_size(declared: int) -> None:
+def test_a_chunk_without_a_checksum_is_compared_with_its_size(declared: int) -> None:
     unpacker = Unpacker(Budget(1000))
 
     assert unpacker.records(chunk(b"x" * 100, 100)) == b"x" * 100

@@ -9,28 +9,21 @@ import shutil
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import armrig
 import pytest
 from armrig.recordings.verification import verify
-from armrig_core.codes import COMPLETE, Ending, OutcomeCode
-from armrig_core.manifest import Manifest
-from armrig_core.recording_file import recorder, recording_part
+from armrig_core.codes import Ending, OutcomeCode
+from armrig_core.recording_file import recording_part
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
 from armrig_core.recording_file.recovery import Recovery
-from armrig_core.telemetry import Sample, encode_sample
 
+from tests.core.recording_file.made import Setter, begun, finished, sample, until
 from tests.daemon.failing_disk import Disk
 
-MANIFEST = Manifest(
-    **{"rig": "1", "run_id": "r", "experiment": "test", "details": {}, "Ts": 0.01},
-    **{"samples": 100_000, "k_first": 0, "started": "2026-01-01T00:00:00+00:00"},
-    **{"clock_offset_ns": 10**18, "armrig": "0", "protocol": "1"},
-)
-WITHIN_S = 30.0
+STOPPED = Ending(OutcomeCode.STOPPED, "stopped")
 ENDED = "its recording ended: No space left on device"
 
 
@@ -38,11 +31,14 @@ def _samples(first: int, end: int) -> list[Outgoing]:
     """Return samples that do not pack well, as a rig's do not."""
     batch = []
     for k in range(first, end):
-        t_ns, noise = k * 10_000_000, (k * 2_654_435_761) % 2**32
+        noise = (k * 2_654_435_761) % 2**32
         readings = noise % 65536, noise // 65536
-        data = encode_sample(Sample(k, t_ns, t_ns + 5, k, noise, 0.2, 1.0, 1.0, *readings, 3))
-        batch.append(Outgoing("sample", t_ns + 5, t_ns, k, data))
+        batch.append(sample(k, theta_1=noise, counts=readings))
     return batch
+
+
+def _begun(path: Path, changed: threading.Event | None = None) -> Recording:
+    return begun(path, changed, files={}, samples=100_000, k_first=0)
 
 
 def _until_it_fails(recording: Recording, changed: threading.Event) -> None:
@@ -74,12 +70,9 @@ sys.path[:0] = {path!r}
 import tests.core.recording_file.test_disk_full as here
 folder = Path(sys.argv[1])
 changed = threading.Event()
-recording = here.Recording(
-    folder / "run.mcap", here.MANIFEST, {{}}, t_first_ns=5, changed=changed.set
-)
+recording = here._begun(folder / "run.mcap", changed)
 here._until_it_fails(recording, changed)
-recording.finish(here.Ending(here.OutcomeCode.STOPPED, "stopped"))
-recording.join(30)
+here.finished(recording, here.STOPPED)
 here._check(folder / "run.mcap", recording.synced, recording.error)
 print(json.dumps({{"synced": recording.synced, "names": sorted(p.name for p in folder.iterdir())}}))
 """
@@ -109,28 +102,22 @@ def test_on_a_disk_that_runs_full_the_file_is_completed_from_the_reserve(tmp_pat
 
 
 @pytest.mark.parametrize("kind", ["write", "posix_fallocate"])
-def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+def test_samples_in_memory_are_kept_when_the_disk_is_full(
+    tmp_path: Path, pace: Setter, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+    pace(FLUSH_S=0.0)
     monkeypatch.setattr(recording_part, "_INDEX_BYTES", 1 << 20)  # grows with each chunk
     changed = threading.Event()
     disk = Disk(kind, 3)
     with disk.installed():
-        recording = Recording(
-            disk.path(tmp_path / "run.mcap"), MANIFEST, {}, t_first_ns=5, changed=changed.set
-        )
+        recording = _begun(disk.path(tmp_path / "run.mcap"), changed)
         for k in range(0, 300, 100):
             recording.add(_samples(k, k + 100))
-            until_s = time.monotonic() + WITHIN_S
-            while recording._flushed < k + 100 and not disk.failed:
-                assert time.monotonic() < until_s, "the samples are not written"
-                changed.wait(0.01)
+            until(lambda k=k: recording._flushed >= k + 100 or disk.failed)
             if disk.failed:
                 break
         recording.add(_samples(10_000, 10_100))  # no hole in silence: nothing more is written
-        recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
-        recording.join(30)
+        finished(recording, STOPPED)
 
     assert disk.failed == 1
     _check(tmp_path / "run.mcap", recording.synced, recording.error)
@@ -138,14 +125,12 @@ def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EFBIG, errno.ENOSPC])
-def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+def test_a_failing_disk_leaves_the_flushed_prefix_for_recovery(
+    tmp_path: Path, instead: Setter, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    changed = threading.Event()
-    recording = Recording(tmp_path / "run.mcap", MANIFEST, {}, t_first_ns=5, changed=changed.set)
+    recording = _begun(tmp_path / "run.mcap")
     recording.add(_samples(0, 100))
-    while not recording._flushed:
-        changed.wait(0.01)
+    until(lambda: recording._flushed)
     fails = threading.Event()
 
     def failing(self: recording_part.Part) -> None:
@@ -153,11 +138,10 @@ def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
         self._file.write(b"torn")
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(recording_part.Part, "_write_pending", failing)
+    instead(_write_pending=failing)
     recording.add(_samples(100, 200))
     assert fails.wait(30)
-    recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
-    recording.join(30)
+    finished(recording, STOPPED)
     monkeypatch.undo()
 
     left = tmp_path / "run.mcap.active"
@@ -171,44 +155,16 @@ def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
 
 @pytest.mark.parametrize("n", [2, 3])
 def test_a_run_that_ended_just_before_the_disk_was_full_is_complete(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n: int
+    tmp_path: Path, pace: Setter, n: int
 ) -> None:
-    monkeypatch.setattr(recorder, "FLUSH_S", 60.0)
+    pace(FLUSH_S=60.0)
     disk = Disk("write", n)
     with disk.installed():
-        path = disk.path(tmp_path / "run.mcap")
-        recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=lambda: None)
+        recording = _begun(disk.path(tmp_path / "run.mcap"))
         recording.add(_samples(0, 100))
-        recording.finish(COMPLETE)
-        recording.join(30)
+        finished(recording)
 
     assert (disk.failed, recording.error) == (1, "")
     loaded = armrig.load(tmp_path / "run.mcap")
     assert loaded.outcome is not None
     assert (loaded.outcome.outcome, loaded.samples.size) == ("complete", 100)
-
-
-def test_a_full_disk_is_reported_before_the_file_is_written_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    changed, go_on = threading.Event(), threading.Event()
-    compact = recording_part.compact
-
-    def slow(source: Path, target: Path) -> None:
-        assert go_on.wait(30)
-        compact(source, target)
-
-    monkeypatch.setattr(recording_part, "compact", slow)
-    disk = Disk("write", 2)
-    with disk.installed():
-        path = disk.path(tmp_path / "run.mcap")
-        recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=changed.set)
-        recording.add(_samples(0, 100))
-        assert changed.wait(30)
-        assert "No space left on device" in recording.error
-        assert not recording.done
-        recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
-        go_on.set()
-        recording.join(30)
-
-    _check(tmp_path / "run.mcap", 100, recording.error)

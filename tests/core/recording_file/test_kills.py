@@ -14,8 +14,7 @@ KILLS = 20
 
 
 @pytest.mark.exhaustive
-def test_no_moment_to_be_killed_at_costs_what_was_acknowledged(tmp_path: Path) -> None:
-    """Twenty moments."""
+def test_a_kill_at_any_moment_loses_no_acknowledged_sample(tmp_path: Path) -> None:
     program = [sys.executable, killed_writer.__file__, tmp_path, str(KILLS), "1"]
     subprocess.run(list(map(str, program)), check=True, timeout=300)
 

@@ -20,12 +20,12 @@ def link(tmp_path: Path) -> Path:
     return tmp_path / "link"
 
 
-def test_a_link_of_ones_own_is_followed(link: Path) -> None:
+def test_a_symbolic_link_of_the_user_is_followed(link: Path) -> None:
     with regular_file(link) as stream:
         assert stream.read() == b"content"
 
 
-def test_a_link_of_another_user_is_not_followed(
+def test_a_symbolic_link_of_another_user_is_not_followed(
     link: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In a folder that many may write to, the link could lead to a file of the reader."""
@@ -38,13 +38,13 @@ def test_a_link_of_another_user_is_not_followed(
         regular_file(link)
 
 
-def test_no_link_is_followed_where_none_may_be(link: Path) -> None:
+def test_a_symbolic_link_is_refused_if_links_are_not_allowed(link: Path) -> None:
     with pytest.raises(DamageError, match="a link is not followed"):
         regular_file(link, may_be_link=False)
 
 
 @pytest.mark.parametrize("kind", ["pipe", "folder"])
-def test_what_is_no_regular_file_is_not_waited_for(tmp_path: Path, kind: str) -> None:
+def test_a_pipe_or_folder_is_refused_without_waiting(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "it"
     os.mkfifo(path) if kind == "pipe" else path.mkdir()
 
@@ -52,7 +52,7 @@ def test_what_is_no_regular_file_is_not_waited_for(tmp_path: Path, kind: str) ->
         regular_file(path)
 
 
-def test_a_link_that_leads_nowhere_is_a_missing_file(tmp_path: Path) -> None:
+def test_a_dangling_symbolic_link_is_a_missing_file(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "gone")
 
     with pytest.raises(FileNotFoundError):

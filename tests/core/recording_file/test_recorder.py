@@ -5,107 +5,37 @@ from __future__ import annotations
 import os
 import resource
 import threading
-import time
 from pathlib import Path
 
 import pytest
-from armrig_core import protobuf
 from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode
-from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
+from armrig_core.manifest import OUTCOME, outcome_of
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
+from armrig_core.recording_file.recorder import PartLimits, RecordingError
 from armrig_core.recording_file.recording_part import Part
-from armrig_core.recording_file.rewriting import compact
-from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.pipe import Gap
 from armrig_daemon.service.protobuf_out import outgoing
 from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
 from msgspec.structs import replace
 
-MANIFEST = Manifest(
-    rig="1",
-    run_id="abcd",
-    experiment="test",
-    details={"seed": 3},
-    Ts=0.01,
-    samples=100,
-    started="2026-01-01T00:00:00+00:00",
-    clock_offset_ns=10**18,
-    armrig="0",
-    protocol="1",
-)
+from tests.core.recording_file.made import MANIFEST, Setter, begun, finished, sample, until
 
 _MAGIC = b"\x89MCAP0\r\n"  # how a whole file ends
 
 
-def _sample(k: int) -> Outgoing:
-    t_ns = k * 10_000_000
-    data = encode_sample(Sample(k, t_ns, t_ns + 5, k, 0.1, 0.2, 1.0, 1.0, 1, 2, 3))
-    return Outgoing("sample", t_ns + 5, t_ns, k, data)
-
-
-def _recording(path: Path, changed: threading.Event | None = None) -> Recording:
-    event = changed or threading.Event()
-    files = {"input.csv": b"u_v\n1.0\n"}
-    return Recording(path, MANIFEST, files, t_first_ns=5, changed=event.set)
-
-
-def _wait_until_flushed(recording: Recording, size: int) -> None:
-    until = time.monotonic() + 30
-    while recording.active.stat().st_size <= size:
-        assert time.monotonic() < until
-        threading.Event().wait(0.01)
-
-
-def test_another_project_s_reader_decodes_every_message(tmp_path: Path) -> None:
-    """mcap-protobuf-support reads it, from the schemas in the file alone."""
-    path = tmp_path / "run.mcap"
-    recording = _recording(path)
-    gap = Gap(
-        k_first=40,
-        count=2,
-        t_from_ns=1,
-        t_to_ns=2,
-        u_held_v=2.5,
-        reason="late",
-        code=GapCode.HOST_LATE,
-    )
-
-    recording.add([_sample(k) for k in range(100)])
-    recording.add([outgoing(gap, 0)])
-    recording.finish(COMPLETE)
-    recording.join(30)
-
-    with path.open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        decoded = list(reader.iter_decoded_messages())
-        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-        (attachment,) = reader.iter_attachments()
-    assert [m.k for _, c, _, m in decoded if c.topic == "/rig/1/sample"] == list(range(100))
-    assert [m.u_held_v for _, c, _, m in decoded if c.topic == "/rig/1/gap"] == [2.5]
-    assert manifest_of(metadata[RUN]) == MANIFEST
-    outcome = outcome_of(metadata[OUTCOME])
-    assert (outcome.samples, outcome.missing) == (100, 2)  # a gap is no sample
-    assert (attachment.name, attachment.data) == ("input.csv", b"u_v\n1.0\n")
-    assert not recording.active.exists()
-
-
-def test_the_maker_of_a_recording_is_notified_when_it_is_complete(tmp_path: Path) -> None:
+def test_the_service_is_notified_when_a_recording_is_complete(tmp_path: Path) -> None:
     changed = threading.Event()
-    recording = _recording(tmp_path / "run.mcap", changed)
+    recording = begun(tmp_path / "run.mcap", changed)
 
-    recording.finish(COMPLETE)
-    recording.join(30)
+    finished(recording)
 
     assert changed.is_set()
 
 
-def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
+def test_the_times_of_messages_are_those_of_samples_and_never_decrease(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    recording = _recording(path)
+    recording = begun(path)
     late = Gap(
         k_first=1,
         count=1,
@@ -115,12 +45,11 @@ def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
         reason="late",
         code=GapCode.HOST_LATE,
     )
-    early = _sample(3)._replace(t_host_ns=29_999_000)
+    early = sample(3)._replace(t_host_ns=29_999_000)
     overtaken = outgoing(replace(late, t_to_ns=19_000_000), 0)
 
-    recording.add([_sample(1), outgoing(late, 0), _sample(2), overtaken, early])
-    recording.finish(COMPLETE)
-    recording.join(30)
+    recording.add([sample(1), outgoing(late, 0), sample(2), overtaken, early])
+    finished(recording)
 
     with path.open("rb") as file:
         messages = [m for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
@@ -131,13 +60,12 @@ def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
     assert published == [10_000_000, 20_000_000, 29_999_000]
 
 
-def test_a_number_that_no_longer_fits_into_its_field_costs_nothing(tmp_path: Path) -> None:
+def test_a_sample_number_beyond_32_bits_is_recorded(tmp_path: Path) -> None:
     """The sequence of MCAP has 32 bits, k has more: a daemon may sample for months."""
-    recording = _recording(tmp_path / "run.mcap")
+    recording = begun(tmp_path / "run.mcap")
 
-    recording.add([_sample((1 << 32) + 7)])
-    recording.finish(COMPLETE)
-    recording.join(30)
+    recording.add([sample((1 << 32) + 7)])
+    finished(recording)
 
     assert recording.error == ""
     with recording.path.open("rb") as file:
@@ -145,30 +73,17 @@ def test_a_number_that_no_longer_fits_into_its_field_costs_nothing(tmp_path: Pat
     assert found.sequence == 7
 
 
-def test_it_flushes_ten_times_a_second() -> None:
+def test_the_recorder_flushes_ten_times_a_second() -> None:
     """As docs/telemetry.md says."""
     assert recorder.FLUSH_S == 0.1
 
 
-def test_what_was_flushed_is_on_the_disk_before_the_end(tmp_path: Path) -> None:
-    """L1: a reader of the unfinished file finds manifest and samples, though nothing was closed."""
-    recording = _recording(tmp_path / "run.mcap")
-    header = recording.active.stat().st_size
-    assert RUN.encode() in recording.active.read_bytes()  # before any sample
-
-    recording.add([_sample(k) for k in range(50)])
-    _wait_until_flushed(recording, header)
-
-    recording.finish(COMPLETE)
-    recording.join(30)
-
-
 @pytest.mark.parametrize("way", ["file", "folder", "folder above"])
-def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: str) -> None:
+def test_a_moved_recording_is_completed_at_its_new_place(tmp_path: Path, way: str) -> None:
     changed, directory = threading.Event(), tmp_path / "above" / "recordings"
     directory.mkdir(parents=True)
-    recording = _recording(directory / "run.mcap", changed)
-    recording.add([_sample(k) for k in range(50)])
+    recording = begun(directory / "run.mcap", changed)
+    recording.add([sample(k) for k in range(50)])
     was, to = {
         "file": (recording.active, directory / "other.mcap.active"),
         "folder": (directory, directory.with_name("elsewhere")),
@@ -178,9 +93,8 @@ def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: 
 
     assert changed.wait(30)
     assert recording.moved == "its recording was moved while it was written"
-    recording.add([_sample(k) for k in range(50, 60)])
-    recording.finish(Ending(OutcomeCode.MOVED, recording.moved))
-    recording.join(30)
+    recording.add([sample(k) for k in range(50, 60)])
+    finished(recording, Ending(OutcomeCode.MOVED, recording.moved))
 
     assert recording.error == ""
     assert [p for p in tmp_path.rglob("*") if p.is_file()] == [recording.kept]
@@ -189,78 +103,36 @@ def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: 
         assert len(list(make_reader(file).iter_messages())) == 60
 
 
-def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    directory, elsewhere = tmp_path / "recordings", tmp_path / "elsewhere"
-    directory.mkdir()
-
-    def moved(source: Path, target: Path) -> None:
-        compact(source, target)
-        directory.rename(elsewhere)
-
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", moved)
-    recording = _recording(directory / "run.mcap")
-    recording.add([_sample(k) for k in range(50)])
-    recording.finish(COMPLETE)
-    recording.join(30)
-
-    assert recording.error == ""
-    assert list(elsewhere.iterdir()) == [recording.kept] == [elsewhere / "run.mcap"]
-
-
-@pytest.mark.parametrize("instead", [False, True])
-def test_a_recording_that_is_removed_is_reported_while_the_run_goes_on(
-    tmp_path: Path, instead: bool
-) -> None:
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_a_removed_recording_is_reported_during_the_run(tmp_path: Path, is_replaced: bool) -> None:
     changed = threading.Event()
-    recording = _recording(tmp_path / "run.mcap", changed)
+    recording = begun(tmp_path / "run.mcap", changed)
     recording.active.unlink()
-    if instead:
+    if is_replaced:
         recording.active.write_text("precious")
 
     assert changed.wait(30)
     assert recording.error.endswith(
         "run.mcap.active: the file was removed during the recording; its samples are lost"
     )
-    recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
-    recording.join(30)
-    assert [p.read_text() for p in tmp_path.iterdir()] == ["precious"] * instead
+    finished(recording, Ending(OutcomeCode.STOPPED, "stopped"))
+    assert [p.read_text() for p in tmp_path.iterdir()] == ["precious"] * is_replaced
 
 
-def test_a_disk_that_is_full_at_the_very_end_is_reported_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(_fd: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    recording = _recording(tmp_path / "run.mcap")
-    recording.add([_sample(k) for k in range(50)])
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fsync", full)
-    recording.finish(COMPLETE)
-    recording.join(30)
-
-    assert recording.done
-    assert "No space left on device" in recording.error
-
-
-def test_whatever_fails_in_the_writer_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unexpected_error_of_the_writer_is_reported(tmp_path: Path, instead: Setter) -> None:
     def broken(source: Path, target: Path) -> None:
         raise RuntimeError("unexpected")
 
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", broken)
-    recording = _recording(tmp_path / "run.mcap")
-    recording.finish(COMPLETE)
-    recording.join(30)
+    instead(compact=broken)
+    recording = begun(tmp_path / "run.mcap")
+    finished(recording)
 
     assert recording.done
     assert "unexpected" in recording.error
 
 
 @pytest.mark.parametrize("is_named", [False, True])
-def test_a_rewriting_that_takes_too_long_costs_no_sample(
+def test_a_slow_rewriting_loses_no_sample(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_named: bool
 ) -> None:
     asked, answers = threading.Event(), threading.Event()
@@ -271,15 +143,8 @@ def test_a_rewriting_that_takes_too_long_costs_no_sample(
             answers.wait(30)
 
     monkeypatch.setattr(Part, "compact", slow)
-    recording = Recording(
-        tmp_path / "run.mcap",
-        replace(MANIFEST, k_first=0),
-        {},
-        t_first_ns=5,
-        changed=lambda: None,
-        limits=PartLimits(40, 1 << 30),
-    )
-    recording.add([_sample(k) for k in range(50)])
+    recording = begun(tmp_path / "run.mcap", limits=PartLimits(40, 1 << 30), k_first=0)
+    recording.add([sample(k) for k in range(50)])
     recording.finish(COMPLETE)
     assert asked.wait(30)
     recording.join(0.0)
@@ -291,34 +156,20 @@ def test_a_rewriting_that_takes_too_long_costs_no_sample(
     recording._thread.join(30)
 
 
-def test_a_writer_that_waits_for_messages_is_given_up_too(tmp_path: Path) -> None:
-    recording = _recording(tmp_path / "run.mcap")
-    recording.samples = 9  # no message of them ever comes
-    recording._busy_since_s = float("inf")
-    recording.join(0.0)
-
-    assert recording.done
-    assert recording.error.endswith(
-        "not renamed; up to 9 of 9 samples are lost; `armrig recover` the others"
-    )
-    recording.finish(COMPLETE)
-    recording._thread.join(30)
-
-
-def test_a_recording_that_cannot_be_begun_leaves_nothing(tmp_path: Path) -> None:
+def test_a_recording_that_cannot_be_created_leaves_no_file(tmp_path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
     try:
         with pytest.raises(RecordingError, match="File too large; free disk space"):
-            _recording(tmp_path / "run.mcap")
+            begun(tmp_path / "run.mcap")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nobody_waits_for_a_disk_that_does_not_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_batches_beyond_the_queue_are_discarded_and_counted(
+    tmp_path: Path, pace: Setter, instead: Setter
 ) -> None:
     asked, answers, flush = threading.Event(), threading.Event(), Part.flush
 
@@ -327,12 +178,12 @@ def test_nobody_waits_for_a_disk_that_does_not_answer(
         answers.wait()
         flush(part)
 
-    monkeypatch.setattr(Part, "flush", answer)
-    monkeypatch.setattr("armrig_core.recording_file.recorder.QUEUE", 3)
-    recording = _recording(tmp_path / "run.mcap")
+    instead(flush=answer)
+    pace(QUEUE=3)
+    recording = begun(tmp_path / "run.mcap")
     assert asked.wait(30)
     for k in range(9):
-        recording.add([_sample(k)])
+        recording.add([sample(k)])
     recording.finish(COMPLETE)
 
     assert not recording.done
@@ -346,46 +197,11 @@ def test_nobody_waits_for_a_disk_that_does_not_answer(
     assert outcome_of(metadata[OUTCOME]).missing == recording.dropped
 
 
-def test_a_sample_is_acknowledged_when_the_disk_has_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("armrig_core.recording_file.recorder.SYNC_S", 0.05)
-    monkeypatch.setattr("armrig_core.recording_file.recorder.FLUSH_S", 0.01)
-    asked, answers = threading.Semaphore(0), threading.Semaphore(0)
-
-    def answer(_fd: int) -> None:
-        asked.release()
-        answers.acquire()
-
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fdatasync", answer)
-    recording = _recording(tmp_path / "run.mcap")
-    header = recording.active.stat().st_size
-    assert asked.acquire(timeout=30)  # the first, of the header
-    recording.add([_sample(k) for k in range(50)])
-    answers.release()
-    _wait_until_flushed(recording, header)
-    assert asked.acquire(timeout=30)
-    assert (recording.samples, recording.synced) == (50, 0)
-
-    for _ in range(2):  # the one that is answered first may have begun before they were flushed
-        answers.release()
-        assert asked.acquire(timeout=30)
-    assert recording.synced == 50
-
-    recording.add([_sample(k) for k in range(50, 60)])
-    recording.finish(COMPLETE)
-    for _ in range(100):  # however often it asks
-        answers.release()
-    recording.join(30)
-    assert recording.synced == 60
-
-
 def test_a_sample_that_was_not_flushed_is_not_acknowledged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, pace: Setter, instead: Setter
 ) -> None:
     """A sync between two flushes does not reach it."""
-    monkeypatch.setattr("armrig_core.recording_file.recorder.SYNC_S", 0.0)
-    monkeypatch.setattr("armrig_core.recording_file.recorder.FLUSH_S", 30.0)
+    pace(SYNC_S=0.0, FLUSH_S=30.0)
     flush, sync, seen = Part.flush, Part.sync, []
 
     def flushed(part: Part) -> None:
@@ -396,16 +212,11 @@ def test_a_sample_that_was_not_flushed_is_not_acknowledged(
         seen.append(("sync", part.samples, recording.synced))
         sync(part)
 
-    monkeypatch.setattr(Part, "flush", flushed)
-    monkeypatch.setattr(Part, "sync", synced)
-    recording = _recording(tmp_path / "run.mcap")
-    recording.add([_sample(k) for k in range(50)])
-    until_s = time.monotonic() + 30
-    while not seen:
-        assert time.monotonic() < until_s
-        threading.Event().wait(0.01)
-    recording.finish(COMPLETE)
-    recording.join(30)
+    instead(flush=flushed, sync=synced)
+    recording = begun(tmp_path / "run.mcap")
+    recording.add([sample(k) for k in range(50)])
+    until(lambda: seen)
+    finished(recording)
 
     first = [what for what, _, _ in seen].index("flush")
     assert first > 0
@@ -413,64 +224,7 @@ def test_a_sample_that_was_not_flushed_is_not_acknowledged(
     assert recording.synced == 50
 
 
-def test_a_disk_that_is_full_leaves_a_whole_prefix(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    changed = threading.Event()
-    recording = _recording(tmp_path / "run.mcap", changed)
-    header = recording.active.stat().st_size
-    recording.add([_sample(k) for k in range(50)])
-    _wait_until_flushed(recording, header)
-    good = recording.active.read_bytes()
-
-    def full(_fd: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fdatasync", full)
-    assert changed.wait(30)
-    recording.add([_sample(k) for k in range(50, 60)])
-    recording.finish(COMPLETE)
-    recording.join(30)
-
-    assert "No space left on device; the flushed samples are kept there" in recording.error
-    assert recording.active.read_bytes()[: len(good)] == good
-    assert not recording.path.exists()
-
-
-@pytest.mark.parametrize("room_again", [False, True])
-def test_half_a_chunk_that_found_no_more_room_is_cut_off(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room_again: bool
-) -> None:
-    """The file ends with its last flush, to the byte."""
-    recording = _recording(tmp_path / "run.mcap")
-    header = recording.active.stat().st_size
-    recording.add([_sample(k) for k in range(50)])
-    _wait_until_flushed(recording, header)
-    good = recording.active.read_bytes()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    cut = os.ftruncate
-
-    def freed(fd: int, size: int) -> None:
-        cut(fd, size)
-        if room_again:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.ftruncate", freed)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (len(good) + 100, hard))
-    try:
-        recording.add([_sample(k) for k in range(50, 100)])
-        recording.finish(COMPLETE)
-        recording.join(30)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-    assert "File too large; the flushed samples are kept there" in recording.error
-    assert recording.active.read_bytes() == good
-
-
-def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_file_is_synced_before_the_next_step(tmp_path: Path, instead: Setter) -> None:
     """L1: the first file before its copy, the copy before it replaces the first, then the name."""
     synced = []
     fsync = os.fsync
@@ -481,11 +235,10 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
         names = sorted(p.name for p in tmp_path.iterdir())
         synced.append((path.name, path.is_dir() or path.read_bytes().endswith(_MAGIC), names))
 
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fsync", noted)
-    recording = _recording(tmp_path / "run.mcap")
-    recording.add([_sample(k) for k in range(50)])
-    recording.finish(COMPLETE)
-    recording.join(30)
+    instead(fsync=noted)
+    recording = begun(tmp_path / "run.mcap")
+    recording.add([sample(k) for k in range(50)])
+    finished(recording)
 
     assert synced == [
         ("run.mcap.active", True, ["run.mcap.active"]),
@@ -497,52 +250,41 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
 @pytest.mark.parametrize(
     "err", [OSError(28, "No space left on device"), DamageError("read back otherwise")]
 )
-def test_no_room_for_the_compact_copy_keeps_the_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, err: Exception
+def test_the_recording_is_kept_without_room_for_its_compact_copy(
+    tmp_path: Path, instead: Setter, err: Exception
 ) -> None:
     def full(source: Path, target: Path) -> None:
         target.write_bytes(source.read_bytes()[:100])
         raise err
 
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", full)
-    recording = _recording(tmp_path / "run.mcap")
+    instead(compact=full)
+    recording = begun(tmp_path / "run.mcap")
 
-    recording.add([_sample(k) for k in range(50)])
-    recording.finish(COMPLETE)
-    recording.join(30)
+    recording.add([sample(k) for k in range(50)])
+    finished(recording)
 
     with recording.path.open("rb") as file:
         assert len(list(make_reader(file).iter_messages())) == 50
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.mcap"]
 
 
-def test_a_recording_never_overwrites_another(tmp_path: Path) -> None:
-    first = _recording(tmp_path / "run.mcap")
-
-    with pytest.raises(RecordingError, match=r"run\.mcap\.active: File exists"):
-        _recording(tmp_path / "run.mcap")
-
-    first.finish(COMPLETE)
-    first.join(30)
-
-
-def test_a_recording_does_not_begin_under_a_name_that_is_taken(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["run.mcap", "run.mcap.active"])
+def test_a_recording_does_not_begin_under_a_name_that_is_taken(tmp_path: Path, name: str) -> None:
     """At its end the recording would replace the other file."""
+    (tmp_path / name).write_bytes(b"precious")
+
+    with pytest.raises(RecordingError, match=rf"{name}: File exists"):
+        begun(tmp_path / "run.mcap")
+
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+def test_a_file_created_meanwhile_under_the_final_name_is_kept(tmp_path: Path) -> None:
+    recording = begun(tmp_path / "run.mcap")
+    recording.add([sample(k) for k in range(50)])
     (tmp_path / "run.mcap").write_bytes(b"precious")
 
-    with pytest.raises(RecordingError, match=r"run\.mcap: File exists"):
-        _recording(tmp_path / "run.mcap")
-
-    assert [p.name for p in tmp_path.iterdir()] == ["run.mcap"]
-
-
-def test_a_name_that_is_taken_meanwhile_is_not_taken_away(tmp_path: Path) -> None:
-    recording = _recording(tmp_path / "run.mcap")
-    recording.add([_sample(k) for k in range(50)])
-    (tmp_path / "run.mcap").write_bytes(b"precious")
-
-    recording.finish(COMPLETE)
-    recording.join(30)
+    finished(recording)
 
     assert (tmp_path / "run.mcap").read_bytes() == b"precious"
     assert recording.error.endswith(
@@ -550,8 +292,3 @@ def test_a_name_that_is_taken_meanwhile_is_not_taken_away(tmp_path: Path) -> Non
     )
     with recording.active.open("rb") as file:
         assert len(list(make_reader(file).iter_messages())) == 50
-
-
-def test_every_stream_has_its_schema() -> None:
-    for name in (protobuf.SAMPLE, protobuf.GAP, protobuf.TIMING, protobuf.STATE, protobuf.LOG):
-        assert protobuf.message_class(name).DESCRIPTOR.full_name == name

@@ -5,42 +5,29 @@ from __future__ import annotations
 import os
 import shutil
 import threading
-import time
 from pathlib import Path
 
 import armrig
 import numpy as np
 import pytest
 from armrig.recordings.verification import verify
-from armrig_core.codes import COMPLETE, GapCode, OutcomeCode
-from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
-from armrig_core.recording_file import recorder
+from armrig_core.codes import GapCode, OutcomeCode
+from armrig_core.manifest import CONFIG, INPUT
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
 from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.recovery import Recovery
-from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.pipe import Gap
 from armrig_daemon.service.protobuf_out import outgoing
 from mcap.reader import make_reader
+from msgspec.structs import replace
 
+from tests.core.recording_file.made import MANIFEST, Setter, begun, finished, sample, until
 from tests.daemon.failing_disk import Disk
 
 N, FIRST = 100, 1000
 ATTACHED = {CONFIG: b"{}", INPUT: b"u_v\n" + b"1.0\n" * N}
-MANIFEST = Manifest(
-    **{"rig": "1", "run_id": "r", "experiment": "test", "details": {}, "Ts": 0.01, "samples": N},
-    **{"k_first": FIRST, "started": "2026-01-01T00:00:00+00:00", "clock_offset_ns": 10**18},
-    **{"armrig": "0", "protocol": "1"},
-)
-
-
-def _sample(k: int) -> Outgoing:
-    t_ns = k * 10_000_000
-    device_us = k * 10_000
-    data = encode_sample(Sample(k, t_ns, t_ns + 5, device_us, 0.1, 0.2, 1.0, 1.0, 1, 2, 3))
-    return Outgoing("sample", t_ns + 5, t_ns, k, data)
 
 
 def _gap(first: int, count: int) -> Outgoing:
@@ -60,20 +47,15 @@ def _gap(first: int, count: int) -> Outgoing:
 
 def _recorded(path: Path, batches: list[list[Outgoing]], limits: PartLimits | None) -> Recording:
     """Record batches one after the other, to the end of the run."""
-    recording = Recording(
-        path,
-        MANIFEST,
-        ATTACHED,
-        t_first_ns=FIRST * 10_000_000,
-        changed=lambda: None,
-        limits=limits,
-    )
+    recording = _begun(path, limits)
     for batch in batches:
         recording.add(batch)
-    recording.finish(COMPLETE)
-    recording.join(30)
-    assert recording.done
+    assert finished(recording).done
     return recording
+
+
+def _begun(path: Path, limits: PartLimits | None) -> Recording:
+    return begun(path, None, limits, files=ATTACHED, t_first_ns=FIRST * 10_000_000, k_first=FIRST)
 
 
 def _each(messages: list[Outgoing]) -> list[list[Outgoing]]:
@@ -85,11 +67,11 @@ def _ks(path: Path) -> list[int]:
     return ks
 
 
-WHOLE = [_sample(k) for k in range(FIRST, FIRST + N)]
+WHOLE = [sample(k) for k in range(FIRST, FIRST + N)]
 HOLED = [*WHOLE[:28], _gap(FIRST + 28, 4), *WHOLE[32:60], _gap(FIRST + 60, 1), *WHOLE[61:]]
 
 
-def test_parts_hold_what_one_file_would(tmp_path: Path) -> None:
+def test_the_parts_contain_the_messages_of_one_file(tmp_path: Path) -> None:
     (tmp_path / "one").mkdir()
     one = _recorded(tmp_path / "one" / "run.mcap", _each(HOLED), None)
 
@@ -132,7 +114,7 @@ def test_a_part_has_its_number_and_ends_after_a_sample(tmp_path: Path) -> None:
     assert [[gap.k_first - FIRST for gap in r.gaps] for r in loaded] == [[28], [60], [], []]
 
 
-def test_a_gap_that_begins_where_a_part_ends_is_reported_in_the_next(tmp_path: Path) -> None:
+def test_a_gap_at_the_end_of_a_part_is_reported_in_the_next_part(tmp_path: Path) -> None:
     messages = [*WHOLE[:30], _gap(FIRST + 30, 5), *WHOLE[35:]]
 
     _recorded(tmp_path / "run.mcap", _each(messages), PartLimits(30, 1 << 30))
@@ -142,23 +124,12 @@ def test_a_gap_that_begins_where_a_part_ends_is_reported_in_the_next(tmp_path: P
     assert (second.k_first, second.missing, len(second.gaps)) == (FIRST + 30, 5, 1)
 
 
-def test_only_the_first_part_carries_the_input(tmp_path: Path) -> None:
-    _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(40, 1 << 30))
+def test_a_part_ends_at_its_size_limit(tmp_path: Path, pace: Setter) -> None:
+    pace(FLUSH_S=0.0)
+    empty = Part(tmp_path / "x.mcap", replace(MANIFEST, k_first=FIRST), ATTACHED, 0)
+    empty.discard()
 
-    attached = []
-    for path in part_paths(tmp_path / "run.mcap"):
-        with path.open("rb") as file:
-            attached.append([a.name for a in make_reader(file).iter_attachments()])
-    assert attached == [[CONFIG, INPUT], [CONFIG], [CONFIG]]
-    assert CALIBRATION not in ATTACHED
-
-
-def test_a_part_ends_at_its_size_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
-    begun = Part(tmp_path / "x.mcap", MANIFEST, ATTACHED, 0)
-    begun.discard()
-
-    recording = _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(N, begun.size + 3000))
+    recording = _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(N, empty.size + 3000))
 
     assert len(part_paths(recording.kept)) > 2
     assert _ks(recording.kept) == list(range(FIRST, FIRST + N))
@@ -173,7 +144,7 @@ def test_a_run_that_ends_with_a_full_part_has_no_empty_part(tmp_path: Path) -> N
 
 
 def test_a_part_is_on_the_disk_before_it_is_named_and_no_flush_waits_for_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, instead: Setter
 ) -> None:
     """The next part is flushed meanwhile; its samples count as safe only after the first part."""
     first, answers, fsync = tmp_path / "run.part-0001.mcap", threading.Event(), os.fsync
@@ -185,38 +156,25 @@ def test_a_part_is_on_the_disk_before_it_is_named_and_no_flush_waits_for_it(
             named.append(first.exists())
         fsync(fd)
 
-    monkeypatch.setattr(os, "fsync", slow)
-    recording = Recording(
-        tmp_path / "run.mcap",
-        MANIFEST,
-        ATTACHED,
-        t_first_ns=FIRST * 10_000_000,
-        changed=lambda: None,
-        limits=PartLimits(60, 1 << 30),
-    )
+    instead(fsync=slow)
+    recording = _begun(tmp_path / "run.mcap", PartLimits(60, 1 << 30))
     recording.add(WHOLE)
     second = tmp_path / "run.part-0002.mcap.active"
-    until_s = time.monotonic() + 30
-    while recording._flushed < N:
-        assert time.monotonic() < until_s
-        time.sleep(0.01)
+    until(lambda: recording._flushed == N)
     assert armrig.load(second).samples.size == N - 60
     assert not armrig.load(first.with_name(f"{first.name}.active")).truncated
     assert recording.synced <= 60
 
     answers.set()
-    recording.finish(COMPLETE)
-    recording.join(30)
+    finished(recording)
 
     assert named[0] is False
     assert (recording.synced, recording.error) == (N, "")
     assert _ks(recording.kept) == list(range(FIRST, FIRST + N))
 
 
-def test_every_part_has_full_chunks_in_the_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+def test_every_completed_part_has_full_chunks(tmp_path: Path, pace: Setter) -> None:
+    pace(FLUSH_S=0.0)
 
     _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(40, 1 << 30))
 
@@ -248,11 +206,10 @@ def test_a_part_that_cannot_be_begun_ends_the_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("on", [False, True])
-def test_whatever_call_fails_what_is_left_is_a_prefix(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, on: bool
+def test_a_failing_system_call_leaves_a_prefix_of_the_samples(
+    tmp_path: Path, pace: Setter, *, on: bool
 ) -> None:
-    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
-    monkeypatch.setattr(recorder, "SYNC_S", 0.0)
+    pace(FLUSH_S=0.0, SYNC_S=0.0)
     batches = [WHOLE[i : i + 10] for i in range(0, N, 10)]
     counted = Disk()
     (tmp_path / "counted").mkdir()
@@ -283,24 +240,15 @@ def test_whatever_call_fails_what_is_left_is_a_prefix(
     assert failed > 5
 
 
-def test_the_parts_of_a_daemon_that_died_are_read_as_one_when_the_last_is_recovered(
+def test_the_parts_of_a_dead_daemon_are_read_as_one_after_recovery(
     tmp_path: Path,
 ) -> None:
-    recording = Recording(
-        tmp_path / "run.mcap",
-        MANIFEST,
-        ATTACHED,
-        t_first_ns=0,
-        changed=lambda: None,
-        limits=PartLimits(40, 1 << 30),
-    )
+    recording = _begun(tmp_path / "run.mcap", PartLimits(40, 1 << 30))
     recording.add([*WHOLE[:60], _gap(FIRST + 60, 3), *WHOLE[63:70]])
-    while recording._flushed < 67:
-        time.sleep(0.01)
+    until(lambda: recording._flushed == 67)
     for path in tmp_path.iterdir():
         shutil.copy(path, path.with_name(path.name.replace("run", "dead")))
-    recording.finish(COMPLETE)
-    recording.join(30)
+    finished(recording)
 
     done = Recovery(armrig="0", now=lambda: "").recover(tmp_path / "dead.part-0002.mcap.active")
 
@@ -323,26 +271,3 @@ def test_only_the_name_of_a_recording_selects_parts(tmp_path: Path) -> None:
     assert found == ["run.part-0009.mcap", "run.part-0010.mcap"]
     for other in ("run.csv", "run", "run.mcap.active", "ru.mcap"):
         assert part_paths(tmp_path / other) == [tmp_path / other]
-
-
-def test_a_run_in_parts_whose_folder_is_moved_is_kept_where_it_is(tmp_path: Path) -> None:
-    folder, elsewhere, changed = tmp_path / "a", tmp_path / "b", threading.Event()
-    folder.mkdir()
-    recording = Recording(
-        folder / "run.mcap",
-        MANIFEST,
-        ATTACHED,
-        t_first_ns=FIRST * 10_000_000,
-        changed=changed.set,
-        limits=PartLimits(200, 1 << 30),
-    )
-    recording.add(WHOLE[:50])
-
-    folder.rename(elsewhere)
-    assert changed.wait(30)
-    recording.add(WHOLE[50:])
-    recording.finish(COMPLETE)
-    recording.join(30)
-
-    assert recording.kept == elsewhere / "run.mcap"
-    assert _ks(recording.kept) == list(range(FIRST, FIRST + N))

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import resource
+import signal
 import struct
+import subprocess
+import sys
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -15,7 +18,7 @@ import pytest
 from armrig.recordings.verification import verify
 from armrig_core import protobuf
 from armrig_core.manifest import INPUT, OUTCOME, RECOVERED, RUN, Outcome
-from armrig_core.recording_file import recovery, unfinished
+from armrig_core.recording_file import unfinished
 from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.file_records import MAGIC, RECORD_LIMIT
 from armrig_core.recording_file.recovery import (
@@ -35,7 +38,6 @@ from tests.clients.made_recordings import gap, manifest, recorded, sample, writt
 NAME = "1-test-20261120T040000-0000abcd.mcap"
 LEFT = f"{NAME}.active"
 N = 60
-DATA_OF_RELEASES = Path(__file__).parents[2] / "data"
 RECOVERY = Recovery(armrig="0.2.0", now=lambda: "2026-11-20T06:00:00.000+01:00")
 
 
@@ -48,7 +50,6 @@ def _data(*, outcome: Outcome | None = None) -> bytes:
 
 
 DATA = _data()
-U = [1.0] * (2 * N)
 
 
 def _edges(data: bytes) -> list[int]:
@@ -77,9 +78,7 @@ def _untouched(path: Path, data: bytes, why: str, recovery: Recovery = RECOVERY)
 
 
 @pytest.mark.parametrize("off", [-1, 0, 1])
-def test_whatever_was_whole_is_there_afterwards_wherever_it_was_cut(
-    tmp_path: Path, off: int
-) -> None:
+def test_recovery_keeps_all_complete_records_at_any_cut(tmp_path: Path, off: int) -> None:
     begins = _edges(DATA)
     first = next(i for i, at in enumerate(begins) if DATA[at] == Opcode.CHUNK)
     assert len(begins[first:]) > 2 * N / 5
@@ -102,37 +101,7 @@ def test_whatever_was_whole_is_there_afterwards_wherever_it_was_cut(
         done.path.unlink()
 
 
-@pytest.mark.parametrize(
-    ("part", "missing"), [({}, 5 + 5), ({"part": 2, "part_k_first": 43}, 2 + 5)]
-)
-def test_only_samples_that_were_due_count_as_missing(
-    tmp_path: Path, part: dict[str, int], missing: int
-) -> None:
-    messages = [gap(35, 10, 1.0), *(sample(k) for k in range(45, 95)), gap(95, 20, 1.0)]
-    about = manifest(k_first=40, samples=60, **part)
-    data = recorded(messages, manifest=about, outcome=None)
-
-    done = RECOVERY.recover(written(tmp_path, data, LEFT))
-
-    assert done.outcome == Outcome(outcome=CUT_OFF, samples=50, missing=missing, code="cut_off")
-
-
-def test_another_project_s_reader_finds_every_message(tmp_path: Path) -> None:
-    half = _edges(DATA)[len(_edges(DATA)) // 2]
-    left = written(tmp_path, DATA[: half + 5], LEFT)
-
-    done = RECOVERY.recover(left)
-
-    with done.path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        messages = list(reader.iter_messages())
-        summary = reader.get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
-    assert summary.statistics.message_count == len(messages) > done.outcome.samples > 10
-
-
-def test_the_file_says_that_it_was_recovered(tmp_path: Path) -> None:
+def test_a_recovered_file_is_marked_as_recovered(tmp_path: Path) -> None:
     cut = _edges(DATA)[-20] + 7
     left = written(tmp_path, DATA[:cut], LEFT)
 
@@ -163,7 +132,7 @@ def test_a_run_that_had_ended_keeps_its_outcome(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("lost", [1, 3])
-def test_a_torn_copy_of_a_complete_recording_stays_as_it_is(tmp_path: Path, lost: int) -> None:
+def test_a_truncated_copy_of_a_complete_recording_is_unchanged(tmp_path: Path, lost: int) -> None:
     """Its outcome precedes its samples, so keeping it would claim lost samples."""
     said = N - 3 + lost
     data = _data(outcome=Outcome(outcome="complete", samples=said, missing=0))
@@ -172,17 +141,7 @@ def test_a_torn_copy_of_a_complete_recording_stays_as_it_is(tmp_path: Path, lost
     _untouched(left, data, f"only {N - 3} of its {said} samples are readable; .* copy it again")
 
 
-def test_a_run_of_no_sample_is_a_recording_too(tmp_path: Path) -> None:
-    nothing = recorded([], manifest=manifest(k_first=0), outcome=None, u=[1.0] * 10)
-    left = written(tmp_path, nothing[: _edges(nothing)[-8]], LEFT)
-
-    done = RECOVERY.recover(left)
-
-    assert (done.outcome.samples, done.outcome.missing) == (0, 0)
-    assert armrig.load(done.path).N == 0
-
-
-def test_a_long_input_is_kept(tmp_path: Path) -> None:
+def test_a_recovered_file_keeps_a_long_input(tmp_path: Path) -> None:
     u = [0.123456789012345 + 1e-7 * k for k in range(500_000)]
     data = recorded([sample(0)], manifest=manifest(k_first=0, samples=len(u)), outcome=None, u=u)
     left = written(tmp_path, data[:-20], LEFT)
@@ -195,25 +154,7 @@ def test_a_long_input_is_kept(tmp_path: Path) -> None:
     assert kept.data.count(b"\n") == len(u) + 1
 
 
-@pytest.mark.parametrize("release", ["0.1.0"])
-@pytest.mark.parametrize("pacing", ["exchange", "scheduled"])
-def test_what_an_earlier_release_left_is_recovered_too(
-    tmp_path: Path, release: str, pacing: str
-) -> None:
-    data = (DATA_OF_RELEASES / release / f"{pacing}.mcap").read_bytes()
-    left = written(tmp_path, data[: -len(MAGIC)], LEFT)
-    before = armrig.load(left)
-
-    recording = armrig.load(RECOVERY.recover(left).path)
-
-    assert recording.samples.tobytes() == before.samples.tobytes()
-    assert recording.samples.size > 100
-    assert recording.gaps == before.gaps
-    assert recording.manifest == before.manifest
-    assert not recording.truncated
-
-
-def test_a_file_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
+def test_a_file_being_written_is_not_recovered(tmp_path: Path) -> None:
     left = written(tmp_path, DATA, LEFT)
     with left.open("rb") as file:
         lock(file)
@@ -224,7 +165,7 @@ def test_a_file_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["a link", "a pipe", "a folder", "a link to itself"])
-def test_what_only_looks_like_a_recording_is_not_touched(tmp_path: Path, kind: str) -> None:
+def test_a_link_pipe_or_folder_is_not_recovered(tmp_path: Path, kind: str) -> None:
     left, elsewhere = tmp_path / LEFT, written(tmp_path, DATA, "elsewhere")
     match kind:
         case "a link":
@@ -243,7 +184,7 @@ def test_what_only_looks_like_a_recording_is_not_touched(tmp_path: Path, kind: s
     assert sorted(p.name for p in tmp_path.iterdir()) == [LEFT, "elsewhere"]
 
 
-def test_a_link_that_takes_the_place_of_a_file_is_not_followed(
+def test_a_symbolic_link_that_replaces_a_file_is_not_followed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     left, elsewhere = written(tmp_path, DATA, LEFT), written(tmp_path, DATA, "elsewhere")
@@ -262,7 +203,7 @@ def test_a_link_that_takes_the_place_of_a_file_is_not_followed(
     assert elsewhere.read_bytes() == DATA
 
 
-def test_a_file_that_is_given_its_name_meanwhile_is_left_alone(
+def test_a_file_renamed_before_the_lock_is_not_recovered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The daemon ends the file just before the lock is taken."""
@@ -289,11 +230,11 @@ def test_a_file_that_is_given_its_name_meanwhile_is_left_alone(
         (recorded([sample(0)]).replace(RUN.encode(), b"armrig.ran"), "no manifest of a run"),
     ],
 )
-def test_what_is_no_recording_stays_as_it_is(tmp_path: Path, data: bytes, why: str) -> None:
+def test_a_file_that_is_not_a_recording_is_unchanged(tmp_path: Path, data: bytes, why: str) -> None:
     _untouched(written(tmp_path, data, LEFT), data, why)
 
 
-def test_a_complete_file_with_a_damaged_chunk_stays_as_it_is(tmp_path: Path) -> None:
+def test_a_complete_file_with_a_damaged_chunk_is_unchanged(tmp_path: Path) -> None:
     """The chunks after the damage can be read by the index, so they are not cut off."""
     data = bytearray(recorded([sample(k) for k in range(30)], flush_every=10))
     _, second, _ = (at for at in _edges(bytes(data)) if data[at] == Opcode.CHUNK)
@@ -303,37 +244,21 @@ def test_a_complete_file_with_a_damaged_chunk_stays_as_it_is(tmp_path: Path) -> 
     assert _kept(tmp_path / LEFT)[0] == [*range(10), *range(20, 30)]
 
 
-def test_a_manifest_of_another_form_stays_as_it_is(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", [RUN, OUTCOME, RECOVERED])
+def test_a_file_with_another_form_of_metadata_is_unchanged(tmp_path: Path, name: str) -> None:
     out = BytesIO()
     writer = Writer(out)
     writer.start()
-    writer.add_metadata(RUN, {"rig": "no JSON"})
-    writer.finish()
-
-    _untouched(
-        written(tmp_path, out.getvalue(), LEFT),
-        out.getvalue(),
-        "metadata record of armrig is not valid",
-    )
-
-
-@pytest.mark.parametrize("name", [OUTCOME, RECOVERED])
-def test_a_file_with_another_form_of_metadata_stays_as_it_is(tmp_path: Path, name: str) -> None:
-    out = BytesIO()
-    writer = Writer(out)
-    writer.start()
-    writer.add_metadata(RUN, manifest().metadata())
+    if name != RUN:
+        writer.add_metadata(RUN, manifest().metadata())
     writer.add_metadata(name, {"outcome": "no JSON"})
     writer.finish()
+    left = written(tmp_path, out.getvalue(), LEFT)
 
-    _untouched(
-        written(tmp_path, out.getvalue(), LEFT),
-        out.getvalue(),
-        "metadata record of armrig is not valid",
-    )
+    _untouched(left, out.getvalue(), "metadata record of armrig is not valid")
 
 
-def test_what_belongs_to_no_channel_does_not_end_what_can_be_read(tmp_path: Path) -> None:
+def test_messages_without_a_channel_do_not_end_the_recovery(tmp_path: Path) -> None:
     out = BytesIO()
     writer = Writer(out, chunk_size=100)
     writer.start()
@@ -355,7 +280,7 @@ def test_what_belongs_to_no_channel_does_not_end_what_can_be_read(tmp_path: Path
     assert armrig.load(done.path).samples["k"].tolist() == [0, 1, 2, 3, 4]
 
 
-def test_the_file_of_another_user_stays_as_it_is(tmp_path: Path) -> None:
+def test_the_file_of_another_user_is_unchanged(tmp_path: Path) -> None:
     left = written(tmp_path, DATA, LEFT)
     of_another = Recovery(armrig="0", now=lambda: "", owner=os.geteuid() + 1)
 
@@ -374,16 +299,18 @@ def test_the_file_of_another_rig_is_left_to_its_daemon(tmp_path: Path) -> None:
     assert isinstance(_untouched(left, data, "to rig 1-b, not to rig 1", of_rig_1), NotOursError)
 
 
-def test_a_recording_of_that_name_is_not_written_over(tmp_path: Path) -> None:
+def test_a_recovery_does_not_overwrite_another_recording(tmp_path: Path) -> None:
     written(tmp_path, b"precious", NAME)
 
     _untouched(written(tmp_path, DATA, LEFT), DATA, f"{NAME} exists already")
 
 
-def test_a_damage_in_the_middle_takes_nothing_away(tmp_path: Path) -> None:
+def test_a_file_damaged_in_the_middle_is_not_truncated(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    noise = rng.integers(0, 65536, (40_000, 2)).tolist()
-    samples = [sample(k, theta_1_counts=a, alpha_counts=b) for k, (a, b) in enumerate(noise)]
+    noise = rng.standard_normal((24_000, 3)).tolist()
+    samples = [
+        sample(k, theta_1_rad=a, alpha_rad=b, u_cmd_v=u) for k, (a, b, u) in enumerate(noise)
+    ]
     about = manifest(k_first=0, samples=len(samples))
     data = bytearray(recorded(samples, manifest=about, outcome=None, flush_every=100))
     assert len(data) > 1.2 * MOST_CUT_OFF
@@ -395,7 +322,7 @@ def test_a_damage_in_the_middle_takes_nothing_away(tmp_path: Path) -> None:
     assert RECOVERY.recover(written(tmp_path, bytes(data), LEFT)).outcome.samples > 1000
 
 
-def test_no_room_for_the_copy_takes_nothing_away(tmp_path: Path) -> None:
+def test_recovery_without_room_for_the_copy_keeps_the_file(tmp_path: Path) -> None:
     left = written(tmp_path, DATA, LEFT)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
@@ -408,7 +335,7 @@ def test_no_room_for_the_copy_takes_nothing_away(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("is_link", [False, True])
-def test_a_copy_that_was_begun_before_is_begun_again(tmp_path: Path, is_link: bool) -> None:
+def test_an_unfinished_copy_is_started_again(tmp_path: Path, is_link: bool) -> None:
     elsewhere = written(tmp_path, b"precious", "elsewhere")
     left, copy = written(tmp_path, DATA, LEFT), tmp_path / f"{NAME}.compact"
     if is_link:
@@ -423,32 +350,32 @@ def test_a_copy_that_was_begun_before_is_begun_again(tmp_path: Path, is_link: bo
     assert sorted(p.name for p in tmp_path.iterdir()) == [NAME, "elsewhere"]
 
 
+DYING = """
+import os, signal, sys
+from pathlib import Path
+from armrig_core.recording_file.recovery import Recovery
+
+def die(event, _):
+    if event == left[0] and len(left) == 3 - int(sys.argv[2]):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if event == left[0]:
+        del left[0]
+
+left = ["os.rename", "os.rename", "open"]
+sys.addaudithook(die)
+Recovery(armrig="0.2.0", now=lambda: "2026-11-20T06:00:00.000+01:00").recover(Path(sys.argv[1]))
+"""
+
+
 @pytest.mark.parametrize("n", [0, 1, 2])
-def test_whatever_dies_while_it_recovers_the_next_one_finds_it_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n: int
-) -> None:
-    left, calls = written(tmp_path, DATA, LEFT), []
-    replace = Path.replace
+def test_a_recovery_that_dies_is_completed_by_the_next_recovery(tmp_path: Path, n: int) -> None:
+    left = written(tmp_path, DATA, LEFT)
 
-    class Died(BaseException):
-        """As `kill -9` does: nothing is tidied up."""
+    done = subprocess.run([sys.executable, "-c", DYING, str(left), str(n)], check=False)
 
-    def dying(self: Path, target: Path) -> Path:
-        if len(calls) == n:
-            monkeypatch.setattr(Path, "unlink", lambda *_, **__: None)
-            raise Died
-        calls.append(self.name)
-        return replace(self, target)
-
-    def not_synced(_: Path) -> None:
-        raise Died
-
-    monkeypatch.setattr(Path, "replace", dying)
-    monkeypatch.setattr(recovery, "sync_directory", not_synced)
-    with pytest.raises(Died):
-        RECOVERY.recover(left)
-    monkeypatch.undo()
-
+    assert done.returncode == -signal.SIGKILL
+    names = [[LEFT, f"{NAME}.compact"], [LEFT], [NAME]][n]
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names)
     if n < 2:
         RECOVERY.recover(left)
 
@@ -481,7 +408,7 @@ def test_the_copy_is_on_the_disk_before_it_has_the_name(
     assert synced == [(copy, True, [LEFT, copy]), (tmp_path.name, True, [NAME])]
 
 
-def test_only_what_has_the_name_of_an_unfinished_recording_is_recovered(tmp_path: Path) -> None:
+def test_only_a_file_named_as_an_unfinished_recording_is_recovered(tmp_path: Path) -> None:
     whole = written(tmp_path, DATA[:-500], "copy.mcap")
 
     _untouched(whole, DATA[:-500], r"ends in \.mcap\.active")
@@ -507,7 +434,7 @@ def test_the_files_of_a_rig_are_those_with_its_id_and_a_dash(tmp_path: Path) -> 
     assert {path.name for path in tmp_path.iterdir()} == set(names) - {"1-test.mcap.compact"}
 
 
-def test_a_spoilt_attachment_is_left_out_and_reported(tmp_path: Path) -> None:
+def test_a_damaged_attachment_is_omitted_and_reported(tmp_path: Path) -> None:
     spoilt = bytearray(DATA)
     spoilt[DATA.index(b"zero_counts")] ^= 1
     before = armrig.load(written(tmp_path, bytes(spoilt), "before.mcap"))

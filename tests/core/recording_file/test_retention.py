@@ -41,11 +41,11 @@ def _names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-def test_without_a_limit_nothing_is_asked(tmp_path: Path) -> None:
+def test_retention_without_limits_is_off(tmp_path: Path) -> None:
     assert not _retention(tmp_path, keep_days=0.0).is_asked
 
 
-def test_a_run_goes_by_its_age_and_each_removal_is_reported(tmp_path: Path) -> None:
+def test_a_run_is_removed_by_its_age_and_each_removal_is_reported(tmp_path: Path) -> None:
     old = _run(tmp_path, "1-a.mcap", 31)
     size = old.stat().st_size
     _run(tmp_path, "1-b.mcap", 29)
@@ -58,7 +58,7 @@ def test_a_run_goes_by_its_age_and_each_removal_is_reported(tmp_path: Path) -> N
     assert _names(tmp_path) == {"1-b.mcap", "1-c.mcap"}
 
 
-def test_the_oldest_go_until_the_rest_takes_no_more_than_it_may(tmp_path: Path) -> None:
+def test_the_oldest_runs_are_removed_until_the_size_is_below_its_limit(tmp_path: Path) -> None:
     runs = [_run(tmp_path, f"1-{name}.mcap", days) for name, days in (("a", 1), ("b", 3), ("c", 2))]
     size = runs[0].stat().st_size
 
@@ -69,8 +69,9 @@ def test_the_oldest_go_until_the_rest_takes_no_more_than_it_may(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("more", "removed"), [(1, 0), (-1, 1)])
-def test_a_limit_may_be_reached(tmp_path: Path, more: int, removed: int) -> None:
-    """By one byte, or by one second."""
+def test_a_limit_is_exceeded_by_one_byte_or_one_second(
+    tmp_path: Path, more: int, removed: int
+) -> None:
     runs = [_run(tmp_path, f"1-{name}.mcap", days) for name, days in (("a", 30), ("b", 2))]
     total = sum(run.stat().st_size for run in runs)
 
@@ -82,7 +83,7 @@ def test_a_limit_may_be_reached(tmp_path: Path, more: int, removed: int) -> None
     assert len([*by_size.apply(NOW_S)]) == removed
 
 
-def test_the_newest_run_stays_whatever_its_age_and_size(tmp_path: Path) -> None:
+def test_the_newest_run_is_kept_at_any_age_and_size(tmp_path: Path) -> None:
     _run(tmp_path, "1-a.mcap", 40)
     _run(tmp_path, "1-b.mcap", 35)
 
@@ -91,7 +92,7 @@ def test_the_newest_run_stays_whatever_its_age_and_size(tmp_path: Path) -> None:
     assert _names(tmp_path) == {"1-b.mcap"}
 
 
-def test_nothing_goes_by_its_age_if_the_newest_run_is_old_too(tmp_path: Path) -> None:
+def test_no_run_is_removed_by_age_if_the_newest_run_is_too_old(tmp_path: Path) -> None:
     """The clock of this machine may be set days ahead."""
     for name, days in (("a", 90), ("b", 61)):
         _run(tmp_path, f"1-{name}.mcap", days)
@@ -107,7 +108,7 @@ def test_nothing_goes_by_its_age_if_the_newest_run_is_old_too(tmp_path: Path) ->
     assert [removal.is_removed for removal in retention.apply(NOW_S)] == [True, True]
 
 
-def test_a_long_run_goes_as_a_whole(tmp_path: Path) -> None:
+def test_a_run_in_parts_is_removed_as_a_whole(tmp_path: Path) -> None:
     parts = [
         _run(tmp_path, f"1-a.part-000{n}.mcap", days, outcome=outcome)
         for n, days, outcome in ((1, 40, CONTINUED), (2, 29, COMPLETE))
@@ -133,7 +134,7 @@ def _spoil(path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [_cut, _spoil])
-def test_what_cannot_be_read_to_its_end_stays_and_is_reported_once(
+def test_a_damaged_recording_is_not_removed_and_is_reported_once(
     tmp_path: Path, damage: Any
 ) -> None:
     broken = _run(tmp_path, "1-a.mcap", 40)
@@ -152,9 +153,7 @@ def test_what_cannot_be_read_to_its_end_stays_and_is_reported_once(
 
 
 @pytest.mark.parametrize("outcome", [None, CONTINUED])
-def test_a_run_that_does_not_say_how_it_ended_stays(
-    tmp_path: Path, outcome: Outcome | None
-) -> None:
+def test_a_run_without_an_outcome_is_not_removed(tmp_path: Path, outcome: Outcome | None) -> None:
     _run(tmp_path, "1-a.part-0001.mcap", 40, outcome=outcome)
     _run(tmp_path, "1-b.mcap", 1)
 
@@ -164,7 +163,7 @@ def test_a_run_that_does_not_say_how_it_ended_stays(
     assert _names(tmp_path) == {"1-a.part-0001.mcap", "1-b.mcap"}
 
 
-def test_a_run_with_a_part_of_another_rig_stays(tmp_path: Path) -> None:
+def test_a_run_with_a_part_of_another_rig_is_not_removed(tmp_path: Path) -> None:
     _run(tmp_path, "1-a.part-0001.mcap", 40, outcome=CONTINUED)
     _run(tmp_path, "1-a.part-0002.mcap", 40, rig="2")
     _run(tmp_path, "1-b.mcap", 1)
@@ -175,7 +174,7 @@ def test_a_run_with_a_part_of_another_rig_stays(tmp_path: Path) -> None:
     assert report.text.endswith("a part of it belongs to another rig")
 
 
-def test_nothing_else_in_the_folder_is_touched(tmp_path: Path) -> None:
+def test_other_files_of_the_folder_are_unchanged(tmp_path: Path) -> None:
     _run(tmp_path, "1-a.mcap.active", 40)
     _run(tmp_path, "1-b.part-0001.mcap", 40, outcome=CONTINUED)
     _run(tmp_path, "1-b.part-0002.mcap.active", 40)
@@ -195,7 +194,7 @@ def test_nothing_else_in_the_folder_is_touched(tmp_path: Path) -> None:
     assert [*_retention(tmp_path, owner=os.geteuid() + 1).apply(NOW_S)] == []
 
 
-def test_a_file_that_somebody_holds_stays_until_it_is_free(tmp_path: Path) -> None:
+def test_a_locked_recording_is_removed_only_after_its_release(tmp_path: Path) -> None:
     path = _run(tmp_path, "1-a.mcap", 40)
     _run(tmp_path, "1-b.mcap", 1)
     retention = _retention(tmp_path)
@@ -207,27 +206,25 @@ def test_a_file_that_somebody_holds_stays_until_it_is_free(tmp_path: Path) -> No
     assert [removal.is_removed for removal in retention.apply(NOW_S)] == [True]
 
 
-def test_what_a_loss_of_power_left_of_a_run_goes_the_next_time(
+def test_a_partly_removed_run_is_removed_on_the_next_occasion(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for n, outcome in ((1, CONTINUED), (2, CONTINUED), (3, COMPLETE)):
         _run(tmp_path, f"1-a.part-000{n}.mcap", 40, outcome=outcome)
     _run(tmp_path, "1-b.mcap", 1)
-    unlink = Path.unlink
+    unlink, removed = Path.unlink, []
 
     def once(path: Path, **options: Any) -> None:
-        monkeypatch.setattr(Path, "unlink", _refused)
+        if removed:
+            raise OSError(30, "Read-only file system")
+        removed.append(path)
         unlink(path, **options)
 
     monkeypatch.setattr(Path, "unlink", once)
     (report,) = _retention(tmp_path).apply(NOW_S)
-    monkeypatch.setattr(Path, "unlink", unlink)
+    monkeypatch.undo()
 
     assert not report.is_removed
     assert "reading or removing it failed: Read-only file system" in report.text
     assert [removal.is_removed for removal in _retention(tmp_path).apply(NOW_S)] == [True]
     assert _names(tmp_path) == {"1-b.mcap"}
-
-
-def _refused(path: Path, **options: Any) -> None:
-    raise OSError(30, "Read-only file system")

@@ -29,10 +29,10 @@ KEPT = (Header, Schema, Channel, Message, Metadata, Attachment)
 SIZE = 1000
 
 
-@pytest.fixture
-def first(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of 2.5 MB in chunks of 10 kB, no two fields of which are the same."""
-    path = tmp_path / "first"
+    path = tmp_path_factory.mktemp("rewriting") / "first"
     noise = random.Random(1)
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=10_000)
@@ -86,8 +86,7 @@ def test_every_record_is_copied_with_every_field(first: Path, tmp_path: Path) ->
         assert [r for r in said if isinstance(r, kind)] == [r for r in held if isinstance(r, kind)]
 
 
-def test_its_chunks_are_of_the_size_that_readers_like(first: Path, tmp_path: Path) -> None:
-    """1 MiB and one message at most; only the last chunk may be smaller."""
+def test_chunks_of_the_copy_have_1_mib(first: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
 
     compact(first, copy)
@@ -113,24 +112,22 @@ def test_the_copy_is_guarded_by_a_checksum(first: Path, tmp_path: Path) -> None:
     assert end.data_section_crc == zlib.crc32(section) != 0
 
 
-def test_a_file_that_is_there_is_not_written_over(first: Path, tmp_path: Path) -> None:
+def test_an_existing_file_is_not_overwritten(first: Path, tmp_path: Path) -> None:
     with pytest.raises(FileExistsError):
         compact(first, first)
 
 
 @pytest.mark.parametrize("wrong", ["cut off", "changed"])
-def test_a_file_that_is_not_whole_is_not_copied_as_if_it_were(
-    first: Path, tmp_path: Path, wrong: str
-) -> None:
+def test_a_damaged_file_is_not_copied(first: Path, tmp_path: Path, wrong: str) -> None:
     data = bytearray(first.read_bytes())
     if wrong == "cut off":
         del data[-9:]
     else:
         data[len(data) // 2] ^= 1
-    first.write_bytes(data)
+    (spoilt := tmp_path / "spoilt").write_bytes(data)
 
     with pytest.raises(DamageError):
-        compact(first, tmp_path / "copy")
+        compact(spoilt, tmp_path / "copy")
 
 
 def test_a_copy_is_locked_while_it_is_written(

@@ -5,55 +5,41 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import armrig
 import pytest
 from armrig_core.codes import COMPLETE, Ending, OutcomeCode
-from armrig_core.recording_file import recorder, recording_part
-from armrig_core.recording_file.recorder import PartLimits, Recording
+from armrig_core.recording_file import recording_part
 from armrig_core.recording_file.syncing import Syncer
 from mcap.reader import make_reader
-from msgspec.structs import replace
 
-from tests.core.recording_file.test_recorder import MANIFEST, _recording, _sample
+from tests.core.recording_file.made import Setter, begun, finished, sample, until
 
 N = 1600
 
 
-def _until(is_true: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + 30
-    while not is_true():
-        assert time.monotonic() < until_s
-        threading.Event().wait(0.01)
-
-
 @pytest.fixture
-def answers(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+def answers(instead: Setter) -> threading.Event:
     """Return the event until which `fdatasync` does not return."""
     answers = threading.Event()
-    name = "armrig_core.recording_file.recording_part.os.fdatasync"
-    monkeypatch.setattr(name, lambda _fd: answers.wait(60))
+    instead(fdatasync=lambda _fd: answers.wait(60))
     return answers
 
 
-def test_no_flush_waits_for_a_sync(
-    tmp_path: Path, answers: threading.Event, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_flush_waits_for_a_sync(tmp_path: Path, answers: threading.Event, pace: Setter) -> None:
     """L1: batches of one sample are all in the file while the first sync waits."""
-    monkeypatch.setattr(recorder, "SYNC_S", 0.0)
-    recording = _recording(tmp_path / "run.mcap")
+    pace(SYNC_S=0.0)
+    recording = begun(tmp_path / "run.mcap")
     for k in range(N):
-        recording.add([_sample(k)])
+        recording.add([sample(k)])
 
-    _until(lambda: recording._flushed == N)
+    until(lambda: recording._flushed == N)
     assert armrig.load(recording.active).samples.size == N
     assert recording.synced == 0
 
     answers.set()
-    recording.finish(COMPLETE)
-    recording.join(30)
+    finished(recording)
     assert (recording.synced, recording.error, recording.dropped) == (N, "", 0)
 
 
@@ -80,10 +66,10 @@ def test_the_next_sync_is_due_after_the_end_of_the_last(tmp_path: Path) -> None:
 def test_a_disk_that_does_not_answer_ends_the_recording_with_the_number_of_samples(
     tmp_path: Path, answers: threading.Event
 ) -> None:
-    recording = _recording(tmp_path / "run.mcap")
-    recording.add([_sample(k) for k in range(50)])
+    recording = begun(tmp_path / "run.mcap")
+    recording.add([sample(k) for k in range(50)])
     recording.finish(COMPLETE)
-    _until(lambda: recording._flushed == 50)
+    until(lambda: recording._flushed == 50)
 
     recording.look()
     assert not recording.done  # 30 s are not over
@@ -96,20 +82,20 @@ def test_a_disk_that_does_not_answer_ends_the_recording_with_the_number_of_sampl
     )
     assert not armrig.load(recording.active).truncated  # the kernel has all of them
     answers.set()
-    _until(recording.path.exists)
+    until(recording.path.exists)
 
 
-def test_a_recording_that_was_given_up_writes_nothing_more(
+def test_an_abandoned_recording_writes_no_more_bytes(
     tmp_path: Path, answers: threading.Event
 ) -> None:
-    recording = _recording(tmp_path / "run.mcap")
-    recording.add([_sample(k) for k in range(50)])
-    _until(lambda: recording._flushed == 50)
+    recording = begun(tmp_path / "run.mcap")
+    recording.add([sample(k) for k in range(50)])
+    until(lambda: recording._flushed == 50)
 
     recording.look(0.0)
     error = recording.error
-    _until(lambda: recording._part._file.closed)
-    recording.add([_sample(k) for k in range(50, 60)])
+    until(lambda: recording._part._file.closed)
+    recording.add([sample(k) for k in range(50, 60)])
     recording.finish(Ending(OutcomeCode.RECORDING, error))
     answers.set()
     recording._thread.join(30)
@@ -118,56 +104,21 @@ def test_a_recording_that_was_given_up_writes_nothing_more(
     assert armrig.load(recording.active).samples.size == 50
 
 
-def test_a_removed_part_is_named_although_the_next_part_is_being_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    changed, asked, answers = threading.Event(), threading.Event(), threading.Event()
-
-    def slow(_fd: int) -> None:
-        asked.set()
-        answers.wait(30)
-
-    monkeypatch.setattr(recording_part.os, "fsync", slow)
-    recording = Recording(
-        tmp_path / "run.mcap",
-        replace(MANIFEST, k_first=0),
-        {},
-        t_first_ns=5,
-        changed=changed.set,
-        limits=PartLimits(60, 1 << 30),
-    )
-    recording.add([_sample(k) for k in range(80)])
-    assert asked.wait(30)
-    _until(lambda: recording._flushed == 80)
-    first = tmp_path / "run.part-0001.mcap.active"
-    first.unlink()
-    answers.set()
-    assert changed.wait(30)
-    recording.finish(COMPLETE)
-    recording.join(30)
-
-    assert recording.error == (
-        f"{first}: the file was removed during the recording; its samples are lost"
-    )
-    assert armrig.load(recording.active).samples.size == 20
-
-
-def test_a_folder_without_permissions_does_not_lose_what_was_flushed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_folder_without_permissions_does_not_lose_flushed_samples(
+    tmp_path: Path, instead: Setter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed = threading.Event()
-    recording = _recording(tmp_path / "run.mcap", changed)
-    recording.add([_sample(k) for k in range(50)])
-    _until(lambda: recording._flushed == 50)
+    recording = begun(tmp_path / "run.mcap", changed)
+    recording.add([sample(k) for k in range(50)])
+    until(lambda: recording._flushed == 50)
 
     def forbidden(_path: Path) -> os.stat_result:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(recording_part.os, "lstat", forbidden)
+    instead(lstat=forbidden)
     assert changed.wait(30)
     monkeypatch.undo()
-    recording.finish(COMPLETE)
-    recording.join(30)
+    finished(recording)
 
     assert recording.error == (
         f"{recording.active}: Permission denied; the flushed samples are kept there"
@@ -176,19 +127,18 @@ def test_a_folder_without_permissions_does_not_lose_what_was_flushed(
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_a_file_that_another_program_cuts_is_reported(tmp_path: Path, share: float) -> None:
+def test_a_file_truncated_by_another_program_is_reported(tmp_path: Path, share: float) -> None:
     changed = threading.Event()
-    recording = _recording(tmp_path / "run.mcap", changed)
-    recording.add([_sample(k) for k in range(50)])
-    _until(lambda: recording._flushed == 50)
+    recording = begun(tmp_path / "run.mcap", changed)
+    recording.add([sample(k) for k in range(50)])
+    until(lambda: recording._flushed == 50)
     size = recording.active.stat().st_size
     left = int(share * size)
 
     os.truncate(recording.active, left)
-    recording.add([_sample(50)])
+    recording.add([sample(50)])
     assert changed.wait(30)
-    recording.finish(COMPLETE)
-    recording.join(30)
+    finished(recording)
 
     assert recording.error == (
         f"{recording.active}: another program cut the file to {left} of {size} B; the rest is lost"
@@ -197,8 +147,8 @@ def test_a_file_that_another_program_cuts_is_reported(tmp_path: Path, share: flo
     assert not recording.path.exists()
 
 
-def test_a_file_that_is_cut_while_it_is_rewritten_is_not_complete(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_file_truncated_during_its_rewriting_is_not_complete(
+    tmp_path: Path, instead: Setter
 ) -> None:
     compact = recording_part.compact
 
@@ -206,24 +156,22 @@ def test_a_file_that_is_cut_while_it_is_rewritten_is_not_complete(
         os.truncate(source, 1000)
         compact(source, target)
 
-    monkeypatch.setattr(recording_part, "compact", cut)
-    recording = _recording(tmp_path / "run.mcap")
-    recording.add([_sample(k) for k in range(50)])
-    recording.finish(COMPLETE)
-    recording.join(30)
+    instead(compact=cut)
+    recording = begun(tmp_path / "run.mcap")
+    recording.add([sample(k) for k in range(50)])
+    finished(recording)
 
     assert ": another program cut the file to 1000 of " in recording.error
     assert not recording.path.exists()
 
 
 @pytest.mark.parametrize("damaged", [0, 1])
-def test_a_damaged_chunk_costs_10_s_at_most(tmp_path: Path, damaged: int) -> None:
+def test_a_damaged_chunk_loses_at_most_10_s(tmp_path: Path, damaged: int) -> None:
     """The first chunk contains the channels; the index contains them, too."""
     path = tmp_path / "run.mcap"
-    recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=lambda: None)
-    recording.add([_sample(k) for k in range(2500)])
-    recording.finish(COMPLETE)
-    recording.join(30)
+    recording = begun(path)
+    recording.add([sample(k) for k in range(2500)])
+    finished(recording)
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import pytest
-from armrig_daemon.emulator import (
-    requests,
-    transmission,
-)
+from armrig_daemon.emulator import requests, transmission
 from armrig_daemon.emulator.firmware import Firmware
-from armrig_protocol.messages import (
-    Message,
-)
+from armrig_protocol.messages import Message
 
 Patch = pytest.MonkeyPatch
 
@@ -29,6 +24,16 @@ class SpoiltDevice(NamedTuple):
 def other_handler(patch: Patch, kind: type[Message], make: Callable[[Any], Any]) -> None:
     """Replace the handler of a type by another."""
     patch.setitem(requests._HANDLERS, kind, make(requests._HANDLERS[kind]))
+
+
+def any_value(patch: Patch, *, of: Sequence[type[Message]], name: str) -> None:
+    """Let the device find its own value in a field of these requests, whatever it contains."""
+    for kind in of:
+        other_handler(
+            patch,
+            kind,
+            lambda old: lambda fw, t, m: old(fw, t, m._replace(**{name: getattr(fw, name)})),
+        )
 
 
 def changed_answers(patch: Patch, change: Callable[[Message], Message | None]) -> None:

@@ -4,25 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from armrig_daemon.emulator import (
-    cal,
-    configuration,
-    converter,
-    device,
-    guards,
-    sampling,
-    transitions,
-)
-from armrig_daemon.emulator.firmware import Firmware, Hardware
-from armrig_protocol.messages import (
-    CalReply,
-    Exchange,
-    Flag,
-    Message,
-    Sample,
-    State,
-    Status,
-)
+from armrig_daemon.emulator import configuration, converter, device, guards, sampling, transitions
+from armrig_daemon.emulator.firmware import Firmware
+from armrig_protocol.messages import Exchange, Sample, State
 
 from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, changed_answers, other_handler
 
@@ -45,27 +29,10 @@ def _raw_code(patch: Patch) -> None:
     patch.setattr(converter, "latch", raw)
 
 
-def _fewer_readings(patch: Patch) -> None:
-    patch.setattr(cal, "MOST_READINGS", 512)
-
-
-def _variance_over_n(patch: Patch) -> None:
-    changed_answers(
-        patch,
-        lambda m: m._replace(variance_256=7) if isinstance(m, CalReply) and m.n == 1 else m,
-    )
-
-
 def _exchange_during_cal(patch: Patch) -> None:
-    def free(old: Any) -> Any:
-        def handler(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
-            if fw.cal is not None:
-                return []
-            return old(fw, now_ns, m)  # type: ignore[no-any-return]
-
-        return handler
-
-    other_handler(patch, Exchange, free)
+    other_handler(
+        patch, Exchange, lambda old: lambda fw, t, m: [] if fw.cal is not None else old(fw, t, m)
+    )
 
 
 def _m_means_nothing(patch: Patch) -> None:
@@ -99,27 +66,8 @@ def _rail_without_being_asked(patch: Patch) -> None:
     patch.setattr(sampling, "watch", always)
 
 
-def _flag_missing(patch: Patch) -> None:
-    patch.setattr(sampling, "at_rail", lambda y: False)
-
-
-def _vcc_flag(patch: Patch) -> None:
-    changed_answers(
-        patch,
-        lambda m: m._replace(flags=m.flags | Flag.VCC_LOW) if isinstance(m, Sample) else m,
-    )
-
-
 def _slow_status(patch: Patch) -> None:
     patch.setattr(device, "STATUS_NS", 1_200_000_000)
-
-
-def _no_stack(patch: Patch) -> None:
-    changed_answers(patch, lambda m: m._replace(stack_free=90) if isinstance(m, Status) else m)
-
-
-def _wrong_skew(patch: Patch) -> None:
-    patch.setattr(Hardware, "skew_us", property(lambda self: 4_000))
 
 
 def _latches_after_the_run(patch: Patch) -> None:
@@ -136,8 +84,6 @@ def _latches_after_the_run(patch: Patch) -> None:
 SPOILT: dict[str, SpoiltDevice] = {
     "t_us is not the trigger": SpoiltDevice(_t_us_of_the_answer, "EXCHANGE triggers alpha"),
     "u_k is not what the duty gives": SpoiltDevice(_raw_code, "code of the applied duty"),
-    "CAL has less readings": SpoiltDevice(_fewer_readings, "n readings of one channel"),
-    "one reading has a variance": SpoiltDevice(_variance_over_n, "n readings of one channel"),
     "EXCHANGE is not answered in CAL": SpoiltDevice(_exchange_during_cal, "During CAL"),
     "oversampling is accepted, and not done": SpoiltDevice(_m_means_nothing, "(2 m - 1)"),
     "any Ts with oversampling": SpoiltDevice(_ts_min_of_one, "2 (m - 1)"),
@@ -146,10 +92,6 @@ SPOILT: dict[str, SpoiltDevice] = {
     "a guard that is off trips": SpoiltDevice(
         _rail_without_being_asked, "no reading leads to FAULT"
     ),
-    "no flag of a rail": SpoiltDevice(_flag_missing, "consecutive samples at a rail"),
-    "VCC_LOW with a good supply": SpoiltDevice(_vcc_flag, "VCC_LOW"),
     "STATUS is slow": SpoiltDevice(_slow_status, "once a second"),
-    "no stack left": SpoiltDevice(_no_stack, "once a second"),
     "a waiting u is latched after the run": SpoiltDevice(_latches_after_the_run, "RUN ends before"),
-    "HELLO_R has a wrong skew": SpoiltDevice(_wrong_skew, "is triggered `skew_us` later"),
 }

@@ -27,7 +27,7 @@ BROKEN = Result(3, "Only CLEAR_FAULT leads out", FAIL, "ACK(OK), and " + "more "
 LEFT_OUT = Result(5, "With oversampling", NOT_TRIED, "the device offers no oversampling")
 
 
-def test_a_result_is_a_line_and_a_second_with_what_came() -> None:
+def test_a_result_has_one_line_and_a_second_with_its_reason() -> None:
     assert line_of(HELD) == "pass       1  A frame may arrive in any pieces"
     assert line_of(BROKEN).splitlines() == [
         "FAIL       3  Only CLEAR_FAULT leads out",
@@ -48,7 +48,7 @@ def test_no_line_is_wider_than_the_screen(columns: int) -> None:
     assert " ".join(line.strip() for line in lines).split() == line_of(BROKEN).split()
 
 
-def test_the_summary_counts_each_outcome_on_its_own() -> None:
+def test_the_summary_counts_each_outcome_separately() -> None:
     assert sum_of([HELD, HELD, LEFT_OUT]) == "all 2 tested rules hold; 1 not tried"
     assert sum_of([BROKEN, HELD, HELD, LEFT_OUT, LEFT_OUT]) == (
         "1 of 5 rules are broken; 2 not tried"
@@ -72,7 +72,7 @@ def test_a_program_gets_the_identity_in_hexadecimal_and_every_rule() -> None:
     assert json_of(None, [])["device"] == {}
 
 
-def test_what_came_is_named_as_in_the_protocol_or_by_its_number() -> None:
+def test_messages_are_shown_by_their_protocol_names() -> None:
     def of(kind: type[Message], **fields: int) -> Message:
         return kind._make([0] * len(kind._fields))._replace(**fields)
 

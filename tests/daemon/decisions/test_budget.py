@@ -6,28 +6,15 @@ import pytest
 from armrig_daemon.decisions.budget import check, exchange_us, scheduled_us
 
 
-def test_the_budget_is_that_of_request_conversions_and_answer() -> None:
+def test_the_budget_is_the_sum_of_request_conversions_and_answer() -> None:
     """52 bytes of 10 bits, and two conversions of 104 µs."""
     assert exchange_us(500_000) == 1040 + 208
     assert exchange_us(1_000_000) == 520 + 208
 
 
-@pytest.mark.parametrize(("ts_us", "baud"), [(2000, 500_000), (1000, 1_000_000), (5000, 115_200)])
-def test_what_fits_is_taken(ts_us: int, baud: int) -> None:
-    """500 Hz at 500 kbaud, 1 kHz at 1 Mbaud, 200 Hz at 115 200."""
-    check(ts_us, baud)
-
-
-def test_scheduled_mode_counts_each_direction_by_itself() -> None:
-    """1 kHz at 500 kbaud, 2 kHz at 1 Mbaud, 200 Hz at 115 200."""
-    for ts_us, baud in ((1000, 500_000), (500, 1_000_000), (5000, 115_200)):
-        check(ts_us, baud, scheduled=True)
-        assert scheduled_us(baud) > ts_us / 2
-
-
 @pytest.mark.parametrize("scheduled", [False, True])
 @pytest.mark.parametrize("baud", [115_200, 500_000, 1_000_000])
-def test_what_is_1_us_too_short_is_refused(baud: int, scheduled: bool) -> None:
+def test_a_sampling_time_1_us_too_short_is_refused(baud: int, scheduled: bool) -> None:
     least_us = (scheduled_us if scheduled else exchange_us)(baud)
 
     check(least_us, baud, scheduled=scheduled)
@@ -35,13 +22,15 @@ def test_what_is_1_us_too_short_is_refused(baud: int, scheduled: bool) -> None:
         check(least_us - 1, baud, scheduled=scheduled)
 
 
-def test_no_baud_rate_outruns_the_converter() -> None:
+def test_the_converter_bounds_the_sampling_time_at_any_baud_rate() -> None:
     assert scheduled_us(100_000_000) == 208
 
 
 @pytest.mark.parametrize("m", [2, 3, 16])
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_each_conversion_of_an_oversampled_reading_takes_its_time(m: int, scheduled: bool) -> None:
+def test_the_budget_includes_each_conversion_of_an_oversampled_reading(
+    m: int, scheduled: bool
+) -> None:
     least_us = max(2 * m * 104, scheduled_us(500_000)) if scheduled else 2 * m * 104 + 1040
 
     check(least_us, 500_000, scheduled=scheduled, oversampling=m)
@@ -54,12 +43,6 @@ def test_each_conversion_of_an_oversampled_reading_takes_its_time(m: int, schedu
     )
 
 
-def test_without_oversampling_the_refusal_names_none() -> None:
+def test_a_refusal_without_oversampling_does_not_mention_it() -> None:
     with pytest.raises(ValueError, match=r"exchange mode: .* a higher baud rate$"):
-        check(1000, 500_000)
-
-
-def test_what_does_not_fit_is_refused_with_the_way_out() -> None:
-    """1 kHz at 500 kbaud does not fit."""
-    with pytest.raises(ValueError, match=r"Ts=0.001 s .* at least 0.001248 s, or a higher baud"):
         check(1000, 500_000)

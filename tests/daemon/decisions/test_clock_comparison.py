@@ -36,7 +36,7 @@ def _fresh(**fields: object) -> State:
     return changed(state, **{**nothing, **fields})
 
 
-def test_a_pong_gives_its_own_two_stamps() -> None:
+def test_a_pong_contains_its_two_time_stamps() -> None:
     pong = Pong(3, 0, NOW - 2_000_000, 1000, 1060)
 
     after = clock_comparison.by_pong(_fresh(), NOW, pong)
@@ -47,11 +47,10 @@ def test_a_pong_gives_its_own_two_stamps() -> None:
 
 
 @pytest.mark.parametrize(("t_us", "rx", "tx"), [(5001, 4897, 5105), (51, WRAP - 53, WRAP + 155)])
-def test_a_sample_was_asked_for_one_conversion_before_its_trigger(
+def test_the_request_of_a_sample_precedes_its_trigger_by_one_conversion(
     t_us: int, rx: int, tx: int
 ) -> None:
     state = _fresh()
-    assert state.device is not None
     assert state.device.skew_us == 104
     sent = Sent(1, 2, 3, NOW - 2_000_000, 4)
 
@@ -72,7 +71,7 @@ def test_a_sample_was_asked_for_one_conversion_before_its_trigger(
         (DeviceState.READY, None, 1),
     ],
 )
-def test_an_oversampled_sample_was_asked_for_before_all_its_conversions(
+def test_the_request_of_an_oversampled_sample_precedes_all_its_conversions(
     reported: int, asked_ns: int | None, pairs: int
 ) -> None:
     state = _fresh(**({"configuration": None} if asked_ns is None else {"asked_ns": asked_ns}))
@@ -104,7 +103,7 @@ def test_the_device_s_clock_is_followed_through_its_wraps() -> None:
 
 
 @pytest.mark.parametrize(("since_ns", "compares"), [(PING_INTERVAL_US * 1000, True), (0, False)])
-def test_samples_compare_the_clocks_no_more_often_than_pings_would(
+def test_samples_compare_the_clocks_at_most_at_the_rate_of_pings(
     since_ns: int, compares: bool
 ) -> None:
     for lack in (0, 1):
@@ -120,7 +119,7 @@ def test_samples_compare_the_clocks_no_more_often_than_pings_would(
     ("last", "raw", "is_"),
     [(0, 0, 0), (0, 5, 5), (5, 5, 5), (WRAP - 1, 0, WRAP), (3 * WRAP + 9, 8, 4 * WRAP + 8)],
 )
-def test_a_32_bit_clock_goes_on_after_its_wraps(last: int, raw: int, is_: int) -> None:
+def test_a_32_bit_clock_continues_after_its_wraps(last: int, raw: int, is_: int) -> None:
     assert extended(last, raw) == is_
 
 
@@ -128,7 +127,9 @@ def test_a_32_bit_clock_goes_on_after_its_wraps(last: int, raw: int, is_: int) -
     ("flags", "theta_1", "alpha"),
     [(0, True, True), (Flag.ADC0_RAIL, False, True), (Flag.ADC1_RAIL, True, False)],
 )
-def test_a_sample_in_the_units_of_the_telemetry(flags: int, theta_1: bool, alpha: bool) -> None:
+def test_a_sample_is_converted_to_the_units_of_the_telemetry(
+    flags: int, theta_1: bool, alpha: bool
+) -> None:
     state = rested().loop.state
     calibration = state.rules.calibration
     taken = device_sample(state, y0=20_000, y1=30_000, u_k=40_000, flags=int(flags))

@@ -13,14 +13,11 @@ from armrig_daemon.decisions.clockmap import (
     ClockMap,
     Link,
     estimate,
-    extend,
     host_ns_at,
     start,
     std_ns_at,
     update,
 )
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.sampling import sampled
 
@@ -99,7 +96,7 @@ def rms(values: list[float]) -> float:
     ("wait_us", "drift_ppm"),
     sampled(zip(QUEUES_US, (100.0, -100.0, -100.0, 100.0), strict=True), 2),
 )
-def test_drift_and_offset_lie_within_their_own_deviations(
+def test_drift_and_offset_lie_within_their_reported_deviations(
     wait_us: tuple[float, float], drift_ppm: float
 ) -> None:
     """One-sided waiting times of any distribution; 50 seeds."""
@@ -124,7 +121,7 @@ def test_drift_and_offset_lie_within_their_own_deviations(
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 12, 20, 50])
-def test_a_young_map_knows_that_it_knows_little(n: int) -> None:
+def test_clock_map_of_few_exchanges_has_a_large_deviation(n: int) -> None:
     within = 0
     for seed in range(100):
         rig = Rig(seed=seed, drift_ppm=100)
@@ -134,7 +131,7 @@ def test_a_young_map_knows_that_it_knows_little(n: int) -> None:
     assert within >= 95
 
 
-def test_the_known_asymmetry_of_the_wire_is_corrected() -> None:
+def test_clock_map_corrects_the_known_asymmetry_of_the_wire() -> None:
     """A longer answer on a slow wire leaves no offset: 18 and 26 bytes at 9600 baud."""
     link = Link(request_ns=18_750_000, answer_ns=27_083_333)
 
@@ -146,7 +143,7 @@ def test_the_known_asymmetry_of_the_wire_is_corrected() -> None:
     assert wrong == pytest.approx((27_083_333 - 18_750_000) / 2, abs=1500)
 
 
-def test_the_bound_holds_for_an_asymmetry_that_nobody_knows() -> None:
+def test_clock_map_bounds_an_unknown_asymmetry() -> None:
     """A constant delay one way stays in the offset, at most half the least round trip."""
     rig = Rig(seed=1, wait_us=(1.0, 1.0), link=Link(request_ns=180_000, answer_ns=1_260_000))
 
@@ -157,7 +154,7 @@ def test_the_bound_holds_for_an_asymmetry_that_nobody_knows() -> None:
     assert abs(error) - 3 * std < estimate(clock).bound_ns < 502_000
 
 
-def test_a_coarse_clock_widens_the_deviation() -> None:
+def test_clock_map_of_a_coarse_device_clock_has_a_larger_deviation() -> None:
     """A step of 4 µs does not average out."""
     rig = Rig(seed=2, wait_us=(0.1, 0.1), resolution_us=4)
 
@@ -167,32 +164,7 @@ def test_a_coarse_clock_widens_the_deviation() -> None:
     assert abs(error) < 3 * std
 
 
-def test_the_wrap_of_the_devices_clock_is_not_seen() -> None:
-    """2^32 µs pass during the exchanges."""
-    rig = Rig(seed=3, drift_ppm=100, first_us=2**32 - 30e6)
-    clock, last_us = start(LINK), int(rig.first_us)
-    for h1, rx, tx, h4 in islice(rig.exchanges(), 600):
-        rx_us = extend(last_us, rx % 2**32)
-        last_us = extend(rx_us, tx % 2**32)
-        clock = update(clock, h1, rx_us, last_us, h4)
-
-    error, std = error_ns(rig, clock)
-    assert rig.device_us(rig.t_ns) > 2**32
-    assert clock.restarts == 0
-    assert abs(error) < 3 * std < 30_000
-
-
-@given(st.integers(0, 2**40), st.integers(-(2**24), 2**32 - 2**24 - 1))
-def test_a_reading_extends_the_last_forth_and_a_little_back(last_us: int, step_us: int) -> None:
-    """Reordered messages go back by at most 16.8 s; all else is time that passed."""
-    assert extend(last_us, (last_us + step_us) % 2**32) == last_us + step_us
-
-
-def test_the_first_reading_extends_itself() -> None:
-    assert extend(0xFFFF_FFFF, 0xFFFF_FFFF) == 0xFFFF_FFFF
-
-
-def test_stalled_exchanges_cost_nothing() -> None:
+def test_clock_map_ignores_stalled_exchanges() -> None:
     """One in ten waits for 300 ms in one direction."""
     for seed in range(20):
         rig = Rig(seed=seed, drift_ppm=100, stall_ns=300_000_000)
@@ -204,32 +176,9 @@ def test_stalled_exchanges_cost_nothing() -> None:
         assert clock.restarts == 0
 
 
-def test_an_exchange_that_cannot_be_is_left_out() -> None:
-    """One exchange contradicts the map by 10 ms."""
-    rig = Rig(seed=4)
-    clock = follow(rig, 300)
-    h1, rx, tx, h4 = next(rig.exchanges())
-
-    after = update(clock, h1, rx + 10_000, tx + 10_000, h4)
-
-    assert after.rejected == 1
-    assert host_ns_at(after, rx) == host_ns_at(clock, rx)
-    assert std_ns_at(after, rx) == std_ns_at(clock, rx)
-
-
-def test_a_jump_between_the_devices_stamps_does_not_spoil_the_least_round_trip() -> None:
-    rig = Rig(seed=4)
-    clock = follow(rig, 300)
-    h1, rx, tx, h4 = next(rig.exchanges())
-
-    for jumped in (tx + 50_000, rx - 50_000):
-        after = update(clock, h1, rx, jumped, h4)
-        assert after._replace(rejected=0) == clock
-
-
 @pytest.mark.parametrize("step_us", [-12_000_000, 400, -400, 30_000_000])
 @pytest.mark.parametrize("stall_ns", [0, 300_000_000])
-def test_the_map_finds_a_device_that_was_reset(step_us: int, stall_ns: int) -> None:
+def test_clock_map_restarts_after_a_reset_of_the_device(step_us: int, stall_ns: int) -> None:
     rig = Rig(seed=5, stall_ns=stall_ns)
     clock = follow(rig, 300)
     rig.first_us += step_us
@@ -241,52 +190,9 @@ def test_the_map_finds_a_device_that_was_reset(step_us: int, stall_ns: int) -> N
     assert abs(error) < 3 * std
 
 
-def test_stalls_between_them_do_not_hide_that_exchanges_do_not_fit() -> None:
-    rig = Rig(seed=6, wait_us=(5.0, 5.0))
-    clock = follow(rig, 300)
-    rig.first_us += 5000
-
-    for i, (h1, rx, tx, h4) in enumerate(islice(rig.exchanges(), 20)):
-        clock = update(clock, h1, rx, tx, h4 + (i % 2) * 300_000_000)
-
-    assert clock.restarts == 1
-
-
-def test_only_differences_of_the_clocks_count() -> None:
-    """An origin of 1e15 ns costs no digit."""
-    rig = Rig(seed=7, drift_ppm=100)
-    exchanges = list(islice(rig.exchanges(), 600))
-    moved_ns, moved_us = 10**18 + 7, 10**14 + 3
-    here, there = start(LINK), start(LINK)
-
-    for h1, rx, tx, h4 in exchanges:
-        here = update(here, h1, rx, tx, h4)
-        there = update(there, h1 + moved_ns, rx + moved_us, tx + moved_us, h4 + moved_ns)
-
-    at_us = exchanges[-1][1] + 1234
-    assert host_ns_at(there, at_us + moved_us) == host_ns_at(here, at_us) + moved_ns
-    assert estimate(there)[1:] == estimate(here)[1:]
-
-
-def test_days_do_not_wear_the_map_out() -> None:
-    """After ten days of one exchange a minute the deviations are those of the first hour."""
-    rig = Rig(seed=8, drift_ppm=-100, wait_us=(20.0, 20.0), gap_s=60)
-    link = LINK._replace(tau_ns=600_000_000_000)
-    clock = follow(rig, 60, start(link))
-    first = estimate(clock)
-
-    clock = follow(rig, 14_400, clock)
-
-    last = estimate(clock)
-    error, std = error_ns(rig, clock)
-    assert abs(error) < 3 * std
-    assert last.drift_std_ppm < 2 * first.drift_std_ppm
-    assert abs(last.drift_ppm + 100) < 3 * last.drift_std_ppm
-
-
 @pytest.mark.parametrize("drift_per_s", sampled([-0.3, 0.01, 0.1]))
 @pytest.mark.parametrize("wait_us", [(20.0, 200.0), (3.0, 3.0)])
-def test_a_drift_that_changes_slowly_is_followed(
+def test_clock_map_follows_a_slowly_changing_drift(
     drift_per_s: float, wait_us: tuple[float, float]
 ) -> None:
     offsets = drifts = 0
@@ -305,55 +211,7 @@ def test_a_drift_that_changes_slowly_is_followed(
     assert drifts >= 27
 
 
-def test_the_deviation_grows_while_no_pong_comes() -> None:
-    rig = Rig(seed=9, drift_ppm=100)
-    clock = follow(rig, 600)
-
-    silences_s = (0, 1, 10, 30, 60, 300)
-    found = [error_ns(rig, clock, s * 10**9) for s in silences_s]
-
-    stds = [std for _, std in found]
-    assert stds == sorted(stds)
-    assert stds[2] < 1.5 * stds[0]
-    assert stds[-1] > 500 * stds[0]  # e^5 for the fading, more for the drift
-    assert all(abs(error) < 3 * std for error, std in found)
-
-
-def test_what_lies_ahead_allows_for_a_drift_that_changes() -> None:
-    for seed in range(20):
-        rig = Rig(seed=seed, wait_us=(3.0, 3.0), drift_per_s=0.1)
-        clock = follow(rig, 1200)
-        for silence_s in (3, 10, 30):
-            error, std = error_ns(rig, clock, silence_s * 10**9)
-            assert abs(error) < 1.5 * std
-
-
-def test_after_a_silence_the_map_goes_on() -> None:
-    """Five minutes without PONG are no reset."""
-    rig = Rig(seed=10, drift_ppm=100)
-    clock = follow(rig, 600)
-    rig.t_ns += 300 * 10**9
-
-    clock = follow(rig, 100, clock)
-
-    error, std = error_ns(rig, clock)
-    assert (clock.restarts, clock.rejected) == (0, 0)
-    assert abs(error) < 3 * std < 60_000
-
-
-def test_a_silence_of_a_week_overflows_nothing() -> None:
-    rig = Rig(seed=12)
-    clock = follow(rig, 100)
-    rig.t_ns += 7 * 86_400 * 10**9
-
-    error, std = error_ns(rig, clock)
-    clock = follow(rig, 100, clock)
-
-    assert abs(error) < 3 * std < math.inf
-    assert error_ns(rig, clock)[1] < 60_000
-
-
-def test_a_longer_way_is_learnt() -> None:
+def test_clock_map_adapts_to_a_longer_round_trip() -> None:
     rig = Rig(seed=11, drift_ppm=100)
     clock = follow(rig, 300)
     rig.link = Link(request_ns=680_000, answer_ns=760_000)
@@ -365,7 +223,7 @@ def test_a_longer_way_is_learnt() -> None:
     assert abs(error) < 3 * std < 40_000
 
 
-def test_the_least_and_the_middle_round_trip_are_those_of_the_last_hundred() -> None:
+def test_the_least_and_median_round_trip_are_of_the_last_hundred_exchanges() -> None:
     clock, floors, medians = start(LINK), [], []
     for n in range(160):
         round_trip_ns = 450_000 if n == 0 else 500_000 if n <= 60 else 600_000
@@ -377,8 +235,3 @@ def test_the_least_and_the_middle_round_trip_are_those_of_the_last_hundred() -> 
     assert floors == [450_000] * 100 + [500_000] * 60
     assert medians.index(600_000) == 60 + 50
     assert len(clock.round_trips) == 100
-
-
-def test_a_map_without_an_exchange_says_so() -> None:
-    with pytest.raises(ValueError, match="PING"):
-        host_ns_at(start(LINK), 0)

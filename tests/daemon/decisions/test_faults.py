@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from armrig_core import protobuf
 from armrig_daemon.decisions.faults import REMEDIES, Id, of_device
-from armrig_daemon.decisions.state import LinkDown
 from armrig_daemon.pipe import Log, State
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_protocol.messages import Cause
@@ -39,7 +38,9 @@ def test_every_fault_has_its_remedy() -> None:
         (Cause.INTERNAL, "internal check"),
     ],
 )
-def test_a_cause_of_the_device_has_its_name_and_its_meaning(cause: Cause, words: str) -> None:
+def test_a_fault_of_the_device_is_reported_with_its_name_and_meaning(
+    cause: Cause, words: str
+) -> None:
     said = of_device(cause)
 
     assert said.startswith(f"{cause.name}, ")
@@ -55,7 +56,7 @@ def test_a_cause_without_a_fault_or_of_a_later_protocol_has_no_meaning() -> None
     assert of_device(200) == "200"
 
 
-def test_a_fault_is_reported_with_all_that_a_person_needs(driven: Bench) -> None:
+def test_a_fault_is_reported_with_its_reason_its_remedy_and_the_motor(driven: Bench) -> None:
     driven.run_for(400)
 
     told = [s for s in driven.of(State) if s.fault]
@@ -70,29 +71,7 @@ def test_a_fault_is_reported_with_all_that_a_person_needs(driven: Bench) -> None
     )
 
 
-def test_without_a_link_the_motor_is_not_reported_at_rest(driven: Bench) -> None:
-    driven.ports.send(driven.ports.now, LinkDown("unplugged"))
-    driven.run_for(20)
-
-    assert driven.of(State)[-1].motor == (
-        "not known: the device does not answer; its watchdog stops it within 100 ms"
-    )
-
-
-def test_a_motor_that_does_not_confirm_its_stop_is_reported(driven: Bench) -> None:
-    driven.ports.from_device = lambda data: b""
-    driven.run_for(300)
-
-    last = [s.motor for s in driven.of(State) if s.fault]
-    assert "stop sent, but not confirmed; its watchdog stops it within 100 ms" in last
-    assert last[-1].startswith("not known")
-
-
-def test_driven_means_driven(driven: Bench) -> None:
-    assert driven.of(State)[-1].motor == "driven"
-
-
-def test_a_fault_travels_in_the_message_of_the_state(driven: Bench) -> None:
+def test_the_state_message_contains_the_fault(driven: Bench) -> None:
     driven.run_for(400)
     record = driven.of(State)[-1]
 

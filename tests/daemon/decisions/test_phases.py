@@ -25,12 +25,12 @@ def diagram() -> str:
     return "\n".join(["```mermaid", "stateDiagram-v2", "    [*] --> init", *arrows, "```"])
 
 
-def test_the_page_draws_the_table() -> None:
+def test_the_diagram_of_the_page_equals_the_table_of_phases() -> None:
     """To draw the table again, put the text that this test expects into the page."""
     assert diagram() in PAGE.read_text(encoding="utf-8")
 
 
-def test_only_a_reset_leads_out_of_a_fault() -> None:
+def test_only_a_reset_leaves_a_fault() -> None:
     """S6: a trip latches, and only `safe` can be armed."""
     out = {on for on, ways in TRANSITIONS.items() if ways.get(Phase.FAULT, Phase.FAULT) != "fault"}
 
@@ -40,7 +40,7 @@ def test_only_a_reset_leads_out_of_a_fault() -> None:
     assert {*TRANSITIONS[On.STARTED]} == {Phase.ARMED}
 
 
-def test_a_way_that_is_not_in_the_table_is_not_gone() -> None:
+def test_transition_outside_the_table_raises() -> None:
     latched = replace(rested().loop.state, phase=Phase.FAULT)
 
     with pytest.raises(KeyError):

@@ -12,7 +12,7 @@ from tests.daemon.decision_states import RUN, changed, rested
 
 
 @pytest.mark.parametrize("run", [None, ActiveRun("r", RUN.codes, -1), ActiveRun("r", RUN.codes, 4)])
-def test_the_outcome_of_a_run_is_none_of_the_next(run: ActiveRun | None) -> None:
+def test_the_outcome_of_a_run_does_not_carry_over_to_the_next(run: ActiveRun | None) -> None:
     state = changed(rested().loop.state, run=run)
 
     ended, done = end_run(ending(state, "by hand", OutcomeCode.STOPPED), 0)

@@ -64,7 +64,9 @@ class Heard:
 class Host:
     """A host with a clock that it advances by hand; it counts seq as it should."""
 
-    def __init__(self, settings: EmulatorSettings = QUIET) -> None:
+    def __init__(
+        self, settings: EmulatorSettings = QUIET, kind: type[Device] | None = None
+    ) -> None:
         """Switch the device on and wait until it has booted."""
         self.now_ns = 0
         self.seq = 0
@@ -73,7 +75,7 @@ class Host:
         self.heard: list[Heard] = []
         self.sent: list[tuple[int, bytes]] = []
         self.pending = b""
-        self.device = Device(settings, 0, self.changes.append)
+        self.device = (kind or Device)(settings, 0, self.changes.append)
         self.wait(round(settings.boot_ms * MS) + 1 * MS)
 
     def wait(self, dt_ns: int) -> list[Message]:
@@ -141,18 +143,15 @@ class Host:
 
 
 def only(kind: type[M], messages: list[Message]) -> M:
-    """Return the one message of this kind."""
     (found,) = [m for m in messages if isinstance(m, kind)]
     return found
 
 
 def codes(messages: list[Message]) -> list[int]:
-    """Return the codes of the ACKs."""
     return [m.code for m in messages if isinstance(m, Ack)]
 
 
 def events(messages: list[Message]) -> list[tuple[int, int, int]]:
-    """Return (was, state, cause) of the EVENTs."""
     return [(m.was, m.state, m.cause) for m in messages if isinstance(m, Event)]
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 
 @given(st.lists(st.binary(min_size=1, max_size=9)), st.lists(st.integers(1, 9)))
-def test_all_leaves_in_order_however_it_is_cut(frames: list[bytes], cuts: list[int]) -> None:
+def test_backlog_keeps_order_for_any_cuts(frames: list[bytes], cuts: list[int]) -> None:
     backlog, left = Backlog(), b""
     for frame in frames:
         backlog.put(frame)
@@ -41,7 +41,7 @@ def test_64_kib_are_kept_then_whole_frames_are_dropped_and_counted() -> None:
     assert backlog.waiting_bytes == CAPACITY_BYTES == 65_536
 
 
-def test_nobody_there_leaves_nothing() -> None:
+def test_a_cleared_backlog_is_empty() -> None:
     backlog = Backlog()
     backlog.put(b"abc")
 

@@ -23,7 +23,7 @@ def test_an_instant_is_the_first_at_which_the_clock_shows_it(
     assert clock.device_ns(t_ns - 1) < device_ns
 
 
-def test_a_slow_oscillator_has_long_seconds() -> None:
+def test_clock_of_a_slow_oscillator() -> None:
     """100 ppm: 100 µs a second."""
     slow = started(EmulatorSettings(clock_ppm=100.0), 5)
 

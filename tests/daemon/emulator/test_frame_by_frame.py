@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from math import radians, tau
-
 import numpy as np
 import pytest
-from armrig_daemon.emulator.board import Board, _potentiometers, driven
+from armrig_daemon.emulator.board import Board
 from armrig_daemon.emulator.clock import Clock
 from armrig_daemon.emulator.device import LEAD_NS, Device
 from armrig_daemon.emulator.firmware import NEVER, Firmware, Hardware, PendingSample
@@ -28,14 +26,12 @@ from armrig_protocol.messages import (
     Message,
     Mode,
     Ping,
-    Pong,
     Sample,
     Setpoints,
     Start,
     State,
     Status,
 )
-from msgspec.structs import replace
 
 from tests.daemon.emulator.emulated_host import (
     CONFIG,
@@ -66,7 +62,7 @@ SESSION: list[tuple[int, bytes | Message]] = [
 ]
 
 
-def test_frame_by_frame_the_device_says_what_it_says_at_once() -> None:
+def test_the_device_sends_the_same_frames_one_by_one_as_all_at_once() -> None:
     sent = bytes_of(QUIET, SESSION)
     at_once, apart = Device(QUIET, 0), Device(QUIET, 0)
     one: list[tuple[int, bytes]] = []
@@ -85,16 +81,7 @@ def test_frame_by_frame_the_device_says_what_it_says_at_once() -> None:
     assert apart.advance_to_frame(4 * S) == []
 
 
-@pytest.mark.parametrize(("bits", "told"), [(0, 16), (10, 10)])
-def test_hello_reports_the_bits_of_what_is_read_and_driven(bits: int, told: int) -> None:
-    host = Host(EmulatorSettings(baud=1_000_000, boot_ms=5.0, adc_bits=bits, pwm_bits=bits))
-
-    hello = host.hello()
-
-    assert (hello.adc_bits, hello.pwm_bits) == (told, told)
-
-
-def test_status_reports_what_a_fresh_device_has_counted() -> None:
+def test_status_reports_the_counters_of_a_new_device() -> None:
     host = Host()
     host.hello()
 
@@ -119,28 +106,11 @@ def test_status_reports_what_a_fresh_device_has_counted() -> None:
     assert status.uptime_ms == 1000
 
 
-def test_the_end_of_a_run_is_seen_when_it_is_due() -> None:
-    host = Host().reach(State.ARMED, **SCHEDULED)
-    host.supply(0, [10, 20, 30])
-    host.wait(1 * MS)
-    host.put(Start, k_stop=3)
-    frames: list[tuple[int, bytes]] = []
-
-    while host.device.state is not State.IDLE:
-        at_ns = host.device.visible_ns()
-        assert all(left >= at_ns for left, _ in host.device.advance(at_ns - 1))
-        frames += host.device.advance(at_ns)
-
-    fw = host.device._fw
-    assert (fw.state, fw.cause) == (State.IDLE, Cause.END)
-    assert fw.timer_ns == NEVER
-
-
 @pytest.mark.parametrize(
     ("u", "k", "seq", "samples"),
     [(100, 2, None, True), (101, 2, None, False), (100, 1, None, False), (100, 2, 1, False)],
 )
-def test_a_wait_for_a_sample_may_sleep_through_its_conversions(
+def test_visible_time_skips_the_conversions_of_a_sample(
     u: int, k: int, seq: int | None, samples: bool
 ) -> None:
     host = Host().reach(State.RUN, u_max=100)
@@ -156,90 +126,7 @@ def test_a_wait_for_a_sample_may_sleep_through_its_conversions(
         assert visible_ns == left_ns - LEAD_NS
 
 
-@pytest.mark.parametrize(
-    ("volts", "gain", "offset", "terminal"),
-    [
-        (0.0, 1.2, 0.5, 0.0),
-        (2.0, 1.0, 0.0, 2.0),
-        (2.0, 1.0, 0.5, 2.5),
-        (2.0, 0.5, 0.0, 1.0),
-        (2.0, 1.5, -0.5, 2.5),
-        (4.0, 1.5, 0.0, 5.0),
-        (0.5, 1.0, -1.0, 0.0),
-        (6.0, 1.0, 0.0, 6.0),
-    ],
-)
-def test_a_driver_has_a_gain_and_an_offset_and_ends_at_its_supply(
-    volts: float, gain: float, offset: float, terminal: float
-) -> None:
-    assert driven(volts, gain, offset) == pytest.approx(terminal)
-
-
-def test_each_reading_is_of_its_own_angle(monkeypatch: pytest.MonkeyPatch) -> None:
-    board = Board(QUIET, 0, np.random.default_rng(0))
-    at_rest = board.theta_1(0)
-    assert board.alpha(0) == at_rest
-    turned = {}
-    for i in range(4):
-        motion = tuple(0.3 * (i == j) for j in range(4))
-        monkeypatch.setattr(board, "motion", lambda _, motion=motion: motion)
-        turned[i] = (board.theta_1(0) != at_rest, board.alpha(0) != at_rest)
-
-    assert turned == {0: (True, False), 1: (False, True), 2: (False, False), 3: (False, False)}
-
-
-def test_the_motor_gets_what_the_driver_makes_of_the_duty() -> None:
-    settings = EmulatorSettings(driver_gain=0.5, driver_offset_v=0.25, pwm_bits=0)
-    board = Board(settings, 0, np.random.default_rng(0))
-
-    board.latch(0, 65535, Cause.REQUEST)
-
-    assert (board.volts, board.code) == (pytest.approx(2.75), 65535)
-
-
-@pytest.mark.parametrize("ideal", [False, True])
-def test_each_track_is_what_the_settings_say(ideal: bool) -> None:
-    settings = EmulatorSettings(
-        potentiometers=not ideal,
-        theta_1_range_deg=340.0,
-        theta_1_zero_deg=170.0,
-        theta_1_low_v=0.5,
-        theta_1_high_v=4.5,
-        theta_1_reversed=True,
-        alpha_range_deg=300.0,
-        alpha_zero_deg=90.0,
-        alpha_low_v=1.0,
-        alpha_high_v=4.0,
-    )
-
-    theta_1, alpha = _potentiometers(settings)
-    other_way = _potentiometers(replace(settings, theta_1_reversed=False, alpha_reversed=True))
-
-    ranges = (tau, tau) if ideal else (radians(340), radians(300))
-    assert (theta_1.range_rad, alpha.range_rad) == ranges
-    assert (theta_1.zero_rad, alpha.zero_rad) == (radians(170), radians(90))
-    assert (theta_1.wraps, alpha.wraps) == (True, ideal)
-    assert (theta_1.low, theta_1.high) == (0.1, 0.9)
-    assert (alpha.low, alpha.high) == (0.2, 0.8)
-    assert (theta_1.sign, alpha.sign) == (-1.0, 1.0)
-    assert [pot.sign for pot in other_way] == [1.0, -1.0]
-
-
-@pytest.mark.parametrize(
-    ("k0", "u", "trips"),
-    [(1, [200], False), (0, [150, 200], False), (1, [200, 250], False), (1, [200, 251], True)],
-)
-def test_a_step_within_what_is_queued_counts_once(k0: int, u: list[int], trips: bool) -> None:
-    host = Host().reach(State.ARMED, **{**SCHEDULED, "slew": 50, "u_rest": 100})
-    host.supply(0, [150, 200])
-
-    host.supply(k0, u)
-    answers = host.wait(3 * MS)
-
-    assert events(answers) == ([(State.ARMED, State.FAULT, Cause.SLEW)] if trips else [])
-
-
-def test_the_wire_knows_when_the_second_of_several_pieces_arrives() -> None:
+def test_the_wire_predicts_the_arrival_of_the_second_piece() -> None:
     wire = Reception(0, 1_000_000)
     times = []
     for data in (b"", b"ab\0", b"c\0", b"defg\0", b"h\0"):
@@ -260,21 +147,7 @@ def test_the_wire_gives_its_next_piece_before_it_has_arrived() -> None:
     assert wire.first() != frame
 
 
-@pytest.mark.parametrize("cut", [1, 5, 12])
-def test_a_frame_that_comes_in_two_writes_is_one(cut: int) -> None:
-    host = Host()
-    data = encode(Ping(0, 1, 77))
-
-    host.device.receive(host.now_ns, data[:cut])
-    before = host.wait(3 * MS)
-    host.device.receive(host.now_ns, data[cut:])
-    pong = only(Pong, host.wait(3 * MS))
-
-    assert before == []
-    assert pong.host_ns == 77
-
-
-def test_a_sleeper_through_conversions_is_woken_for_what_comes_meanwhile() -> None:
+def test_visible_time_includes_frames_during_conversions() -> None:
     host = Host().reach(State.RUN)
     host.put(Exchange, k=1, u=50)
     host.put(Ping, host_ns=7)
@@ -283,15 +156,6 @@ def test_a_sleeper_through_conversions_is_woken_for_what_comes_meanwhile() -> No
     (left_ns, _), *_ = host.device.advance(host.now_ns + 2 * MS)
 
     assert visible_ns <= left_ns < host.now_ns + EXCHANGE_NS + 2 * CONVERSION_NS + SAMPLE_NS
-
-
-def test_on_a_wire_that_takes_no_time_an_answer_is_visible_at_once() -> None:
-    host = Host(EmulatorSettings(model_baud=False, boot_ms=5.0))
-
-    host.put(Ping, host_ns=7)
-
-    assert host.device.visible_ns() <= host.now_ns
-    assert [left for left, _ in host.device.advance(host.now_ns)] == [host.now_ns]
 
 
 def _firmware() -> Firmware:
@@ -326,6 +190,23 @@ def test_no_sample_of_scheduled_mode_is_latched_without_a_queue() -> None:
         latch(firmware, 0)
 
     assert firmware.board.volts == 0.0
+
+
+def test_the_end_of_a_run_is_visible_at_its_due_time() -> None:
+    host = Host().reach(State.ARMED, **SCHEDULED)
+    host.supply(0, [10, 20, 30])
+    host.wait(1 * MS)
+    host.put(Start, k_stop=3)
+    frames: list[tuple[int, bytes]] = []
+
+    while host.device.state is not State.IDLE:
+        at_ns = host.device.visible_ns()
+        assert all(left >= at_ns for left, _ in host.device.advance(at_ns - 1))
+        frames += host.device.advance(at_ns)
+
+    fw = host.device._fw
+    assert (fw.state, fw.cause) == (State.IDLE, Cause.END)
+    assert fw.timer_ns == NEVER
 
 
 @pytest.mark.parametrize("state", [State.READY, State.RUN])

@@ -45,7 +45,7 @@ def test_rails_of_two_channels_do_not_add_up() -> None:
     assert verdicts == [Cause.NONE] * 2 + [Cause.NONE] * 3 + [Cause.ADC_RAIL]
 
 
-def test_rails_do_not_trip_where_none_is_asked_for() -> None:
+def test_rail_guard_of_0_ticks_is_off() -> None:
     assert set(causes([(0, 0)] * 1000)) == {Cause.NONE}
 
 
@@ -59,5 +59,5 @@ def test_turns_are_counted_through_the_wrap_in_either_direction(direction: int) 
     assert verdicts == [Cause.NONE] * 32 + [Cause.REV_LIMIT]
 
 
-def test_to_and_fro_is_no_turn() -> None:
+def test_an_oscillation_does_not_count_as_a_revolution() -> None:
     assert set(causes([(0, 30_000), (16_000, 30_000)] * 50, turns=100)) == {Cause.NONE}

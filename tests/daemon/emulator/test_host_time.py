@@ -17,7 +17,7 @@ stalls = st.lists(
 """For each wait: how long it was meant to be, and how much longer it was."""
 
 
-def test_without_tolerance_it_is_given_the_host_s_time() -> None:
+def test_clock_without_tolerance_is_the_host_clock() -> None:
     time = HostTime(5, tolerates_stalls=False)
 
     assert time.given_ns(700 * MS) == 700 * MS
@@ -25,7 +25,7 @@ def test_without_tolerance_it_is_given_the_host_s_time() -> None:
     assert time.held_up_ns == 0
 
 
-def test_a_stall_is_taken_off_but_for_10_ms() -> None:
+def test_stall_above_10_ms_is_removed_from_the_clock() -> None:
     time = HostTime(0, tolerates_stalls=True)
 
     assert time.given_ns(40 * MS, due_ns=35 * MS) == 40 * MS
@@ -35,7 +35,7 @@ def test_a_stall_is_taken_off_but_for_10_ms() -> None:
     assert time.given_ns(301 * MS) == 61 * MS
 
 
-def test_nobody_waits_long_without_a_look_at_the_clock() -> None:
+def test_the_clock_is_read_at_bounded_intervals() -> None:
     time = HostTime(0, tolerates_stalls=True)
 
     assert time.look_ns(10**18) == LOOK_NS
@@ -46,7 +46,9 @@ def test_nobody_waits_long_without_a_look_at_the_clock() -> None:
 
 
 @given(stalls)
-def test_given_time_never_goes_back_nor_ahead(waits: list[tuple[int, int]]) -> None:
+def test_the_emulated_time_grows_by_each_wait_and_at_most_10_ms_of_delay(
+    waits: list[tuple[int, int]],
+) -> None:
     """The time grows by each wait as planned, and by at most 10 ms of delay."""
     time, now_ns, before_ns, owed_ns = HostTime(0, tolerates_stalls=True), 0, 0, 0
     for wait_ns, late_ns in waits:
@@ -60,7 +62,7 @@ def test_given_time_never_goes_back_nor_ahead(waits: list[tuple[int, int]]) -> N
 
 
 @given(stalls)
-def test_the_watchdog_is_as_long_as_ever_by_the_device_s_clock(
+def test_a_stall_does_not_change_the_watchdog_period_on_the_device_clock(
     waits: list[tuple[int, int]],
 ) -> None:
     host, fed_ns = _running()
@@ -78,7 +80,9 @@ def test_the_watchdog_is_as_long_as_ever_by_the_device_s_clock(
 
 
 @pytest.mark.parametrize(("tolerates", "state"), [(True, State.RUN), (False, State.FAULT)])
-def test_a_frame_that_waited_is_heard_before_the_watchdog(tolerates: bool, state: State) -> None:
+def test_a_frame_received_during_a_stall_precedes_the_watchdog(
+    tolerates: bool, state: State
+) -> None:
     """A stall of 2 s, and in it a frame; the watchdog is 0.1 s."""
     host, fed_ns = _running()
     time = HostTime(fed_ns, tolerates_stalls=tolerates)
@@ -100,7 +104,7 @@ def _running() -> tuple[Host, int]:
     return host, fed_ns
 
 
-def test_a_report_has_the_stalls_since_the_report_before_and_is_a_second_after_it() -> None:
+def test_stalls_are_summed_and_reported_once_a_second() -> None:
     reported: list[int] = []
     stalls = StallReports(reported.append)
 

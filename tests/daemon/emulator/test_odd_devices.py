@@ -74,8 +74,9 @@ class Heard:
     def listen(self, ms: float) -> None:
         """Note what comes within a time, with a sign of life now and then."""
         came = self.host.alive(ms) if ms > 40 else self.host.listen(ms)
-        self.lines += [_line(message) for message in came if type(message).__name__ != "Pong"]
-        self.lines.append(f"  {self.device.board.volts:.5g} V")
+        shown = [_line(message) for message in came if type(message).__name__ != "Pong"]
+        shown = shown or ["  nothing"]
+        self.lines += [*shown[:-1], f"{shown[-1]}; {self.device.board.volts:.5g} V"]
 
 
 def _told(settings: dict[str, Any]) -> list[str]:
@@ -113,7 +114,7 @@ def _told(settings: dict[str, Any]) -> list[str]:
     return heard.lines
 
 
-def test_what_odd_devices_answer_is_what_they_answered() -> None:
+def test_answers_of_unusual_devices_equal_the_stored_answers() -> None:
     lines = [line for name, settings in DEVICES.items() for line in (f"# {name}", *_told(settings))]
 
     compare(Path(__file__).with_name("odd_devices.txt"), "\n".join(lines) + "\n")

@@ -13,14 +13,14 @@ OUTSIDE, OTHER_CODE = Violation.DRIVEN_OUTSIDE_RUN, Violation.CODE_NOT_AT_PIN
 
 def of(kind: type, state: State, **fields: int) -> object:
     """Return a frame of the device in a state, all else 0."""
-    return kind._make([0] * len(kind._fields))._replace(state=state, **fields)  # type: ignore[attr-defined]
+    return kind._make([0] * len(kind._fields))._replace(state=state, **fields)
 
 
 def started(noted: list[Violated]) -> Pins:
     """Return the pins of a board that has answered START at cycle 3000, and drives since 4000."""
     pins = Pins(noted.append)
     pins.send(1000, b"\0" + encode(Start(0, 7, 0, 0)))
-    pins.tell(3000, of(Ack, State.RUN, of_type=TYPES[Start], of_seq=7))  # type: ignore[arg-type]
+    pins.tell(3000, of(Ack, State.RUN, of_type=TYPES[Start], of_seq=7))
     pins.measure(Duty(4000, 512, True))
     return pins
 
@@ -46,7 +46,7 @@ def test_a_motor_that_is_driven_on_is_noted_two_periods_after_the_end_of_run(sta
     pins = started(noted)
 
     pins.look(49_000)
-    pins.tell(50_000, of(Event, state))  # type: ignore[arg-type]
+    pins.tell(50_000, of(Event, state))
     pins.look(50_000 + 2 * PERIOD)
     assert noted == []
     pins.look(50_001 + 2 * PERIOD)
@@ -55,13 +55,13 @@ def test_a_motor_that_is_driven_on_is_noted_two_periods_after_the_end_of_run(sta
     assert noted == [Violated(50_001 + 2 * PERIOD, OUTSIDE)]
 
 
-def test_a_motor_that_is_off_in_time_or_in_run_is_not_noted() -> None:
+def test_a_motor_switched_off_in_time_or_driven_in_a_run_is_not_noted() -> None:
     noted: list[Violated] = []
     pins = started(noted)
 
-    pins.tell(40_000, of(Event, State.RUN))  # type: ignore[arg-type]
+    pins.tell(40_000, of(Event, State.RUN))
     pins.look(49_000)
-    pins.tell(50_000, of(Event, State.IDLE))  # type: ignore[arg-type]
+    pins.tell(50_000, of(Event, State.IDLE))
     pins.measure(Duty(50_900, 0, False))
     pins.look(90_000)
 
@@ -75,12 +75,12 @@ def test_a_start_allows_the_motor_until_it_is_answered() -> None:
     pins.send(1000, b"\0" + encode(Keepalive(0, 6)) + encode(Start(0, 7, 0, 0)))
     pins.measure(Duty(2000, 512, True))
 
-    pins.tell(3000, of(Ack, State.ARMED, of_type=TYPES[Start], of_seq=6))  # type: ignore[arg-type]
+    pins.tell(3000, of(Ack, State.ARMED, of_type=TYPES[Start], of_seq=6))
     pins.tell(3500, Spoilt("crc"))
     pins.look(30_000)
     assert noted == []
     answer = of(Ack, State.ARMED, of_type=TYPES[Start], of_seq=7, code=Code.WRONG_NONCE)
-    pins.tell(40_000, answer)  # type: ignore[arg-type]
+    pins.tell(40_000, answer)
     pins.look(60_000)
 
     assert noted == [Violated(60_000, OUTSIDE)]
@@ -122,10 +122,10 @@ def test_the_duty_before_the_latch_is_compared_with_the_code_before(
     pins.measure(Duty(100_001 + PERIOD, 300, True))
 
     sample = of(Sample, State.RUN, u_k=19_200, u_km1=code, t_us=99)
-    pins.tell(110_000, sample)  # type: ignore[arg-type]
+    pins.tell(110_000, sample)
 
     assert noted == ([Violated(100_000 + PERIOD, OTHER_CODE)] if differs else [])
 
 
-def test_each_violation_has_a_sentence_of_its_own() -> None:
+def test_each_violation_has_a_different_sentence() -> None:
     assert len({sentence(what) for what in Violation}) == len(Violation)

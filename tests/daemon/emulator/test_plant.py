@@ -23,7 +23,7 @@ def energy(p: ArmParameters, x: State, *, stiffening: float = 0.0) -> float:
     return kinetic + p.K_lin * alpha**2 / 2 + stiffening * alpha**4 / 4
 
 
-def test_the_steady_speed_is_the_handout_s() -> None:
+def test_the_steady_speed_equals_that_of_the_handout() -> None:
     """The back-EMF balances the voltage: 1.8623 rad/s per volt."""
     plant = build(HANDOUT)
 
@@ -32,7 +32,7 @@ def test_the_steady_speed_is_the_handout_s() -> None:
     assert x[2] == pytest.approx(1.8623, abs=5e-5)
 
 
-def test_the_initial_slope_of_the_speed_is_the_handout_s() -> None:
+def test_the_initial_slope_of_the_speed_equals_that_of_the_handout() -> None:
     """At rest all torque accelerates J_1: 98.40 rad/s² per volt."""
     plant = build(HANDOUT)
 
@@ -42,7 +42,7 @@ def test_the_initial_slope_of_the_speed_is_the_handout_s() -> None:
 
 
 @given(dt_ns=st.integers(0, 10 * SECOND_NS), u=st.floats(0, 5))
-def test_any_duration_is_exact(dt_ns: int, u: float) -> None:
+def test_the_plant_is_integrated_exactly_over_any_duration(dt_ns: int, u: float) -> None:
     A, B, _ = arm_matrices(HANDOUT)
     x0 = (0.3, -0.2, 1.0, 2.0)
 
@@ -53,7 +53,7 @@ def test_any_duration_is_exact(dt_ns: int, u: float) -> None:
 
 
 @given(first=st.integers(0, SECOND_NS), second=st.integers(0, SECOND_NS))
-def test_where_time_is_cut_does_not_matter(first: int, second: int) -> None:
+def test_advance_in_two_steps_equals_one_step(first: int, second: int) -> None:
     plant = build(HANDOUT)
 
     x = advance(plant, advance(plant, REST, 2.0, first), 2.0, second)
@@ -61,16 +61,7 @@ def test_where_time_is_cut_does_not_matter(first: int, second: int) -> None:
     np.testing.assert_allclose(x, advance(plant, REST, 2.0, first + second), atol=1e-10)
 
 
-def test_a_run_of_an_hour_does_not_drift() -> None:
-    plant = build(HANDOUT)
-    x = advance(plant, REST, 1.0, 20 * SECOND_NS)
-
-    after = advance(plant, x, 1.0, 3600 * SECOND_NS)
-
-    assert after[0] - x[0] == pytest.approx(3600 / (HANDOUT.N * HANDOUT.K_m), rel=1e-9)
-
-
-def test_without_the_arm_the_chassis_turns_alone() -> None:
+def test_without_the_arm_the_chassis_turns_and_alpha_is_0() -> None:
     plant = build(HANDOUT, arm_removed=True)
 
     x = advance(plant, REST, 1.0, 10 * MILLISECOND_NS)
@@ -84,7 +75,7 @@ def test_below_the_coulomb_torque_the_chassis_sticks() -> None:
     holding = 0.1
     plant = build(HANDOUT, coulomb_nm=holding)
 
-    x = advance(plant, REST, 0.99 * holding / HANDOUT.torque_per_volt, 10 * SECOND_NS)
+    x = advance(plant, REST, 0.99 * holding / HANDOUT.torque_per_volt, SECOND_NS)
 
     assert x == REST
 
@@ -109,25 +100,17 @@ def test_a_stiffening_spring_breaks_the_chassis_away(side: float) -> None:
     assert x[2] / 1e-4 == pytest.approx(side * 0.5 * cubic / HANDOUT.J_1, rel=1e-2)
 
 
-def test_coulomb_friction_takes_its_share_of_the_terminal_speed() -> None:
+def test_coulomb_friction_reduces_the_terminal_speed_by_its_share() -> None:
     """The speed is lower by T_c R_m / (N K_m)²."""
     plant = build(HANDOUT, coulomb_nm=0.02)
 
-    x = advance(plant, REST, 2.0, 20 * SECOND_NS)
+    x = advance(plant, REST, 2.0, 2 * SECOND_NS)
 
     back_emf = HANDOUT.N * HANDOUT.K_m
     assert x[2] == pytest.approx((2.0 - 0.02 * HANDOUT.R_m / back_emf) / back_emf, rel=1e-5)
 
 
-def test_viscous_friction_takes_its_share_of_the_terminal_speed() -> None:
-    p = ArmParameters(b_1=0.05)
-
-    x = advance(build(p), REST, 2.0, 20 * SECOND_NS)
-
-    assert x[2] == pytest.approx(2.0 * p.torque_per_volt / p.damping, rel=1e-9)
-
-
-def test_with_0_v_energy_only_goes() -> None:
+def test_energy_decreases_at_0_v() -> None:
     plant = build(HANDOUT, coulomb_nm=0.05, stiffening=2.0)
     x: State = (0.0, 0.6, 3.0, 0.0)
 
@@ -144,7 +127,7 @@ def test_a_turning_chassis_comes_to_rest_and_stays() -> None:
     x: State = (0.0, 0.03, 0.5, -0.5)
 
     x = advance(plant, x, 0.0, 200 * MILLISECOND_NS)
-    later = advance(plant, x, 0.0, 10 * SECOND_NS)
+    later = advance(plant, x, 0.0, SECOND_NS)
 
     assert (x[2], later[2]) == (0.0, 0.0)
     assert later[0] == x[0]
@@ -179,13 +162,13 @@ def test_halving_the_substep_divides_the_error_by_four(
 
 
 @pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
-def test_impossible_effects_are_refused(value: float) -> None:
+def test_impossible_parameters_are_refused(value: float) -> None:
     with pytest.raises(ValueError, match=r"coulomb_nm=.*must be finite and >= 0"):
         build(HANDOUT, coulomb_nm=value)
     with pytest.raises(ValueError, match=r"stiffening=.*must be finite and >= 0"):
         build(HANDOUT, stiffening=value)
 
 
-def test_time_does_not_run_backwards() -> None:
+def test_a_decreasing_time_is_refused() -> None:
     with pytest.raises(ValueError, match="dt_ns=-1 must be >= 0"):
         advance(build(HANDOUT), REST, 0.0, -1)

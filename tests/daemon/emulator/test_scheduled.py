@@ -16,19 +16,16 @@ from armrig_protocol.messages import (
     Arm,
     Cause,
     ClearFault,
-    Code,
     Config,
     Estop,
     Event,
     Exchange,
     Flag,
     Hello,
-    HelloReply,
     Keepalive,
     Message,
     Mode,
     Ping,
-    Pong,
     Sample,
     Setpoints,
     Start,
@@ -39,7 +36,6 @@ from armrig_protocol.messages import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from msgspec.structs import replace
 
 from tests.daemon.emulator.emulated_host import (
     BAUD,
@@ -53,7 +49,6 @@ from tests.daemon.emulator.emulated_host import (
     Host,
     S,
     bytes_of,
-    codes,
     events,
     only,
 )
@@ -62,7 +57,6 @@ TS_NS = 500 * US
 SCHEDULED: dict[str, int] = {**CONFIG, "mode": Mode.SCHEDULED, "ts_us": 500, "watchdog_ms": 250}
 INSTANT = EmulatorSettings(model_baud=False, boot_ms=5.0, adc_noise_v=0.0, pwm_bits=0, adc_bits=0)
 NOISE = [(7919 * k + 5) % 65536 for k in range(4000)]
-POTS = Flag.ADC0_RAIL | Flag.ADC1_RAIL
 
 
 def in_state(state: State, emulated: EmulatorSettings = QUIET, **config: int) -> Host:
@@ -91,23 +85,6 @@ def fed(host: Host, dt_ns: int) -> list[Message]:
 
 
 # ------------------------------------------------------------------ the mode and its frame
-
-
-@pytest.mark.parametrize("state", [State.ARMED, State.RUN])
-@pytest.mark.parametrize(("u", "code"), [([50, 9], 9), ([101, 50], 101), ([50] * 23 + [9], 9)])
-def test_a_code_out_of_range_trips_and_refuses_the_whole_frame(
-    state: State, u: list[int], code: int
-) -> None:
-    host = in_state(state, u_min=10, u_max=100)
-
-    t_r = host.supply(5000, u)  # after a gap: an ignored frame is checked all the same
-    answers = [m for m in host.wait(1 * MS) if not isinstance(m, Sample)]
-
-    (event,) = answers
-    assert isinstance(event, Event)
-    assert events(answers) == [(state, State.FAULT, Cause.RANGE)]
-    assert (event.detail, event.t_us) == (code, t_r // US)
-    assert only(Sample, host.ask(Exchange, k=1, u=0)).queued == 0
 
 
 @pytest.mark.parametrize(
@@ -140,7 +117,7 @@ def test_a_step_of_more_than_slew_trips(frames: list[tuple[int, list[int]]], tri
     ("k0", "u", "trips"),
     [(5, [50], False), (5, [51], True), (4, [60, 50], False), (4, [60, 51], True)],
 )
-def test_after_an_underrun_the_slew_counts_from_what_the_motor_has(
+def test_after_an_underrun_the_slew_counts_from_the_voltage_of_the_motor(
     k0: int, u: list[int], trips: bool
 ) -> None:
     host = in_state(State.ARMED, INSTANT, slew=50)
@@ -154,100 +131,7 @@ def test_after_an_underrun_the_slew_counts_from_what_the_motor_has(
     assert host.device.state is (State.FAULT if trips else State.RUN)
 
 
-def test_the_slew_looks_at_what_comes_too_late_as_well() -> None:
-    for first, trips in ((50, False), (51, True)):
-        host = in_state(State.ARMED, INSTANT, slew=50)
-        t_0 = host.put(Start, k_stop=0) + TS_NS
-        until(host, t_0 + 5 * TS_NS)
-
-        host.supply(0, [first, 30])
-        host.wait(1 * MS)
-
-        assert host.device.state is (State.FAULT if trips else State.RUN)
-
-
 # ------------------------------------------------------------------ the queue
-
-
-def queue_after(host: Host, *frames: tuple[int, list[int]]) -> int:
-    """Return how much is queued in ARMED after these frames."""
-    for k0, u in frames:
-        host.supply(k0, u)
-        host.wait(1 * MS)
-    host.k = getattr(host, "k", 0) + 1  # type: ignore[attr-defined]
-    return only(Sample, host.ask(Exchange, k=host.k, u=0)).queued  # type: ignore[attr-defined]
-
-
-def test_the_first_frame_that_brought_a_setpoint_is_its_u_seq() -> None:
-    host = in_state(State.ARMED)
-    host.supply(0, [1, 2])
-    first = host.seq
-    host.supply(0, [1, 2, 3])
-
-    host.put(Start, k_stop=4)
-
-    got = samples(host.wait(5 * MS))
-    assert [m.u_seq for m in got] == [first, first, first + 1, 0]
-
-
-@pytest.mark.parametrize("queue", [512, 256])
-def test_what_is_beyond_the_capacity_is_dropped(queue: int) -> None:
-    host = in_state(State.ARMED, replace(QUIET, queue=queue))
-    last = queue // 24 * 24
-    for k0 in range(0, last, 24):
-        host.supply(k0, NOISE[k0 : k0 + 24])
-    host.wait(20 * MS)
-
-    assert queue_after(host, (last, NOISE[last : last + 24])) == queue
-    assert queue_after(host, (last, NOISE[last : last + 24])) == queue
-    assert queue_after(host, (queue, NOISE[queue : queue + 16])) == queue
-    host.put(Start, k_stop=0)
-    got = samples(host.wait(60 * MS))
-    assert [m.queued for m in got[:3]] == [queue - 1, queue - 2, queue - 3]
-    host.supply(last, NOISE[last : last + 24])
-    got = samples(fed(host, queue * TS_NS + 44 * MS))
-    assert [m.u_k for m in got if m.k < last + 24] == NOISE[got[0].k : last + 24]
-
-
-def test_a_frame_more_than_an_eighth_of_the_queue_finds_no_room() -> None:
-    host = in_state(State.ARMED, replace(QUIET, queue=256))
-    for k in range(0, 64, 2):
-        host.supply(k, [k, k + 1])
-    host.wait(30 * MS)
-
-    assert queue_after(host, (64, [64])) == 64
-    assert queue_after(host, (62, [62, 63])) == 64  # what agrees brings nothing
-    host.put(Start, k_stop=0)
-    got = samples(host.wait(2 * MS))
-    assert [m.queued for m in got] == [63, 62, 61]
-    host.supply(64, [64, 65])
-    got = samples(host.wait(1 * MS))
-    assert [m.queued for m in got] == [60, 59 + 2]
-
-
-def test_the_queue_is_empty_at_arm() -> None:
-    host = in_state(State.ARMED)
-    assert queue_after(host, (0, [1, 2, 3])) == 3
-    host.ask(Stop)
-    host.reach(State.ARMED, **SCHEDULED)
-
-    assert queue_after(host) == 0
-    assert queue_after(host, (0, [7])) == 1
-
-
-@pytest.mark.parametrize(("way", "state"), [(Stop, State.IDLE), (Estop, State.ESTOP)])
-def test_stop_and_estop_empty_the_queue(way: type[Message], state: State) -> None:
-    host = in_state(State.ARMED)
-    host.supply(0, [60_000] * 24)
-    host.put(Start, k_stop=0)
-    host.wait(4 * MS)
-
-    t_r = host.put(way)
-    host.wait(3 * MS)
-
-    assert host.changes[-1] == Change(t_r, 0.0, state, Cause.REQUEST)
-    assert samples(host.wait(100 * MS)) == []
-    assert only(Sample, host.ask(Exchange, k=1, u=0)).queued == 0
 
 
 @pytest.mark.parametrize("late", [False, True])
@@ -270,8 +154,6 @@ def test_indices_wrap_with_k() -> None:
     fw = host.device._fw
     host.put(Start, k_stop=0)
     host.wait(300 * US)
-    assert fw.timer is not None
-    assert fw.queue is not None
     # As after 24.8 days.
     last = 2**32 - 3
     fw.timer.first_ns -= last * fw.timer.period_ns
@@ -312,34 +194,7 @@ def test_the_first_sample_comes_one_ts_after_start() -> None:
     assert off == Change(t_0 + TS_NS + HOLD_NS, 0.0, State.RUN, Cause.REQUEST)
 
 
-def test_alpha_is_read_one_conversion_before_theta_1(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each is held 12 µs after its trigger."""
-    host = in_state(State.ARMED)
-    board, read = host.device.board, []
-    alpha, theta_1 = board.alpha, board.theta_1
-    monkeypatch.setattr(board, "alpha", lambda t: read.append(("alpha", t)) or alpha(t))
-    monkeypatch.setattr(board, "theta_1", lambda t: read.append(("theta_1", t)) or theta_1(t))
-
-    t_0 = host.put(Start, k_stop=1) + TS_NS
-    host.wait(3 * MS)
-
-    assert read == [("alpha", t_0 - CONVERSION_NS + HOLD_NS), ("theta_1", t_0 + HOLD_NS)]
-
-
-def test_a_sample_does_not_know_of_its_own_u() -> None:
-    """y_k is read just before u_k acts: nk = 1."""
-    runs = []
-    for u in (0, 65535):
-        host = in_state(State.ARMED)
-        host.supply(0, [30_000, 30_000, u, 0])
-        host.put(Start, k_stop=4)
-        runs.append([(m.y0, m.y1) for m in samples(host.wait(5 * MS))])
-
-    assert runs[0][:3] == runs[1][:3]
-    assert runs[0][3] != runs[1][3]
-
-
-@pytest.mark.parametrize("ppm", [0.0, 100.0, -100.0, 500.0, -500.0, 0.5])
+@pytest.mark.parametrize("ppm", [0.5, 100.0, -500.0])
 def test_nothing_drifts_by_the_device_s_clock(ppm: float) -> None:
     """t_us is t_0 + k Ts to the µs; in given time each Ts takes 1 + ppm 1e-6."""
     quiet = EmulatorSettings(baud=BAUD, boot_ms=5.0, adc_noise_v=0, pwm_bits=0, clock_ppm=ppm)
@@ -348,9 +203,9 @@ def test_nothing_drifts_by_the_device_s_clock(ppm: float) -> None:
     host.supply(0, [65535 * (k % 2) for k in range(24)])
     t_r = host.put(Start, k_stop=0)
 
-    got = samples(fed(host, 5 * S))
+    got = samples(fed(host, 2 * S))
 
-    assert len(got) > 9990
+    assert len(got) > 3990
     t_0_ns = t_r * 10**9 // (10**9 + round(ppm * 1000)) + TS_NS
     assert [m.t_us for m in got] == [(t_0_ns + m.k * TS_NS) // US for m in got]
     assert [m.k for m in got] == list(range(len(got)))
@@ -360,46 +215,6 @@ def test_nothing_drifts_by_the_device_s_clock(ppm: float) -> None:
     for i, t_ns in enumerate(ons):
         expected = t_r + (TS_NS * (2 + i) + HOLD_NS) * stretch
         assert t_ns == pytest.approx(expected, abs=2)
-
-
-@pytest.mark.parametrize("ppm", [100.0, -100.0])
-def test_all_the_device_s_times_are_by_its_clock(ppm: float) -> None:
-    host = in_state(State.ARMED, EmulatorSettings(baud=BAUD, boot_ms=5.0, clock_ppm=ppm))
-    stretch = 1 + ppm * 1e-6
-    came = fed(host, 20 * S)
-    t_r = host.put(Ping, host_ns=1)
-
-    pong = only(Pong, host.wait(3 * MS))
-    assert pong.rx_us == int(t_r / stretch / US)
-    statuses = [h for h in host.heard if isinstance(h.message, Status)]
-    assert len(statuses) == 20
-    for second, heard in enumerate(statuses, 1):
-        assert isinstance(heard.message, Status)
-        assert heard.message.uptime_ms == second * 1000
-        assert heard.t_ns == pytest.approx(second * S * stretch + 420 * US, abs=3 * MS)
-    host.wait(200 * MS)
-    assert host.device.state is State.ARMED
-    bitten_ns = t_r + 250 * MS * stretch
-    host.wait(int(bitten_ns) - 2 - host.now_ns)
-    assert host.device.state is State.ARMED
-    host.wait(4)
-    assert host.device.state is State.FAULT
-    assert came
-
-
-def test_t_us_wraps_in_a_run() -> None:
-    """After 71.6 min."""
-    host = Host()
-    host.wait(2**32 * US - 60 * MS - host.now_ns)
-    host.reach(State.ARMED, **SCHEDULED)
-    host.put(Start, k_stop=0)
-
-    got = samples(fed(host, 100 * MS))
-
-    assert got[0].t_us > 2**32 - 60_000
-    assert got[-1].t_us < 60_000
-    assert {(b.t_us - a.t_us) % 2**32 for a, b in pairwise(got)} == {500}
-    assert {b.k - a.k for a, b in pairwise(got)} == {1}
 
 
 def test_a_sample_during_a_busy_converter_is_late_and_the_next_is_not() -> None:
@@ -424,45 +239,6 @@ def test_a_sample_during_a_busy_converter_is_late_and_the_next_is_not() -> None:
 # ------------------------------------------------------------------ what is latched
 
 
-def test_4000_of_4000_are_aligned_at_2_khz() -> None:
-    """The queue has 100 samples ahead."""
-    host = in_state(State.ARMED)
-    host.supply(0, NOISE[:24])
-    k0 = 24
-    got: list[Sample] = []
-    host.put(Start, k_stop=4000)
-    while host.device.state in (State.ARMED, State.RUN):
-        while k0 < min(4000, (got[-1].k if got else 0) + 100):
-            host.supply(k0, NOISE[k0 : k0 + 24])
-            k0 += 24
-        host.put(Keepalive)
-        got += samples(host.wait(5 * MS))
-
-    assert [m.k for m in got] == list(range(4000))
-    assert [m.u_k for m in got] == NOISE
-    assert [m.u_km1 for m in got] == [0, *NOISE[:-1]]
-    assert {m.flags & ~POTS for m in got} == {Flag.RUN | Flag.ARMED}
-
-
-def test_k_stop_is_the_end() -> None:
-    host = in_state(State.ARMED)
-    host.supply(0, [0, 0, 65535, 1, 2])
-    t_0 = host.put(Start, k_stop=3) + TS_NS
-
-    answers = host.wait(5 * MS)
-
-    assert [m.k for m in samples(answers)] == [0, 1, 2]
-    assert samples(answers)[-1].queued == 2
-    assert events(answers)[1:] == [(State.RUN, State.IDLE, Cause.END)]
-    on, off = host.changes[-2:]
-    assert off == Change(t_0 + 3 * TS_NS + HOLD_NS, 0.0, State.IDLE, Cause.END)
-    assert off.t_ns - on.t_ns == TS_NS
-    assert isinstance(answers[-1], Event)
-    assert answers[-1].t_us == off.t_ns // US
-    assert host.configure(oversampling=0).config_crc == 0
-    assert samples(host.wait(50 * MS)) == []
-
-
 @pytest.mark.parametrize(
     ("policy", "hold", "latched"),
     [
@@ -471,7 +247,9 @@ def test_k_stop_is_the_end() -> None:
         (Underrun.HOLD, 0, [5, 6, 2, 2, 2, 2]),
     ],
 )
-def test_a_dry_queue_follows_its_policy(policy: int, hold: int, latched: list[int]) -> None:
+def test_an_empty_queue_follows_the_underrun_policy(
+    policy: int, hold: int, latched: list[int]
+) -> None:
     host = in_state(State.ARMED, u_rest=2, underrun=policy, hold=hold)
     host.supply(0, [5, 6])
     seq = host.seq
@@ -496,18 +274,6 @@ def test_hold_counts_again_after_each_setpoint() -> None:
     got += samples(until(host, t_0 + 9 * TS_NS))
 
     assert [m.u_k for m in got] == [100, 100, 100, 103, 103, 103, 106, 106, 106]
-
-
-def test_what_comes_for_a_k_that_ran_dry_is_too_late() -> None:
-    host = in_state(State.ARMED, INSTANT)
-    t_0 = host.put(Start, k_stop=6) + TS_NS
-    first = samples(until(host, t_0 + 2 * TS_NS + 200 * US))
-
-    host.supply(0, [10, 11, 12, 13, 14, 15])
-    rest = samples(host.wait(5 * MS))
-
-    assert [m.u_k for m in first + rest] == [0, 0, 0, 13, 14, 15]
-    assert [bool(m.flags & Flag.UNDERRUN) for m in first + rest] == [True] * 3 + [False] * 3
 
 
 def test_run_begins_with_the_rest_voltage() -> None:
@@ -544,7 +310,7 @@ def test_a_sample_under_way_when_the_run_ends_reports_its_end() -> None:
         assert [c.volts for c in host.changes] == [0.0]
 
 
-def test_a_sample_of_the_run_takes_no_place_of_a_later_exchange() -> None:
+def test_a_scheduled_sample_does_not_use_up_the_place_of_a_later_exchange() -> None:
     host = in_state(State.ARMED, INSTANT)
     until(host, host.put(Start, k_stop=0) + TS_NS + HOLD_NS)
 
@@ -555,77 +321,10 @@ def test_a_sample_of_the_run_takes_no_place_of_a_later_exchange() -> None:
     assert [m.k for m in samples(host.wait(5 * MS))] == [0, 7, 8]
 
 
-# ------------------------------------------------------------------ EXCHANGE in addition
-
-
-def test_exchange_is_refused_in_run() -> None:
-    host = in_state(State.ARMED)
-    host.put(Start, k_stop=0)
-    host.wait(2 * MS)
-
-    answers = host.ask(Exchange, k=1000, u=65535)
-
-    assert codes(answers) == [Code.WRONG_STATE]
-    got = samples(answers)
-    assert {m.flags & ~POTS for m in got} == {Flag.RUN | Flag.ARMED | Flag.UNDERRUN}
-    assert [m.k for m in got] == list(range(got[0].k, got[-1].k + 1))
-    assert got[-1].echo == host.seq
-    assert all(c.volts == 0 for c in host.changes)
-
-
-def test_k_of_a_run_and_of_exchange_have_nothing_to_do_with_each_other() -> None:
-    host = in_state(State.ARMED)
-    host.ask(Exchange, k=1000, u=0)
-    host.put(Start, k_stop=3)
-
-    assert [m.k for m in samples(host.wait(5 * MS))] == [0, 1, 2]
-    assert codes(host.ask(Exchange, k=1000, u=0)) == [Code.STALE]
-    assert only(Sample, host.ask(Exchange, k=1001, u=0)).k == 1001
-
-
 # ------------------------------------------------------------------ guards
 
 
-def test_queued_setpoints_do_not_feed_the_watchdog() -> None:
-    """400 setpoints are left."""
-    for pings in (False, True):
-        host = in_state(State.ARMED, watchdog_ms=50)
-        for k0 in range(0, 504, 24):
-            host.supply(k0, [60_000] * 24)
-        host.wait(20 * MS)
-        last = host.put(Start, k_stop=0)
-        for _ in range(10):
-            host.wait(10 * MS)
-            if pings:
-                host.put(Ping, host_ns=0)
-
-        if pings:
-            assert host.device.state is State.RUN
-        else:
-            assert host.changes[-1] == Change(last + 50 * MS, 0.0, State.FAULT, Cause.WATCHDOG)
-            heard = samples([h.message for h in host.heard])
-            assert heard[-1].queued > 400 or heard[-1].state == State.FAULT
-            assert samples(host.wait(20 * MS)) == []
-            assert only(Sample, host.ask(Exchange, k=1, u=0)).queued == 0
-
-
-@pytest.mark.parametrize(
-    ("config", "cause"), [({"rail_ticks": 2}, Cause.ADC_RAIL), ({"turns": 25}, Cause.REV_LIMIT)]
-)
-def test_rails_and_turns_trip_in_a_run_and_end_it(config: dict[str, int], cause: Cause) -> None:
-    host = in_state(State.ARMED, ts_us=3000, underrun=Underrun.HOLD, hold=255, **config)
-    host.supply(0, [65535])
-    host.put(Start, k_stop=0)
-
-    *_, sample, event = fed(host, 700 * MS)
-
-    assert isinstance(sample, Sample)
-    assert isinstance(event, Event)
-    assert (event.cause, sample.state, sample.u_k) == (cause, State.FAULT, 0)
-    assert host.device.board.volts == 0.0
-
-
-def test_turns_and_rails_are_not_counted_from_the_run_before() -> None:
+def test_the_counts_of_turns_and_rails_start_at_0_in_each_run() -> None:
     host = Host()
     for _ in range(3):
         host.reach(State.ARMED, **{**SCHEDULED, "turns": 25, "ts_us": 3000})
@@ -648,9 +347,9 @@ FRAMES = st.lists(
 )
 
 
-@settings(max_examples=80)
+@settings(max_examples=40)
 @given(FRAMES, st.sampled_from(list(Underrun)), st.integers(0, 5), st.randoms())
-def test_whatever_happens_to_the_frames_each_u_k_is_its_own_or_flagged(
+def test_each_u_k_is_correct_or_flagged_under_any_fault_of_the_frames(
     frames: list[tuple[str, int, int]], policy: int, hold: int, rng: object
 ) -> None:
     host = in_state(State.ARMED, u_max=60_000, underrun=policy, hold=hold)
@@ -701,6 +400,7 @@ COMMANDS = st.one_of(
         [
             Keepalive(0, 0),
             Stop(0, 0),
+            Estop(0, 0),
             Start(0, 0, 0, 0),
             Start(0, 0, 5, 0),
             Ping(0, 0, 5),
@@ -709,9 +409,9 @@ COMMANDS = st.one_of(
             Config(0, 0, **CONFIG),
             Arm(0, 0, 0, 0, 0),
             ClearFault(0, 0, 0),
-            Exchange(0, 0, 0, 30_000),
         ]
     ),
+    st.builds(lambda u: Exchange(0, 0, 0, u), st.integers(0, 65535)),
     st.builds(
         lambda k0, n: Setpoints(0, 0, k0, n, 0, (*U[k0 : k0 + n], *(0,) * (24 - n))),
         st.integers(0, 40),
@@ -719,22 +419,32 @@ COMMANDS = st.one_of(
     ),
 )
 SCRIPT = st.lists(st.tuples(st.integers(0, 20 * MS), COMMANDS), max_size=40)
-OPENING: list[tuple[int, bytes | Message]] = [
-    (1 * MS, Hello(0, 0, VERSION, SCHEMA_HASH)),
-    (1 * MS, Config(0, 0, **SCHEDULED)),
-    (1 * MS, Arm(0, 0, 0, 0, 0)),
-    (1 * MS, Setpoints(0, 0, 0, 24, 0, tuple(U[:24]))),
-    (1 * MS, Start(0, 0, 0, 0)),
-]
 
 
-@settings(max_examples=40)
-@given(SCRIPT, st.lists(st.integers(0, 1 * S), max_size=20), st.sampled_from([0.0, 123.4]))
+def opening(mode: Mode) -> list[tuple[int, bytes | Message]]:
+    """Return the way to RUN; in exchange mode SETPOINTS are refused."""
+    return [
+        (1 * MS, Hello(0, 0, VERSION, SCHEMA_HASH)),
+        (1 * MS, Config(0, 0, **{**SCHEDULED, "mode": mode})),
+        (1 * MS, Arm(0, 0, 0, 0, 0)),
+        (1 * MS, Setpoints(0, 0, 0, 24, 0, tuple(U[:24]))),
+        (1 * MS, Start(0, 0, 0, 0)),
+    ]
+
+
+@settings(max_examples=25)
+@given(
+    SCRIPT,
+    st.lists(st.integers(0, 1 * S), max_size=20),
+    st.sampled_from([0.0, 123.4]),
+    st.sampled_from(list(Mode)),
+)
 def test_the_same_bytes_at_the_same_times_give_the_same_answers(
-    script: list[tuple[int, bytes | Message]], looks: list[int], ppm: float
+    script: list[tuple[int, bytes | Message]], looks: list[int], ppm: float, mode: Mode
 ) -> None:
+    """S1, S3: 0 to 5 V, in RUN only, and 0 V a watchdog after the last bytes."""
     emulated = EmulatorSettings(baud=BAUD, boot_ms=5, seed=3, clock_ppm=ppm)
-    sent = bytes_of(emulated, OPENING + script)
+    sent = bytes_of(emulated, opening(mode) + script)
     outputs = []
     for extra in ([], looks):
         changes: list[Change] = []
@@ -744,35 +454,26 @@ def test_the_same_bytes_at_the_same_times_give_the_same_answers(
         for t_ns, data in acts:
             replies += device.advance(t_ns)
             device.receive(t_ns, data)
+        last_ns = t_ns + device.rx_backlog_ns(t_ns)
         outputs.append((replies + device.advance(2 * S), changes))
 
     assert outputs[0] == outputs[1]
     assert all(0 <= c.volts <= 5 and (c.volts == 0 or c.state is State.RUN) for c in changes)
     assert device.board.volts == 0.0
+    assert all(c.t_ns <= last_ns + 251 * MS for c in changes)
 
 
-@settings(max_examples=60)
-@given(SCRIPT, st.sampled_from([0.0, 500.0, -500.0]), st.booleans())
-def test_a_sleeper_until_something_can_be_seen_misses_nothing(
-    script: list[tuple[int, bytes | Message]], ppm: float, model_baud: bool
+@settings(max_examples=30)
+@given(SCRIPT, st.sampled_from([0.0, 500.0, -500.0]), st.booleans(), st.sampled_from(list(Mode)))
+def test_visible_time_is_early_enough_for_every_frame(
+    script: list[tuple[int, bytes | Message]], ppm: float, model_baud: bool, mode: Mode
 ) -> None:
     emulated = EmulatorSettings(baud=BAUD, boot_ms=5, clock_ppm=ppm, model_baud=model_baud)
     device = Device(emulated, 0)
-    for t_ns, data in [*bytes_of(emulated, OPENING + script), (1 * S, b"")]:
+    for t_ns, data in [*bytes_of(emulated, opening(mode) + script), (1 * S, b"")]:
         while (due_ns := device.visible_ns()) < t_ns:
             early = device.advance(due_ns - 1)
             assert all(left >= due_ns for left, _ in early)
             device.advance(due_ns)
         device.advance(t_ns)
         device.receive(t_ns, data)
-
-
-def test_a_hello_reply_in_a_run_disturbs_no_sample() -> None:
-    host = in_state(State.ARMED)
-    host.put(Start, k_stop=0)
-    host.wait(2 * MS)
-
-    answers = host.ask(Hello, version=VERSION, schema=SCHEMA_HASH)
-
-    assert only(HelloReply, answers).state == State.RUN
-    assert {(b.k - a.k, b.t_us - a.t_us) for a, b in pairwise(samples(answers))} == {(1, 500)}

@@ -21,7 +21,7 @@ def refusal(tmp_path: Path, text: str) -> str:
     return str(caught.value)
 
 
-def test_an_empty_table_is_the_demo(tmp_path: Path) -> None:
+def test_an_empty_table_gives_the_settings_of_the_demo(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text("[rig]\nname = 'x'\n")
 
@@ -33,7 +33,7 @@ def test_an_empty_table_is_the_demo(tmp_path: Path) -> None:
     assert (settings.coulomb_nm, settings.stiffening) == (0.0, 0.0)
 
 
-def test_keys_take_their_place(tmp_path: Path) -> None:
+def test_settings_of_the_file_replace_the_defaults(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text("[emulator]\nadc_bits = 12\nseed = 9\n[emulator.arm]\nJ_2 = 0.005\n")
 
@@ -45,71 +45,30 @@ def test_keys_take_their_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "allowed"),
+    ("text", "refused"),
     [
-        ("seed", -1, "from 0"),
-        ("boot_ms", -0.5, "from 0 to 10000"),
-        ("baud", 300, "from 9600 to 4000000"),
-        ("conversion_us", 3.0, "from 12 to 1000"),
-        ("adc_noise_v", 0.6, "from 0 to 0.5"),
-        ("clock_ppm", -501.0, "from -500 to 500"),
-        ("clock_ppm", 500.5, "from -500 to 500"),
-        ("coulomb_nm", -1.0, "from 0 to 10"),
-        ("stiffening", -1.0, "from 0 to 1000"),
-        ("theta_1_range_deg", 361.0, "from 180 to 360"),
-        ("theta_1_zero_deg", 400.0, "from 0 to 360"),
-        ("alpha_range_deg", 0.0, "from 10 to 3600"),
-        ("alpha_zero_deg", -1.0, "from 0 to 3600"),
-        ("pwm_bits", 7, "one of 0, 8"),
-        ("adc_bits", 11, "one of 0, 10, 12"),
+        ("[emulator]\nclock_ppm = -501.0", "emulator: clock_ppm=-501.0 must be from -500 to 500"),
+        ("[emulator]\nadc_noise_v = nan", "adc_noise_v=nan must be from 0 to 0.5"),
+        ("[emulator]\npwm_bits = 7", "pwm_bits=7 must be one of 0, 8"),
+        ("[emulator]\nadc_bits = 11", "adc_bits=11 must be one of 0, 10, 12"),
+        ("[emulator]\nadc_bits = 'ten'", "emulator.adc_bits = 'ten': expected `int`, got `str`"),
+        ("[emulator]\nadc_bit = 10", "emulator.adc_bit = 10: no such key; allowed are seed, boot"),
+        ("[emulator.arm]\nJ_3 = 1.0", "arm.J_3=1.0: no such key; allowed are J_1, J_2"),
+        ("[emulator.arm]\nJ_1 = -1.0", "arm.J_1=-1.0 must be finite and > 0"),
+        (
+            "[emulator]\nalpha_range_deg = 90.0\nalpha_zero_deg = 91.0",
+            "alpha_zero_deg=91.0 must be on the track, from 0 to alpha_range_deg=90.0",
+        ),
     ],
 )
-def test_a_value_out_of_range_is_refused(
-    tmp_path: Path, key: str, value: float, allowed: str
-) -> None:
-    said = refusal(tmp_path, f"[emulator]\n{key} = {value}\n")
+def test_a_value_that_is_not_allowed_is_refused(tmp_path: Path, text: str, refused: str) -> None:
+    said = refusal(tmp_path, text)
 
-    assert "rig.toml: emulator: " in said
-    assert f"{key}={value} must be {allowed}" in said
+    assert said.startswith(str(tmp_path / "rig.toml"))
+    assert refused in said
 
 
-def test_a_wiper_beyond_its_track_is_refused(tmp_path: Path) -> None:
-    said = refusal(tmp_path, "[emulator]\nalpha_range_deg = 90.0\nalpha_zero_deg = 91.0\n")
-
-    assert "alpha_zero_deg=91.0 must be on the track, from 0 to alpha_range_deg=90.0" in said
-
-
-def test_what_is_not_a_number_is_refused(tmp_path: Path) -> None:
-    assert "adc_noise_v=nan must be from 0 to 0.5" in refusal(
-        tmp_path, "[emulator]\nadc_noise_v = nan\n"
-    )
-
-
-def test_an_unknown_key_is_refused(tmp_path: Path) -> None:
-    said = refusal(tmp_path, "[emulator]\nadc_bit = 10\n")
-
-    assert "emulator.adc_bit = 10: no such key; allowed are seed, boot_ms" in said
-
-
-def test_an_unknown_parameter_of_the_arm_is_refused(tmp_path: Path) -> None:
-    said = refusal(tmp_path, "[emulator.arm]\nJ_3 = 1.0\n")
-
-    assert "arm.J_3=1.0: no such key; allowed are J_1, J_2" in said
-
-
-def test_an_impossible_parameter_of_the_arm_is_refused(tmp_path: Path) -> None:
-    assert "arm.J_1=-1.0 must be finite and > 0" in refusal(
-        tmp_path, "[emulator.arm]\nJ_1 = -1.0\n"
-    )
-
-
-def test_a_value_of_the_wrong_type_is_refused(tmp_path: Path) -> None:
-    said = refusal(tmp_path, "[emulator]\nadc_bits = 'ten'\n")
-
-    assert "emulator.adc_bits = 'ten': expected `int`, got `str`" in said
-
-
-def test_a_file_that_is_no_toml_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_toml_is_refused(tmp_path: Path) -> None:
     assert "rig.toml: " in refusal(tmp_path, "[emulator\n")
     with pytest.raises(InputError, match=r"absent\.toml"):
         load(tmp_path / "absent.toml")
@@ -128,21 +87,3 @@ def test_reading_settings_loads_no_scipy() -> None:
     )
 
     assert done.returncode == 0
-
-
-def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "rig.toml"
-    path.write_text("[emulator]\r\nseed = 7\r\n", encoding="utf-8-sig")
-
-    assert load(path).seed == 7
-    path.write_text("[emulator]", encoding="utf-16")
-    with pytest.raises(InputError, match=r"toml: it is saved as UTF-16: save it as UTF-8$"):
-        load(path)
-
-
-def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
-    path = tmp_path / "rig.toml"
-    os.mkfifo(path)
-
-    with pytest.raises(InputError, match=r"rig\.toml: not a regular file$"):
-        load(path)

@@ -26,7 +26,7 @@ def test_a_frame_arrives_with_its_last_byte() -> None:
 
 
 @given(st.binary(max_size=200), st.integers(0, 10**6), st.sampled_from([0, 115_200, 500_000]))
-def test_no_byte_is_lost_and_none_overtakes(data: bytes, free_ns: int, baud: int) -> None:
+def test_bytes_are_neither_lost_nor_reordered(data: bytes, free_ns: int, baud: int) -> None:
     pieces = arrivals(free_ns, 1_000, data, baud)
 
     assert b"".join(piece for _, piece in pieces) == data

@@ -8,7 +8,7 @@ from tests.clients.said import compare
 from tests.daemon.odd_bench import afternoon
 
 
-def test_the_records_of_a_bad_afternoon_are_those_stored() -> None:
+def test_the_records_of_repeated_faults_equal_the_stored_records() -> None:
     lines = afternoon()
 
     compare(Path(__file__).with_name("a_bad_afternoon.txt"), "\n".join(lines) + "\n")

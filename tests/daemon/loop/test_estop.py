@@ -33,11 +33,9 @@ def line() -> Iterator[tuple[int, str]]:
     os.close(slave)
 
 
-@pytest.fixture
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wait longer for the port and for an answer than the command does."""
-    monkeypatch.setattr(estop_module, "WITHIN_S", 30.0)
-    monkeypatch.setattr(estop_module, "_PORT_WAIT_S", 30.0)
+def _patient(line: tuple[int, str]) -> bool:
+    """Send ESTOP, and wait longer for the port and for an answer than the command does."""
+    return estop(line[1], BAUD, within_s=30.0, port_wait_s=30.0)
 
 
 class Device:
@@ -78,27 +76,29 @@ class Device:
                     os.write(self._master, b"\0" + encode(BOOTED))
 
 
-@pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("answered", [1, 3])
-def test_three_are_sent_and_one_answer_is_enough(line: tuple[int, str], answered: int) -> None:
+def test_estop_is_sent_three_times_and_requires_one_answer(
+    line: tuple[int, str], answered: int
+) -> None:
     """The first two may be lost."""
     with Device(line[0], answered) as device:
-        assert estop(line[1], BAUD)
+        assert _patient(line)
 
     assert device.heard == [Estop(0, 0), Estop(0, 1), Estop(0, 2)]
 
 
-@pytest.mark.usefixtures("patient")
-def test_half_a_frame_of_a_killed_daemon_costs_no_estop(line: tuple[int, str]) -> None:
+def test_an_incomplete_frame_of_a_killed_daemon_does_not_spoil_an_estop(
+    line: tuple[int, str],
+) -> None:
     with Device(line[0], answered=2, pending=encode(Estop(0, 9))[:4]) as device:
-        assert estop(line[1], BAUD)
+        assert _patient(line)
 
     spoilt, *sound = device.heard
     assert isinstance(spoilt, Spoilt)
     assert sound == [Estop(0, 0), Estop(0, 1), Estop(0, 2)]
 
 
-def test_a_device_that_does_not_answer_is_waited_for_no_longer(line: tuple[int, str]) -> None:
+def test_estop_gives_up_without_an_answer(line: tuple[int, str]) -> None:
     before = time.monotonic()
     with Device(line[0], answered=0) as device:
         assert not estop(line[1], BAUD)
@@ -107,23 +107,22 @@ def test_a_device_that_does_not_answer_is_waited_for_no_longer(line: tuple[int, 
     assert time.monotonic() - before >= WITHIN_S
 
 
-@pytest.mark.usefixtures("patient")
-def test_a_device_that_has_booted_meanwhile_gets_estop_again(line: tuple[int, str]) -> None:
+def test_estop_is_sent_again_to_a_device_that_has_restarted(line: tuple[int, str]) -> None:
     """Opening the port reset the device, and it discarded what came before it was ready."""
     with Device(line[0], answered=4, boots=True) as device:
-        assert estop(line[1], BAUD)
+        assert _patient(line)
 
     assert len(device.heard) == 6
 
 
-def test_an_answer_of_another_state_is_none(line: tuple[int, str]) -> None:
+def test_an_answer_with_another_state_does_not_confirm_the_estop(line: tuple[int, str]) -> None:
     with Device(line[0], answered=0):
         os.write(line[0], b"\0" + encode(Ack(DeviceState.RUN, 0, TYPES[Estop], Code.OK, 0)))
 
         assert not estop(line[1], BAUD)
 
 
-def test_to_a_port_that_another_holds_not_a_byte_is_sent(line: tuple[int, str]) -> None:
+def test_estop_sends_nothing_to_a_port_in_use(line: tuple[int, str]) -> None:
     daemon = Link(line[1], BAUD)
     os.write(line[0], b"for the daemon")
 
@@ -135,18 +134,17 @@ def test_to_a_port_that_another_holds_not_a_byte_is_sent(line: tuple[int, str]) 
     daemon.close()
 
 
-@pytest.mark.usefixtures("patient")
-def test_a_daemon_that_is_dying_is_waited_for(line: tuple[int, str]) -> None:
+def test_estop_waits_for_a_dying_daemon(line: tuple[int, str]) -> None:
     """The daemon gives its port back a moment after systemd calls `armrigd estop`."""
     holder = os.open(line[1], os.O_RDWR | os.O_NOCTTY)
     fcntl.flock(holder, fcntl.LOCK_EX)
     threading.Timer(0.05, os.close, [holder]).start()
 
     with Device(line[0], answered=1):
-        assert estop(line[1], BAUD)
+        assert _patient(line)
 
 
-def test_a_port_that_is_not_there_is_said() -> None:
+def test_a_missing_port_is_reported() -> None:
     with pytest.raises(NoPortError, match="it is not there"):
         estop("/dev/no-such-port", BAUD)
 
@@ -162,11 +160,13 @@ def test_a_port_that_is_not_there_is_said() -> None:
         ({"SERVICE_RESULT": "watchdog", "EXIT_CODE": "dumped", "EXIT_STATUS": "ABRT"}, True),
     ],
 )
-def test_what_systemd_says_of_a_service_decides(environ: dict[str, str], failed: bool) -> None:
+def test_the_exit_result_of_the_service_decides_on_the_estop(
+    environ: dict[str, str], failed: bool
+) -> None:
     assert _has_failed(environ) is failed
 
 
-def test_a_port_that_stays_in_use_is_given_up_after_a_fifth_of_a_second(
+def test_estop_gives_up_on_a_port_in_use_after_a_fifth_of_a_second(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The whole command takes less than a second, as its help says."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from unittest import mock
+
 import pytest
 from armrig_daemon.loop import realtime
 
@@ -37,30 +40,26 @@ from armrig_daemon.loop import realtime
         ),
     ],
 )
-def test_each_refusal_is_told_apart(
+def test_each_refused_scheduling_privilege_is_reported_by_its_name(
     asked: int,
     cpu: int | None,
     fifo: int,
     is_granted: bool,
     refused: list[str],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    class Kernel:
-        def prctl(self, *_: int) -> int:
-            return 0
+    kernel = SimpleNamespace(prctl=lambda *_: 0, mlockall=lambda _: 0 if is_granted else -1)
+    with mock.patch.multiple(
+        realtime,
+        _libc=kernel,
+        _set_fifo=lambda priority: fifo,
+        _keep_awake=lambda: is_granted,
+        _pin=lambda cpu: cpu is not None and is_granted,
+        os=SimpleNamespace(sched_getaffinity=lambda _: {3, 1}),
+        gc=SimpleNamespace(collect=int, freeze=int, disable=int),
+    ):
+        found = realtime.prepare(asked, cpu)
 
-        def mlockall(self, _: int) -> int:
-            return 0 if is_granted else -1
-
-    monkeypatch.setattr(realtime, "_libc", Kernel())
-    monkeypatch.setattr(realtime, "_set_fifo", lambda priority: fifo)
-    monkeypatch.setattr(realtime, "_keep_awake", lambda: is_granted)
-    monkeypatch.setattr(realtime, "_pin", lambda cpu: cpu is not None and is_granted)
-    monkeypatch.setattr(realtime.os, "sched_getaffinity", lambda _: {3, 1})
-    for name in ("collect", "freeze", "disable"):
-        monkeypatch.setattr(realtime.gc, name, lambda: None)
-
-    assert realtime.prepare(asked, cpu) == {
+    assert found == {
         "fifo": fifo,
         "mlockall": is_granted,
         "cpu": cpu,

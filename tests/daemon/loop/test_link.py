@@ -45,7 +45,7 @@ def test_bytes_pass_unchanged_both_ways(terminal: tuple[int, str]) -> None:
     link.close()
 
 
-def test_what_the_line_takes_only_in_part_is_a_loss_of_the_line(
+def test_a_partial_write_is_a_loss_of_the_line(
     terminal: tuple[int, str],
 ) -> None:
     master, port = terminal
@@ -59,7 +59,7 @@ def test_what_the_line_takes_only_in_part_is_a_loss_of_the_line(
     link.close()
 
 
-def test_a_line_with_nothing_on_it_is_not_gone(terminal: tuple[int, str]) -> None:
+def test_a_silent_line_is_not_lost_until_it_is_closed(terminal: tuple[int, str]) -> None:
     master, port = terminal
     link = Link(port, 115_200)
 
@@ -71,7 +71,7 @@ def test_a_line_with_nothing_on_it_is_not_gone(terminal: tuple[int, str]) -> Non
     link.close()
 
 
-def test_no_more_is_read_at_once_than_a_record_holds(terminal: tuple[int, str]) -> None:
+def test_one_read_returns_at_most_one_record_of_bytes(terminal: tuple[int, str]) -> None:
     master, port = terminal
     link = Link(port, 115_200)
     data = bytes(range(250)) * 10
@@ -89,7 +89,7 @@ def test_no_more_is_read_at_once_than_a_record_holds(terminal: tuple[int, str]) 
     link.close()
 
 
-def test_a_port_is_ours_alone(terminal: tuple[int, str]) -> None:
+def test_port_is_opened_exclusively(terminal: tuple[int, str]) -> None:
     _, port = terminal
     link = Link(port, 115_200)
 
@@ -103,7 +103,7 @@ def test_a_port_is_ours_alone(terminal: tuple[int, str]) -> None:
 
 
 @pytest.mark.parametrize("what", ["a file", "a folder", "/dev/null"])
-def test_what_is_no_serial_port_is_refused(what: str, tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_serial_port_is_refused(what: str, tmp_path: Path) -> None:
     port = what if what.startswith("/") else str(tmp_path / what)
     if what == "a file":
         Path(port).touch()
@@ -125,7 +125,7 @@ def test_what_is_no_serial_port_is_refused(what: str, tmp_path: Path) -> None:
         (errno.EIO, LinkError, "busy with permission"),
     ],
 )
-def test_why_a_port_cannot_be_opened_is_known_by_its_number(
+def test_an_error_number_determines_why_a_port_cannot_be_opened(
     number: int, kind: type[LinkError], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And not by what the library or the kernel says of it."""

@@ -26,11 +26,11 @@ def test_orders_from_before_a_pause_are_read_after_the_tick_that_trips() -> None
     wait = bench.ports.wait
 
     def frozen(until_ns: int) -> list[Event]:
-        bench.ports.wait = wait  # type: ignore[method-assign]
+        bench.ports.wait = wait
         bench.ports._advance(until_ns + 300 * MS)
         return [Ordered(Set(order=50, lease=LEASE, n=2, code=code_of(4.0)))]
 
-    bench.ports.wait = frozen  # type: ignore[method-assign]
+    bench.ports.wait = frozen
     bench.run_for(100)
 
     assert _answer(bench, 50).error
@@ -38,7 +38,7 @@ def test_orders_from_before_a_pause_are_read_after_the_tick_that_trips() -> None
     assert bench.volts == 0.0
 
 
-def test_a_line_that_is_never_quiet_keeps_no_order_waiting() -> None:
+def test_busy_line_does_not_delay_orders() -> None:
     bench = Bench(msgspec.convert({"timing": {"Ts": 0.5}}, Config))
     bench.run_for(2000)  # a sample of this link has come
     bench.arm()
@@ -54,7 +54,7 @@ def test_a_line_that_is_never_quiet_keeps_no_order_waiting() -> None:
             stopping_ns.append(bench.ports.now)
         return [*wait(bench.ports.now), Received(b"\xff")]
 
-    bench.ports.wait = noisy  # type: ignore[method-assign]
+    bench.ports.wait = noisy
     bench.run_for(600)
     ordered_ns = bench.ports.now
     bench.order(Stop(order=60))
@@ -63,7 +63,7 @@ def test_a_line_that_is_never_quiet_keeps_no_order_waiting() -> None:
     assert 0 < stopping_ns[0] - ordered_ns < MS
 
 
-def test_a_change_of_the_period_is_no_error_of_the_device() -> None:
+def test_a_change_of_the_period_is_not_counted_as_an_error_of_the_device() -> None:
     bench = Bench()
     bench.run_for(700)
 
@@ -75,7 +75,7 @@ def test_a_change_of_the_period_is_no_error_of_the_device() -> None:
     assert [error.max for error in errors] == [0.0] * 3
 
 
-def test_a_device_that_is_asked_between_runs_is_held_against_the_asking() -> None:
+def test_tick_error_between_runs_uses_the_request_period() -> None:
     """Before the run the device is asked every 10 ms, for any Ts of the run."""
     bench = Bench(msgspec.convert({"limits": {"slew_v": 1.0}}, Config))
     bench.arm(ts_us=16_000)

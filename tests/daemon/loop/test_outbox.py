@@ -34,17 +34,17 @@ class Pipe:
     def taken(self) -> list[int | Record]:
         """Return what came through, samples as their k."""
         records = take_records(self._bytes)
-        return [decode_sample(r).k if isinstance(r, bytes) else r for r in records]  # type: ignore[union-attr]
+        return [decode_sample(r).k if isinstance(r, bytes) else r for r in records]
 
 
 def _sample(k: int) -> Sample:
     return Sample(*(0 for _ in SAMPLE_FIELDS))._replace(k=k, t_host_ns=k)
 
 
-def test_samples_without_room_become_one_gap_in_their_place() -> None:
+def test_samples_without_room_are_replaced_by_one_gap() -> None:
     """L2: count and first k, both times, the voltage held last; then the samples follow."""
     pipe = Pipe(2)
-    outbox = Outbox(pipe)  # type: ignore[arg-type]
+    outbox = Outbox(pipe)
 
     for k in range(5):
         outbox.put_sample(_sample(k)._replace(u_applied_v=float(k)))
@@ -66,7 +66,7 @@ def test_samples_without_room_become_one_gap_in_their_place() -> None:
 
 def test_the_end_of_a_run_waits_for_room() -> None:
     pipe = Pipe(1)
-    outbox = Outbox(pipe)  # type: ignore[arg-type]
+    outbox = Outbox(pipe)
 
     outbox.put_sample(_sample(0))
     outbox.put_sample(_sample(1))
@@ -81,9 +81,9 @@ def test_the_end_of_a_run_waits_for_room() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from(["sample", "record"]), st.integers(0, 3)), max_size=60))
-def test_every_sample_comes_through_or_is_in_a_gap(steps: list[tuple[str, int]]) -> None:
+def test_every_sample_is_delivered_or_reported_in_a_gap(steps: list[tuple[str, int]]) -> None:
     pipe = Pipe(0)
-    outbox = Outbox(pipe)  # type: ignore[arg-type]
+    outbox = Outbox(pipe)
     k = 0
     for kind, room in steps:
         pipe.room += room
@@ -104,10 +104,10 @@ def test_every_sample_comes_through_or_is_in_a_gap(steps: list[tuple[str, int]])
     assert seen == list(range(k))
 
 
-def test_what_only_informs_is_dropped_if_too_much_waits_and_reported() -> None:
+def test_log_lines_are_dropped_from_a_full_outbox_and_the_loss_is_reported() -> None:
     """R1: the end of a run is kept."""
     pipe = Pipe(0)
-    outbox = Outbox(pipe)  # type: ignore[arg-type]
+    outbox = Outbox(pipe)
     for i in range(3 * MAX_WAITING_RECORDS):
         outbox.put(Log(t_host_ns=i, level="info", message="a line"))
     outbox.put(ENDED)

@@ -13,13 +13,13 @@ def test_deadlines_do_not_drift() -> None:
     assert [PACE.due_ns(k) for k in (0, 1, 1_000_000)] == [5000, 6000, 1_000_005_000]
 
 
-def test_a_tick_in_time_is_itself() -> None:
+def test_a_tick_in_time_keeps_its_number() -> None:
     assert PACE.current(3, PACE.due_ns(3)) == 3
     assert PACE.current(3, PACE.due_ns(3) + 999) == 3
 
 
 @given(st.integers(0, 10**6), st.integers(0, 10**9))
-def test_the_newest_tick_that_is_due_is_done(k: int, late_ns: int) -> None:
+def test_the_newest_due_tick_is_executed(k: int, late_ns: int) -> None:
     now = PACE.due_ns(k) + late_ns
 
     done = PACE.current(k, now)
@@ -27,14 +27,14 @@ def test_the_newest_tick_that_is_due_is_done(k: int, late_ns: int) -> None:
     assert 0 <= now - PACE.due_ns(done) < PACE.period_ns
 
 
-def test_another_period_begins_one_period_from_now() -> None:
+def test_a_changed_period_begins_one_period_from_now() -> None:
     pace = change(PACE, k=7, period_ns=300, now_ns=20_000)
 
     assert [pace.due_ns(k) for k in (7, 8)] == [20_300, 20_600]
 
 
 @given(st.integers(0, 10**6))
-def test_another_number_for_the_next_tick_leaves_the_beat(now_ns: int) -> None:
+def test_renumbered_tick_keeps_the_phase(now_ns: int) -> None:
     pace = change(PACE, k=70, period_ns=1000, now_ns=now_ns)
 
     ahead_ns = pace.due_ns(70) - now_ns

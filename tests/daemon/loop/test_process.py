@@ -11,6 +11,7 @@ import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from unittest import mock
 
 import msgspec
 import pytest
@@ -18,9 +19,9 @@ from armrig_core.emulator_socket import lock_path
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
 from armrig_daemon.loop import process, realtime
-from armrig_daemon.loop.link import READ, Link, TakenPortError
+from armrig_daemon.loop.link import READ, TakenPortError
 from armrig_daemon.loop.process import REOPEN_NS, ProcessPorts, Settings
-from armrig_daemon.pipe import Alive, Host, Log, Reset, Run, Stop, record_bytes, take_records
+from armrig_daemon.pipe import Alive, Host, Log, record_bytes, take_records
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 from msgspec.structs import replace
@@ -81,7 +82,7 @@ def _read(fd: int, size: int) -> bytes:
     return data
 
 
-def test_a_record_that_nobody_takes_does_not_hide_the_end_of_the_service(
+def test_an_undeliverable_record_does_not_hide_the_end_of_the_service(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     os.close(pipes.pop("records_out"))
@@ -94,13 +95,7 @@ def test_a_record_that_nobody_takes_does_not_hide_the_end_of_the_service(
     assert ports.wait(realtime.now_ns() + MS) == []
 
 
-def test_a_late_wakeup_is_reported_as_late(ports: ProcessPorts) -> None:
-    past = realtime.now_ns() - MS
-
-    assert past + MS <= ports.sleep_until(past) <= realtime.now_ns()
-
-
-def test_what_comes_at_once_is_handed_on_in_pieces_and_without_another_wait(
+def test_large_input_is_returned_in_pieces_without_waiting(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     tty.setraw(pipes["slave"])
@@ -117,26 +112,7 @@ def test_what_comes_at_once_is_handed_on_in_pieces_and_without_another_wait(
     assert max(map(len, come)) <= READ
 
 
-def test_bytes_that_come_while_others_wait_are_a_piece_of_their_own(
-    ports: ProcessPorts, pipes: dict[str, int]
-) -> None:
-    tty.setraw(pipes["slave"])
-    sent = bytes(range(1, 251)) * 12
-    os.write(pipes["master"], sent)
-    come, written = b"", False
-    while len(come) < len(sent) + 4:
-        (event,) = ports.wait(realtime.now_ns() + 30_000 * MS)
-        assert isinstance(event, Received)
-        come += event.data
-        if not written:
-            written = True
-            os.write(pipes["master"], b"more")
-            select.select([pipes["slave"]], [], [])  # it is there
-
-    assert come == sent + b"more"
-
-
-def test_a_line_that_is_cut_is_read_to_its_end_and_then_said_to_be_gone(
+def test_a_disconnected_line_is_read_to_its_end_before_the_loss_is_reported(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     tty.setraw(pipes["slave"])
@@ -150,15 +126,16 @@ def test_a_line_that_is_cut_is_read_to_its_end_and_then_said_to_be_gone(
     assert len([event for event in events if isinstance(event, LinkDown)]) == 1
 
 
-def test_a_line_that_hung_up_is_read_on_though_it_is_reported_once(
-    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+def test_a_hung_up_line_is_read_to_its_end_after_a_single_report(
+    ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     tty.setraw(pipes["slave"])
     os.write(pipes["master"], b"last words")
     ((fd, _),) = ports._waiter.wait_until(realtime.now_ns() + 30_000 * MS)
     told = [[], [(fd, select.EPOLLIN | select.EPOLLHUP)]]
-    monkeypatch.setattr(ports._waiter, "wait_until", lambda _until_ns: told.pop())
-    monkeypatch.setattr(ports._waiter, "ready", list)
+    ports._waiter = SimpleNamespace(
+        wait_until=lambda _: told.pop(), ready=list, forget=lambda _: None
+    )
 
     assert ports.wait(0) == [Received(b"last words")]
     os.close(pipes.pop("master"))
@@ -166,7 +143,7 @@ def test_a_line_that_hung_up_is_read_on_though_it_is_reported_once(
     assert [type(event) for event in ports.wait(0)] == [LinkDown]
 
 
-def test_an_order_and_an_answer_that_came_together_are_both_taken(
+def test_an_order_and_an_answer_that_arrive_together_are_both_processed(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     tty.setraw(pipes["slave"])
@@ -195,9 +172,7 @@ def test_a_record_without_room_is_not_reported_as_written(
     assert ports.put(b"there is room again")
 
 
-def test_a_loop_that_fails_says_estop_three_times(
-    ports: ProcessPorts, pipes: dict[str, int]
-) -> None:
+def test_a_failing_loop_sends_estop_three_times(ports: ProcessPorts, pipes: dict[str, int]) -> None:
     half = b"half a fra"
     os.write(pipes["slave"], half)
 
@@ -207,9 +182,7 @@ def test_a_loop_that_fails_says_estop_three_times(
     assert _read(pipes["master"], len(half + wanted)) == half + wanted
 
 
-def test_a_loop_that_fails_without_a_line_fails_as_it_would(
-    ports: ProcessPorts, pipes: dict[str, int]
-) -> None:
+def test_stop_hard_without_a_line_does_nothing(ports: ProcessPorts, pipes: dict[str, int]) -> None:
     os.close(pipes.pop("master"))
     ports.stop_hard()
 
@@ -217,24 +190,11 @@ def test_a_loop_that_fails_without_a_line_fails_as_it_would(
     ports.stop_hard()
 
 
-def test_an_order_may_come_in_pieces(ports: ProcessPorts, pipes: dict[str, int]) -> None:
-    play = Run(lease="a" * 32, n=1, run_id="r", codes=bytes(range(256)))
-    data = record_bytes(Stop()) + record_bytes(play) + record_bytes(Reset())
-
-    taken = []
-    for at in range(0, len(data), 100):
-        os.write(pipes["orders_in"], data[at : at + 100])
-        taken += ports.wait(realtime.now_ns() + 100 * MS)
-
-    assert taken == [Ordered(Stop()), Ordered(play), Ordered(Reset())]
-
-
-def test_a_line_that_was_lost_is_opened_again_in_its_time(
-    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+def test_lost_line_is_opened_again_after_the_interval(
+    ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     now_ns = realtime.now_ns()
-    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns)
-    assert ports.now_ns() == now_ns
+    ports.now_ns = lambda: now_ns
     os.close(pipes.pop("master"))
     assert [type(event) for event in ports.wait(now_ns + 10_000 * MS)] == [LinkDown]
 
@@ -247,7 +207,7 @@ def test_a_line_that_was_lost_is_opened_again_in_its_time(
 
 
 def test_a_line_that_was_opened_again_is_read_when_it_is_readable(
-    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+    ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
     os.close(pipes.pop("master"))
     now_ns = realtime.now_ns() + 30_000 * MS
@@ -255,15 +215,15 @@ def test_a_line_that_was_opened_again_is_read_when_it_is_readable(
     master, pipes["another"] = os.openpty()
     pipes["master"] = master
     ports._settings = replace(ports._settings, port=os.ttyname(pipes["another"]))
-    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns + REOPEN_NS)
+    ports.now_ns = lambda: now_ns + REOPEN_NS
     assert ports.wait(now_ns) == [LinkUp()]
 
-    monkeypatch.setattr(Link, "read", lambda _: pytest.fail("nobody said that there is more"))
+    ports._link.read = lambda: pytest.fail("nobody said that there is more")
 
     assert ports.wait(0) == []
 
 
-def test_what_a_run_left_is_collected_once_and_not_looked_at_again(ports: ProcessPorts) -> None:
+def test_tidy_collects_and_freezes_the_objects_of_a_run(ports: ProcessPorts) -> None:
     """A later collection would take longer, the more objects there are."""
     kept = [[k] for k in range(1000)]
     collections, frozen = ports.collections, gc.get_freeze_count()
@@ -275,7 +235,7 @@ def test_what_a_run_left_is_collected_once_and_not_looked_at_again(ports: Proces
     assert newly_frozen >= len(kept)
 
 
-def test_what_a_run_left_in_a_circle_is_let_go(ports: ProcessPorts) -> None:
+def test_reference_cycles_of_a_run_are_collected(ports: ProcessPorts) -> None:
     left = _Circle()
     gone = weakref.ref(left)
     del left
@@ -285,7 +245,7 @@ def test_what_a_run_left_in_a_circle_is_let_go(ports: ProcessPorts) -> None:
     assert gone() is None
 
 
-def test_nothing_spins_before_the_priority_is_granted(ports: ProcessPorts) -> None:
+def test_the_loop_does_not_spin_before_its_priority_is_granted(ports: ProcessPorts) -> None:
     """Without the priority a spin takes the processor from the program that it waits for."""
     assert ports.spin_ns == 0
 
@@ -299,43 +259,6 @@ def emulator(tmp_path: Path) -> Iterator[socket.socket]:
         listener.bind(os.fspath(path))
         listener.listen()
         yield listener
-
-
-def test_a_socket_is_a_line_as_a_serial_port_is(
-    pipes: dict[str, int], emulator: socket.socket, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now_ns = realtime.now_ns()
-    settings = Settings(
-        rules=Config().rules(),
-        port=f"unix:{emulator.getsockname()}",
-        baud=115_200,
-        priority=0,
-        cpu=None,
-        spin_ns=50_000,
-    )
-    ports = ProcessPorts(settings, pipes["orders_out"], pipes["records_in"])
-    assert ports.wait(now_ns) == [LinkUp()]
-    device, _ = emulator.accept()
-    sent = bytes(range(250)) * 40
-    device.sendall(sent)
-
-    come = b""
-    while len(come) < len(sent):
-        (event,) = ports.wait(now_ns + 30_000 * MS)
-        assert isinstance(event, Received)
-        come += event.data
-
-    assert come == sent
-    device.close()
-    assert [type(event) for event in ports.wait(now_ns + 30_000 * MS)] == [LinkDown]
-    now_ns = realtime.now_ns() + REOPEN_NS
-    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns)
-    assert ports.wait(now_ns) == [LinkUp()]
-    assert ports.write(b"HELLO") is None
-    device, _ = emulator.accept()
-    assert device.recv(100) == b"HELLO"
-    device.close()
-    assert [type(event) for event in ports.wait(now_ns + 10_000 * MS)] == [LinkDown]
 
 
 class _Ports:
@@ -359,16 +282,20 @@ class _Ports:
 
 
 @pytest.fixture
-def program(monkeypatch: pytest.MonkeyPatch) -> _Ports:
+def program() -> Iterator[_Ports]:
     """Give the ports of a program that changes nothing of this process."""
     ports = _Ports()
-    monkeypatch.setattr(process, "ProcessPorts", lambda *_: ports)
-    monkeypatch.setattr(process, "SignalPipe", lambda: None)
-    monkeypatch.setattr(process, "Loop", lambda *_: SimpleNamespace(run=lambda: None))
-    for name in ("end_with_parent", "ignore_signals"):
-        monkeypatch.setattr(realtime, name, lambda: None)
-    monkeypatch.setattr(realtime, "prepare", lambda *_: {"fifo": 0, "refused": []})
-    return ports
+    loop = SimpleNamespace(run=lambda: None)
+    prepared = {"fifo": 0, "refused": []}
+    with (
+        mock.patch.multiple(
+            process, ProcessPorts=lambda *_: ports, SignalPipe=lambda: None, Loop=lambda *_: loop
+        ),
+        mock.patch.multiple(
+            realtime, end_with_parent=int, ignore_signals=int, prepare=lambda *_: prepared
+        ),
+    ):
+        yield ports
 
 
 def _main(pipes: dict[str, int]) -> int:
@@ -380,7 +307,7 @@ def _main(pipes: dict[str, int]) -> int:
 
 
 @pytest.mark.parametrize(("timer_ms", "warns"), [(None, 0), (1, 0), (2, 1), (16, 1)])
-def test_an_adapter_that_holds_bytes_back_is_reported(
+def test_an_adapter_that_delays_bytes_is_reported(
     pipes: dict[str, int],
     program: _Ports,
     timer_ms: int | None,
@@ -411,7 +338,7 @@ def test_the_loop_spins_if_it_has_its_priority(
     assert (asked, program.done) == ([(7, 1)], [Host(granted=granted)])
 
 
-def test_a_program_without_a_usable_port_says_why_and_has_a_code_of_its_own(
+def test_a_program_without_a_usable_port_reports_the_reason_and_its_exit_code(
     pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def taken(*_: object) -> None:

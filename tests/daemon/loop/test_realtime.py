@@ -66,22 +66,22 @@ print([line for line in given["refused"] if "priority" in line or "FIFO" in line
 """
 
 
-def test_a_policy_that_systemd_has_given_is_kept_and_known() -> None:
+def test_a_scheduling_policy_set_by_systemd_is_kept_and_reported() -> None:
     """RestrictRealtime= prevents a request for it."""
     assert _run(f"refuse({_SETSCHEDULER}){_LOOP}") == "80 True 80\n[]"
 
 
-def test_a_priority_that_cannot_be_changed_is_reported_as_it_is() -> None:
+def test_an_unchangeable_priority_is_reported_with_its_value() -> None:
     said = _run(f"refuse({_SETSCHEDULER}, {_SETPARAM}){_LOOP}")
 
     assert said == "1 True 1\n['priority 80 (it is 1; set LimitRTPRIO=80)']"
 
 
-def test_a_priority_of_0_gives_the_policy_back() -> None:
+def test_a_priority_of_0_restores_the_ordinary_policy() -> None:
     assert _run('print(realtime.prepare(0, None)["fifo"], os.sched_getscheduler(0))') == "0 0"
 
 
-def test_all_threads_of_the_service_leave_the_policy() -> None:
+def test_all_threads_of_the_service_leave_the_real_time_policy() -> None:
     """Threads of numpy's libraries begin before, and would spin at the loop's priority."""
     threads = """
 import threading
@@ -111,7 +111,7 @@ ends.set()
     assert _run(threads) == "[1, 0] [1, 0] 1"
 
 
-def test_a_thread_that_gets_no_priority_goes_on() -> None:
+def test_a_thread_without_its_priority_continues() -> None:
     threads = f"""
 import threading
 ends = threading.Event()
@@ -126,5 +126,5 @@ ends.set()
     assert _run(threads) == "0"
 
 
-def test_a_service_that_may_not_leave_the_policy_goes_on() -> None:
+def test_a_service_that_cannot_leave_the_real_time_policy_continues() -> None:
     assert _run(f"refuse({_SETSCHEDULER})\nprint(realtime.leave_fifo())") == "False"

@@ -21,7 +21,7 @@ def test_a_quantile_is_exact_to_one_thirty_second(values: list[int], q: float) -
     assert true <= histogram.quantiles(q)[0] <= true + true / 32 + 1
 
 
-def test_a_stall_counts_for_every_tick_that_it_cost() -> None:
+def test_a_stall_counts_once_for_every_missed_tick() -> None:
     """40 ms at 1 kHz are 40 late ticks: 40 of 1000 show at p99."""
     histogram = Histogram()
     for _ in range(960):
@@ -36,13 +36,13 @@ def test_a_stall_counts_for_every_tick_that_it_cost() -> None:
     assert timing.max == 40_000
 
 
-def test_nothing_counted_is_all_zero() -> None:
+def test_an_empty_histogram_has_a_distribution_of_zeros() -> None:
     timing = Histogram().distribution(1e3)
 
     assert (timing.n, timing.p50, timing.max) == (0, 0.0, 0.0)
 
 
-def test_a_night_asleep_is_counted_in_bounded_time() -> None:
+def test_histogram_counts_a_long_suspend_in_bounded_time() -> None:
     """A suspend of ten hours at 1 kHz missed 36 million ticks."""
     histogram = Histogram()
 

@@ -15,7 +15,7 @@ OTHER = "f" * 32
 
 @pytest.mark.parametrize("name", sorted(LEASED))
 @pytest.mark.parametrize("lease", [LEASE, ""])
-def test_a_command_without_the_lease_in_force_is_turned_away(name: str, lease: str) -> None:
+def test_a_command_without_the_lease_in_force_is_refused(name: str, lease: str) -> None:
     for payload in (b'{"lease": "%s", "n": 1}' % OTHER.encode(), b"", b"\xff" * 10_000):
         found = refusal(name, payload, lease.encode())
         assert found is not None
@@ -31,12 +31,12 @@ def test_a_command_without_the_lease_in_force_is_turned_away(name: str, lease: s
         Renew(lease=LEASE, n=1),
     ],
 )
-def test_the_holder_is_let_in(request_: Run | Set | Renew) -> None:
+def test_commands_of_the_holder_are_admitted(request_: Run | Set | Renew) -> None:
     assert refusal(request_.name, msgspec.json.encode(request_), LEASE.encode()) is None
 
 
 @pytest.mark.parametrize("name", sorted({*REQUESTS, "explode"} - {"run", "calibrate"}))
-def test_no_command_but_a_run_and_a_calibration_is_long(name: str) -> None:
+def test_commands_except_run_and_calibrate_have_at_most_4096_bytes(name: str) -> None:
     """The longest sensible command has a hundred bytes."""
     payload = LEASE.encode().ljust(4096)
 
@@ -48,12 +48,12 @@ def test_no_command_but_a_run_and_a_calibration_is_long(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["arm", "status", "stop", "reset", "explode"])
-def test_what_needs_no_lease_is_let_in(name: str) -> None:
+def test_commands_without_a_lease_are_admitted(name: str) -> None:
     assert refusal(name, b"", b"") is None
     assert refusal(name, b"{}", LEASE.encode()) is None
 
 
-def test_a_calibration_is_as_long_as_its_samples_may_be() -> None:
+def test_the_size_limit_of_a_calibration_includes_its_samples() -> None:
     """R1: 1 MiB of them in base64, and 64 KiB for the rest."""
     longest = msgspec.json.encode(bytes(RAW_LIMIT))[2:] + bytes(1 << 16)
 

@@ -28,7 +28,7 @@ SENT = Calibration(
 CONFIG = Config(rig=Rig(id="2"))
 
 
-def test_it_is_taken_as_it_came_but_for_the_file_which_the_daemon_has_not_read() -> None:
+def test_an_accepted_calibration_is_unchanged_except_for_its_file() -> None:
     found = checked_calibration(SENT, RAW, CONFIG, {"uid": "abc"})
 
     assert found == replace(SENT, made=replace(MADE, file=""))
@@ -39,7 +39,6 @@ def test_it_is_taken_as_it_came_but_for_the_file_which_the_daemon_has_not_read()
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({"made": None}, "does not say how it was made"),
         ({"made": replace(MADE, raw_sha256="0" * 64)}, "samples next to it are not the samples"),
         ({"made": replace(MADE, rig="1")}, "of rig 1, device abc, and this is rig 2, device abc"),
         ({"made": replace(MADE, device_uid="d")}, "of rig 2, device d, and this is rig 2, dev"),
@@ -49,6 +48,8 @@ def test_it_is_taken_as_it_came_but_for_the_file_which_the_daemon_has_not_read()
         ({"alpha": Potentiometer(wraps=True)}, "alpha.wraps = true: must be false"),
     ],
 )
-def test_what_is_not_of_this_rig_is_refused(fields: dict[str, Any], said: str) -> None:
+def test_a_calibration_of_another_rig_or_device_is_refused(
+    fields: dict[str, Any], said: str
+) -> None:
     with pytest.raises(ValueError, match=said):
         checked_calibration(replace(SENT, **fields), RAW, CONFIG, {"uid": "abc"})

@@ -36,7 +36,7 @@ with emulated_rig.emulated(Config(), Path(sys.argv[1])):
 """
 
 
-def test_an_emulator_does_not_outlive_a_daemon_that_dies_while_it_loads(tmp_path: Path) -> None:
+def test_an_emulator_ends_with_a_daemon_that_dies_during_the_start(tmp_path: Path) -> None:
     paths = os.pathsep.join(path for path in sys.path if path)
 
     # It has the same standard output: this is at its end once both have ended.
@@ -80,10 +80,14 @@ class _Child:
 _CHILDREN: list[_Child] = []
 
 
-def test_an_emulator_has_the_speed_of_the_line_and_ends_with_its_daemon(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def child(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Start no process."""
     monkeypatch.setattr(emulated_rig.subprocess, "Popen", _Child)
+
+
+@pytest.mark.usefixtures("child")
+def test_an_emulator_has_the_speed_of_the_line_and_ends_with_its_daemon(tmp_path: Path) -> None:
     config = replace(CONFIG, rig=Rig(id="lives"), device=replace(CONFIG.device, baud=115_200))
 
     with emulated(config, tmp_path) as (found, stalls_fd):
@@ -98,11 +102,8 @@ def test_an_emulator_has_the_speed_of_the_line_and_ends_with_its_daemon(
     assert child.ended == ["terminate", "wait"]
 
 
-def test_an_emulator_that_ends_at_once_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(emulated_rig.subprocess, "Popen", _Child)
-
+@pytest.mark.usefixtures("child")
+def test_an_emulator_that_ends_at_once_is_reported(tmp_path: Path) -> None:
     with (
         pytest.raises(OperationError, match=rf"did not start at {tmp_path}/lab-2-\d+\.line"),
         emulated(CONFIG, tmp_path),

@@ -22,7 +22,7 @@ from armrig_daemon.service.identity import signed
         ("anna" + " " * 100, "", "anna"),
     ],
 )
-def test_a_client_is_named_with_what_was_checked(said: str, by: str, told: str) -> None:
+def test_the_name_of_a_client_includes_its_verified_identity(said: str, by: str, told: str) -> None:
     assert signed(said, by) == told
 
 
@@ -35,7 +35,7 @@ class _Unread(str):
         pytest.fail("all of the name is read")
 
 
-def test_of_a_name_of_any_length_the_beginning_is_read() -> None:
+def test_a_long_client_name_is_truncated() -> None:
     """8 MB of unprintable characters delayed the service, and a stop, for half a second."""
     assert signed(_Unread(" " + "\x01" * 1000), "user bob") == "\\x01" * 20 + " (user bob)"
 
@@ -44,9 +44,7 @@ def test_of_a_name_of_any_length_the_beginning_is_read() -> None:
     "said",
     [
         "(certificate certificate alice)",
-        "((user (user alice))",
         "anna (certificate alice)",
-        "anna ( certificate alice)",
         "\uff08certificate alice\uff09",  # of full width
         "\u207dcertificate alice\u207e",  # superscripts
         "\ufe59certificate alice\ufe5a",  # small
@@ -55,7 +53,7 @@ def test_of_a_name_of_any_length_the_beginning_is_read() -> None:
         "\u2474 alice",  # a digit in brackets
     ],
 )
-def test_what_one_says_of_oneself_has_no_round_brackets(said: str) -> None:
+def test_round_brackets_in_a_client_name_are_replaced(said: str) -> None:
     told = signed(said, "")
 
     assert not set(told) & set(

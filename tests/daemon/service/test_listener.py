@@ -36,7 +36,7 @@ def _network(**changes: Any) -> Network:
     return Network(**{**fields, **changes})
 
 
-def test_a_lost_router_is_looked_for_each_second() -> None:
+def test_the_daemon_tries_a_lost_router_every_second() -> None:
     assert session_config("tls/h:7447", _network(is_router=True)) == {
         "mode": "client",
         "connect": {"endpoints": ["tls/h:7447"], "retry": {"period_max_ms": 1000}},
@@ -49,7 +49,7 @@ def test_a_lost_router_is_looked_for_each_second() -> None:
     }
 
 
-def test_strangers_of_a_network_have_limits_that_the_unix_socket_has_not() -> None:
+def test_network_clients_have_limits_that_the_unix_socket_has_not() -> None:
     passwords = {"auth": {"usrpwd": {"dictionary_file": "/p"}}}
     local: Any = session_config("unixsock-stream//s")
     tls: Any = session_config("tls/h:7447", _network())
@@ -76,7 +76,7 @@ def test_strangers_of_a_network_have_limits_that_the_unix_socket_has_not() -> No
         ("certificate", "rig/lab-2/cmd/stop/bob", ("stop", "certificate bob")),
     ],
 )
-def test_a_client_of_a_network_is_named_by_the_key(
+def test_the_key_of_a_command_names_the_network_client(
     known_by: str, key: str, parts: tuple[str, str]
 ) -> None:
     made = Listener.__new__(Listener)

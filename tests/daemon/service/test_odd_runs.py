@@ -1,4 +1,4 @@
-"""Recordings of an odd rig's runs, in virtual time; they are in `odd_runs.txt`."""
+"""The service says what is in `said.txt`; an odd rig records what is in `odd_runs.txt`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from armrig_core.errors import OperationError
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from mcap.reader import make_reader
 
-from tests.clients.said import compare
+from tests.clients.said import assert_said, compare
 from tests.daemon.odd_bench import CONFIG, show
 
 RAMP = [0.25 + 0.02 * k for k in range(180)]
@@ -42,7 +42,7 @@ def _lines(path: Path) -> Iterator[str]:
     yield f"  u {show(np.round(recording.u[::45], 4).tolist())}"
 
 
-def test_what_an_odd_rig_s_runs_leave_is_what_they_left(tmp_path: Path) -> None:
+def test_recordings_of_an_unusual_rig_equal_the_stored_recordings(tmp_path: Path) -> None:
     rig = VirtualService(msgspec.structs.replace(CONFIG), tmp_path, seed=2_000_000_000)
     runs: list[dict[str, Any]] = [
         {"u": RAMP, "experiment": "ramp", "details": {"a": [1, {"b": None}]}},
@@ -63,3 +63,7 @@ def test_what_an_odd_rig_s_runs_leave_is_what_they_left(tmp_path: Path) -> None:
 
     text = "\n".join(lines).replace(str(tmp_path), "HERE").replace(version("armrig"), "VERSION")
     compare(Path(__file__).with_name("odd_runs.txt"), f"{text}\n")
+
+
+def test_sentences_of_the_service_equal_the_stored_sentences(tmp_path: Path) -> None:
+    assert_said(Path(__file__).with_name("said.txt"), tmp_path)

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from armrig_daemon.pipe import Alive, Host, Log, Run, record_bytes
+from armrig_daemon.pipe import Alive, Run
 
 from tests.daemon.loop_ends import LoopEnds
 
@@ -21,7 +21,7 @@ def loop() -> Iterator[LoopEnds]:
     loop.close()
 
 
-def test_orders_that_find_no_room_wait_and_come_whole_and_in_order(loop: LoopEnds) -> None:
+def test_orders_wait_for_room_in_the_pipe_and_arrive_whole_and_in_order(loop: LoopEnds) -> None:
     assert not os.get_blocking(loop.child.orders_fd)
 
     loop.child.order(RUN)
@@ -35,23 +35,9 @@ def test_orders_that_find_no_room_wait_and_come_whole_and_in_order(loop: LoopEnd
     assert taken + loop.orders() == [RUN, Alive()]
 
 
-def test_orders_to_a_loop_that_is_gone_wait_for_nothing(loop: LoopEnds) -> None:
+def test_orders_to_a_dead_loop_are_discarded(loop: LoopEnds) -> None:
     loop.read_no_more()
 
     loop.child.order(RUN)
 
     assert not loop.child.is_behind
-
-
-def test_records_come_whole_however_the_pipe_cuts_them(loop: LoopEnds) -> None:
-    records = [Log(t_host_ns=1, level="info", message="a word"), Host(granted={"fifo": 1})]
-    data = b"".join(map(record_bytes, records))
-
-    taken = []
-    for byte in data:
-        os.write(loop.records_fd, bytes([byte]))
-        said = loop.child.records()
-        assert said is not None
-        taken += said
-
-    assert taken == records

@@ -27,14 +27,11 @@ def rig(tmp_path: Path) -> RigView:
     return RigView(Config(), "unixsock-stream/s", tmp_path)
 
 
-def test_before_the_loop_has_spoken_nothing_is_known(rig: RigView) -> None:
+def test_a_status_contains_the_newest_report_of_the_loop(rig: RigView) -> None:
     status = rig.status(None)
-
     assert not rig.is_known
     assert (status.phase, status.owner, status.host, status.Ts) == ("init", "", {}, 0.01)
 
-
-def test_a_status_has_the_newest_report_of_the_loop(rig: RigView) -> None:
     rig.note_state(State(t_host_ns=1, phase="safe", reason="", owner="", ts_us=0, device={}))
     rig.note_host(Host(granted={"fifo": 80}))
     rig.note_state(HELD)
@@ -54,7 +51,7 @@ def test_a_status_has_the_newest_report_of_the_loop(rig: RigView) -> None:
         (Config(calibration=TURNS_ON), False),
     ],
 )
-def test_alpha_at_the_end_of_its_range_keeps_from_arming_where_there_is_one(
+def test_alpha_at_the_end_of_its_range_prevents_arming_unless_the_arm_is_removed(
     config: Config, is_kept: bool, tmp_path: Path
 ) -> None:
     rig = RigView(config, "nowhere", tmp_path)
@@ -66,14 +63,12 @@ def test_alpha_at_the_end_of_its_range_keeps_from_arming_where_there_is_one(
     assert refusal is None or refusal.error.startswith("alpha reads 0 of 65535")
 
 
-def test_a_second_s_timing_is_published_with_what_the_machine_was_doing(
-    rig: RigView, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_timing_is_published_with_the_cpu_pressure(rig: RigView) -> None:
     none = Distribution(p50=0, p90=0, p99=0, p999=0, max=0, n=0, missed=0)
     loop = dict.fromkeys(
         ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth"), none
     )
-    monkeypatch.setattr(rig, "_pressure", SimpleNamespace(read=lambda: (12.5, 3)))
+    rig._pressure = SimpleNamespace(read=lambda: (12.5, 3))  # type: ignore[assignment]
 
     published = rig.note_timing(Timing(t_host_ns=1, **loop))
 
@@ -81,7 +76,7 @@ def test_a_second_s_timing_is_published_with_what_the_machine_was_doing(
 
 
 @pytest.mark.parametrize("is_measured", [True, False])
-def test_a_status_says_what_is_configured(tmp_path: Path, is_measured: bool) -> None:
+def test_a_status_contains_the_configured_values(tmp_path: Path, is_measured: bool) -> None:
     """The path of the configured calibration stays while another calibration is in force."""
     made = Made(
         date="2026-11-20", rig="lab-2", device_uid="17", armrig="0.2.0", file="/etc/armrig/c.toml"
@@ -106,7 +101,7 @@ def test_a_status_says_what_is_configured(tmp_path: Path, is_measured: bool) -> 
     )
 
 
-def test_a_rig_without_its_arm_says_so_and_a_silent_line_names_its_port(tmp_path: Path) -> None:
+def test_a_status_reports_a_removed_arm_and_a_silent_port(tmp_path: Path) -> None:
     rig = RigView(Config(arm=ArmSettings(removed=True)), "unixsock-stream/s", tmp_path)
     assert (rig.line, rig.status(None).arm_removed) == ("", True)
 

@@ -10,13 +10,13 @@ from types import SimpleNamespace
 from typing import Literal
 
 import pytest
-from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode
+from armrig_core.codes import COMPLETE, GapCode, OutcomeCode
 from armrig_core.commands import Run
 from armrig_core.manifest import OUTCOME, RUN, manifest_of, outcome_of
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recording_part import EndsHereError, Part
 from armrig_core.telemetry import Sample, encode_sample
-from armrig_daemon.config import Config, Limits, Recording
+from armrig_daemon.config import Config, Recording
 from armrig_daemon.pipe import Gap, Log, RunStarted, State
 from armrig_daemon.service.host_facts import HostFacts
 from armrig_daemon.service.protobuf_out import outgoing
@@ -67,13 +67,21 @@ def _gap(first: int, count: int) -> Gap:
     )
 
 
+def _ended(runs: Runs, expected: str = "info") -> str:
+    """End the run; return the sentence on its recording, which has the expected level."""
+    runs.end(COMPLETE)
+    level, text = runs.finished(30)
+    assert level == expected
+    return text
+
+
 def _missing_in_file(path: Path) -> int:
     with path.with_suffix("").open("rb") as file:
         metadata = {m.name: m.metadata for m in make_reader(file).iter_metadata()}
     return outcome_of(metadata[OUTCOME]).missing
 
 
-def test_only_the_samples_of_the_run_belong_into_its_recording(runs: Runs) -> None:
+def test_a_recording_contains_only_the_samples_of_its_run(runs: Runs) -> None:
     assert not runs.includes_sample(FIRST)
 
     _begin(runs)
@@ -95,33 +103,20 @@ def test_only_the_samples_of_the_run_belong_into_its_recording(runs: Runs) -> No
         (_gap(END, 3), 0),
     ],
 )
-def test_of_a_gap_the_samples_of_the_run_are_missing(runs: Runs, gap: Gap, missing: int) -> None:
+def test_only_samples_of_the_run_count_as_missing_in_a_gap(
+    runs: Runs, gap: Gap, missing: int
+) -> None:
     """L2."""
     path = _begin(runs)
 
     assert runs.includes(gap) == (missing > 0)
     runs.add([outgoing(gap, 0)] if runs.includes(gap) else [])
 
-    runs.end(COMPLETE)
-    _, text = runs.finished(30)
-    assert text.endswith(f"complete, 0 samples, {missing} missing")
+    assert _ended(runs).endswith(f"complete, 0 samples, {missing} missing")
     assert _missing_in_file(path) == missing
 
 
-def test_what_one_run_missed_is_not_reported_for_the_next(runs: Runs) -> None:
-    _begin(runs)
-    runs.add([outgoing(_gap(FIRST, 3), 0)])
-    runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
-    assert runs.finished(30)[1].endswith("3 missing")
-
-    path = _begin(runs)
-    runs.end(COMPLETE)
-
-    assert runs.finished(30)[1].endswith("complete, 0 samples, 0 missing")
-    assert _missing_in_file(path) == 0
-
-
-def test_a_run_that_is_over_waits_for_no_client(runs: Runs) -> None:
+def test_a_completed_run_does_not_watch_its_client(runs: Runs) -> None:
     _begin(runs)
     assert runs.client_gone_s < inf
 
@@ -131,7 +126,7 @@ def test_a_run_that_is_over_waits_for_no_client(runs: Runs) -> None:
     runs.finished(30)
 
 
-def test_a_client_goes_once(runs: Runs) -> None:
+def test_the_loss_of_a_client_is_reported_once(runs: Runs) -> None:
     _begin(runs)
 
     assert runs.client_gone() == (
@@ -140,11 +135,10 @@ def test_a_client_goes_once(runs: Runs) -> None:
     )
 
     assert runs.client_gone_s == inf
-    runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
-    runs.finished(30)
+    _ended(runs)
 
 
-def test_only_the_run_that_was_refused_is_forgotten(runs: Runs) -> None:
+def test_a_refusal_removes_only_the_refused_run(runs: Runs) -> None:
     order, _ = runs.plan(REQUEST, 0.01)
 
     runs.forget("another")
@@ -156,7 +150,7 @@ def test_only_the_run_that_was_refused_is_forgotten(runs: Runs) -> None:
     assert runs.is_idle
 
 
-def test_a_run_that_nobody_asked_for_is_not_recorded(runs: Runs, tmp_path: Path) -> None:
+def test_an_unrequested_run_is_not_recorded(runs: Runs, tmp_path: Path) -> None:
     with pytest.raises(LookupError, match="run another was not requested"):
         _begin(runs, "another")
 
@@ -180,27 +174,6 @@ def test_a_recording_that_would_fill_the_disk_is_not_begun(
         with pytest.raises(ValueError, match="3 MB free, 3 MB needed; free disk space"):
             runs.plan(request, 0.01)
     assert runs.is_idle != fits
-
-
-def test_the_first_step_is_one_from_0_v(tmp_path: Path) -> None:
-    runs = Runs(Config(limits=Limits(slew_v=0.5)), tmp_path, lambda: None)
-
-    with pytest.raises(ValueError, match=r"u\[0\] steps by 1 V: at most 0.5 V"):
-        runs.plan(REQUEST, 0.01)
-
-
-def test_an_event_before_the_first_sample_is_of_its_time_at_the_latest(runs: Runs) -> None:
-    path = _begin(runs)
-    sample = Sample(FIRST, T_NS, T_NS + 9, FIRST, 0.1, 0.2, 1.0, 1.0, 1, 2, 3)
-    told = outgoing(STATE, 0)._replace(t_host_ns=T_NS + 3, t_sched_ns=T_NS + 3)
-
-    runs.add([told, Outgoing("sample", T_NS + 9, T_NS, FIRST, encode_sample(sample))])
-    runs.end(COMPLETE)
-    runs.finished(30)
-
-    with path.with_suffix("").open("rb") as file:
-        times = [m.log_time for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
-    assert times == [T_NS, T_NS + 9]
 
 
 def _note(text: str) -> Outgoing:
@@ -227,8 +200,7 @@ def test_a_note_between_the_request_and_the_first_sample_is_recorded_once(runs: 
     started = RunStarted(run_id=order.run_id, k_first=FIRST, count=END - FIRST, t_host_ns=T_NS)
     runs.begin(started, STATE, {}, 0)
     runs.add_note(_note("during the run"))
-    runs.end(COMPLETE)
-    runs.finished(timeout=30)
+    _ended(runs)
 
     assert _notes(Path(answer.recording)) == ["early", "during the run"]
 
@@ -253,7 +225,7 @@ def test_a_run_is_reported_as_finished_once_its_recording_is_complete(runs: Runs
 
 
 @pytest.mark.parametrize("stops", [True, False])
-def test_what_a_full_disk_does_to_the_run_is_configured(
+def test_a_full_disk_stops_the_run_only_if_configured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, stops: bool
 ) -> None:
     why = "No space left on device"
@@ -277,9 +249,8 @@ def test_what_a_full_disk_does_to_the_run_is_configured(
     ending = runs.disturbed()
     assert (ending is not None and why in ending.text) == stops
     assert (why in told, told.endswith("; the run continues"), again) == (not stops, not stops, "")
-    runs.end(COMPLETE)
-    level, text = runs.finished(30)
-    assert (level, why in text) == ("error", True)
+    text = _ended(runs, "error")
+    assert why in text
     last = runs.last
     assert last is not None
     assert (last.outcome, last.samples, last.synced) == (text, 5, 5)
@@ -287,7 +258,7 @@ def test_what_a_full_disk_does_to_the_run_is_configured(
 
 
 @pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
-def test_the_manifest_says_whose_run_it_is_and_how_it_is_played(
+def test_the_manifest_contains_the_owner_and_the_mode_of_the_run(
     tmp_path: Path, pacing: Literal["scheduled", "exchange"]
 ) -> None:
     now = datetime(2026, 11, 20, 8, 59, 7, 250_000, timezone(timedelta(hours=1)))
@@ -312,8 +283,7 @@ def test_the_manifest_says_whose_run_it_is_and_how_it_is_played(
     started = RunStarted(run_id=order.run_id, k_first=41, count=3, t_host_ns=T_NS)
 
     runs.begin(started, state, {"fifo": 80}, -123)
-    runs.end(COMPLETE)
-    runs.finished(30)
+    _ended(runs)
 
     path = Path(answer.recording)
     with path.open("rb") as file:

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig_core.codes import OutcomeCode
+from armrig_core.codes import OutcomeCode, RefusalCode
 from armrig_core.commands import LastRun, Run
-from armrig_core.recording_file.recorder import PartLimits
 from armrig_core.rehearsal import rehearse
 from armrig_daemon.config import ArmSettings, Config, Limits
 from armrig_daemon.config import Recording as RecordingConfig
-from armrig_daemon.service.runs import Runs, part_limits
+from armrig_daemon.service.directory import check_directory
+from armrig_daemon.service.runs import Runs
 
 REQUEST = Run(lease="a" * 32, n=1, u=[0.0] * 10 + [4.0] * 90)
 
@@ -42,7 +42,7 @@ def test_an_input_outside_a_limit_is_refused_and_nothing_is_planned(
     assert runs.last is None
 
 
-def test_the_answer_carries_the_rehearsal_on_the_configured_rig(tmp_path: Path) -> None:
+def test_the_reply_contains_the_rehearsal_on_the_configured_rig(tmp_path: Path) -> None:
     arm = ArmSettings(J_2=0.01)
 
     _, answer = _runs(tmp_path, Config(arm=arm)).plan(REQUEST, 0.02, theta_1_rad=1.0)
@@ -52,7 +52,7 @@ def test_the_answer_carries_the_rehearsal_on_the_configured_rig(tmp_path: Path) 
     assert expected != rehearse(REQUEST.u, 0.02, theta_1_rad=1.0)
 
 
-def test_a_rig_without_its_arm_deflects_nothing(tmp_path: Path) -> None:
+def test_a_rig_without_its_arm_has_no_predicted_deflection(tmp_path: Path) -> None:
     config = Config(arm=ArmSettings(removed=True), limits=Limits(alpha_rad=0.001))
 
     _, answer = _runs(tmp_path, config).plan(REQUEST, 0.01)
@@ -61,53 +61,12 @@ def test_a_rig_without_its_arm_deflects_nothing(tmp_path: Path) -> None:
     assert answer.rehearsal.alpha_rad == 0.0
 
 
-def test_the_loop_hears_of_us_between_the_steps_of_a_long_plan(tmp_path: Path) -> None:
-    """Checking, rehearsing and encoding take a second per million samples each."""
-    calls: list[None] = []
-
-    _runs(tmp_path, Config()).plan(REQUEST, 0.01, alive=lambda: calls.append(None))
-
-    assert len(calls) == 4
-
-
-def test_the_input_is_attached_to_the_last_bit(tmp_path: Path) -> None:
-    u = [0.1, 1 / 3, 5.0, 0, 1e-9, 4.9999999999999991]
-    runs = _runs(tmp_path, Config())
-
-    runs.plan(Run(lease="a" * 32, n=1, u=u), 0.01)
-
-    assert runs._planned is not None
-    head, *lines = runs._planned.text.decode().splitlines()
-    assert head == "u_v"
-    assert [float(line) for line in lines] == u
-
-
-@pytest.mark.parametrize(
-    ("config", "samples", "Ts", "limits"),
-    [
-        (RecordingConfig(), 3_600_000, 0.001, None),
-        (RecordingConfig(), 3_600_001, 0.001, PartLimits(3_600_000, 720_000_200)),
-        (RecordingConfig(part_minutes=0), 4_000_000, 1.0, None),
-        (RecordingConfig(part_minutes=0, part_mb=100), 500_001, 1.0, PartLimits(500_001, 10**8)),
-        (RecordingConfig(part_minutes=0, part_mb=0), 4_000_000, 0.001, None),
-        (RecordingConfig(part_minutes=1, part_mb=0), 601, 0.1, PartLimits(600, 601 * 200)),
-    ],
-)
-def test_a_run_that_one_file_may_hold_is_in_one_file(
-    config: RecordingConfig, samples: int, Ts: float, limits: PartLimits | None
-) -> None:
-    """An hour at 1 kHz by default."""
-    assert part_limits(config, samples, Ts) == limits
-
-
 @pytest.mark.parametrize(
     ("error", "moved", "stop_when_full", "disturbed", "unrecorded"),
     [
         ("", "", True, "", ""),
         ("", "it was moved away", True, "it was moved away", ""),
-        ("the disk is full", "", True, "the disk is full", ""),
         ("the disk is full", "it was moved", True, "the disk is full", ""),
-        ("the disk is full", "", False, "", "the disk is full; the run continues"),
         ("the disk is full", "it was moved", False, "it was moved", "the disk is full; the run c"),
     ],
 )
@@ -136,7 +95,7 @@ def test_the_state_of_the_current_recording_is_reported(
 
 
 @pytest.mark.parametrize(("synced", "has_lost"), [(9, False), (4, True)])
-def test_a_recording_that_lost_samples_is_remembered(
+def test_the_state_counts_recordings_that_lost_samples(
     synced: int, has_lost: bool, tmp_path: Path
 ) -> None:
     """The exit code of the daemon reports it; a disk is looked at without a report of its own."""
@@ -156,3 +115,16 @@ def test_a_recording_that_lost_samples_is_remembered(
     assert runs.finished() == ("error", "the disk did not answer")
     assert runs.has_lost == has_lost
     assert runs.is_idle
+
+
+def test_a_directory_without_room_is_reported_before_the_run(tmp_path: Path) -> None:
+    assert check_directory(tmp_path / "new" / "er", 1000) is None
+    small = check_directory(tmp_path, 10**18)
+    assert small is not None
+    assert small.code == RefusalCode.NO_ROOM
+    assert "MB free" in small.error
+    file = tmp_path / "file"
+    file.touch()
+    missing = check_directory(file / "below", 1)
+    assert missing is not None
+    assert "set [recording] directory" in missing.error

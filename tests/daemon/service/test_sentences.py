@@ -8,21 +8,18 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
-import msgspec
 import pytest
 from armrig_core.journal import journal_prefix
-from armrig_daemon.pipe import State
 from armrig_daemon.service import sentences
 from armrig_daemon.service.sentences import (
-    network_error,
     print_line,
-    state_sentence,
-    unreachable,
 )
 from armrig_daemon.service.systemd import journal_entry, send_to_journal
 
 
-def test_a_line_of_the_log_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_message_with_control_characters_is_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     print_line("info", "held by a\x1b[2J\nkernel: all is well\x9b")
 
     assert capsys.readouterr().err == (
@@ -39,38 +36,10 @@ def test_a_line_for_the_journal_begins_with_its_priority(level: str, prefix: str
     assert journal_prefix(level, stderr, f"{stderr.st_dev}:{stderr.st_ino}") == prefix
 
 
-def test_a_line_that_the_journal_does_not_read_has_no_priority() -> None:
+def test_a_line_outside_the_journal_has_no_priority() -> None:
     stderr = os.fstat(2)
 
     assert journal_prefix("error", stderr, f"{stderr.st_dev}:{stderr.st_ino + 1}") is None
-
-
-def test_a_line_for_the_journal_does_not_name_its_program(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stderr = os.fstat(2)
-    monkeypatch.setenv("JOURNAL_STREAM", f"{stderr.st_dev}:{stderr.st_ino}")
-
-    print_line("warning", "no link")
-
-    assert capfd.readouterr().err == "<4>no link\n"
-
-
-@pytest.mark.parametrize(
-    ("phase", "reason", "owner", "line", "sentence"),
-    [
-        ("safe", "", "", "", "safe, nobody has it"),
-        ("active", "", "group 3", "", "active, group 3 has it"),
-        ("init", "", "", "/dev/a: no rig", "not ready: /dev/a: no rig"),
-        ("fault", "no\nlink", "", "", "fault: no\\nlink; mend, then `armrig reset`"),
-    ],
-)
-def test_a_state_is_one_line_for_systemctl(
-    phase: str, reason: str, owner: str, line: str, sentence: str
-) -> None:
-    told = State(t_host_ns=0, phase=phase, reason=reason, owner=owner, ts_us=0, device={})
-
-    assert state_sentence(msgspec.structs.replace(told, remedy="mend"), line) == sentence
 
 
 def _fields(entry: bytes) -> dict[str, str]:
@@ -109,7 +78,7 @@ def journal(
         yield listening, path
 
 
-def test_the_journal_gets_the_subject_of_a_line(
+def test_a_journal_entry_contains_the_subject_of_its_line(
     capfd: pytest.CaptureFixture[str],
     journal: tuple[socket.socket, Path],
     monkeypatch: pytest.MonkeyPatch,
@@ -130,7 +99,7 @@ def test_the_journal_gets_the_subject_of_a_line(
     assert capfd.readouterr().err == ""
 
 
-def test_no_client_writes_a_field_into_the_journal(
+def test_a_client_cannot_forge_a_field_of_the_journal(
     journal: tuple[socket.socket, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _connect_stderr_to_journal(monkeypatch)
@@ -141,11 +110,11 @@ def test_no_client_writes_a_field_into_the_journal(
     assert fields["PRIORITY"] == "6"
 
 
-def test_an_entry_keeps_what_has_lines_of_its_own() -> None:
+def test_a_journal_entry_keeps_line_breaks_of_a_message() -> None:
     assert _fields(journal_entry("error", "a\nMESSAGE=b\n", {}))["MESSAGE"] == "a\nMESSAGE=b\n"
 
 
-def test_a_journal_that_takes_nothing_is_not_waited_for(
+def test_a_full_or_missing_journal_does_not_block_the_service(
     capfd: pytest.CaptureFixture[str],
     journal: tuple[socket.socket, Path],
     monkeypatch: pytest.MonkeyPatch,
@@ -161,33 +130,3 @@ def test_a_journal_that_takes_nothing_is_not_waited_for(
 
     assert filled > 0
     assert capfd.readouterr().err == "<4>full\n<4>gone\n"
-
-
-NOBODY_ELSE = "Inter-| Receive\n face |bytes\n    lo:       0 0 0\n"
-
-
-@pytest.mark.parametrize(
-    ("endpoint", "devices", "is_told"),
-    [
-        ("tls/0.0.0.0:7447", NOBODY_ELSE, True),
-        ("tls/lab-1.example.edu:7447", NOBODY_ELSE, True),
-        ("tls/0.0.0.0:7447", NOBODY_ELSE + "  eth0:    1 0\n", False),
-        ("tls/127.0.0.1:7447", NOBODY_ELSE, False),
-        ("tcp/[::1]:7447", NOBODY_ELSE, False),
-    ],
-)
-def test_a_listener_in_an_isolated_network_is_reported(
-    endpoint: str, devices: str, *, is_told: bool
-) -> None:
-    assert bool(unreachable(endpoint, devices)) == is_told
-
-
-def test_a_sandbox_without_networks_is_reported_with_the_setting_that_opens_it() -> None:
-    err = RuntimeError("Address family not supported by protocol (os error 97)")
-
-    said = network_error("tls/0.0.0.0:7447", err)
-
-    assert said == (
-        "[access] listen = 'tls/0.0.0.0:7447': the sandbox permits no network; permit one by "
-        "`systemctl edit armrigd@ID`, as docs/access.md shows"
-    )

@@ -8,7 +8,8 @@ import select
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import closing
 from math import inf
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +20,7 @@ import pytest
 from armrig.rig.session import open_session
 from armrig_core import protobuf
 from armrig_core.calibration import Calibration, Made, Potentiometer
-from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode, RefusalCode
+from armrig_core.codes import Ending, OutcomeCode, RefusalCode
 from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop, refused
 from armrig_core.commands import Calibrate as AskedCalibrate
 from armrig_core.commands import Reset as AskedReset
@@ -29,23 +30,18 @@ from armrig_core.manifest import RUN as OF_RUN
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_core.topics import command_key
 from armrig_daemon import pipe
-from armrig_daemon.config import Config
+from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions.orders import BY_HAND, not_newer
 from armrig_daemon.pipe import (
     Alive,
     Answer,
     Calibrate,
-    Clock,
-    Distribution,
-    Gap,
     Host,
     Log,
     Reset,
     RunEnded,
     RunStarted,
     State,
-    Timing,
-    Trace,
 )
 from armrig_daemon.service import publish
 from armrig_daemon.service.access import Network
@@ -58,40 +54,11 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from tests.daemon.loop_ends import LoopEnds
 from tests.daemon.odd_bench import CONFIG
+from tests.daemon.odd_service import odd_records
 
 LEASE = "a" * 32
 FREE = State(t_host_ns=0, phase="safe", reason="", owner="", ts_us=0, device={})
 RUN = Run(lease=LEASE, n=3, u=[1.0] * 3)
-EVEN = Distribution(p50=1.0, p90=1.0, p99=1.0, p999=1.0, max=1.0, n=100, missed=0)
-TOLD_IN_A_RUN = {
-    "event": Log(t_host_ns=1, level="info", message="told"),
-    "gap": Gap(
-        k_first=1,
-        count=1,
-        t_from_ns=1,
-        t_to_ns=2,
-        u_held_v=0.0,
-        reason="late",
-        code=GapCode.HOST_LATE,
-    ),
-    "state": msgspec.structs.replace(FREE, owner="a test"),
-    "timing": Timing(
-        t_host_ns=1,
-        wake_lateness_us=EVEN,
-        device_tick_error_us=EVEN,
-        link_round_trip_us=EVEN,
-        queue_depth=EVEN,
-    ),
-    "clock": Clock(
-        t_host_ns=1,
-        offset_ns=0,
-        offset_std_ns=1.0,
-        drift_ppm=0.0,
-        drift_std_ppm=1.0,
-        bound_ns=1.0,
-    ),
-}
-"""By stream."""
 
 
 class Between:
@@ -101,7 +68,7 @@ class Between:
         self.loop = LoopEnds()
         self.has_come = threading.Event()
         endpoint = f"unixsock-stream/{directory}/s"
-        self.service = Service(config or Config(), endpoint, directory)
+        self.service: Any = Service(config or Config(), endpoint, directory)
         self.service._connect(self.loop.child, Session(endpoint, "1", self.has_come.set))
         self.commands = self.service._commands
         self.commands.note_lease(LEASE)
@@ -115,16 +82,26 @@ class Between:
         assert self.has_come.wait(30)
         return replies
 
+    def serve(self, request: Any) -> Any:
+        """Send a command and have it handled; return its replies."""
+        replies = self.ask(request)
+        self.commands.serve()
+        return replies
+
     def begin_run(self) -> str:
         """Have a run requested, accepted by the loop, and begun."""
-        self.ask(RUN)
-        self.commands.serve()
+        self.serve(RUN)
         *signs, play = self.loop.orders()
         assert isinstance(play, pipe.Run)
         assert signs == [Alive()] * len(signs)
         started = RunStarted(run_id=play.run_id, k_first=0, count=3, t_host_ns=0)
         self.service._handle([Answer(order=play.order), started])
         return play.run_id
+
+    def answers(self, reads: Iterable[list[Any] | None]) -> None:
+        """Have each read of the loop's pipe return the next of these records; None: its end."""
+        self.loop.child.records = iter(reads).__next__  # type: ignore[method-assign]
+        os.write(self.loop.records_fd, b"always something")
 
     def close(self) -> None:
         """End all."""
@@ -172,17 +149,9 @@ def _sample(k: int) -> bytes:
     return encode_sample(Sample(k, k + 1, k + 1, k, 0.1, 0.2, 1.0, 1.0, 1, 2, 3))
 
 
-def test_the_loop_hears_from_the_service_each_second(between: Between) -> None:
-    """Otherwise the loop takes the service for frozen, and stops the motor."""
-    between.service._each_second()
-
-    assert between.loop.orders() == [Alive()]
-
-
-def test_the_loop_hears_from_the_service_while_a_run_is_planned(between: Between) -> None:
+def test_the_service_sends_keepalives_while_it_plans_a_run(between: Between) -> None:
     """Millions of samples take longer than a frozen service may be silent."""
-    between.ask(RUN)
-    between.commands.serve()
+    between.serve(RUN)
 
     *signs, play = between.loop.orders()
     assert isinstance(play, pipe.Run)
@@ -195,9 +164,8 @@ def test_a_run_that_cannot_be_recorded_is_stopped(between: Between) -> None:
     assert between.loop.orders() == [pipe.Stop()]
 
 
-def test_a_run_that_the_loop_refuses_is_in_nobody_s_way(between: Between) -> None:
-    replies = between.ask(RUN)
-    between.commands.serve()
+def test_a_refused_run_does_not_block_the_next_run(between: Between) -> None:
+    replies = between.serve(RUN)
     *_, play = between.loop.orders()
 
     between.service._handle([Answer(order=play.order, error="not now", code=RefusalCode.BY_HAND)])
@@ -206,15 +174,11 @@ def test_a_run_that_the_loop_refuses_is_in_nobody_s_way(between: Between) -> Non
     assert between.service._runs.is_idle
 
 
-def test_a_run_that_the_loop_does_not_answer_is_in_nobody_s_way(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("armrig_daemon.service.commands.ANSWER_S", -1.0)
-    replies = between.ask(RUN)
-    between.commands.serve()
+def test_an_unanswered_run_does_not_block_the_next_run(between: Between) -> None:
+    replies = between.serve(RUN)
     *_, play = between.loop.orders()
 
-    between.service._each_second()
+    between.commands.refuse_overdue(time.monotonic() + 3.1)
 
     assert _refusal(replies) == "the loop did not answer within 3 s: try again, or restart armrigd"
     assert between.service._runs.is_idle
@@ -232,7 +196,7 @@ def test_samples_that_come_with_the_end_of_their_run_are_recorded(between: Betwe
     assert (level, text.partition(": ")[2]) == ("info", "complete, 3 samples, 0 missing")
 
 
-def test_a_lease_that_the_loop_has_ended_lets_nobody_in(between: Between) -> None:
+def test_a_lease_ended_by_the_loop_is_refused(between: Between) -> None:
     between.service._handle([msgspec.structs.replace(FREE, owner="a test")])
     assert between.service._session.lease == LEASE.encode()
 
@@ -240,26 +204,7 @@ def test_a_lease_that_the_loop_has_ended_lets_nobody_in(between: Between) -> Non
     assert between.service._session.lease == b""
 
 
-def test_a_sampling_time_that_the_wire_cannot_carry_is_not_armed_with(between: Between) -> None:
-    with pytest.raises(ValueError, match=r"Ts=0\.0001 s cannot be carried"):
-        between.commands._ts_us(0.0001)
-    with pytest.raises(ValueError, match="a whole number of microseconds"):
-        between.commands._ts_us(0.0050005)
-    assert between.commands._ts_us(0.005) == 5000
-
-
-def test_a_sampling_time_that_holds_no_oversampled_reading_is_not_armed_with(
-    between: Between,
-) -> None:
-    config = between.commands._config
-    device = msgspec.structs.replace(config.device, oversampling=30)
-    between.commands._config = msgspec.structs.replace(config, device=device)
-
-    with pytest.raises(ValueError, match=r"oversampling = 30: at least 0\.00624 s"):
-        between.commands._ts_us(0.005)
-
-
-def test_a_command_too_many_is_refused_at_once(between: Between) -> None:
+def test_a_command_that_exceeds_the_queue_is_refused_at_once(between: Between) -> None:
     """R1."""
     for _ in range(publish.MAX_WAITING):
         between.ask(RUN)
@@ -269,75 +214,46 @@ def test_a_command_too_many_is_refused_at_once(between: Between) -> None:
     assert len(waiting) == publish.MAX_WAITING
 
 
-def test_a_disk_that_refuses_a_recording_stops_its_run(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(_fd: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fdatasync", full)
+def test_a_recording_that_cannot_be_written_stops_its_run(between: Between) -> None:
     between.begin_run()
-    between.service._handle([_sample(0)])
+    Path(between.service._runs.last.recording).unlink()
     assert select.select([between.service._signals.fd], [], [], 30)[0]
 
     between.service._woken()
 
     (halt,) = between.loop.orders()
     assert isinstance(halt, pipe.Stop)
-    assert "No space left on device" in halt.reason
+    assert "the file was removed during the recording" in halt.reason
     between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
     between.service._runs.finished(30)
 
 
-@pytest.mark.parametrize(
-    ("phase", "n", "complaint"),
-    [("active", 2, BY_HAND), ("armed", 3, not_newer(3, 3)), ("armed", 4, not_newer(3, 4))],
-)
-def test_a_run_that_the_core_is_sure_to_refuse_is_not_ordered(
-    between: Between, phase: str, n: int, complaint: str
-) -> None:
-    between.service._handle([msgspec.structs.replace(FREE, phase=phase, owner="a test")])
-    between.commands._n = n
-
-    replies = between.ask(RUN)
-    between.commands.serve()
-
-    assert _refusal(replies) == complaint
-    assert between.loop.orders() == []
-
-
-def test_a_run_is_planned_as_the_newest_lease_was_granted(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_is_planned_with_the_sampling_time_of_the_newest_lease(between: Between) -> None:
     planned: list[float] = []
-    monkeypatch.setattr(between.commands, "_objection", lambda: None)
-    monkeypatch.setattr(between.service._runs, "plan", lambda _, Ts, *__: planned.append(Ts))
+    _ready(between)
+    between.service._runs.plan = lambda _, Ts, *__: planned.append(Ts)
     between.commands._n = 9
-    between.ask(Arm(owner="a test", Ts=0.02))
-    between.commands.serve()
+    between.serve(Arm(owner="a test", Ts=0.02))
     (granted,) = between.loop.orders()
     assert isinstance(granted, pipe.Arm)
     between.service._handle([Answer(order=granted.order, body={"Ts": 0.02})])
 
-    between.ask(Run(lease=granted.lease, n=1, u=[1.0]))
-    between.commands.serve()
+    between.serve(Run(lease=granted.lease, n=1, u=[1.0]))
 
     assert planned == [0.02]
 
 
-def test_a_number_that_the_loop_has_taken_is_old(between: Between) -> None:
-    between.ask(Set(lease=LEASE, n=5, u=0.5))
-    between.commands.serve()
+def test_a_command_number_already_accepted_by_the_loop_is_refused(between: Between) -> None:
+    between.serve(Set(lease=LEASE, n=5, u=0.5))
     (order,) = between.loop.orders()
     between.service._handle([Answer(order=order.order, body={"done": True})])
 
-    replies = between.ask(msgspec.structs.replace(RUN, n=5))
-    between.commands.serve()
+    replies = between.serve(msgspec.structs.replace(RUN, n=5))
 
     assert _refusal(replies) == not_newer(5, 5)
 
 
-def test_more_signals_do_not_put_off_the_end_of_a_frozen_loop(between: Between) -> None:
+def test_a_repeated_signal_does_not_delay_the_kill_of_a_frozen_loop(between: Between) -> None:
     signal.raise_signal(signal.SIGTERM)
     between.service._woken()
     kill_at_s = between.service._kill_at
@@ -351,7 +267,7 @@ def test_more_signals_do_not_put_off_the_end_of_a_frozen_loop(between: Between) 
 @pytest.mark.parametrize(
     ("records", "within_s"), [([], 30.0), ([Host(granted={"refused": []})], 2.0)]
 )
-def test_a_loop_that_still_loads_has_more_time_to_end(
+def test_a_loop_that_is_still_starting_has_more_time_to_end(
     between: Between, records: list[Any], within_s: float
 ) -> None:
     """A loop that has loaded must end within 2 s."""
@@ -365,84 +281,69 @@ def test_a_loop_that_still_loads_has_more_time_to_end(
     assert began_s + within_s <= between.service._kill_at <= ended_s + within_s
 
 
-def test_a_signal_that_comes_with_the_loop_s_end_is_an_end_in_good_order(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Ctrl-C reaches both processes, so the loop may end first."""
-    monkeypatch.setattr(between.loop.child, "records", lambda: signal.raise_signal(signal.SIGINT))
-    os.write(between.loop.records_fd, b"the end")
+def test_a_queued_sign_of_life_is_read_before_its_client_counts_as_gone(between: Between) -> None:
+    """Otherwise a busy service would stop the run of a client that is alive.
 
-    between.service._serve()
-
-    assert between.service._quitting
-
-
-def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Otherwise a busy service would stop the run of a client that is alive."""
+    The sign counts from its arrival, or a client that died meanwhile would count as alive.
+    """
     between.begin_run()
     between.service._runs._presence = begun(msgspec.structs.replace(RUN, dead_man=2.0), 0.0)
+    sent_s = time.monotonic()
     between.ask(Renew(lease=LEASE, n=4))
-    records = iter(([], None))
-    monkeypatch.setattr(between.loop.child, "records", lambda: next(records))
-    os.write(between.loop.records_fd, b"the end")
+    come_s = time.monotonic()
+    between.answers([[], None])
 
     between.service._serve()
 
+    assert sent_s + 2.0 <= between.service._runs.client_gone_s <= come_s + 2.0
     assert not [order for order in between.loop.orders() if isinstance(order, pipe.Stop)]
     between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
     between.service._runs.finished(30)
 
 
-def test_what_is_due_each_second_is_done_once_a_second(
+def test_the_service_sends_alive_once_a_second(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = 0.0
 
-    def records() -> list[bytes] | None:
+    def reads() -> Iterator[list[Any] | None]:
         nonlocal now_s
-        now_s += 0.25
-        return [] if now_s < 5.1 else None
+        for _ in range(20):
+            now_s += 0.25
+            yield []
+        yield None
 
     clock = SimpleNamespace(monotonic=lambda: now_s)
     monkeypatch.setattr("armrig_daemon.service.service.time", clock)
-    monkeypatch.setattr(between.loop.child, "records", records)
-    os.write(between.loop.records_fd, b"always something")
+    between.answers(reads())
 
     between.service._serve()
 
     assert between.loop.orders() == [Alive()] * 5
 
 
-def test_a_full_table_of_open_files_is_an_error_in_the_log(
-    between: Between, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_full_table_of_open_files_is_logged_as_an_error(
+    between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("armrig_core.open_files.count", lambda: 1 << 30)
+    between.service._files.look = lambda: ("error", "64 of 64 files are open")
 
     between.service._each_second()
-    between.service._each_second()
 
-    assert capsys.readouterr().err.count("files are open: new clients cannot connect") == 1
+    assert "error: 64 of 64 files are open" in capsys.readouterr().err
 
 
-def test_a_command_that_fails_by_our_own_fault_is_refused_and_reported(
-    between: Between, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_an_internal_error_refuses_the_command_and_is_logged(
+    between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def broken(*_: object) -> None:
-        raise RuntimeError("unexpected")
+    between.service._runs.plan = lambda *_: [][0]
+    replies = between.serve(RUN)
 
-    monkeypatch.setattr(between.service._runs, "plan", broken)
-    replies = between.ask(RUN)
-
-    between.commands.serve()
-
-    told = "run: RuntimeError('unexpected')"
+    told = "run: IndexError('list index out of range')"
     assert _refusal(replies) == told
     assert f"error: {told}" in capsys.readouterr().err
 
 
-def test_what_the_loop_was_not_granted_is_reported(
+def test_a_scheduling_privilege_denied_to_the_loop_is_reported(
     between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
     granted = {"fifo": False, "refused": ["SCHED_FIFO"]}
@@ -454,19 +355,18 @@ def test_what_the_loop_was_not_granted_is_reported(
     assert between.service._rig.status(None).host == granted
 
 
-def test_what_the_loop_reports_in_a_run_is_in_its_recording(between: Between) -> None:
+def test_the_recording_contains_every_report_of_the_loop_during_its_run(between: Between) -> None:
     between.begin_run()
 
-    trace = Trace(t_host_ns=1, number=0, state=b"s", steps=b"t", version=2)
-    between.service._handle([_sample(0), trace, *TOLD_IN_A_RUN.values()])
+    between.service._handle([_sample(0), *odd_records()])
 
     with _finished(between).open("rb") as file:
         topics = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
-    streams = ["sample", "event", "trace", *TOLD_IN_A_RUN]
+    streams = ["sample", "event", "event", "trace", "gap", "state", "timing", "clock"]
     assert sorted(topics) == sorted(f"/rig/1/{stream}" for stream in streams)
 
 
-def test_a_recording_s_clock_is_set_when_it_begins(between: Between) -> None:
+def test_the_clock_offset_of_a_recording_is_measured_at_its_beginning(between: Between) -> None:
     between.service._offset_ns = 0
 
     between.begin_run()
@@ -476,7 +376,7 @@ def test_a_recording_s_clock_is_set_when_it_begins(between: Between) -> None:
     assert manifest_of(metadata[OF_RUN]).clock_offset_ns > 10**18
 
 
-def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: Between) -> None:
+def test_orders_are_forwarded_in_batches_from_a_bounded_queue(between: Between) -> None:
     """R1: between two lots the service looks at the loop; at most 64 orders wait."""
     for n in range(publish.MAX_WAITING):
         between.ask(Set(lease=LEASE, n=n, u=0.0))
@@ -505,11 +405,10 @@ def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: 
         (AskedReset(), Reset(order=1)),
     ],
 )
-def test_a_command_is_the_loop_s_to_carry_out_and_to_answer(
+def test_a_command_is_forwarded_as_an_order_and_answered_by_the_loop(
     between: Between, request_: Any, order: Any
 ) -> None:
-    replies = between.ask(request_)
-    between.commands.serve()
+    replies = between.serve(request_)
     assert between.loop.orders() == [order]
 
     between.service._handle([Answer(order=1)])
@@ -533,42 +432,14 @@ ASKED = AskedCalibrate(calibration=MEASURED, raw=b"raw")
 
 def _calibrated(between: Between) -> Any:
     """Have a calibration sent and ordered; return its replies."""
-    replies = between.ask(ASKED)
-    between.commands.serve()
+    replies = between.serve(ASKED)
     assert between.loop.orders() == [
         Calibrate(order=1, calibration=msgspec.structs.replace(MEASURED, made=None))
     ]
     return replies
 
 
-def test_a_calibration_is_in_force_once_the_loop_has_taken_it(
-    between: Between, tmp_path: Path
-) -> None:
-    before = between.service._rig.status(None)
-    replies = _calibrated(between)
-    assert between.service._rig.status(None) == before
-
-    between.service._handle([Answer(order=1, body={"done": True})])
-    between.begin_run()
-    between.service._runs.end(COMPLETE)
-    between.service._say_finished(60.0)
-
-    assert next(iter(replies)).ok is not None
-    status = between.service._rig.status(None)
-    digest = hashlib.sha256(msgspec.json.encode(MEASURED)).hexdigest()
-    assert "sent by `armrig calibrate`, made 2026-11-20" in status.calibration
-    assert status.calibration_sha256 == digest
-    (path,) = tmp_path.glob("*.mcap")
-    with path.open("rb") as file:
-        reader = make_reader(file)
-        attached = {a.name: a.data for a in reader.iter_attachments()}
-        (of_run,) = (m.metadata for m in reader.iter_metadata() if m.name == OF_RUN)
-    assert msgspec.json.decode(attached[CALIBRATION], type=Calibration) == MEASURED
-    assert attached[CALIBRATION_RAW] == b"raw"
-    assert manifest_of(of_run).calibration_sha256 == digest
-
-
-def test_of_two_calibrations_the_second_is_in_force(between: Between, tmp_path: Path) -> None:
+def test_a_second_calibration_replaces_the_first(between: Between, tmp_path: Path) -> None:
     made = msgspec.structs.replace(
         MEASURED.made, date="2026-11-21", raw_sha256=hashlib.sha256(b"second").hexdigest()
     )
@@ -578,18 +449,20 @@ def test_of_two_calibrations_the_second_is_in_force(between: Between, tmp_path: 
     _calibrated(between)
     between.service._handle([Answer(order=1, body={"done": True})])
 
-    between.ask(AskedCalibrate(calibration=second, raw=b"second"))
-    between.commands.serve()
+    between.serve(AskedCalibrate(calibration=second, raw=b"second"))
     (order,) = between.loop.orders()
     between.service._handle([Answer(order=2, body={"done": True})])
     between.begin_run()
     with _finished(between).open("rb") as file:
-        attached = {a.name: a.data for a in make_reader(file).iter_attachments()}
+        reader = make_reader(file)
+        attached = {a.name: a.data for a in reader.iter_attachments()}
+        (of_run,) = (m.metadata for m in reader.iter_metadata() if m.name == OF_RUN)
 
     assert order == Calibrate(order=2, calibration=msgspec.structs.replace(second, made=None))
     status = between.service._rig.status(None)
     assert "made 2026-11-21" in status.calibration
     assert status.calibration_sha256 == hashlib.sha256(attached[CALIBRATION]).hexdigest()
+    assert status.calibration_sha256 == manifest_of(of_run).calibration_sha256
     assert msgspec.json.decode(attached[CALIBRATION], type=Calibration) == second
     assert attached[CALIBRATION_RAW] == b"second"
 
@@ -604,26 +477,21 @@ def test_a_calibration_that_the_core_refuses_is_not_in_force(between: Between) -
     assert between.service._rig.status(None) == before
 
 
-def test_a_calibration_that_is_taken_late_is_in_force_all_the_same(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("armrig_daemon.service.commands.ANSWER_S", -1.0)
+def test_a_calibration_confirmed_after_the_timeout_is_in_force(between: Between) -> None:
     replies = _calibrated(between)
-    between.commands.refuse_overdue()
+    between.commands.refuse_overdue(time.monotonic() + 3.1)
     assert b"the loop did not answer within" in next(iter(replies)).err.payload.to_bytes()
-    second = between.ask(ASKED)
-    between.commands.serve()
+    second = between.serve(ASKED)
     assert b"on its way: try again" in next(iter(second)).err.payload.to_bytes()
 
     between.service._handle([Answer(order=1, body={"done": True})])
 
     assert "sent by" in between.service._rig.status(None).calibration
-    between.ask(ASKED)
-    between.commands.serve()
+    between.serve(ASKED)
     assert len(between.loop.orders()) == 1
 
 
-def test_one_calibration_waits_at_most(between: Between) -> None:
+def test_at_most_one_calibration_is_pending(between: Between) -> None:
     """R1: each may have more than a megabyte."""
     between.ask(ASKED)
 
@@ -633,34 +501,44 @@ def test_one_calibration_waits_at_most(between: Between) -> None:
     assert len(list(between.service._session.waiting(Kind.CALIBRATE))) == 1
 
 
+DRIVEN = msgspec.structs.replace(FREE, phase="active", owner="a test")
+HELD = msgspec.structs.replace(FREE, owner="Ada", line="no rig")
+OVERSAMPLED = Config(device=Device(oversampling=30))
+TOO_SHORT = "Ts=0.005 s cannot be carried at 500000 baud in scheduled mode with [device]"
+SILENT = msgspec.structs.replace(FREE, line="no answer; check the cable")
+
+
 @pytest.mark.parametrize(
-    ("request_", "refusal"),
+    ("config", "state", "request_", "refusal"),
     [
-        (Set(lease=LEASE, n=1, u=4.41), "u[0]=4.41 V is outside 0.2 … 4.4 V"),
-        (Set(lease=LEASE, n=1, u=0.0), "u[0]=0 V is outside 0.2 … 4.4 V"),
-        (Arm(owner="Ada", Ts=0.0011), "Ts=0.0011 s cannot be carried at 250000 baud"),
-        (Arm(owner="Ada", Ts=0.0020005), "Ts=0.0020005 must be a whole number of microseconds"),
-        (Run(lease=LEASE, n=1, u=[1.0, 4.1]), "u[1] steps by 3.1 V: at most 3 V in a sample"),
+        (Config(), DRIVEN, RUN, BY_HAND),
+        (Config(), HELD, Arm(owner="Bob"), "Ada has the rig: wait until it is free"),
+        (Config(), SILENT, Arm(owner="Bob"), "/dev/armrig: no answer; check the cable"),
+        (OVERSAMPLED, FREE, Arm(owner="Ada", Ts=0.005), f"{TOO_SHORT} oversampling = 30: at least"),
+        (CONFIG, FREE, Arm(owner="Ada", Ts=0.0011), "Ts=0.0011 s cannot be carried at 250000 baud"),
+        (CONFIG, FREE, Arm(owner="Ada", Ts=0.0020005), "Ts=0.0020005 must be a whole number of mi"),
+        (CONFIG, FREE, Set(lease=LEASE, n=1, u=4.41), "u[0]=4.41 V is outside 0.2 … 4.4 V"),
+        (CONFIG, FREE, Set(lease=LEASE, n=1, u=0.0), "u[0]=0 V is outside 0.2 … 4.4 V"),
+        (CONFIG, FREE, Run(lease=LEASE, n=1, u=[1.0, 4.1]), "u[1] steps by 3.1 V: at most 3 V in"),
     ],
-    ids=lambda value: type(value).__name__ if not isinstance(value, str) else "",
 )
-def test_what_a_rig_s_own_limits_forbid_is_refused(
-    narrow: Between, request_: Any, refusal: str
+def test_a_command_forbidden_by_state_or_limits_is_refused_by_the_service(
+    tmp_path: Path, config: Config, state: State, request_: Any, refusal: str
 ) -> None:
+    with closing(Between(tmp_path, config)) as between:
+        _ready(between)
+        between.service._handle([state])
+        between.commands.note_lease(LEASE)
+        replies = between.serve(request_)
+
+        assert _refusal(replies).startswith(refusal)
+        assert not [order for order in between.loop.orders() if order != Alive()]
+
+
+def test_the_slew_limit_of_runs_does_not_apply_to_a_manual_voltage(narrow: Between) -> None:
     _ready(narrow)
-    replies = narrow.ask(request_)
-    narrow.commands.serve()
-
-    assert _refusal(replies).startswith(refusal)
-    assert not [order for order in narrow.loop.orders() if order != Alive()]
-
-
-def test_a_voltage_held_by_hand_may_step_as_far_as_it_will(narrow: Between) -> None:
-    _ready(narrow)
-    narrow.ask(Set(lease=LEASE, n=4, u=4.4))
-    narrow.commands.serve()
-    narrow.ask(Arm(owner="Ada", Ts=0.002))
-    narrow.commands.serve()
+    narrow.serve(Set(lease=LEASE, n=4, u=4.4))
+    narrow.serve(Arm(owner="Ada", Ts=0.002))
 
     held, taken = narrow.loop.orders()
     assert isinstance(held, pipe.Set)
@@ -669,7 +547,7 @@ def test_a_voltage_held_by_hand_may_step_as_far_as_it_will(narrow: Between) -> N
     assert (taken.owner, taken.ts_us) == ("Ada", 2000)
 
 
-def test_a_note_is_in_the_recording_by_a_field_and_the_loop_never_hears_of_it(
+def test_a_note_is_recorded_as_a_field_and_not_sent_to_the_loop(
     between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """S5: each is written with its author and time, also if two have one text."""
@@ -696,10 +574,10 @@ def test_a_note_is_in_the_recording_by_a_field_and_the_loop_never_hears_of_it(
     assert others == [("armrigd", 0)]  # the recording's name
 
 
-def test_a_note_outside_a_run_is_answered_that_no_recording_has_it(between: Between) -> None:
-    replies = between.ask(Note(text="the belt was changed"))
-
-    between.commands.serve()
+def test_the_reply_to_a_note_outside_a_run_reports_that_it_is_not_recorded(
+    between: Between,
+) -> None:
+    replies = between.serve(Note(text="the belt was changed"))
 
     answer = next(iter(replies)).ok
     assert answer is not None
@@ -709,7 +587,7 @@ def test_a_note_outside_a_run_is_answered_that_no_recording_has_it(between: Betw
     assert b"somebody on this machine" in past
 
 
-def test_a_flood_of_notes_leaves_twenty_and_two_a_second(
+def test_notes_are_limited_to_a_burst_of_twenty_and_two_per_second(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """R1: the others are refused for the moment."""
@@ -737,7 +615,7 @@ def _ready(between: Between) -> None:
     between.commands.note_lease(LEASE)
 
 
-def test_a_line_of_the_log_has_its_subject_and_what_is_for_developers_is_only_published(
+def test_a_log_line_has_its_subject_and_a_debug_line_is_only_published(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A field of the line itself has precedence over the current run, holder and rig."""
@@ -759,14 +637,11 @@ def test_a_line_of_the_log_has_its_subject_and_what_is_for_developers_is_only_pu
     _finished(between)
 
 
-def test_the_folder_is_looked_after_between_runs_alone(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recovery_and_retention_pause_during_a_run(between: Between) -> None:
     told: list[str] = []
-    left_over = SimpleNamespace(
+    between.service._left_over = SimpleNamespace(
         rest=lambda: told.append("rest"), go_on=lambda: told.append("go on"), lines=list
     )
-    monkeypatch.setattr(between.service, "_left_over", left_over)
 
     between.service._each_second()
     between.begin_run()
@@ -778,7 +653,7 @@ def test_the_folder_is_looked_after_between_runs_alone(
     assert told == ["go on", "rest", "go on"]
 
 
-def test_a_line_that_was_held_back_is_recorded_before_the_end_of_its_run(between: Between) -> None:
+def test_a_delayed_log_line_is_recorded_before_the_end_of_its_run(between: Between) -> None:
     run_id = between.begin_run()
     now_ns = time.monotonic_ns()
     lines = [Log(t_host_ns=now_ns, level="warning", message=f"late by {n} ms") for n in (1, 2)]
@@ -819,7 +694,7 @@ def _tried(between: Between, request: Any, by: str = "") -> _Asked:
     return asked
 
 
-def test_a_lease_is_of_no_use_to_another_client(between: Between) -> None:
+def test_a_lease_used_by_another_client_is_refused(between: Between) -> None:
     """Over a network, the lease alone does not make a client the holder."""
     _ready(between)
     arming = _tried(between, Arm(owner="Ada"), "certificate ada")
@@ -838,22 +713,8 @@ def test_a_lease_is_of_no_use_to_another_client(between: Between) -> None:
     assert [type(order) for order in between.loop.orders()] == [pipe.Set]
 
 
-def test_a_rig_that_is_held_is_not_armed_and_its_holder_is_named(between: Between) -> None:
-    _ready(between)
-    between.service._handle([msgspec.structs.replace(FREE, owner="Ada", line="no rig")])
-    held = between.ask(Arm(owner="Bob"))
-    between.commands.serve()
-    between.service._handle([msgspec.structs.replace(FREE, line="no answer; check the cable")])
-    silent = between.ask(Arm(owner="Bob"))
-    between.commands.serve()
-
-    assert "Ada" in _refusal(held)
-    assert _refusal(silent) == "/dev/armrig: no answer; check the cable"
-    assert between.loop.orders() == []
-
-
 @pytest.mark.parametrize("pending", [15, 16])
-def test_of_many_unanswered_orders_the_last_are_for_the_holder(
+def test_the_last_places_for_unanswered_orders_are_reserved_for_the_holder(
     between: Between, pending: int
 ) -> None:
     for n in range(pending):
@@ -866,16 +727,12 @@ def test_of_many_unanswered_orders_the_last_are_for_the_holder(
     assert len(between.loop.orders()) == 17
 
 
-def test_a_command_is_refused_once_its_three_seconds_are_over(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now_s = 100.0
-    monkeypatch.setattr("armrig_daemon.service.commands.time.monotonic", lambda: now_s)
+def test_a_command_is_refused_three_seconds_after_its_arrival(between: Between) -> None:
+    before_s = time.monotonic()
     asked = _tried(between, Disarm(lease=LEASE, n=4))
     told = []
-    for later_s in (3.0, 3.001):
-        now_s = 100.0 + later_s
-        between.commands.refuse_overdue()
+    for now_s in (before_s + 3.0, time.monotonic() + 3.001):
+        between.commands.refuse_overdue(now_s)
         told.append(asked.told)
 
     assert told == [None, RefusalCode.NO_ANSWER]
@@ -891,17 +748,12 @@ def test_a_command_is_refused_once_its_three_seconds_are_over(
         (Set(lease=LEASE, n=4, u=1.0), "", "", []),
     ],
 )
-def test_who_gave_a_command_is_in_the_log(
-    between: Between,
-    request_: Any,
-    by: str,
-    line: str,
-    fields: list[str],
-    monkeypatch: pytest.MonkeyPatch,
+def test_the_log_names_the_client_of_each_command(
+    between: Between, request_: Any, by: str, line: str, fields: list[str]
 ) -> None:
     """A voltage that is held by hand may change many times a second."""
     said: list[Any] = []
-    monkeypatch.setattr(between.commands, "_say", lambda *line, **of: said.append((line, of)))
+    between.commands._say = lambda *line, **of: said.append((line, of))
     asked = _tried(between, request_, by)
     (order,) = between.loop.orders()
 
@@ -939,21 +791,18 @@ def test_a_stall_of_the_emulator_is_reported_and_its_end_is_not_waited_for(
     ]
 
 
-def test_systemd_hears_what_the_loop_reports(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_reports_of_the_loop_are_forwarded_to_systemd(between: Between) -> None:
     """A loop that hangs reports no timing: then systemd ends the service."""
     told: list[str] = []
-    notifier = SimpleNamespace(
+    between.service._notifier = SimpleNamespace(
         ready=lambda: told.append("ready"),
         progress=lambda: told.append("progress"),
         status=told.append,
         stopping=lambda: told.append("stopping"),
     )
-    monkeypatch.setattr(between.service, "_notifier", notifier)
 
     between.service._handle([_sample(1), Host(granted={"refused": []})])
-    between.service._handle([FREE, TOLD_IN_A_RUN["timing"]])
+    between.service._handle([FREE, odd_records()[0]])
     between.service._each_second()
     between.service._quit("a test")
 
@@ -979,19 +828,14 @@ def test_the_state_is_published_each_second_with_the_time(between: Between) -> N
     assert (told.phase, again.phase) == ("safe", "safe")
 
 
-def test_a_loop_that_does_not_end_is_killed_once(
-    between: Between, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_an_unresponsive_loop_is_killed_once(
+    between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kills: list[None] = []
     between.service._kill_at = time.monotonic() - 1
-    rest = [None, [], [], []]
-    monkeypatch.setattr(between.loop.child, "records", rest.pop)
-    monkeypatch.setattr(between.loop.child, "kill", lambda: kills.append(None))
-    os.write(between.loop.records_fd, b"always something")
+    between.answers([[], [], [], None])
 
     between.service._serve()
 
-    assert len(kills) == 1
     assert capsys.readouterr().err.count("error: the loop does not end: killed") == 1
 
 
@@ -1009,19 +853,19 @@ def _network(endpoint: str, **changes: Any) -> Network:
 
 
 @pytest.mark.parametrize("is_well", [True, False])
-def test_a_service_says_at_its_start_who_may_come_and_what_is_wrong(
+def test_the_service_logs_its_endpoints_clients_and_faults_at_its_start(
     narrow: Between, tmp_path: Path, is_well: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[tuple[str, str]] = []
-    monkeypatch.setattr(narrow.service, "_say", lambda *line: said.append(line))
+    narrow.service._say = lambda *line: said.append(line)
     monkeypatch.setattr(
         "armrig_daemon.service.service.unreachable",
         lambda where, _: "" if is_well else f"nobody reaches {where}",
     )
-    monkeypatch.setattr(narrow.service, "_notifier", SimpleNamespace(is_asked=not is_well))
+    narrow.service._notifier = SimpleNamespace(is_asked=not is_well)
     if not is_well:
         full = refused(RefusalCode.NO_ROOM, "the disk is full")
-        monkeypatch.setattr(narrow.service._runs, "no_room", lambda: full)
+        narrow.service._runs.no_room = lambda: full
     ways = [_network("tls/0.0.0.0:7447"), _network("tls/lab:7447", is_router=True)]
 
     narrow.service._announce(ways, has_left_fifo=is_well)
@@ -1044,7 +888,7 @@ def test_a_service_says_at_its_start_who_may_come_and_what_is_wrong(
     assert [text for _, text in said if text.endswith(f"end it with {by}")]
 
 
-def test_a_stop_comes_before_all_that_waits(between: Between) -> None:
+def test_a_stop_precedes_all_queued_commands(between: Between) -> None:
     """The others keep their order: the holder's orders, then those of everybody."""
     for request in (
         AskedReset(),
@@ -1060,12 +904,9 @@ def test_a_stop_comes_before_all_that_waits(between: Between) -> None:
     assert kinds == [pipe.Stop, pipe.Set, pipe.Disarm, Reset]
 
 
-def test_the_network_is_guarded_by_whether_somebody_has_the_rig(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_network_guard_depends_on_whether_the_rig_is_held(between: Between) -> None:
     busy: list[bool] = []
-    guard = SimpleNamespace(look=lambda _, is_busy: busy.append(is_busy))
-    monkeypatch.setattr(between.service, "_guard", guard)
+    between.service._guard = SimpleNamespace(look=lambda _, is_busy: busy.append(is_busy))
 
     for owner in ("", "Ada"):
         between.service._handle([msgspec.structs.replace(FREE, owner=owner)])
@@ -1074,15 +915,13 @@ def test_the_network_is_guarded_by_whether_somebody_has_the_rig(
     assert busy == [False, True]
 
 
-def test_what_other_threads_report_is_in_the_log_with_its_level(
-    between: Between, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_report_of_another_thread_is_logged_with_its_level(between: Between) -> None:
     run_id = between.begin_run()
     lines = [("info", "a.mcap: recovered"), ("warning", "b.mcap: another user's file")]
-    monkeypatch.setattr(between.service._left_over, "lines", lambda: lines)
+    between.service._left_over.lines = lambda: lines
     between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped by anna"))
     said: list[Any] = []
-    monkeypatch.setattr(between.service, "_say", lambda *line, **of: said.append((line, of)))
+    between.service._say = lambda *line, **of: said.append((line, of))
 
     between.service._say_finished(30)
     between.service._woken()
@@ -1095,11 +934,10 @@ def test_what_other_threads_report_is_in_the_log_with_its_level(
 
 
 def test_a_sleep_of_the_computer_is_reported_and_is_the_cause_of_a_late_stop(
-    between: Between, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
     between.begin_run()
-    slept = iter(["this computer slept for 30 s", "", ""])
-    monkeypatch.setattr(between.service._sleep, "look", lambda: next(slept))
+    between.service._sleep.look = iter(["this computer slept for 30 s", "", ""]).__next__
     between.service._each_second()
     causes = [between.service._standstill()]
     between.service._begin_run(RunStarted(run_id="next", k_first=0, count=3, t_host_ns=0))
@@ -1107,3 +945,19 @@ def test_a_sleep_of_the_computer_is_reported_and_is_the_cause_of_a_late_stop(
 
     assert causes == ["this computer slept for 30 s", ""]
     assert "warning: this computer slept for 30 s" in capsys.readouterr().err
+
+
+def test_a_command_that_arrives_during_a_wakeup_wakes_the_service_again(between: Between) -> None:
+    signals, reader = between.service._signals, between.service._signals._reader
+
+    def interrupted(n: int) -> bytes:
+        signals.wake()
+        return reader.recv(n)
+
+    signals.wake()
+    signals._reader = SimpleNamespace(recv=interrupted)
+    between.service._woken()
+    signals._reader = reader
+    signals.wake()
+
+    assert select.select([signals.fd], [], [], 0)[0]

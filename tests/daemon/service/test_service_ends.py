@@ -35,7 +35,7 @@ def between(tmp_path: Path) -> Iterator[Between]:
     between.close()
 
 
-def test_the_loop_is_started_as_the_configuration_says(
+def test_the_loop_is_started_with_the_options_of_the_configuration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The loop stops the motor after 3 s without the service."""
@@ -79,7 +79,7 @@ def test_the_loop_is_started_as_the_configuration_says(
         (NO_PORT, True, False, 1),
     ],
 )
-def test_a_service_ends_with_the_code_that_systemd_acts_on(
+def test_a_service_ends_with_the_exit_code_that_systemd_expects(
     code: int,
     quits: bool,
     restarts: bool,
@@ -97,7 +97,7 @@ def test_a_service_ends_with_the_code_that_systemd_acts_on(
         monkeypatch.setattr(service_module.realtime, name, lambda *_, **__: True)
     service = Service(Config(), "unixsock-stream/nowhere", tmp_path)
     for name in ("_connect", "_announce", "_serve"):
-        monkeypatch.setattr(service, name, lambda *_, **__: None)
+        setattr(service, name, lambda *_, **__: None)
     service._quitting, service._restarts = quits, restarts
 
     assert service.run() == exit_code

@@ -60,7 +60,7 @@ def test_a_deleted_socket_is_opened_again(path: Path, session: Session, deleted:
     assert read_facts(path) == FACTS
 
 
-def test_another_program_s_socket_is_left_alone_and_reported_once(path: Path) -> None:
+def test_the_socket_of_another_program_is_not_replaced_and_reported_once(path: Path) -> None:
     path.parent.mkdir(mode=0o700)
     path.touch()
     opened: list[str] = []

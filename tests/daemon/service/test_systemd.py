@@ -34,7 +34,7 @@ def _close(notifier: Notifier) -> None:
     notifier._socket.close()
 
 
-def test_systemd_hears_of_each_change_once(systemd: tuple[socket.socket, str]) -> None:
+def test_each_change_is_reported_to_systemd_once(systemd: tuple[socket.socket, str]) -> None:
     listening, address = systemd
     environ = {"NOTIFY_SOCKET": address, "HOME": "/"}
     notifier = Notifier(environ)
@@ -55,7 +55,9 @@ def test_systemd_hears_of_each_change_once(systemd: tuple[socket.socket, str]) -
     assert environ == {"HOME": "/"}
 
 
-def test_a_systemd_that_reads_nothing_holds_nobody_up(systemd: tuple[socket.socket, str]) -> None:
+def test_an_unresponsive_systemd_does_not_block_the_service(
+    systemd: tuple[socket.socket, str],
+) -> None:
     listening, address = systemd
     notifier = Notifier({"NOTIFY_SOCKET": address})
 
@@ -66,7 +68,7 @@ def test_a_systemd_that_reads_nothing_holds_nobody_up(systemd: tuple[socket.sock
     assert _told(listening)[0] == "STATUS=0"
 
 
-def test_without_systemd_nothing_is_reported(tmp_path: Path) -> None:
+def test_no_report_is_sent_without_systemd(tmp_path: Path) -> None:
     assert not Notifier({}).is_asked
     Notifier({}).ready()
     gone = Notifier({"NOTIFY_SOCKET": str(tmp_path / "nobody")})

@@ -13,7 +13,7 @@ from armrig_daemon.service.listener import Listener
 from armrig_daemon.service.uplink import Uplink
 
 
-def test_the_log_has_a_line_each_time_that_the_router_comes_or_goes() -> None:
+def test_each_connection_to_and_loss_of_the_router_is_logged() -> None:
     way = SimpleNamespace(has_router=True)
     uplink = Uplink("tls/lab:7447", lambda: cast("Listener", way))
     uplink._thread.join(30.0)
@@ -73,7 +73,7 @@ def test_a_router_that_does_not_answer_is_tried_again(monkeypatch: pytest.Monkey
     assert (way.published, way.closed) == ([("gap", b"sent")], 1)
 
 
-def test_a_router_that_answers_after_the_end_is_left_again() -> None:
+def test_a_connection_that_succeeds_after_the_end_is_closed() -> None:
     way, has_begun, may_open = _Way(), threading.Event(), threading.Event()
 
     def open_way() -> Listener:

@@ -120,7 +120,11 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
 
 def examine_fit_of(data: Dataset, fit: Fit, integrator: bool | None = None) -> Iterator[Finding]:
     """Yield the findings on excitation, integrator, feedback and delay that concern the model."""
-    known = tested(data, fit.integrator or integrator)
+    yield from compared_with(data, fit, tested(data, fit.integrator or integrator))
+
+
+def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
+    """Yield the findings on excitation, integrator, feedback and delay of tested data."""
     order, needed = _excitation(data), _parameters_from_u(fit)
     if order < needed and not constant_input(data):
         text = f"u is exciting of order {order} only, and {needed} parameters of the model "

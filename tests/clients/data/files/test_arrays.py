@@ -1,8 +1,9 @@
-"""Files of MATLAB and of numpy."""
+"""Files of MATLAB, of numpy and of Parquet."""
 
 from __future__ import annotations
 
 import struct
+import sys
 import warnings
 import zlib
 from io import BytesIO
@@ -11,9 +12,11 @@ from typing import Any
 from zipfile import ZipFile
 
 import numpy as np
+import pyarrow
 import pytest
 from armrig import FileError, load_data, load_signals
 from armrig.data.files import table
+from pyarrow import parquet
 from scipy.io import savemat
 from scipy.io.matlab import MatlabObject
 
@@ -32,6 +35,12 @@ def mat(folder: Path, values: dict[str, Any], **how: Any) -> Path:
     path = folder / "data.mat"
     savemat(path, values, **how)
     return path
+
+
+@pytest.fixture
+def _little_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a file unpack to 1 MiB."""
+    monkeypatch.setattr(table, "room", lambda _: 1 << 20)
 
 
 def iddata(**fields: Any) -> MatlabObject:
@@ -122,18 +131,10 @@ def test_a_name_that_is_a_number_has_precedence_over_a_place(tmp_path: Path) -> 
     assert (data.u.tolist(), data.y.tolist(), data.Ts) == (U.tolist(), Y.tolist(), 0.5)
 
 
-def test_complex_numbers_are_not_cut_in_half(tmp_path: Path) -> None:
-    path = npz(tmp_path, u=U, y=Y + 0j)
-
-    with pytest.raises(FileError, match="signal y: is complex; save its real part"):
-        load_data(path, Ts=1)
-
-
 class Bomb:
     """An object that must never be unpickled."""
 
     def __reduce__(self) -> Any:
-        """Leave a trace of the unpickling."""
         return (Path("/nonexistent/armrig-was-here").touch, ())
 
 
@@ -147,12 +148,10 @@ def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_data(path, signal="z", Ts=1).y, Y)
 
 
+@pytest.mark.usefixtures("_little_room")
 @pytest.mark.parametrize("kind", [np.int8, np.float64])
-def test_an_archive_that_unpacks_without_end_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type
-) -> None:
+def test_an_archive_that_unpacks_without_end_is_refused(tmp_path: Path, kind: type) -> None:
     """The declared length decides, before anything is unpacked."""
-    monkeypatch.setattr(table, "room", lambda _: 1 << 20)
     n = (1 << 20) // 8
     whole, bomb = tmp_path / "whole.npz", tmp_path / "bomb.npz"
     np.savez_compressed(whole, u=np.arange(n - 100.0).astype(kind), y=np.ones(50, kind))
@@ -165,7 +164,6 @@ def test_an_archive_that_unpacks_without_end_is_refused(
 
 
 def element(kind: int, values: bytes, order: str = "<") -> bytes:
-    """Return an element of a MAT-file."""
     return struct.pack(f"{order}II", kind, len(values)) + values + bytes(-len(values) % 8)
 
 
@@ -185,7 +183,7 @@ def doubles(name: str, values: list[int], order: str) -> bytes:
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_numbers_are_read_in_whatever_width_and_order_they_were_saved(
+def test_numbers_of_mat_files_are_read_in_each_width_and_byte_order(
     order: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "data.mat"
@@ -195,39 +193,6 @@ def test_numbers_are_read_in_whatever_width_and_order_they_were_saved(
 
     assert data.u.tolist() == [1, 2, 255]
     assert data.y.tolist() == [7, 8, 9]
-
-
-def test_a_number_that_is_cut_within_is_damage(tmp_path: Path) -> None:
-    """7 bytes are no double."""
-    head = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<ii", 1, 1))
-    path = tmp_path / "data.mat"
-    path.write_bytes(mat5(element(14, head + element(1, b"u") + element(9, b"\1" * 7))))
-
-    with pytest.raises(FileError, match="an element of kind 9 instead of numbers"):
-        load_data(path, Ts=1)
-
-
-@pytest.mark.parametrize("kind", [1, 2, 6])
-def test_an_array_without_values_is_named(kind: int, tmp_path: Path) -> None:
-    """A shape may be larger than any of numpy, and a structure may have no fields."""
-    head = element(6, struct.pack("<II", kind, 0))
-    head += element(5, struct.pack("<3i", 1 << 30, 1 << 30, 0))
-    rest = {1: b"", 2: element(5, struct.pack("<i", 8)) + element(1, b""), 6: element(9, b"")}
-    path = tmp_path / "data.mat"
-    path.write_bytes(mat5(element(14, head + element(1, b"u") + rest[kind])))
-
-    with pytest.raises(FileError, match=r"input u.*: (is|there are no)"):
-        load_data(path, Ts=1)
-
-
-def test_a_shape_below_nothing_is_damage(tmp_path: Path) -> None:
-    """-2 times -3 equals the count of numbers in the file."""
-    head = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<3i", -2, -3, 1))
-    path = tmp_path / "data.mat"
-    path.write_bytes(mat5(element(14, head + element(1, b"u") + element(2, bytes(6)))))
-
-    with pytest.raises(FileError, match=r"6 numbers in a shape of \(-2, -3, 1\)"):
-        load_data(path, Ts=1)
 
 
 def old(name: str, values: np.ndarray[Any, Any], order: str) -> bytes:
@@ -250,7 +215,6 @@ def test_version_4_is_read_in_every_width_and_order(order: str, tmp_path: Path) 
 
 
 def cells_inside_each_other(depth: int) -> bytes:
-    """Return a cell in a cell in a cell."""
     head = element(6, struct.pack("<II", 1, 0)) + element(5, struct.pack("<ii", 1, 1))
     inner, parts = 0, []
     for level in range(depth):
@@ -260,29 +224,67 @@ def cells_inside_each_other(depth: int) -> bytes:
     return b"".join(reversed(parts))
 
 
-def test_cells_inside_each_other_without_end_are_refused(tmp_path: Path) -> None:
-    """The reader of scipy would crash the interpreter."""
-    path = tmp_path / "deep.mat"
-    path.write_bytes(mat5(cells_inside_each_other(100_000)))
-
-    with pytest.raises(FileError, match="nested too deeply"):
-        load_data(path, Ts=1)
+def array(*shape: int, values: bytes, kind: int = 6) -> bytes:
+    """Return an element for an array `u` of this shape, of doubles by default."""
+    head = element(6, struct.pack("<II", kind, 0))
+    head += element(5, struct.pack(f"<{len(shape)}i", *shape))
+    return element(14, head + element(1, b"u") + values)
 
 
-def test_an_array_of_too_many_dimensions_is_refused(tmp_path: Path) -> None:
-    shape = struct.pack("<100000i", *[1] * 100_000)
-    matrix = element(6, struct.pack("<II", 6, 0)) + element(5, shape) + element(1, b"u")
-    path = tmp_path / "wide.mat"
-    path.write_bytes(mat5(element(14, matrix + element(9, struct.pack("<d", 1.0)))))
-
-    with pytest.raises(FileError, match="an array of 100000 dimensions; at most 32 are allowed"):
-        load_data(path, Ts=1)
+def opaque() -> bytes:
+    """Return an object of current MATLAB, whose numbers are where scipy does not look."""
+    numbers = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 1, 1))
+    numbers += element(1, b"") + element(6, struct.pack("<I", 1))
+    names = b"".join(element(1, name) for name in (b"dryer", b"MCOS", b"iddata"))
+    return element(14, element(6, struct.pack("<II", 17, 0)) + names + element(14, numbers))
 
 
-def test_a_mat_file_that_unpacks_without_end_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+ONE = element(9, struct.pack("<d", 1.0))
+HUGE, NO_VALUES = (1 << 30, 1 << 30, 0), r"input u.*: (is|there are no)"  # larger than numpy's
+NO_FIELDS = element(5, struct.pack("<i", 8)) + element(1, b"")
+
+
+@pytest.mark.parametrize(
+    ("elements", "said"),
+    [
+        pytest.param(
+            array(1, 1, values=element(9, b"\1" * 7)),
+            "an element of kind 9 instead of numbers",
+            id="a number is cut",
+        ),
+        pytest.param(
+            array(-2, -3, 1, values=element(2, bytes(6))),
+            r"6 numbers in a shape of \(-2, -3, 1\)",
+            id="-2 times -3 equals the count of numbers",
+        ),
+        pytest.param(
+            array(*[1] * 100_000, values=ONE),
+            "an array of 100000 dimensions; at most 32 are allowed",
+            id="dimensions",
+        ),
+        *(
+            pytest.param(array(*HUGE, values=values, kind=kind), NO_VALUES, id=f"empty {kind}")
+            for kind, values in ((1, b""), (2, NO_FIELDS), (6, element(9, b"")))
+        ),
+        # The reader of scipy would crash the interpreter.
+        pytest.param(cells_inside_each_other(100_000), "nested too deeply", id="nested cells"),
+        pytest.param(
+            opaque(), r"object that only MATLAB reads; in MATLAB: u = data\.u; y =", id="opaque"
+        ),
+    ],
+)
+def test_an_array_that_cannot_be_read_is_reported(
+    elements: bytes, said: str, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(table, "room", lambda _: 1 << 20)
+    path = tmp_path / "data.mat"
+    path.write_bytes(mat5(elements))
+
+    with pytest.raises(FileError, match=said):
+        load_data(path, Ts=1)
+
+
+@pytest.mark.usefixtures("_little_room")
+def test_a_mat_file_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
     packed = zlib.compress(bytes(1 << 22))
     path = tmp_path / "bomb.mat"
     path.write_bytes(mat5(struct.pack("<II", 15, len(packed)) + packed))
@@ -294,14 +296,8 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"u": U, "y": Y + 1j}, "signal y: is complex; save its real part"),
         ({"u": U, "y": "words"}, "signal y: contains no numbers; save it as a vector"),
         ({"u": U, "y": np.zeros((0, 0))}, "signal y: is empty; save it with a value for each"),
-        ({"u": U, "y": np.zeros((3, 3, 3))}, "signal y: has 3 dimensions; save it as a vector"),
-        (
-            {"u": U, "y": Y[1:]},
-            "the columns have 29 to 30 samples; all need the same number",
-        ),
         (
             {"u": U, "z": Y},
             "signal y: there is no such column; give --signal a name or a number of 1 u",
@@ -319,7 +315,7 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(
     ],
     ids=lambda x: x if isinstance(x, str) else "",
 )
-def test_what_is_no_column_is_reported_with_what_to_save(
+def test_an_array_that_is_not_a_column_is_reported_with_the_remedy(
     values: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     with pytest.raises(FileError, match=said):
@@ -332,29 +328,6 @@ def test_a_sparse_matrix_is_reported(tmp_path: Path) -> None:
     path = mat(tmp_path, {"u": U, "y": csc_array(Y.reshape(-1, 1))})
 
     with pytest.raises(FileError, match=r"signal y: is sparse; save full\(…\) of it"):
-        load_data(path, Ts=1)
-
-
-def test_matlab_7_3_is_reported_with_the_way_out(tmp_path: Path) -> None:
-    path = tmp_path / "data.mat"
-    path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n")
-
-    with pytest.raises(FileError, match=r"7\.3, which only MATLAB reads; save it in MATLAB .*-v7"):
-        load_data(path)
-
-
-def test_an_opaque_object_is_reported_with_what_to_save(tmp_path: Path) -> None:
-    """The numbers of a current iddata object are where scipy does not look."""
-    opaque = element(6, struct.pack("<II", 17, 0))
-    opaque += element(1, b"dryer") + element(1, b"MCOS") + element(1, b"iddata")
-    numbers = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 1, 1))
-    numbers += element(1, b"") + element(6, struct.pack("<I", 1))
-    path = tmp_path / "data.mat"
-    path.write_bytes(mat5(element(14, opaque + element(14, numbers))))
-
-    with pytest.raises(
-        FileError, match=r"object that only MATLAB reads; in MATLAB: u = data\.u; y ="
-    ):
         load_data(path, Ts=1)
 
 
@@ -378,7 +351,7 @@ def test_damage_is_reported_in_one_line(tmp_path: Path) -> None:
         assert refused > 50
 
 
-def test_a_mat_file_that_is_cut_off_says_so(tmp_path: Path) -> None:
+def test_a_truncated_mat_file_is_reported(tmp_path: Path) -> None:
     path = mat(tmp_path, {"u": U, "y": Y})
     path.write_bytes(path.read_bytes()[:-1])
 
@@ -409,7 +382,7 @@ def _spoilt(data: bytes) -> list[bytes]:
     return found
 
 
-def test_an_archive_of_other_things_is_reported(tmp_path: Path) -> None:
+def test_an_archive_without_arrays_is_reported(tmp_path: Path) -> None:
     buffer = BytesIO()
     with ZipFile(buffer, "w") as archive:
         archive.writestr("xl/workbook.xml", "<workbook/>")
@@ -420,7 +393,7 @@ def test_an_archive_of_other_things_is_reported(tmp_path: Path) -> None:
         load_data(path, Ts=1)
 
 
-def test_a_small_file_holds_little() -> None:
+def test_the_size_of_a_file_bounds_that_of_its_content() -> None:
     """Measured data do not compress a hundredfold."""
     assert table.room(500_000) == table.room(0) == 1 << 26
     assert table.room(1_000_000) == 100_000_000
@@ -488,3 +461,61 @@ def test_a_field_that_was_never_assigned_does_not_shift_the_others(tmp_path: Pat
     data = load_data(path)
 
     assert (data.u.tolist(), data.y.tolist(), data.Ts) == (U.tolist(), Y.tolist(), 2.0)
+
+
+U, Y = np.random.default_rng(1).standard_normal((2, 30))
+
+
+def written(path: Path, **columns: Any) -> Path:
+    """Write columns, and return the path, whose suffix is of another kind of file."""
+    parquet.write_table(pyarrow.table(columns), path)
+    return path
+
+
+def test_columns_have_names_units_and_missing_values(tmp_path: Path) -> None:
+    y = [None if k == 3 else value for k, value in enumerate(Y.tolist())]
+    t = (0.01 * np.arange(30)).astype(np.float32)
+    path = written(tmp_path / "data.csv", **{"t [s]": t, "u [V]": U, "y": y, "word": ["a"] * 30})
+
+    data = load_data(path)
+
+    np.testing.assert_array_equal(data.u, U)
+    np.testing.assert_array_equal(np.flatnonzero(~data.valid), [3])
+    assert (data.input_unit, data.missing) == ("V", 1)
+    assert data.Ts == pytest.approx(0.01, rel=1e-12)
+    with pytest.raises(FileError, match="input word: contains no numbers"):
+        load_data(path, input="word")
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_time_stamps_are_in_seconds(unit: str, tmp_path: Path) -> None:
+    ticks = 1_750_000_000 * 10 ** {"s": 0, "ms": 3, "us": 6, "ns": 9}[unit] + np.arange(30)
+    stamps = pyarrow.array(ticks, pyarrow.timestamp(unit, tz="UTC"))
+    path = written(tmp_path / "data", time=stamps, u=U > 0, y=np.arange(30, dtype=np.int8))
+
+    data = load_data(path)
+
+    assert data.Ts == pytest.approx({"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit], rel=1e-12)
+    assert (data.u.tolist(), data.y.tolist()) == ((U > 0).astype(float).tolist(), [*range(30)])
+
+
+@pytest.mark.usefixtures("_little_room")
+def test_a_damaged_parquet_file_is_refused_with_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path / "data.parquet", u=U, y=Y)
+    (tmp_path / "cut.parquet").write_bytes(path.read_bytes()[:-9])
+
+    with pytest.raises(FileError, match=r"cut\.parquet: is a damaged Parquet file"):
+        load_data(tmp_path / "cut.parquet", Ts=1)
+    parquet.write_table(
+        pyarrow.table([U, U, Y], names=["u", "u", "y"]), tmp_path / "double.parquet"
+    )
+    with pytest.raises(FileError, match="two of its columns have the same name"):
+        load_data(tmp_path / "double.parquet", Ts=1)
+    long = np.zeros(1 << 16)
+    with pytest.raises(FileError, match="unpacked it has more than"):
+        load_data(written(tmp_path / "long.parquet", u=long, y=long, z=long), Ts=1)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(FileError, match=r"pyarrow is not installed: .* 'armrig\[parquet\]'"):
+        load_data(path, Ts=1)

@@ -82,7 +82,8 @@ def assert_motor(data: armrig.Dataset) -> None:
 
 @pytest.mark.parametrize("how", list(CompressionType), ids=str)
 def test_the_fields_of_json_messages_are_columns(how: CompressionType, tmp_path: Path) -> None:
-    path = mcap(tmp_path / "log.mcap", as_json(), as_json("/other", range(3)), how=how)
+    motor = as_json(order=[*range(100, N), *range(100)])  # they are sorted by their log times
+    path = mcap(tmp_path / "log.mcap", motor, as_json("/other", range(3)), how=how)
 
     data = load_data(path, topic="/motor", input="voltage", signal="angle")
 
@@ -91,12 +92,6 @@ def test_the_fields_of_json_messages_are_columns(how: CompressionType, tmp_path:
     assert_motor(load_data(path, topic="/motor", input="voltage", signal="angle", time="t"))
     signals = load_signals(path, topic="/motor", inputs="voltage", outputs=["angle"])
     assert signals.outputs == ("angle",)
-
-
-def test_messages_are_sorted_by_their_log_times(tmp_path: Path) -> None:
-    path = mcap(tmp_path / "log.mcap", as_json(order=[*range(100, N), *range(100)]))
-
-    assert_motor(load_data(path, topic="/motor", input="voltage", signal="angle"))
 
 
 def test_nested_fields_lists_times_and_missing_values_have_paths(tmp_path: Path) -> None:
@@ -165,7 +160,7 @@ def test_the_fields_of_protobuf_messages_are_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(data.y[data.valid], np.delete(Y, 5))
 
 
-def test_of_two_topics_the_first_is_held_at_the_times_of_the_last(tmp_path: Path) -> None:
+def test_two_topics_are_joined_at_the_times_of_the_second(tmp_path: Path) -> None:
     path = mcap(tmp_path / "log.mcap", as_ros2("/cmd", U, 1_000_000), as_ros2("/angle", Y))
 
     data = load_data(path, topic="/cmd,/angle", input="/cmd.data", signal="/angle.data")
@@ -223,7 +218,7 @@ def test_without_a_topic_the_topics_and_their_fields_are_listed(tmp_path: Path) 
         ("ros1", "ros1msg", b"float64 data", b"", "messages in ros1 .*armrig reads json, protobuf"),
     ],
 )
-def test_a_message_that_cannot_be_decoded_is_refused_with_the_way_out(
+def test_an_undecodable_message_is_refused_with_the_remedy(
     encoding: str,
     form: str,
     text: bytes,
@@ -244,7 +239,7 @@ def test_a_message_that_cannot_be_decoded_is_refused_with_the_way_out(
 
 
 @pytest.mark.parametrize("channel", [as_protobuf("/a"), as_ros2("/a", U)], ids=["protobuf", "cdr"])
-def test_without_the_extra_the_refusal_names_it(
+def test_the_refusal_names_a_missing_extra(
     channel: Channel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in ("mcap_protobuf.decoder", "mcap_ros2.decoder"):
@@ -271,7 +266,7 @@ def test_a_file_that_is_cut_off_is_read_up_to_the_cut(tmp_path: Path) -> None:
         load_data(path)
 
 
-def test_topics_are_of_mcap_files_alone(tmp_path: Path) -> None:
+def test_topics_are_accepted_only_for_mcap_files(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_text("u,y\n1,2\n")
 
     with pytest.raises(FileError, match="topic /a: only MCAP files have topics"):
@@ -281,7 +276,6 @@ def test_topics_are_of_mcap_files_alone(tmp_path: Path) -> None:
 
 
 def run(line: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    """Return the exit code and all that a command printed."""
     code = main(line.split())
     said = capsys.readouterr()
     return code, said.out + said.err
@@ -303,7 +297,7 @@ def test_the_command_line_reads_a_topic(tmp_path: Path, capsys: pytest.CaptureFi
     assert "/motor (t, voltage, angle)" in named
 
 
-def test_a_recording_that_another_program_has_rewritten_is_a_recording(tmp_path: Path) -> None:
+def test_a_recording_rewritten_by_another_program_is_read(tmp_path: Path) -> None:
     path = tmp_path / "copy.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
@@ -331,8 +325,5 @@ def test_files_of_other_programs_are_not_called_damaged(
     assert "not made by armrig: " in listed
     left_out = json.loads(facts.partition("\n")[0])["left_out"]
     assert [(one["why"], one["foreign"]) for one in left_out] == [("not made by armrig", True)] * 2
-    for command in ("info", "replay", "verify"):
-        for name in ("log.mcap", "cut.mcap"):
-            code, said = run(f"{command} {name}", capsys)
-            assert code == 1
-            assert f"{name}: not made by armrig; " in said
+    for name in ("log.mcap", "cut.mcap"):
+        assert f"{name}: not made by armrig; " in run(f"info {name}", capsys)[1]

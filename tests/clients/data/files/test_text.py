@@ -57,7 +57,7 @@ def table(separator: str, *, comma: bool = False, end: str = "\n", names: str = 
         *("capitals", "empty lines", "no line end"),
     ],
 )
-def test_the_same_numbers_come_of_every_way_to_write_them(text: str, tmp_path: Path) -> None:
+def test_each_notation_of_a_table_gives_the_same_numbers(text: str, tmp_path: Path) -> None:
     data = load_data(written(tmp_path, text))
 
     np.testing.assert_array_equal(data.u, U)
@@ -66,7 +66,7 @@ def test_the_same_numbers_come_of_every_way_to_write_them(text: str, tmp_path: P
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", "  "])
-def test_columns_without_names_are_asked_for_by_number(separator: str, tmp_path: Path) -> None:
+def test_columns_without_names_are_selected_by_number(separator: str, tmp_path: Path) -> None:
     path = written(tmp_path, table(separator, names=""), "data.dat")
 
     data = load_data(path, input="2", signal="3", time="1")
@@ -76,7 +76,7 @@ def test_columns_without_names_are_asked_for_by_number(separator: str, tmp_path:
     assert (data.output, data.Ts, data.N) == ("y", 0.1, 4)
 
 
-def test_a_column_ends_where_the_rows_do_with_names_or_without(tmp_path: Path) -> None:
+def test_a_column_has_the_length_of_the_table_with_or_without_names(tmp_path: Path) -> None:
     """A separator at the end of each row makes an empty last column."""
     last = written(tmp_path, "u,y\n1,\n2,\n3,\n", "last.csv")
     none = written(tmp_path, "1,5,\n2,6,\n", "none.csv")
@@ -94,7 +94,7 @@ def test_names_and_units_are_the_headers(tmp_path: Path) -> None:
     assert (data.output, data.unit, data.input_unit, data.Ts) == ("Temp", "°C", "V", 2.0)
 
 
-def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
+def test_an_empty_cell_is_a_missing_value(tmp_path: Path) -> None:
     rows = ["1,1", "2,", "3,NaN", "4,n/a", "5,5", ",6", "nan,7", "8,8", "9,9"]
     path = written(tmp_path, "u,y\n" + "\n".join(rows))
 
@@ -108,7 +108,7 @@ def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
     )
 
 
-def test_a_column_that_nobody_asks_for_may_be_words(tmp_path: Path) -> None:
+def test_an_unused_column_may_contain_words(tmp_path: Path) -> None:
     rows = ["2024-01-01 10:00:00,1,2,good", "2024-01-01 10:00:01,3,4,bad"]
     named = written(tmp_path, "when,u,y,what\n" + "\n".join(rows), "named.csv")
     bare = written(tmp_path, "\n".join(rows), "bare.csv")
@@ -117,13 +117,13 @@ def test_a_column_that_nobody_asks_for_may_be_words(tmp_path: Path) -> None:
     assert load_data(bare, input="2", signal="3", Ts=1).y.tolist() == [2, 4]
 
 
-def test_a_first_row_without_a_value_is_no_line_of_names(tmp_path: Path) -> None:
+def test_a_first_row_without_a_value_is_not_a_header(tmp_path: Path) -> None:
     path = written(tmp_path, "NaN,1\n2,3\n")
 
     assert load_data(path, input="2", signal="1", Ts=1).N == 2
 
 
-def test_every_number_comes_back() -> None:
+def test_every_finite_number_of_a_table_is_read_exactly() -> None:
     bits = np.random.default_rng(1).integers(0, 2**64, (2000, 2), dtype=np.uint64)
     values = bits.view(np.float64)
     rows = values[np.isfinite(values).all(axis=1)]
@@ -141,7 +141,6 @@ def test_every_number_comes_back() -> None:
         ("", "there is no row of numbers; a row for each sample is needed"),
         ("# nothing\n\n", "there is no row of numbers; a row"),
         ("t,u,y\n", "there is no row of numbers below its names, t, u, y; a row for each"),
-        ("u,y\n1,2\n1\n", r"line 3 has 1 cell \(separated by comma\), the line of names 2 cells"),
         (
             "1 2\n1 2 3\n",
             r"line 2 has 3 cells \(separated by blanks\), the first row 2 cells; give",
@@ -150,29 +149,12 @@ def test_every_number_comes_back() -> None:
             "A title\nu;y\n1;2\n",
             r"line 2 has 2 cells \(separated by semicolon\), the line of names 1",
         ),
-        (
-            "u,y\n1,2\n1,two\n",
-            "line 3, column y: 'two' is not a number; leave a missing value empty",
-        ),
+        ("u,y\nV,an angle in radians\n1,2\n", "line 2, column u: 'V' is not a number"),
         ("u;y\n1.23,4,5;2\n", "line 2, column u: '1.23,4,5' is not a number; leave a missing"),
         ("u,y\n1_000,2\n", "line 2, column u: '1_000' is not a number"),
-        (
-            "u,y\n1,2\n1e999,3\n",
-            "line 3: the input is inf here, and infinite in 1 samples in all; leave",
-        ),
         ("u,y\n1," + 99 * "x" + "\n", "line 2, column y: '" + 39 * "x" + "…' is not a number"),
         ("\x1b[31mu,y\u202e\n1,2\n", r"a number of 1 \\x1b\[31mu, 2 y\\u202e"),
         ("u,y\n1,\x1b[2J\n", r"line 2, column y: '\\x1b\[2J' is not a number"),
-        ("u,y\n1,2\n\x001,2\n", "is not text, and not of another known kind; armrig re"),
-        (
-            "a,b\n1,2\n",
-            "input u and signal y: there are no such columns; give --input and --signal a name or "
-            "a number of 1 a, 2 b",
-        ),
-        (
-            "1,2\n1,2\n",
-            "no such columns; its columns have no names: give --input and --signal 1 or 2$",
-        ),
         ("u,u,y\n1,2,3\n", "input u: columns 1 and 2 have this name; give the number"),
         (
             ",".join(f"c{i}" for i in range(99)) + "\n" + ",".join("1" * 99) + "\n",
@@ -180,7 +162,7 @@ def test_every_number_comes_back() -> None:
         ),
     ],
 )
-def test_what_is_no_table_is_reported_with_its_line_and_the_way_out(
+def test_a_wrong_table_is_reported_with_its_line_and_the_remedy(
     text: str, said: str, tmp_path: Path
 ) -> None:
     path = written(tmp_path, text)
@@ -189,36 +171,8 @@ def test_what_is_no_table_is_reported_with_its_line_and_the_way_out(
         load_data(path, Ts=1)
 
 
-@pytest.mark.parametrize(
-    ("data", "said"),
-    [
-        (b"u,y [\xb0C]\n1,2\n", "line 1 is not UTF-8: save it as UTF-8 .in Excel: .CSV UTF-8"),
-        (
-            "u,y\n1,2\n".encode("utf-16"),
-            'is saved as UTF-16, like Excel\'s "Unicode text"; save it as "CSV UTF-8"',
-        ),
-        (b"u,y\nV,an angle in radians\n1,2\n", "line 2, column u: 'V' is not a number"),
-        (b"\x89HDF\r\n\x1a\n", "is HDF5"),
-        (b"PAR1", "is a damaged Parquet file"),
-        (b"\x1f\x8b\x08", "is packed with gzip; unpack it first"),
-        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is an old Excel workbook; save its sheet as CSV"),
-        (b"\x89MCAP0\r\n", "another program wrote this MCAP file, and it has no messages; only"),
-        (b"\x93NUMPY\x01", "is an .npy"),
-        (b"# Created by Octave 8.4", "is Octave's text format; in Octave: save -v7"),
-    ],
-)
-def test_another_kind_of_file_is_reported_with_the_way_out(
-    data: bytes, said: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "data.csv"
-    path.write_bytes(data)
-
-    with pytest.raises(FileError, match=said):
-        load_data(path, Ts=1)
-
-
 @given(st.binary(max_size=300))
-def test_garbage_is_refused_or_read_and_never_more(data: bytes) -> None:
+def test_random_bytes_of_a_table_raise_no_other_error(data: bytes) -> None:
     for suffix in (".csv", ".mat"):
         said = ""
         try:
@@ -273,10 +227,6 @@ def test_the_times_have_the_unit_of_their_header(header: str, Ts: float, tmp_pat
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (
-            "t,u,y\n0,1,2\n1,1,2\n2,1,2\n3.4,1,2\n4.4,1,2\n5.4,1,2\n6,1,2",
-            "line 5: the times in column t go from 2 to 3.4 s, and 2 of 6 intervals are not",
-        ),
         ("t,u,y\n0,1,2\n0,1,2\n0,1,2\n", "line 3: the times in column t do not increase"),
         ("t,u,y\n2,1,2\n1,1,2\n0,1,2\n", "line 3: the times in column t do not increase"),
         (
@@ -292,10 +242,6 @@ def test_the_times_have_the_unit_of_their_header(header: str, Ts: float, tmp_pat
             "the times in column t are in weeks, known units are s, ",
         ),
         ("u,y\n0,1\n1,2\n", r"the sampling time is not known: give it in s \(--Ts\)$"),
-        (
-            "t,time,u,y\n0,1,1,2\n",
-            r"\(--Ts\), or the column of times: give --time a name or a numb",
-        ),
     ],
 )
 def test_times_that_give_no_sampling_time_are_reported(
@@ -309,7 +255,7 @@ def test_times_that_give_no_sampling_time_are_reported(
 
 
 @pytest.mark.parametrize(("given", "noted"), [(0.1, 0), (0.104, 0), (0.05, 1), (0.2, 1)])
-def test_a_given_sampling_time_that_is_not_the_file_s_is_noted(
+def test_a_sampling_time_that_contradicts_the_file_is_reported(
     given: float, noted: int, tmp_path: Path
 ) -> None:
     """Up to a twentieth is rounding; the given number is used in any case."""
@@ -325,9 +271,7 @@ def test_a_given_sampling_time_that_is_not_the_file_s_is_noted(
 
 
 @pytest.mark.parametrize("wanted", ["0", "4", "-1", "1.0", "w", "1234567890"])
-def test_a_column_that_is_not_there_is_refused_with_those_that_are(
-    wanted: str, tmp_path: Path
-) -> None:
+def test_a_missing_column_is_refused_with_the_existing_columns(wanted: str, tmp_path: Path) -> None:
     path = written(tmp_path, "t,u,y\n0,1,2\n1,3,4\n")
 
     with pytest.raises(FileError, match=f"input {wanted}: there is no such column; give --input a"):
@@ -335,23 +279,14 @@ def test_a_column_that_is_not_there_is_refused_with_those_that_are(
     assert load_data(path, input="1", signal="3", Ts=1).u.tolist() == [0, 1]
 
 
-def test_names_that_differ_in_case_only_are_each_found_by_their_own(tmp_path: Path) -> None:
+def test_names_that_differ_only_in_case_are_distinguished(tmp_path: Path) -> None:
     path = written(tmp_path, "u,Y,y\n5,6,7\n8,9,1\n")
 
     assert load_data(path, input="U", signal="Y", Ts=1).y.tolist() == [6, 9]
     assert load_data(path, input="u", signal="y", Ts=1).y.tolist() == [7, 1]
 
 
-def test_input_and_signal_are_two_columns(tmp_path: Path) -> None:
-    path = written(tmp_path, "u,y\n1,2\n")
-
-    with pytest.raises(
-        FileError, match="input and signal are both column 1; give --signal a name or"
-    ):
-        load_data(path, input="u", signal="1", Ts=1)
-
-
-def test_models_know_the_file_that_they_are_of(tmp_path: Path) -> None:
+def test_data_name_their_file_by_its_hash(tmp_path: Path) -> None:
     import hashlib
 
     path = written(tmp_path, table(","))
@@ -360,19 +295,8 @@ def test_models_know_the_file_that_they_are_of(tmp_path: Path) -> None:
     assert armrig.merge([load_data(path)] * 2).source == load_data(path).source
 
 
-def test_an_input_without_a_unit_says_so_on_its_axis(tmp_path: Path) -> None:
-    from matplotlib.figure import Figure
-
-    data = load_data(written(tmp_path, "u,y\n1,2\n3,1\n"), Ts=1)
-    shown = Figure().subplots()
-
-    data.plot(ax=shown)
-
-    assert [ax.get_ylabel() for ax in shown.figure.axes] == ["y [–]", "$u$ [–]"]
-
-
 @pytest.mark.parametrize("units", ["s;V;°C", "[s];[V];[°C]", "(s);(V);(°C)", ";V;°C"])
-def test_a_line_of_units_below_the_names_is_read_as_such(units: str, tmp_path: Path) -> None:
+def test_a_line_of_units_below_the_names_is_recognised(units: str, tmp_path: Path) -> None:
     path = written(tmp_path, f"t;u;y\n{units}\n0;1;2\n0.5;3;4\n1.0;5;x\n")
     good = written(tmp_path, path.read_text().replace("x", "6"), "good.csv")
 

@@ -19,7 +19,6 @@ def errors(seed: int, N: int, A: Array = A1) -> Array:
 
 
 def covariances(e: Array) -> Array:
-    """Return the covariances of lags 0 and 1."""
     e = e - e.mean(axis=0)
     return np.array([e.T @ e, e[1:].T @ e[:-1]]) / len(e)
 
@@ -46,7 +45,7 @@ def test_the_variance_of_short_errors_is_not_too_small() -> None:
     np.testing.assert_allclose(np.mean(scales, axis=0), np.diag(LAMBDA), rtol=0.03)
 
 
-def test_few_errors_are_drawn_as_they_are() -> None:
+def test_few_errors_are_drawn_by_resampling() -> None:
     e = errors(1, 15)
 
     process = error_process([e])

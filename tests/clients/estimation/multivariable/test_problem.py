@@ -13,7 +13,6 @@ LAMBDA = np.array([[0.04, 0.03], [0.03, 0.05]])
 
 
 def signals(missing: float) -> tuple[Array, Array]:
-    """Return two inputs and two outputs."""
     rng = np.random.default_rng(3)
     u = np.sign(rng.standard_normal((N, 2)))
     e = rng.multivariate_normal([0, 0], LAMBDA, N)
@@ -30,7 +29,6 @@ def signals(missing: float) -> tuple[Array, Array]:
 
 
 def problem(rows: tuple[Row, ...], sizes: tuple[int, ...], missing: float) -> PolynomialProblem:
-    """Return the problem of two experiments."""
     u, y = signals(missing)
     parts = [(u[:80], y[:80]), (u[80:], y[80:])]
     Lambda = LAMBDA[: len(rows), : len(rows)]

@@ -33,47 +33,33 @@ def signals(N: int = 120, seed: int = 1, Ts: float = 0.5) -> Signals:
     )  # fmt: skip
 
 
-def each(value: dict[str, int]) -> dict[tuple[str, str], int]:
-    """Return an order of each output for each channel."""
-    return {(output, input): n for output, n in value.items() for input in ("u", "v")}
+def each(a: int, b: int, c: int) -> dict[tuple[str, str], int]:
+    return {(y, u): n for y, n in zip("abc", (a, b, c), strict=True) for u in "uv"}
 
 
 @pytest.mark.parametrize(
-    ("request_", "expected"),
+    ("structure", "orders", "options", "expected"),
     [
+        ("arx", {"na": 3, "nb": 2}, {"nk": 0}, {"na": 3, "nb": 2, "nk": 0}),
         (
-            SignalsRequest(structure="arx", orders={"na": 3, "nb": 2}, nk=0),
-            {"na": 3, "nb": 2, "nk": 0},
+            "oe",
+            {"nb": 3, "nf": 2},
+            {"integrating": ("b",)},
+            {"nb": each(2, 3, 2), "nf": each(1, 2, 1), "integrator": ("b",), "shared": ""},
         ),
         (
-            SignalsRequest(structure="oe", orders={"nb": 3, "nf": 2}, integrating=("b",)),
-            {
-                "nb": each({"a": 2, "b": 3, "c": 2}),
-                "nf": each({"a": 1, "b": 2, "c": 1}),
-                "nk": 1,
-                "integrator": ("b",),
-                "shared": "",
-            },
+            "oe",
+            {"nb": 3, "nf": 2},
+            {"integrating": ("a", "c"), "shared": True},
+            {"nb": each(3, 2, 3), "nf": 1, "integrator": ("a", "c"), "shared": "denominator"},
         ),
         (
-            SignalsRequest(
-                structure="oe", orders={"nb": 3, "nf": 2}, integrating=("a", "c"), shared=True
-            ),
-            {
-                "nb": each({"a": 3, "b": 2, "c": 3}),
-                "nf": 1,
-                "nk": 1,
-                "integrator": ("a", "c"),
-                "shared": "denominator",
-            },
-        ),
-        (
-            SignalsRequest(
-                structure="armax", orders={"na": 3, "nb": 2, "nc": 1}, nk=2, integrating=("a",)
-            ),
+            "armax",
+            {"na": 3, "nb": 2, "nc": 1},
+            {"integrating": ("a",), "nk": 2},
             {
                 "na": {"a": 3, "b": 2, "c": 2},
-                "nb": each({"a": 2, "b": 1, "c": 1}),
+                "nb": each(2, 1, 1),
                 "nc": 1,
                 "nk": 2,
                 "integrator": ("a",),
@@ -81,43 +67,30 @@ def each(value: dict[str, int]) -> dict[tuple[str, str], int]:
             },
         ),
         (
-            SignalsRequest(structure="oe", orders={"nb": 1, "nf": 1}, integrating=("a", "b", "c")),
-            {
-                "nb": each({"a": 1, "b": 1, "c": 1}),
-                "nf": each({"a": 1, "b": 1, "c": 1}),
-                "nk": 1,
-                "integrator": ("a", "b", "c"),
-                "shared": "",
-            },
+            "oe",
+            {"nb": 1, "nf": 1},
+            {"integrating": tuple("abc")},
+            {"nb": each(1, 1, 1), "nf": each(1, 1, 1), "integrator": tuple("abc"), "shared": ""},
         ),
-        (SignalsRequest(structure="ss", orders={"order": None}), {"nk": 1, "noise": True}),
-        (
-            SignalsRequest(structure="ss", orders={"order": 4}, noise=False),
-            {"order": 4, "nk": 1, "noise": False},
-        ),
-        (
-            SignalsRequest(structure="n4sid", orders={"order": 4}),
-            {"order": 4, "nk": 1, "weights": "cva"},
-        ),
-        (
-            SignalsRequest(structure="n4sid", orders={"order": 4}, weights="moesp"),
-            {"order": 4, "nk": 1, "weights": "moesp"},
-        ),
+        ("ss", {"order": None}, {}, {"noise": True}),
+        ("ss", {"order": 4}, {"noise": False}, {"order": 4, "noise": False}),
+        ("n4sid", {"order": 4}, {}, {"order": 4, "weights": "cva"}),
+        ("n4sid", {"order": 4}, {"weights": "moesp"}, {"order": 4, "weights": "moesp"}),
     ],
 )
 def test_an_output_that_does_not_integrate_has_one_root_less(
-    request_: SignalsRequest, expected: dict[str, Any]
+    structure: Any, orders: Any, options: dict[str, Any], expected: dict[str, Any]
 ) -> None:
-    found = request_.arguments(signals())
+    found = SignalsRequest(structure=structure, orders=orders, **options).arguments(signals())
 
-    assert found == expected
+    assert found == {"nk": 1} | expected
     takes = {"nb", "nf", "na", "nc"} & found.keys()
     assert {name: type(found[name]) for name in takes} == {
         name: type(expected[name]) for name in takes
     }
 
 
-def test_an_order_that_leaves_no_coefficient_is_refused() -> None:
+def test_an_order_without_a_free_coefficient_is_refused() -> None:
     of = {"structure": "oe", "integrating": ("b",)}
     request: Any = SignalsRequest(orders={"nb": 2, "nf": 1}, **of)  # type: ignore[arg-type]
 
@@ -351,7 +324,7 @@ def test_all_outputs_have_one_score_and_converge_together(
     assert [x.text for x in fit.findings] == ["the search of b did not converge in 7 steps"]
 
 
-def test_a_start_s_loss_is_that_of_its_whitened_errors() -> None:
+def test_the_loss_of_a_start_value_is_that_of_its_whitened_errors() -> None:
     """An output alone is weighted by its variance."""
     rng = np.random.default_rng(3)
     u, e = rng.standard_normal((2, 200, 2))

@@ -52,7 +52,6 @@ class Arm:
 
 
 def arm_sampled(Ts: float) -> Arm:
-    """Return the exactly discretised arm."""
     A, G, C = arm_matrices(ArmParameters())
     Phi, Gamma = zero_order_hold(A, G, Ts)
     F = np.real(np.poly(Phi))
@@ -65,13 +64,11 @@ def arm_sampled(Ts: float) -> Arm:
 
 @pytest.fixture(scope="session")
 def arm() -> Arm:
-    """Return the arm sampled every 10 ms."""
     return arm_sampled(0.01)
 
 
 @pytest.fixture(scope="session")
 def sampled() -> Callable[[float], Arm]:
-    """Return what samples the arm at another Ts."""
     return arm_sampled
 
 
@@ -85,7 +82,6 @@ class Second:
         return np.asarray((x + 0.5 * x**2) / (1 - 1.2 * x + 0.6 * x**2))
 
     def g(self, n: int) -> Vector:
-        """Return the impulse response (n,)."""
         return filtered([0, 1, 0.5], [1, -1.2, 0.6], np.eye(1, n)[0])
 
     def dataset(
@@ -109,5 +105,4 @@ class Second:
 
 @pytest.fixture(scope="session")
 def second() -> Second:
-    """Return a system of second order."""
     return Second()

@@ -39,7 +39,7 @@ def realisations(
     return parts
 
 
-def test_a_linear_system_has_noise_only(second: Any) -> None:
+def test_a_linear_system_shows_no_distortion(second: Any) -> None:
     found = [bla(realisations(s), integrator=False) for s in range(25)]
     truth = second.response(found[0].omega)
 
@@ -51,7 +51,7 @@ def test_a_linear_system_has_noise_only(second: Any) -> None:
     assert "hardly any nonlinear distortion" in repr(found[0])
 
 
-def test_a_cubic_shows_between_realisations_and_not_between_periods() -> None:
+def test_a_cubic_distortion_appears_only_between_realisations() -> None:
     """Averaging over more periods lowers the noise alone."""
     few, many = (bla(realisations(1, periods=p, cubic=0.1), integrator=False) for p in (3, 41))
 
@@ -81,7 +81,7 @@ def test_experiments_of_one_data_set_are_realisations() -> None:
 
 
 @pytest.mark.parametrize(("hidden", "lost"), [(P // 2, P // 2), (P // 2 + 1, P)])
-def test_a_period_counts_if_half_of_its_samples_are_known(hidden: int, lost: int) -> None:
+def test_a_period_is_used_if_half_of_its_samples_are_known(hidden: int, lost: int) -> None:
     parts = realisations(2, R=2)
     valid = np.arange(parts[0].N) - 2 * P
     holed = parts[0].replaced(valid=(valid < 0) | (valid >= hidden), step=None)
@@ -93,7 +93,7 @@ def test_a_period_counts_if_half_of_its_samples_are_known(hidden: int, lost: int
     assert f"{4 - lost // P} … 4 periods of 128 samples" in found.method
 
 
-def test_a_dead_band_in_every_period_costs_no_more_than_its_samples() -> None:
+def test_a_dead_band_in_every_period_removes_only_its_samples() -> None:
     """A tenth of the samples is hidden.
 
     80 draws of 40 lines leave an uncertainty of 2 %; the tolerance is four times that.
@@ -116,7 +116,7 @@ def test_a_dead_band_in_every_period_costs_no_more_than_its_samples() -> None:
     assert ratio == pytest.approx(1, abs=0.08)
 
 
-def test_what_a_pwm_rounds_excites_no_line() -> None:
+def test_rounding_of_the_pwm_excites_no_line() -> None:
     """A multisine rounded to a duty of 10 bits keeps its lines."""
     u = excitation.multisine(500, range(1, 126))
     applied = np.round(u / 5 * 1023) / 1023 * 5
@@ -124,7 +124,7 @@ def test_what_a_pwm_rounds_excites_no_line() -> None:
     assert np.flatnonzero(excited(np.fft.rfft(applied))).tolist() == list(range(126))
 
 
-def test_the_arm_s_angle_comes_through_its_rate(arm: Any) -> None:
+def test_the_response_of_the_angle_is_estimated_by_its_rate(arm: Any) -> None:
     """Exact without noise, once the transient is over."""
     rng = np.random.default_rng(3)
     parts = [arm.dataset(2.5 + 0.5 * multisine(rng, 6)) for _ in range(2)]
@@ -149,7 +149,7 @@ def test_one_period_does_not_separate_noise_and_distortion() -> None:
     assert np.isfinite(both.noise_only_std).all()  # type: ignore[call-overload]
 
 
-def test_a_period_that_is_given_need_not_be_exact(second: Any) -> None:
+def test_an_approximate_period_is_sufficient(second: Any) -> None:
     """A measured voltage never repeats itself to the last digit."""
     rng = np.random.default_rng(1)
     parts = [
@@ -176,7 +176,7 @@ def test_one_realisation_cannot_determine_distortion() -> None:
     assert "one realisation" in repr(found)
 
 
-def test_what_is_not_periodic_is_refused(second: Any) -> None:
+def test_an_input_without_a_period_is_refused(second: Any) -> None:
     other = Dataset(u=np.tile(np.arange(50.0), 4), y=np.zeros(200), Ts=1.0)
 
     with pytest.raises(ValueError, match="got none"):

@@ -26,7 +26,7 @@ def test_a_coloured_input_is_whitened(second: Any) -> None:
 
 
 @pytest.mark.parametrize("lags", [5, 40, 60])
-def test_the_autocorrelation_is_that_at_the_lags(second: Any, lags: int) -> None:
+def test_the_autocorrelation_equals_its_definition_at_each_lag(second: Any, lags: int) -> None:
     found = correlation(second.dataset(np.random.default_rng(1), 300), lags, integrator=False)
 
     assert found.lags.tolist() == [*range(-lags, lags + 1)]
@@ -36,7 +36,7 @@ def test_the_autocorrelation_is_that_at_the_lags(second: Any, lags: int) -> None
 
 
 @pytest.mark.parametrize("order", sampled([0, None]))
-def test_the_band_holds_its_share_where_there_is_no_relation(order: int | None) -> None:
+def test_the_band_of_independent_signals_has_its_confidence_level(order: int | None) -> None:
     """1 % of the lags lie outside for coloured u and y, whitened or not."""
     outside = []
     for seed in range(200):
@@ -77,7 +77,7 @@ def test_an_angle_is_correlated_by_its_rate(arm: Any) -> None:
         ([0, 0, 0, 1, 2, 0, 0], None, 0),
     ],
 )
-def test_what_is_outside_the_band_is_told_before_and_after_lag_0(
+def test_correlations_outside_the_band_are_counted_before_and_after_lag_0(
     g: list[float], first: int | None, before: int
 ) -> None:
     found = Correlation(
@@ -95,7 +95,9 @@ def test_what_is_outside_the_band_is_told_before_and_after_lag_0(
     ]
 
 
-def test_the_dryer_answers_at_lag_3(reference: Callable[[str], NDArray[np.float64]]) -> None:
+def test_the_response_of_the_dryer_begins_at_lag_3(
+    reference: Callable[[str], NDArray[np.float64]],
+) -> None:
     u, y = reference("dryer.dat").T
 
     found = correlation(Dataset(u=u, y=y, Ts=0.08))
@@ -104,7 +106,7 @@ def test_the_dryer_answers_at_lag_3(reference: Callable[[str], NDArray[np.float6
     assert "first lag >= 0 outside: 3" in repr(found)
 
 
-def test_what_cannot_be_correlated_is_refused() -> None:
+def test_a_constant_input_and_too_many_lags_are_refused() -> None:
     with pytest.raises(ValueError, match="u is constant"):
         correlation(Dataset(u=np.ones(50), y=np.zeros(50), Ts=1.0), integrator=False)
     with pytest.raises(ValueError, match="lower lags"):

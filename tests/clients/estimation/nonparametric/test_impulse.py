@@ -50,7 +50,7 @@ def test_without_noise_plain_least_squares_gives_back_the_response(negative_lags
 def test_the_band_of_confidence_holds_for_coloured_noise(
     second: Any, u_pole: float, v_pole: float, missing: float
 ) -> None:
-    """95 % of 150 runs of 30 lags, whatever the colours; see tests/benchmarks for 1000."""
+    """95 % of 150 runs of 30 lags, whatever the colours."""
     truth, held = second.g(30), 0.0
     for seed in range(150):
         data = second.dataset(
@@ -80,7 +80,7 @@ def test_regularisation_lowers_the_error_on_short_data(second: Any) -> None:
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_the_factor_of_a_kernel_gives_the_kernel_back(kernel: Kernel) -> None:
+def test_the_product_of_a_kernel_factor_equals_the_kernel(kernel: Kernel) -> None:
     """L L^T = P by the published formulas."""
     decay, rho, n = 0.8, 0.6, 12
     i, j = np.meshgrid(np.arange(1, n + 1), np.arange(1, n + 1), indexing="ij")
@@ -96,7 +96,7 @@ def test_the_factor_of_a_kernel_gives_the_kernel_back(kernel: Kernel) -> None:
     np.testing.assert_allclose(L @ L.T, P, atol=1e-14)
 
 
-def test_the_posterior_is_the_textbook_s(second: Any) -> None:
+def test_the_posterior_equals_the_formula_of_the_textbook(second: Any) -> None:
     """The mean P Phi^T (Phi P Phi^T + sigma² I)^-1 y and its covariance, computed directly."""
     data = second.dataset(np.random.default_rng(3), 150)
     found = impulse_response(data, 20, "tc", integrator=False)
@@ -114,7 +114,9 @@ def test_the_posterior_is_the_textbook_s(second: Any) -> None:
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("unit", [1e-3, 1e6])
-def test_the_unit_of_u_changes_nothing_else(second: Any, kernel: Kernel, unit: float) -> None:
+def test_the_unit_of_u_changes_only_the_scale_of_the_response(
+    second: Any, kernel: Kernel, unit: float
+) -> None:
     """The search for the kernel's scale begins at the scale of the data."""
     data = second.dataset(np.random.default_rng(3), 150)
     scaled = Dataset(u=unit * data.u, y=data.y, Ts=data.Ts)
@@ -168,7 +170,7 @@ def test_an_integrating_angle_is_estimated_by_its_rate(arm: Any) -> None:
     assert found.died_out
 
 
-def test_plain_bands_of_the_rate_hold_to_the_last_lag(arm: Any) -> None:
+def test_unregularised_bands_of_the_rate_are_valid_up_to_the_last_lag(arm: Any) -> None:
     """Later lags do not add to the last coefficient."""
     truth = arm.rate(60)
     z = []
@@ -208,7 +210,7 @@ def test_negative_lags_show_feedback_and_only_feedback(second: Any) -> None:
 
 
 @pytest.mark.parametrize("kernel", [None, *KERNELS])
-def test_the_dryer_answers_at_lag_3(
+def test_the_response_of_the_dryer_begins_at_lag_3(
     kernel: Kernel | None, reference: Callable[[str], NDArray[np.float64]]
 ) -> None:
     """The first coefficient outside its 99 % band, first 300 samples."""
@@ -219,18 +221,10 @@ def test_the_dryer_answers_at_lag_3(
     assert found.first_lag(0.99) == 3
 
 
-def test_a_band_is_called_what_it_is(second: Any) -> None:
-    """Bayesian with a prior, of confidence without."""
-    data = second.dataset(np.random.default_rng(6), 300)
-
-    assert "Bayesian (credible)" in repr(impulse_response(data, integrator=False))
-    assert "confidence" in repr(impulse_response(data, kernel=None, integrator=False))
-
-
 @pytest.mark.parametrize("kernel", [None, "tc"])
 @pytest.mark.parametrize("p", [0.002, 0.3])
 @pytest.mark.parametrize(("last", "std"), [(0.019, 0), (-0.021, 0), (0.027, 0.01), (0.03, 0.01)])
-def test_doubts_about_a_band_are_those_of_its_kind(
+def test_the_last_lags_or_coloured_residuals_cause_a_warning_on_a_band(
     kernel: Kernel | None, p: float, last: float, std: float
 ) -> None:
     """The last tenth counts, within 2 % or 4 deviations; least squares may leave a colour."""
@@ -242,15 +236,6 @@ def test_doubts_about_a_band_are_those_of_its_kind(
     assert [x == short for x in told] == [True] * (last in (-0.021, 0.03)) + [False] * (
         kernel == "tc" and p < 0.05
     )
-
-
-def test_a_response_cut_off_says_so(second: Any) -> None:
-    """Five lags are too few for this response."""
-    data = second.dataset(np.random.default_rng(7), 500, std=0.1)
-
-    found = impulse_response(data, 5, kernel=None, integrator=False)
-
-    assert any("not decayed" in w for w in found.warnings)
 
 
 def test_the_spectrum_of_a_response_carries_its_uncertainty(second: Any) -> None:
@@ -268,7 +253,7 @@ def test_the_spectrum_of_a_response_carries_its_uncertainty(second: Any) -> None
     assert np.all((held > 91) & (held < 98))
 
 
-def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
+def test_an_impulse_response_of_too_few_rows_is_refused(second: Any) -> None:
     data = second.dataset(np.random.default_rng(8), 60)
     still = Dataset(u=np.ones(200), y=np.zeros(200), Ts=1.0)
 
@@ -289,7 +274,7 @@ def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("kernel", [None, "tc"])
-def test_length_costs_no_memory(kernel: Kernel | None) -> None:
+def test_the_memory_does_not_grow_with_the_data(kernel: Kernel | None) -> None:
     """A hundred lags of 100 000 samples need less memory than 30 arrays of that length."""
     rng = np.random.default_rng(9)
     u = rng.standard_normal(100_000)
@@ -315,7 +300,7 @@ def test_length_costs_no_memory(kernel: Kernel | None) -> None:
         ([0.9, 0.99, 0.995], [False, True, True], [20, 60, 100], 60),  # 0.547 and 0.606
     ],
 )
-def test_the_first_number_of_lags_that_is_large_enough_is_taken(
+def test_the_least_sufficient_number_of_lags_is_chosen(
     decays: list[float],
     died: list[bool],
     asked: list[int],
@@ -343,8 +328,7 @@ def test_the_first_number_of_lags_that_is_large_enough_is_taken(
     assert found.lags.size == chosen
 
 
-def test_two_experiments_count_as_two(arm: Any) -> None:
-    """Each experiment has its own level and ramp."""
+def test_each_experiment_has_its_own_level_and_ramp(arm: Any) -> None:
     first, other = arm.telegraph(1, 1500), arm.telegraph(2, 1500)
     moved = other.replaced(step=None, y=other.y + 40.0 + 0.3 * other.t)
 

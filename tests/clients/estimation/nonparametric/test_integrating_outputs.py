@@ -59,7 +59,7 @@ def test_realisations_of_a_multisine_are_found_to_integrate(arm: Any) -> None:
     assert REASON in repr(found)
 
 
-def test_the_data_decide_only_where_nobody_else_does(arm: Any) -> None:
+def test_the_data_decide_on_an_integrator_without_a_name_or_argument(arm: Any) -> None:
     data = arm.telegraph(N=1000)
 
     assert integration(data, None).notes == ()
@@ -68,7 +68,7 @@ def test_the_data_decide_only_where_nobody_else_does(arm: Any) -> None:
     assert integration(unnamed(data), integrator=True).notes == ()
 
 
-def test_a_slow_output_that_is_pulled_back_is_not_taken_as_integrating() -> None:
+def test_a_slow_output_that_returns_is_not_integrating() -> None:
     """A pole at 0.95 and 2000 samples are enough to see it."""
     rng = np.random.default_rng(1)
     u = rng.standard_normal(2000)
@@ -100,7 +100,7 @@ def test_an_output_that_rests_after_a_step_settles() -> None:
 
 
 @pytest.mark.parametrize("holds", [(30, 30, 60), (20, 60, 0)], ids=["pulse", "step"])
-def test_an_integrator_that_rests_at_one_input_is_not_taken_as_settling(
+def test_an_integrator_at_rest_for_one_input_is_not_settling(
     holds: tuple[int, int, int],
 ) -> None:
     """The output rests at u = 0, but moves at u = 1."""

@@ -11,7 +11,6 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.data.treatment.wrong_samples import quantum
-from armrig.estimation.nonparametric import step_analysis as step_analysis_module
 from armrig.estimation.nonparametric.step_analysis import (
     StepAnalysis,
     _alone,
@@ -27,7 +26,7 @@ from armrig.estimation.nonparametric.step_analysis import (
 from armrig.estimation.nonparametric.step_answer import DRAWS, Answer, _reached, _settled
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import with_std
-from armrig.recordings.example import example_recording
+from armrig.numerics.step_times import lag_of_angle
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
@@ -63,7 +62,7 @@ def of_the_arm(sampled: Any) -> list[StepAnalysis]:
 
 
 @pytest.mark.parametrize("down", [False, True])
-def test_a_first_order_system_is_read_off(down: bool) -> None:
+def test_the_time_constant_and_gain_of_a_first_order_system_are_found(down: bool) -> None:
     found = step_analysis(first_order(down=down), integrator=False)
 
     assert found.tau == pytest.approx(TAU, rel=0.01)
@@ -74,24 +73,22 @@ def test_a_first_order_system_is_read_off(down: bool) -> None:
     assert found.overshoot == pytest.approx(0.0, abs=1e-3)
 
 
-def test_dead_time_counts_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(step_analysis_module, "_lag", lambda *_, **__: (0.3, 0.0))
-        found = step_analysis(first_order(dead=8, std=0.01), integrator=False)
-    low, high = found.dead_time_interval
-    assert found.equivalent_time == pytest.approx(0.3 - found.dead_time)
-    assert found.equivalent_time_std == pytest.approx((high - low) / 4)
+def test_the_dead_time_is_not_part_of_the_time_constant() -> None:
+    found = step_analysis(first_order(dead=8, std=0.01), integrator=False)
     unclaimed = step_analysis(first_order(dead=8, std=0.05), integrator=False)
 
     assert found.dead_time == pytest.approx(0.08, abs=0.015)
-    assert found.dead_time_interval[0] > 0
+    low, high = found.dead_time_interval
+    assert low > 0
     assert found.tau == pytest.approx(TAU, rel=0.1)
+    assert found.equivalent_time == pytest.approx(TAU, rel=0.1)
+    assert (high - low) / 4 < found.equivalent_time_std < (high - low) / 3
     assert unclaimed.dead_time in (0.0, pytest.approx(0.08, abs=0.03))
     assert abs(unclaimed.tau - TAU) < 2 * unclaimed.tau_std
 
 
 @pytest.mark.exhaustive
-def test_the_deviations_said_are_those_made() -> None:
+def test_the_reported_deviations_equal_the_scatter_of_many_runs() -> None:
     """Gain, 63 % time, equivalent time and settling time, in 40 runs."""
     found = of_a_first_order_system()
 
@@ -119,7 +116,7 @@ def test_the_arm_is_analysed_by_its_velocity(arm: Any) -> None:
     assert repr(found).startswith("step analysis of the rate of theta_1, 9 steps, Ts 0.01 s")
 
 
-def test_long_holds_are_averaged_over_what_all_have() -> None:
+def test_long_holds_are_averaged_over_their_common_samples() -> None:
     """A hold of less than half the longest, or with 7 known samples, makes no step."""
     u = np.repeat([0.0, 2.0, 1.0, 5.0, 1.0], [30, 40, 15, 25, 22])
     valid = np.ones(u.size, dtype=np.bool_)
@@ -180,14 +177,14 @@ def test_the_longest_gap_on_the_rise_is_from_known_sample_to_known_sample(
     assert found == (None if expected is None else pytest.approx(expected))
 
 
-def test_a_sample_is_alone_between_gaps_of_two_samples_or_more() -> None:
+def test_a_sample_between_gaps_of_two_or_more_samples_is_isolated() -> None:
     known = np.array([c == "#" for c in "##..#..#.#..##..#"])
 
     assert np.flatnonzero(_alone(known)).tolist() == [4]
 
 
 @pytest.mark.parametrize(("slope", "noise"), [(0.02, 0.0), (-0.02, 0.001), (0.0, 0.1)])
-def test_motion_before_the_step_counts_up_to_the_63_per_cent_time(
+def test_motion_before_the_step_is_considered_up_to_the_63_per_cent_time(
     slope: float, noise: float
 ) -> None:
     k = np.arange(-40, 60)
@@ -200,19 +197,20 @@ def test_motion_before_the_step_counts_up_to_the_63_per_cent_time(
     assert left == pytest.approx(12 * slope, abs=5e-3)
 
 
-def test_the_rounding_of_an_angle_is_divided_by_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rounding_of_an_angle_is_divided_by_the_steps() -> None:
     """Steps of 3 and -4 weigh as one of 5."""
     u = np.repeat([1.0, 4.0, 0.0], [30, 30, 30])
     y = 0.02 * np.round(np.cumsum(u) / 7)
     data = Dataset(u=u, y=y, Ts=0.1)
-    given: dict[str, Any] = {}
-    monkeypatch.setattr(step_analysis_module, "lag_of_angle", lambda *_, **of: given.update(of))
     k = np.arange(-20, 30)
+    mean = 0.3 * k + 0.01 * np.cos(k)
 
-    _lag(np.zeros(50), k, data, _Steps([(0, 30), (0, 60)], 20, 30), (1.0, 0.1), integrates=True)
+    found = _lag(mean, k, data, _Steps([(0, 30), (0, 60)], 20, 30), (1.0, 0.1), integrates=True)
 
+    late = k >= 2 * 29 // 3
+    expected = lag_of_angle(0.1 * k[late], mean[late], before=(11, 1.1), rounding=0.02 / 5)
     assert quantum(data) == pytest.approx(0.02)
-    assert given == {"before": (11, pytest.approx(1.1)), "rounding": pytest.approx(0.02 / 5)}
+    assert found == pytest.approx(expected)
 
 
 def test_a_curve_crosses_and_settles_between_its_samples() -> None:
@@ -239,7 +237,7 @@ def _answer_of(delays: Any, none: float) -> Answer:
 
 
 @pytest.mark.parametrize(("none", "dead_time"), [(0.0, 0.1), (0.0099, 0.1), (0.01, 0.0), (0.9, 0)])
-def test_a_dead_time_is_told_from_a_certainty_of_99_per_cent_on(
+def test_a_dead_time_is_reported_from_a_probability_of_99_per_cent_on(
     none: float, dead_time: float
 ) -> None:
     """It is the median of the curves that have one."""
@@ -271,7 +269,7 @@ def test_a_dead_time_is_told_from_a_certainty_of_99_per_cent_on(
         ({"crossing": 0.03}, ""),
     ],
 )
-def test_each_doubt_has_its_limit_and_its_numbers(of: dict[str, Any], told: str) -> None:
+def test_each_warning_has_its_limit_and_its_numbers(of: dict[str, Any], told: str) -> None:
     fields = {"tail": np.ones(30), "unsettled": 0.0, "hidden": None, "crossing": 0.05} | of
     answer: Any = SimpleNamespace(crossing=fields.pop("crossing"), tau_std=0.0042, settling_std=9.0)
     data = Dataset(u=np.ones(9), y=np.ones(9), Ts=0.01)
@@ -296,7 +294,7 @@ def test_numbers_of_curves_are_medians_and_their_scatter() -> None:
     assert answer.overshoot == pytest.approx((0.1, 0.2))
 
 
-def test_steps_of_several_experiments_are_averaged_and_holes_left_out() -> None:
+def test_steps_of_several_experiments_are_averaged_without_their_gaps() -> None:
     parts = []
     for seed in (1, 2):
         d = first_order(std=0.1, seed=seed)
@@ -310,7 +308,7 @@ def test_steps_of_several_experiments_are_averaged_and_holes_left_out() -> None:
     assert found.gain == pytest.approx(GAIN, rel=0.02)
 
 
-def test_what_is_left_next_to_a_hole_is_not_averaged_alone() -> None:
+def test_a_single_sample_between_gaps_is_not_averaged() -> None:
     """A single noisy sample between two holes neither crosses 63 % nor overshoots."""
     whole = first_order(std=0.3)
     gap = (np.arange(400) >= 104) & (np.arange(400) < 114)
@@ -325,7 +323,7 @@ def test_what_is_left_next_to_a_hole_is_not_averaged_alone() -> None:
 
 
 @pytest.mark.exhaustive
-def test_the_overshoot_is_that_of_the_answer_and_not_of_its_noise(
+def test_the_overshoot_is_that_of_the_response_and_not_of_its_noise(
     of_the_arm: list[StepAnalysis],
 ) -> None:
     """The overshoot of the arm's model is 10.7 %."""
@@ -337,14 +335,16 @@ def test_the_overshoot_is_that_of_the_answer_and_not_of_its_noise(
 
 
 @pytest.mark.exhaustive
-def test_an_overshoot_in_noise_is_no_settled_answer(of_the_arm: list[StepAnalysis]) -> None:
+def test_the_settling_time_is_that_of_the_response_and_not_of_its_noise(
+    of_the_arm: list[StepAnalysis],
+) -> None:
     """The settling time is 0.372 s, with noise as high as the peak."""
     found = [f.settling for f in of_the_arm]
 
     np.testing.assert_allclose(found, 0.372, rtol=0.06)
 
 
-def test_an_answer_that_rings_fast_has_not_settled() -> None:
+def test_a_fast_oscillation_has_not_settled() -> None:
     """A pair of poles at 0.97 exp(±1.5j), without noise: the last sample outside 5 % counts."""
     F = np.poly(0.97 * np.exp([1.5j, -1.5j])).real
     u = np.where(np.arange(500) < 100, 0.0, 3.0)
@@ -357,7 +357,7 @@ def test_an_answer_that_rings_fast_has_not_settled() -> None:
 
 
 @pytest.mark.exhaustive
-def test_what_is_no_overshoot_is_not_called_one() -> None:
+def test_noise_is_not_reported_as_an_overshoot() -> None:
     """A first-order system has no overshoot; one record in twenty may show one."""
     told = [repr(found) for found in of_a_first_order_system()]
     loud = step_analysis(first_order(std=10.0, seed=4), integrator=False)
@@ -366,7 +366,7 @@ def test_what_is_no_overshoot_is_not_called_one() -> None:
     assert "noise hides a possible overshoot" in repr(loud)
 
 
-def test_what_has_no_step_is_refused() -> None:
+def test_data_without_a_step_are_refused() -> None:
     still = Dataset(u=np.ones(100), y=np.zeros(100), Ts=TS)
     deaf = Dataset(u=first_order().u, y=np.random.default_rng(1).standard_normal(400), Ts=TS)
 
@@ -385,7 +385,7 @@ def test_what_has_no_step_is_refused() -> None:
 
 
 @pytest.mark.parametrize("integrator", [False, True])
-def test_a_step_without_a_known_level_before_it_is_left_out(integrator: bool) -> None:
+def test_a_step_without_a_known_initial_level_is_omitted(integrator: bool) -> None:
     """The output is missing just before the first of two steps, as in a dead band."""
     first, second = first_order(std=0.01), first_order(std=0.01, down=True, seed=2)
     gap = (np.arange(first.N) >= 40) & (np.arange(first.N) < 105)
@@ -404,15 +404,8 @@ def test_a_step_without_a_known_level_before_it_is_left_out(integrator: bool) ->
         step_analysis(part, integrator=integrator)
 
 
-def test_the_steps_of_a_telegraph_signal_are_analysed_despite_the_dead_band() -> None:
-    recording = example_recording()
-
-    for output in ("theta_1", "velocity"):
-        step_analysis(recording.dataset(output))
-
-
 @pytest.mark.parametrize(("before", "is_told"), [(20, True), (60, True), (160, False)])
-def test_a_gain_from_an_output_that_had_not_settled_is_as_doubtful(
+def test_motion_before_the_step_enters_the_deviation_of_the_gain(
     before: int, is_told: bool
 ) -> None:
     """Three slow poles: the gain is -1.43, and after 60 samples of u = -1 V it is -1.32."""
@@ -469,7 +462,9 @@ def shown(arm: Any, seed: int, *, after: int, hidden: slice = slice(0)) -> Datas
 
 
 @pytest.mark.parametrize("begins", [401, 501, 651, 851, 1001])
-def test_a_dead_band_after_the_step_is_no_late_settling(sampled: Any, begins: int) -> None:
+def test_a_dead_band_after_the_step_does_not_delay_the_settling_time(
+    sampled: Any, begins: int
+) -> None:
     """The settling time is 0.372 s; gaps of 75 ms made it 0.795, 1.283 and 1.495 s."""
     data = shown(sampled(0.002), 2, after=1250, hidden=slice(begins, begins + 37))
 
@@ -480,7 +475,7 @@ def test_a_dead_band_after_the_step_is_no_late_settling(sampled: Any, begins: in
     assert f"within 5 % after {with_std(found.settling, found.settling_std)} s" in repr(found)
 
 
-def test_a_soft_beginning_is_no_dead_time(sampled: Any) -> None:
+def test_a_smooth_onset_is_not_a_dead_time(sampled: Any) -> None:
     """Noise made the dead time 17 ms, and the 63 % time 7.7 ms instead of 20.6 ms."""
     found = step_analysis(shown(sampled(0.002), 31, after=650))
 
@@ -489,7 +484,7 @@ def test_a_soft_beginning_is_no_dead_time(sampled: Any) -> None:
     assert abs(found.tau - 0.0206) < 2 * found.tau_std
 
 
-def test_nothing_is_smoothed_to_before_the_step(sampled: Any) -> None:
+def test_the_smoothed_response_begins_after_the_step(sampled: Any) -> None:
     found = step_analysis(shown(sampled(0.01), 1, after=250))
 
     assert found.smooth_t[0] > 0

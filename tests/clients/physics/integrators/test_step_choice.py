@@ -23,7 +23,7 @@ def test_every_step_keeps_to_the_tolerance_and_to_the_limit() -> None:
         assert problem.error(1.33 * row.h, row.method) > 5e-3
 
 
-def test_the_cheapest_comes_first_and_forward_euler_last() -> None:
+def test_the_methods_are_sorted_by_their_work() -> None:
     """Work is products with A: two in a step of RK(2), one in one of AB(2)."""
     rows = recommend_step(A, B, omega=5.0, tolerance=2e-3).rows
 
@@ -33,7 +33,7 @@ def test_the_cheapest_comes_first_and_forward_euler_last() -> None:
     assert {r.method: r.work // r.steps for r in rows}["heun"] == 2
 
 
-def test_on_a_stiff_system_stability_decides() -> None:
+def test_stability_limits_the_step_of_a_stiff_system() -> None:
     """A decay of 1000 1/s limits the step although it is hardly excited."""
     stiff = np.diag([-1.0, -1000.0])
 
@@ -44,7 +44,7 @@ def test_on_a_stiff_system_stability_decides() -> None:
     assert "Stability decides" in told.explain()
 
 
-def test_a_step_too_small_to_be_run_is_called_a_promise() -> None:
+def test_a_step_too_small_to_be_run_is_reported_as_unverified() -> None:
     """Forward Euler at 1e-7 would take two thousand million steps."""
     [row] = recommend_step(A, B, omega=5.0, tolerance=1e-7, methods=["forward_euler"]).rows
 

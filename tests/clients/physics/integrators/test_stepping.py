@@ -21,7 +21,6 @@ ORDERS = {"forward_euler": 1, "ab2": 2, "trapezoidal": 2, "heun": 2, "midpoint":
 
 
 def u(t: float) -> Vector:
-    """Return two inputs."""
     return np.array([sin(3 * t) + 1, cos(t)])
 
 
@@ -55,7 +54,7 @@ def by_hand(method: str, A: Vector, B: Vector, x: Vector, h: float, n: int) -> V
 
 @EVERY
 @pytest.mark.parametrize("n", [1, 2, 57])
-def test_a_method_is_what_the_textbook_says(method: str, n: int) -> None:
+def test_each_method_matches_the_formula_of_the_textbook(method: str, n: int) -> None:
     rng = np.random.default_rng(1)
     A, B, x0 = rng.normal(size=(3, 3)) - 2 * np.eye(3), rng.normal(size=(3, 2)), np.ones(3)
 
@@ -69,7 +68,7 @@ def test_a_method_is_what_the_textbook_says(method: str, n: int) -> None:
 def test_halving_the_step_divides_the_error_by_two_to_the_order(
     method: str, params: ArmParameters
 ) -> None:
-    """For a sinusoid on the handout's arm and on ten others, the observed order within 0.05."""
+    """For a sinusoid on the handout's arm and on four others, the observed order within 0.05."""
     A, B, _ = arm_matrices(params)
     problem = sinusoid(A, B, amplitude=2.0, omega=5.0, span=0.5)
     h = stability_limit(A, "heun") * np.array([1 / 128, 1 / 256])
@@ -77,7 +76,7 @@ def test_halving_the_step_divides_the_error_by_two_to_the_order(
     assert convergence(problem, method, h).order == pytest.approx(ORDERS[method], abs=0.05)
 
 
-def test_growth_without_bound_ends_in_no_warning() -> None:
+def test_unbounded_growth_causes_no_numpy_warning() -> None:
     """Ten times beyond the limit the states overflow."""
     A, B, _ = arm_matrices(ArmParameters())
 
@@ -100,7 +99,7 @@ def test_growth_without_bound_ends_in_no_warning() -> None:
         ({"A": [[0.0, np.nan], [0.0, 0.0]]}, "A contains a number that is not finite"),
     ],
 )
-def test_the_impossible_is_refused(changes: dict[str, Any], message: str) -> None:
+def test_impossible_arguments_are_refused(changes: dict[str, Any], message: str) -> None:
     given: dict[str, Any] = {"A": [[0.0, 1.0], [-1.0, -1.0]], "B": [0.0, 1.0]}
     given |= {"u": (lambda t: 1.0), "x0": [0.0, 0.0], "h": 0.1, "n": 3, "method": "heun"}
     one: Callable[..., Any] = integrate

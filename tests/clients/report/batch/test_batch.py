@@ -81,6 +81,22 @@ def done(folder: Path, task: Task, table: Path, **options: Any) -> list[dict[str
     return rows_of(table)
 
 
+def few_of(folder: Path, tmp_path: Path, *names: str) -> Path:
+    """Return a folder with copies of these recordings."""
+    few = tmp_path / "few"
+    few.mkdir()
+    for name in names:
+        shutil.copy2(folder / name, few)
+    return few
+
+
+def computed(folder: Path, task: Task, table: Path, **options: Any) -> list[str]:
+    """Return the recordings that a batch processes, which are not those that it keeps."""
+    names: list[str] = []
+    done(folder, task, table, count=lambda n, total, name: names.append(name), **options)
+    return names
+
+
 def rows_of(table: Path) -> list[dict[str, Any]]:
     """Return what another program reads."""
     with table.open("rb") as file:
@@ -96,7 +112,9 @@ def identified(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return table
 
 
-def test_each_recording_has_a_row_and_a_broken_one_stops_nothing(identified: Path) -> None:
+def test_each_recording_has_a_row_and_a_damaged_one_does_not_stop_the_batch(
+    identified: Path,
+) -> None:
     rows = {row["recording"]: row for row in rows_of(identified)}
     assert len(rows) == MANY + 4
     assert [name for name, row in rows.items() if row["problem"]] == [BROKEN, STEP]
@@ -106,7 +124,7 @@ def test_each_recording_has_a_row_and_a_broken_one_stops_nothing(identified: Pat
     assert 0 < rows[CUT]["samples"] < 3000
 
 
-def test_a_row_is_what_the_recording_gives_by_itself(folder: Path, identified: Path) -> None:
+def test_a_row_equals_the_estimate_of_its_recording(folder: Path, identified: Path) -> None:
     recording = armrig.load(folder / "a-07.mcap")
     fit = armrig.arx(recording.dataset(), na=4, nb=4)
     row = next(row for row in rows_of(identified) if row["recording"] == "a-07.mcap")
@@ -118,7 +136,7 @@ def test_a_row_is_what_the_recording_gives_by_itself(folder: Path, identified: P
     assert (row["rig"], row["Ts"], row["samples"]) == ("1", 0.01, SHORT)
 
 
-def test_a_row_counts_the_samples_that_came(tmp_path: Path) -> None:
+def test_a_row_counts_the_received_samples(tmp_path: Path) -> None:
     gapped = made_recordings.of_the_arm(telegraph(1), missing=slice(100, 107))
     (tmp_path / "gapped.mcap").write_bytes(gapped)
 
@@ -138,7 +156,7 @@ def test_a_recording_too_short_for_its_orders_has_no_model(tmp_path: Path) -> No
     assert row["model"] is None
 
 
-def test_each_figure_of_a_row_is_the_model_s_own(folder: Path, identified: Path) -> None:
+def test_each_figure_of_a_row_is_that_of_its_model(folder: Path, identified: Path) -> None:
     recording, other = (armrig.load(folder / f"a-0{n}.mcap") for n in (7, 8))
     fit = armrig.arx(recording.dataset(), na=4, nb=4)
     row = next(row for row in rows_of(identified) if row["recording"] == "a-07.mcap")
@@ -160,17 +178,7 @@ def test_each_figure_of_a_row_is_the_model_s_own(folder: Path, identified: Path)
     assert judged["model_of"] == recording.sha256
 
 
-def test_a_table_says_how_it_was_made(identified: Path) -> None:
-    """The table contains no time of day, so that the same task gives the same bytes."""
-    header = json.loads(
-        pyarrow_parquet.read_table(str(identified)).schema.metadata[b"armrig.batch"]
-    )
-    assert header["task"] == "identify"
-    assert json.loads(header["options"])["orders"] == {"na": 4, "nb": 4}
-    assert {"armrig", "numpy", "scipy", "python", "folder"} <= header.keys()
-
-
-def test_a_header_names_the_choice_and_what_is_none_is_no_option(folder: Path) -> None:
+def test_a_header_contains_the_choice_and_a_digest_of_the_set_options(folder: Path) -> None:
     header = header_of(ARX, folder, ["2", "1"], ["step", "bla"])
 
     assert (header["rigs"], header["kinds"]) == ("1 2", "bla step")
@@ -184,7 +192,7 @@ def test_a_header_names_the_choice_and_what_is_none_is_no_option(folder: Path) -
     assert digest(ARX) == hashlib.sha256(text.encode()).hexdigest()
 
 
-def test_only_the_rigs_and_experiments_asked_for(folder: Path) -> None:
+def test_a_batch_selects_recordings_by_rig_and_experiment(folder: Path) -> None:
     assert [item.name for item in items_in(folder, rigs=["2"])] == [OTHER_RIG]
     assert [item.name for item in items_in(folder, kinds=["step"])] == [STEP]
     assert [item.name for item in items_in(folder, rigs=["1", "2"], kinds=["step"])] == [STEP]
@@ -193,19 +201,7 @@ def test_only_the_rigs_and_experiments_asked_for(folder: Path) -> None:
     assert not names & {OTHER_RIG, BROKEN, CUT}
 
 
-def test_a_row_says_of_which_rig_a_recording_is(folder: Path, tmp_path: Path) -> None:
-    fit = armrig.arx(armrig.load(folder / "a-01.mcap").dataset(), na=4, nb=4)
-    rows = {
-        r["recording"]: r
-        for r in done(folder, Validate(model=model_text(fit)), tmp_path / "v.parquet")
-    }
-    assert (rows[OTHER_RIG]["rig"], rows["a-02.mcap"]["rig"]) == ("2", "1")
-    assert rows["a-01.mcap"]["on_estimation_data"] is True
-    alone = armrig.compare(armrig.load(folder / "a-02.mcap").dataset(), fit)[0]
-    assert rows["a-02.mcap"]["fit_percent"] == alone.fit_percent
-
-
-def test_verify_says_of_each_what_verify_says(folder: Path, tmp_path: Path) -> None:
+def test_a_row_of_verify_has_the_checks_of_its_recording(folder: Path, tmp_path: Path) -> None:
     rows = {r["recording"]: r for r in done(folder, Verify(), tmp_path / "v.parquet")}
     for name in ("a-03.mcap", CUT):
         alone = verify(folder / name)
@@ -225,22 +221,7 @@ def test_no_two_columns_have_one_name(task: Task) -> None:
     assert not of_all & OF_THE_TASK[name_of(task)].keys()
 
 
-@pytest.mark.exhaustive
-def test_report_writes_a_pdf_for_each(folder: Path, tmp_path: Path) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    for name in ("a-00.mcap", STEP):
-        shutil.copy2(folder / name, few)
-    rows = done(few, report(folder=str(tmp_path)), tmp_path / "reports.parquet")
-    assert [row["report"] for row in rows] == ["a-00.pdf", None]
-    assert (tmp_path / "a-00.pdf").read_bytes().startswith(b"%PDF-")
-    assert "nothing to identify from" in rows[1]["problem"]
-    (tmp_path / "a-00.pdf").unlink()
-    done(few, report(folder=str(tmp_path)), tmp_path / "reports.parquet")
-    assert (tmp_path / "a-00.pdf").exists()
-
-
-def test_a_report_that_is_gone_is_made_again(
+def test_a_missing_report_is_written_again(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     task, made = report(folder=str(tmp_path)), []
@@ -254,10 +235,7 @@ def test_a_report_that_is_gone_is_made_again(
         return dict.fromkeys(columns_of(task)) | known | told
 
     monkeypatch.setattr("armrig.report.batch.batch.row_of", row)
-    few = tmp_path / "few"
-    few.mkdir()
-    for name in ("a-00.mcap", "a-01.mcap"):
-        shutil.copy2(folder / name, few)
+    few = few_of(folder, tmp_path, "a-00.mcap", "a-01.mcap")
     done(few, task, tmp_path / "reports.parquet")
     (tmp_path / "a-01.pdf").unlink()
 
@@ -267,7 +245,7 @@ def test_a_report_that_is_gone_is_made_again(
     assert [row["report"] for row in rows] == ["a-00.pdf", "a-01.pdf"]
 
 
-def test_a_report_has_its_orders_and_the_doubts_about_both_recordings(
+def test_a_report_has_its_orders_and_the_findings_on_both_recordings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paths = [tmp_path / name for name in ("short.mcap", "other.mcap")]
@@ -285,8 +263,8 @@ def test_a_report_has_its_orders_and_the_doubts_about_both_recordings(
         path.write_bytes(b"a report")
         return path
 
-    monkeypatch.setattr("armrig.report.study.study", studied)
-    monkeypatch.setattr("armrig.report.document.report", written)
+    for name, fake in (("study.study", studied), ("document.report", written)):
+        monkeypatch.setattr(f"armrig.report.{name}", fake)
     item = Item("short.mcap", str(paths[0]), bytes=1, modified_ns=2, validation=str(paths[1]))
 
     row = row_of(Report(folder=str(tmp_path / "r"), na=1, nb=2, nf=3, nk=4), item)
@@ -300,7 +278,7 @@ def test_a_report_has_its_orders_and_the_doubts_about_both_recordings(
     assert two_rigs.startswith("short.mcap is of rig 1 (device 0001), other.mcap of rig 2")
 
 
-def test_a_row_says_of_its_run_what_the_run_said(tmp_path: Path) -> None:
+def test_a_row_has_the_facts_of_its_run(tmp_path: Path) -> None:
     path = tmp_path / "odd.mcap"
     path.write_bytes(odd_recording())
     item = Item("odd.mcap", str(path), bytes=11, modified_ns=12, validation="")
@@ -342,25 +320,19 @@ def test_each_option_of_a_task_reaches_its_estimate(folder: Path, detrended: boo
     assert judged["velocity_fit_percent"] is None
 
 
-def test_what_is_done_is_not_done_again(folder: Path, tmp_path: Path) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    for n in range(4):
-        shutil.copy2(folder / f"a-{n:02}.mcap", few)
+def test_finished_rows_are_not_computed_again(folder: Path, tmp_path: Path) -> None:
+    few = few_of(folder, tmp_path, *(f"a-{n:02}.mcap" for n in range(4)))
     table = tmp_path / "models.parquet"
     done(few, ARX, table)
     first = table.read_bytes()
-    again: list[str] = []
-    done(few, ARX, table, count=lambda n, total, name: again.append(name))
-    assert again == []
+    assert computed(few, ARX, table) == []
     assert table.read_bytes() == first
     shutil.copy(folder / "a-30.mcap", few / "a-01.mcap")
     shutil.copy(folder / "a-31.mcap", few / "b.mcap")
-    done(few, ARX, table, count=lambda n, total, name: again.append(name))
-    assert sorted(again) == ["a-01.mcap", "b.mcap"]
+    assert sorted(computed(few, ARX, table)) == ["a-01.mcap", "b.mcap"]
 
 
-def test_a_report_is_made_again_where_a_validation_has_come() -> None:
+def test_a_report_is_written_again_after_a_new_validation() -> None:
     item = Item(name="a.mcap", path="/f/a.mcap", bytes=1, modified_ns=2, validation="")
     columns = columns_of(report(folder="reports"))
     known = {"recording": "a.mcap", "bytes": 1, "modified_ns": 2, "problem": ""}
@@ -372,7 +344,7 @@ def test_a_report_is_made_again_where_a_validation_has_come() -> None:
     assert still_right([by_it], [validated], columns) == {"a.mcap": by_it}
 
 
-def test_of_several_validations_the_newest_counts(tmp_path: Path) -> None:
+def test_the_newest_of_several_validations_is_used(tmp_path: Path) -> None:
     of = {"validation_of": "0000000a"}
     runs = (
         ("blackbox", "13", "0000000a", {}),
@@ -392,7 +364,7 @@ def test_of_several_validations_the_newest_counts(tmp_path: Path) -> None:
     assert validations == {"", "1-blackbox-validation-20261120T150000-0000000c.mcap"}
 
 
-def test_a_run_in_parts_is_as_old_as_its_youngest(tmp_path: Path) -> None:
+def test_the_age_of_a_run_in_parts_is_that_of_its_newest_part(tmp_path: Path) -> None:
     for number, seconds in ((1, 20), (2, 30), (3, 10)):
         part = tmp_path / f"a.part-{number:04}.mcap"
         part.write_bytes(bytes(number))
@@ -403,7 +375,7 @@ def test_a_run_in_parts_is_as_old_as_its_youngest(tmp_path: Path) -> None:
     assert (item.name, item.bytes, item.modified_ns) == ("a.mcap", 6, 30 * 10**9)
 
 
-def test_the_time_left_is_that_of_this_start(folder: Path, tmp_path: Path) -> None:
+def test_the_progress_counts_only_the_items_of_this_start(folder: Path, tmp_path: Path) -> None:
     few = tmp_path / "few"
     few.mkdir()
     table = tmp_path / "v.parquet"
@@ -439,7 +411,7 @@ def test_results_of_another_folder_or_choice_are_not_replaced(folder: Path, tmp_
     assert table.read_bytes() == before
 
 
-def test_force_leaves_another_start_its_rows(folder: Path, tmp_path: Path) -> None:
+def test_force_does_not_replace_the_rows_of_another_start(folder: Path, tmp_path: Path) -> None:
     table = tmp_path / "models.parquet"
     with Progress(table, {"digest": "held"}) as progress:
         progress.add({"recording": "a"})
@@ -449,7 +421,7 @@ def test_force_leaves_another_start_its_rows(folder: Path, tmp_path: Path) -> No
         assert progress.rows == [{"recording": "a"}]
 
 
-def test_a_model_of_something_else_is_not_judged_by_an_angle(folder: Path, tmp_path: Path) -> None:
+def test_a_model_of_another_output_is_not_validated(folder: Path, tmp_path: Path) -> None:
     data = armrig.load(folder / "a-01.mcap").dataset()
     fit = armrig.arx(data.replaced(step=None, output="temp"), na=4, nb=4)
     task = Validate(model=model_text(fit))
@@ -457,13 +429,7 @@ def test_a_model_of_something_else_is_not_judged_by_an_angle(folder: Path, tmp_p
     assert "the model's output is temp" in rows[0]["problem"]
 
 
-def test_two_at_one_table_are_refused(folder: Path, tmp_path: Path) -> None:
-    table = tmp_path / "models.parquet"
-    with Progress(table, {"digest": "held"}), pytest.raises(OperationError, match="batch uses it"):
-        done(folder, ARX, table)
-
-
-def test_a_line_that_was_torn_by_a_kill_is_done_again(tmp_path: Path) -> None:
+def test_a_torn_line_is_computed_again(tmp_path: Path) -> None:
     table, header = tmp_path / "t.parquet", {"task": "x"}
     with Progress(table, header) as progress:
         progress.add({"recording": "a"})
@@ -477,7 +443,7 @@ def test_a_line_that_was_torn_by_a_kill_is_done_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("row", [{}, [1], {"recording": ["a"]}, {"problem": "", "passed": "no"}])
-def test_a_row_that_somebody_changed_is_done_again(row: Any, folder: Path, tmp_path: Path) -> None:
+def test_a_changed_row_is_computed_again(row: Any, folder: Path, tmp_path: Path) -> None:
     table = tmp_path / "v.parquet"
     with Progress(table, header_of(Verify(), folder, ["2"], [])) as progress:
         progress.add(row)
@@ -495,7 +461,9 @@ def test_a_row_with_another_kind_of_value_is_refused(folder: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("what", ["directory", "never ends"])
-def test_what_is_no_file_is_not_read_as_one(what: str, folder: Path, tmp_path: Path) -> None:
+def test_a_folder_or_device_in_place_of_results_is_refused(
+    what: str, folder: Path, tmp_path: Path
+) -> None:
     """A link to /dev/zero would be read until the memory is full."""
     table = tmp_path / "v.parquet"
     there = tmp_path / f"v.parquet{SUFFIX}"
@@ -518,28 +486,24 @@ def no_file_above(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_costs_no_result(folder: Path, tmp_path: Path) -> None:
+def test_a_full_disk_loses_no_result(folder: Path, tmp_path: Path) -> None:
     table = tmp_path / "models.parquet"
     said = f"{table.name}{SUFFIX}: File too large; results so far are kept"
     with no_file_above(20_000), pytest.raises(OperationError, match=said):
         done(folder, ARX, table)
-    again: list[str] = []
-    done(folder, ARX, table, count=lambda n, total, name: again.append(name))
-    assert 0 < len(again) < MANY + 4
+    assert 0 < len(computed(folder, ARX, table)) < MANY + 4
 
 
-def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: Path) -> None:
+def test_a_disk_too_full_for_the_table_loses_no_result(folder: Path, tmp_path: Path) -> None:
     table = tmp_path / "v.parquet"
     said = f"{table.name}: File too large; all results are kept"
     with no_file_above(8000), pytest.raises(OperationError, match=said):
         done(folder, Verify(), table, rigs=["2"])
     assert [file.name for file in tmp_path.iterdir()] == [f"v.parquet{SUFFIX}"]
-    again: list[str] = []
-    done(folder, Verify(), table, rigs=["2"], count=lambda n, total, name: again.append(name))
-    assert again == []
+    assert computed(folder, Verify(), table, rigs=["2"]) == []
 
 
-def test_what_kills_each_worker_is_given_up_and_all_others_are_done() -> None:
+def test_an_item_that_kills_its_workers_is_abandoned_and_the_others_finish() -> None:
     """Each other item has its own result, once."""
     items = ["a", "b", "deadly", "c", "d"]
     came = list(results(deadly, items, partial(workers.processes, 2), at_once=4))
@@ -568,7 +532,7 @@ class Mortal(Executor):
 
 
 @pytest.mark.parametrize(("at_once", "tries"), [(1, 2), (3, 3)])
-def test_so_many_workers_die_of_an_item_and_no_more(at_once: int, tries: int) -> None:
+def test_an_item_kills_a_bounded_number_of_workers(at_once: int, tries: int) -> None:
     runs: list[list[str]] = []
 
     def opened() -> Executor:
@@ -619,7 +583,7 @@ def is_alive(pid: int) -> bool:
 
 @pytest.mark.exhaustive
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are seen in /proc")
-def test_killed_in_the_middle_and_started_again_it_gives_the_same_table(
+def test_a_killed_batch_continues_to_the_same_table(
     lab: tuple[Path, bytes], tmp_path: Path
 ) -> None:
     folder, whole = lab
@@ -645,7 +609,7 @@ def test_killed_in_the_middle_and_started_again_it_gives_the_same_table(
 
 @pytest.mark.exhaustive
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are seen in /proc")
-def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path: Path) -> None:
+def test_a_killed_worker_loses_no_row(lab: tuple[Path, bytes], tmp_path: Path) -> None:
     folder, whole = lab
     table = tmp_path / "models.parquet"
     with started(folder, table, "--workers", "2") as process:
@@ -656,85 +620,24 @@ def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path:
     assert table.read_bytes() == whole
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        (["verify", "FOLDER", "-o", "x.csv"], "ends in .parquet"),
-        (["verify", "nowhere", "-o", "x.parquet"], "nowhere"),
-        (["verify", "FOLDER", "-o", "no/x.parquet"], "there is no directory no; create it first"),
-        (["verify", "FOLDER", "-o", "x.parquet", "--rig", "9"], "no recording is of the chosen"),
-        (["validate", "FOLDER", "--model", "no.json", "-o", "x.parquet"], "no.json"),
-        (["identify", "FOLDER", "-o", "x.parquet", "--structure", "arx", "--nf", "3"], "--nf"),
-        (
-            ["verify", "FOLDER", "-o", "x.parquet", "--scheduler", "tcp://h:1", "--workers", "2"],
-            "--workers",
-        ),
-    ],
-)
-def test_what_cannot_be_done_is_said_in_a_line(
-    given: list[str],
-    said: str,
-    folder: Path,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    code = main(["batch", *(str(folder) if word == "FOLDER" else word for word in given)])
-    assert code != 0
-    err = capsys.readouterr().err
-    assert said in err
-    assert "Traceback" not in err
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_the_command_reports_its_results(
-    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    for name in ("a-00.mcap", BROKEN):
-        shutil.copy2(folder / name, few)
-    table = tmp_path / "models.parquet"
-    given = [
-        "batch",
-        "identify",
-        str(few),
-        "-o",
-        str(table),
-        "--structure",
-        "arx",
-        "--workers",
-        "1",
-    ]
-    assert main(given) == 1
-    out = capsys.readouterr().out
-    assert out.startswith(f"{table}: 2 recordings; 1 without a result\n  {BROKEN}: ")
-    assert main([*given, "--json"]) == 1
-    facts = json.loads(capsys.readouterr().out)
-    assert (facts["rows"], facts["done_before"], list(facts["problems"])) == (2, 1, [BROKEN])
-
-
-def test_a_name_that_is_no_text_stops_nothing(folder: Path, tmp_path: Path) -> None:
+def test_a_name_that_is_not_utf_8_is_processed(folder: Path, tmp_path: Path) -> None:
     few = Path(os.fsdecode(os.fsencode(tmp_path) + b"/f\xfcnf"))
     few.mkdir()
     shutil.copy2(folder / "a-00.mcap", os.fsencode(few) + b"/\xe9t\xe9.mcap")
     (few / os.fsdecode(b"\xff.mcap")).write_bytes(b"no recording at all")
     table = few / os.fsdecode(b"\xe0.parquet")
     done(few, ARX, table)
-    again: list[str] = []
-    rows = done(few, ARX, table, count=lambda n, total, name: again.append(name))
+    again = computed(few, ARX, table)
+    rows = rows_of(table)
     assert [row["recording"] for row in rows] == [r"\udce9t\udce9.mcap", r"\udcff.mcap"]
     assert rows[0]["fit_percent"] > 0
     assert r"f\udcfcnf/\udcff.mcap" in rows[1]["problem"]
     assert again == [r"\udcff.mcap"]
 
 
-def test_a_file_of_any_time_stops_nothing(folder: Path, tmp_path: Path) -> None:
+def test_a_file_with_any_time_stamp_does_not_stop_the_batch(folder: Path, tmp_path: Path) -> None:
     """A clock was wrong by centuries: more nanoseconds than the table can hold."""
-    few = tmp_path / "few"
-    few.mkdir()
-    shutil.copy(folder / "a-00.mcap", few)
+    few = few_of(folder, tmp_path, "a-00.mcap")
     os.utime(few / "a-00.mcap", (0, 13_569_465_600))  # 2400
     assert done(few, Verify(), tmp_path / "v.parquet")[0]["problem"] == ""
 
@@ -746,28 +649,10 @@ def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("one_thread")
-def test_a_failed_check_is_reported_next_to_broken_files(
-    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    for name in (CUT, BROKEN):
-        shutil.copy2(folder / name, few)
-    given = ["batch", "verify", str(few), "-o", str(tmp_path / "v.parquet"), "--workers", "1"]
-    assert main(given) == 1
-    said = capsys.readouterr()
-    assert f"1 without a result\n  {BROKEN}: " in said.out
-    assert f"1 failed a check: {CUT}; the table contains the checks" in said.err
-    assert f"\n  {CUT}: file failed: the file is cut off: it ends " in said.out
-
-
-@pytest.mark.usefixtures("one_thread")
 def test_damage_is_reported_with_the_result(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    few = tmp_path / "few"
-    few.mkdir()
-    shutil.copy2(folder / CUT, few)
+    few = few_of(folder, tmp_path, CUT)
     whole = (folder / "a-00.mcap").read_bytes()
     (few / "none.mcap").write_bytes(whole[: len(whole) // 3])
     given = ["batch", "identify", str(few), "-o", str(tmp_path / "m.parquet"), "--workers", "1"]
@@ -780,13 +665,6 @@ def test_damage_is_reported_with_the_result(
     assert "none.mcap: none of its 0 samples shows theta_1; record again" in said
 
 
-def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "taken").touch()
-    task = report(folder=str(tmp_path / "taken"))
-    problem = row_of(task, items_in(folder, rigs=["1"])[0])["problem"]
-    assert problem == f"{tmp_path}/taken: File exists"
-
-
 @pytest.mark.parametrize(
     ("err", "problem"),
     [
@@ -797,7 +675,7 @@ def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) 
         (KeyError("x\ny"), "KeyError: 'x\\ny'"),
     ],
 )
-def test_a_problem_is_a_line(
+def test_each_problem_is_reported_in_one_line(
     folder: Path, monkeypatch: pytest.MonkeyPatch, err: Exception, problem: str
 ) -> None:
     def refused(_: object) -> None:
@@ -806,8 +684,3 @@ def test_a_problem_is_a_line(
     monkeypatch.setattr("armrig.report.batch.rows.load", refused)
 
     assert row_of(Verify(), items_in(folder)[0])["problem"] == problem
-
-
-def test_no_recording_however_made_raises(folder: Path) -> None:
-    item = items_in(folder)[0]._replace(path=str(folder / "gone.mcap"))
-    assert "gone.mcap" in row_of(Verify(), item)["problem"]

@@ -56,7 +56,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
 
 
 @pytest.mark.exhaustive
-def test_a_cluster_makes_the_same_table_though_a_worker_is_killed(
+def test_a_cluster_with_a_killed_worker_computes_the_same_table(
     cluster: Cluster, lab: tuple[Path, bytes], tmp_path: Path
 ) -> None:
     folder, whole = lab
@@ -70,7 +70,7 @@ def test_a_cluster_makes_the_same_table_though_a_worker_is_killed(
 
 
 @pytest.mark.exhaustive
-def test_a_cluster_that_goes_away_is_reported_and_the_batch_goes_on_elsewhere(
+def test_a_lost_cluster_is_reported_and_the_batch_can_be_continued(
     cluster: Cluster, lab: tuple[Path, bytes], tmp_path: Path
 ) -> None:
     folder, whole = lab
@@ -91,7 +91,7 @@ def test_a_cluster_that_goes_away_is_reported_and_the_batch_goes_on_elsewhere(
 
 
 @pytest.mark.exhaustive
-def test_where_no_scheduler_answers_it_is_said(
+def test_a_missing_scheduler_is_reported(
     lab: tuple[Path, bytes], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     given = ["batch", "verify", str(lab[0]), "-o", str(tmp_path / "x.parquet")]
