@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation import subspace
 from armrig.estimation.subspace import (
-    _steady_filter,
+    Realisation,
     autoregressive_order,
     projection,
     shortened,
@@ -31,10 +33,15 @@ from scipy.linalg import solve_discrete_are
 Vector = NDArray[np.float64]
 
 
+def columns(u: Vector, y: Vector) -> tuple[Vector, Vector]:
+    return u[:, None], y[:, None]
+
+
 def signals(N: int, noise: float = 0.1) -> list[tuple[Vector, Vector]]:
     """Return u and y of a plant of one pole, noise through it."""
     u, e = np.random.default_rng(1).standard_normal((2, N))
-    return [(u, filtered([0.0, 1.0], [1.0, -0.5], u) + filtered([noise], [1.0, -0.5], e))]
+    y = filtered([0.0, 1.0], [1.0, -0.5], u) + filtered([noise], [1.0, -0.5], e)
+    return [columns(u, y)]
 
 
 @pytest.mark.parametrize(
@@ -58,7 +65,7 @@ def test_a_long_memory_takes_a_long_horizon() -> None:
     u, e = np.random.default_rng(1).standard_normal((2, 4000))
     y = filtered([0.0, 1.0], [1.0, -0.98], u) + 2 * e
 
-    assert 10 < longest_horizon([(u, y)], 4000, None) <= 30
+    assert 10 < longest_horizon([columns(u, y)], 4000, None) <= 30
 
 
 def test_models_are_compared_on_the_longest_stretches() -> None:
@@ -67,7 +74,7 @@ def test_models_are_compared_on_the_longest_stretches() -> None:
     y[[500, 2200]] = np.nan  # 500, 1699 and 799 samples
     short = np.arange(100.0)
 
-    parts = _longest_stretches([(short, short), (u, y)])
+    parts = _longest_stretches([columns(short, short), columns(u, y)])
 
     assert [y.size for _, y in parts] == [1699, 301]
     assert [y[0] for _, y in parts] == [501.0, 2201.0]
@@ -115,7 +122,7 @@ def test_the_memory_of_the_predictor_minimises_aic() -> None:
         rng = np.random.default_rng(seed)
         u, e = rng.standard_normal((2, 130))
         y = filtered([0, 0.4], [1, -0.6, 0.2, -0.25], u) + filtered([1], [1, -0.6, 0.2, -0.25], e)
-        w = windows([(u, y)], past=9, future=1)
+        w = windows([columns(u, y)], past=9, future=1)
         criterion = []
         for n in range(1, 10):
             rows = np.hstack(
@@ -143,20 +150,22 @@ def test_a_state_counts_as_three_parameters(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_predictor_is_that_of_the_riccati_equation() -> None:
     rng = np.random.default_rng(2)
     A = np.array([[0.9, 0.2, 0.0], [-0.3, 0.7, 0.1], [0.0, 0.2, 0.5]])
-    C, M = np.array([1.0, -0.5, 0.3]), rng.standard_normal((4, 6))
+    C, M = np.array([[1.0, -0.5, 0.3]]), rng.standard_normal((4, 6))
     covariance = M @ M.T
+    space = Realisation(A=A, C=C, covariance=covariance)
 
-    z = _steady_filter(A, C, covariance)
+    z = space.predictor_poles()
 
-    Q, S, r = covariance[:3, :3], covariance[:3, 3], covariance[3, 3]
-    P = solve_discrete_are(A.T, C[:, None], Q, [[r]], s=S[:, None])
-    K = (A @ P @ C + S) / (C @ P @ C + r)
-    expected = np.linalg.eigvals(A - np.outer(K, C))
+    Q, S, r = covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:]
+    P = solve_discrete_are(A.T, C.T, Q, r, s=S)
+    K = (A @ P @ C.T + S) / (C @ P @ C.T + r)
+    expected = np.linalg.eigvals(A - K @ C)
+    np.testing.assert_allclose(space.gain(), K, atol=1e-9)
     assert z is not None
     np.testing.assert_allclose(np.sort_complex(z), np.sort_complex(expected), atol=1e-9)
     silent = covariance.copy()
     silent[3] = silent[:, 3] = 0.0
-    assert _steady_filter(A, C, silent) is None
+    assert replace(space, covariance=silent).predictor_poles() is None
 
 
 def test_the_real_pole_nearest_1_becomes_the_integrator() -> None:
@@ -176,8 +185,8 @@ def test_a_delayed_input_acts_one_sample_later(nk: int) -> None:
 
     for (late, y), part in zip(delayed_signals(data, nk), data.experiments(), strict=True):
         lost = max(nk - 1, 0)
-        np.testing.assert_array_equal(late, part.u[: part.N - lost])
-        np.testing.assert_array_equal(y, part.y[lost:])
+        np.testing.assert_array_equal(late[:, 0], part.u[: part.N - lost])
+        np.testing.assert_array_equal(y[:, 0], part.y[lost:])
 
 
 def test_a_horizon_has_room_for_the_order_and_enough_windows() -> None:
@@ -185,7 +194,7 @@ def test_a_horizon_has_room_for_the_order_and_enough_windows() -> None:
     [(u, y)] = signals(60)
     valid = np.ones(60, dtype=np.bool_)
     valid[[17, 30, 35]] = False
-    data = Dataset(u=u, y=y, Ts=1.0, valid=valid)
+    data = Dataset(u=u[:, 0], y=y[:, 0], Ts=1.0, valid=valid)
     parts = delayed_signals(data, 1)
 
     for order, horizon, least in ((None, 2, 3), (4, 5, 6)):
@@ -202,7 +211,7 @@ def test_a_horizon_has_room_for_the_order_and_enough_windows() -> None:
 
 def test_data_without_noise_show_the_states_of_their_system() -> None:
     [(u, y)] = signals(200, noise=0.0)
-    y = y + filtered([0.0, 0.0, 1.0], [1.0, -1.2, 0.8], u)
+    y = y + filtered([0.0, 0.0, 1.0], [1.0, -1.2, 0.8], u[:, 0])[:, None]
 
     assert visible_states(windows([(u, y)], past=6, future=6)) == 3
 

@@ -22,8 +22,8 @@ from armrig.estimation.multivariable.state_space_problem import (
     reflected_matrix,
     tangent,
 )
-from armrig.estimation.multivariable.subspace import projected
 from armrig.estimation.multivariable.whitening import whitening
+from armrig.estimation.subspace import windows
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.recursion import recursion, varying_recursion
 from armrig_core.errors import InputError
@@ -405,7 +405,7 @@ def test_the_factor_of_windows_has_their_squares(offset: float, scale: float) ->
     signals, i = data(scale=scale), 8
     parts = [(signals.u[at] + offset, signals.y[at] - offset) for at in (slice(300), slice(300, N))]
 
-    R = projected(parts, i, "cva").R
+    R = windows(parts, past=i, future=i).R
 
     rows = [
         np.concatenate([*u[t + i : t + 2 * i], *u[t : t + i], *y[t : t + i], *y[t + i : t + 2 * i]])
