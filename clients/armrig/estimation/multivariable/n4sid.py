@@ -11,15 +11,17 @@ from armrig_core.errors import InputError
 
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
+from armrig.estimation.error_process import error_process
 from armrig.estimation.multivariable.data_checks import (
     instability,
     origin,
     poor_fits,
     require_informative,
 )
-from armrig.estimation.multivariable.error_process import error_process
 from armrig.estimation.multivariable.inference import pairwise_covariance, quality_of
-from armrig.estimation.multivariable.state_space_problem import (
+from armrig.estimation.multivariable.whitening import patterns
+from armrig.estimation.orders import require_samples
+from armrig.estimation.state_space_problem import (
     Part,
     StateSpaceProblem,
     delays_of,
@@ -27,9 +29,7 @@ from armrig.estimation.multivariable.state_space_problem import (
     reflected_matrix,
     scaled_signals,
 )
-from armrig.estimation.multivariable.state_space_starts import interpolated
-from armrig.estimation.multivariable.whitening import patterns
-from armrig.estimation.orders import require_samples
+from armrig.estimation.state_space_starts import interpolated
 from armrig.estimation.subspace import (
     Parts,
     complete_stretches,

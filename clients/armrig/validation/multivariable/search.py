@@ -13,7 +13,7 @@ from armrig.data.signals import Signals
 from armrig.estimation.multivariable.n4sid import n4sid
 from armrig.estimation.multivariable.oe import oe
 from armrig.estimation.multivariable.plans import integrating_outputs
-from armrig.estimation.multivariable.ss import ss
+from armrig.estimation.ss import ss
 from armrig.models.multivariable.fit import MultivariableFit, require_same_channels
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error

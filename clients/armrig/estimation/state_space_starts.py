@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.estimation.multivariable.state_space_problem import (
+from armrig.estimation.state_space_problem import (
     StateSpaceProblem,
     reflected_matrix,
     stable_matrix,

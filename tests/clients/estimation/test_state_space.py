@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from armrig import Dataset, Signals
 from armrig.estimation.multivariable.n4sid import _completed
-from armrig.estimation.multivariable.ss import _Criterion, _End, _improved
-from armrig.estimation.multivariable.state_space_gaps import GapProblem, searched
-from armrig.estimation.multivariable.state_space_problem import (
+from armrig.estimation.multivariable.whitening import whitening
+from armrig.estimation.ss import _Criterion, _End, _improved
+from armrig.estimation.state_space_gaps import GapProblem, searched
+from armrig.estimation.state_space_problem import (
     Part,
     Predictor,
     StateSpaceProblem,
@@ -22,7 +23,6 @@ from armrig.estimation.multivariable.state_space_problem import (
     reflected_matrix,
     tangent,
 )
-from armrig.estimation.multivariable.whitening import whitening
 from armrig.estimation.subspace import windows
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.recursion import recursion, varying_recursion
@@ -31,7 +31,8 @@ from numpy.typing import NDArray
 
 from tests.sampling import sampled
 
-ss, n4sid = (import_module(f"armrig.estimation.multivariable.{name}") for name in ("ss", "n4sid"))
+ss = import_module("armrig.estimation.ss")
+n4sid = import_module("armrig.estimation.multivariable.n4sid")
 
 N = 1200
 A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, 0.5]])

@@ -19,8 +19,10 @@ from armrig.estimation.multivariable.inference import (
     pairwise_covariance,
 )
 from armrig.estimation.multivariable.n4sid import n4sid
-from armrig.estimation.multivariable.state_space_gaps import searched
-from armrig.estimation.multivariable.state_space_problem import (
+from armrig.estimation.multivariable.whitening import whitening
+from armrig.estimation.orders import require_samples
+from armrig.estimation.state_space_gaps import searched
+from armrig.estimation.state_space_problem import (
     Linear,
     Part,
     Predictor,
@@ -33,9 +35,7 @@ from armrig.estimation.multivariable.state_space_problem import (
     whitened,
     without,
 )
-from armrig.estimation.multivariable.state_space_starts import moved_modes, starts
-from armrig.estimation.multivariable.whitening import whitening
-from armrig.estimation.orders import require_samples
+from armrig.estimation.state_space_starts import moved_modes, starts
 from armrig.models.estimate import Start
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.multivariable.matrices import Matrices

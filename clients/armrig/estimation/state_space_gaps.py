@@ -25,14 +25,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from armrig.estimation.multivariable.inference import pairwise_covariance
-from armrig.estimation.multivariable.state_space_problem import (
+from armrig.estimation.multivariable.whitening import patterns
+from armrig.estimation.state_space_problem import (
     Part,
     Predictor,
     parts_of,
     stable_matrix,
     tangent,
 )
-from armrig.estimation.multivariable.whitening import patterns
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
