@@ -11,6 +11,7 @@ from armrig_core.calls import check_call
 from armrig_core.errors import InputTypeError
 
 from armrig.data.dataset import Dataset, require_visible
+from armrig.data.signals import Signals
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -48,6 +49,29 @@ def as_dataset(data: Dataset | HasDataset) -> Dataset:
     return data.dataset()
 
 
+def as_signals(data: Dataset | Signals) -> Signals:
+    """Return Signals unchanged, or a Dataset as Signals of one input and one output."""
+    if isinstance(data, Signals):
+        return data
+    return Signals(
+        u=data.u,
+        y=data.y,
+        Ts=data.Ts,
+        valid=data.valid,
+        starts=data.starts,
+        outputs=data.output,
+        input_units=data.input_unit,
+        units=data.unit,
+        source=data.source,
+        history=data.history,
+    )
+
+
+def takes_signals(f: Callable[P, R]) -> Callable[P, R]:
+    """Decorate a function of Signals so that it also accepts a Dataset or a recording."""
+    return _taking(f, lambda data: data if isinstance(data, Signals) else as_dataset(data))
+
+
 def takes_recordings(
     f: Callable[Concatenate[Dataset, P], R],
 ) -> Callable[Concatenate[Dataset | HasDataset, P], R]:
@@ -55,6 +79,11 @@ def takes_recordings(
 
     If orders are given by position, as in MATLAB, the error message shows the call with names.
     """
+    return _taking(f, as_dataset)
+
+
+def _taking(f: Callable[..., R], as_data: Callable[[Any], Any]) -> Callable[..., R]:
+    """Return the function with `as_data` applied to its first argument."""
     called = signature(f)
     parameters = list(called.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)
@@ -65,7 +94,7 @@ def takes_recordings(
     @wraps(f)
     def taking(*args: Any, **options: Any) -> R:
         if len(args) > positional and by_name and not variadic:
-            as_dataset(args[0])
+            as_data(args[0])
             raise InputTypeError(_by_name(f.__name__, first, by_name, args[positional:]))
         if not args and first in options:
             args = (options.pop(first),)
@@ -73,7 +102,7 @@ def takes_recordings(
             _check_order(f.__name__, first, parameters, args)
         check_call(f.__name__, called, args, options)
         call: Callable[..., R] = f
-        return call(*(as_dataset(a) for a in args[:1]), *args[1:], **options)
+        return call(*(as_data(a) for a in args[:1]), *args[1:], **options)
 
     return taking
 
