@@ -16,6 +16,7 @@ from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
 from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.error_process import error_process
+from armrig.estimation.hannan_rissanen import noise_start
 from armrig.estimation.multivariable.data_checks import (
     instability,
     origin,
@@ -24,11 +25,10 @@ from armrig.estimation.multivariable.data_checks import (
 )
 from armrig.estimation.multivariable.inference import Inference, pairwise_covariance
 from armrig.estimation.multivariable.whitening import patterns
-from armrig.estimation.stability import CIRCLE_ROUNDING, REFLECT, reflection_warnings, unstable
+from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
 from armrig.estimation.state_space_fit import (
     Derivatives,
     derivatives,
-    directions,
     inference,
     influence,
     matrices,
@@ -38,9 +38,10 @@ from armrig.estimation.state_space_problem import (
     Predictor,
     StateSpaceProblem,
     delays_of,
+    directions,
     entries,
     held_responses,
-    levels,
+    offsets,
     parts_of,
     scaled_signals,
     stacked,
@@ -54,6 +55,7 @@ from armrig.estimation.subspace_horizon import (
     MIN_HORIZON,
     Innovations,
     best_innovations,
+    companion,
     innovations_at,
     usable_windows,
 )
@@ -62,12 +64,20 @@ from armrig.models.structure_table import Focus, Weights
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array
+from armrig.numerics.levenberg_marquardt import levenberg_marquardt
+from armrig.numerics.polynomial import (
+    Array,
+    drawn_to_edge,
+    filtered,
+    outward_normals,
+    reflected,
+    without_integrator,
+)
+from armrig.numerics.polynomial import stable as stable_polynomial
 from armrig.numerics.recursion import outputs
 from armrig.numerics.stretches import stretches
 
 _MAX_SUGGESTED_ORDER = 10
-_CIRCLE_MARGIN = 1e-6  # least distance of a reflected pole from the circle
 _STEP = 1e-6  # change of a parameter for a numerical derivative
 _RANK_TOLERANCE = 1e-8  # a smaller relative singular value belongs to a change of coordinates
 _MAX_PASSES = 20  # of the estimation of missing outputs
@@ -187,8 +197,11 @@ def n4sid(
         integrator=integrator,
         stable=stable,
         direct=max(delays) == 0,
+        simulated=focus == "simulation",
     )
     found = _estimated(scaled, options)
+    if focus == "simulation":
+        found = _for_simulation(scaled, found, options)
     problem = StateSpaceProblem(
         parts=parts_of(scaled, pairwise_covariance(np.vstack(found.errors))),
         order=len(found.model.A),
@@ -208,10 +221,10 @@ def n4sid(
         inferred = replace(inferred, covariance=covariance, covariance_robust=covariance)
     notes = [] if found.model.steady else [warning("no_gain", _NO_GAIN_TEXT)]
     notes += [] if found.settled else [warning("not_converged", _UNSETTLED_TEXT, steps=_MAX_PASSES)]
-    notes += [] if replicates > 1 else [warning("bound", _BOUND_TEXT)]
     if stable:
         both = (np.real(np.poly(A)) for A in (found.free, found.model.A))
         notes += reflection_warnings(*both)
+    notes += [] if replicates > 1 else [warning("bound", _BOUND_TEXT)]
     more = {"inferred": inferred, "notes": tuple(notes), "su": su, "sy": sy}
     if signals.nu == signals.ny == 1:
         one = data if isinstance(data, Dataset) else data.dataset()
@@ -237,6 +250,8 @@ class _Options:
     integrator: bool
     stable: bool
     direct: bool
+    simulated: bool
+    """True if the model is for simulation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -326,13 +341,20 @@ def _from_windows(signals: Parts, known: Parts, options: _Options) -> _Found:
     integrator, direct = options.integrator, options.direct
     if options.horizon is None:
         model = best_innovations(
-            known, w, found, n, options.weights, integrator=integrator, direct=direct
+            known,
+            w,
+            found,
+            n,
+            options.weights,
+            integrator=integrator,
+            direct=direct,
+            simulated=options.simulated and w.ny > 1,
         )
     else:
         model = innovations_at(w, found, n, integrator=integrator)
     free = model.A
     if options.stable:
-        model = model.with_poles(lambda z: _inside(z, integrator=integrator))
+        model = model.stabilised()
     at, predicted = completed(signals, model, direct=direct, level=integrator)
     return _Found(
         model=model,
@@ -345,23 +367,18 @@ def _from_windows(signals: Parts, known: Parts, options: _Options) -> _Found:
     )
 
 
-def _inside(z: Array, *, integrator: bool) -> Array:
-    """Return the poles z, except an integrator, reflected into the unit circle."""
-    size = np.abs(z)
-    out = size >= 1 - CIRCLE_ROUNDING
-    if integrator:
-        out[np.argmin(np.abs(z - 1))] = False
-    limits = np.minimum(1 / np.maximum(size, 1), 1 - _CIRCLE_MARGIN)
-    return np.where(out, z / np.maximum(size, 1) * limits, z)
-
-
 def completed(
-    signals: Parts, model: Innovations, *, direct: bool, level: bool
+    signals: Parts,
+    model: Innovations,
+    *,
+    direct: bool,
+    level: bool,
+    given: tuple[Array, Array] | None = None,
 ) -> tuple[Predictor, list[Array]]:
     """Return the predictor whose B, D and initial states minimise the one-step errors.
 
-    The error of a missing output is taken as 0. With `level` a constant is fitted to the
-    predictions of each output, too.
+    The error of a missing output is taken as 0. With `level` constant offsets of the signals are
+    estimated, too. If B and D are `given`, only the initial states and the offsets are estimated.
 
     Returns
     -------
@@ -381,19 +398,22 @@ def completed(
     for part in parts_of(signals, np.eye(ny)):
         fed, driven, free = _responses(part, at, direct=direct)
         if level:
-            free = np.concatenate([free, levels(ny, len(fed))])
+            free = np.concatenate([free, offsets(at.Abar, at.C, len(fed))])
         columns = np.concatenate([driven, (part.y - fed).T[None]])
         blocks.append((fed, driven, free, whitened(part, columns)))
         states.append(orthonormal(whitened(part, free)))
         left.append(without(states[-1], blocks[-1][-1]))
     M = stacked(left)
     basis = orthonormal(M[:, :-1])
-    if basis.rank < M.shape[1] - 1:
+    if given is None and basis.rank < M.shape[1] - 1:
         raise InputError(
             f"u determines only {basis.rank} of {M.shape[1] - 1} numerator coefficients; lower the "
             "order or excite with a richer input"
         )
     theta = basis.coefficients(M[:, -1])
+    if given is not None:
+        B, D = given
+        theta = np.concatenate([(B - at.K @ D).T.ravel(), D.ravel() if direct else []])
     first, predicted = [], []
     for Z, (fed, driven, free, raw) in zip(states, blocks, strict=True):
         x0 = Z.coefficients(raw[:, -1] - raw[:, :-1] @ theta)
@@ -421,6 +441,95 @@ def _responses(part: Part, at: Predictor, *, direct: bool) -> tuple[Array, Array
     found = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1), x0)
     found = found.transpose(1, 2, 0)
     return found[-1].T, found[:k], found[k:-1]
+
+
+def _for_simulation(signals: Parts, found: _Found, options: _Options) -> _Found:
+    """Return the model with the B and D, and for one output the poles, of least simulation error.
+
+    The simulation error y - (B u + x(0)) / A is linear in B, D and x(0). For one output the search
+    over A starts from the poles of the projection, reflected into the unit circle. For several
+    outputs the poles do not change: a search over the n ny parameters of A and C often fits the
+    noise. It improved the simulation of data that were not used in six of nine trials, but made it
+    worse by a third in another.
+
+    K is the candidate with the least one-step loss for the estimated A, B and D. The first
+    candidate is the gain of the projection. The second candidate is K by Hannan and Rissanen's
+    regressions on the simulation error, for one output. The third candidate is K = 0, which is
+    correct for white output noise.
+    """
+    model, like = found.model.stabilised(), {"direct": options.direct, "level": options.integrator}
+    one = len(model.C) == 1
+    if one:
+        model = model.with_transition(_searched_poles(signals, model, **like))
+    still = replace(model, K=np.zeros(model.K.shape))
+    at, simulated = completed(signals, still, **like)
+    gains = [model.K, still.K]
+    if one:
+        a = np.append(1.0, -model.A[:, 0])
+        v = [y - yhat for (_, y), yhat in zip(signals, simulated, strict=True)]
+        polynomials = noise_start([_without_past(a, x[:, 0]) for x in v], nc=a.size - 1, nd=0)[0]
+        gains = [model.K, *((c - a)[1:, None] for c in (polynomials, reflected(a)))]
+    fits = []
+    for K in gains:
+        candidate = replace(model, K=K)
+        B = at.Bbar, at.D
+        predictor, predicted = completed(signals, candidate, **like, given=B)
+        errors = [y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)]
+        fit = replace(found, model=candidate, at=predictor, predicted=predicted, errors=errors)
+        fits.append(replace(fit, free=candidate.A))
+    losses = [np.linalg.slogdet(pairwise_covariance(np.vstack(fit.errors)))[1] for fit in fits]
+    return fits[int(np.argmin(losses))]
+
+
+def _without_past(a: Array, v: Array) -> Array:
+    """Return a(q) v; a sample that depends on a missing or unknown sample is NaN."""
+    found = filtered(a, [1.0], v) if np.isfinite(v).all() else np.convolve(v, a)[: v.size]
+    found[: a.size - 1] = np.nan
+    return found
+
+
+def _searched_poles(signals: Parts, model: Innovations, *, direct: bool, level: bool) -> Array:
+    """Return A of least simulation error for one output, in observer form.
+
+    For given A the simulation error is linear in B, D and the initial state.
+    """
+    n = len(model.A)
+    pole = np.array([1.0, -1.0]) if model.integrator else np.ones(1)
+    start = np.append(1.0, -model.A[:, 0])
+    start = without_integrator(start) if model.integrator else start
+    problem = StateSpaceProblem(
+        parts=parts_of(signals, np.eye(1)), order=n, direct=direct, noise=False, level=level
+    )
+    # A change of the free polynomial, times the pole at 1, is a change of -A[:, 0].
+    along = -np.column_stack([np.convolve(pole, row) for row in np.eye(start.size - 1)])
+    V = directions(model.A, model.C) @ along
+
+    def transition(f: Array) -> Array:
+        return companion(np.convolve(pole, np.append(1.0, f)))
+
+    def linearise(f: Array) -> tuple[Array, Array]:
+        linear, J = problem.linearised(transition(f), model.C, V)
+        return linear.e, J
+
+    walls = _Circle()
+    found = levenberg_marquardt(linearise, start[1:], admissible=walls.admits, walls=walls)
+    return transition(stabilised(np.append(1.0, found.theta))[1:])
+
+
+class _Circle:
+    """Unit circle, the boundary of the roots of a monic polynomial."""
+
+    def admits(self, f: Array) -> bool:
+        """Return whether the roots are inside the circle."""
+        return stable_polynomial(np.append(1.0, f))
+
+    def inside(self, f: Array, previous: Array) -> Array:
+        """Return f with the roots that left the circle moved inside."""
+        return drawn_to_edge(np.append(1.0, f), np.append(1.0, previous))[1:]
+
+    def normals(self, f: Array) -> Array:
+        """Return the gradient of |z| for each root z on the circle."""
+        return outward_normals(np.append(1.0, f))
 
 
 def _replicated(
@@ -498,7 +607,7 @@ def _one_channel(
         whiteness_test=quality.white.test,
         weights=options.weights,
         horizon=found.model.horizon,
-        singular_values=found.model.singular_values,
+        singular_values=found.model.singular_values * (sy[0] if options.weights != "cva" else 1.0),
         canonical_correlations=found.canonical_correlations,
         suggested_order=found.suggested_order,
         converged=found.settled,

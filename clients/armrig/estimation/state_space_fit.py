@@ -17,23 +17,12 @@ from armrig.estimation.state_space_problem import (
     Predictor,
     StateSpaceProblem,
     stacked,
-    tangent,
     whitened,
     without,
 )
 from armrig.models.multivariable.matrices import Matrices
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array
-from armrig.numerics.recursion import in_observer_form
-
-
-def directions(Abar: Array, C: Array) -> Array:
-    """Return the directions (n (n + ny), n ny) of Abar and C that change the model.
-
-    In observer form they are the entries of the first column of Abar.
-    """
-    n = len(Abar)
-    return np.eye(n * (n + 1))[:, : n * n : n] if in_observer_form(Abar, C) else tangent(Abar, C)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

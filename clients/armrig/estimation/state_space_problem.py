@@ -32,9 +32,17 @@ from armrig.numerics.checks import require_integers
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
-from armrig.numerics.recursion import free_responses, recursion, responses, varying_recursion
+from armrig.numerics.recursion import (
+    free_responses,
+    in_observer_form,
+    outputs,
+    recursion,
+    responses,
+    varying_recursion,
+)
 
 _MAX_MODULUS = 1 - 1e-7  # largest modulus of an eigenvalue of Abar in a search
+_EIGENVALUE_TOLERANCE = 1e-10  # singular value of 1 - Abar that shows the eigenvalue 1
 _ORBIT_TOLERANCE = 1e-10  # a smaller relative singular value is a rounding error
 
 
@@ -144,7 +152,7 @@ class StateSpaceProblem:
         states, left, raw = [], [], []
         for part in self.parts:
             driven, free = self.responses(part, Abar, C)
-            Z = orthonormal(whitened(part, free))
+            Z = orthonormal(whitened(part, self.with_offsets(free, Abar, C)))
             both = whitened(part, np.concatenate([driven, part.y.T[None]]))
             states.append(Z)
             raw.append(both)
@@ -160,7 +168,7 @@ class StateSpaceProblem:
             K=signals[:, nu:] if self.noise else np.zeros((n, ny)),
             D=D,
             x0=tuple(
-                Z.coefficients(M[:, -1] - M[:, :-1] @ theta)
+                Z.coefficients(M[:, -1] - M[:, :-1] @ theta)[:n]
                 for Z, M in zip(states, raw, strict=True)
             ),
             rank=basis.rank,
@@ -190,9 +198,22 @@ class StateSpaceProblem:
         """
         found = []
         for part, x0 in zip(self.parts, linear.x0, strict=True):
-            x = recursion(Abar, part.u @ linear.Bbar.T + part.y @ linear.K.T, x0)[:-1]
+            x = _states(Abar, C, part.u @ linear.Bbar.T + part.y @ linear.K.T, x0)
             found.append(_moved(Abar, C, x, directions))
         return found
+
+    def linearised(self, Abar: Array, C: Array, directions: Array) -> tuple[Linear, Array]:
+        """Return the linear part, and the derivatives of the whitened predictions.
+
+        The effects of the linear parameters and initial states are projected out.
+        """
+        linear = self.linear(Abar, C)
+        by = self.derivatives(Abar, C, linear, directions)
+        J = [
+            without(Z, whitened(part, d))
+            for part, d, Z in zip(self.parts, by, linear.states, strict=True)
+        ]
+        return linear, without(linear.basis, stacked(J))
 
     def sensitivities(
         self, part: Part, at: Predictor, x0: Array, directions: Array
@@ -206,7 +227,7 @@ class StateSpaceProblem:
         Abar, C, K = at.Abar, at.C, at.K
         N, (n, ny) = len(part.u), K.shape
         if part.rows.all() or not K.any():
-            x = recursion(Abar, part.u @ at.Bbar.T + part.y @ K.T, x0)[:-1]
+            x = _states(Abar, C, part.u @ at.Bbar.T + part.y @ K.T, x0)
             driven, free = self.responses(part, Abar, C)
             by = np.concatenate([_moved(Abar, C, x, directions), driven])
         else:
@@ -223,7 +244,14 @@ class StateSpaceProblem:
             nothing = np.zeros((N, n, n)), np.zeros((N, n, ny))
             free = held_responses(part, at, *nothing, np.eye(n))
             by, free = by.transpose(1, 2, 0), free.transpose(1, 2, 0)
-        return by, np.concatenate([free, levels(ny, N)]) if self.level else free
+        return by, self.with_offsets(free, Abar, C)
+
+    def with_offsets(self, free: Array, Abar: Array, C: Array) -> Array:
+        """Return the responses (k, ny, N) to the initial state, and those to constant offsets.
+
+        Without `level` the offsets are left out.
+        """
+        return np.concatenate([free, offsets(Abar, C, free.shape[2])]) if self.level else free
 
     def minimise(self, Abar: Array, C: Array, *, most: int) -> tuple[Array, Array, Linear, Optimum]:
         """Return Abar, C and the linear part after at most `most` steps along the tangent space."""
@@ -238,15 +266,10 @@ class StateSpaceProblem:
 
         def linearise(t: Array) -> tuple[Array, Array]:
             A, c = at(t)
-            linear = self.linear(A, c)
+            linear, J = self.linearised(A, c, V)
             last.clear()
             last[t.tobytes()] = linear
-            by = self.derivatives(A, c, linear, V)
-            J = [
-                without(Z, whitened(part, d))
-                for part, d, Z in zip(self.parts, by, linear.states, strict=True)
-            ]
-            return linear.e, without(linear.basis, stacked(J))
+            return linear.e, J
 
         found = levenberg_marquardt(
             linearise,
@@ -290,6 +313,15 @@ def state_responses(
     return driven, free_responses(Abar, C, N)
 
 
+def _states(Abar: Array, C: Array, w: Array, x0: Array) -> Array:
+    """Return the states (N, n); in observer form only the first state, which is the output."""
+    if not in_observer_form(Abar, C):
+        return recursion(Abar, w, x0)[:-1]
+    x = np.zeros(w.shape)
+    x[:, :1] = outputs(Abar, C, w, x0)
+    return x
+
+
 def _moved(Abar: Array, C: Array, x: Array, directions: Array) -> Array:
     """Return the derivatives (k, ny, N) of yhat in directions of Abar and C, for the states x."""
     n, ny = len(Abar), len(C)
@@ -300,9 +332,19 @@ def _moved(Abar: Array, C: Array, x: Array, directions: Array) -> Array:
     return np.asarray(moved + by_C @ x.T if by_C.any() else moved)
 
 
-def levels(ny: int, N: int) -> Array:
-    """Return a constant response of each output, (ny, ny, N)."""
-    return np.broadcast_to(np.eye(ny)[:, :, None], (ny, ny, N))
+def offsets(Abar: Array, C: Array, N: int) -> Array:
+    """Return the responses (k, ny, N) to constant offsets of u and y.
+
+    The responses are a constant for each output, and a ramp if Abar has the eigenvalue 1. For one
+    output the response of this eigenvalue to the initial state replaces the constant.
+    """
+    ny, n = C.shape
+    _, s, V = np.linalg.svd(np.eye(n) - Abar)
+    levels = np.broadcast_to(np.eye(ny)[:, :, None], (ny, ny, N))
+    if s[-1] > _EIGENVALUE_TOLERANCE:
+        return levels
+    ramp = (C @ V[-1])[None, :, None] * np.arange(1.0, N + 1)
+    return ramp if ny == 1 else np.concatenate([levels, ramp])
 
 
 def entries(signals: Array, n: int, direct: Array | None, ny: int) -> tuple[Array, Array]:
@@ -397,6 +439,15 @@ def _balancing(A: Array, C: Array) -> tuple[Array, Array]:
     values, axes = np.linalg.eigh((gramian + gramian.T) / 2)
     root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
     return (axes * root).T, axes / root
+
+
+def directions(Abar: Array, C: Array) -> Array:
+    """Return the directions (n (n + ny), n ny) of Abar and C that change the model.
+
+    In observer form they are the entries of the first column of Abar.
+    """
+    n = len(Abar)
+    return np.eye(n * (n + 1))[:, : n * n : n] if in_observer_form(Abar, C) else tangent(Abar, C)
 
 
 def tangent(A: Array, C: Array) -> Array:

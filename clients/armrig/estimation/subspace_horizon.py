@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg.lapack import dposv
 
 from armrig.estimation.orders import require_samples
+from armrig.estimation.stability import CIRCLE_ROUNDING
 from armrig.estimation.state_space_problem import state_responses
 from armrig.estimation.subspace import (
     Parts,
@@ -31,6 +32,7 @@ MIN_HORIZON, MAX_HORIZON = 10, 30
 _MAX_WINDOWS = 4000  # largest number of windows for the choice of the longest horizon
 _MAX_COMPARED_SAMPLES = 2000  # largest number of samples for the comparison of models
 _MIN_LOSS_SHARE = 1e-10  # least loss / |y|²; normal equations lose all digits of a smaller loss
+_CIRCLE_MARGIN = 1e-6  # least distance of a reflected pole from the circle
 _MAX_PREDICTOR_MODULUS = 0.999  # of a pole that had to be moved into the unit circle
 
 
@@ -86,24 +88,49 @@ class Innovations:
     steady: bool
     """True if there is a steady Kalman filter. Otherwise A - K C has the eigenvalues of A, moved
     inside the unit circle."""
+    integrator: bool = False
+    """True if a pole is exactly 1."""
 
     @property
     def Abar(self) -> Array:
         """Transition matrix A - K C of the predictor."""
         return np.asarray(self.A - self.K @ self.C)
 
-    def with_poles(self, moved: Callable[[Array], Array]) -> Innovations:
-        """Return the model with the poles moved(z) in place of the eigenvalues z of A.
+    def integrating(self) -> Innovations:
+        """Return the model with the real pole nearest 1 moved to 1."""
+        z = np.linalg.eigvals(self.A).astype(np.complex128)
+        z[_nearest_1(z)] = 1.0
+        return replace(self._with_poles(z), integrator=True)
+
+    def stabilised(self) -> Innovations:
+        """Return the model with the poles, except an integrator, reflected into the circle."""
+        z = np.linalg.eigvals(self.A)
+        size = np.abs(z)
+        out = size >= 1 - CIRCLE_ROUNDING
+        if self.integrator:
+            i = _nearest_1(z)
+            z[i], out[i] = 1.0, False
+        if not out.any():
+            return self
+        limits = np.minimum(1 / np.maximum(size, 1), 1 - _CIRCLE_MARGIN)
+        return self._with_poles(np.where(out, z / np.maximum(size, 1) * limits, z))
+
+    def _with_poles(self, z: Array) -> Innovations:
+        """Return the model with the poles z in place of the eigenvalues of A, in their order."""
+        if in_observer_form(self.A, self.C):
+            p = np.real(np.poly(z))
+            if (z == 1).any():  # without rounding
+                p = np.convolve([1.0, -1.0], without_integrator(p))
+            return self.with_transition(companion(p))
+        _, V = np.linalg.eig(self.A)
+        return self.with_transition(np.real(V @ np.diag(z) @ np.linalg.inv(V)))
+
+    def with_transition(self, A: Array) -> Innovations:
+        """Return the model with another A.
 
         A - K C changes as little as possible; for one output it does not change.
         """
-        z, V = np.linalg.eig(self.A)
-        if in_observer_form(self.A, self.C):
-            A = companion(_polynomial(moved(z)))
-        else:
-            A = np.real(V @ np.diag(moved(z)) @ np.linalg.inv(V))
-        K = self.K + (A - self.A) @ np.linalg.pinv(self.C)
-        return replace(self, A=A, K=K)
+        return replace(self, A=A, K=self.K + (A - self.A) @ np.linalg.pinv(self.C))
 
 
 def companion(p: Array) -> Array:
@@ -113,17 +140,9 @@ def companion(p: Array) -> Array:
     return A
 
 
-def _polynomial(z: Array) -> Array:
-    """Return the polynomial of the roots z; a root of exactly 1 stays exactly 1."""
-    p = np.real(np.poly(z))
-    return np.convolve([1.0, -1.0], without_integrator(p)) if (z == 1).any() else p
-
-
-def integrating(z: Array) -> Array:
-    """Return the poles z with the real pole nearest 1 moved to 1."""
-    z = z.astype(np.complex128)
-    z[np.argmin(np.abs(z - 1) + 10.0 * (np.abs(z.imag) > 1e-9))] = 1.0
-    return z
+def _nearest_1(z: Array) -> int:
+    """Return the index of the real pole nearest 1."""
+    return int(np.argmin(np.abs(z - 1) + 10.0 * (np.abs(z.imag) > 1e-9)))
 
 
 def innovations_at(w: Windows, found: Projection, order: int, *, integrator: bool) -> Innovations:
@@ -152,7 +171,7 @@ def innovations_at(w: Windows, found: Projection, order: int, *, integrator: boo
         singular_values=found.singular_values,
         steady=steady,
     )
-    return model.with_poles(integrating) if integrator else model
+    return model.integrating() if integrator else model
 
 
 def best_innovations(
@@ -164,8 +183,11 @@ def best_innovations(
     *,
     integrator: bool,
     direct: bool,
+    simulated: bool = False,
 ) -> Innovations:
     """Return the model for the horizon of `w` or for a shorter horizon, by the one-step loss.
+
+    If `simulated`, the loss of the simulation decides, which is that of the model with K = 0.
 
     The shorter horizons are order + 2 and the `least_horizon`, which are equal for one output.
 
@@ -183,7 +205,13 @@ def best_innovations(
             short = shortened(w, horizon)
             at = projection(short, weights)
             models.append(innovations_at(short, at, order, integrator=integrator))
-    return models[least_loss(signals, models, direct=direct)] if models[1:] else models[0]
+    if not models[1:]:
+        return models[0]
+    compared = models
+    if simulated:
+        stable = (model.stabilised() for model in models)
+        compared = [replace(model, K=np.zeros(model.K.shape)) for model in stable]
+    return models[least_loss(signals, compared, direct=direct)]
 
 
 def least_loss(signals: Parts, models: Sequence[Innovations], *, direct: bool) -> int:
