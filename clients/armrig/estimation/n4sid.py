@@ -23,7 +23,6 @@ from armrig.estimation.multivariable.data_checks import (
     poor_fits,
     require_informative,
 )
-from armrig.estimation.multivariable.inference import Inference, pairwise_covariance
 from armrig.estimation.multivariable.whitening import patterns
 from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
 from armrig.estimation.state_space_fit import (
@@ -63,6 +62,8 @@ from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.structure_table import Focus, Weights
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
+from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.inference import Inference
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.levenberg_marquardt import levenberg_marquardt
 from armrig.numerics.polynomial import (
@@ -583,7 +584,7 @@ def _one_channel(
     if options.direct:
         b, by_b = np.append(D, b), np.hstack([by_D, by_b])
     T = np.hstack([by_a, gain * by_b, -by.Abar[:, :, 0]]).T
-    covariance = T @ inferred.covariance @ T.T
+    inferred = inferred.transformed(T)
     integrator = options.integrator
     residuals = [e[:, 0] * sy[0] for e in found.errors]
     coloured = [warning("coloured", _COLOURED_TEXT)] if quality.white.coloured else []
@@ -597,14 +598,7 @@ def _one_channel(
         integrator=integrator,
         offset=integrator,
         Ts=data.Ts,
-        covariance=covariance,
-        covariance_robust=T @ inferred.covariance_robust @ T.T,
-        noise_variance=float(inferred.noise_covariance[0, 0]),
-        loss=quality.loss,
-        N=quality.N,
-        fit_percent=quality.fit_percent,
-        whiteness=quality.white.p_value,
-        whiteness_test=quality.white.test,
+        **inferred.of_one_output(),
         weights=options.weights,
         horizon=found.model.horizon,
         singular_values=found.model.singular_values * (sy[0] if options.weights != "cva" else 1.0),
@@ -613,7 +607,7 @@ def _one_channel(
         converged=found.settled,
         findings=(
             *notes,
-            *_warnings(data, A, covariance, integrator=integrator),
+            *_warnings(data, A, inferred.covariance, integrator=integrator),
             *coloured,
             *data_faults(data, residuals, way_out=way_out),
         ),
@@ -635,16 +629,13 @@ def _several(
     """Return the model as matrices."""
     form, T = matrices(found.at, by, su, sy, delays)
     nk = delays[0] if len(set(delays)) == 1 else list(delays)
-    fields = inferred.fields()
-    for name in ("covariance", "covariance_robust"):
-        fields[name] = T @ fields[name] @ T.T
     return MultivariableFit(
         structure="n4sid",
         orders=f"order={len(form.A)}, nk={nk}",
         form=form,
         converged=found.settled,
         findings=(*notes, *instability(form), *poor_fits(data, inferred.quality)),
-        **fields,
+        **inferred.transformed(T).fields(),
         **origin(data),
     )
 

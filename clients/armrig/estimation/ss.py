@@ -12,9 +12,6 @@ from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
 from armrig.estimation.multivariable.ends import ranked
-from armrig.estimation.multivariable.inference import (
-    pairwise_covariance,
-)
 from armrig.estimation.multivariable.whitening import whitening
 from armrig.estimation.n4sid import n4sid
 from armrig.estimation.orders import require_samples
@@ -35,6 +32,7 @@ from armrig.models.estimate import Start
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.multivariable.matrices import Matrices
 from armrig.numerics.checks import require_flags, require_integers
+from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed
 

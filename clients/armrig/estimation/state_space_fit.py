@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.inference import Inference, OutputResiduals, inferred
 from armrig.estimation.state_space_problem import (
     Predictor,
     StateSpaceProblem,
@@ -21,6 +20,7 @@ from armrig.estimation.state_space_problem import (
     without,
 )
 from armrig.models.multivariable.matrices import Matrices
+from armrig.numerics.inference import Inference, OutputResiduals, infer
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array
 
@@ -138,19 +138,22 @@ def inference(
     residuals : sequence of ndarray (N_i, ny)
         Errors of the scaled outputs, NaN where an output is missing.
     """
-    basis = orthonormal(Psi)
-    H, ny = basis.Q @ basis.W.T, sy.size
+    basis, ny = orthonormal(Psi), sy.size
+    W = basis.W if ny > 1 else basis.W * problem.parts[0].weights.max() / sy
     experiments = []
     of_parts = zip(problem.parts, states, residuals, problem.edges(), strict=True)
     for (part, Z, e, at), whole in zip(of_parts, data.experiments(), strict=True):
         late = whole.N - len(e)  # before the delayed inputs are known, the errors are unknown
-        begin = np.where(np.isnan(whole.y[:late]), np.nan, 0.0)
-        e, span = np.vstack([begin, e * sy]), np.eye(whole.N, late)
+        e = np.vstack([np.where(np.isnan(whole.y[:late]), np.nan, 0.0), e * sy])
+        span = np.eye(whole.N, late)
         if ny == 1:
             span = np.hstack([span, _led(Z.Q, late)])
+            of = [OutputResiduals(e=e[:, 0], y=whole.y[:, 0], H=_led(basis.Q[at], late), Z=span)]
+            experiments.append(of)
+            continue
         G, white = part.weights, Psi[at].reshape(ny, len(part.u), -1)
         unwhitened = np.linalg.inv(G[0]) if part.rows.all() else np.eye(ny)
-        each = H[at].reshape(white.shape)
+        each = basis.Q[at].reshape(ny, len(part.u), -1)
         of = []
         for i in range(ny):
             h = sum(G[:, k, i, None] * each[k] for k in range(i, ny)) / sy[i]
@@ -163,8 +166,9 @@ def inference(
         experiments.append(of)
     # The outputs share the states, so that a state counts as 1/ny for each output.
     shared = 0 if ny == 1 else sum(Z.rank for Z in states)
-    return inferred(
+    return infer(
         experiments,
+        W,
         parameters=[(Psi.shape[1] + shared) / ny] * ny,
         score="correlated" if problem.noise else "exogenous",
     )

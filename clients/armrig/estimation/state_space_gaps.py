@@ -24,7 +24,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.estimation.multivariable.inference import pairwise_covariance
 from armrig.estimation.multivariable.whitening import patterns
 from armrig.estimation.state_space_problem import (
     Part,
@@ -33,6 +32,7 @@ from armrig.estimation.state_space_problem import (
     stable_matrix,
     tangent,
 )
+from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
