@@ -36,6 +36,7 @@ from armrig.estimation.state_space_problem import (
     Part,
     Predictor,
     StateSpaceProblem,
+    basis_of_states,
     delays_of,
     directions,
     entries,
@@ -64,7 +65,7 @@ from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.inference import Inference
-from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import levenberg_marquardt
 from armrig.numerics.polynomial import (
     Array,
@@ -203,8 +204,11 @@ def n4sid(
     found = _estimated(scaled, options)
     if focus == "simulation":
         found = _for_simulation(scaled, found, options)
+    # The weight of a single output has no effect.
+    one = signals.ny == 1
+    Lambda = np.eye(1) if one else pairwise_covariance(np.vstack(found.errors))
     problem = StateSpaceProblem(
-        parts=parts_of(scaled, pairwise_covariance(np.vstack(found.errors))),
+        parts=parts_of(scaled, Lambda),
         order=len(found.model.A),
         direct=options.direct,
         noise=True,
@@ -212,7 +216,7 @@ def n4sid(
     )
     V = directions(found.at.Abar, found.at.C)
     by = derivatives(problem, found.at, V)
-    Psi, states = influence(problem, found.at, V)
+    Psi, states = influence(problem, found.at, V, found.states if one else None)
     if integrator:
         fixed = by.at_fixed_pole(found.model.A)
         by, Psi = by.along(fixed), Psi @ fixed
@@ -267,6 +271,8 @@ class _Found:
     """Predictor of the scaled signals."""
     predicted: list[Array]
     """One-step predictions (N, ny) of each experiment."""
+    states: list[Basis]
+    """Effects of the initial states on the predictions of each experiment."""
     errors: list[Array]
     """One-step errors (N, ny) of each experiment, NaN where y is missing."""
     canonical_correlations: Array
@@ -356,12 +362,13 @@ def _from_windows(signals: Parts, known: Parts, options: _Options) -> _Found:
     free = model.A
     if options.stable:
         model = model.stabilised()
-    at, predicted = completed(signals, model, direct=direct, level=integrator)
+    at, predicted, states = completed(signals, model, direct=direct, level=integrator)
     return _Found(
         model=model,
         free=free,
         at=at,
         predicted=predicted,
+        states=states,
         errors=[y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)],
         canonical_correlations=canonical.singular_values,
         suggested_order=suggested,
@@ -375,7 +382,7 @@ def completed(
     direct: bool,
     level: bool,
     given: tuple[Array, Array] | None = None,
-) -> tuple[Predictor, list[Array]]:
+) -> tuple[Predictor, list[Array], list[Basis]]:
     """Return the predictor whose B, D and initial states minimise the one-step errors.
 
     The error of a missing output is taken as 0. With `level` constant offsets of the signals are
@@ -386,6 +393,8 @@ def completed(
     Predictor
     list of ndarray
         Predictions (N, ny) of each experiment.
+    list of Basis
+        Effects of the initial states on the predictions of each experiment.
 
     Raises
     ------
@@ -402,7 +411,7 @@ def completed(
             free = np.concatenate([free, offsets(at.Abar, at.C, len(fed))])
         columns = np.concatenate([driven, (part.y - fed).T[None]])
         blocks.append((fed, driven, free, whitened(part, columns)))
-        states.append(orthonormal(whitened(part, free)))
+        states.append(basis_of_states(part, free))
         left.append(without(states[-1], blocks[-1][-1]))
     M = stacked(left)
     basis = orthonormal(M[:, :-1])
@@ -423,7 +432,7 @@ def completed(
         predicted.append(fed + of_both.T)
     Bbar = theta[: n * nu].reshape(nu, n).T
     D = theta[n * nu :].reshape(ny, nu) if direct else zero[1]
-    return replace(at, Bbar=Bbar, D=D, x0=tuple(first)), predicted
+    return replace(at, Bbar=Bbar, D=D, x0=tuple(first)), predicted, states
 
 
 def _responses(part: Part, at: Predictor, *, direct: bool) -> tuple[Array, Array, Array]:
@@ -463,7 +472,7 @@ def _for_simulation(signals: Parts, found: _Found, options: _Options) -> _Found:
     if one:
         model = model.with_transition(_searched_poles(signals, model, **like))
     still = replace(model, K=np.zeros(model.K.shape))
-    at, simulated = completed(signals, still, **like)
+    at, simulated, _ = completed(signals, still, **like)
     gains = [model.K, still.K]
     if one:
         a = np.append(1.0, -model.A[:, 0])
@@ -474,10 +483,10 @@ def _for_simulation(signals: Parts, found: _Found, options: _Options) -> _Found:
     for K in gains:
         candidate = replace(model, K=K)
         B = at.Bbar, at.D
-        predictor, predicted = completed(signals, candidate, **like, given=B)
+        predictor, predicted, states = completed(signals, candidate, **like, given=B)
         errors = [y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)]
         fit = replace(found, model=candidate, at=predictor, predicted=predicted, errors=errors)
-        fits.append(replace(fit, free=candidate.A))
+        fits.append(replace(fit, free=candidate.A, states=states))
     losses = [np.linalg.slogdet(pairwise_covariance(np.vstack(fit.errors)))[1] for fit in fits]
     return fits[int(np.argmin(losses))]
 

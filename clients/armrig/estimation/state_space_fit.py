@@ -15,6 +15,7 @@ from armrig.data.signals import Signals
 from armrig.estimation.state_space_problem import (
     Predictor,
     StateSpaceProblem,
+    basis_of_states,
     stacked,
     whitened,
     without,
@@ -103,20 +104,23 @@ def matrices(
 
 
 def influence(
-    problem: StateSpaceProblem, at: Predictor, V: Array
-) -> tuple[Array, tuple[Basis, ...]]:
+    problem: StateSpaceProblem,
+    at: Predictor,
+    V: Array,
+    states: Sequence[Basis] | None = None,
+) -> tuple[Array, Sequence[Basis]]:
     """Return the derivatives of the whitened predictions, and the effects of the initial states.
 
     The effects of the initial states are projected out of the derivatives (ny N, d). They are
-    returned as a basis for each experiment.
+    returned as a basis for each experiment; a known basis is an argument.
     """
-    states, left = [], []
-    signals = zip(problem.parts, at.x0, strict=True)
-    for part, x0 in signals:
-        by, free = (whitened(part, x) for x in problem.sensitivities(part, at, x0, V))
-        states.append(orthonormal(free))
-        left.append(without(states[-1], by))
-    return stacked(left), tuple(states)
+    known = [None] * len(problem.parts) if states is None else states
+    bases, left = [], []
+    for part, x0, Z in zip(problem.parts, at.x0, known, strict=True):
+        by, free = problem.sensitivities(part, at, x0, V)
+        bases.append(basis_of_states(part, free) if Z is None else Z)
+        left.append(without(bases[-1], whitened(part, by)))
+    return stacked(left), bases
 
 
 def inference(

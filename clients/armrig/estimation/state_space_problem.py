@@ -152,7 +152,7 @@ class StateSpaceProblem:
         states, left, raw = [], [], []
         for part in self.parts:
             driven, free = self.responses(part, Abar, C)
-            Z = orthonormal(whitened(part, self.with_offsets(free, Abar, C)))
+            Z = basis_of_states(part, self.with_offsets(free, Abar, C))
             both = whitened(part, np.concatenate([driven, part.y.T[None]]))
             states.append(Z)
             raw.append(both)
@@ -399,6 +399,22 @@ def whitened(part: Part, columns: Array) -> Array:
     else:
         white = np.einsum("tij,kjt->kit", part.weights, columns)
     return np.asarray(white.reshape(k, ny * N).T)
+
+
+def basis_of_states(part: Part, free: Array) -> Basis:
+    """Return the basis of the whitened responses (k, ny, N) to the initial state and to offsets.
+
+    The last rows are left out of the decomposition if the responses have settled to 0.
+    """
+    Z = whitened(part, free)
+    used = np.flatnonzero(Z.any(axis=1))
+    last = used[-1] + 1 if used.size else 0
+    if last == len(Z):
+        return orthonormal(Z)
+    basis = orthonormal(Z[:last])
+    Q = np.zeros((len(Z), basis.rank))
+    Q[:last] = basis.Q
+    return Basis(Q=Q, W=basis.W)
 
 
 def without(basis: Basis, M: Array) -> Array:

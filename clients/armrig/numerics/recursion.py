@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 
 from armrig.numerics.polynomial import Array, impulse, lagged
 
+_SETTLED_SHARE = 1e-18  # share of the largest value below which an impulse response is 0
 _MAX_CONDITION = 1e5  # largest condition number of the eigenvectors for a sum over modes
 
 
@@ -132,7 +133,11 @@ def free_responses(Phi: Array, C: Array, N: int) -> Array:
     """
     n = Phi.shape[0]
     if in_observer_form(Phi, C):
-        return lagged(impulse(np.append(1.0, -Phi[:, 0]), N), range(n)).T[:, None]
+        h = impulse(np.append(1.0, -Phi[:, 0]), N)
+        size = np.abs(h)
+        settled = np.argmax(size[::-1] > _SETTLED_SHARE * size.max())
+        h[N - settled :] = 0.0
+        return lagged(h, range(n)).T[:, None]
     length = isqrt(N) + 1
     powers = np.empty((length + 1, n, n))
     powers[0] = np.eye(n)
