@@ -9,7 +9,7 @@ from typing import Any, get_args
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.data.argument import as_signals, takes_signals
+from armrig.data.argument import takes_signals
 from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
@@ -103,7 +103,7 @@ _COLOURED_TEXT = (
 
 @takes_signals
 def n4sid(
-    data: Dataset | Signals,
+    data: Signals,
     order: int | None = None,
     weights: Weights = "cva",
     *,
@@ -188,10 +188,9 @@ def n4sid(
     """
     _require_known(weights, focus)
     require_integers(order=(1 if order is None else order, 1), replicates=(replicates, 0))
-    signals = as_signals(data)
-    delays = delays_of(nk, signals)
-    require_informative(signals)
-    scaled, su, sy = scaled_signals(signals, delays)
+    delays = delays_of(nk, data)
+    require_informative(data)
+    scaled, su, sy = scaled_signals(data, delays)
     options = _Options(
         order=order if order is None else int(order),
         weights=weights,
@@ -205,7 +204,7 @@ def n4sid(
     if focus == "simulation":
         found = _for_simulation(scaled, found, options)
     # The weight of a single output has no effect.
-    one = signals.ny == 1
+    one = data.ny == 1
     Lambda = np.eye(1) if one else pairwise_covariance(np.vstack(found.errors))
     problem = StateSpaceProblem(
         parts=parts_of(scaled, Lambda),
@@ -220,7 +219,7 @@ def n4sid(
     if integrator:
         fixed = by.at_fixed_pole(found.model.A)
         by, Psi = by.along(fixed), Psi @ fixed
-    inferred = inference(signals, problem, Psi, states, found.errors, sy)
+    inferred = inference(data, problem, Psi, states, found.errors, sy)
     if replicates > 1:
         covariance = _replicated(scaled, found, by, options, replicates, seed)
         inferred = replace(inferred, covariance=covariance, covariance_robust=covariance)
@@ -231,10 +230,9 @@ def n4sid(
         notes += reflection_warnings(*both)
     notes += [] if replicates > 1 else [warning("bound", _BOUND_TEXT)]
     more = {"inferred": inferred, "notes": tuple(notes), "su": su, "sy": sy}
-    if signals.nu == signals.ny == 1:
-        one = data if isinstance(data, Dataset) else data.dataset()
-        return _one_channel(one, found, by, delays[0], options, **more)
-    return _several(signals, found, by, delays, **more)
+    if data.nu == data.ny == 1:
+        return _one_channel(data.dataset(), found, by, delays[0], options, **more)
+    return _several(data, found, by, delays, **more)
 
 
 def _require_known(weights: str, focus: str) -> None:

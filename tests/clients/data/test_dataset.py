@@ -176,24 +176,6 @@ def test_a_number_that_is_too_large_or_too_small_is_refused_by_its_name() -> Non
     assert as_dataset(hidden) is hidden
 
 
-def test_the_digest_depends_on_every_number_and_on_no_name() -> None:
-    """It distinguishes estimation and validation data."""
-    data = ramp(6, starts=(0, 3), valid=[True, False, True, True, True, True])
-    u, y = data.u.copy(), data.y.copy()
-    u[2], y[4] = 0.5, 0.5
-    others = [
-        data.replaced(step=None, u=u),
-        data.replaced(step=None, y=y),
-        data.replaced(step=None, valid=data.valid & (np.arange(6) != 2)),
-        data.replaced(step=None, starts=(0, 2)),
-        data.replaced(step=None, Ts=0.2),
-    ]
-
-    assert len({data.digest, *(other.digest for other in others)}) == 6
-    assert data.replaced(step="renamed", output="alpha", unit="rad").digest == data.digest
-    assert data.origin()["digest"] == data.digest
-
-
 def test_the_repr_of_a_dataset_has_one_line() -> None:
     """Missing samples are a share of all samples."""
     data = ramp(8, valid=np.arange(8) > 1, output="alpha", unit="rad", history=("made",))
