@@ -57,6 +57,8 @@ from armrig.estimation.subspace_horizon import (
     best_innovations,
     companion,
     innovations_at,
+    least_horizon,
+    require_windows,
     usable_windows,
 )
 from armrig.models.multivariable.fit import MultivariableFit
@@ -189,6 +191,7 @@ def n4sid(
     _require_known(weights, focus)
     require_integers(order=(1 if order is None else order, 1), replicates=(replicates, 0))
     delays = delays_of(nk, data)
+    require_windows(horizon or least_horizon(order, data.ny), data.nu + data.ny, data.N)
     require_informative(data)
     scaled, su, sy = scaled_signals(data, delays)
     options = _Options(

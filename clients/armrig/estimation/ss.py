@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from armrig_core.errors import InputError
 
+from armrig.data.argument import takes_signals
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
@@ -81,6 +82,7 @@ class _Criterion:
         return self.given, ny * float(np.log(mean))
 
 
+@takes_signals
 def ss(
     data: Signals,
     *,
@@ -98,7 +100,7 @@ def ss(
 
     Parameters
     ----------
-    data : Signals
+    data : Dataset or Signals
         N samples of nu inputs and ny outputs. After a missing y, a Kalman filter computes the
         predictions. The search then takes about ten times as long.
     order : int, optional
@@ -184,7 +186,7 @@ def ss(
     )
     if gaps:
         measured = [
-            (u, np.where(part.valid, y, np.nan))
+            (u, np.where(part.valid[part.N - len(y) :], y, np.nan))
             for (u, y), part in zip(signals, data.experiments(), strict=True)
         ]
         end = searched(measured, predictor, best.Lambda, direct=direct)

@@ -49,10 +49,19 @@ def usable_windows(signals: Parts, order: int | None, horizon: int | None) -> Wi
     i = longest_horizon(signals, measured, order) if horizon is None else int(horizon)
     require_integers(horizon=(i, least_horizon(order, ny)))
     w = windows(signals, past=i, future=i)
-    asked = f"horizon={i}, with windows of {2 * i} samples without a gap of more than {i},"
-    got = w.N + 2 * i - 1 if w.N else min(measured, 2 * i - 1)
-    require_samples(asked, needed=(2 * i + 1) * m + 2 * i, got=got)
+    require_windows(i, m, w.N + 2 * i - 1 if w.N else min(measured, 2 * i - 1))
     return w
+
+
+def require_windows(horizon: int, signals: int, got: int) -> None:
+    """Refuse data whose complete windows have fewer samples than a projection needs."""
+    length = 2 * horizon
+    require_samples(
+        f"horizon={horizon}, with windows of {length} samples without a gap of more than "
+        f"{horizon},",
+        needed=(length + 1) * signals + length,
+        got=got,
+    )
 
 
 def longest_horizon(signals: Parts, samples: int, order: int | None) -> int:

@@ -285,8 +285,9 @@ def test_a_subspace_estimate_predicts_the_missing_outputs() -> None:
     fit = armrig.n4sid(armrig.example_recording().signals(), 4)
 
     assert [found.fit_percent for found in fit.quality] == pytest.approx([99.99, 97.6], abs=0.1)
-    losses = [found.loss for found in fit.quality]
-    np.testing.assert_allclose(np.diag(fit.noise_covariance), losses)
+    # A, C, B and K of four states, and the initial state, are fitted to the two outputs.
+    expected = [q.loss * q.N / (q.N - (8 + 4 + 8 + 4) / 2) for q in fit.quality]
+    np.testing.assert_allclose(np.diag(fit.noise_covariance), expected)
     np.testing.assert_allclose(fit.noise_covariance, fit.noise_covariance.T)
 
 
