@@ -13,7 +13,7 @@ from armrig.estimation.orders import require_samples
 from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
 from armrig.models.fit import Fit
 from armrig.numerics.checks import require_integers
-from armrig.numerics.inference import infer
+from armrig.numerics.inference import infer, least_squares_residuals
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import arx_rows
 
@@ -91,9 +91,9 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
         Phi = np.vstack([p.Phi for p in parts])[usable]
         b = orthonormal(Phi[:, na:]).coefficients(y - Phi[:, :na] @ A[1:])
         theta = np.concatenate([A[1:], b])
-    blocks = [np.where(p.usable[:, None], p.Phi, 0.0) for p in parts]
     residuals = [np.where(p.usable, p.y - p.Phi @ theta, np.nan) for p in parts]
-    found = infer(residuals, blocks, score="correlated", y=data.y, basis=basis.spread(usable))
+    experiments = least_squares_residuals(residuals, basis.spread(usable), y=data.y)
+    found = infer(experiments, basis.W, score="correlated")
     fit = Fit(
         structure="arx",
         A=A,
@@ -104,7 +104,7 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
             *reflection_warnings(free, A),
             *data_faults(data, residuals, way_out=NO_OPTION),
         ),
-        **found.quality(),
+        **found.of_one_output(),
         **data.origin(),
     )
     return with_stability_warning(fit)

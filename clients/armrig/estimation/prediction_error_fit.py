@@ -22,10 +22,12 @@ from armrig.models.fit import Fit
 from armrig.models.innovations import Errors, Unknown, prepared
 from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
 from armrig.models.structure_table import Initial, Starts
-from armrig.numerics.inference import Inference, infer
+from armrig.numerics.inference import Inference, infer, least_squares_residuals
+from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, roots
 from armrig.numerics.quantities import plural
+from armrig.numerics.whiteness import Whiteness
 
 PART_SAMPLES = 3000
 """Number of samples in the part of long data on which searches start. If the data have at most
@@ -174,14 +176,16 @@ def _fit(
     ends = [(start, replace(o, converged=o.converged or o.cost <= floor)) for start, o in ends]
     n, best = problem.structure, ends[0][1]
     p = problem.named(solution.ab, theta)
-    free = _inference(data, problem, solution)
+    basis = orthonormal(solution.Psi)
+    free = _inference(data, problem, solution, basis)
     found = free.transformed(with_integrator(n))
     of_theta = free.covariance[n.na + n.nb :, n.na + n.nb :]
     exact = best.cost <= floor
     curved = 0.0 if exact else curvature(problem, theta, of_theta, found.noise_variance)
+    N, white = found.quality[0].N, found.quality[0].white
     agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
     starts = tuple(
-        Start(name=start, loss=o.cost / found.N, iterations=o.iterations, converged=o.converged)
+        Start(name=start, loss=o.cost / N, iterations=o.iterations, converged=o.converged)
         for start, o in ends
     )
     responses = [
@@ -209,28 +213,28 @@ def _fit(
         curvature=curved,
         findings=(
             *_search_warnings(best, starts, agreed=agreed),
-            *_parameter_warnings(found, p["C"], curved),
-            *_gap_warnings([g.unknown for g in solution.given], found.N),
+            *_parameter_warnings(basis, white, p["C"], curved),
+            *_gap_warnings([g.unknown for g in solution.given], N),
             *data_faults(
                 data,
                 _residuals(problem, solution),
                 way_out="" if n.trend else "estimate it, too (option offset)",
             ),
         ),
-        **found.quality(),
+        **found.of_one_output(),
         **data.origin(),
     )
 
 
-def _inference(data: Dataset, problem: PredictionErrorProblem, solution: Solution) -> Inference:
+def _inference(
+    data: Dataset, problem: PredictionErrorProblem, solution: Solution, basis: Basis
+) -> Inference:
     """Return the covariance of the parameters, the loss and the test of whiteness."""
-    rows = [x.rows for x in problem.experiments]
+    spans = [g.unknown.span for g in solution.given]
     return infer(
-        _residuals(problem, solution),
-        np.split(solution.Psi, np.cumsum([r.size for r in rows])[:-1]),
+        least_squares_residuals(_residuals(problem, solution), basis, spans=spans, y=data.y),
+        basis.W,
         score="exogenous" if problem.structure.white else "correlated",
-        spans=[g.unknown.span for g in solution.given],
-        y=data.y,
         rounding=rounding_floor(problem),
     )
 
@@ -289,7 +293,9 @@ def _search_warnings(
         yield warning("poorer_minimum", text, loss=starts[-1].loss)
 
 
-def _parameter_warnings(found: Inference, C: Array, curved: float) -> Iterator[EstimateFinding]:
+def _parameter_warnings(
+    basis: Basis, white: Whiteness, C: Array, curved: float
+) -> Iterator[EstimateFinding]:
     if C.size > 1 and np.max(np.abs(roots(C))) > 1 - _CIRCLE_TOLERANCE:
         yield warning(
             "root_on_circle",
@@ -297,11 +303,11 @@ def _parameter_warnings(found: Inference, C: Array, curved: float) -> Iterator[E
             "of the root has no meaning. Lower nc, or check whether the data were differenced or "
             "detrended",
         )
-    d = found.basis.W.shape[0]
-    if found.basis.rank < d:
-        text = f"the data determine only {found.basis.rank} of {d} parameters: lower the orders"
-        yield warning("undetermined", text, rank=found.basis.rank, parameters=d)
-    if curved > MAX_TRUSTED_CURVATURE and not found.white.coloured:
+    d = basis.W.shape[0]
+    if basis.rank < d:
+        text = f"the data determine only {basis.rank} of {d} parameters: lower the orders"
+        yield warning("undetermined", text, rank=basis.rank, parameters=d)
+    if curved > MAX_TRUSTED_CURVATURE and not white.coloured:
         yield warning("curved", CURVED_TEXT, curvature=curved)
 
 

@@ -14,12 +14,13 @@ from armrig.data.signals import Signals
 from armrig.data.step import MEAN, Step, codes_of
 from armrig.models.estimate import Start
 from armrig.models.multivariable.comparison import SignalsComparisonTable, compare
-from armrig.models.multivariable.fit import MultivariableFit, OutputQuality
+from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.multivariable.matrices import Matrices
 from armrig.models.multivariable.model_file import load_fit
 from armrig.models.multivariable.model_writing import model_text
 from armrig.models.multivariable.polynomials import Polynomials
 from armrig.models.multivariable.state_space import StateSpace, predicted
+from armrig.numerics.inference import OutputQuality
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.whiteness import Whiteness
 from armrig_core.errors import FileError, InputError

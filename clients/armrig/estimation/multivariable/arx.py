@@ -9,16 +9,13 @@ from armrig_core.errors import InputError
 
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
-from armrig.estimation.multivariable.inference import (
-    OutputResiduals,
-    inferred,
-    pairwise_covariance,
-)
 from armrig.estimation.multivariable.orders import as_text, by_channel, by_pair
 from armrig.estimation.multivariable.whitening import spread, spread_apart, unspread, whitening
 from armrig.estimation.orders import require_samples
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.multivariable.polynomials import Polynomials
+from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.inference import OutputResiduals, infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 from armrig.numerics.regressors import complete, past
@@ -104,15 +101,16 @@ def arx(data: Signals, *, na: Any, nb: Any, nk: Any = 1) -> MultivariableFit:
         before, Lambda = Lambda, pairwise_covariance(np.vstack(e))
         if np.abs(Lambda - before).max() <= _SAME_TOLERANCE * np.abs(Lambda).max():
             break
-    H = np.split(basis.Q @ basis.W.T, np.cumsum([data.ny * p.N for p in parts])[:-1])
-    found = inferred(
+    Q = np.split(basis.Q, np.cumsum([data.ny * p.N for p in parts])[:-1])
+    found = infer(
         [
             [
-                OutputResiduals(e=e_[:, i], y=part.y[:, i], H=h, Psi=of[i], Z=np.zeros((part.N, 0)))
-                for i, h in enumerate(unspread(g, H_))
+                OutputResiduals(e=e_[:, i], y=part.y[:, i], H=h, Psi=of[i])
+                for i, h in enumerate(unspread(g, Q_))
             ]
-            for e_, part, of, g, H_ in zip(e, parts, X, G, H, strict=True)
+            for e_, part, of, g, Q_ in zip(e, parts, X, G, Q, strict=True)
         ],
+        basis.W,
         parameters=widths,
         score="correlated",
     )

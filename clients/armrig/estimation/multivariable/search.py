@@ -14,12 +14,6 @@ from armrig.data.signals import Signals
 from armrig.estimation.multistart import other_pairs, other_real
 from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
 from armrig.estimation.multivariable.ends import log_cost, ranked
-from armrig.estimation.multivariable.inference import (
-    Inference,
-    OutputResiduals,
-    inferred,
-    pairwise_covariance,
-)
 from armrig.estimation.multivariable.problem import (
     ONE,
     PolynomialProblem,
@@ -34,6 +28,8 @@ from armrig.estimation.orders import require_samples
 from armrig.models.estimate import Start
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.multivariable.polynomials import Polynomials
+from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.inference import Inference, OutputResiduals, infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, roots
@@ -266,17 +262,19 @@ def _inference(data: Signals, found: Sequence[_Estimated]) -> Inference:
                 H = np.zeros((x.y.size, d))
                 H[:, begin : begin + width] = influences[r]
                 used = np.flatnonzero(row.Psi.any(axis=0))
+                state = orthonormal(np.where(x.rows[:, None], row.Z, 0.0))
                 table[k][i] = OutputResiduals(
                     e=np.where(x.rows, row.e, np.nan),
                     y=parts[k].y[:, i],
                     H=H,
-                    Psi=np.where(x.rows[:, None], row.Psi[:, used], 0.0),
-                    Z=np.where(x.rows[:, None], row.Z, 0.0),
+                    Psi=state.without(np.where(x.rows[:, None], row.Psi[:, used], 0.0)),
+                    Z=state.Q,
                 )
         begin += width
     white = all(row.c == row.d == ONE for one in found for row in one.plan.rows)
-    return inferred(
+    return infer(
         [[of[i] for i in range(data.ny)] for of in table],
+        np.eye(d),
         parameters=_parameters(data, found),
         score="exogenous" if white else "correlated",
     )

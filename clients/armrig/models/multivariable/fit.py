@@ -18,7 +18,7 @@ from armrig.models.model import Matrix, Vector, freeze
 from armrig.models.multivariable.polynomials import Channel
 from armrig.models.multivariable.state_space import StateSpace, predicted
 from armrig.models.responses import FrequencyResponse, Roots, StepResponse
-from armrig.numerics.whiteness import Whiteness
+from armrig.numerics.inference import OutputQuality
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -54,20 +54,6 @@ class Form(Protocol):
     @property
     def integrators(self) -> tuple[bool, ...]:
         """True for each output that integrates by construction."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class OutputQuality:
-    """Quality of a model for one output, one step ahead, on the estimation data."""
-
-    loss: float
-    """Mean squared error."""
-    N: int
-    """Number of errors in the loss."""
-    fit_percent: float
-    """100 (1 - |y - ŷ| / |y - mean y|)."""
-    white: Whiteness
-    """Result of the whiteness test of the errors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

@@ -18,10 +18,11 @@ from armrig.data.step import Step
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.model_file import MAX_BYTES, fit_of
-from armrig.models.multivariable.fit import Form, MultivariableFit, OutputQuality
+from armrig.models.multivariable.fit import Form, MultivariableFit
 from armrig.models.multivariable.matrices import Matrices
 from armrig.models.multivariable.model_writing import OWN_FIELDS, SEVERAL_FORMAT, VERSION
 from armrig.models.multivariable.polynomials import Polynomials
+from armrig.numerics.inference import OutputQuality
 from armrig.numerics.whiteness import Whiteness
 
 _ARRAYS = ("covariance", "covariance_robust", "noise_covariance")

@@ -17,7 +17,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.several_signals import accepts_signals
 from armrig.data.treatment.wrong_samples import quantum, too_quiet
 from armrig.numerics.criteria import fit_percent
-from armrig.numerics.inference import Inference, infer
+from armrig.numerics.inference import Inference, infer, least_squares_residuals
 from armrig.numerics.least_squares import Basis
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.physics.grey_box.fit import (
@@ -256,12 +256,12 @@ def _fit(
         warnings=(
             *([] if converged else [f"no convergence in {best.iterations} steps"]),
             *at_bound(plain.names, best.theta - start),
-            *no_model(found.fit_percent),
+            *no_model(found.quality[0].fit_percent),
             *worse,
             *below_zero(values, std),
             *noise_warnings(step, found, has_friction=bool({"b_1", COULOMB} & {*names})),
         ),
-        **replace(found, covariance=whole, covariance_robust=robust).quality(),
+        **replace(found, covariance=whole, covariance_robust=robust).of_one_output(),
         **data.origin(),
     )
 
@@ -273,14 +273,11 @@ def _inference(
     basis: Basis,
     rounding: float,
 ) -> Inference:
-    residuals, blocks, spans = by_experiment(experiments, at)
+    residuals, spans = by_experiment(experiments, at)
     return infer(
-        residuals,
-        blocks,
+        least_squares_residuals(residuals, basis.spread(data.valid), spans=spans, y=data.y),
+        basis.W,
         score="exogenous",
-        spans=spans,
-        y=data.y,
-        basis=basis.spread(data.valid),
         rounding=rounding,
     )
 
@@ -339,10 +336,11 @@ def noise_warnings(step: float, found: Inference, *, has_friction: bool) -> Iter
     """Yield warnings of noise below a third of a converter step, and of coloured residuals."""
     if quiet := too_quiet(step, found.noise_variance):
         yield quiet
-    if found.white.coloured:
+    white = found.quality[0].white
+    if white.coloured:
         perhaps = "" if has_friction else " (friction?)"
         yield (
-            f"the residuals are {found.white}: the model lacks a property of the rig{perhaps}, "
+            f"the residuals are {white}: the model lacks a property of the rig{perhaps}, "
             "or the noise is not white; prefer std_robust"
         )
 

@@ -13,8 +13,8 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.models.multivariable.fit import OutputQuality
 from armrig.numerics.checks import column
+from armrig.numerics.inference import OutputQuality
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.physics.grey_box.least_squares_problem import Linearised
 from armrig.physics.grey_box.parameters import COULOMB, SIGNED, UNITS
@@ -316,18 +316,17 @@ def determined(Psi: Matrix) -> Basis:
 
 def by_experiment(
     experiments: tuple[Dataset, ...], at: Linearised
-) -> tuple[list[Vector], list[Matrix], list[Matrix]]:
-    """Return residuals, derivatives and free responses of each experiment, for all samples."""
+) -> tuple[list[Vector], list[Matrix]]:
+    """Return residuals and free responses of each experiment, for all samples."""
     masks = [d.valid for d in experiments]
     edges = np.cumsum([0, *(np.count_nonzero(valid) for valid in masks)])
-    residuals, blocks = [], []
+    residuals = []
     for valid, (a, b) in zip(masks, pairwise(edges), strict=True):
         e = np.full(valid.size, np.nan)
         e[valid] = at.e[a:b]
         residuals.append(e)
-        blocks.append(_spread(at.Psi[a:b], valid))
     spans = [_spread(Q, valid) for Q, valid in zip(at.spans, masks, strict=True)]
-    return residuals, blocks, spans
+    return residuals, spans
 
 
 def _spread(rows: Matrix, valid: NDArray[np.bool_]) -> Matrix:

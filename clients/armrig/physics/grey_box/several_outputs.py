@@ -12,7 +12,7 @@ from armrig_core.telemetry import THETA_1
 
 from armrig.data.dataset import Signals
 from armrig.data.treatment.wrong_samples import quantum
-from armrig.estimation.multivariable.inference import Inference, OutputResiduals, inferred
+from armrig.numerics.inference import Inference, OutputResiduals, infer
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array
@@ -273,7 +273,7 @@ def _both(found: Inference) -> tuple[Array, Array]:
 
 def _inference(problem: _Problem, at: _Linearised, basis: Basis) -> Inference:
     """Return classic and robust covariance of the coordinates, and the quality for each output."""
-    H = basis.Q @ basis.W.T
+    Q = basis.Q
     begin, experiments = 0, []
     for data, e in zip(problem.experiments, at.e, strict=True):
         outputs = []
@@ -281,11 +281,11 @@ def _inference(problem: _Problem, at: _Linearised, basis: Basis) -> Inference:
             known = data.valid[:, i]
             rows = slice(begin, begin + int(known.sum()))
             begin = rows.stop
-            influence, Psi = np.zeros((2, data.N, H.shape[1]))
-            influence[known], Psi[known] = H[rows] / std, at.Psi[rows] * std
-            none = np.zeros((data.N, 0))
-            outputs.append(OutputResiduals(e=e[:, i], y=data.y[:, i], H=influence, Psi=Psi, Z=none))
+            influence, Psi = np.zeros((2, data.N, Q.shape[1]))
+            influence[known], Psi[known] = Q[rows] / std, at.Psi[rows] * std
+            outputs.append(OutputResiduals(e=e[:, i], y=data.y[:, i], H=influence, Psi=Psi))
         experiments.append(outputs)
     ny = problem.std.size
     unknown = len(problem.experiments) * at.free[0].size
-    return inferred(experiments, parameters=[(H.shape[1] + unknown) / ny] * ny, score="exogenous")
+    each = (basis.W.shape[0] + unknown) / ny
+    return infer(experiments, basis.W, parameters=[each] * ny, score="exogenous")

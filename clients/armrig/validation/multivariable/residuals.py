@@ -8,9 +8,9 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.inference import OutputResiduals, exogenous_covariance
 from armrig.models.estimation_data import findings_on_own_data
 from armrig.models.multivariable.fit import MultivariableFit, require_same_channels
+from armrig.numerics.covariance import joint_exogenous_score
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import default_lags, joint_p_value
 from armrig.validation.multivariable.projection import (
@@ -140,12 +140,7 @@ def _input_sums(
         Z.append(z.reshape(N, ny, -1))
     H = projected.influence(Z)
     sums = sum(np.einsum("tik,ti->k", z, np.nan_to_num(p.e)) for z, p in zip(Z, parts, strict=True))
-    M = exogenous_covariance(
-        [
-            [_scored(part.e[:, i], h[:, i]) for i in range(part.e.shape[1])]
-            for part, h in zip(parts, H, strict=True)
-        ]
-    )
+    M = joint_exogenous_score([[*h.transpose(1, 0, 2)] for h in H], [[*p.e.T] for p in parts])
     known = np.diag(M).copy()
     if own:
         N = sum(int(part.known.sum()) for part in parts)
@@ -155,11 +150,6 @@ def _input_sums(
         M += slope.T @ slope
     ratios = np.diag(M)[known > 0] / known[known > 0]
     return np.asarray(sums), M, float(np.sqrt(np.median(ratios))) if ratios.size else float("nan")
-
-
-def _scored(e: Array, H: Array) -> OutputResiduals:
-    none = np.zeros((e.size, 0))
-    return OutputResiduals(e=e, y=e, H=H, Psi=none, Z=none)
 
 
 def _lagged(u: Array, L: int) -> Array:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.n4sid import n4sid
 from armrig.estimation.multivariable.oe import oe
 from armrig.estimation.multivariable.plans import integrating_outputs
-from armrig.estimation.multivariable.ss import ss
+from armrig.estimation.n4sid import n4sid
+from armrig.estimation.ss import ss
 from armrig.models.multivariable.fit import MultivariableFit, require_same_channels
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
@@ -180,15 +180,7 @@ def search(
         scored.append(_scored(family, n, data, validation, nk, integrator, horizon))
     if progress is not None:
         progress(len(plan), len(plan), "")
-    found = _ranked(scored, halved=halved, horizon=horizon, nk=nk)
-    chosen = found.chosen
-    if chosen.family != "n4sid":
-        return found
-    # Only the chosen n4sid model has a covariance, because the covariance costs a hundred
-    # estimates.
-    ranked = [*found.ranked]
-    ranked[found.chosen_index] = replace(chosen, fit=n4sid(data, chosen.order, nk=nk))
-    return replace(found, ranked=tuple(ranked))
+    return _ranked(scored, halved=halved, horizon=horizon, nk=nk)
 
 
 def _scored(
@@ -227,7 +219,7 @@ def _estimated(
         return oe(data, nb=nb, nf=n, nk=nk, integrator=integrator, shared="denominator")
     if family == "ss":
         return ss(data, order=n, nk=nk, noise=not data.missing)
-    return n4sid(data, n, nk=nk, replicates=0)
+    return n4sid(data, n, nk=nk)
 
 
 def _ranked(

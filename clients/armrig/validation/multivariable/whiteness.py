@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from armrig.estimation.multivariable.inference import pairwise_covariance
+from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import NOT_TESTED, Whiteness, decided
 from armrig.validation.multivariable.projection import Part, Projection, sum_of_products
