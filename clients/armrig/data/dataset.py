@@ -15,7 +15,6 @@ from armrig.data.columns import (
     Intersample,
     Matrix,
     Names,
-    Vector,
     as_tuple,
     columns,
     courses_of,
@@ -30,6 +29,7 @@ from armrig.data.columns import (
     units_of,
     validity,
 )
+from armrig.data.columns import Vector as Vector
 from armrig.data.experiments import Experiments, unchecked
 from armrig.data.trend import Trend
 from armrig.numerics.checks import column
