@@ -17,8 +17,8 @@ from armrig.data.finding import Finding
 from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.data_faults import level_without_input
-from armrig.estimation.multivariable.n4sid import n4sid
 from armrig.estimation.multivariable.plans import integrating_outputs
+from armrig.estimation.n4sid import n4sid
 from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
