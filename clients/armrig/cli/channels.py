@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING, get_args
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.telemetry import OutputName
+from armrig_core.telemetry import THETA_1, OutputName
 
 from armrig.cli.options import tell
 from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Signals
+    from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
 
+UNNAMED = ("", "y")
+"""Names of model outputs that may mean any signal."""
 _INPUTS = ("u",)
 """Inputs of a recording."""
 
@@ -40,7 +42,12 @@ def recorded_outputs(chosen: Sequence[str]) -> list[OutputName]:
 
 
 def modelled_outputs(model: Fit, chosen: Sequence[str]) -> list[OutputName]:
-    """Return the model's outputs in the model's order; refuse a model of other signals."""
+    """Return the model's outputs in the model's order; refuse a model of other signals.
+
+    If the only output of the model has no name, it is the chosen output, or theta_1.
+    """
+    if (model.ny, model.nu) == (1, 1) and model.output in UNNAMED:
+        return recorded_outputs(chosen or (THETA_1,))
     known: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
     if not set(model.outputs) <= known.keys() or model.inputs != _INPUTS:
         raise InputError(
@@ -69,18 +76,26 @@ def require_as_many(model: Fit, outputs: Sequence[str], inputs: Sequence[str]) -
             )
 
 
-def as_modelled(file: Path, signals: Signals, model: Fit) -> Signals:
-    """Return the signals with the model's names, in the model's order.
+def as_modelled(
+    file: Path, data: Dataset | Signals, model: Fit, *, named: bool
+) -> Dataset | Signals:
+    """Return the data with the model's names, in the model's order.
 
     If the user names other columns, these columns are used as the model's signals. A message lists
     the columns.
     """
-    for own, found in ((model.outputs, signals.outputs), (model.inputs, signals.inputs)):
+    from armrig.data.dataset import Dataset
+
+    if isinstance(data, Dataset):
+        # A column that the user named is the model's output.
+        given = named and model.output not in UNNAMED
+        return data.replaced(step=None, output=model.output) if given else data
+    for own, found in ((model.outputs, data.outputs), (model.inputs, data.inputs)):
         if set(own) != set(found):
             tell(f"{file}: for the model's {', '.join(own)} the command reads {', '.join(found)}")
-    same_outputs = set(model.outputs) == set(signals.outputs)
-    same_inputs = set(model.inputs) == set(signals.inputs)
-    ordered = signals.channels(
+    same_outputs = set(model.outputs) == set(data.outputs)
+    same_inputs = set(model.inputs) == set(data.inputs)
+    ordered = data.channels(
         model.outputs if same_outputs else None, model.inputs if same_inputs else None
     )
     return ordered.replaced(step=None, outputs=model.outputs, inputs=model.inputs)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armrig.cli.chosen_recording import File, OtherFile
-from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.figures import Draw, Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
     Json,
@@ -20,7 +20,6 @@ from armrig.cli.options import (
     Nk,
     Verbose,
     echo,
-    fields_of,
     inform,
     print_json,
     say,
@@ -29,18 +28,16 @@ from armrig.cli.options import (
 from armrig.cli.parameters import Given, physics_beside
 from armrig.cli.recorded_data import (
     SignalChoice,
-    dataset_of,
     reads_part,
     spectral_beside,
     warn_of_estimation_data,
 )
-from armrig.cli.several_signals import compare as compare_several
 from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
-    from armrig.data.dataset import Dataset
+    from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import Comparison, ComparisonTable
@@ -98,37 +95,33 @@ def compare(
         )
     files = [file] if other is None else [file, other]
     check_plot(plot, [*files, *(model or [])])
-    saved, several = _saved_models(model or [])
-    if several:
-        if saved or other is not None or given:
-            raise typer.BadParameter(
-                f"{model[0] if model else file}: models of several signals are compared with each "
-                "other only, on one recording F"
-            )
-        compare_several(several, file, part, horizon, plot=plot, json=json)
-        return
-    recordings = part.recordings(*files)
+    saved = _saved_models(model or [])
+    _check_signals(saved, alone=other is None and not given)
     if other is None:
-        data = dataset_of(recordings[0], saved[0][1])
+        data = part.of(file, saved[0][1])
+        recordings = part.read
         compared = _Compared(models=saved, data=data, where=typed(file))
     else:
         from armrig.physics.systems import HANDOUT
 
+        recordings = part.recordings(*files)
         compared = _studied(recordings, saved, na=na, nb=nb, nf=nf, nk=nk)
         changed.pop(HANDOUT, None)  # the handout's model is in the comparison already
     compared = _with_physics(compared, changed)
     table = _table(compared, horizon)
     _plot_comparison(compared, table, plot)
     if json:
-        rows = [row_facts(row) for row in table.rows]
-        print_json({"validation": compared.data.source, "models": rows})
+        models = [row_facts(rows) for rows in table.models]
+        print_json({"validation": compared.data.source, "models": models})
     else:
         from armrig.recordings.usability import emulation
 
         print_comparison(table, f"on {compared.where}", verbose=verbose)
         for text in emulation(recordings):
             say(text, dim=True)
-        say_next("compare", file=typed(file), given=part.options(compared.data))
+        columns = compared.data.signals()
+        channel = part.of_channel(columns.outputs[0], columns.inputs[0], compared.data)
+        say_next("compare", file=typed(file), given=channel.options(compared.data))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,7 +130,7 @@ class _Compared:
 
     models: list[tuple[str, Fit]]
     """Pairs of name and model; several models may have the same name."""
-    data: Dataset
+    data: Dataset | Signals
     where: str
     """Name by which messages refer to the data."""
 
@@ -152,21 +145,22 @@ class _Compared:
         return [fit for _, fit in self.models]
 
 
-def _saved_models(
-    files: Sequence[Path],
-) -> tuple[list[tuple[str, Fit]], list[tuple[str, Fit]]]:
-    """Return the models of one output and one input, and the models of several signals."""
+def _saved_models(files: Sequence[Path]) -> list[tuple[str, Fit]]:
+    """Return the models with their names."""
     from armrig.models.model_file import load_fit
 
-    single: list[tuple[str, Fit]] = []
-    several: list[tuple[str, Fit]] = []
-    for path in files:
-        fit = load_fit(path)
-        if (fit.ny, fit.nu) != (1, 1):
-            several.append((path.stem, fit))
-        else:
-            single.append((path.stem, fit))
-    return single, several
+    return [(path.stem, load_fit(path)) for path in files]
+
+
+def _check_signals(saved: Sequence[tuple[str, Fit]], *, alone: bool) -> None:
+    """Refuse models of several signals with models of other signals; `alone`: only saved models."""
+    shapes = {(fit.outputs, fit.inputs) for _, fit in saved}
+    several = [name for name, fit in saved if (fit.ny, fit.nu) != (1, 1)]
+    if several and (len(shapes) > 1 or not alone):
+        raise typer.BadParameter(
+            f"{several[0]}: models of several signals are compared with models of the same signals "
+            "only, on one recording F"
+        )
 
 
 def _studied(
@@ -212,7 +206,8 @@ def _with_physics(compared: _Compared, changed: dict[str, ArmParameters]) -> _Co
     """Return the comparison, with the physical models after the other models."""
     from armrig.physics.physical_model import physical_model
 
-    more = [(name, physical_model(p, compared.data)) for name, p in changed.items()]
+    data = compared.data.signals().dataset() if changed else None
+    more = [(name, physical_model(p, data)) for name, p in changed.items() if data is not None]
     return replace(compared, models=[*compared.models, *more])
 
 
@@ -230,23 +225,31 @@ def _plot_comparison(compared: _Compared, table: ComparisonTable, plot: Path | N
     from armrig.plots import plot_bode, plot_compare, plot_poles_zeros, plot_step
 
     data, fits, names = compared.data, compared.fits, compared.names
-    beside = spectral_beside(data)
-    with_spectral = [*names, *("spectral analysis, 95 %" for _ in beside)]
-    write_plot(
-        plot,
-        compare=lambda ax: plot_compare(data, *fits, labels=names, table=table, ax=ax),
-        bode=lambda ax: plot_bode(*fits, *beside, labels=with_spectral, ax=ax),
-        step=lambda ax: plot_step(*fits, labels=names, ax=ax),
-        poles=lambda ax: plot_poles_zeros(*fits, labels=names, ax=ax),
-        height=4.2,
-    )
+    drawn: dict[str, Draw] = {
+        "compare": lambda ax: plot_compare(data, *fits, labels=names, table=table, ax=ax)
+    }
+    if all((fit.ny, fit.nu) == (1, 1) for fit in fits):
+        beside = spectral_beside(data.signals().dataset())
+        with_spectral = [*names, *("spectral analysis, 95 %" for _ in beside)]
+        drawn["bode"] = lambda ax: plot_bode(*fits, *beside, labels=with_spectral, ax=ax)
+        drawn["step"] = lambda ax: plot_step(*fits, labels=names, ax=ax)
+        drawn["poles"] = lambda ax: plot_poles_zeros(*fits, labels=names, ax=ax)
+    write_plot(plot, height=4.2, **drawn)
 
 
 def print_comparison(table: ComparisonTable, where: str, *, verbose: bool) -> None:
     """Print the closest model, the fit of each model, and the differences between the models.
 
+    For several signals, print the best model of each output, and the fits.
+
     With `verbose`, also print the characteristics of the models, and the causes of the differences.
     """
+    if any((row.model.ny, row.model.nu) != (1, 1) for row in table):
+        from armrig.validation.answer import closest
+
+        say(closest(table), bold=True)
+        say(repr(table))
+        return
     best, *differences = table.explain(brief=not verbose).splitlines()
     say(best, bold=True)
     how = "simulated" if table.horizon is None else f"predicted {table.horizon} samples ahead"
@@ -263,15 +266,16 @@ def print_comparison(table: ComparisonTable, where: str, *, verbose: bool) -> No
     say_more(", ".join([*more, "characteristics of the models, causes of the differences"]))
 
 
-def row_facts(row: Comparison) -> dict[str, Any]:
-    """Return the row of a model, and the model's characteristic numbers, as JSON fields."""
-    t = row.characteristics
-    figures = {name: {"value": getattr(t, name), "std": std} for name, std in t.std.items()}
-    poles = [[z.real, z.imag] for z in t.poles.tolist()]
-    return {
-        "model": row.name,
-        **fields_of(row, "fit_percent rms_error velocity_fit_percent on_estimation_data"),
+def row_facts(rows: Sequence[Comparison]) -> dict[str, Any]:
+    """Return the errors of a model, and its characteristic numbers, as JSON fields."""
+    from armrig.cli.model_output import error_facts
+
+    facts = {"model": rows[0].name} | error_facts(rows)
+    if (rows[0].model.ny, rows[0].model.nu) != (1, 1):
+        return facts
+    t = rows[0].characteristics
+    return facts | {
         "of_rate": t.integrating,
-        "figures": figures,
-        "poles": poles,
+        "figures": {name: {"value": getattr(t, name), "std": std} for name, std in t.std.items()},
+        "poles": [[z.real, z.imag] for z in t.poles.tolist()],
     }

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import InputError
 
 from armrig.cli.chosen_recording import DataFile
-from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.figures import Draw, Plot, check_plot, write_plot
 from armrig.cli.next_step import chassis, kind_of, say_next, typed
 from armrig.cli.options import (
     Json,
@@ -22,16 +22,21 @@ from armrig.cli.options import (
     say,
     say_answer,
 )
-from armrig.cli.recorded_data import SignalChoice, from_recording, reads_data, source_facts
+from armrig.cli.recorded_data import (
+    SignalChoice,
+    each_channel,
+    from_recording,
+    reads_data,
+    source_facts,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.data.dataset import Dataset
+    from armrig.data.dataset import Dataset, Signals
     from armrig.validation.feedback_and_delay.delay_result import Delay
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
 
-T = TypeVar("T")
 _CHASSIS = (
     "handout 3.5 and 3.6 need a complete recording of the chassis alone: remove the arm, write "
     "chassis.toml with [arm] removed = true (docs/tutorial.md, part 9), and end `armrig lab`"
@@ -49,7 +54,10 @@ def check(
     verbose: Verbose = False,
     plot: Plot = None,
 ) -> None:
-    """Test the data for feedback and a delay (handout 3.7, 3.8)."""
+    """Test the data for feedback and a delay (handout 3.7, 3.8).
+
+    With several signals, each pair of an input and an output is tested.
+    """
     from armrig.cli.spinner import spinner
     from armrig.validation.feedback_and_delay.delay import delay
     from armrig.validation.feedback_and_delay.open_loop import open_loop, require_level
@@ -57,32 +65,35 @@ def check(
     check_plot(plot, [file])
     require_level(level)
     data = signals.of(file)
-    integrates, taken = signals.choice(data)
-    integrator = signals.integrator if json else integrates  # the remarks then contain the reason
+    integrator, taken = signals.integrator, list[str]()
+    if signals.shape == (1, 1):
+        integrates, taken = signals.choice(data)
+        integrator = integrator if json else integrates  # the remarks then contain the reason
     with spinner("testing") as progress:
-        loop = _tested(partial(open_loop, level=level), data)
-        late = _tested(partial(delay, integrator=integrator, progress=progress), data)
-    if isinstance(loop, str) and isinstance(late, str):
-        raise InputError(loop)
-    drawn = {"open_loop": loop, "delay": late}
-    shown = {k: partial(_draw, one) for k, one in drawn.items() if not isinstance(one, str)}
-    write_plot(plot, height=3.6, **shown)
+        loops = _tested(partial(open_loop, level=level), data)
+        delays = _tested(partial(delay, integrator=integrator, progress=progress), data)
+    channels = [name for name, _ in each_channel(data)]
+    tests = {name: (loops[name], delays[name]) for name in channels}
+    if all(isinstance(one, str) for found in tests.values() for one in found):
+        raise InputError(str(loops[channels[0]]))
+    write_plot(plot, height=3.6, **_drawn(tests))
     if json:
-        print_json(
-            source_facts(data) | {"open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
-        )
+        print_json(source_facts(data) | _facts(tests))
         return
     of_rig = from_recording(data)
     for line in taken:
         say(line)
-    for which, number, found in (("open loop", "3.7", loop), ("delay", "3.8", late)):
-        where = f"{which} (handout {number})" if of_rig else which
-        if isinstance(found, str):
-            say(f"{where}: not known: {found}")
-            continue
-        first, *more = (found.explain() if verbose else found.brief()).splitlines()
-        verdict = first.removeprefix("open loop: ")
-        say_answer("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
+    for channel, found in tests.items():
+        if channel:
+            say(channel, bold=True)
+        for which, number, one in zip(("open loop", "delay"), ("3.7", "3.8"), found, strict=True):
+            where = f"{which} (handout {number})" if of_rig else which
+            if isinstance(one, str):
+                say(f"{where}: not known: {one}")
+                continue
+            first, *more = (one.explain() if verbose else one.brief()).splitlines()
+            verdict = first.removeprefix("open loop: ")
+            say_answer("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
     _say_next(file, signals, of_rig=of_rig)
 
 
@@ -99,16 +110,44 @@ def _say_next(file: Path, signals: SignalChoice, *, of_rig: bool) -> None:
         say_next("check")
 
 
-def _tested(test: Callable[[Dataset], T], data: Dataset) -> T | str:
-    """Return the result of a test, or the reason why the test has no result."""
-    try:
-        return test(data)
-    except ValueError as err:
-        return str(err)
+def _tested(test: Callable[[Any], Any], data: Dataset | Signals) -> dict[str, Any]:
+    """Return the result of a test for each channel, or the reason why there is no result."""
+    columns = data.signals()
+    if (columns.ny, columns.nu) == (1, 1):
+        try:
+            return {"": test(data)}
+        except ValueError as err:
+            return {"": str(err)}
+    found = test(columns)
+    return {
+        f"{input} to {output}": one
+        for (output, input), one in {**found.results, **found.refused}.items()
+    }
+
+
+def _drawn(tests: Mapping[str, tuple[Any, Any]]) -> dict[str, Draw]:
+    """Return the functions that draw the results, by their names."""
+    return {
+        "_".join([which, *channel.split()]): partial(_draw, one)
+        for channel, found in tests.items()
+        for which, one in zip(("open_loop", "delay"), found, strict=True)
+        if not isinstance(one, str)
+    }
 
 
 def _draw(found: OpenLoop | Delay, ax: Axes) -> None:
     found.plot(ax=ax)
+
+
+def _facts(tests: Mapping[str, tuple[Any, Any]]) -> dict[str, Any]:
+    """Return the results as JSON fields; several channels have a list."""
+    each = [
+        {"channel": channel, "open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
+        for channel, (loop, late) in tests.items()
+    ]
+    if len(each) > 1:
+        return {"channels": each}
+    return {name: each[0][name] for name in ("open_loop", "delay")}
 
 
 def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 Draw = Callable[..., Any]
 """Function that draws into its argument `ax`."""
 _EACH = "*"  # placeholder for the subject in the names of files in a folder
-_WIDTH, _HEIGHT = 6.3, 8.0  # in inches: width of the text of an A4 page, height of a screen
+WIDTH = 6.3
+"""Width of the text of an A4 page, in inches."""
+_HEIGHT = 8.0  # in inches, of a screen
 _DPI = 200
 _RUNS: dict[str, str] = {}
 """Run id of each recording that the command read, by the recording's hash."""
@@ -98,7 +100,7 @@ def check_figure(path: Path) -> None:
 
 
 def write_plot(
-    path: Path | None, width: float = _WIDTH, /, *, height: float = 3.6, **draw: Draw
+    path: Path | None, width: float = WIDTH, /, *, height: float = 3.6, **draw: Draw
 ) -> list[Path]:
     """Write a figure with axes for each subject, print its path, and return the files.
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.chosen_recording import DataFile, File
-from armrig.cli.figures import FIGURE_HELP, Plot, check_plot, figure_path, write_plot
+from armrig.cli.figures import FIGURE_HELP, Draw, Plot, check_plot, figure_path, write_plot
 from armrig.cli.next_step import AFTER, kind_of, say_next, step_again, typed, validation_beside
 from armrig.cli.options import (
     Json,
@@ -23,6 +26,7 @@ from armrig.cli.options import (
 )
 from armrig.cli.recorded_data import (
     SignalChoice,
+    each_channel,
     from_recording,
     reads_data,
     reads_part,
@@ -30,7 +34,10 @@ from armrig.cli.recorded_data import (
 )
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset
+    from matplotlib.axes import Axes
+
+    from armrig.data.dataset import Dataset, Signals
+    from armrig.data.finding import Finding
     from armrig.estimation.nonparametric.sampling_time import SamplingTime
     from armrig.estimation.nonparametric.step_analysis import StepAnalysis
     from armrig.validation.structure_hints import StructureHints
@@ -86,7 +93,7 @@ def sampling(
     from armrig.estimation.nonparametric.sampling_time import sampling_time
 
     check_plot(plot, [file])
-    data = signals.of(file)
+    data = signals.of_one(file)
     integrates, taken = signals.choice(data)
     integrator = signals.integrator if json else integrates  # the notes then contain the reason
     with spinner("estimating the response"):
@@ -156,7 +163,8 @@ def hints(
     """Suggest a model structure for the data (handout 3.2).
 
     The command estimates the order and nk, and whether there is an integrator. It uses the impulse
-    response, the spectra and the Hankel matrix, which assume no structure.
+    response, the spectra and the Hankel matrix, which assume no structure. With several signals, it
+    looks at each pair of an input and an output.
     """
     from armrig.cli.spinner import spinner
     from armrig.validation.advice.data_advice import data_doubts
@@ -164,43 +172,73 @@ def hints(
 
     check_plot(plot, [file])
     data = signals.of(file)
+    found: dict[str, StructureHints | str] = {}
+    doubts: dict[str, list[Finding]] = {}
     with spinner("estimating without a structure"):
-        found = structure_hints(data, integrator=signals.integrator)
-        doubts = data_doubts(data)
-    _draw_hints(found, data, plot)
+        for channel, of_channel in each_channel(data):
+            doubts[channel] = data_doubts(of_channel)
+            try:
+                found[channel] = structure_hints(of_channel, integrator=signals.integrator)
+            except ValueError as err:
+                found[channel] = str(err)
+    known = {name: one for name, one in found.items() if not isinstance(one, str)}
+    if not known:
+        raise InputError(str(next(iter(found.values()))))
+    _draw_hints(known, data, plot)
     if json:
-        print_json(source_facts(data) | _hint_facts(found) | {"doubts": [d.text for d in doubts]})
+        each = [
+            {"channel": name} | _hint_facts(one) | {"doubts": [d.text for d in doubts[name]]}
+            for name, one in found.items()
+        ]
+        facts = {"channels": each} if len(each) > 1 else {k: each[0][k] for k in [*each[0]][1:]}
+        print_json(source_facts(data) | facts)
         return
-    _, taken = signals.choice(data, found.integrator)
-    if taken:
-        say("\n".join(taken))
-    say_answer("\n".join([repr(found), *(f"! {d.about}: {d.text}" for d in doubts)]))
-    if any(d.about == "feedback" for d in doubts):
+    if signals.shape == (1, 1):
+        _, taken = signals.choice(data, known[""].integrator)
+        if taken:
+            say("\n".join(taken))
+    for channel, one in found.items():
+        if channel:
+            say(channel, bold=True)
+        text = f"not known: {one}" if isinstance(one, str) else repr(one)
+        say_answer("\n".join([text, *(f"! {d.about}: {d.text}" for d in doubts[channel])]))
+    if any(d.about == "feedback" for of_channel in doubts.values() for d in of_channel):
         say_next("identify check", file=typed(file), given=signals.options())
         return
     validation = validation_beside(file) if from_recording(data) else ""
     validate = f" --validate {validation}" if validation else ""
-    options = f"{_options(found)}{signals.options()}"
+    options = f"{_options([*known.values()])}{signals.options()}"
     say_next("hints", file=typed(file), options=options, validate=validate)
 
 
-def _options(found: StructureHints) -> str:
-    """Return the options of `armrig identify` that the hints suggest."""
-    integrator = " --integrator" if found.integrator else ""
-    return f"--structure oe --nb {found.nb} --nf {found.nf} --nk {found.nk}{integrator}"
+def _options(found: Sequence[StructureHints]) -> str:
+    """Return the options of `armrig identify` that the hints of all channels suggest."""
+    integrator = " --integrator" if any(one.integrator for one in found) else ""
+    orders = {name: max(getattr(one, name) for one in found) for name in ("nb", "nf")}
+    nk = min(one.nk for one in found)
+    return f"--structure oe --nb {orders['nb']} --nf {orders['nf']} --nk {nk}{integrator}"
 
 
-def _draw_hints(found: StructureHints, data: Dataset, plot: Path | None) -> None:
-    write_plot(
-        plot,
-        impulse=lambda ax: found.response.plot(ax=ax),
-        spectra=lambda ax: data.plot("spectrum", ax=ax),
-        structure=lambda ax: found.plot(ax=ax),
-        height=5.0,
-    )
+def _draw_hints(
+    found: Mapping[str, StructureHints], data: Dataset | Signals, plot: Path | None
+) -> None:
+    drawn: dict[str, Draw] = {}
+    for channel, of_channel in each_channel(data):
+        if (one := found.get(channel)) is not None:
+            end = "".join(f"_{word}" for word in channel.split())
+            drawn[f"impulse{end}"] = partial(_plot, one.response)
+            drawn[f"spectra{end}"] = partial(of_channel.plot, "spectrum")
+            drawn[f"structure{end}"] = partial(_plot, one)
+    write_plot(plot, height=5.0, **drawn)
 
 
-def _hint_facts(found: StructureHints) -> dict[str, Any]:
+def _plot(one: Any, ax: Axes) -> None:
+    one.plot(ax=ax)
+
+
+def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
+    if isinstance(found, str):
+        return {"structure": None, "reasons": [found]}
     of = "integrator integrator_shown low_slope low_slope_std high_slope relative_degree "
     of += "resonances antiresonances nk_interval"
     return {

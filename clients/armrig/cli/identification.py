@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.telemetry import THETA_1
+from msgspec import structs
 
 from armrig.cli.chosen_recording import DataFile, recording_path
 from armrig.cli.figures import Plot, check_output, check_plot, write_plot
@@ -20,7 +20,7 @@ from armrig.cli.model_structures import (
     requested,
     searched_for,
 )
-from armrig.cli.next_step import say_next, typed, validation_beside
+from armrig.cli.next_estimation import after_identify
 from armrig.cli.options import (
     Json,
     Verbose,
@@ -36,16 +36,14 @@ from armrig.cli.recorded_data import (
     source_facts,
     warn_of_estimation_data,
 )
-from armrig.cli.several_signals import Outputs
-from armrig.cli.several_signals import identify as identify_several
 from armrig.estimation.request import Request
-from armrig.models.structure_table import users
+from armrig.models.structure_table import STRUCTURES, users
+from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset
+    from armrig.data.dataset import Dataset, Signals
     from armrig.data.finding import Finding
     from armrig.models.fit import Fit
-    from armrig.models.structure_table import OfferedName
     from armrig.validation.comparison import ComparisonTable
     from armrig.validation.residual_test import ResidualTest
     from armrig.validation.search_result import SearchResult
@@ -65,7 +63,7 @@ Jobs = Annotated[
     typer.Option(
         "--jobs",
         min=1,
-        help="Number of processes that --search uses; it uses one process for several signals.",
+        help="Number of processes that --search uses.",
     ),
 ]
 ValidationFile = Annotated[
@@ -77,14 +75,11 @@ ValidationFile = Annotated[
         help="Recording, or other data, for validation.",
     ),
 ]
-Shared = Annotated[
-    bool, typer.Option("--shared", help="One denominator for all outputs (OE, ARMAX).")
-]
 Save = Annotated[Path | None, typer.Option("--save", metavar="JSON", help="Model file to write.")]
 
 
 @estimation_options(without_nk="1; estimated with --search of one input and one output")
-@reads_data(several=True)
+@reads_data()
 def identify(
     file: DataFile,
     *,
@@ -94,7 +89,6 @@ def identify(
     jobs: Jobs = 1,
     validate: ValidationFile = None,
     signals: SignalChoice,
-    shared: Shared = False,
     save: Save = None,
     plot: Plot = None,
     json: Json = False,
@@ -111,26 +105,16 @@ def identify(
     zeros with 95 % regions. With --search, the figure also shows the errors of the models. With
     several signals, it shows the simulated outputs, and a Bode diagram for each pair.
     """
+    shape = signals.shape
     if given["structure"] in (None, *users("offset")):
         signals = replace(signals, offset=given["offset"])
     if signals.assume == "settling" and given["integrator"]:
         raise typer.BadParameter("--assume settling contradicts --integrator: leave one out")
-    if signals.several or shared:
-        _identify_several(
-            file,
-            given,
-            signals,
-            Outputs(validate=validate, save=save, figure=plot, json=json, verbose=verbose),
-            most=most if search else None,
-            jobs=jobs,
-            shared=shared,
-        )
-        return
     wanted: _Search | Request
     if search:
-        wanted = _Search(fixed=searched_for(given), most=most, jobs=jobs)
+        wanted = _Search(fixed=searched_for(given, *shape), most=most, jobs=jobs)
     else:
-        wanted = requested(given)
+        wanted = requested(given, *shape)
     _check_files(file, validate, plot=plot, save=save)
     from armrig.recordings.usability import doubts_of_estimation
 
@@ -140,11 +124,10 @@ def identify(
             tell(text)
     # An estimation may take minutes: find errors in the validation data before it.
     other = None if validate is None else signals.of(validate)
-    if given["integrator"]:
-        _warn_of_integrator(data)
+    wanted = _for_outputs(wanted, data, integrator=given["integrator"])
     taken: list[str] = []
     integrator = signals.integrator
-    if (signals.assume or isinstance(wanted, _Search)) and not (given["integrator"] or json):
+    if (signals.assume or search) and shape == (1, 1) and not (given["integrator"] or json):
         integrator, taken = signals.choice(data)
     found = _found(wanted, data, other, integrator)
     if json:
@@ -155,34 +138,9 @@ def identify(
         _print_lines(found, validate, verbose=verbose)
     if save is not None:
         found.fit.save(save)
-    _plot_model(found, plot)
+    _plot_model(found, data, plot)
     if not json:
-        _say_next(found, file, validate, save, signals)
-
-
-def _identify_several(
-    file: Path,
-    given: Given,
-    signals: SignalChoice,
-    to: Outputs,
-    *,
-    most: int | None,
-    jobs: int,
-    shared: bool,
-) -> None:
-    """Estimate a model of several signals, or search for a model of at most `most` poles."""
-    if not signals.several:
-        raise typer.BadParameter("--shared is for several outputs: name them, --signal A,B")
-    if jobs > 1:
-        raise typer.BadParameter(
-            f"--jobs {jobs}: a search of several signals uses one process; leave --jobs out"
-        )
-    if signals.assume is not None:
-        raise typer.BadParameter(
-            f"--assume {signals.assume} is for one output and one input: leave it out"
-        )
-    _check_files(file, to.validate, plot=to.figure, save=to.save)
-    identify_several(file, given, signals, to, most=most, shared=shared)
+        _say_next(found, data, file, validate, save, signals)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,7 +159,7 @@ class _Search:
 class _Validation:
     """Results of the model on the validation data."""
 
-    data: Dataset
+    data: Dataset | Signals
     table: ComparisonTable
     tests: ResidualTest
 
@@ -219,12 +177,33 @@ class _Found:
     """Findings that make the data doubtful."""
 
 
-def _warn_of_integrator(data: Dataset) -> None:
-    """Warn if the data are a recording and their output does not integrate."""
+def _for_outputs(
+    wanted: _Search | Request, data: Dataset | Signals, *, integrator: bool
+) -> _Search | Request:
+    """Return what is wanted, with the integrators and the shared denominator of several outputs.
+
+    A rig's outputs share one denominator, and only theta_1 integrates. All outputs of other data
+    integrate. If the output of a rig does not integrate, a warning is printed.
+    """
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
-    if from_recording(data) and data.output not in INTEGRATING_OUTPUTS:
-        tell(f"--integrator: the rig has no pole at 1 for {data.output}, which does not integrate")
+    columns, recorded = data.signals(), from_recording(data)
+    integrating = tuple(
+        name for name in columns.outputs if not recorded or name in INTEGRATING_OUTPUTS
+    )
+    if integrator and not integrating:
+        msg = f"--integrator: the rig has no pole at 1 for {listed(columns.outputs)}"
+        if columns.ny > 1:
+            raise typer.BadParameter(msg)
+        tell(f"{msg}, which does not integrate")
+    if (columns.ny, columns.nu) == (1, 1):
+        return wanted
+    if isinstance(wanted, _Search):
+        fixed = wanted.fixed | {"integrator": integrating if integrator or recorded else ()}
+        return replace(wanted, fixed=fixed)
+    if recorded and "shared" in STRUCTURES[wanted.structure].takes:
+        wanted = structs.replace(wanted, shared=True)
+    return structs.replace(wanted, integrator=integrating) if integrator else wanted
 
 
 def _check_files(
@@ -241,14 +220,17 @@ def _check_files(
 
 
 def _found(
-    wanted: _Search | Request, data: Dataset, other: Dataset | None, integrator: bool | None
+    wanted: _Search | Request,
+    data: Dataset | Signals,
+    other: Dataset | Signals | None,
+    integrator: bool | None,
 ) -> _Found:
     """Estimate or search for a model; if there are validation data, validate the model."""
     searched = None
     if isinstance(wanted, _Search):
         searched = _searched(wanted, data, other, integrator)
         fit = searched.fit
-        again = Request(structure=cast("OfferedName", searched.chosen.candidate.family), orders={})
+        again = searched.chosen.candidate.request_for(data)
     else:
         fit = estimated(data, wanted)
         again = wanted
@@ -263,16 +245,21 @@ def _found(
     )
 
 
-def _doubts(fit: Fit, data: Dataset, integrator: bool | None) -> tuple[Finding, ...]:
+def _doubts(fit: Fit, data: Dataset | Signals, integrator: bool | None) -> tuple[Finding, ...]:
     from armrig.cli.spinner import spinner
-    from armrig.validation.advice.data_advice import examine_fit_of
+    from armrig.validation.advice.data_advice import doubts_of_channels, examine_fit_of
 
     with spinner("testing the data"):
-        return tuple(examine_fit_of(data, fit, integrator))
+        if (fit.ny, fit.nu) == (1, 1):
+            return tuple(examine_fit_of(data.signals().dataset(), fit, integrator))
+        return tuple(doubts_of_channels(data.signals()))
 
 
 def _searched(
-    wanted: _Search, data: Dataset, other: Dataset | None, integrator: bool | None
+    wanted: _Search,
+    data: Dataset | Signals,
+    other: Dataset | Signals | None,
+    integrator: bool | None,
 ) -> SearchResult:
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext
@@ -292,7 +279,7 @@ def _searched(
         )
 
 
-def _validated(fit: Fit, other: Dataset) -> _Validation:
+def _validated(fit: Fit, other: Dataset | Signals) -> _Validation:
     from armrig.cli.spinner import estimating
     from armrig.validation.comparison import compare
     from armrig.validation.residuals import residuals
@@ -327,6 +314,9 @@ def _print_short(found: _Found) -> None:
     if found.search is not None:
         say("\n".join(model_output.short_search_lines(found.search)))
     say("\n".join(model_output.short_model_lines(found.fit, roots=not searched)))
+    if found.validation is not None:
+        for line in model_output.pair_lines(found.validation.tests, verbose=False):
+            say(line)
     say("\n".join(model_output.advice_lines(found.fit, found.doubts)))
 
 
@@ -345,7 +335,7 @@ def _print_all(found: _Found, validate: Path | None) -> None:
         say("\n".join(model_output.residual_lines(found.validation.tests)))
 
 
-def _print_json(found: _Found, data: Dataset) -> None:
+def _print_json(found: _Found, data: Dataset | Signals) -> None:
     from armrig.cli import model_output
     from armrig.validation.advice.advice import advice
 
@@ -358,62 +348,62 @@ def _print_json(found: _Found, data: Dataset) -> None:
         facts["search"] = _search_facts(found.search)
     if found.validation is not None:
         v = found.validation
-        facts["validation"] = model_output.residual_facts(v.data, v.table[0], v.tests)
+        facts["validation"] = model_output.residual_facts(v.data, v.table.rows, v.tests)
     print_json(facts)
 
 
 def _say_next(
-    found: _Found, file: Path, validate: Path | None, save: Path | None, signals: SignalChoice
+    found: _Found,
+    data: Dataset | Signals,
+    file: Path,
+    validate: Path | None,
+    save: Path | None,
+    signals: SignalChoice,
 ) -> None:
     """Print the next command, which acts on the findings, saves the model or validates it."""
     from armrig.cli import model_output
-    from armrig.cli.next_step import CHECK, options_after, options_of
 
-    fit, given = found.fit, signals.options()
-    about = model_output.to_act_on(fit, found.doubts) - ({"outliers"} if signals.hampel else set())
+    about = model_output.to_act_on(found.fit, found.doubts)
+    about -= {"outliers"} if signals.hampel else set()
     about -= {"integrator"} if signals.integrator is False else set()
-    options = options_after(
-        fit, found.request, about, searched=found.search is not None, detrended=signals.detrend
+    after_identify(
+        found.fit,
+        found.request,
+        data,
+        file,
+        signals,
+        about=about,
+        tests=None if found.validation is None else found.validation.tests,
+        validate=validate,
+        save=save,
+        searched=found.search is not None,
     )
-    if validate is not None:
-        validation = typed(validate)
-    else:
-        validation = validation_beside(file) if signals.read else ""
-    values: dict[str, str | float] = {"file": typed(file), "given": given, "Ts": fit.Ts}
-    values["validation"] = validation
-    values["model"] = quote(str(save or "model.json"))
-    values["options"] = options + given + (f" --validate {validation}" if validation else "")
-    if fit.offset and not signals.detrend:
-        given += " --detrend"  # `armrig check` has no option --offset
-    if options == CHECK:
-        say_next("identify check", **(values | {"given": given}))
-    elif save is None or options != options_of(found.request):
-        say_next("identify", **values)
-    elif validate is not None and signals.read and fit.output == THETA_1:
-        say_next("validate", **(values | {"estimation": typed(file), "file": validation}))
-    elif validation:
-        # `armrig validate` has no option --assume.
-        say_next("identify --save", **values | {"given": replace(signals, assume=None).options()})
-    else:
-        after = "identify alone" if signals.read else "identify check"
-        say_next(after, **(values | {"given": given}))
 
 
-def _plot_model(found: _Found, plot: Path | None) -> None:
+def _plot_model(found: _Found, data: Dataset | Signals, plot: Path | None) -> None:
     if plot is None:
         return
-    from armrig.plots import plot_bode, plot_poles_zeros, plot_step
+    from armrig.plots import plot_bode, plot_compare, plot_poles_zeros, plot_step
+    from armrig.validation.comparison import compare
     from armrig.validation.figures import plot_search
 
     fit, searched = found.fit, found.search
-    write_plot(
-        plot,
-        height=3.6,
-        **({} if searched is None else {"search": lambda ax: plot_search(searched, ax=ax)}),
-        bode=lambda ax: plot_bode(fit, ax=ax),
-        step=lambda ax: plot_step(fit, ax=ax),
-        poles=lambda ax: plot_poles_zeros(fit, ax=ax),
-    )
+    drawn: dict[str, Any] = {}
+    if searched is not None:
+        drawn["search"] = lambda ax: plot_search(searched, ax=ax)
+    if (fit.ny, fit.nu) == (1, 1):
+        drawn["bode"] = lambda ax: plot_bode(fit, ax=ax)
+        drawn["step"] = lambda ax: plot_step(fit, ax=ax)
+        drawn["poles"] = lambda ax: plot_poles_zeros(fit, ax=ax)
+    else:
+        shown = data if found.validation is None else found.validation.data
+        table = compare(shown, fit)
+        drawn["compare"] = lambda ax: plot_compare(shown, table=table, ax=ax)
+        for i, j, channel in fit.channels():
+            label = f"{fit.inputs[j]} to {fit.outputs[i]}"
+            name = f"bode_{label.replace(' ', '_')}"
+            drawn[name] = partial(plot_bode, channel, labels=[label])
+    write_plot(plot, height=3.6, **drawn)
 
 
 def _search_facts(found: SearchResult) -> dict[str, Any]:

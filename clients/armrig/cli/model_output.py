@@ -9,9 +9,14 @@ import numpy as np
 
 from armrig.cli.options import fields_of
 from armrig.cli.recorded_data import source_facts
-from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.models.equation import form, heading, signals, whiteness_sentence
+from armrig.models.equation import (
+    form,
+    heading,
+    outputs_and_poles,
+    signals,
+    whiteness_sentence,
+)
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import NBSP, near_one, p_relation, places, with_std
 from armrig.numerics.whiteness import WHITE_LEVEL
@@ -22,8 +27,9 @@ from armrig.validation.residual_figure import BAND_99_PERCENT
 from armrig.validation.residual_test import ResidualTest
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
+    from armrig.data.dataset import Dataset, Signals
     from armrig.data.finding import Finding
     from armrig.models.responses import Roots
     from armrig.validation.search_result import SearchResult
@@ -38,8 +44,11 @@ _MAX_REASONS = 3  # reasons without --verbose; the table shows the first
 def short_model_lines(fit: Fit, *, roots: bool) -> list[str]:
     """Return lines with equation, signals, coefficients of each polynomial, poles and zeros.
 
-    Each number has a standard deviation: σ robust if `fit.trusts_robust`, otherwise σ.
+    For several signals, the lines contain the quality of each output, and the poles. Each number
+    has a standard deviation: σ robust if `fit.trusts_robust`, otherwise σ.
     """
+    if (fit.ny, fit.nu) != (1, 1):
+        return list(outputs_and_poles(fit))
     std, which = (fit.std_robust, "σ robust") if fit.trusts_robust else (fit.std, "σ")
     texts: dict[str, list[str]] = {}
     for name, value, deviation in zip(fit.names, fit.theta, std, strict=True):
@@ -74,6 +83,8 @@ def _listed(numbers: Sequence[str]) -> str:
 
 def model_lines(fit: Fit) -> list[str]:
     """Return the equation, the coefficients with σ and σ robust, and the tests of a model."""
+    if (fit.ny, fit.nu) != (1, 1):
+        return list(_channel_lines(fit))
     squared = _squared(fit.unit)
     lines = [
         heading(fit),
@@ -91,6 +102,16 @@ def model_lines(fit: Fit) -> list[str]:
     if fit.canonical_correlations.size:
         lines += [f"  {line}" for line in fit.explain().splitlines()]
     return [*lines, *(f"  warning: {w}" for w in fit.warnings)]
+
+
+def _channel_lines(fit: Fit) -> Iterator[str]:
+    """Yield the quality of each output, the poles, and the coefficients of each channel."""
+    yield from outputs_and_poles(fit)
+    for i, j, channel in fit.channels():
+        yield f"{fit.inputs[j]} to {fit.outputs[i]}, delay {channel.nk} Ts"
+        yield from coefficients(channel)
+        yield from root_lines(channel)
+    yield from (f"  warning: {w}" for w in fit.warnings)
 
 
 def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
@@ -186,11 +207,40 @@ def residual_lines(tests: ResidualTest) -> list[str]:
         f"  no dynamics missing: {_p(tests.missing_dynamics, DYNAMICS)}",
         f"  no feedback seen: {_p(tests.feedback, FEEDBACK)}",
         *([f"  no power: {tests.powerless}"] if tests.powerless else []),
+        *(
+            f"  residuals of {name}: {white}"
+            for name, white in zip(tests.outputs, tests.white_by_output, strict=True)
+            if len(tests.outputs) > 1
+        ),
+        *pair_lines(tests, verbose=True),
     ]
+
+
+def pair_lines(tests: ResidualTest, *, verbose: bool) -> Iterator[str]:
+    """Yield the tests of each pair, with Bonferroni's correction for the number of pairs.
+
+    Without `verbose`, only pairs of input and output that fail a test are shown. If dynamics are
+    missing, the test of feedback is not valid. A single pair has no line of its own.
+    """
+    if tests.missing_dynamics_by_pair.size == 1:
+        return
+    missing = tests.missing_dynamics < WHITE_LEVEL
+    for p, good, bad, valid in (
+        (tests.missing_dynamics_by_pair, "no dynamics missing", "dynamics missing", True),
+        (tests.feedback_by_pair, "no feedback", "feedback, or a delay too large", not missing),
+    ):
+        for (i, j), value in np.ndenumerate(p):
+            rejected = value < WHITE_LEVEL / p.size
+            if valid and (rejected or verbose):
+                pair = f"{tests.inputs[j]} to {tests.outputs[i]}"
+                said = f"(p {p_relation(float(value))})" if value >= 0 else "not tested"
+                yield f"  {pair}: {bad if rejected else good} {said}"
 
 
 def lags_outside(tests: ResidualTest) -> str:
     """Return a note on single lags outside their bands if the joint test accepts; otherwise ""."""
+    if tests.missing_dynamics_by_pair.size > 1:
+        return ""
     beyond = np.abs(tests.cross_correlation) > BAND_99_PERCENT * tests.cross_std
     lags = [
         outside
@@ -212,19 +262,20 @@ def lags_outside(tests: ResidualTest) -> str:
 
 
 def model_facts(fit: Fit) -> dict[str, Any]:
-    """Return the results of the estimation as JSON fields."""
-    rows = zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True)
+    """Return the results of the estimation as JSON fields.
+
+    The values of several signals are a list with an item for each output or channel.
+    """
+    shared = {"converged": fit.converged, "warnings": list(fit.warnings)}
+    if (fit.ny, fit.nu) != (1, 1):
+        return _facts_of_each(fit) | shared
     facts = {
         **fields_of(fit, "structure orders integrator Ts"),
-        "parameters": {
-            name: {"value": float(v), "std": float(s), "std_robust": float(r)}
-            for name, v, s, r in rows
-        },
+        "parameters": _parameters(fit),
         **fields_of(fit, "noise_variance loss fpe aic mdl fit_percent"),
         "p_white": fit.whiteness,
         "whiteness_test": fit.whiteness_test,
-        "converged": fit.converged,
-        "warnings": list(fit.warnings),
+        **shared,
         "N": fit.N,
         "answers": fit.summary().facts(),
     }
@@ -234,26 +285,93 @@ def model_facts(fit: Fit) -> dict[str, Any]:
     return facts
 
 
-def residual_facts(data: Dataset, row: Comparison, tests: ResidualTest) -> dict[str, Any]:
+def _facts_of_each(fit: Fit) -> dict[str, Any]:
+    """Return the results of each output and channel as JSON fields."""
+    poles = fit.poles()
+    return {
+        "structure": fit.structure,
+        "orders": fit.specification,
+        "integrator": list(fit.form.integrators),
+        **fields_of(fit, "shared inputs outputs Ts"),
+        "noise_covariance": fit.noise_covariance.tolist(),
+        **{name: [getattr(q, name) for q in fit.quality] for name in ("loss", "fit_percent", "N")},
+        "p_white": [q.white.p_value for q in fit.quality],
+        "whiteness_test": [q.white.test for q in fit.quality],
+        "poles": [
+            {"real": z.real, "imag": z.imag, "std": float(std)}
+            for z, std in zip(poles.values.tolist(), poles.std, strict=True)
+        ],
+        "channels": [
+            {
+                "input": fit.inputs[j],
+                "output": fit.outputs[i],
+                "nk": channel.nk,
+                "parameters": _parameters(channel),
+            }
+            for i, j, channel in fit.channels()
+        ],
+    }
+
+
+def _parameters(channel: Fit) -> dict[str, dict[str, float]]:
+    """Return the parameters of a channel with their standard deviations, by their names."""
+    rows = zip(channel.names, channel.theta, channel.std, channel.std_robust, strict=True)
+    return {
+        name: {"value": float(v), "std": float(s), "std_robust": float(r)} for name, v, s, r in rows
+    }
+
+
+def error_facts(rows: Sequence[Comparison]) -> dict[str, Any]:
+    """Return the errors of a model as JSON fields; several outputs have lists."""
+    own = {"on_estimation_data": rows[0].on_estimation_data}
+    each = [fields_of(row, "fit_percent rms_error velocity_fit_percent") for row in rows]
+    if len(rows) == 1:
+        return own | each[0]
+    return (
+        own
+        | {"outputs": [row.output for row in rows]}
+        | {name: [of[name] for of in each] for name in each[0]}
+    )
+
+
+def residual_facts(
+    data: Dataset | Signals, rows: Sequence[Comparison], tests: ResidualTest
+) -> dict[str, Any]:
     """Return the results on validation data as JSON fields."""
-    return source_facts(data) | {
-        "on_estimation_data": row.on_estimation_data,
-        "fit_percent": row.fit_percent,
-        "rms_error": row.rms_error,
-        "velocity_fit_percent": row.velocity_fit_percent,
-        "p_white": tests.whiteness,
-        "whiteness_test": tests.whiteness_test,
-        "p_no_dynamics_missing": tests.missing_dynamics,
-        "p_no_feedback": tests.feedback,
-        "no_power": tests.powerless,
+    facts = (
+        source_facts(data)
+        | error_facts(rows)
+        | {
+            "p_white": tests.whiteness,
+            "whiteness_test": tests.whiteness_test,
+            "p_no_dynamics_missing": tests.missing_dynamics,
+            "p_no_feedback": tests.feedback,
+            "no_power": tests.powerless,
+        }
+    )
+    if tests.missing_dynamics_by_pair.size == 1:
+        return facts
+    return facts | {
+        "p_white_by_output": [white.p_value for white in tests.white_by_output],
+        "whiteness_test_by_output": [white.test for white in tests.white_by_output],
+        "channels": [
+            {
+                "input": input,
+                "output": output,
+                "p_no_dynamics_missing": float(tests.missing_dynamics_by_pair[i, j]),
+                "p_no_feedback": float(tests.feedback_by_pair[i, j]),
+            }
+            for i, output in enumerate(tests.outputs)
+            for j, input in enumerate(tests.inputs)
+        ],
     }
 
 
 def hint(fit: Fit) -> str:
     """Return a suggestion for the next model; "" if there is none."""
-    integrates = fit.output in INTEGRATING_OUTPUTS
-    if fit.structure == "oe" and integrates and not fit.integrator:
-        return f"the angle {fit.output} integrates: try --integrator"
+    for name, fixed in zip(fit.outputs, fit.form.integrators, strict=True):
+        if fit.structure == "oe" and name in INTEGRATING_OUTPUTS and not fixed:
+            return f"the angle {name} integrates: try --integrator"
     return ""
 
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armrig.cli.reading_options import grouped
-from armrig.estimation.multivariable.request import SignalsRequest
-from armrig.estimation.request import DEFAULTS, OPTIONS, Option, Request, flag
+from armrig.estimation.request import DEFAULTS, OPTIONS, Request, flag
 from armrig.models.structure_table import (
     COUNTED,
-    OF_SEVERAL,
     OFFERED,
     OFFERED_NAMES,
-    CommandName,
     OfferedName,
     users,
     with_article,
@@ -24,14 +21,14 @@ from armrig.models.structure_table import (
 from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset
+    from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
 
 Given = dict[str, Any]
 """Values of the estimation's options by name; None or False for options that were not given."""
 _SEARCHED = ("structure", "nk", "integrator", "offset")
 _NOT_SEARCHED = {"stable": "whose models are always stable"}
-_NOT_WITH = {"stable": "; not with --search or several signals"}
+_NOT_WITH = {"stable": "; not with --search"}
 _COUNTED_AS = {"nf": "; an integrator counts as one"}
 _WAY_OUT = {
     "integrator": "{model} finds an integrator by itself",
@@ -59,19 +56,24 @@ def estimation_options(
 def _options(
     structure: OfferedName | None, nk: int | None, without_nk: str
 ) -> list[inspect.Parameter]:
-    several = structure is None
-    what = "Model structure"
-    what += "; required without --search; ss is for several signals" if several else ""
-    which = typer.Option("--structure", help=f"{what}.", show_default=not several)
+    searches = structure is None
+    what = "Model structure" + "; required without --search" * searches
+    which = typer.Option("--structure", help=f"{what}.", show_default=not searches)
     late = _option("nk", "Delay from u to y, in samples", without_nk)
-    kinds = OfferedName if structure else CommandName | None
+    kind_of_structure = OfferedName | None if searches else OfferedName
     others = [
-        _parameter(name, kind, _choice(name, option, several=several), DEFAULTS[name])
+        _parameter(
+            name,
+            bool if name == "integrator" else kind,
+            _option(name, option.help, option.default, _NOT_WITH.get(name, "") if searches else ""),
+            DEFAULTS[name],
+        )
         for name, (kind, option) in OPTIONS.items()
+        if searches or option.channels == 1
     ]
     return [
-        _parameter("structure", kinds, which, structure),
-        *(_parameter(name, int | None, _order(name, several=several)) for name in COUNTED),
+        _parameter("structure", kind_of_structure, which, structure),
+        *(_parameter(name, int | None, _order(name)) for name in COUNTED),
         _parameter("nk", int | None if nk is None else int, late, nk),
         *others,
     ]
@@ -83,100 +85,60 @@ def _parameter(name: str, kind: Any, option: Any, default: Any = None) -> inspec
     return inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
 
-def _order(name: str, *, several: bool) -> Any:
-    """Return the option of an order; if `several`, its help also lists several-signal models."""
+def _order(name: str) -> Any:
+    """Return the option of an order."""
     default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
     shown = {"by the data" if n is None else str(n) for n in default.values()}
     if len(shown) > 1:
         shown = {", ".join(f"{title} {n}" for title, n in default.items())}
-    others = [row.title for row in OF_SEVERAL.values() if name in row.orders] if several else []
-    more = _COUNTED_AS.get(name, "")
-    return _option(name, f"Number of {COUNTED[name]}", shown.pop(), others, more)
+    return _option(name, f"Number of {COUNTED[name]}", shown.pop(), _COUNTED_AS.get(name, ""))
 
 
-def _choice(name: str, option: Option, *, several: bool) -> Any:
-    """Return an option that is not an order; if `several`, its help names exceptions."""
-    more = _NOT_WITH.get(name, "") if several else ""
-    return _option(name, option.help, option.default, more=more)
-
-
-def _option(
-    name: str, what: str, default: str = "", others: Sequence[str] = (), more: str = ""
-) -> Any:
+def _option(name: str, what: str, default: str = "", more: str = "") -> Any:
     """Return an option; if only some structures have the option, its help names them."""
-    titles = dict.fromkeys([*(OFFERED[user].title for user in users(name)), *others])
-    which = "" if len(users(name)) == len(OFFERED_NAMES) else f" ({', '.join(titles)})"
+    titles = [OFFERED[user].title for user in users(name)]
+    which = "" if len(titles) == len(OFFERED_NAMES) else f" ({', '.join(titles)})"
     return typer.Option(flag(name), help=f"{what}{which}{more}.", show_default=default or True)
 
 
-def requested(given: Given) -> Request:
-    """Return the request from the options; refuse options that the structure does not have."""
-    structure: CommandName | None = given["structure"]
+def requested(given: Given, ny: int = 1, nu: int = 1) -> Request:
+    """Return the request for a model of ny outputs and nu inputs from the options.
+
+    Options that the structure does not have, or does not have for these signals, are refused.
+    """
+    structure: OfferedName | None = given["structure"]
     if structure is None:
         raise typer.BadParameter(
             "give --structure, such as --structure oe --integrator, or --search"
         )
-    if structure not in OFFERED:
-        raise typer.BadParameter(
-            f"--structure {structure} is for several signals; name them, such as --signal y1,y2"
-        )
-    _check_taken(structure, given)
     asked = _asked(given)
+    _check_taken(structure, asked)
+    _check_shape(structure, asked, ny, nu)
     own = OFFERED[structure].orders
     orders = {name: asked.get(name, default) for name, default in own.items()}
     options = {name: value for name, value in asked.items() if name not in own}
     return Request(**(options | {"orders": orders}))
 
 
-def requested_of_several(
-    given: Given, *, integrating: Sequence[str], shared: bool
-) -> SignalsRequest:
-    """Return the request for a model of several signals from the options.
-
-    Parameters
-    ----------
-    integrating : sequence of str
-        Outputs that get an integrator if the options request an integrator.
-    shared : bool
-        True to give all outputs one denominator; the structure must allow this.
-    """
-    structure: CommandName | None = given["structure"]
-    if structure is None:
-        raise typer.BadParameter("give --structure, such as --structure ss, or --search")
-    if structure not in OF_SEVERAL:
-        raise typer.BadParameter(
-            f"--structure {structure} has one output and one input; for several signals use "
-            f"{listed([*OF_SEVERAL])}"
-        )
-    row = OF_SEVERAL[structure]
-    takes = row.takes_several or ()
-    asked = _asked(given) | ({"shared": True} if shared else {})
-    for name, value in asked.items():
-        if name not in ("structure", "nk", *row.orders, *takes):
-            raise typer.BadParameter(
-                f"{_typed(name, value)} does not go with {row.title} of several signals, which has "
-                f"{listed([flag(x) for x in (*row.orders, 'nk', *takes) if x != 'noise'])}"
-            )
-    return SignalsRequest(
-        structure=structure,
-        orders={name: asked.get(name, default) for name, default in row.orders.items()},
-        nk=asked.get("nk", 1),
-        weights=asked.get("weights"),
-        integrating=tuple(integrating) if asked.get("integrator") else (),
-        shared=shared,
-    )
-
-
-def searched_for(given: Given) -> dict[str, Any]:
+def searched_for(given: Given, ny: int = 1, nu: int = 1) -> dict[str, Any]:
     """Return the arguments that the options fix in a search; refuse options without effect."""
     asked = _asked(given)
     for name, value in asked.items():
         if name not in _SEARCHED:
             why = _NOT_SEARCHED.get(name, "which tries orders up to --max-order")
             raise typer.BadParameter(f"{_typed(name, value)} does not go with --search, {why}")
-    if structure := asked.pop("structure", None):
-        _check_taken(structure, given)
+    tried = [name for name, row in OFFERED.items() if row.searched_of_several]
+    structure = asked.pop("structure", None)
+    if structure is not None:
+        _check_taken(structure, asked)
         asked["families"] = (structure,)
+    if (ny, nu) != (1, 1):
+        if structure not in (None, *tried):
+            raise typer.BadParameter(
+                f"--structure {structure}: --search of several signals tries {', '.join(tried)}"
+            )
+        if "offset" in asked:
+            raise typer.BadParameter("--offset does not go with --search of several signals")
     return asked
 
 
@@ -188,10 +150,10 @@ def _typed(name: str, value: Any) -> str:
     return flag(name) if value is True else f"{flag(name)} {value}"
 
 
-def _check_taken(structure: OfferedName, given: Given) -> None:
+def _check_taken(structure: OfferedName, asked: Given) -> None:
     """Refuse options that the structure does not have."""
     kind = OFFERED[structure]
-    for name, value in _asked(given).items():
+    for name, value in asked.items():
         able = OFFERED_NAMES if name == "structure" else users(name)
         if structure not in able:
             way_out = _WAY_OUT.get(name, "").format(
@@ -203,7 +165,27 @@ def _check_taken(structure: OfferedName, given: Given) -> None:
             )
 
 
-def estimated(data: Dataset, request: Request) -> Fit:
+def _check_shape(structure: OfferedName, asked: Given, ny: int, nu: int) -> None:
+    """Refuse a structure or an option that a model of ny outputs and nu inputs cannot have."""
+    kind = OFFERED[structure]
+    if (ny, nu) != (1, 1) and not kind.several:
+        able = listed([name for name, row in OFFERED.items() if row.several])
+        raise typer.BadParameter(
+            f"--structure {structure} has one output and one input; for several signals use {able}"
+        )
+    for name, value in asked.items():
+        if name in OPTIONS and ny * nu < OPTIONS[name][1].channels:
+            raise typer.BadParameter(
+                f"{_typed(name, value)} is for several outputs: name them, --signal A,B"
+            )
+        if name in kind.one_channel and (ny, nu) != (1, 1):
+            raise typer.BadParameter(
+                f"{_typed(name, value)} is for {kind.title} of one output and one input; leave it "
+                "out"
+            )
+
+
+def estimated(data: Dataset | Signals, request: Request) -> Fit:
     """Return the estimated model; refuse orders that are too high for the data."""
     import numpy as np
 
@@ -213,6 +195,6 @@ def estimated(data: Dataset, request: Request) -> Fit:
     named = listed([*request.orders])
     with estimating(named):
         fit = request.estimated(data)
-    if not (np.isfinite(fit.theta).all() and np.isfinite(fit.loss)):
+    if not np.isfinite([*fit.theta, *(q.loss for q in fit.quality)]).all():
         raise too_high(named)
     return fit

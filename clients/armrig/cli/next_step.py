@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import count, islice
 from math import isfinite
@@ -13,13 +13,8 @@ from typing import TYPE_CHECKING
 
 from armrig_core.errors import ArmrigError
 from armrig_core.printable import printable
-from msgspec.structs import replace
-
-from armrig.estimation.request import OPTIONS, Request, flag
-from armrig.models.structure_table import STRUCTURES
 
 if TYPE_CHECKING:
-    from armrig.models.fit import Fit
     from armrig.recordings.recording import Recording
     from armrig.recordings.recording_summary import RecordingSummary
 
@@ -82,10 +77,6 @@ AFTER: Mapping[str, str] = {
 """Next command after each command; names in braces are replaced by values."""
 REASONS = "reasons.toml"
 """Usual name of the file with the answers to the handout's questions."""
-CHECK = ""
-"""Result of `options_after` if the next command must be `armrig check`, which tests the data."""
-_LOWER = {"order", "poles"}
-_CHECKED = {"feedback", "delay", "unstable"}
 
 
 def say_next(after: str, **values: str | float) -> None:
@@ -332,75 +323,3 @@ def validation_beside(path: Path) -> str:
 
     beside = f"{typed(path)}{VALIDATION}"
     return beside if beside.startswith("@") and _chosen(beside) else ""
-
-
-def options_of(request: Request) -> str:
-    """Return the options of `armrig identify` for a request."""
-    orders = {**request.orders, "nk": request.nk}
-    asked = {name: x for name, x in request.asked.items() if name in OPTIONS}
-    values = {name: x for name, x in (orders | asked).items() if x is not None}
-    typed = [flag(name) if x is True else f"{flag(name)} {x}" for name, x in values.items()]
-    return " ".join([f"--structure {request.structure}", *typed])
-
-
-def options_after(
-    fit: Fit, request: Request, about: Set[str], *, searched: bool, detrended: bool
-) -> str:
-    """Return the options with which `armrig identify` follows the advice about a model.
-
-    Parameters
-    ----------
-    fit : Fit
-        The model.
-    request : Request
-        Request with which the model can be estimated again.
-    about : set of str
-        Names of the findings to act on.
-    searched : bool
-        True if a search chose the model; another search would not improve its residuals.
-    detrended : bool
-        True if the means of the data were subtracted.
-
-    Returns
-    -------
-    str
-        The options of the next estimation. If no finding requires action, the result contains the
-        options of the request. If the data must be tested first, the result is `CHECK`.
-    """
-    kind = STRUCTURES[fit.structure]
-    orders = fit.orders
-    if "structure" in about:
-        oe = request.of_structure("oe", {"nb": orders["nb"], "nf": orders[kind.poles]})
-        return options_of(replace(oe, integrator=True, offset=False))
-    # A constant level of y looks like an integrator. Angles are not tested for a level.
-    level = "level" in about and not fit.integrator
-    asked = "integrator" in about and not level
-    integrator = fit.integrator or (asked and "integrator" in kind.takes)
-    offset = (fit.offset or level) and "offset" in kind.takes and not integrator
-    detrend = level and not (offset or detrended)
-    # If the level was removed or estimated and is found again, the order is too high.
-    seen = level and not detrend and offset == fit.offset
-    after = replace(request, integrator=integrator, offset=offset)
-    if about & _LOWER or seen or not fit.converged:
-        after = replace(after, orders=_lower(fit, integrator=integrator))
-    options = options_of(after) + " --detrend" * detrend + " --hampel" * ("outliers" in about)
-    if options != options_of(request):
-        return options
-    if about & _CHECKED:
-        return CHECK
-    if "residuals" in about and not searched and fit.structure != "pem":
-        return f"--structure {fit.structure} --search"
-    return options
-
-
-def _lower(fit: Fit, *, integrator: bool) -> dict[str, int]:
-    """Return the orders, lowered by the number of cancelling pairs; noise orders do not change."""
-    from armrig.validation.advice.model_advice import cancelling
-
-    many = sum(2 if pole.imag else 1 for pole, _, _ in cancelling(fit)) or 1
-    least = {"nb": 1, STRUCTURES[fit.structure].poles: 1 + integrator}
-    return {
-        name: max(n - many, min(n, least[name])) if name in least else n
-        for name, n in fit.orders.items()
-        if name != "nk"
-    }

@@ -266,7 +266,7 @@ def simulate(
         plot, compare=lambda ax: plot_compare(data, *fits, labels=labels, table=table, ax=ax)
     )
     if json:
-        print_json({"recording": data.source, "models": [row_facts(row) for row in table.rows]})
+        print_json({"recording": data.source, "models": [row_facts(rows) for rows in table.models]})
         return
     how = f"; {table.note}" if verbose else ""
     print_comparison(table, f"on {typed(file)}{how}", verbose=verbose)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass, fields
 from functools import wraps
 from shlex import quote
@@ -21,7 +20,8 @@ PART = ("calibration", "start", "stop")
 """Options of reading a recording."""
 _FLAGS = {"start": "--from", "stop": "--to"}
 _DIGITS = 12  # of a number in a command line
-_SEVERAL = {"input": "inputs", "signal": "outputs"}
+_SEVERAL = ("input", "signal")
+"""Options that a command line may repeat."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +33,7 @@ class DataOptions:
         typer.Option(
             "--input",
             metavar="NAME",
-            help="Column of the input in other data: its name, or its number from 1.",
+            help="Column of the input in other data: its name, or its number from 1; repeatable.",
             show_default="u",
         ),
     ] = None
@@ -43,7 +43,7 @@ class DataOptions:
             "--signal",
             metavar="NAME",
             help="Output: theta_1, alpha or velocity; in other data, the column's name, or its "
-            "number from 1.",
+            "number from 1; repeatable.",
             show_default="theta_1; y of other data",
         ),
     ] = None
@@ -155,23 +155,12 @@ def grouped(
     return decorated
 
 
-def data_options(names: Sequence[str], *, several: bool) -> list[inspect.Parameter]:
-    """Return options of `DataOptions` as parameters of a command.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the options.
-    several : bool
-        Whether the command takes several inputs and outputs.
-    """
+def data_options(names: Sequence[str]) -> list[inspect.Parameter]:
+    """Return options of `DataOptions` as parameters of a command."""
     kinds = get_type_hints(DataOptions, include_extras=True)
-    for name, plural in _SEVERAL.items() if several else ():
-        kind, option = get_args(kinds[name])
-        option = copy(option)
-        option.metavar = "NAMES"
-        option.help += f" Several {plural} have commas between their names."
-        kinds[name] = Annotated[kind, option]
+    for name in _SEVERAL:
+        _, option = get_args(kinds[name])
+        kinds[name] = Annotated[list[str] | None, option]
     return [
         inspect.Parameter(
             field.name,

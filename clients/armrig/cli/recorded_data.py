@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Self
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.telemetry import THETA_1, OutputName
+from armrig_core.telemetry import THETA_1
 
 from armrig.cli.channels import (
+    UNNAMED,
     as_modelled,
     modelled_outputs,
     names,
@@ -43,11 +44,6 @@ if TYPE_CHECKING:
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import ComparisonTable
-
-
-Data = TypeVar("Data", "Dataset", "Signals")
-
-_UNNAMED = ("", "y")  # names of model outputs that may mean any signal
 
 
 def loaded(
@@ -83,27 +79,58 @@ class SignalChoice(DataOptions):
     read: list[Recording] = field(default_factory=list)
     """Recordings read so far; the first recording is for estimation."""
 
-    @property
-    def several(self) -> bool:
-        """True if several outputs or inputs are named, with commas."""
-        return "," in f"{self.signal}{self.input}"
+    @classmethod
+    def of_options(cls, **options: Any) -> Self:
+        """Return the choice; a repeated option gives several names, as names with commas do."""
+        for name in ("signal", "input"):
+            options[name] = ",".join(options[name]) if options.get(name) else None
+        return cls(**options)
 
-    def options(self, data: Dataset | None = None) -> str:
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names in --signal; empty if the user named no output."""
+        return names("--signal", self.signal)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names in --input; empty if the user named no input."""
+        return names("--input", self.input)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of the named outputs and inputs; 1 where the user named none."""
+        return len(self.outputs) or 1, len(self.inputs) or 1
+
+    def options(self, data: Dataset | Signals | None = None) -> str:
         """Return the options with which another command reads the same data; "" for none.
 
         If the user named no output and the output of `data` is not the default, add --signal.
         """
-        signal = self.signal
-        if signal is None and data is not None and data.output not in (*_UNNAMED, THETA_1):
-            signal = data.output
+        signal, found = self.signal, () if data is None else data.signals().outputs
+        if signal is None and len(found) == 1 and found[0] not in (*UNNAMED, THETA_1):
+            signal = found[0]
         return "".join(f" {typed}" for typed in replace(self, signal=signal).given())
+
+    def of_channel(self, output: str, input: str, data: Dataset | Signals) -> Self:
+        """Return the choice of one output and one input of `data`."""
+        if data.signals().ny == data.signals().nu == 1:
+            return self
+        # The input of a recording is always u.
+        recorded = from_recording(data)
+        return replace(
+            self,
+            signal=None if recorded and output == THETA_1 else output,
+            input=None if recorded else input,
+        )
 
     @property
     def integrator(self) -> bool | None:
         """True or False if --assume decides whether the output integrates, otherwise None."""
         return None if self.assume is None else self.assume == "integrating"
 
-    def choice(self, data: Dataset, integrates: bool | None = None) -> tuple[bool, list[str]]:
+    def choice(
+        self, data: Dataset | Signals, integrates: bool | None = None
+    ) -> tuple[bool, list[str]]:
         """Return whether the output is taken as integrating, and a line that names the choice.
 
         `integrates` is the choice of a command with a test of its own. For a recording, there is a
@@ -111,7 +138,9 @@ class SignalChoice(DataOptions):
         """
         from armrig.data.treatment.integrating import integration
 
-        decided = integration(data, self.integrator if integrates is None else integrates)
+        given = self.integrator if integrates is None else integrates
+        data = data.signals().dataset()
+        decided = integration(data, given)
         kinds: tuple[Assumption, Assumption] = ("settling", "integrating")
         reason = f"{decided.reason}:" if decided.reason else f"{data.output} is"
         taken = f"{reason} taken as {kinds[decided.integrates]}"
@@ -120,33 +149,28 @@ class SignalChoice(DataOptions):
         line = f"{taken}; --assume {kinds[not decided.integrates]} changes this"
         return decided.integrates, [line] if decided.reason or not from_recording(data) else []
 
-    def of(self, file: Path, model: Fit | None = None) -> Dataset:
-        """Return the data of a file, and print its defects; the default output is the model's."""
-        if self.several:
+    def of(self, file: Path, model: Fit | None = None) -> Dataset | Signals:
+        """Return the data of a file, and print its defects; the default signals are the model's.
+
+        The data of one output and one input are a Dataset.
+        """
+        if self.assume is not None and self.shape != (1, 1):
             raise typer.BadParameter(
-                f"{self.options().strip()}: this command takes one output and one input; "
-                "identify, validate and greybox take several, and in Python armrig.delay and "
-                "armrig.open_loop test each channel"
+                f"--assume {self.assume} is for one output and one input: leave it out"
             )
-        if self._is_other(file):
-            data = between(self._other(file, model), self.start, self.stop)
-            check_varies(file, data.output, data.y[data.valid])
-        else:
-            data = self._recorded(file, model)
+        data = self._table(file, model) if self._is_other(file) else self._recorded(file, model)
         return self._treated(file, data, model)
 
-    def signals_of(self, file: Path, model: Fit | None = None) -> Signals:
-        """Return signals of a file, and print its defects; the default signals are the model's."""
-        outputs, inputs = names("--signal", self.signal), names("--input", self.input)
-        if self._is_other(file):
-            signals = between(self._table(file, inputs, outputs, model), self.start, self.stop)
-        elif model is not None:
-            signals = self.recorded_signals(file, model)
-        else:
-            signals = self._recording(file).signals(recorded_outputs(outputs or (THETA_1,)))
-        return self._treated(file, signals, model)
+    def of_one(self, file: Path) -> Dataset:
+        """Return the data of one output and one input, and print their defects."""
+        if self.shape != (1, 1):
+            raise typer.BadParameter(
+                f"{self.options().strip()}: this command takes one output and one input; name one "
+                "of each"
+            )
+        return self.of(file).signals().dataset()
 
-    def _treated(self, file: Path, data: Data, model: Fit | None) -> Data:
+    def _treated(self, file: Path, data: Dataset | Signals, model: Fit | None) -> Dataset | Signals:
         """Return the data after --hampel and --detrend."""
         from armrig.data.treatment import detrend, hampel
 
@@ -157,77 +181,70 @@ class SignalChoice(DataOptions):
             inform(f"{file}: {data.history[-1]}", dim=True)
         return detrend(data) if self.detrend else data
 
-    def recorded_signals(self, file: Path, model: Fit) -> Signals:
-        """Return the signals of a model from a recording."""
-        outputs = modelled_outputs(model, names("--signal", self.signal))
-        return self._recording(file).signals(outputs)
+    def _table(self, file: Path, model: Fit | None) -> Dataset | Signals:
+        from armrig.data.dataset import Dataset
+        from armrig.data.treatment import INTEGRATING_OUTPUTS
+        from armrig.estimation.data_faults import swapped
 
-    def _table(
-        self,
-        file: Path,
-        inputs: Sequence[str],
-        outputs: Sequence[str],
-        model: Fit | None,
-    ) -> Signals:
-        from armrig.data.files.loading import load_signals
-
+        outputs, inputs = self.outputs, self.inputs
         if model is not None:
             require_as_many(model, outputs, inputs)
             inputs, outputs = inputs or model.inputs, outputs or model.outputs
-        inputs, outputs = inputs or ("u",), outputs or ("y",)
-        signals = self._read(load_signals, file, inputs=inputs, outputs=outputs)
-        read = [f"outputs {', '.join(signals.outputs)}", f"inputs {', '.join(signals.inputs)}"]
-        tell_of_reading(file, signals, read, "values are missing")
-        every = [
-            (name, signals.y[signals.valid[:, i], i]) for i, name in enumerate(signals.outputs)
-        ]
-        for name, y in every:
-            check_varies(file, name, y)
-        if not (self.detrend or _without_means(model)):
-            hint_at_means(every, [(name, signals.u[:, j]) for j, name in enumerate(signals.inputs)])
-        return signals if model is None else as_modelled(file, signals, model)
+        inputs, outputs = inputs or ("u",), tuple(name or "y" for name in outputs) or ("y",)
+        data = self._read(file, inputs, outputs)
+        columns = data.signals()
+        if isinstance(data, Dataset):
+            read = [f"the input is column {inputs[0]}", f"the signal is column {outputs[0]}"]
+            missing = f"samples without {data.output}"
+        else:
+            read = [f"outputs {', '.join(columns.outputs)}", f"inputs {', '.join(columns.inputs)}"]
+            missing = "values are missing"
+        tell_of_reading(file, data, read, missing)
+        if model is not None:
+            data = as_modelled(file, data, model, named=self.signal is not None)
+            columns = data.signals()
+        for name in columns.outputs:
+            if name in INTEGRATING_OUTPUTS:
+                tell(
+                    f"{name} is assumed to be the rig's angle, which integrates its input; if it "
+                    "is another signal, rename the column"
+                )
+        if isinstance(data, Dataset):
+            for finding in swapped(data):
+                tell(f"{file}: {finding.text} (--input, --signal)")
+        if not (self.detrend or self.offset or _without_means(model) or _with_level(model)):
+            hint_at_means(
+                [
+                    (name, y[known])
+                    for name, y, known in zip(
+                        columns.outputs, columns.y.T, columns.valid.T, strict=True
+                    )
+                ],
+                list(zip(columns.inputs, columns.u.T, strict=True)),
+                may_offset=self.offset is not None,
+            )
+        data = between(data, self.start, self.stop)
+        columns = data.signals()
+        for name, y, known in zip(columns.outputs, columns.y.T, columns.valid.T, strict=True):
+            check_varies(file, name, y[known])
+        return data
 
-    def _read(self, load: Callable[..., Data], file: Path, **columns: Any) -> Data:
-        """Return the data that `load_data` or `load_signals` reads."""
+    def _read(
+        self, file: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]
+    ) -> Dataset | Signals:
+        """Return the columns of a file that is not a recording."""
         from armrig.cli.spinner import spinner
+        from armrig.data.files.loading import load_data, load_signals
 
         if self.calibration is not None:
             raise typer.BadParameter(
                 f"--calibration applies to recordings; {file} has no readings of the rig's sensors"
             )
+        how = {name: getattr(self, name) for name in READING}
         with spinner("reading"):
-            return load(file, **columns, **{name: getattr(self, name) for name in READING})
-
-    def _other(self, file: Path, model: Fit | None) -> Dataset:
-        from armrig.data.files.loading import load_data
-        from armrig.data.treatment import INTEGRATING_OUTPUTS
-        from armrig.estimation.data_faults import swapped
-
-        columns = {
-            "input": self.input or "u",
-            "signal": self.signal or (model.output if model else None) or "y",
-        }
-        data = self._read(load_data, file, **columns)
-        if model is not None and self.signal is not None and model.output not in _UNNAMED:
-            # The user named the column, which is thus the model's output.
-            data = data.replaced(step=None, output=model.output)
-        read = [f"the {what} is column {name}" for what, name in columns.items()]
-        tell_of_reading(file, data, read, f"samples without {data.output}")
-        if data.output in INTEGRATING_OUTPUTS:
-            tell(
-                f"{data.output} is assumed to be the rig's angle, which integrates its input; if "
-                "it is another signal, rename the column"
-            )
-        for finding in swapped(data):
-            tell(f"{file}: {finding.text} (--input, --signal)")
-        known = self.detrend or self.offset or _without_means(model) or _with_level(model)
-        if not known:
-            hint_at_means(
-                [(data.output, data.y[data.valid])],
-                [("u", data.u)],
-                may_offset=self.offset is not None,
-            )
-        return data
+            if len(inputs) == len(outputs) == 1:
+                return load_data(file, input=inputs[0], signal=outputs[0], **how)
+            return load_signals(file, inputs=inputs, outputs=outputs, **how)
 
     def _is_other(self, file: Path) -> bool:
         """Return True if --topic or the content shows that the file is not a recording."""
@@ -251,29 +268,26 @@ class SignalChoice(DataOptions):
         """Return the chosen part of recordings."""
         return loaded(files, self.calibration, self.start, self.stop)
 
-    def _recorded(self, file: Path, model: Fit | None) -> Dataset:
+    def _recorded(self, file: Path, model: Fit | None) -> Dataset | Signals:
+        outputs = recorded_outputs(self.outputs or (THETA_1,))
+        if model is not None:
+            outputs = modelled_outputs(model, self.outputs)
         recording = self._recording(file)
-        if self.signal is None and model is not None and model.output not in _UNNAMED:
-            return dataset_of(recording, model)
-        if self.signal is None:
-            return recording.dataset()
-        return recording.dataset(recorded_outputs((self.signal,))[0])
+        return recording.dataset(outputs[0]) if len(outputs) == 1 else recording.signals(outputs)
 
 
-def reads_data(
-    *without: str, several: bool = False
-) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def reads_data(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that replaces the argument `signals` of a command by options of data."""
     names = [name for name in OPTIONS if name not in without]
-    return grouped("signals", data_options(names, several=several), SignalChoice)
+    return grouped("signals", data_options(names), SignalChoice.of_options)
 
 
 def reads_part(command: Callable[..., None]) -> Callable[..., None]:
     """Replace the argument `part` of a command by --calibration, --from and --to."""
-    return grouped("part", data_options(PART, several=False), SignalChoice)(command)
+    return grouped("part", data_options(PART), SignalChoice)(command)
 
 
-def between(data: Data, start: float | None, stop: float | None) -> Data:
+def between(data: Dataset | Signals, start: float | None, stop: float | None) -> Dataset | Signals:
     """Return the samples with start <= t < stop, in s from the first sample."""
     if start is None and stop is None:
         return data
@@ -284,6 +298,15 @@ def between(data: Data, start: float | None, stop: float | None) -> Data:
         msg += f" to --to {stop:g} s" if stop is not None else ""
         raise InputError(f"{msg}: the data last {data.N * Ts:g} s")
     return data[first:end]
+
+
+def each_channel(data: Dataset | Signals) -> Iterator[tuple[str, Dataset]]:
+    """Yield the data of each input and output with a name; a single channel has the name ""."""
+    columns = data.signals()
+    for output in columns.outputs:
+        for input in columns.inputs:
+            one = columns.ny == columns.nu == 1
+            yield "" if one else f"{input} to {output}", columns.dataset(output, input)
 
 
 def from_recording(data: Dataset | Signals) -> bool:
@@ -324,14 +347,3 @@ def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
     except ValueError as err:
         tell(f"the figure has no spectral analysis: {err}")
         return []
-
-
-def dataset_of(recording: Recording, model: Fit) -> Dataset:
-    """Return the data of a recording whose output is the model's output."""
-    for output in get_args(OutputName):
-        if output == model.output:
-            return recording.dataset(output)
-    raise InputError(
-        f"the output of the model is {model.output!r}, a recording has "
-        f"{', '.join(get_args(OutputName))}; validate the model on data with its output"
-    )

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import isclose
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armrig.cli.chosen_recording import DataFile
-from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.next_step import estimation_of, say_next, typed
+from armrig.cli.figures import WIDTH, Draw, Plot, check_plot, write_plot
+from armrig.cli.next_estimation import after_validate
+from armrig.cli.next_step import typed
 from armrig.cli.options import (
     Json,
     Verbose,
@@ -23,16 +22,14 @@ from armrig.cli.options import (
 )
 from armrig.cli.recorded_data import (
     SignalChoice,
-    from_recording,
     reads_data,
     spectral_beside,
     warn_of_estimation_data,
 )
-from armrig.cli.several_signals import Outputs
-from armrig.cli.several_signals import validate as validate_several
+from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset
+    from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
     from armrig.validation.comparison import ComparisonTable
     from armrig.validation.residual_test import ResidualTest
@@ -58,7 +55,7 @@ Lags = Annotated[
 _HORIZONS = (1, 10)
 
 
-@reads_data("assume", several=True)
+@reads_data("assume")
 def validate(
     file: DataFile,
     model: ModelFile,
@@ -77,25 +74,14 @@ def validate(
 
     check_plot(plot, [file, model])
     fit = load_fit(model)
-    if (fit.ny, fit.nu) != (1, 1):
-        to = Outputs(figure=plot, json=json, verbose=verbose)
-        validate_several(fit, file, signals, horizon or _HORIZONS, lags, model, to)
-        return
     data = signals.of(file, fit)
     validated = _validated(fit, data, horizon or _HORIZONS, lags)
-    _plot_validation(validated, lags, plot)
+    _plot_validation(validated, plot)
     if json:
         _print_validation_json(validated, model)
     else:
         _print_validation(validated, file, verbose=verbose, drawn=plot is not None)
-        estimation = estimation_of(file) if from_recording(data) else ""
-        say_next(
-            "validate" if estimation else "validate alone",
-            file=typed(file),
-            given=signals.options(data),
-            estimation=estimation,
-            model=quote(str(model)),
-        )
+        after_validate(fit, validated.tests, data, file, model, signals)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,14 +89,16 @@ class _Validated:
     """Results of one model on the validation data."""
 
     fit: Fit
-    data: Dataset
+    data: Dataset | Signals
     simulated: ComparisonTable
     predicted: list[ComparisonTable]
     """Comparison for each horizon."""
     tests: ResidualTest
 
 
-def _validated(fit: Fit, data: Dataset, horizons: Sequence[int], lags: int | None) -> _Validated:
+def _validated(
+    fit: Fit, data: Dataset | Signals, horizons: Sequence[int], lags: int | None
+) -> _Validated:
     from armrig.cli.spinner import estimating
     from armrig.validation.comparison import compare as compared
     from armrig.validation.residuals import residuals
@@ -123,63 +111,90 @@ def _validated(fit: Fit, data: Dataset, horizons: Sequence[int], lags: int | Non
     return _Validated(fit=fit, data=data, simulated=simulated, predicted=predicted, tests=tests)
 
 
-def _plot_validation(validated: _Validated, lags: int | None, plot: Path | None) -> None:
+def _plot_validation(validated: _Validated, plot: Path | None) -> None:
     if plot is None:
         return
-    from armrig.plots import plot_bode, plot_compare, plot_poles_zeros, plot_residuals
+    from armrig.plots import plot_bode, plot_compare, plot_poles_zeros
+    from armrig.validation.residual_figure import COLUMN_WIDTH, ROW_HEIGHT, plot_residual_test
 
     fit, data = validated.fit, validated.data
-    beside = spectral_beside(data)
-    names = [fit.label, *("spectral analysis, 95 %" for _ in beside)]
+    drawn: dict[str, Draw] = {
+        "compare": lambda ax: plot_compare(data, fit, table=validated.simulated, ax=ax),
+        "residuals": lambda ax: plot_residual_test(validated.tests, ax=ax),
+    }
+    if (fit.ny, fit.nu) == (1, 1):
+        beside = spectral_beside(data.signals().dataset())
+        names = [fit.label, *("spectral analysis, 95 %" for _ in beside)]
+        drawn["bode"] = lambda ax: plot_bode(fit, *beside, labels=names, ax=ax)
+        drawn["poles"] = lambda ax: plot_poles_zeros(fit, ax=ax)
     write_plot(
         plot,
-        compare=lambda ax: plot_compare(data, fit, table=validated.simulated, ax=ax),
-        residuals=lambda ax: plot_residuals(fit, data, lags=lags, ax=ax),
-        bode=lambda ax: plot_bode(fit, *beside, labels=names, ax=ax),
-        poles=lambda ax: plot_poles_zeros(fit, ax=ax),
+        max(WIDTH, COLUMN_WIDTH * (1 + fit.nu)),
+        height=max(3.6, ROW_HEIGHT * fit.ny),
+        **drawn,
     )
 
 
 def _print_validation_json(validated: _Validated, model: Path) -> None:
-    from armrig.cli.model_output import residual_facts
+    from armrig.cli.model_output import error_facts, residual_facts
 
-    ahead = [
-        {"horizon": t.horizon, "fit_percent": t[0].fit_percent, "rms_error": t[0].rms_error}
-        for t in validated.predicted
-    ]
+    ahead = [{"horizon": t.horizon} | error_facts(t.rows) for t in validated.predicted]
     print_json(
         {"model": str(model), "identified_from": validated.fit.source}
-        | residual_facts(validated.data, validated.simulated[0], validated.tests)
+        | residual_facts(validated.data, validated.simulated.rows, validated.tests)
         | {"ahead": ahead}
     )
 
 
 def _print_validation(validated: _Validated, file: Path, *, verbose: bool, drawn: bool) -> None:
-    from armrig.cli.model_output import RTOL, equally_well, lags_outside, residual_lines
+    import numpy as np
+
+    from armrig.cli.model_output import (
+        RTOL,
+        equally_well,
+        lags_outside,
+        pair_lines,
+        residual_lines,
+    )
     from armrig.models.equation import input_and_output
     from armrig.plots.captions import signature
-    from armrig.validation.answer import simulated_to, tests_sentence
-    from armrig.validation.comparison import row_line
+    from armrig.validation.answer import simulation, tests_sentence
 
     fit, table, tests = validated.fit, validated.simulated, validated.tests
-    simulated = simulated_to(table[0])
-    say_answer(
-        f"Simulated, {fit.heading} fits {fit.output} to {simulated}.\n{tests_sentence(tests)}."
-    )
-    rms = table[0].rms_error
-    same = [t.horizon for t in validated.predicted if isclose(t[0].rms_error, rms, rel_tol=RTOL)]
+    say_answer(f"Simulated, {fit.heading} fits {simulation(table.rows)}.\n{tests_sentence(tests)}.")
+    rms = [row.rms_error for row in table]
+    same = [
+        t.horizon
+        for t in validated.predicted
+        if np.allclose([row.rms_error for row in t], rms, RTOL, 0)
+    ]
     if same:
         say(equally_well(same))
     for one in validated.predicted:
         if one.horizon not in same:
-            say(row_line(f"{f'{one.horizon} ahead':9}", one[0]))
-    N = validated.data.N - validated.data.missing
+            say("\n".join(_ahead_lines(one)))
+    columns = validated.data.signals()
+    counts = [str(q.N) for q in fit.quality]
+    known = [str(n) for n in columns.valid.sum(axis=0)]
     say(
-        f"{input_and_output(fit)}; estimated from {fit.N} samples, validated on {N} samples of "
-        f"{typed(file)} ({signature(validated.data.source)}); {table.note}",
+        f"{input_and_output(fit)}; estimated from {listed([*dict.fromkeys(counts)])} samples, "
+        f"validated on {listed([*dict.fromkeys(known)])} samples of {typed(file)} "
+        f"({signature(validated.data.source)}); {table.note}",
         dim=True,
     )
-    if verbose:
-        say("\n".join(residual_lines(tests)))
+    lines = residual_lines(tests) if verbose else [*pair_lines(tests, verbose=False)]
+    if lines:
+        say("\n".join(lines))
     if (verbose or drawn) and (why := lags_outside(tests)):
         say(why)
+
+
+def _ahead_lines(table: ComparisonTable) -> Iterator[str]:
+    """Yield a line with the errors of each output; several outputs are named."""
+    from armrig.validation.comparison import row_line
+
+    ahead = f"{table.horizon} ahead"
+    width = max(len(name) for name in table.outputs) if len(table.outputs) > 1 else 0
+    for row in table:
+        yield row_line(f"{ahead:9}" + (f" {row.output:{width}}" if width else ""), row)
+        ahead = ""

@@ -14,13 +14,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
 
 import msgspec
+from armrig_core.errors import InputError
 
 from armrig.estimation.orders import require_sensible
-from armrig.models.structure_table import EVERY, STRUCTURES, Focus, OfferedName, Starts, Weights
+from armrig.models.structure_table import STRUCTURES, Focus, OfferedName, Starts, Weights
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset
+    from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
+
+_COUNTS_INTEGRATOR = ("na", "nb", "nf")
+"""Orders that are lower by one for an output that does not integrate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +35,18 @@ class Option:
     """Help text without a final period."""
     default: str = ""
     """Default of the estimator as text; "" if the help does not mention a default."""
+    channels: int = 1
+    """Least number of channels of a model that has the option."""
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True):
-    """Structure of a model, its orders, and the options of its estimator."""
+    """Structure of a model, its orders, and the options of its estimator.
+
+    All outputs and inputs have the same orders. If some outputs integrate, the orders also count
+    the root at 1 of these outputs. The orders na, nb and nf of the other outputs are then lower by
+    one. In the rig, for example, the transfer function to alpha has one pole and one coefficient of
+    B fewer than the transfer function to theta_1.
+    """
 
     structure: OfferedName
     orders: dict[str, int | None]
@@ -42,32 +54,77 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
     nk: int = 1
     # None, or False for a flag, means the default of the estimator.
     weights: Annotated[Weights | None, Option("Weights of the projection", "cva")] = None
-    integrator: Annotated[bool, Option("Fix one pole at 1")] = False
+    integrator: Annotated[bool | tuple[str, ...], Option("Fix one pole at 1")] = False
+    """True for all outputs, or the names of the outputs that integrate."""
     offset: Annotated[bool, Option("Also estimate the offset of the input")] = False
     stable: Annotated[
         bool, Option("Move poles that are outside the unit circle inside, by reflection")
     ] = False
     focus: Focus | None = None
     starts: Starts | None = None
+    shared: Annotated[bool | None, Option("One denominator for all outputs", channels=2)] = None
+    noise: bool | None = None
+    """False if a state-space model has no gain K of the innovations."""
 
     @property
     def asked(self) -> dict[str, Any]:
         """Requested arguments by name, except structure, orders and nk."""
         values = {name: getattr(self, name) for name in _ARGUMENTS}
-        return {name: x for name, x in values.items() if x is not None and x is not False}
+        return {name: x for name, x in values.items() if x != DEFAULTS[name]}
 
-    def check(self, data: Dataset) -> None:
+    def check(self, data: Dataset | Signals) -> None:
         """Refuse orders that are too high for the data."""
         orders = {name: n for name, n in self.orders.items() if n is not None}
-        samples = data.N - data.missing
-        require_sensible(samples=samples, nk=self.nk, integrator=self.integrator, **orders)
+        samples = data.N - data.missing // data.signals().ny
+        require_sensible(samples=samples, nk=self.nk, integrator=bool(self.integrator), **orders)
 
-    def estimated(self, data: Dataset) -> Fit:
+    def arguments(self, data: Dataset | Signals) -> dict[str, Any]:
+        """Return the arguments of the estimator.
+
+        Raises
+        ------
+        ValueError
+            An order leaves no coefficient for an output that does not integrate.
+        """
+        given: dict[str, Any] = dict(self.orders) | {"nk": self.nk} | self.asked
+        if self.shared:
+            given["shared"] = "denominator"
+        if "order" in self.orders and self.integrator:
+            given["integrator"] = True  # one pole of the states of all outputs
+        elif isinstance(self.integrator, tuple):
+            for name in [x for x in _COUNTS_INTEGRATOR if x in self.orders]:
+                given[name] = self._of_each(name, given[name], self.integrator, data)
+        return given
+
+    def _of_each(
+        self, name: str, n: int, integrating: tuple[str, ...], data: Dataset | Signals
+    ) -> Any:
+        """Return the order n of each output or channel, lower by one without an integrator."""
+        if name in ("na", "nf") and self.shared:
+            return n - 1
+        inputs, outputs = data.signals().inputs, data.signals().outputs
+        others = [output for output in outputs if output not in integrating]
+        if others and n < 2:
+            raise InputError(
+                f"{name}={n} leaves no coefficient for {', '.join(others)}, because {name} also "
+                f"counts the integrator of {', '.join(integrating)}; give {name} >= 2"
+            )
+        each = {output: n - (output in others) for output in outputs}
+        if name == "na":
+            return each
+        return {(output, input): each[output] for output in outputs for input in inputs}
+
+    def estimated(self, data: Dataset | Signals) -> Fit:
         """Return the model estimated from the data."""
-        return estimator(self.structure)(data, **self.orders, nk=self.nk, **self.asked)
+        return estimator(self.structure)(data, **self.arguments(data))
 
     def of_fit(self, fit: Fit) -> Self:
-        """Return this request with the orders, the integrator and the offset of the model `fit`."""
+        """Return this request with the orders, the integrator and the offset of the model `fit`.
+
+        The orders of several signals differ, so their request remains the same.
+        """
+        if (fit.ny, fit.nu) != (1, 1):
+            return self
         orders = dict(fit.orders)
         nk = orders.pop("nk")
         # With an integrator the offset is always estimated.
@@ -78,7 +135,7 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
 
     def of_structure(self, structure: OfferedName, orders: dict[str, int]) -> Self:
         """Return this request for another structure, without options that `structure` lacks."""
-        takes = (*EVERY, *STRUCTURES[structure].takes)
+        takes = STRUCTURES[structure].takes
         dropped = {name: DEFAULTS[name] for name in self.asked if name not in takes}
         return msgspec.structs.replace(self, structure=structure, orders=orders, **dropped)
 

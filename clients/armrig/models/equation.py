@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armrig.numerics.quantities import plural
+from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
@@ -21,7 +21,7 @@ def described(fit: Fit) -> str:
     The text of a model of several signals has a line for each output instead of the equation.
     """
     if (fit.ny, fit.nu) != (1, 1):
-        lines = list(_outputs_and_poles(fit))
+        lines = list(outputs_and_poles(fit))
     else:
         lines = [heading(fit), *equations(fit, fit.std if fit.quality else None)]
         lines += [
@@ -37,7 +37,7 @@ def described(fit: Fit) -> str:
     return "\n".join([*lines, *(f"  warning: {w}" for w in fit.warnings)])
 
 
-def _outputs_and_poles(fit: Fit) -> Iterator[str]:
+def outputs_and_poles(fit: Fit) -> Iterator[str]:
     """Yield a line with the signals, a line for each output, and a line with the poles."""
     inputs = ", ".join(_with_unit(*x) for x in zip(fit.inputs, fit.input_units, strict=True))
     yield (
@@ -89,7 +89,13 @@ def signals(model: Fit) -> str:
 
 def input_and_output(model: Fit) -> str:
     """Return a line with the signals and the sampling time."""
-    u, y = _with_unit(model.inputs[0], model.input_unit), _with_unit(model.output, model.unit)
+    u, y = (
+        listed([_with_unit(name, unit) for name, unit in zip(names, units, strict=True)])
+        for names, units in (
+            (model.inputs, model.input_units),
+            (model.outputs, model.units),
+        )
+    )
     return f"{u} to {y}, Ts {model.Ts:g} s"
 
 
@@ -140,11 +146,21 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def whiteness_sentence(fit: Fit, std: str = "std", robust: str = "std_robust") -> str:
-    """Return a text with the result of the whiteness test and the standard deviation to trust."""
-    of = "IV4's prewhitened residuals" if fit.structure == "iv4" else "residuals"
-    if isnan(fit.whiteness):
-        return f"{of} {fit.white}"
+    """Return a text with the results of the whiteness tests and the standard deviation to trust.
+
+    The text of several outputs names those with coloured residuals.
+    """
+    whites = [q.white for q in fit.quality]
+    coloured = [name for name, q in zip(fit.outputs, fit.quality, strict=True) if q.white.coloured]
+    if fit.ny == 1:
+        of = "IV4's prewhitened residuals" if fit.structure == "iv4" else "residuals"
+        said = f"{of} {whites[0]}"
+    else:
+        of = f" of {listed(coloured)}" if coloured else ""
+        said = f"the residuals{of} are {'coloured' if coloured else 'white'}"
+    if all(isnan(white.p_value) for white in whites):
+        return said
     if fit.trusts_robust:
-        return f"{of} {fit.white}: trust {robust}, not {std}"
+        return f"{said}: trust {robust}, not {std}"
     of_what = "" if fit.trusts_coefficients else " of the responses, not of the coefficients"
-    return f"{of} {fit.white}: trust {std}{of_what}"
+    return f"{said}: trust {std}{of_what}"

@@ -12,12 +12,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-OfferedName = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "ararx"]
+OfferedName = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "ararx", "ss"]
 """Structures offered by the commands; `pem` is for Python only."""
 OFFERED_NAMES: tuple[OfferedName, ...] = get_args(OfferedName)
 StructureName = Literal[OfferedName, "pem"]
-CommandName = Literal[OfferedName, "ss"]
-"""Structures of `armrig identify`; `ss` is for several signals only."""
 
 Initial = Literal["estimate", "backcast", "zero", "auto"]
 Weights = Literal["cva", "moesp", "n4sid"]
@@ -37,15 +35,13 @@ COUNTED = {
     "order": "states",
 }
 """Name of the items that an order counts, for each order except nk."""
-EVERY = ("nk", "stable")
-"""Arguments of every estimator."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegisteredStructure:
     """Specification of one structure."""
 
-    name: StructureName | Literal["channel", "ss"]
+    name: StructureName | Literal["channel"]
     """Name of the structure and of its estimator, in small letters."""
     equation: str
     """Equation of y, without delays and levels."""
@@ -55,16 +51,17 @@ class RegisteredStructure:
     poles: str
     """Name of the order that is the number of poles from u to y."""
     takes: tuple[str, ...] = ()
-    """Arguments of the estimator in addition to the orders and `EVERY`."""
-    takes_several: tuple[str, ...] | None = None
-    """Arguments of the estimator of several signals in addition to the orders and nk.
-
-    None if there is no such estimator.
-    """
+    """Arguments of the estimator in addition to the orders and nk."""
+    one_channel: tuple[str, ...] = ()
+    """Arguments in `takes` that need one input and one output."""
+    several: bool = True
+    """True if the estimator takes several inputs and outputs."""
     closed_loop: bool = False
     """True if feedback does not bias the estimate, provided that the noise model is right."""
     searched: bool = True
-    """True if a search without given structures includes this structure."""
+    """True if a search with one input and one output includes this structure by default."""
+    searched_of_several: bool = False
+    """True if a search with several signals tries this structure."""
 
     @property
     def title(self) -> str:
@@ -91,14 +88,16 @@ def with_article(title: str) -> str:
 
 
 _N = ARM_POLES
-_SEARCHED = ("integrator", "offset", "initial", "starts")
+_SEARCHED = ("integrator", "offset", "initial", "stable", "starts")
+_ONE = ("offset", "initial", "stable", "starts")
 _ROWS = (
     RegisteredStructure(
         name="arx",
         equation="A y = B u + e",
         orders={"na": _N, "nb": _N},
         poles="na",
-        takes_several=(),
+        takes=("stable",),
+        one_channel=("stable",),
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -106,8 +105,8 @@ _ROWS = (
         equation="A y = B u + C e",
         orders={"na": _N, "nb": _N, "nc": _N},
         poles="na",
-        takes=_SEARCHED,
-        takes_several=("integrator", "shared"),
+        takes=(*_SEARCHED, "shared"),
+        one_channel=_ONE,
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -115,8 +114,9 @@ _ROWS = (
         equation="y = B/F u + e",
         orders={"nb": _N, "nf": _N},
         poles="nf",
-        takes=_SEARCHED,
-        takes_several=("integrator", "shared"),
+        takes=(*_SEARCHED, "shared"),
+        one_channel=_ONE,
+        searched_of_several=True,
     ),
     RegisteredStructure(
         name="bj",
@@ -124,7 +124,7 @@ _ROWS = (
         orders={"nb": _N, "nc": 1, "nd": 1, "nf": _N},
         poles="nf",
         takes=_SEARCHED,
-        takes_several=("integrator",),
+        one_channel=_ONE,
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -132,14 +132,16 @@ _ROWS = (
         equation="A y = B u + v, v of any colour",
         orders={"na": _N, "nb": _N},
         poles="na",
+        takes=("stable",),
+        several=False,
     ),
     RegisteredStructure(
         name="n4sid",
         equation="a state space",
         orders={"order": None},
         poles="order",
-        takes=("integrator", "weights", "horizon", "focus"),
-        takes_several=("weights",),
+        takes=("integrator", "weights", "horizon", "focus", "stable", "replicates", "seed"),
+        searched_of_several=True,
     ),
     RegisteredStructure(
         name="ararx",
@@ -147,15 +149,26 @@ _ROWS = (
         orders={"na": _N, "nb": _N, "nd": 1},
         poles="na",
         takes=_SEARCHED,
+        several=False,
         closed_loop=True,
         searched=False,  # IV4 and BJ cover this noise; ARARX would lengthen a search by a quarter
+    ),
+    RegisteredStructure(
+        name="ss",
+        equation="a state space of least prediction errors",
+        orders={"order": None},
+        poles="order",
+        takes=("noise", "output_weights"),
+        closed_loop=True,
+        searched=False,  # the searches of one channel were tested without it
+        searched_of_several=True,
     ),
     RegisteredStructure(
         name="pem",
         equation="A y = B/F u + C/D e",
         orders={"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N},
         poles="nf",
-        takes=("offset", "initial", "starts"),
+        takes=("offset", "initial", "stable", "starts"),
         closed_loop=True,
     ),
 )
@@ -169,19 +182,7 @@ CHANNEL = RegisteredStructure(
 )
 """Specification of one channel of a model with several inputs or outputs. The noise of a channel
 depends on several e, so the channel has no C and no D."""
-_SS = RegisteredStructure(
-    name="ss",
-    equation="a state space of least prediction errors",
-    orders={"order": None},
-    poles="order",
-    takes_several=("noise",),
-    closed_loop=True,
-)
-OF_SEVERAL: dict[str, RegisteredStructure] = {
-    row.name: row for row in (*_ROWS, _SS) if row.takes_several is not None
-}
-"""Specifications of the structures that have an estimator of several signals."""
-DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | OF_SEVERAL | {CHANNEL.name: CHANNEL}
+DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | {CHANNEL.name: CHANNEL}
 """Specifications of all structures that a `Fit` may have, by name."""
 OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for name in OFFERED_NAMES}
 """Specifications of the structures that the commands offer, by name."""
@@ -189,5 +190,5 @@ OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for na
 
 def users(argument: str) -> list[OfferedName]:
     """Return the offered structures whose estimators have an order or argument of this name."""
-    all_of = {name: (*EVERY, *row.orders, *row.takes) for name, row in OFFERED.items()}
+    all_of = {name: ("nk", *row.orders, *row.takes) for name, row in OFFERED.items()}
     return [name for name, arguments in all_of.items() if argument in arguments]

@@ -5,9 +5,11 @@ from __future__ import annotations
 from math import isnan
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
-from armrig.numerics.quantities import p_relation
+from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice.model_advice import COLOURED
 from armrig.validation.comparison import Comparison, ComparisonTable
@@ -43,18 +45,44 @@ def answer(
     correct the data before the orders.
     """
     doubted = bool(doubts) or any(f.about in OF_DATA for f in fit.findings)
+    fits = [
+        f"{name} to {q.fit_percent:.2f} %" for name, q in zip(fit.outputs, fit.quality, strict=True)
+    ]
     said = (
-        f"{fit.heading} fits {fit.output} to {fit.fit_percent:.2f} % one step ahead; "
+        f"{fit.heading} fits {listed(fits)} one step ahead; "
         f"{whiteness_sentence(fit, 'σ', 'σ robust')}"
     )
     said += f"; {_DATA_FIRST if doubted else COLOURED}." if fit.trusts_robust else "."
     if validation is None or tests is None:
-        return said if isnan(fit.whiteness) else f"{said}\n{_MORE_TESTS}"
-    simulated = simulated_to(validation[0])
+        untested = all(isnan(q.white.p_value) for q in fit.quality)
+        return said if untested else f"{said}\n{_MORE_TESTS}"
+    simulated = f"to {simulated_to(validation[0])}" if fit.ny == 1 else simulation(validation.rows)
     return (
-        f"{said}\nSimulated on the validation data it fits to {simulated}.\n"
-        f"{tests_sentence(tests)}."
+        f"{said}\nSimulated on the validation data it fits {simulated}.\n{tests_sentence(tests)}."
     )
+
+
+def simulation(rows: Sequence[Comparison]) -> str:
+    """Return the fits of a model as text, such as: theta_1 to 99.9 % (rms 0.0035 rad) and alpha ….
+
+    The text is the end of a sentence whose subject is the model.
+    """
+    texts = [f"{row.output} to {simulated_to(row).removesuffix(ON_OWN_DATA)}" for row in rows]
+    return listed(texts) + ON_OWN_DATA * rows[0].on_estimation_data
+
+
+def closest(table: ComparisonTable) -> str:
+    """Return a sentence on each output's best model; for a single model, on its fits."""
+    how = "Simulated" if table.horizon is None else f"Predicted {table.horizon} ahead"
+    if len(table.models) == 1:
+        return f"{how}, {table[0].name} fits {simulation(table.models[0])}."
+    of: dict[str, list[str]] = {}
+    for output in table.outputs:
+        rows = table.of(output).rows
+        best = int(np.nanargmin([row.rms_error for row in rows]))
+        of.setdefault(rows[best].name, []).append(output)
+    said = [f"{name} has the least error of {listed(outputs)}" for name, outputs in of.items()]
+    return f"{how}, {listed(said)}."
 
 
 def simulated_to(row: Comparison) -> str:

@@ -18,20 +18,13 @@ from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.data_faults import level_without_input
 from armrig.estimation.multivariable.plans import integrating_outputs
-from armrig.estimation.n4sid import n4sid
 from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
-from armrig.models.structure_table import (
-    OF_SEVERAL,
-    OFFERED,
-    OFFERED_NAMES,
-    CommandName,
-    OfferedName,
-)
+from armrig.models.structure_table import OFFERED, OFFERED_NAMES, OfferedName
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
-from armrig.validation.advice.data_advice import Tested, data_doubts, doubts, tested
+from armrig.validation.advice.data_advice import Tested, doubts, doubts_of_channels, tested
 from armrig.validation.data_parts import estimation_and_validation
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.residuals import residuals
@@ -42,8 +35,6 @@ Vector = NDArray[np.float64]
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
 _ROUNDING = 1e-9  # share of y below which errors count as equal
-SEARCHED_OF_SEVERAL: tuple[CommandName, ...] = ("ss", "n4sid", "oe")
-"""Structures of several signals that are searched; oe has a shared denominator."""
 _CIRCLE_TOLERANCE = 1e-6
 _UNBOUNDED = 1e3  # multiple of the largest |y| above which an error counts as unbounded
 
@@ -53,7 +44,7 @@ def search(
     data: Dataset | Signals,
     validation: Dataset | Signals | None = None,
     *,
-    families: Sequence[CommandName] | None = None,
+    families: Sequence[OfferedName] | None = None,
     orders: Iterable[int] | None = None,
     nk: int | Iterable[int] | None = None,
     integrator: bool | str | Sequence[str] | None = None,
@@ -81,9 +72,9 @@ def search(
     chosen model report this.
 
     For several outputs, the squared error is the sum over the outputs of (y - ŷ)² / var y. For
-    several signals, a candidate of order n has n poles; an output with an integrator has one more pole, and one more
-    numerator coefficient for each input. "oe" has a shared denominator. If samples are missing,
-    "ss" has no K.
+    several signals, a candidate of order n has n poles; an output with an integrator has one more
+    pole, and one more numerator coefficient for each input. "oe" has a shared denominator. If
+    samples are missing, "ss" has no K.
 
     Parameters
     ----------
@@ -170,7 +161,7 @@ def search(
     scored = _counted(coming, [c.name for c in plan.candidates], progress)
     ranking = _ranked(scored, validation)
     return SearchResult(
-        ranked=tuple(_with_covariance(ranking, data)),
+        ranked=tuple(ranking.usable),
         rms=ranking.rms,
         excess=ranking.excess,
         excess_std=ranking.excess_std,
@@ -205,7 +196,7 @@ class _Plan:
 def _planned(
     data: Dataset,
     validation: Dataset,
-    families: Sequence[CommandName] | None,
+    families: Sequence[OfferedName] | None,
     orders: list[int],
     nk: int | Iterable[int] | None,
     integrator: bool | str | Sequence[str] | None,
@@ -244,7 +235,7 @@ def _planned(
 
 def _planned_for_several(
     data: Signals,
-    families: Sequence[CommandName] | None,
+    families: Sequence[OfferedName] | None,
     orders: list[int],
     nk: int | Iterable[int] | None,
     integrator: bool | str | Sequence[str] | None,
@@ -254,9 +245,8 @@ def _planned_for_several(
         integrator = [name for name in data.outputs if name in INTEGRATING_OUTPUTS]
     marks = zip(data.outputs, integrating_outputs(integrator, data), strict=True)
     integrating = tuple(output for output, integrates in marks if integrates)
-    names: list[CommandName] = several_of(
-        "families", SEARCHED_OF_SEVERAL if families is None else families, SEARCHED_OF_SEVERAL
-    )
+    able = [name for name, row in OFFERED.items() if row.searched_of_several]
+    names: list[OfferedName] = several_of("families", able if families is None else families, able)
     if integrating:
         names = ["oe"]
     delays = several("nk", nk) if isinstance(nk, Iterable) else [1 if nk is None else nk]
@@ -264,38 +254,14 @@ def _planned_for_several(
     candidates = [
         Candidate(
             family=family,
-            orders=(*dict.fromkeys(OF_SEVERAL[family].orders, n).items(), ("nk", k)),
-            integrating=integrating,
+            orders=(*dict.fromkeys(OFFERED[family].orders, n).items(), ("nk", k)),
+            integrator=integrating,
         )
         for family in names
         for k in delays
         for n in orders
     ]
-    return _Plan(candidates=candidates, doubts=tuple(_doubts_of_channels(data)))
-
-
-def _doubts_of_channels(data: Signals) -> Iterator[Finding]:
-    """Yield the doubts about the data of each channel, and about each input once."""
-    for i, output in enumerate(data.outputs):
-        for input in data.inputs:
-            for found in data_doubts(data.dataset(output, input)):
-                of_channel = found.about == "feedback"
-                if of_channel or i == 0:
-                    subject = f"{input} to {output}" if of_channel else input
-                    yield replace(found, text=f"{subject}: {found.text}")
-
-
-def _with_covariance(ranking: _Ranking, data: Dataset | Signals) -> Iterator[Scored]:
-    """Yield the ranked candidates; a chosen n4sid model of several signals has a covariance.
-
-    This covariance costs a hundred estimates.
-    """
-    for k, scored in enumerate(ranking.usable):
-        if k == ranking.chosen and isinstance(data, Signals) and scored.candidate.family == "n4sid":
-            orders = dict(scored.candidate.orders)
-            yield replace(scored, fit=n4sid(data, orders["order"], nk=orders["nk"]))
-        else:
-            yield scored
+    return _Plan(candidates=candidates, doubts=tuple(doubts_of_channels(data)))
 
 
 def _offered(known: Tested) -> list[OfferedName]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.request import SignalsRequest
-from armrig.estimation.n4sid import n4sid
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
-from armrig.models.structure_table import OF_SEVERAL, STRUCTURES, CommandName, OfferedName
+from armrig.models.structure_table import STRUCTURES, OfferedName
 from armrig.numerics.quantities import p_relation, plural
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.residual_test import ResidualTest
@@ -28,21 +26,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
-_ROWS = OF_SEVERAL | STRUCTURES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
     """A structure with its orders."""
 
-    family: CommandName
+    family: OfferedName
     """Name of the estimator."""
     orders: tuple[tuple[str, int], ...]
     """Orders by name."""
-    integrator: bool = False
-    """True if a pole is 1 by construction."""
-    integrating: tuple[str, ...] = ()
-    """Of several outputs, those with a pole at 1; the pole is not counted in the orders."""
+    integrator: bool | tuple[str, ...] = False
+    """True if a pole is 1 by construction. Of several outputs, the names of those with such a pole,
+    which the orders do not count."""
     offset: bool = False
     """True if the input's offset is estimated with the model."""
     simulates: bool = False
@@ -51,48 +47,40 @@ class Candidate:
     @property
     def name(self) -> str:
         """Structure and orders as text, in the same form as in comparisons of models."""
-        return _ROWS[self.family].short(dict(self.orders))
+        return STRUCTURES[self.family].short(dict(self.orders))
 
     @property
     def order(self) -> int:
         """Number of poles of B/F or B/A."""
-        return dict(self.orders)[_ROWS[self.family].poles]
+        return dict(self.orders)[STRUCTURES[self.family].poles]
 
-    def request_for(self, data: Signals) -> SignalsRequest:
-        """Return the request that estimates the model from several signals."""
+    def request_for(self, data: Dataset | Signals) -> Request:
+        """Return the request that estimates the model from the data.
+
+        Unstable poles are reflected at |z| = 1 if the structure has this option.
+        """
+        row, columns = STRUCTURES[self.family], data.signals()
+        one = (columns.ny, columns.nu) == (1, 1)
+        takes = [name for name in row.takes if one or name not in row.one_channel]
         orders = dict(self.orders)
-        nk, counted = orders.pop("nk"), bool(self.integrating)
-        return SignalsRequest(
+        nk, counted = orders.pop("nk"), isinstance(self.integrator, tuple) and bool(self.integrator)
+        return Request(
             structure=self.family,
             nk=nk,
             orders={name: n + counted for name, n in orders.items()},
-            integrating=self.integrating,
-            shared=self.family == "oe",
-            noise=not data.missing,
+            integrator=self.integrator,
+            offset=self.offset,
+            stable="stable" in takes,
+            focus="simulation" if self.simulates else None,
+            # Few starts suffice: a model of too high order has many minima, but is not chosen.
+            starts="few" if "starts" in takes else None,
+            shared=True if "shared" in takes and not one else None,
+            noise=False if "noise" in takes and data.missing else None,
         )
 
     def estimated(self, data: Dataset | Signals) -> Fit:
-        """Return the model estimated from the data.
-
-        Unstable poles of a model of one input and output are reflected at |z| = 1.
-        """
-        orders = dict(self.orders)
-        if isinstance(data, Signals):
-            if self.family == "n4sid":  # without a covariance, which costs a hundred estimates
-                return n4sid(data, orders["order"], nk=orders["nk"], replicates=0)
-            return self.request_for(data).estimated(data)
-        request = Request(
-            structure=cast("OfferedName", self.family),
-            nk=orders.pop("nk"),
-            orders={**orders},
-            integrator=self.integrator,
-            offset=self.offset,
-            stable=True,
-            focus="simulation" if self.simulates else None,
-            # Few starts suffice: a model of too high order has many minima, but is not chosen.
-            starts="few" if "starts" in STRUCTURES[self.family].takes else None,
-        )
-        return request.estimated(data)
+        """Return the model estimated from the data."""
+        return self.request_for(data).estimated(data)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -330,7 +318,7 @@ def _about_highest_order(found: SearchResult) -> Iterator[str]:
 
 def _about_families(found: SearchResult) -> Iterator[str]:
     """Yield a sentence if the least error of ARX models is far above that of OE models."""
-    best: dict[CommandName, int] = {}
+    best: dict[OfferedName, int] = {}
     for k, j in enumerate(found.ranked):
         best.setdefault(j.candidate.family, k)
     if "arx" in best and "oe" in best and found.rms[best["oe"]] > 0:

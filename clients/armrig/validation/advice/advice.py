@@ -8,6 +8,7 @@ from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
 from armrig.models.fit import Fit
+from armrig.numerics.quantities import listed
 from armrig.validation.advice.data_advice import examine_data
 from armrig.validation.advice.model_advice import examine_model
 
@@ -83,4 +84,4 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
         data = as_dataset(data_or_fit)
         return Advice(of=f"{data.N} samples of {data.output}", findings=tuple(examine_data(data)))
     fit = data_or_fit
-    return Advice(of=f"{fit.label} of {fit.output}", findings=tuple(examine_model(fit)))
+    return Advice(of=f"{fit.label} of {listed(fit.outputs)}", findings=tuple(examine_model(fit)))

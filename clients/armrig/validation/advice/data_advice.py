@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
 from armrig.data.step import LINE, codes_of
 from armrig.data.treatment import INTEGRATING_OUTPUTS, drift, hampel
@@ -100,6 +100,17 @@ def data_doubts(data: Dataset) -> list[Finding]:
     known = Tested(integration=Integration(integrates=False), loop=_loop(data), late="")
     found = [_about_input(data), *(_about_feedback(known) if known.together else ())]
     return [f for f in found if f.level != "good"]
+
+
+def doubts_of_channels(data: Signals) -> Iterator[Finding]:
+    """Yield the doubts about the data of each channel, and about each input once."""
+    for i, output in enumerate(data.outputs):
+        for input in data.inputs:
+            for found in data_doubts(data.dataset(output, input)):
+                of_channel = found.about == "feedback"
+                if of_channel or i == 0:
+                    subject = f"{input} to {output}" if of_channel else input
+                    yield replace(found, text=f"{subject}: {found.text}")
 
 
 def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
