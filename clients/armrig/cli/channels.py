@@ -57,8 +57,8 @@ def modelled_outputs(model: Fit, chosen: Sequence[str]) -> list[OutputName]:
         )
     if chosen and set(chosen) != set(model.outputs):
         raise typer.BadParameter(
-            f"--signal {','.join(chosen)}: the model's outputs are "
-            f"{', '.join(model.outputs)}; leave --signal out"
+            f"--signal {','.join(chosen)}: the model has {plural(model.ny, 'output')}, "
+            f"{listed(model.outputs)}; leave --signal out"
         )
     return [known[name] for name in model.outputs]
 

@@ -98,7 +98,7 @@ def compare(
     saved = _saved_models(model or [])
     _check_signals(saved, alone=other is None and not given)
     if other is None:
-        data = part.of(file, saved[0][1])
+        data = part.recorded(file, saved[0][1])
         recordings = part.read
         compared = _Compared(models=saved, data=data, where=typed(file))
     else:
@@ -155,11 +155,11 @@ def _saved_models(files: Sequence[Path]) -> list[tuple[str, Fit]]:
 def _check_signals(saved: Sequence[tuple[str, Fit]], *, alone: bool) -> None:
     """Refuse models of several signals with models of other signals; `alone`: only saved models."""
     shapes = {(fit.outputs, fit.inputs) for _, fit in saved}
-    several = [name for name, fit in saved if (fit.ny, fit.nu) != (1, 1)]
+    several = any((fit.ny, fit.nu) != (1, 1) for _, fit in saved)
     if several and (len(shapes) > 1 or not alone):
         raise typer.BadParameter(
-            f"{several[0]}: models of several signals are compared with models of the same signals "
-            "only, on one recording F"
+            "--model: models of several signals are compared with models of the same signals only, "
+            "on one recording F"
         )
 
 
@@ -271,6 +271,7 @@ def row_facts(rows: Sequence[Comparison]) -> dict[str, Any]:
     from armrig.cli.model_output import error_facts
 
     facts = {"model": rows[0].name} | error_facts(rows)
+    facts["on_estimation_data"] = rows[0].on_estimation_data
     if (rows[0].model.ny, rows[0].model.nu) != (1, 1):
         return facts
     t = rows[0].characteristics

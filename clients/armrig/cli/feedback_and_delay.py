@@ -11,7 +11,7 @@ import typer
 from armrig_core.errors import InputError
 
 from armrig.cli.chosen_recording import DataFile
-from armrig.cli.figures import Draw, Plot, check_plot, write_plot
+from armrig.cli.figures import Draw, Plot, check_plot, of_channel, write_plot
 from armrig.cli.next_step import chassis, kind_of, say_next, typed
 from armrig.cli.options import (
     Json,
@@ -128,7 +128,7 @@ def _tested(test: Callable[[Any], Any], data: Dataset | Signals) -> dict[str, An
 def _drawn(tests: Mapping[str, tuple[Any, Any]]) -> dict[str, Draw]:
     """Return the functions that draw the results, by their names."""
     return {
-        "_".join([which, *channel.split()]): partial(_draw, one)
+        "_".join([which, *channel.split()]): of_channel(partial(_draw, one), channel)
         for channel, found in tests.items()
         for which, one in zip(("open_loop", "delay"), found, strict=True)
         if not isinstance(one, str)

@@ -14,6 +14,7 @@ from armrig_core.errors import InputError
 from armrig.cli.options import inform
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from armrig.recordings.recording import Recording
@@ -156,6 +157,16 @@ def _drawn(subjects: Sequence[Draw], height: float, width: float) -> Figure:
     for ax in places[len(subjects) :]:
         ax.remove()
     return figure
+
+
+def of_channel(draw: Draw, channel: str) -> Draw:
+    """Return a function that draws a subject and writes the name of its channel, if it has one."""
+
+    def drawing(*, ax: Axes) -> None:
+        draw(ax=ax)
+        ax.text(0.99, 0.95, channel, transform=ax.transAxes, ha="right", va="top")
+
+    return drawing if channel else draw
 
 
 def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:

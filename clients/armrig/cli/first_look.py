@@ -12,7 +12,15 @@ import typer
 from armrig_core.errors import InputError
 
 from armrig.cli.chosen_recording import DataFile, File
-from armrig.cli.figures import FIGURE_HELP, Draw, Plot, check_plot, figure_path, write_plot
+from armrig.cli.figures import (
+    FIGURE_HELP,
+    Draw,
+    Plot,
+    check_plot,
+    figure_path,
+    of_channel,
+    write_plot,
+)
 from armrig.cli.next_step import AFTER, kind_of, say_next, step_again, typed, validation_beside
 from armrig.cli.options import (
     Json,
@@ -76,7 +84,7 @@ def plot(
     say_next(after if after in AFTER else "plot", file=typed(file))
 
 
-@reads_data("hampel")
+@reads_data("hampel", several=False)
 def sampling(
     file: DataFile,
     signals: SignalChoice,
@@ -223,13 +231,13 @@ def _draw_hints(
     found: Mapping[str, StructureHints], data: Dataset | Signals, plot: Path | None
 ) -> None:
     drawn: dict[str, Draw] = {}
-    for channel, of_channel in each_channel(data):
-        if (one := found.get(channel)) is not None:
-            end = "".join(f"_{word}" for word in channel.split())
-            drawn[f"impulse{end}"] = partial(_plot, one.response)
-            drawn[f"spectra{end}"] = partial(of_channel.plot, "spectrum")
-            drawn[f"structure{end}"] = partial(_plot, one)
-    write_plot(plot, height=5.0, **drawn)
+    for channel, one in found.items():
+        end = "".join(f"_{word}" for word in channel.split())
+        drawn[f"impulse{end}"] = of_channel(partial(_plot, one.response), channel)
+        if not channel:
+            drawn["spectra"] = partial(data.plot, "spectrum")
+        drawn[f"structure{end}"] = of_channel(partial(_plot, one), channel)
+    write_plot(plot, height=5.0 if "" in found else 2.7, **drawn)
 
 
 def _plot(one: Any, ax: Axes) -> None:

@@ -230,7 +230,8 @@ def _found(
     if isinstance(wanted, _Search):
         searched = _searched(wanted, data, other, integrator)
         fit = searched.fit
-        again = searched.chosen.candidate.request_for(data)
+        request = searched.chosen.candidate.request_for(data)
+        again = structs.replace(request, stable=False, focus=None, starts=None)
     else:
         fit = estimated(data, wanted)
         again = wanted

@@ -18,7 +18,7 @@ from armrig.models.equation import (
     whiteness_sentence,
 )
 from armrig.models.fit import Fit
-from armrig.numerics.quantities import NBSP, near_one, p_relation, places, with_std
+from armrig.numerics.quantities import NBSP, listed, near_one, p_relation, places, with_std
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice.advice import advice
 from armrig.validation.answer import DYNAMICS, FEEDBACK, LEVEL, NOISE, OF_DATA, UNTESTED
@@ -201,8 +201,9 @@ def residual_lines(tests: ResidualTest) -> list[str]:
     """Return the tests of the residuals, each with its hypothesis and p value."""
     where = "estimation" if tests.on_estimation_data else "validation"
     look = f": {NOISE}" if tests.white.coloured else ""
+    counts = np.atleast_1d(np.isfinite(tests.e).sum(axis=0)).tolist()
     return [
-        f"residuals on {where} data, {np.count_nonzero(np.isfinite(tests.e))} samples; {LEVEL}",
+        f"residuals on {where} data, {listed([str(n) for n in counts])} samples; {LEVEL}",
         f"  residuals {tests.white}{look}",
         f"  no dynamics missing: {_p(tests.missing_dynamics, DYNAMICS)}",
         f"  no feedback seen: {_p(tests.feedback, FEEDBACK)}",
@@ -321,17 +322,16 @@ def _parameters(channel: Fit) -> dict[str, dict[str, float]]:
     }
 
 
-def error_facts(rows: Sequence[Comparison]) -> dict[str, Any]:
+def error_facts(
+    rows: Sequence[Comparison], names: str = "fit_percent rms_error velocity_fit_percent"
+) -> dict[str, Any]:
     """Return the errors of a model as JSON fields; several outputs have lists."""
-    own = {"on_estimation_data": rows[0].on_estimation_data}
-    each = [fields_of(row, "fit_percent rms_error velocity_fit_percent") for row in rows]
+    each = [fields_of(row, names) for row in rows]
     if len(rows) == 1:
-        return own | each[0]
-    return (
-        own
-        | {"outputs": [row.output for row in rows]}
-        | {name: [of[name] for of in each] for name in each[0]}
-    )
+        return each[0]
+    return {"outputs": [row.output for row in rows]} | {
+        name: [of[name] for of in each] for name in each[0]
+    }
 
 
 def residual_facts(
@@ -340,6 +340,7 @@ def residual_facts(
     """Return the results on validation data as JSON fields."""
     facts = (
         source_facts(data)
+        | {"on_estimation_data": rows[0].on_estimation_data}
         | error_facts(rows)
         | {
             "p_white": tests.whiteness,

@@ -97,7 +97,9 @@ def _order(name: str) -> Any:
 def _option(name: str, what: str, default: str = "", more: str = "") -> Any:
     """Return an option; if only some structures have the option, its help names them."""
     titles = [OFFERED[user].title for user in users(name)]
-    which = "" if len(titles) == len(OFFERED_NAMES) else f" ({', '.join(titles)})"
+    others = [row.title for row in OFFERED.values() if row.title not in titles]
+    which = f" (not {others[0]})" if len(others) == 1 else f" ({', '.join(titles)})"
+    which = which if others else ""
     return typer.Option(flag(name), help=f"{what}{which}{more}.", show_default=default or True)
 
 

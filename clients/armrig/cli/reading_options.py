@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, fields
 from functools import wraps
 from shlex import quote
@@ -33,7 +34,7 @@ class DataOptions:
         typer.Option(
             "--input",
             metavar="NAME",
-            help="Column of the input in other data: its name, or its number from 1; repeatable.",
+            help="Column of the input in other data: its name, or its number from 1.",
             show_default="u",
         ),
     ] = None
@@ -43,7 +44,7 @@ class DataOptions:
             "--signal",
             metavar="NAME",
             help="Output: theta_1, alpha or velocity; in other data, the column's name, or its "
-            "number from 1; repeatable.",
+            "number from 1.",
             show_default="theta_1; y of other data",
         ),
     ] = None
@@ -155,11 +156,21 @@ def grouped(
     return decorated
 
 
-def data_options(names: Sequence[str]) -> list[inspect.Parameter]:
-    """Return options of `DataOptions` as parameters of a command."""
+def data_options(names: Sequence[str], *, several: bool) -> list[inspect.Parameter]:
+    """Return options of `DataOptions` as parameters of a command.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the options.
+    several : bool
+        Whether the command takes several inputs and outputs.
+    """
     kinds = get_type_hints(DataOptions, include_extras=True)
-    for name in _SEVERAL:
+    for name in _SEVERAL if several else ():
         _, option = get_args(kinds[name])
+        option = copy(option)
+        option.help = f"{option.help.removesuffix('.')}; repeatable."
         kinds[name] = Annotated[list[str] | None, option]
     return [
         inspect.Parameter(

@@ -83,7 +83,8 @@ class SignalChoice(DataOptions):
     def of_options(cls, **options: Any) -> Self:
         """Return the choice; a repeated option gives several names, as names with commas do."""
         for name in ("signal", "input"):
-            options[name] = ",".join(options[name]) if options.get(name) else None
+            if isinstance(options.get(name), list):
+                options[name] = ",".join(options[name]) or None
         return cls(**options)
 
     @property
@@ -158,7 +159,7 @@ class SignalChoice(DataOptions):
             raise typer.BadParameter(
                 f"--assume {self.assume} is for one output and one input: leave it out"
             )
-        data = self._table(file, model) if self._is_other(file) else self._recorded(file, model)
+        data = self._table(file, model) if self._is_other(file) else self.recorded(file, model)
         return self._treated(file, data, model)
 
     def of_one(self, file: Path) -> Dataset:
@@ -195,14 +196,14 @@ class SignalChoice(DataOptions):
         columns = data.signals()
         if isinstance(data, Dataset):
             read = [f"the input is column {inputs[0]}", f"the signal is column {outputs[0]}"]
-            missing = f"samples without {data.output}"
+            missing = "samples without {}"
         else:
             read = [f"outputs {', '.join(columns.outputs)}", f"inputs {', '.join(columns.inputs)}"]
             missing = "values are missing"
-        tell_of_reading(file, data, read, missing)
         if model is not None:
             data = as_modelled(file, data, model, named=self.signal is not None)
             columns = data.signals()
+        tell_of_reading(file, data, read, missing.format(columns.outputs[0]))
         for name in columns.outputs:
             if name in INTEGRATING_OUTPUTS:
                 tell(
@@ -268,7 +269,8 @@ class SignalChoice(DataOptions):
         """Return the chosen part of recordings."""
         return loaded(files, self.calibration, self.start, self.stop)
 
-    def _recorded(self, file: Path, model: Fit | None) -> Dataset | Signals:
+    def recorded(self, file: Path, model: Fit | None) -> Dataset | Signals:
+        """Return the data of a recording; the default outputs are the model's."""
         outputs = recorded_outputs(self.outputs or (THETA_1,))
         if model is not None:
             outputs = modelled_outputs(model, self.outputs)
@@ -276,15 +278,17 @@ class SignalChoice(DataOptions):
         return recording.dataset(outputs[0]) if len(outputs) == 1 else recording.signals(outputs)
 
 
-def reads_data(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def reads_data(
+    *without: str, several: bool = True
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that replaces the argument `signals` of a command by options of data."""
     names = [name for name in OPTIONS if name not in without]
-    return grouped("signals", data_options(names), SignalChoice.of_options)
+    return grouped("signals", data_options(names, several=several), SignalChoice.of_options)
 
 
 def reads_part(command: Callable[..., None]) -> Callable[..., None]:
     """Replace the argument `part` of a command by --calibration, --from and --to."""
-    return grouped("part", data_options(PART), SignalChoice)(command)
+    return grouped("part", data_options(PART, several=False), SignalChoice)(command)
 
 
 def between(data: Dataset | Signals, start: float | None, stop: float | None) -> Dataset | Signals:

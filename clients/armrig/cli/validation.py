@@ -138,7 +138,10 @@ def _plot_validation(validated: _Validated, plot: Path | None) -> None:
 def _print_validation_json(validated: _Validated, model: Path) -> None:
     from armrig.cli.model_output import error_facts, residual_facts
 
-    ahead = [{"horizon": t.horizon} | error_facts(t.rows) for t in validated.predicted]
+    ahead = [
+        {"horizon": t.horizon} | error_facts(t.rows, "fit_percent rms_error")
+        for t in validated.predicted
+    ]
     print_json(
         {"model": str(model), "identified_from": validated.fit.source}
         | residual_facts(validated.data, validated.simulated.rows, validated.tests)

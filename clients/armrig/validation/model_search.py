@@ -255,7 +255,7 @@ def _planned_for_several(
         Candidate(
             family=family,
             orders=(*dict.fromkeys(OFFERED[family].orders, n).items(), ("nk", k)),
-            integrator=integrating,
+            integrator=integrating or False,
         )
         for family in names
         for k in delays
