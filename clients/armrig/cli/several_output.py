@@ -140,7 +140,7 @@ def model_facts(fit: Fit) -> dict[str, Any]:
     poles = fit.poles()
     return {
         "structure": fit.structure,
-        "orders": fit.specification,
+        "orders": fit.specification or named(fit.orders),
         "shared": fit.shared,
         "inputs": list(fit.inputs),
         "Ts": fit.Ts,
