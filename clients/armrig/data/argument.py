@@ -72,7 +72,7 @@ def takes_data(
 
 
 def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..., R]:
-    """Return f with checks of its arguments, of which the first one is converted."""
+    """Return f with checks of its arguments; the first argument is converted."""
     called = signature(f)
     parameters = list(called.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)

@@ -42,7 +42,7 @@ class Candidate:
     integrator: bool = False
     """True if a pole is 1 by construction."""
     integrating: tuple[str, ...] = ()
-    """Of several outputs, those with a pole at 1; the pole is not counted in the orders."""
+    """Outputs of several signals with a pole at 1; the pole is not counted in the orders."""
     offset: bool = False
     """True if the input's offset is estimated with the model."""
     simulates: bool = False
