@@ -98,7 +98,9 @@ NO_MEMBERS = {
     "*.metadata": "texts",
     "Dataset.replaced": "a copy",
     "Signals.replaced": "a copy",
-    "Signals.treated": "treatments call it",
+    "Dataset.signals": "Signals has them",
+    "Signals.select": "parts of Signals",
+    "Signals.signals": "the object itself",
     "Signals.channels": "Signals calls it",
     "Signals.dataset": "Dataset has them",
     "Signals.experiments": "parts of Signals",
@@ -108,6 +110,7 @@ NO_MEMBERS = {
     "Dataset.experiments": "Dataset calls it",
     "Dataset.select": "Dataset calls it",
     "Dataset.split": "Dataset calls it",
+    "Trend.each": "of functions",
     "*.fixed": "a parameter that was given",
     "*.slice_of": "numbers of parameters, which names has",
     "*.polynomial": "A, B, C, D and F again",
@@ -701,10 +704,15 @@ def pem() -> Variants:
 @variants
 def n4sid() -> Variants:
     for name, fit in of_n4sid().items():
-        yield name, fit
-        yield f"{name}.state_space()", fit.state_space()
-        for member in PROJECTION:
-            yield f"{name}.{member}", getattr(fit, member)
+        yield from with_projection(name, fit)
+
+
+def with_projection(name: str, fit: armrig.Fit) -> Variants:
+    """Return a model of N4SID with the members that other models do not fill."""
+    yield name, fit
+    yield f"{name}.state_space()", fit.state_space()
+    for member in PROJECTION:
+        yield f"{name}.{member}", getattr(fit, member)
 
 
 def of_n4sid() -> dict[str, armrig.Fit]:
@@ -1440,7 +1448,7 @@ def load_fit() -> Variants:
     bj_odd().save(path)
     yield "bj", armrig.load_fit(path)
     armrig.n4sid(data()["plain"], 2).save(path)
-    yield "n4sid", armrig.load_fit(path)
+    yield from with_projection("n4sid", armrig.load_fit(path))
 
 
 @variants

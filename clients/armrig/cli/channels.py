@@ -14,7 +14,7 @@ from armrig.cli.options import tell
 from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Signals
     from armrig.models.fit import Fit
 
 _INPUTS = ("u",)

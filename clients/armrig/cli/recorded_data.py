@@ -38,8 +38,7 @@ from armrig.cli.reading_options import (
 from armrig.data.files.suffixes import OTHER_DATA
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording

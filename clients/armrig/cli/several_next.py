@@ -15,7 +15,7 @@ from armrig.cli.next_step import say_next, typed, validation_beside
 from armrig.cli.recorded_data import SignalChoice, from_recording
 
 if TYPE_CHECKING:
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Signals
     from armrig.estimation.multivariable.request import SignalsRequest
     from armrig.models.fit import Fit
     from armrig.validation.residual_test import ResidualTest

@@ -19,7 +19,7 @@ from armrig.validation.comparison import misfit_line
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Signals
     from armrig.models.fit import Fit
     from armrig.validation.comparison import Comparison, ComparisonTable
     from armrig.validation.residual_test import ResidualTest

@@ -22,7 +22,7 @@ from armrig.cli.recorded_data import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Signals
     from armrig.estimation.multivariable.request import SignalsRequest
     from armrig.models.fit import Fit
     from armrig.validation.comparison import ComparisonTable

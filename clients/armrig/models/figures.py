@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 
 _AMBIGUOUS_TURN_DEG = 150.0  # a sudden phase change by more than this may have either sign
 _TURN_STEPS = 4  # number of frequencies over which a phase change is sudden
+_CHANNEL_WIDTH = 4.5  # inches, of the frequency response of one channel
+_CHANNEL_HEIGHT = 3.6  # inches, likewise
 _MAX_DOTS = 40  # largest number of dots of a spectral estimate
 
 
@@ -143,9 +145,21 @@ def plot_step(
 
 
 def plot_fit(model: Fit) -> Figure:
-    """Return a figure of one model with frequency response, step response, poles and zeros."""
+    """Return a figure of one model with frequency response, step response, poles and zeros.
+
+    The figure of a model of several signals has the frequency response of each channel, a row for
+    each output and a column for each input.
+    """
     from matplotlib import pyplot as plt
 
+    if (model.ny, model.nu) != (1, 1):
+        size = _CHANNEL_WIDTH * model.nu, _CHANNEL_HEIGHT * model.ny
+        figure = plt.figure(figsize=size, layout="constrained")
+        cells = figure.add_gridspec(nrows=model.ny, ncols=model.nu)
+        for i, j, channel in model.channels():
+            name = f"{model.inputs[j]} to {model.outputs[i]}"
+            plot_bode(channel, labels=[name], ax=figure.add_subplot(cells[i, j]))
+        return figure
     figure = plt.figure(figsize=(9.0, 5.6), layout="constrained")
     grid = figure.add_gridspec(nrows=2, ncols=2, width_ratios=(1.2, 1), height_ratios=(1, 1.5))
     plot_bode(model, ax=figure.add_subplot(grid[:, 0]))

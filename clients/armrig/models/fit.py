@@ -544,6 +544,8 @@ class Fit(Estimate):
     def plot(self) -> Figure:
         """Return a figure of frequency and step response, poles and zeros, with 95 % regions.
 
+        The figure of a model of several signals has the frequency response of each channel.
+
         `plot_bode`, `plot_step` and `plot_poles_zeros` of `armrig.plots` draw each panel alone, for
         several models or in your own axes.
 

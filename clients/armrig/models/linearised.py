@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 def polynomial_roots(model: Fit, letter: str) -> Roots:
     """Return the roots of one polynomial; for "b" without the zeros at 0 and at infinity."""
     z, dz = root_derivatives(model, letter)
+    if z.size == 0:
+        return Roots(values=z, covariance=np.zeros((0, 2, 2)))
     both = np.stack([dz.real, dz.imag], axis=1)
     part = model.slice_of(letter)
     moved = both @ _factor(model.trusted_covariance[part, part])
@@ -43,6 +45,8 @@ def root_derivatives(model: Fit, letter: str) -> tuple[Complex, Complex]:
     first = int(letter != "b")
     p = model.polynomial(letter)[0 if first else model.nk :]
     z = roots(p).astype(np.complex128)
+    if z.size == 0:
+        return z, np.zeros((0, p.size - first), dtype=np.complex128)
     powers = p.size - 1 - np.arange(first, p.size)
     with np.errstate(divide="ignore", invalid="ignore"):
         if letter == model.integrating:

@@ -12,8 +12,7 @@ from armrig_core.arm import ArmParameters
 from armrig_core.errors import FileError, InputError
 from armrig_core.telemetry import ALPHA, THETA_1, OutputName
 
-from armrig.data.dataset import Dataset, Vector
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe

@@ -10,8 +10,7 @@ import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.argument import HasDataset, as_dataset
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.models.estimation_data import findings_on_own_data
 from armrig.models.fit import Fit
 from armrig.models.polynomials import Polynomials
@@ -187,10 +186,12 @@ def residuals(
 
 def _checked(fit: Fit, data: Dataset | HasDataset | Signals) -> Dataset | Signals:
     """Return data with the channels of the model; refuse other data."""
-    if not isinstance(fit, Fit) or not fit.quality:
+    if not isinstance(fit, Fit):
         raise InputTypeError(
             f"the model must come first, got a {type(fit).__name__}: residuals(fit, data)"
         )
+    if not fit.quality:
+        raise InputError(f"{fit.label} was not estimated: it has no noise model to test")
     if not isinstance(data, Signals) and (fit.ny, fit.nu) == (1, 1):
         data = as_dataset(data)
     require_same_signals(fit, data)  # type: ignore[arg-type]

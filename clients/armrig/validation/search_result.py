@@ -11,11 +11,10 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
-from armrig.data.signals import Signals
-from armrig.estimation.multivariable.n4sid import n4sid
 from armrig.estimation.multivariable.request import SignalsRequest
+from armrig.estimation.n4sid import n4sid
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.structure_table import OF_SEVERAL, STRUCTURES, CommandName, OfferedName

@@ -11,6 +11,7 @@ import pytest
 from armrig.models.fit import Fit
 from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from tests.clients.models.made_fits import changed, made
@@ -27,22 +28,19 @@ def fit(plant: HandoutPlant) -> armrig.Fit:
     return armrig.oe(plant.dataset(1, N=800), nb=4, nf=4, integrator=True, starts="few")
 
 
-def claimed(fit: armrig.Fit) -> Fit:
-    return Fit.of_channel(A=fit.A, B=fit.B, F=fit.F, nk=fit.nk, integrator=True, Ts=fit.Ts)
+def test_a_model_that_was_not_estimated_has_no_deviations_and_no_loss() -> None:
+    model = Fit.of_channel(B=[0, 0.3], F=np.convolve([1, -1], [1, -0.6]), nk=1, Ts=0.1)
 
-
-def test_a_model_responds_like_the_fit_with_the_same_polynomials(fit: armrig.Fit) -> None:
-    model, omega = claimed(fit), np.geomspace(0.1, 50.0, 40)
-    u = np.random.default_rng(0).standard_normal(60)
-
-    np.testing.assert_array_equal(model.poles().values, fit.poles().values)
-    np.testing.assert_array_equal(model.zeros().values, fit.zeros().values)
-    G = model.frequency_response(omega).G
-    np.testing.assert_array_equal(G, fit.frequency_response(omega).G)
-    np.testing.assert_array_equal(model.step_response(30).y, fit.step_response(30).y)
-    np.testing.assert_array_equal(model.simulate(u), fit.simulate(u))
-    assert model.orders == fit.orders
-    assert model.names == fit.names
+    assert (model.label, model.heading) == ("model", "model(nb=1, nf=2, nk=1)")
+    assert repr(model).splitlines()[0] == "model(nb=1, nf=2, nk=1): u to y, Ts 0.1 s"
+    assert not model.trusts_robust
+    assert not model.poles().covariance.any()
+    assert not model.step_response(9).std.any()
+    for name in ("loss", "N", "fit_percent", "whiteness", "aic"):
+        with pytest.raises(InputError, match="model was not estimated: it has no loss"):
+            getattr(model, name)
+    with pytest.raises(InputError, match="model was not estimated: it has no noise model to test"):
+        armrig.residuals(model, armrig.Dataset(u=[0.0, 1.0], y=[0.0, 1.0], Ts=0.1))
 
 
 def test_the_physical_model_of_alpha_is_that_of_the_arm() -> None:

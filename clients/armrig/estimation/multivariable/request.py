@@ -85,6 +85,7 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
 
     def estimated(self, data: Signals) -> Fit:
         """Return the model estimated from the data."""
-        module = import_module(f"armrig.estimation.multivariable.{self.structure}")
+        home = "estimation" if self.structure in ("ss", "n4sid") else "estimation.multivariable"
+        module = import_module(f"armrig.{home}.{self.structure}")
         fit: Fit = getattr(module, self.structure)(data, **self.arguments(data))
         return fit

@@ -1,128 +1,32 @@
-"""Models of several signals made by hand: their channels, predictions, texts and files."""
+"""Polynomials and state spaces of any number of signals: channels, predictions and texts."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from armrig.data.finding import warning
 from armrig.data.signals import Signals
-from armrig.data.step import MEAN, Step, codes_of
-from armrig.models.fit import Fit
-from armrig.models.matrices import Matrices
-from armrig.models.model_file import load_fit
-from armrig.models.model_writing import model_text
 from armrig.models.polynomials import Polynomials
-from armrig.models.quality import Start
 from armrig.models.state_space import StateSpace, predicted
-from armrig.numerics.inference import OutputQuality
 from armrig.numerics.polynomial import Array, filtered
-from armrig.numerics.whiteness import Whiteness
-from armrig_core.errors import FileError, InputError
+from armrig_core.errors import InputError
 
-ONE = np.ones(1)
-
-
-def vectors(*rows: Any) -> Any:
-    return tuple(tuple(np.array(p, float) for p in row) for row in rows)
-
-
-def apart(integrators: tuple[bool, bool] = (False, False)) -> Polynomials:
-    """Return Box-Jenkins rows: three inputs, of which v does not reach b."""
-    F = vectors([(1, -0.5), (1, -0.6, 0.2), (1, -0.3)], [(1, -0.8), (1,), (1, 0.1, -0.3)])
-    if integrators[0]:
-        F = (tuple(np.convolve([1, -1], f) for f in F[0]), F[1])
-    return Polynomials(
-        A=vectors([ONE, (0,)], [(0,), ONE]),
-        B=vectors([(0, 1, 0.5), (0.7,), (0, 0, 0, 2)], [(0, 0, 0.3), (0,), (0, -1, 0.2)]),
-        C=(np.array([1, 0.4]), ONE),
-        D=(np.array([1, -0.7, 0.1]), np.array([1, 0.3])),
-        F=F,
-        nk=((1, 0, 3), (2, 1, 1)),
-        integrators=integrators,
-    )
-
-
-def joined() -> Polynomials:
-    """Return ARX rows whose outputs affect each other; w reaches a by b alone."""
-    return Polynomials(
-        A=vectors([(1, -0.8, 0.2), (0, 0.3)], [(0, -0.2, 0.1), (1, -0.5)]),
-        B=vectors([(0, 1, 0.5), (0, 0, 0.7), (0, 0)], [(0, 0, 0.3), (0.4,), (0, 0, 0, 1)]),
-        C=(ONE, ONE),
-        D=(ONE, ONE),
-        F=vectors([ONE] * 3, [ONE] * 3),
-        nk=((1, 2, 2), (2, 0, 3)),
-        integrators=(False, False),
-    )
-
-
-def matrices() -> Matrices:
-    """Return three states, three inputs with delays of their own, two outputs."""
-    rng = np.random.default_rng(1)
-    A = np.diag([0.8, 0.5, -0.4]) + 0.1 * rng.standard_normal((3, 3))
-    B, C = rng.standard_normal((3, 3)), rng.standard_normal((2, 3))
-    D = np.array([[0.0, 0.3, 0.0], [0.0, -0.2, 0.0]])
-    return Matrices(A=A, B=B, C=C, D=D, K=0.2 * rng.standard_normal((3, 2)), nk=(1, 0, 3))
-
-
-def of_one_output(nu: int, *, noise: bool = True, nk: int = 1) -> Matrices:
-    """Return two states and one output; the first input has the delay nk."""
-    rng = np.random.default_rng(2)
-    return Matrices(
-        A=np.array([[0.8, 0.2], [-0.1, 0.5]]),
-        B=rng.standard_normal((2, nu)),
-        C=rng.standard_normal((1, 2)),
-        D=0.5 * np.eye(1, nu) * (nk == 0),
-        K=0.3 * noise * rng.standard_normal((2, 1)),
-        nk=(nk, *[1] * (nu - 1)),
-    )
-
-
-def fit_of(form: Any, **fields: Any) -> Fit:
-    """Return a model with the inputs u, v, w and the outputs a, b."""
-    d = form.theta.size
-    P = np.diag(np.square(0.001 * np.arange(1, d + 1)))
-    values: dict[str, Any] = {
-        "structure": "bj",
-        "specification": "nb=2, nf=2, nk=1",
-        "form": form,
-        "inputs": ("u", "v", "w"),
-        "outputs": ("a", "b"),
-        "input_units": ("V", "A", ""),
-        "units": ("rad", "m"),
-        "Ts": 0.1,
-        "covariance": P,
-        "covariance_robust": 4 * P,
-        "noise_covariance": np.array([[0.04, -0.03], [-0.03, 0.09]]),
-        "quality": (
-            OutputQuality(
-                loss=0.05, N=90, fit_percent=80.5, white=Whiteness(p_value=0.5, test="portmanteau")
-            ),
-            OutputQuality(
-                loss=0.1, N=95, fit_percent=-3.25, white=Whiteness(p_value=1e-4, test="Ljung-Box")
-            ),
-        ),
-    }
-    return Fit(**(values | fields))
-
-
-FORMS = {
-    "apart": apart,
-    "joined": joined,
-    "matrices": matrices,
-}
-MORE = FORMS | {"A of each output": lambda: with_all_polynomials()}
-OF_ONE_OUTPUT: dict[str, Any] = {
-    "2 inputs": lambda: of_one_output(2),
-    "1 input": lambda: of_one_output(1),
-    "direct": lambda: of_one_output(1, nk=0),
-    "delayed": lambda: of_one_output(1, nk=3),
-    "without K": lambda: of_one_output(2, noise=False),
-}
+from tests.clients.models.made_fits import (
+    FORMS,
+    MORE,
+    OF_ONE_OUTPUT,
+    ONE,
+    apart,
+    fit_of_form,
+    joined,
+    made,
+    matrices,
+    of_one_output,
+    vectors,
+    with_all_polynomials,
+)
 
 
 @pytest.mark.parametrize("name", MORE | OF_ONE_OUTPUT)
@@ -165,14 +69,28 @@ def test_each_channel_and_its_derivatives_equal_those_of_the_state_space(name: s
             np.testing.assert_allclose(known, J, atol=1e-6)
 
 
+@pytest.mark.parametrize("nk", range(4))
+def test_an_armax_model_has_the_observer_form(nk: int) -> None:
+    """N4SID gives such models; the transfer function is that of the polynomials."""
+    form = OF_ONE_OUTPUT[f"ARMAX, nk {nk}"]()
+    fit = made(structure="n4sid", A=form.A[0][0], B=form.B[0][0], C=form.C[0], nk=nk)
+
+    A, *_ = fit.state_space()
+
+    assert A.shape == (max(nk, 2),) * 2
+    for z in np.exp(1j * np.array([0.1, 0.9, 2.5])):
+        G = np.polyval(fit.B[::-1], 1 / z) / np.polyval(fit.A[::-1], 1 / z)
+        assert fit.to_control()(z) == pytest.approx(G)
+
+
 def test_a_state_space_of_one_channel_becomes_polynomials_with_its_responses() -> None:
     form = of_one_output(1)
     d = form.theta.size
     P = np.diag(np.square(0.001 * np.arange(1, d + 1)))
     of = {"inputs": ("u",), "outputs": ("y",), "input_units": ("V",), "units": ("rad",)}
-    quality = fit_of(apart()).quality[:1]
+    quality = fit_of_form(apart()).quality[:1]
 
-    fit = fit_of(
+    fit = fit_of_form(
         form, structure="ss", specification="", **of, covariance=P, covariance_robust=4 * P,
         noise_covariance=np.eye(1), quality=quality,
     )  # fmt: skip
@@ -189,11 +107,6 @@ def test_a_state_space_of_one_channel_becomes_polynomials_with_its_responses() -
 def without_denominators() -> Polynomials:
     """Return the rows of `apart` without A and F: FIR with a noise model."""
     return replace(apart(), F=vectors([ONE] * 3, [ONE] * 3))
-
-
-def with_all_polynomials() -> Polynomials:
-    """Return the rows of `apart` with an A of each output's own."""
-    return replace(apart(), A=vectors([(1, -0.4), (0,)], [(0,), (1, 0.2, 0.1)]))
 
 
 @pytest.mark.parametrize(
@@ -253,7 +166,7 @@ def test_the_delays_of_a_state_space_are_chains_of_states() -> None:
 
 
 def test_a_channel_has_the_signals_and_numbers_of_its_output_and_input() -> None:
-    fit = fit_of(apart())
+    fit = fit_of_form(apart())
     form, P = fit.form, fit.covariance
 
     for i, j, channel in fit.channels():
@@ -270,7 +183,7 @@ def test_a_channel_has_the_signals_and_numbers_of_its_output_and_input() -> None
         np.testing.assert_allclose(channel.covariance_robust, 4 * channel.covariance)
         assert channel.structure == "bj"
     assert [(i, j) for i, j, _ in fit.channels()] == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 2)]
-    assert fit_of(joined())["b", "u"].structure == "channel"
+    assert fit_of_form(joined())["b", "u"].structure == "channel"
     for channel, said in (
         (("b", "v"), "does not affect this output"),
         (("c", "u"), "output 'c': there is no such output; the model has a, b"),
@@ -282,7 +195,7 @@ def test_a_channel_has_the_signals_and_numbers_of_its_output_and_input() -> None
 
 
 def test_the_joint_response_contains_the_response_of_each_channel() -> None:
-    fit, omega = fit_of(apart()), np.array([0.5, 9.0])
+    fit, omega = fit_of_form(apart()), np.array([0.5, 9.0])
 
     G, step = fit.frequency_response(omega), fit.step_response(7)
     rate = fit.step_response(6, rate=True)
@@ -304,14 +217,14 @@ def test_the_joint_response_contains_the_response_of_each_channel() -> None:
 
 
 def test_poles_of_equal_denominators_count_once() -> None:
-    own = fit_of(apart()).poles().values
-    same = fit_of(replace(apart(), F=vectors([(1, -0.5)] * 3, [(1, -0.5)] * 3))).poles()
-    shared = replace(fit_of(apart((True, False))), shared=True).poles().values
-    coupled = fit_of(joined()).poles().values
+    own = fit_of_form(apart()).poles().values
+    same = fit_of_form(replace(apart(), F=vectors([(1, -0.5)] * 3, [(1, -0.5)] * 3))).poles()
+    shared = replace(fit_of_form(apart((True, False))), shared=True).poles().values
+    coupled = fit_of_form(joined()).poles().values
 
     assert np.sort(own.real) == pytest.approx(np.sort([0.5, 0.3, 0.3, 0.3, 0.8, 0.5, -0.6]))
     assert same.values == pytest.approx([0.5])
-    assert same.std == pytest.approx([fit_of(apart())["a", "u"].poles().std[0]])
+    assert same.std == pytest.approx([fit_of_form(apart())["a", "u"].poles().std[0]])
     assert shared[0] == 1.0
     (a, ab), (ba, b) = joined().A
     determinant = np.pad(np.convolve(a, b), (0, 1)) - np.pad(np.convolve(ab, ba), (0, 1))
@@ -367,7 +280,7 @@ def test_a_prediction_ahead_leaves_the_noise_of_its_horizon() -> None:
         x = system.A @ x + system.B @ u[t] + system.K @ e[t]
     data = Signals(u=u, y=y, Ts=0.1, inputs=["u", "v", "w"], outputs=["a", "b"])
 
-    left = data.y - fit_of(form).predict(data, 3)
+    left = data.y - fit_of_form(form).predict(data, 3)
 
     h = [np.eye(2), system.C @ system.K, system.C @ system.A @ system.K]
     expected = sum(np.vstack([np.zeros((k, 2)), e[: N - k]]) @ m.T for k, m in enumerate(h))
@@ -382,7 +295,7 @@ def test_the_ramp_of_an_integrating_output_is_estimated_with_the_model() -> None
     clean = form.realised().deterministic.simulated(u)
     ramp = np.column_stack([3.0 + 0.5 * np.arange(60), np.zeros(60)])
     data = Signals(u=u, y=clean + ramp, Ts=0.1, inputs=["u", "v", "w"], outputs=["a", "b"])
-    fit = fit_of(form)
+    fit = fit_of_form(form)
 
     for horizon in (1, 4, None):
         np.testing.assert_allclose(fit.predict(data, horizon)[4:], data.y[4:], atol=1e-6)
@@ -408,13 +321,13 @@ def test_the_levels_of_outputs_are_estimated_if_the_input_has_an_offset() -> Non
     data = Signals(u=u, y=y, Ts=0.1, inputs=["u", "v", "w"], outputs=["a", "b"])
 
     for horizon in (1, 4, None):
-        found = fit_of(form, offset=True).predict(data, horizon)
+        found = fit_of_form(form, offset=True).predict(data, horizon)
         np.testing.assert_allclose(found[4:], data.y[4:], atol=1e-6)
-    assert np.abs(fit_of(form).predict(data, None) - data.y).max() > 0.1
+    assert np.abs(fit_of_form(form).predict(data, None) - data.y).max() > 0.1
 
 
 def test_signals_with_other_names_are_refused() -> None:
-    fit = fit_of(apart())
+    fit = fit_of_form(apart())
     u, y = np.zeros((5, 3)), np.zeros((5, 2))
     names: dict[str, Any] = {"inputs": ["u", "v", "w"], "outputs": ["a", "b"]}
 
@@ -427,55 +340,3 @@ def test_signals_with_other_names_are_refused() -> None:
             fit.predict(Signals(u=u, y=y, **({"Ts": 0.1} | names | changed)))
     with pytest.raises(TypeError, match="data is a list: give Signals with a, b and u, v, w"):
         fit.predict([1.0])  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("name", FORMS)
-def test_a_file_keeps_each_field_of_each_form(name: str, tmp_path: Path) -> None:
-    fit = fit_of(
-        FORMS[name](),
-        shared=True,
-        output_weights=(1.5, 2.5),
-        converged=False,
-        starts=(Start(name="x", loss=float("inf"), iterations=3, converged=False),),
-        findings=(warning("overlap", "text", "order", start=1.5, stop=float("inf")),),
-        source="ab12",
-        history=(Step("removed the mean", MEAN),),
-        digest="cd34",
-    )
-    fit.save(tmp_path / "m.json")
-
-    loaded = load_fit(tmp_path / "m.json")
-
-    assert isinstance(loaded, Fit)
-    assert repr(loaded) == repr(fit)
-    assert model_text(loaded) == model_text(fit)
-    for field in ("findings", "starts", "output_weights", "shared", "converged", "digest"):
-        assert getattr(loaded, field) == getattr(fit, field)
-    assert codes_of(loaded.history) == [MEAN]
-    np.testing.assert_array_equal(loaded.theta, fit.theta)
-    np.testing.assert_array_equal(loaded.covariance_robust, fit.covariance_robust)
-    assert [(q.loss, q.N, q.white) for q in loaded.quality] == [
-        (q.loss, q.N, q.white) for q in fit.quality
-    ]
-    assert loaded.form.integrators == fit.form.integrators
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"version": 3, "armrig": "9.9"}, "format version 3, this armrig reads 2.* armrig 9.9"),
-        ({"covariance": [[1.0]]}, "damaged model: .* parameters, and covariances of another size"),
-        ({"covariance_robust": [[1.0]]}, "damaged model: .* covariances of another size"),
-        ({"quality": []}, "is a damaged model"),
-        ({"form": {"kind": "matrices"}}, "is a damaged model"),
-        ({"format": "x"}, "is no model file"),
-    ],
-)
-def test_a_file_of_another_kind_of_model_is_refused(
-    change: dict[str, Any], said: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "m.json"
-    path.write_text(json.dumps(json.loads(model_text(fit_of(apart()))) | change))
-
-    with pytest.raises(FileError, match=f"m.json .*{said}"):
-        load_fit(path)
