@@ -12,9 +12,8 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import as_dataset, takes_data
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
-from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.data_faults import level_without_input
 from armrig.estimation.multivariable.plans import integrating_outputs
@@ -81,9 +80,9 @@ def search(
     chosen model report this.
 
     For several outputs, the squared error is the sum over the outputs of (y - ŷ)² / var y. For
-    several signals, a candidate of order n has n poles; an output with an integrator has one more pole, and one more
-    numerator coefficient for each input. "oe" has a shared denominator. If samples are missing,
-    "ss" has no K.
+    several signals, a candidate of order n has n poles; an output with an integrator has one more
+    pole, and one more numerator coefficient for each input. "oe" has a shared denominator. If
+    samples are missing, "ss" has no K.
 
     Parameters
     ----------

@@ -11,9 +11,8 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
-from armrig.data.signals import Signals
 from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.estimation.n4sid import n4sid
 from armrig.estimation.request import Request
@@ -42,7 +41,7 @@ class Candidate:
     integrator: bool = False
     """True if a pole is 1 by construction."""
     integrating: tuple[str, ...] = ()
-    """Of several outputs, those with a pole at 1; the pole is not counted in the orders."""
+    """Outputs of several signals with a pole at 1; the pole is not counted in the orders."""
     offset: bool = False
     """True if the input's offset is estimated with the model."""
     simulates: bool = False

@@ -11,7 +11,7 @@ import pytest
 from armrig.cli import several_output
 from armrig.cli.recorded_data import SignalChoice
 from armrig.cli.several_next import after_compare, after_validate
-from armrig.data.signals import Signals
+from armrig.data.dataset import Signals
 from armrig.validation.comparison import Comparison, ComparisonTable
 
 from tests.clients.models.made_fits import made
