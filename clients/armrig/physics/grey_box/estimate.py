@@ -121,8 +121,8 @@ def greybox(
     Raises
     ------
     ValueError
-        A name is unknown or given twice, the data have several inputs or too few samples, the model
-        lacks an output or a state, or the data do not determine the parameters.
+        A name is unknown or given twice, or the model lacks an output or a state. The data have
+        several inputs or too few samples, or do not determine the parameters.
 
     References
     ----------
