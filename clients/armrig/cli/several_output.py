@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armrig.cli.model_output import RTOL, coefficients, equally_well, root_lines
+from armrig.models.structure_table import named
 from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.plots.captions import signature
