@@ -32,6 +32,7 @@ from armrig.estimation.state_space_fit import (
     influence,
     matrices,
 )
+from armrig.estimation.state_space_gaps import filtered_parts, scaled_errors
 from armrig.estimation.state_space_problem import (
     Part,
     Predictor,
@@ -206,19 +207,20 @@ def n4sid(
     found = _estimated(scaled, options)
     if focus == "simulation":
         found = _for_simulation(scaled, found, options)
-    # The weight of a single output has no effect.
+        found = _filtered(scaled, found, options, given=(found.at.B, found.at.D))
     one = data.ny == 1
-    Lambda = np.eye(1) if one else pairwise_covariance(np.vstack(found.errors))
+    parts = parts_of(scaled, _weights_of(found) if found.Lambda is None else found.Lambda)
     problem = StateSpaceProblem(
-        parts=parts_of(scaled, Lambda),
+        parts=parts,
         order=len(found.model.A),
         direct=options.direct,
         noise=True,
         level=integrator,
     )
+    sensitive = replace(problem, parts=found.parts or parts)
     V = directions(found.at.Abar, found.at.C)
     by = derivatives(problem, found.at, V)
-    Psi, states = influence(problem, found.at, V, found.states if one else None)
+    Psi, states = influence(sensitive, found.at, V, found.states if one else None)
     if integrator:
         fixed = by.at_fixed_pole(found.model.A)
         by, Psi = by.along(fixed), Psi @ fixed
@@ -278,6 +280,10 @@ class _Found:
     """One-step errors (N, ny) of each experiment, NaN where y is missing."""
     canonical_correlations: Array
     suggested_order: int
+    parts: tuple[Part, ...] = ()
+    """Signals of each experiment with the gains of a Kalman filter; () if no output is missing."""
+    Lambda: Array | None = None
+    """Covariance of e that the Kalman filter assumes."""
     settled: bool = True
     """True if the estimates of the missing outputs did not change in the last pass."""
 
@@ -297,7 +303,7 @@ def _estimated(signals: Parts, options: _Options) -> _Found:
         before = np.vstack([y for _, y in known])
         estimated = np.isnan(e) & np.isfinite(before)
         if not estimated.any():
-            return found
+            return _filtered(signals, found, options)
         loss = float(np.nanmean(e**2))
         if loss < least:
             least, best = loss, found
@@ -308,8 +314,36 @@ def _estimated(signals: Parts, options: _Options) -> _Found:
         ]
         change = (np.vstack([y for _, y in known]) - before)[estimated]
         if np.mean(change**2) <= loss / len(e):
-            return found
-    return replace(best, settled=False)
+            return _filtered(signals, found, options)
+    return _filtered(signals, replace(best, settled=False), options)
+
+
+def _filtered(
+    signals: Parts, found: _Found, options: _Options, given: tuple[Array, Array] | None = None
+) -> _Found:
+    """Return the estimate with a Kalman filter after each missing output.
+
+    The errors are scaled, so that each error has the variance of an error without missing outputs.
+    """
+    model, e = found.model, np.vstack(found.errors)
+    if np.isfinite(e).all() or not model.K.any():
+        return found
+    Lambda = _weights_of(found)
+    parts = filtered_parts(signals, model.A, model.C, model.K, Lambda)
+    like = {"direct": options.direct, "level": options.integrator, "given": given}
+    at, predicted, states = completed(parts, model, **like)
+    errors = [
+        scaled_errors(part, y - yhat, Lambda)
+        for part, (_, y), yhat in zip(parts, signals, predicted, strict=True)
+    ]
+    more = {"parts": tuple(parts), "Lambda": Lambda}
+    return replace(found, at=at, predicted=predicted, states=states, errors=errors, **more)
+
+
+def _weights_of(found: _Found) -> Array:
+    """Return the covariance of e; the weight of a single output has no effect."""
+    e = np.vstack(found.errors)
+    return np.eye(1) if e.shape[1] == 1 else pairwise_covariance(e)
 
 
 def _bridged(signals: Parts, longest: int) -> list[tuple[Array, Array]]:
@@ -363,7 +397,7 @@ def _from_windows(signals: Parts, known: Parts, options: _Options) -> _Found:
     free = model.A
     if options.stable:
         model = model.stabilised()
-    at, predicted, states = completed(signals, model, direct=direct, level=integrator)
+    at, predicted, states = completed(unweighted(signals), model, direct=direct, level=integrator)
     return _Found(
         model=model,
         free=free,
@@ -377,7 +411,7 @@ def _from_windows(signals: Parts, known: Parts, options: _Options) -> _Found:
 
 
 def completed(
-    signals: Parts,
+    parts: Sequence[Part],
     model: Innovations,
     *,
     direct: bool,
@@ -386,8 +420,9 @@ def completed(
 ) -> tuple[Predictor, list[Array], list[Basis]]:
     """Return the predictor whose B, D and initial states minimise the one-step errors.
 
-    The error of a missing output is taken as 0. With `level` constant offsets of the signals are
-    estimated, too. If B and D are `given`, only the initial states and the offsets are estimated.
+    Without the gains of a Kalman filter the error of a missing output is 0. With `level` constant
+    offsets of the signals are estimated, too. If B and D are `given`, only the initial states and
+    the offsets are estimated.
 
     Returns
     -------
@@ -402,11 +437,11 @@ def completed(
     ValueError
         u determines fewer coefficients than B and D have.
     """
-    (n, ny), nu = model.K.shape, signals[0][0].shape[1]
+    (n, ny), nu = model.K.shape, parts[0].u.shape[1]
     zero = np.zeros((n, nu)), np.zeros((ny, nu))
     at = Predictor(Abar=model.Abar, Bbar=zero[0], C=model.C, D=zero[1], K=model.K, x0=())
     states, blocks, left = [], [], []
-    for part in parts_of(signals, np.eye(ny)):
+    for part in parts:
         fed, driven, free = _responses(part, at, direct=direct)
         if level:
             free = np.concatenate([free, offsets(at.Abar, at.C, len(fed))])
@@ -436,6 +471,11 @@ def completed(
     return replace(at, Bbar=Bbar, D=D, x0=tuple(first)), predicted, states
 
 
+def unweighted(signals: Parts) -> tuple[Part, ...]:
+    """Return the signals of each experiment without weights of the outputs."""
+    return parts_of(signals, np.eye(signals[0][1].shape[1]))
+
+
 def _responses(part: Part, at: Predictor, *, direct: bool) -> tuple[Array, Array, Array]:
     """Return the part (N, ny) of the predictions that y drives, and those of B, D and x(0)."""
     (n, ny), u = at.K.shape, part.u
@@ -445,7 +485,8 @@ def _responses(part: Part, at: Predictor, *, direct: bool) -> tuple[Array, Array
         return fed, *state_responses(u, at.Abar, at.C, direct=of_D)
     w, at_once = entries(u, n, of_D, ny)
     k = len(w)
-    w = np.concatenate([w, np.zeros((n, *w.shape[1:])), (part.y @ at.K.T)[None]])
+    fed = (part.gains_of(at.K) @ part.y[:, :, None])[:, :, 0]
+    w = np.concatenate([w, np.zeros((n, *w.shape[1:])), fed[None]])
     at_once = np.concatenate([at_once, np.zeros((n + 1, *at_once.shape[1:]))])
     x0 = np.eye(len(w), n, k=-k)
     x0[-1] = 0.0
@@ -473,7 +514,7 @@ def _for_simulation(signals: Parts, found: _Found, options: _Options) -> _Found:
     if one:
         model = model.with_transition(_searched_poles(signals, model, **like))
     still = replace(model, K=np.zeros(model.K.shape))
-    at, simulated, _ = completed(signals, still, **like)
+    at, simulated, _ = completed(unweighted(signals), still, **like)
     gains = [model.K, still.K]
     if one:
         a = np.append(1.0, -model.A[:, 0])
@@ -484,10 +525,10 @@ def _for_simulation(signals: Parts, found: _Found, options: _Options) -> _Found:
     for K in gains:
         candidate = replace(model, K=K)
         B = at.Bbar, at.D
-        predictor, predicted, states = completed(signals, candidate, **like, given=B)
+        predictor, predicted, states = completed(unweighted(signals), candidate, **like, given=B)
         errors = [y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)]
         fit = replace(found, model=candidate, at=predictor, predicted=predicted, errors=errors)
-        fits.append(replace(fit, free=candidate.A, states=states))
+        fits.append(replace(fit, free=candidate.A, states=states, parts=(), Lambda=None))
     losses = [np.linalg.slogdet(pairwise_covariance(np.vstack(fit.errors)))[1] for fit in fits]
     return fits[int(np.argmin(losses))]
 
@@ -509,7 +550,7 @@ def _searched_poles(signals: Parts, model: Innovations, *, direct: bool, level: 
     start = np.append(1.0, -model.A[:, 0])
     start = without_integrator(start) if model.integrator else start
     problem = StateSpaceProblem(
-        parts=parts_of(signals, np.eye(1)), order=n, direct=direct, noise=False, level=level
+        parts=unweighted(signals), order=n, direct=direct, noise=False, level=level
     )
     # A change of the free polynomial, times the pole at 1, is a change of -A[:, 0].
     along = -np.column_stack([np.convolve(pole, row) for row in np.eye(start.size - 1)])

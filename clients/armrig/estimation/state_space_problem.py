@@ -58,6 +58,13 @@ class Part:
     """Mask (N, ny), False where an output is missing."""
     weights: Array
     """Whitening matrices (N, ny, ny)."""
+    gains: Array | None = None
+    """Gains (N, n, ny) of a Kalman filter for missing outputs, 0 for a missing output. None if the
+    predictor takes the error of a missing output as 0."""
+
+    def gains_of(self, K: Array) -> Array:
+        """Return the gain at each instant, (N, n, ny)."""
+        return K * self.rows[:, None, :] if self.gains is None else self.gains
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +83,11 @@ class Predictor:
     """Gain K for complete data (n, ny)."""
     x0: tuple[Array, ...]
     """State at the start of each experiment, (n,)."""
+
+    @property
+    def B(self) -> Array:
+        """Matrix of the inputs (n, nu) of the innovations form."""
+        return np.asarray(self.Bbar + self.K @ self.D)
 
     def simulated(self, u: Array, e: Array, x0: Array) -> Array:
         """Return the outputs (N, ny) for given inputs, errors and initial state."""
@@ -222,7 +234,8 @@ class StateSpaceProblem:
 
         The derivatives are with respect to (Abar, C) in the given directions, to the entries of
         Bbar and K signal by signal, and to those of D row by row. With `level` the responses also
-        contain a constant for each output. The error of a missing output is taken as 0.
+        contain a constant for each output. The changes of the gains of a Kalman filter after a
+        missing output are neglected.
         """
         Abar, C, K = at.Abar, at.C, at.K
         N, (n, ny) = len(part.u), K.shape
@@ -231,7 +244,7 @@ class StateSpaceProblem:
             driven, free = self.responses(part, Abar, C)
             by = np.concatenate([_moved(Abar, C, x, directions), driven])
         else:
-            w = part.u @ at.Bbar.T + (part.rows * part.y) @ K.T
+            w = part.u @ at.Bbar.T + (part.gains_of(K) @ part.y[:, :, None])[:, :, 0]
             yhat = held_responses(part, at, w[:, None], (part.u @ at.D.T)[:, None], x0[None])[:, 0]
             y = np.where(part.rows, part.y, yhat)
             x = recursion(Abar, part.u @ at.Bbar.T + y @ K.T, x0)[:-1]
@@ -367,11 +380,11 @@ def entries(signals: Array, n: int, direct: Array | None, ny: int) -> tuple[Arra
 def held_responses(
     part: Part, at: Predictor, w: Array, at_once: Array, x0: Array | None = None
 ) -> Array:
-    """Return responses (N, k, ny) of the predictor if the error of a missing output is 0.
+    """Return responses (N, k, ny) of the predictor if outputs are missing.
 
-    M(t) is the identity without the rows of the missing outputs ::
+    K(t) is the gain at t, in which a column is 0 if the output is missing ::
 
-        x(t+1) = (Abar + K (1 - M(t)) C) x(t) + w(t) + K (1 - M(t)) v(t),    C x(t) + v(t)
+        x(t+1) = (Abar + (K - K(t)) C) x(t) + w(t) + (K - K(t)) v(t),    C x(t) + v(t)
 
     Parameters
     ----------
@@ -382,7 +395,7 @@ def held_responses(
     x0 : ndarray, shape (k, n), optional
         Initial states; by default 0.
     """
-    lost = at.K * ~part.rows[:, None, :]
+    lost = at.K - part.gains_of(at.K)
     w = w + at_once @ lost.swapaxes(1, 2)
     x0 = np.zeros(w.shape[1:]) if x0 is None else x0
     x = varying_recursion(at.Abar + lost @ at.C, w, x0)[:-1]
