@@ -123,62 +123,77 @@ def n4sid(
     The future outputs are projected on past u and y, for given future u. The singular values of the
     weighted projection indicate the order. A and C are computed from the left singular vectors. K
     is computed from the residuals of a regression of the states. Least squares on the one-step
-    errors then estimate B, D and the unknown past. A, C and K do not minimise the prediction error.
-    The searches `armax`, `oe` and `bj` are therefore somewhat more accurate.
+    errors then estimate B, D and the initial states. A, C and K do not minimise the prediction
+    error. The searches `ss`, `armax`, `oe` and `bj` are therefore somewhat more accurate.
 
     Parameters
     ----------
-    data : Dataset
-        N samples. A window of 2 `horizon` samples with a missing sample is not used. The means of u
-        and y are projected out. With an integrator, the ramp due to an offset of u is projected out
-        too.
+    data : Dataset or Signals
+        N samples of nu inputs and ny outputs. The means of u and y are projected out. Missing
+        outputs are replaced by the model's predictions, and the model is estimated again, until
+        these values settle. After a missing output a Kalman filter computes the predictions.
+        Windows with a gap of more than `horizon` samples are not used for the poles.
     order : int, optional
         Number of states, >= 1. By default MDL of the one-step errors selects the order.
     weights : {"cva", "moesp", "n4sid"}
         Weights of the projection: Larimore's canonical variates, Verhaegen's PO-MOESP, or N4SID
         of Van Overschee and De Moor.
-    nk : int, default 1
-        Number of samples before u reaches y; 0 means a direct term D.
+    nk : int or sequence of int, default 1
+        Number of samples before each input reaches the outputs. With 0 for all inputs the model has
+        a direct term D.
     integrator : bool, default False
         Set the pole nearest 1 to exactly 1, and estimate the input offset too. The projection uses
         y, not the difference of y. Noise in the difference would hide the slow poles.
     horizon : int, optional
-        Number of past and of future samples, at least order + 2. With a shorter horizon the noise
-        model would be wrong. The default is the largest of 10, 2 (order + 1) and the order of an
-        ARX model. AIC chooses the order of the ARX model, at most 30. For short data the default is
-        smaller. If a horizon of order + 2 predicts the data better, order + 2 is the default. A
-        long horizon suits white output noise. A short horizon suits noise with the poles of A.
+        Number of past and of future samples, at least order / ny + 2. With a shorter horizon the
+        noise model would be wrong. The default is the largest of 10, 2 (order / ny + 1) and the
+        order of an ARX model. AIC chooses the order of the ARX model, at most 30. For short data
+        the default is smaller. If a horizon of order + 2 or of order / ny + 2 predicts the data
+        better, this horizon is the default. A long horizon suits white output noise. A short
+        horizon suits noise with the poles of A.
     focus : {"prediction", "simulation"}
-        Purpose of A and B. With "simulation" a search from the poles of the subspace model
-        minimises the simulation error. For each candidate of A, least squares give B and the
-        initial states. The result is an output-error model (`oe`) with a noise model. This model
-        simulates better than the model of "prediction" if the system is not exactly linear or not
-        exactly of this order. Its poles are always inside the unit circle.
+        Purpose of the model. With "simulation" B and D minimise the simulation error, and A is
+        stable. For one output a search from the poles of the projection also minimises the
+        simulation error over A. The result is an output-error model (`oe`) with a noise model. For
+        several outputs the simulation error decides the horizon, and no search follows: for that,
+        use `ss` with noise=False. A model for simulation simulates better than the model of
+        "prediction" if the system is not exactly linear or not exactly of this order.
     stable : bool, default False
         Reflect poles outside the unit circle into the circle, and estimate B again. A finding of
         the fit reports the reflection.
+    replicates : int, default 0
+        Number of replicates, from which the covariance is computed. For each replicate a data set
+        is simulated by the model, and another model is estimated from this data set in the same
+        way. The errors of the simulation are drawn from an autoregression of the model's one-step
+        errors. 100 replicates take about 100 times as long as the estimate. With fewer than 2
+        replicates the covariance is the bound below.
+    seed : int, default 0
+        Seed of the drawn errors.
 
     Returns
     -------
-    SubspaceFit
-        `covariance` is the bound lambda (Psi^T Psi)^-1 that a search attains for the same
-        polynomials. The covariance of the subspace estimate is larger and not known. In 200
-        simulations of an ARMAX system of order 2 (N = 2000), the true standard deviations were 0.92
-        to 1.06 times the bound. The test of `whiteness` assumes that the model minimises the
-        one-step errors. The errors of a subspace estimate have a bias that does not decrease with
-        N. Therefore the test rejects whiteness too often if the data are long. For a Box-Jenkins
-        system of order 3 (N = 1000) the test at the level 5 % rejected whiteness in 10 of 100
-        simulations.
+    SubspaceFit or MultivariableFit
+        Without replicates, `covariance` is the bound that a search attains for the same model. The
+        covariance of the subspace estimate is larger. In 200 simulations of an ARMAX system of
+        order 2 (N = 2000), the true standard deviations were 0.92 to 1.06 times the bound. For six
+        drawn systems of two inputs, two outputs and order 3 (N = 500, 50 simulations each) they
+        were on average 1.2 times the bound. The test of `whiteness` assumes that the model
+        minimises the one-step errors. The errors of a subspace estimate have a bias that does not
+        decrease with N. Therefore the test rejects whiteness too often if the data are long. For a
+        Box-Jenkins system of order 3 (N = 1000) the test at the level 5 % rejected whiteness in 10
+        of 100 simulations.
 
     Raises
     ------
     ValueError
-        There are too few samples, y is constant, or the data show fewer states than `order`.
+        There are too few samples, a signal is constant, the data show fewer states than `order`, or
+        u does not determine B and D.
 
     References
     ----------
     .. [1] P. Van Overschee, B. De Moor, *Subspace Identification for Linear Systems*, 1996.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 10.6.
+    .. [3] P. Bühlmann, "Sieve bootstrap for time series", Bernoulli 3 (1997) 123-148.
 
     Examples
     --------
