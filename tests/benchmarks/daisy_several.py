@@ -85,7 +85,7 @@ def main() -> None:
             _say(label, fit, parts, time.perf_counter() - begin)
         for label, focus in (("n4sid", "prediction"), ("n4sid, simulation", "simulation")):
             begin = time.perf_counter()
-            own = armrig.n4sid(parts[0], n, nk=0, focus=focus)
+            own = armrig.n4sid(parts[0], n, nk=0, focus=focus, replicates=0)
             if signals.ny > 1:  # for one channel, n4sid returns a Fit
                 _say(label, own, parts, time.perf_counter() - begin)
         for label, found in (

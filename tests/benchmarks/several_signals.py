@@ -199,7 +199,7 @@ CASES: dict[str, Callable[[int], MultivariablePlant]] = {
     "shared": chassis_and_arm,
     "arm": _arm,
     "ss": _ss,
-    "n4sid": lambda seed: _ss(seed, lambda s: armrig.n4sid(s, 3, replicates=100)),
+    "n4sid": lambda seed: _ss(seed, lambda s: armrig.n4sid(s, 3)),
 }
 
 

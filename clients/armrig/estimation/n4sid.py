@@ -83,6 +83,7 @@ from armrig.numerics.recursion import outputs
 from armrig.numerics.stretches import stretches
 
 _MAX_SUGGESTED_ORDER = 10
+_REPLICATES = 100  # by default, for several outputs
 _STEP = 1e-6  # change of a parameter for a numerical derivative
 _RANK_TOLERANCE = 1e-8  # a smaller relative singular value belongs to a change of coordinates
 _MAX_PASSES = 20  # of the estimation of missing outputs
@@ -115,7 +116,7 @@ def n4sid(
     horizon: int | None = None,
     focus: Focus = "prediction",
     stable: bool = False,
-    replicates: int = 0,
+    replicates: int | None = None,
     seed: int = 0,
 ) -> Any:
     """Estimate a state-space model x(t+1) = A x + B u + K e, y = C x + D u + e by projections.
@@ -161,12 +162,12 @@ def n4sid(
     stable : bool, default False
         Reflect poles outside the unit circle into the circle, and estimate B again. A finding of
         the fit reports the reflection.
-    replicates : int, default 0
+    replicates : int, optional
         Number of replicates, from which the covariance is computed. For each replicate a data set
         is simulated by the model, and another model is estimated from this data set in the same
         way. The errors of the simulation are drawn from an autoregression of the model's one-step
-        errors. 100 replicates take about 100 times as long as the estimate. With fewer than 2
-        replicates the covariance is the bound below.
+        errors. With fewer than 2 replicates the covariance is the bound below. The default is 100
+        for several outputs, and 0 for one output, for which the bound is nearly exact.
     seed : int, default 0
         Seed of the drawn errors.
 
@@ -205,6 +206,8 @@ def n4sid(
     array([0.91+0.16j, 0.91-0.16j, 0.69+0.j  ])
     """
     _require_known(weights, focus)
+    if replicates is None:
+        replicates = 0 if data.ny == 1 else _REPLICATES
     require_integers(order=(1 if order is None else order, 1), replicates=(replicates, 0))
     delays = delays_of(nk, data)
     require_windows(horizon or least_horizon(order, data.ny), data.nu + data.ny, data.N)
@@ -255,6 +258,14 @@ def n4sid(
     return _several(data, found, by, delays, **more)
 
 
+def order_of(data: Signals, nk: int | Sequence[int] = 1) -> int:
+    """Return the number of states that `n4sid` chooses."""
+    delays = delays_of(nk, data)
+    require_informative(data)
+    scaled, _, _ = scaled_signals(data, delays)
+    return len(_estimated(scaled, _Options(direct=max(delays) == 0)).model.A)
+
+
 def _require_known(weights: str, focus: str) -> None:
     if weights not in get_args(Weights):
         allowed = ", ".join(f'"{x}"' for x in get_args(Weights))
@@ -267,13 +278,13 @@ def _require_known(weights: str, focus: str) -> None:
 class _Options:
     """Options of the estimate."""
 
-    order: int | None
-    weights: Weights
-    horizon: int | None
-    integrator: bool
-    stable: bool
     direct: bool
-    simulated: bool
+    order: int | None = None
+    weights: Weights = "cva"
+    horizon: int | None = None
+    integrator: bool = False
+    stable: bool = False
+    simulated: bool = False
     """True if the model is for simulation."""
 
 

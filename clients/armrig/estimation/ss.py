@@ -14,7 +14,7 @@ from armrig.data.signals import Signals
 from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
 from armrig.estimation.multivariable.ends import ranked
 from armrig.estimation.multivariable.whitening import whitening
-from armrig.estimation.n4sid import n4sid
+from armrig.estimation.n4sid import order_of
 from armrig.estimation.orders import require_samples
 from armrig.estimation.state_space_fit import derivatives, inference, influence, matrices
 from armrig.estimation.state_space_gaps import searched
@@ -145,7 +145,7 @@ def ss(
     alpha: 97.5 %
     """
     if order is None:
-        order = n4sid(data, nk=nk).form.realised().A.shape[0]
+        order = order_of(data, nk=nk)
     require_integers(order=(order, 1))
     require_flags(noise=noise)
     delays = delays_of(nk, data)

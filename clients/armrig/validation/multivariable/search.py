@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -180,7 +180,15 @@ def search(
         scored.append(_scored(family, n, data, validation, nk, integrator, horizon))
     if progress is not None:
         progress(len(plan), len(plan), "")
-    return _ranked(scored, halved=halved, horizon=horizon, nk=nk)
+    found = _ranked(scored, halved=halved, horizon=horizon, nk=nk)
+    chosen = found.chosen
+    if chosen.family != "n4sid":
+        return found
+    # Only the chosen n4sid model has a covariance by replicates, because it costs a hundred
+    # estimates.
+    ranked = [*found.ranked]
+    ranked[found.chosen_index] = replace(chosen, fit=n4sid(data, chosen.order, nk=nk))
+    return replace(found, ranked=tuple(ranked))
 
 
 def _scored(
@@ -219,7 +227,7 @@ def _estimated(
         return oe(data, nb=nb, nf=n, nk=nk, integrator=integrator, shared="denominator")
     if family == "ss":
         return ss(data, order=n, nk=nk, noise=not data.missing)
-    return n4sid(data, n, nk=nk)
+    return n4sid(data, n, nk=nk, replicates=0)
 
 
 def _ranked(
