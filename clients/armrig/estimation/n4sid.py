@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, get_args
 
 import numpy as np
@@ -16,15 +16,13 @@ from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
 from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.error_process import error_process
-from armrig.estimation.hannan_rissanen import noise_start
 from armrig.estimation.multivariable.data_checks import (
     instability,
     origin,
     poor_fits,
     require_informative,
 )
-from armrig.estimation.multivariable.whitening import patterns
-from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
+from armrig.estimation.stability import REFLECT, reflection_warnings, unstable
 from armrig.estimation.state_space_fit import (
     Derivatives,
     derivatives,
@@ -32,68 +30,45 @@ from armrig.estimation.state_space_fit import (
     influence,
     matrices,
 )
-from armrig.estimation.state_space_gaps import filtered_parts, scaled_errors
 from armrig.estimation.state_space_problem import (
-    Part,
-    Predictor,
     StateSpaceProblem,
-    basis_of_states,
     delays_of,
     directions,
-    entries,
-    held_responses,
-    offsets,
     parts_of,
     scaled_signals,
-    stacked,
-    state_responses,
-    whitened,
-    without,
 )
-from armrig.estimation.state_space_starts import interpolated
-from armrig.estimation.subspace import Parts, projection, suggested_order, visible_states
+from armrig.estimation.subspace import Parts
+from armrig.estimation.subspace_estimate import (
+    MAX_PASSES,
+    SubspaceEstimate,
+    SubspaceOptions,
+    estimated,
+    weights_of,
+)
 from armrig.estimation.subspace_horizon import (
-    MIN_HORIZON,
-    Innovations,
-    best_innovations,
-    companion,
-    innovations_at,
     least_horizon,
     require_windows,
-    usable_windows,
 )
+from armrig.estimation.subspace_simulation import for_simulation
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.structure_table import Focus, Weights
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
-from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.inference import Inference
-from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.numerics.levenberg_marquardt import levenberg_marquardt
 from armrig.numerics.polynomial import (
     Array,
-    drawn_to_edge,
-    filtered,
-    outward_normals,
-    reflected,
-    without_integrator,
 )
-from armrig.numerics.polynomial import stable as stable_polynomial
-from armrig.numerics.recursion import outputs
-from armrig.numerics.stretches import stretches
 
-_MAX_SUGGESTED_ORDER = 10
 _REPLICATES = 100  # by default, for several outputs
 _STEP = 1e-6  # change of a parameter for a numerical derivative
 _RANK_TOLERANCE = 1e-8  # a smaller relative singular value belongs to a change of coordinates
-_MAX_PASSES = 20  # of the estimation of missing outputs
 _MAX_DISTANCE_FROM_1 = 0.02  # a pole farther from 1 is not taken for an integrator
 _NO_GAIN_TEXT = (
     "no steady Kalman gain was found, so C of the subspace model is A with its roots inside the "
     "unit circle"
 )
 _UNSETTLED_TEXT = (
-    f"the missing outputs were estimated {_MAX_PASSES} times and did not settle: use ss"
+    f"the missing outputs were estimated {MAX_PASSES} times and did not settle: use ss"
 )
 _BOUND_TEXT = (
     "the standard deviations are a lower bound; the true standard deviations of a subspace "
@@ -213,7 +188,7 @@ def n4sid(
     require_windows(horizon or least_horizon(order, data.ny), data.nu + data.ny, data.N)
     require_informative(data)
     scaled, su, sy = scaled_signals(data, delays)
-    options = _Options(
+    options = SubspaceOptions(
         order=order if order is None else int(order),
         weights=weights,
         horizon=horizon,
@@ -222,12 +197,11 @@ def n4sid(
         direct=max(delays) == 0,
         simulated=focus == "simulation",
     )
-    found = _estimated(scaled, options)
+    found = estimated(scaled, options)
     if focus == "simulation":
-        found = _for_simulation(scaled, found, options)
-        found = _filtered(scaled, found, options, given=(found.at.B, found.at.D))
+        found = for_simulation(scaled, found, options)
     one = data.ny == 1
-    parts = parts_of(scaled, _weights_of(found) if found.Lambda is None else found.Lambda)
+    parts = parts_of(scaled, weights_of(found) if found.Lambda is None else found.Lambda)
     problem = StateSpaceProblem(
         parts=parts,
         order=len(found.model.A),
@@ -247,15 +221,15 @@ def n4sid(
         covariance = _replicated(scaled, found, by, options, replicates, seed)
         inferred = replace(inferred, covariance=covariance, covariance_robust=covariance)
     notes = [] if found.model.steady else [warning("no_gain", _NO_GAIN_TEXT)]
-    notes += [] if found.settled else [warning("not_converged", _UNSETTLED_TEXT, steps=_MAX_PASSES)]
+    notes += [] if found.settled else [warning("not_converged", _UNSETTLED_TEXT, steps=MAX_PASSES)]
     if stable:
         both = (np.real(np.poly(A)) for A in (found.free, found.model.A))
         notes += reflection_warnings(*both)
     notes += [] if replicates > 1 else [warning("bound", _BOUND_TEXT)]
-    more = {"inferred": inferred, "notes": tuple(notes), "su": su, "sy": sy}
     if data.nu == data.ny == 1:
-        return _one_channel(data.dataset(), found, by, delays[0], options, **more)
-    return _several(data, found, by, delays, **more)
+        scale = float(su[0]), float(sy[0])
+        return _one_channel(data.dataset(), found, by, delays[0], options, inferred, notes, scale)
+    return _several(data, found, by, delays, inferred, notes, (su, sy))
 
 
 def order_of(data: Signals, nk: int | Sequence[int] = 1) -> int:
@@ -263,7 +237,7 @@ def order_of(data: Signals, nk: int | Sequence[int] = 1) -> int:
     delays = delays_of(nk, data)
     require_informative(data)
     scaled, _, _ = scaled_signals(data, delays)
-    return len(_estimated(scaled, _Options(direct=max(delays) == 0)).model.A)
+    return len(estimated(scaled, SubspaceOptions(direct=max(delays) == 0)).model.A)
 
 
 def _require_known(weights: str, focus: str) -> None:
@@ -274,344 +248,13 @@ def _require_known(weights: str, focus: str) -> None:
         raise InputError(f'focus={focus!r} must be one of "prediction", "simulation"')
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Options:
-    """Options of the estimate."""
-
-    direct: bool
-    order: int | None = None
-    weights: Weights = "cva"
-    horizon: int | None = None
-    integrator: bool = False
-    stable: bool = False
-    simulated: bool = False
-    """True if the model is for simulation."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Found:
-    """Estimate of all matrices."""
-
-    model: Innovations
-    """A, C and K."""
-    free: Array
-    """A before the option `stable` reflected its poles."""
-    at: Predictor
-    """Predictor of the scaled signals."""
-    predicted: list[Array]
-    """One-step predictions (N, ny) of each experiment."""
-    states: list[Basis]
-    """Effects of the initial states on the predictions of each experiment."""
-    errors: list[Array]
-    """One-step errors (N, ny) of each experiment, NaN where y is missing."""
-    canonical_correlations: Array
-    suggested_order: int
-    parts: tuple[Part, ...] = ()
-    """Signals of each experiment with the gains of a Kalman filter; () if no output is missing."""
-    Lambda: Array | None = None
-    """Covariance of e that the Kalman filter assumes."""
-    settled: bool = True
-    """True if the estimates of the missing outputs did not change in the last pass."""
-
-
-def _estimated(signals: Parts, options: _Options) -> _Found:
-    """Return the estimate from the windows, in which missing outputs are estimated as well.
-
-    The windows need a value for each missing output. The first value is interpolated. The model's
-    predictions then replace these values, and the model is estimated again, until the values change
-    by less than std(e)/sqrt(N). If they do not settle, the model with the least errors is returned.
-    """
-    known = _bridged(signals, options.horizon or MIN_HORIZON)
-    least = np.inf
-    for _ in range(_MAX_PASSES):
-        found = _from_windows(signals, known, options)
-        e = np.vstack(found.errors)
-        before = np.vstack([y for _, y in known])
-        estimated = np.isnan(e) & np.isfinite(before)
-        if not estimated.any():
-            return _filtered(signals, found, options)
-        loss = float(np.nanmean(e**2))
-        if loss < least:
-            least, best = loss, found
-        Lambda = pairwise_covariance(e)
-        known = [
-            (u, np.where(np.isnan(y), np.nan, at + _conditional(x, Lambda)))
-            for (u, y), at, x in zip(known, found.predicted, found.errors, strict=True)
-        ]
-        change = (np.vstack([y for _, y in known]) - before)[estimated]
-        if np.mean(change**2) <= loss / len(e):
-            return _filtered(signals, found, options)
-    return _filtered(signals, replace(best, settled=False), options)
-
-
-def _filtered(
-    signals: Parts, found: _Found, options: _Options, given: tuple[Array, Array] | None = None
-) -> _Found:
-    """Return the estimate with a Kalman filter after each missing output.
-
-    The errors are scaled, so that each error has the variance of an error without missing outputs.
-    """
-    model, e = found.model, np.vstack(found.errors)
-    if np.isfinite(e).all() or not model.K.any():
-        return found
-    Lambda = _weights_of(found)
-    parts = filtered_parts(signals, model.A, model.C, model.K, Lambda)
-    like = {"direct": options.direct, "level": options.integrator, "given": given}
-    at, predicted, states = completed(parts, model, **like)
-    errors = [
-        scaled_errors(part, y - yhat, Lambda)
-        for part, (_, y), yhat in zip(parts, signals, predicted, strict=True)
-    ]
-    more = {"parts": tuple(parts), "Lambda": Lambda}
-    return replace(found, at=at, predicted=predicted, states=states, errors=errors, **more)
-
-
-def _weights_of(found: _Found) -> Array:
-    """Return the covariance of e; the weight of a single output has no effect."""
-    e = np.vstack(found.errors)
-    return np.eye(1) if e.shape[1] == 1 else pairwise_covariance(e)
-
-
-def _bridged(signals: Parts, longest: int) -> list[tuple[Array, Array]]:
-    """Return the signals with outputs interpolated over gaps of at most `longest` samples."""
-    found = []
-    for u, y in signals:
-        filled = interpolated(y)
-        for k, missing in enumerate(np.isnan(y).T):
-            for gap in stretches(missing):
-                if gap.stop - gap.start > longest:
-                    filled[gap, k] = np.nan
-        found.append((u, filled))
-    return found
-
-
-def _conditional(errors: Array, Lambda: Array) -> Array:
-    """Return the errors (N, ny); a missing error is estimated from those of the other outputs."""
-    known = np.isfinite(errors)
-    found = np.where(known, errors, 0.0)
-    for o, times in patterns(known):
-        gain = np.linalg.solve(Lambda[np.ix_(o, o)], Lambda[o])
-        found[times] = found[np.ix_(times, o)] @ gain
-    return found
-
-
-def _from_windows(signals: Parts, known: Parts, options: _Options) -> _Found:
-    """Return the estimate from windows of the `known` signals, which have no missing outputs."""
-    w = usable_windows(known, options.order, options.horizon)
-    found = projection(w, options.weights)
-    canonical = found if options.weights == "cva" else projection(w, "cva")
-    states = visible_states(w)
-    most = min(_MAX_SUGGESTED_ORDER, (w.future - 2) * w.ny, states)
-    suggested = suggested_order(w, canonical, most)
-    n = suggested if options.order is None else options.order
-    if n > states:
-        raise InputError(f"order={n}: the data show {states} states; lower the order")
-    integrator, direct = options.integrator, options.direct
-    if options.horizon is None:
-        model = best_innovations(
-            known,
-            w,
-            found,
-            n,
-            options.weights,
-            integrator=integrator,
-            direct=direct,
-            simulated=options.simulated and w.ny > 1,
-        )
-    else:
-        model = innovations_at(w, found, n, integrator=integrator)
-    free = model.A
-    if options.stable:
-        model = model.stabilised()
-    at, predicted, states = completed(unweighted(signals), model, direct=direct, level=integrator)
-    return _Found(
-        model=model,
-        free=free,
-        at=at,
-        predicted=predicted,
-        states=states,
-        errors=[y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)],
-        canonical_correlations=canonical.singular_values,
-        suggested_order=suggested,
-    )
-
-
-def completed(
-    parts: Sequence[Part],
-    model: Innovations,
-    *,
-    direct: bool,
-    level: bool,
-    given: tuple[Array, Array] | None = None,
-) -> tuple[Predictor, list[Array], list[Basis]]:
-    """Return the predictor whose B, D and initial states minimise the one-step errors.
-
-    Without the gains of a Kalman filter the error of a missing output is 0. With `level` constant
-    offsets of the signals are estimated, too. If B and D are `given`, only the initial states and
-    the offsets are estimated.
-
-    Returns
-    -------
-    Predictor
-    list of ndarray
-        Predictions (N, ny) of each experiment.
-    list of Basis
-        Effects of the initial states on the predictions of each experiment.
-
-    Raises
-    ------
-    ValueError
-        u determines fewer coefficients than B and D have.
-    """
-    (n, ny), nu = model.K.shape, parts[0].u.shape[1]
-    zero = np.zeros((n, nu)), np.zeros((ny, nu))
-    at = Predictor(Abar=model.Abar, Bbar=zero[0], C=model.C, D=zero[1], K=model.K, x0=())
-    states, blocks, left = [], [], []
-    for part in parts:
-        fed, driven, free = _responses(part, at, direct=direct)
-        if level:
-            free = np.concatenate([free, offsets(at.Abar, at.C, len(fed))])
-        columns = np.concatenate([driven, (part.y - fed).T[None]])
-        blocks.append((fed, driven, free, whitened(part, columns)))
-        states.append(basis_of_states(part, free))
-        left.append(without(states[-1], blocks[-1][-1]))
-    M = stacked(left)
-    basis = orthonormal(M[:, :-1])
-    if given is None and basis.rank < M.shape[1] - 1:
-        raise InputError(
-            f"u determines only {basis.rank} of {M.shape[1] - 1} numerator coefficients; lower the "
-            "order or excite with a richer input"
-        )
-    theta = basis.coefficients(M[:, -1])
-    if given is not None:
-        B, D = given
-        theta = np.concatenate([(B - at.K @ D).T.ravel(), D.ravel() if direct else []])
-    first, predicted = [], []
-    for Z, (fed, driven, free, raw) in zip(states, blocks, strict=True):
-        x0 = Z.coefficients(raw[:, -1] - raw[:, :-1] @ theta)
-        first.append(x0[:n])
-        of_both = np.tensordot(theta, driven, axes=1) + np.tensordot(x0, free, axes=1)
-        predicted.append(fed + of_both.T)
-    Bbar = theta[: n * nu].reshape(nu, n).T
-    D = theta[n * nu :].reshape(ny, nu) if direct else zero[1]
-    return replace(at, Bbar=Bbar, D=D, x0=tuple(first)), predicted, states
-
-
-def unweighted(signals: Parts) -> tuple[Part, ...]:
-    """Return the signals of each experiment without weights of the outputs."""
-    return parts_of(signals, np.eye(signals[0][1].shape[1]))
-
-
-def _responses(part: Part, at: Predictor, *, direct: bool) -> tuple[Array, Array, Array]:
-    """Return the part (N, ny) of the predictions that y drives, and those of B, D and x(0)."""
-    (n, ny), u = at.K.shape, part.u
-    of_D = u if direct else None
-    if part.rows.all() or not at.K.any():
-        fed = outputs(at.Abar, at.C, part.y @ at.K.T, np.zeros(n))
-        return fed, *state_responses(u, at.Abar, at.C, direct=of_D)
-    w, at_once = entries(u, n, of_D, ny)
-    k = len(w)
-    fed = (part.gains_of(at.K) @ part.y[:, :, None])[:, :, 0]
-    w = np.concatenate([w, np.zeros((n, *w.shape[1:])), fed[None]])
-    at_once = np.concatenate([at_once, np.zeros((n + 1, *at_once.shape[1:]))])
-    x0 = np.eye(len(w), n, k=-k)
-    x0[-1] = 0.0
-    found = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1), x0)
-    found = found.transpose(1, 2, 0)
-    return found[-1].T, found[:k], found[k:-1]
-
-
-def _for_simulation(signals: Parts, found: _Found, options: _Options) -> _Found:
-    """Return the model with the B and D, and for one output the poles, of least simulation error.
-
-    The simulation error y - (B u + x(0)) / A is linear in B, D and x(0). For one output the search
-    over A starts from the poles of the projection, reflected into the unit circle. For several
-    outputs the poles do not change: a search over the n ny parameters of A and C often fits the
-    noise. It improved the simulation of data that were not used in six of nine trials, but made it
-    worse by a third in another.
-
-    K is the candidate with the least one-step loss for the estimated A, B and D. The first
-    candidate is the gain of the projection. The second candidate is K by Hannan and Rissanen's
-    regressions on the simulation error, for one output. The third candidate is K = 0, which is
-    correct for white output noise.
-    """
-    model, like = found.model.stabilised(), {"direct": options.direct, "level": options.integrator}
-    one = len(model.C) == 1
-    if one:
-        model = model.with_transition(_searched_poles(signals, model, **like))
-    still = replace(model, K=np.zeros(model.K.shape))
-    at, simulated, _ = completed(unweighted(signals), still, **like)
-    gains = [model.K, still.K]
-    if one:
-        a = np.append(1.0, -model.A[:, 0])
-        v = [y - yhat for (_, y), yhat in zip(signals, simulated, strict=True)]
-        polynomials = noise_start([_without_past(a, x[:, 0]) for x in v], nc=a.size - 1, nd=0)[0]
-        gains = [model.K, *((c - a)[1:, None] for c in (polynomials, reflected(a)))]
-    fits = []
-    for K in gains:
-        candidate = replace(model, K=K)
-        B = at.Bbar, at.D
-        predictor, predicted, states = completed(unweighted(signals), candidate, **like, given=B)
-        errors = [y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)]
-        fit = replace(found, model=candidate, at=predictor, predicted=predicted, errors=errors)
-        fits.append(replace(fit, free=candidate.A, states=states, parts=(), Lambda=None))
-    losses = [np.linalg.slogdet(pairwise_covariance(np.vstack(fit.errors)))[1] for fit in fits]
-    return fits[int(np.argmin(losses))]
-
-
-def _without_past(a: Array, v: Array) -> Array:
-    """Return a(q) v; a sample that depends on a missing or unknown sample is NaN."""
-    found = filtered(a, [1.0], v) if np.isfinite(v).all() else np.convolve(v, a)[: v.size]
-    found[: a.size - 1] = np.nan
-    return found
-
-
-def _searched_poles(signals: Parts, model: Innovations, *, direct: bool, level: bool) -> Array:
-    """Return A of least simulation error for one output, in observer form.
-
-    For given A the simulation error is linear in B, D and the initial state.
-    """
-    n = len(model.A)
-    pole = np.array([1.0, -1.0]) if model.integrator else np.ones(1)
-    start = np.append(1.0, -model.A[:, 0])
-    start = without_integrator(start) if model.integrator else start
-    problem = StateSpaceProblem(
-        parts=unweighted(signals), order=n, direct=direct, noise=False, level=level
-    )
-    # A change of the free polynomial, times the pole at 1, is a change of -A[:, 0].
-    along = -np.column_stack([np.convolve(pole, row) for row in np.eye(start.size - 1)])
-    V = directions(model.A, model.C) @ along
-
-    def transition(f: Array) -> Array:
-        return companion(np.convolve(pole, np.append(1.0, f)))
-
-    def linearise(f: Array) -> tuple[Array, Array]:
-        linear, J = problem.linearised(transition(f), model.C, V)
-        return linear.e, J
-
-    walls = _Circle()
-    found = levenberg_marquardt(linearise, start[1:], admissible=walls.admits, walls=walls)
-    return transition(stabilised(np.append(1.0, found.theta))[1:])
-
-
-class _Circle:
-    """Unit circle, the boundary of the roots of a monic polynomial."""
-
-    def admits(self, f: Array) -> bool:
-        """Return whether the roots are inside the circle."""
-        return stable_polynomial(np.append(1.0, f))
-
-    def inside(self, f: Array, previous: Array) -> Array:
-        """Return f with the roots that left the circle moved inside."""
-        return drawn_to_edge(np.append(1.0, f), np.append(1.0, previous))[1:]
-
-    def normals(self, f: Array) -> Array:
-        """Return the gradient of |z| for each root z on the circle."""
-        return outward_normals(np.append(1.0, f))
-
-
 def _replicated(
-    signals: Parts, found: _Found, by: Derivatives, options: _Options, replicates: int, seed: int
+    signals: Parts,
+    found: SubspaceEstimate,
+    by: Derivatives,
+    options: SubspaceOptions,
+    replicates: int,
+    seed: int,
 ) -> Array:
     """Return the covariance of the parameters over estimates from data that the model simulates.
 
@@ -629,7 +272,7 @@ def _replicated(
             (u, np.where(np.isfinite(y), at.simulated(u, process.drawn(rng, len(u)), x0), np.nan))
             for (u, y), x0 in zip(signals, at.x0, strict=True)
         ]
-        samples.append(_estimated(data, same).at.impulses(length))
+        samples.append(estimated(data, same).at.impulses(length))
     spread = np.array(samples) - np.mean(samples, axis=0)
     columns = [
         (by.moved(at, step).impulses(length) - by.moved(at, -step).impulses(length)) / (2 * _STEP)
@@ -641,20 +284,18 @@ def _replicated(
 
 def _one_channel(
     data: Dataset,
-    found: _Found,
+    found: SubspaceEstimate,
     by: Derivatives,
     nk: int,
-    options: _Options,
-    *,
+    options: SubspaceOptions,
     inferred: Inference,
-    notes: tuple[EstimateFinding, ...],
-    su: Array,
-    sy: Array,
+    notes: Sequence[EstimateFinding],
+    scale: tuple[float, float],
 ) -> SubspaceFit:
     """Return the model as A y = B u + C e; the polynomials are entries of the observer form."""
-    at, (quality,) = found.at, inferred.quality
+    at, (quality,), (su, sy) = found.at, inferred.quality, scale
     A, C = np.append(1.0, -found.model.A[:, 0]), np.append(1.0, -at.Abar[:, 0])
-    D, gain = at.D[0, 0], sy[0] / su[0]
+    D, gain = at.D[0, 0], sy / su
     b = (at.Bbar + at.K @ at.D)[:, 0] + A[1:] * D
     by_a, by_D = -by.A[:, :, 0], by.D[:, 0]
     by_b = by.B[:, :, 0] + by_D * A[1:] + by_a * D
@@ -663,7 +304,7 @@ def _one_channel(
     T = np.hstack([by_a, gain * by_b, -by.Abar[:, :, 0]]).T
     inferred = inferred.transformed(T)
     integrator = options.integrator
-    residuals = [e[:, 0] * sy[0] for e in found.errors]
+    residuals = [e[:, 0] * sy for e in found.errors]
     coloured = [warning("coloured", _COLOURED_TEXT)] if quality.white.coloured else []
     way_out = "" if integrator else NO_OPTION
     return SubspaceFit(
@@ -678,7 +319,7 @@ def _one_channel(
         **inferred.of_one_output(),
         weights=options.weights,
         horizon=found.model.horizon,
-        singular_values=found.model.singular_values * (sy[0] if options.weights != "cva" else 1.0),
+        singular_values=found.model.singular_values * (sy if options.weights != "cva" else 1.0),
         canonical_correlations=found.canonical_correlations,
         suggested_order=found.suggested_order,
         converged=found.settled,
@@ -694,17 +335,15 @@ def _one_channel(
 
 def _several(
     data: Signals,
-    found: _Found,
+    found: SubspaceEstimate,
     by: Derivatives,
     delays: tuple[int, ...],
-    *,
     inferred: Inference,
-    notes: tuple[EstimateFinding, ...],
-    su: Array,
-    sy: Array,
+    notes: Sequence[EstimateFinding],
+    scales: tuple[Array, Array],
 ) -> MultivariableFit:
     """Return the model as matrices."""
-    form, T = matrices(found.at, by, su, sy, delays)
+    form, T = matrices(found.at, by, *scales, delays)
     nk = delays[0] if len(set(delays)) == 1 else list(delays)
     return MultivariableFit(
         structure="n4sid",

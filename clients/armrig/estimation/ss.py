@@ -20,14 +20,13 @@ from armrig.estimation.state_space_fit import derivatives, inference, influence,
 from armrig.estimation.state_space_gaps import searched
 from armrig.estimation.state_space_problem import (
     Linear,
-    Part,
-    Predictor,
     StateSpaceProblem,
     delays_of,
     parts_of,
     scaled_signals,
     tangent,
 )
+from armrig.estimation.state_space_responses import Part, Predictor
 from armrig.estimation.state_space_starts import moved_modes, starts
 from armrig.models.estimate import Start
 from armrig.models.multivariable.fit import MultivariableFit

@@ -25,13 +25,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armrig.estimation.multivariable.whitening import patterns
-from armrig.estimation.state_space_problem import (
-    Part,
-    Predictor,
-    parts_of,
-    stable_matrix,
-    tangent,
-)
+from armrig.estimation.state_space_problem import parts_of, stable_matrix, tangent
+from armrig.estimation.state_space_responses import Part, Predictor
 from armrig.estimation.subspace import Parts
 from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.least_squares import Basis, orthonormal

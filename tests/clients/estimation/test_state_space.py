@@ -12,18 +12,12 @@ import numpy as np
 import pytest
 from armrig import Dataset, Signals
 from armrig.estimation.multivariable.whitening import whitening
-from armrig.estimation.n4sid import completed
 from armrig.estimation.ss import _Criterion, _End, _improved
 from armrig.estimation.state_space_gaps import GapProblem, searched
-from armrig.estimation.state_space_problem import (
-    Part,
-    Predictor,
-    StateSpaceProblem,
-    output_normal,
-    reflected_matrix,
-    tangent,
-)
+from armrig.estimation.state_space_problem import StateSpaceProblem, reflected_matrix, tangent
+from armrig.estimation.state_space_responses import Part, Predictor, output_normal
 from armrig.estimation.subspace import windows
+from armrig.estimation.subspace_estimate import completed, unweighted
 from armrig.estimation.subspace_horizon import Innovations
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.recursion import recursion, varying_recursion
@@ -371,13 +365,13 @@ def test_the_search_on_long_data_starts_with_their_first_samples(
 def test_replicates_have_the_missing_samples_of_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replicates are estimated in the same way as the model."""
     seen: list[list[Array]] = []
-    estimated = n4sid._estimated
+    estimated = n4sid.estimated
 
     def watched(signals: Any, options: Any) -> Any:
         seen.append([np.isfinite(y) for _, y in signals])
         return estimated(signals, options)
 
-    monkeypatch.setattr(n4sid, "_estimated", watched)
+    monkeypatch.setattr(n4sid, "estimated", watched)
     whole = data(missing=0.02)[:400]
 
     armrig.n4sid(whole.replaced(starts=(0, 150), step=None), 3, replicates=2, horizon=6)
@@ -436,7 +430,7 @@ def test_a_predictor_does_not_need_the_value_of_a_missing_output() -> None:
     u, y = rng.standard_normal((40, 2)), rng.standard_normal((40, 2))
     y[[0, 5, 6, 7, 31], [0, 1, 1, 0, 1]] = np.nan
     model = Innovations(A=A, C=C, K=K, horizon=5, singular_values=np.ones(3), steady=True)
-    at, (predicted,), _ = completed([(u, y)], model, direct=True, level=False)
+    at, (predicted,), _ = completed(unweighted([(u, y)]), model, direct=True)
 
     x, by_hand = at.x0[0], []
     for now, measured in zip(u, y, strict=True):

@@ -227,7 +227,8 @@ def _estimated(
         return oe(data, nb=nb, nf=n, nk=nk, integrator=integrator, shared="denominator")
     if family == "ss":
         return ss(data, order=n, nk=nk, noise=not data.missing)
-    return n4sid(data, n, nk=nk, replicates=0)
+    fit: MultivariableFit = n4sid(data, n, nk=nk, replicates=0)
+    return fit
 
 
 def _ranked(
