@@ -12,8 +12,7 @@ from armrig_core.calls import check_call
 from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.columns import MAX_SIZE
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -84,6 +83,18 @@ def takes_recordings(
     return _taking(f, as_dataset)
 
 
+def as_data(data: Dataset | HasDataset | Signals) -> Dataset | Signals:
+    """Return Signals unchanged, and other data as a Dataset."""
+    return data if isinstance(data, Signals) else as_dataset(data)
+
+
+def takes_data(
+    f: Callable[Concatenate[Dataset | Signals, P], R],
+) -> Callable[Concatenate[Dataset | HasDataset | Signals, P], R]:
+    """Decorate a function of data of any shape, so that it also accepts a recording."""
+    return _taking(f, as_data)
+
+
 def takes_signals(
     f: Callable[Concatenate[Signals, P], R],
 ) -> Callable[Concatenate[Signals | Dataset | HasDataset, P], R]:
@@ -105,7 +116,7 @@ def treats_signals(f: Callable[Concatenate[Signals, P], Signals]) -> Treatment[P
 
 
 def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..., R]:
-    """Return f with checks of its arguments, of which the first one is converted."""
+    """Return f with checks of its arguments; the first argument is converted."""
     called = signature(f)
     parameters = list(called.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)

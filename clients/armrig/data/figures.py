@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.data.argument import HasDataset
-from armrig.data.columns import Vector
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
 from armrig.numerics.quantities import NBSP, minus
 from armrig.plots.captions import NAMES, legend, named, sign
 from armrig.plots.layout import (
@@ -27,6 +23,10 @@ from armrig.plots.layout import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from armrig.data.argument import HasDataset
+    from armrig.data.columns import Vector
+    from armrig.data.dataset import Dataset, Signals
 
 MIN_RAMP_SHARE = 0.95  # share of the variance above which a straight line hides other motion
 _MIN_INPUT_CHANGES = 5  # an input with fewer changes is a step
@@ -172,7 +172,10 @@ def plot_values(source: Dataset | Signals | HasDataset, *, ax: Axes | None = Non
 
 
 def _signals_of(source: Dataset | Signals | HasDataset) -> Signals:
-    return (source if isinstance(source, Dataset | Signals) else source.dataset()).signals()
+    """Return the columns of data, or of the dataset of a recording."""
+    data: Any = source
+    signals: Signals = (data if hasattr(data, "digest") else data.dataset()).signals()
+    return signals
 
 
 def _input(data: Signals, j: int) -> str:

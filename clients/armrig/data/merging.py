@@ -9,8 +9,7 @@ import numpy as np
 from armrig_core.calls import checked_call
 from armrig_core.errors import InputError, InputTypeError
 
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.step import Step, codes_of, in_merged
 from armrig.data.trend import Trend
 

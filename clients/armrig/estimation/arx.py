@@ -94,7 +94,7 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     residuals = [np.where(p.usable, p.y - p.Phi @ theta, np.nan) for p in parts]
     experiments = least_squares_residuals(residuals, basis.spread(usable), y=data.y)
     found = infer(experiments, basis.W, score="correlated")
-    fit = Fit(
+    fit = Fit.of_channel(
         structure="arx",
         A=A,
         B=np.append(np.zeros(nk), theta[na:]),

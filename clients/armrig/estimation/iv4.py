@@ -108,7 +108,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     )
     white = found.quality[0].white
     sse = sum(float(np.nansum(v**2)) for v in _left(whole, theta))
-    fit = Fit(
+    fit = Fit.of_channel(
         structure="iv4",
         A=A,
         B=np.append(np.zeros(nk), theta[na:]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -50,9 +50,8 @@ from armrig.estimation.subspace_horizon import (
     require_windows,
 )
 from armrig.estimation.subspace_simulation import for_simulation
-from armrig.models.multivariable.fit import MultivariableFit
+from armrig.models.fit import Fit
 from armrig.models.structure_table import Focus, Weights
-from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.inference import Inference
 from armrig.numerics.polynomial import (
@@ -93,7 +92,7 @@ def n4sid(
     stable: bool = False,
     replicates: int | None = None,
     seed: int = 0,
-) -> Any:
+) -> Fit:
     """Estimate a state-space model x(t+1) = A x + B u + K e, y = C x + D u + e by projections.
 
     The future outputs are projected on past u and y, for given future u. The singular values of the
@@ -148,7 +147,7 @@ def n4sid(
 
     Returns
     -------
-    SubspaceFit or MultivariableFit
+    Fit
         Without replicates, `covariance` is the bound that a search attains for the same model. The
         covariance of the subspace estimate is larger. In 200 simulations of an ARMAX system of
         order 2 (N = 2000), the true standard deviations were 0.92 to 1.06 times the bound. For six
@@ -291,7 +290,7 @@ def _one_channel(
     inferred: Inference,
     notes: Sequence[EstimateFinding],
     scale: tuple[float, float],
-) -> SubspaceFit:
+) -> Fit:
     """Return the model as A y = B u + C e; the polynomials are entries of the observer form."""
     at, (quality,), (su, sy) = found.at, inferred.quality, scale
     A, C = np.append(1.0, -found.model.A[:, 0]), np.append(1.0, -at.Abar[:, 0])
@@ -307,7 +306,7 @@ def _one_channel(
     residuals = [e[:, 0] * sy for e in found.errors]
     coloured = [warning("coloured", _COLOURED_TEXT)] if quality.white.coloured else []
     way_out = "" if integrator else NO_OPTION
-    return SubspaceFit(
+    return Fit.of_channel(
         structure="n4sid",
         A=A,
         B=np.append(np.zeros(nk), gain * b),
@@ -341,13 +340,13 @@ def _several(
     inferred: Inference,
     notes: Sequence[EstimateFinding],
     scales: tuple[Array, Array],
-) -> MultivariableFit:
+) -> Fit:
     """Return the model as matrices."""
     form, T = matrices(found.at, by, *scales, delays)
     nk = delays[0] if len(set(delays)) == 1 else list(delays)
-    return MultivariableFit(
+    return Fit(
         structure="n4sid",
-        orders=f"order={len(form.A)}, nk={nk}",
+        specification=f"order={len(form.A)}, nk={nk}",
         form=form,
         converged=found.settled,
         findings=(*notes, *instability(form), *poor_fits(data, inferred.quality)),

@@ -17,9 +17,9 @@ from armrig.estimation.multistart import Ends, rounding_floor, same_minimum, sea
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import PredictionErrorProblem, Solution
 from armrig.estimation.stability import with_stability_warning, with_stable_poles
-from armrig.models.estimate import MAX_TRUSTED_CURVATURE, Start
 from armrig.models.fit import Fit
 from armrig.models.innovations import Errors, Unknown, prepared
+from armrig.models.quality import MAX_TRUSTED_CURVATURE, Start
 from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
 from armrig.models.structure_table import Initial, Starts
 from armrig.numerics.inference import Inference, infer, least_squares_residuals
@@ -195,7 +195,7 @@ def _fit(
     if n.integrator:
         letter = n.integrator.upper()
         p[letter] = np.convolve([1.0, -1.0], p[letter])
-    return Fit(
+    return Fit.of_channel(
         structure=name,
         A=p["A"],
         B=p["B"],

@@ -28,9 +28,9 @@ from armrig.estimation.state_space_problem import (
 )
 from armrig.estimation.state_space_responses import Part, Predictor
 from armrig.estimation.state_space_starts import moved_modes, starts
-from armrig.models.estimate import Start
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.multivariable.matrices import Matrices
+from armrig.models.fit import Fit
+from armrig.models.matrices import Matrices
+from armrig.models.quality import Start
 from armrig.numerics.checks import require_flags, require_integers
 from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.polynomial import Array
@@ -89,7 +89,7 @@ def ss(
     nk: int | Sequence[int] = 1,
     noise: bool = True,
     output_weights: Sequence[float] | None = None,
-) -> MultivariableFit:
+) -> Fit:
     """Estimate A, B, C, D and K of x(t+1) = A x + B u + K e, y = C x + D u + e.
 
     The search minimises log det of the covariance of the prediction errors, or, with given weights
@@ -116,7 +116,7 @@ def ss(
 
     Returns
     -------
-    MultivariableFit
+    Fit
         The covariance of the matrices is singular in the directions that only change the state's
         coordinates. Use the standard deviations of poles and responses.
 
@@ -202,9 +202,9 @@ def ss(
     fields = found.fields()
     fields["covariance"] = T @ found.covariance @ T.T
     fields["covariance_robust"] = T @ found.covariance_robust @ T.T
-    return MultivariableFit(
+    return Fit(
         structure="ss",
-        orders=f"order={n}, nk={_short(delays)}" + ("" if noise else ", noise=False"),
+        specification=f"order={n}, nk={_short(delays)}" + ("" if noise else ", noise=False"),
         form=form,
         output_weights=weights,
         converged=best.converged,
@@ -226,7 +226,7 @@ def ss(
 def _filled(data: Signals, order: int, nk: int | Sequence[int]) -> Signals:
     """Return the data with missing outputs replaced by the output of an output-error model."""
     simulated = ss(data, order=order, nk=nk, noise=False).predict(data, horizon=None)
-    y = np.where(data.valid, data.y, simulated)
+    y = np.where(data.valid, data.y, simulated.reshape(data.y.shape))
     return data.replaced(step=None, y=y, valid=np.isfinite(y))
 
 

@@ -11,7 +11,6 @@ from armrig.data.finding import Asks, EstimateFinding, warning
 from armrig.estimation.prediction_error import PredictionErrorProblem, Solution
 from armrig.models.fit import Fit
 from armrig.models.innovations import errors
-from armrig.models.model import Model
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, reflected, roots, without_integrator
@@ -83,7 +82,7 @@ def with_stable_poles(
     return theta, solution, tuple(notes)
 
 
-def largest_unstable(model: Model) -> float:
+def largest_unstable(model: Fit) -> float:
     """Return the largest |z| of the poles on or outside the unit circle, or 0 if all are inside.
 
     All poles of G and of the noise model are included, except a pole that is 1 by construction.

@@ -20,7 +20,7 @@ from armrig.estimation.state_space_problem import (
     without,
 )
 from armrig.estimation.state_space_responses import Predictor
-from armrig.models.multivariable.matrices import Matrices
+from armrig.models.matrices import Matrices
 from armrig.numerics.inference import Inference, OutputResiduals, infer
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array

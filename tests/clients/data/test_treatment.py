@@ -7,9 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
-from armrig.data.signals import Signals
 from armrig.data.step import LINE, MEAN, codes_of
 from armrig.data.treatment import IntegratingOutputWarning, detrend, difference, drift, retrend
 from armrig.excitation import telegraph
@@ -235,6 +234,23 @@ def test_each_experiment_has_its_own_drift_and_gaps_are_left_out() -> None:
     assert second.rate == pytest.approx(-0.02, abs=4 * second.std)
     assert first.z > 2.58 > -2.58 > second.z
     assert first.unit == "V"
+
+
+def test_each_output_has_a_drift_and_all_inputs_explain_it() -> None:
+    """The second input rises slowly: without it, its effect would be a drift."""
+    still, drifts = drifting(1, 0.0), drifting(1, 0.02)
+    slow = 0.001 * np.arange(still.N) + 0.1 * telegraph(still.N, 0.1, seed=5)
+    y = np.column_stack([still.y + filtered([0, 0.2], [1, -0.9], slow), drifts.y])
+    names = {"outputs": ["flow", "level"], "units": ["l/s", "V"]}
+    signals = Signals(u=np.column_stack([still.u, slow]), y=y, Ts=0.1, **names)  # type: ignore[arg-type]
+
+    alone = drift(signals.channels("level", "u1"))
+    first, second = drift(signals)
+
+    assert alone == drift(drifts.replaced(step=None, output="level"))
+    assert (first.output, second.output) == ("flow", "level")
+    assert abs(first.z) < 2.58 < second.z
+    assert abs(drift(signals.channels("flow", "u1"))[0].z) > 2.58
 
 
 def test_data_whose_gaps_leave_too_few_rows_have_no_drift() -> None:

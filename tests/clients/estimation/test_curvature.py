@@ -15,8 +15,8 @@ from armrig.estimation.prediction_error_fit import (
     _search_warnings,
     curvature,
 )
-from armrig.models.estimate import Start
 from armrig.models.innovations import prepared
+from armrig.models.quality import Start
 from armrig.models.structure import Structure
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import filtered

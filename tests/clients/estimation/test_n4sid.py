@@ -17,9 +17,9 @@ from armrig.estimation.subspace import Realisation
 from armrig.estimation.subspace_horizon import Innovations, companion
 from armrig.estimation.subspace_simulation import _without_past
 from armrig.excitation import telegraph
+from armrig.models.fit import Fit
 from armrig.models.model_file import load_fit
 from armrig.models.structure_table import Focus, Weights
-from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.polynomial import filtered, impulse
 from armrig.validation.comparison import compare
 from numpy.typing import ArrayLike, NDArray
@@ -255,7 +255,7 @@ def test_a_saved_subspace_model_is_loaded_unchanged(tmp_path: Path) -> None:
 
     back = load_fit(tmp_path / "m.json")
 
-    assert isinstance(back, SubspaceFit)
+    assert isinstance(back, Fit)
     np.testing.assert_array_equal(back.singular_values, fit.singular_values)
     np.testing.assert_array_equal(back.theta, fit.theta)
     assert back.orders == {"order": 2, "nk": 1}
@@ -275,7 +275,7 @@ def _of_fourth_order(seed: int, N: int, C: ArrayLike, D: ArrayLike) -> tuple[Dat
     return Dataset(u=u, y=filtered(B4, A4, u) + filtered(C, D, e), Ts=1.0), e
 
 
-def _excess(fit: SubspaceFit, C: ArrayLike, D: ArrayLike) -> float:
+def _excess(fit: Fit, C: ArrayLike, D: ArrayLike) -> float:
     """Return how far the one-step loss on fresh data is above the least, as a share of it."""
     fresh, e = _of_fourth_order(1000, 4000, C, D)
     own = filtered(fit.A, fit.C, fresh.y) - filtered(fit.B, fit.C, fresh.u)
@@ -303,7 +303,7 @@ def test_noise_on_the_output_keeps_the_long_horizon() -> None:
     assert 2 * _mean_excess(fits) < _mean_excess(short)
 
 
-def _mean_excess(fits: list[SubspaceFit]) -> float:
+def _mean_excess(fits: list[Fit]) -> float:
     return float(np.mean([_excess(fit, [1.0], [1.0]) for fit in fits]))
 
 

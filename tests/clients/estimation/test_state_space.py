@@ -234,10 +234,10 @@ def test_one_input_and_output_give_the_armax_model() -> None:
 
     fit = armrig.ss(Signals(u=u, y=y, Ts=1.0), order=2)
 
-    channel = fit["y", "u"]
-    np.testing.assert_allclose(channel.F, known.A, atol=2e-5)
-    np.testing.assert_allclose(channel.B, known.B, atol=2e-5)
-    np.testing.assert_allclose(channel.std, [*known.std[2:4], *known.std[:2]], rtol=1e-3)
+    np.testing.assert_allclose(fit.A, known.A, atol=2e-5)
+    np.testing.assert_allclose(fit.B, known.B, atol=2e-5)
+    np.testing.assert_allclose(fit.C, known.C, atol=2e-5)
+    np.testing.assert_allclose(fit.std, known.std, rtol=1e-3)
     assert fit.quality[0].loss == pytest.approx(known.loss, rel=1e-8)
 
 

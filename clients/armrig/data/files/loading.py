@@ -20,7 +20,7 @@ from armrig_core.recording_file.file_records import MAGIC
 from numpy.typing import NDArray
 
 from armrig.data.columns import require_size
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.arrays import read_mat, read_npz, read_parquet
 from armrig.data.files.column_faults import held, stuck, treated
 from armrig.data.files.mat_variables import DamageError
@@ -29,7 +29,6 @@ from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
 from armrig.data.files.stamps import time_columns, times_of
 from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
 from armrig.data.files.text import read_text
-from armrig.data.signals import Signals
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask, stretches

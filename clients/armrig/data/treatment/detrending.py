@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from armrig.data.argument import treats_signals
 from armrig.data.columns import Matrix, Vector, columns
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.step import LINE, MEAN, Step
 from armrig.data.treatment.integrating import IntegratingOutputWarning, integrating
 from armrig.data.trend import Trend

@@ -8,7 +8,7 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_signals
-from armrig.data.signals import Signals
+from armrig.data.dataset import Signals
 from armrig.data.treatment.integrating import integrating
 from armrig.data.treatment.whitening import whitening
 
@@ -50,8 +50,8 @@ def drift(
 ) -> tuple[Drift, ...]:
     """Estimate the drift of the output of each experiment, without the response to the input.
 
-    A model of high order, A(q) y(t) = B(q) u(t) + c + d t + e(t), with all inputs, is estimated by
-    least squares for each output; the drift of the output is d / A(1) per sample. A line through y
+    For each output a model of high order, A(q) y(t) = B(q) u(t) + c + d t + e(t), is estimated by
+    least squares. The drift of the output is d / A(1) per sample. A line through y
     alone would also contain the response to the input, and its standard deviation would ignore the
     colour of the noise.
 

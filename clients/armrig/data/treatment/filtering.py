@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armrig.data.argument import treats_signals
 from armrig.data.columns import Matrix, Vector
-from armrig.data.signals import Signals
+from armrig.data.dataset import Signals
 from armrig.numerics.checks import column, require_integers, require_numbers
 from armrig.numerics.polynomial import filtered, stable
 from armrig.numerics.stretches import Mask

@@ -11,9 +11,8 @@ from armrig_core.telemetry import THETA_1
 
 from armrig.data.argument import treats_signals
 from armrig.data.columns import Vector
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding, warning
-from armrig.data.signals import Signals
 from armrig.data.trend import Trend
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import complete, past

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import treats_signals
 from armrig.data.columns import Vector
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.treatment.whitening import Whitening, whitening
 from armrig.numerics.checks import require_integers, require_numbers
 from armrig.numerics.least_squares import orthonormal

@@ -12,7 +12,7 @@ from armrig.data.signals import Signals
 from armrig.estimation.multivariable.orders import as_text, by_channel, by_output
 from armrig.estimation.multivariable.plans import Shared, integrating_outputs, plans_of
 from armrig.estimation.multivariable.search import estimated
-from armrig.models.multivariable.fit import MultivariableFit
+from armrig.models.fit import Fit
 
 
 def armax(
@@ -25,7 +25,7 @@ def armax(
     integrator: bool | str | Sequence[str] = False,
     initial: Literal["estimate", "zero"] = "estimate",
     shared: Shared = "",
-) -> MultivariableFit:
+) -> Fit:
     """Estimate A, B and C in A_i(q) y_i(t) = sum of B_ij(q) u_j(t) + C_i(q) e_i(t).
 
     The roots of A are inside the unit circle.
@@ -55,7 +55,7 @@ def armax(
 
     Returns
     -------
-    MultivariableFit
+    Fit
         Without a shared denominator each output is estimated separately.
 
     Raises

@@ -12,8 +12,8 @@ from armrig.estimation.multivariable.data_checks import instability, origin, req
 from armrig.estimation.multivariable.orders import as_text, by_channel, by_pair
 from armrig.estimation.multivariable.whitening import spread, spread_apart, unspread, whitening
 from armrig.estimation.orders import require_samples
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.multivariable.polynomials import Polynomials
+from armrig.models.fit import Fit
+from armrig.models.polynomials import Polynomials
 from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.inference import OutputResiduals, infer
 from armrig.numerics.least_squares import orthonormal
@@ -24,7 +24,7 @@ _MAX_ROUNDS = 20
 _SAME_TOLERANCE = 1e-8  # relative change of Lambda at which the iteration ends
 
 
-def arx(data: Signals, *, na: Any, nb: Any, nk: Any = 1) -> MultivariableFit:
+def arx(data: Signals, *, na: Any, nb: Any, nk: Any = 1) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) with full matrices of polynomials.
 
     The equations of the outputs are seemingly unrelated regressions, weighted by the inverse of
@@ -47,7 +47,7 @@ def arx(data: Signals, *, na: Any, nb: Any, nk: Any = 1) -> MultivariableFit:
 
     Returns
     -------
-    MultivariableFit
+    Fit
         `covariance` is the inverse of the sum of Phi^T inv(Lambda) Phi. `covariance_robust` is the
         estimate of Newey and West.
 
@@ -115,9 +115,9 @@ def arx(data: Signals, *, na: Any, nb: Any, nk: Any = 1) -> MultivariableFit:
         score="correlated",
     )
     form = _form(rows, na_, nb_, nk_)
-    return MultivariableFit(
+    return Fit(
         structure="arx",
-        orders=orders,
+        specification=orders,
         form=form,
         findings=tuple(instability(form)),
         **found.fields(),

@@ -9,7 +9,7 @@ from armrig.data.signals import Signals
 from armrig.estimation.multivariable.orders import as_text, by_channel, by_output
 from armrig.estimation.multivariable.plans import Shared, integrating_outputs, plans_of
 from armrig.estimation.multivariable.search import estimated
-from armrig.models.multivariable.fit import MultivariableFit
+from armrig.models.fit import Fit
 
 
 def bj(
@@ -23,7 +23,7 @@ def bj(
     integrator: bool | str | Sequence[str] = False,
     initial: Literal["estimate", "zero"] = "estimate",
     shared: Shared = "",
-) -> MultivariableFit:
+) -> Fit:
     """Estimate B, C, D and F in y_i = sum of B_ij(q)/F_ij(q) u_j + C_i(q)/D_i(q) e_i.
 
     Parameters
@@ -46,7 +46,7 @@ def bj(
 
     Returns
     -------
-    MultivariableFit
+    Fit
         Without a shared denominator each output is estimated separately.
 
     Raises

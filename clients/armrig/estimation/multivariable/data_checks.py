@@ -10,7 +10,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
-from armrig.models.multivariable.fit import Form
+from armrig.models.estimate import Form
 from armrig.numerics.inference import OutputQuality
 from armrig.numerics.least_squares import orthonormal
 

@@ -9,7 +9,7 @@ from armrig.data.signals import Signals
 from armrig.estimation.multivariable.orders import as_text, by_channel
 from armrig.estimation.multivariable.plans import Shared, integrating_outputs, plans_of
 from armrig.estimation.multivariable.search import estimated
-from armrig.models.multivariable.fit import MultivariableFit
+from armrig.models.fit import Fit
 
 
 def oe(
@@ -21,7 +21,7 @@ def oe(
     integrator: bool | str | Sequence[str] = False,
     initial: Literal["estimate", "zero"] = "estimate",
     shared: Shared = "",
-) -> MultivariableFit:
+) -> Fit:
     """Estimate B and F in y_i(t) = sum of B_ij(q)/F_ij(q) u_j(t) + e_i(t).
 
     Parameters
@@ -47,7 +47,7 @@ def oe(
 
     Returns
     -------
-    MultivariableFit
+    Fit
         Without a shared denominator each output is estimated separately.
 
     Raises

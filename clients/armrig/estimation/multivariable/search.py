@@ -25,9 +25,9 @@ from armrig.estimation.multivariable.problem import (
 from armrig.estimation.multivariable.start_values import start_values
 from armrig.estimation.multivariable.whitening import spread, unspread, whitening
 from armrig.estimation.orders import require_samples
-from armrig.models.estimate import Start
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.multivariable.polynomials import Polynomials
+from armrig.models.fit import Fit
+from armrig.models.polynomials import Polynomials
+from armrig.models.quality import Start
 from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.inference import Inference, OutputResiduals, infer
 from armrig.numerics.least_squares import orthonormal
@@ -74,7 +74,7 @@ def estimated(
     orders: str,
     shared: bool = False,
     equation_error: bool = False,
-) -> MultivariableFit:
+) -> Fit:
     """Return one model of all outputs; each plan is estimated by a separate search.
 
     Parameters
@@ -101,9 +101,9 @@ def estimated(
     fields = inference.fields()
     fields["covariance"] = T @ inference.covariance @ T.T
     fields["covariance_robust"] = T @ inference.covariance_robust @ T.T
-    return MultivariableFit(
+    return Fit(
         structure=name,
-        orders=orders,
+        specification=orders,
         form=form,
         shared=shared,
         converged=all(o.converged for o in best),

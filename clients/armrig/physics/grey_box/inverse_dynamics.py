@@ -136,7 +136,7 @@ def inverse_dynamics(
     J_1 = 0.0017 kg m², 0.2 %
     """
     p = ArmParameters() if fixed is None else fixed
-    require_output(data, THETA_1)
+    require_output(data.output, THETA_1)
     names = free_names(("J_1",), friction)
     given = checked_fixed_std(fixed_std or {}, names)
     tried = _tried(data, p, names, width)

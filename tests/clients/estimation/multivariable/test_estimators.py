@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from armrig import Dataset, Signals
 from armrig.estimation.multivariable.ends import ranked
-from armrig.models.multivariable.fit import MultivariableFit
+from armrig.models.fit import Fit
 from armrig.numerics.polynomial import Array, filtered
 from armrig_core.errors import InputError
 
@@ -71,10 +71,10 @@ COUPLED: dict[str, Any] = {
 COUPLED_THETA = [-0.8, 0.2, 0.1, 1.0, 0.4, -0.2, 0.1, -0.5, 0.7]
 
 
-def several(name: str, data: Signals, **orders: Any) -> MultivariableFit:
+def several(name: str, data: Signals, **orders: Any) -> Fit:
     """Return the fit of the estimator of several signals, also for one input and output."""
     module = import_module(f"armrig.estimation.multivariable.{name}")
-    fit: MultivariableFit = getattr(module, name)(data, **orders)
+    fit: Fit = getattr(module, name)(data, **orders)
     return fit
 
 
@@ -109,7 +109,7 @@ def test_one_input_and_output_give_the_estimate_of_the_dataset(name: str) -> Non
     assert fit.whiteness == pytest.approx(known.whiteness, rel=1e-5)
     assert fit.fit_percent == pytest.approx(known.fit_percent)
     for horizon in (1, 5, None):
-        ours, theirs = found.predict(signals, horizon)[:, 0], known.predict(data, horizon)
+        ours, theirs = found.predict(signals, horizon), known.predict(data, horizon)
         both = np.isfinite(theirs)
         np.testing.assert_allclose(ours[both], theirs[both], rtol=1e-6, atol=1e-7)
 
@@ -163,7 +163,7 @@ def test_an_armax_model_that_integrates_its_noise_is_that_of_the_dataset() -> No
     np.testing.assert_allclose(found["a"].theta, known.theta, rtol=1e-6)
     np.testing.assert_allclose(found["a"].std, known.std, rtol=1e-5)
     assert found["a"].integrator
-    e = data.y[:, 0] - found.predict(data)[:, 0]
+    e = data.y[:, 0] - found.predict(data)
     np.testing.assert_allclose(e[1:], (data.y[:, 0] - known.predict(data.dataset()))[1:], atol=1e-4)
 
 
@@ -205,7 +205,7 @@ def test_noise_free_data_give_back_the_plant(missing: float) -> None:
 
 
 @cache
-def fitted_bj(missing: float) -> MultivariableFit:
+def fitted_bj(missing: float) -> Fit:
     """Return a Box-Jenkins model of data without this share of the outputs."""
     return armrig.bj(plant(missing=missing, C=(1, 0.4), D=(1, -0.8)), nc=1, nd=1, **ORDERS)
 
