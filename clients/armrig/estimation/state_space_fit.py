@@ -114,11 +114,10 @@ def influence(
     The effects of the initial states are projected out of the derivatives (ny N, d). They are
     returned as a basis for each experiment; a known basis is an argument.
     """
-    known = [None] * len(problem.parts) if states is None else states
     bases, left = [], []
-    for part, x0, Z in zip(problem.parts, at.x0, known, strict=True):
-        by, free = problem.sensitivities(part, at, x0, V)
-        bases.append(basis_of_states(part, free) if Z is None else Z)
+    for i, part in enumerate(problem.parts):
+        by, free = problem.sensitivities(i, at, V)
+        bases.append(basis_of_states(part, free) if states is None else states[i])
         left.append(without(bases[-1], whitened(part, by)))
     return stacked(left), tuple(bases)
 

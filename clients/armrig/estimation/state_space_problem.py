@@ -64,6 +64,8 @@ class Linear:
     """Direct term (ny, nu); 0 if it is not estimated."""
     x0: tuple[Array, ...]
     """State at the start of each experiment, (n,)."""
+    levels: tuple[Array, ...]
+    """Coefficients of the constant offsets of each experiment; () if none are estimated."""
     rank: int
     """Number of linear parameters that the data determine."""
     basis: Basis
@@ -89,17 +91,20 @@ class StateSpaceProblem:
     noise: bool
     """True if K is estimated; False for an output-error model."""
     level: bool = False
-    """True if a constant is added to the predictions of each output."""
+    """True if constant offsets of the signals are estimated."""
+    gain: Array | None = None
+    """Given K (n, ny), if K is not estimated and not 0."""
 
-    def linear(self, Abar: Array, C: Array) -> Linear:
-        """Return the linear parameters by least squares."""
+    def linear(self, Abar: Array, C: Array, given: tuple[Array, Array] | None = None) -> Linear:
+        """Return the linear parameters by least squares; Bbar and D may be given."""
         n, (ny, _) = self.order, C.shape
         nu = self.parts[0].u.shape[1]
         states, left, raw = [], [], []
         for part in self.parts:
             driven, free = self.responses(part, Abar, C)
-            Z = basis_of_states(part, self.with_offsets(free, Abar, C))
-            both = whitened(part, np.concatenate([driven, part.y.T[None]]))
+            Z = basis_of_states(part, free)
+            left_over = part.y - self._fed(part, Abar, C)
+            both = whitened(part, np.concatenate([driven, left_over.T[None]]))
             states.append(Z)
             raw.append(both)
             left.append(without(Z, both))
@@ -107,16 +112,19 @@ class StateSpaceProblem:
         whole, right = both[:, :-1], both[:, -1]
         basis = orthonormal(whole)
         theta = basis.coefficients(right)
+        if given is not None:
+            theta = np.concatenate([given[0].T.ravel(), given[1].ravel()[: theta.size - n * nu]])
         signals = theta[: n * (nu + ny * self.noise)].reshape(-1, n).T
         D = theta[signals.size :].reshape(ny, nu) if self.direct else np.zeros((ny, nu))
+        first = [
+            Z.coefficients(M[:, -1] - M[:, :-1] @ theta) for Z, M in zip(states, raw, strict=True)
+        ]
         return Linear(
             Bbar=signals[:, :nu],
-            K=signals[:, nu:] if self.noise else np.zeros((n, ny)),
+            K=signals[:, nu:] if self.noise else self._gain(ny),
             D=D,
-            x0=tuple(
-                Z.coefficients(M[:, -1] - M[:, :-1] @ theta)[:n]
-                for Z, M in zip(states, raw, strict=True)
-            ),
+            x0=tuple(x[:n] for x in first),
+            levels=tuple(x[n:] for x in first if self.level),
             rank=basis.rank,
             basis=basis,
             X=whole,
@@ -125,9 +133,33 @@ class StateSpaceProblem:
         )
 
     def responses(self, part: Part, Abar: Array, C: Array) -> tuple[Array, Array]:
-        """Return the outputs (k, ny, N) due to each linear parameter, and to each initial state."""
-        signals = np.hstack([part.u, part.y]) if self.noise else part.u
-        return state_responses(signals, Abar, C, direct=part.u if self.direct else None)
+        """Return the outputs (k, ny, N) due to each linear parameter, and to the initial state.
+
+        With `level` the second outputs also contain those due to constant offsets.
+        """
+        of_D = part.u if self.direct else None
+        if self.gain is None or part.rows.all() or not self.gain.any():
+            signals = np.hstack([part.u, part.y]) if self.noise else part.u
+            driven, free = state_responses(signals, Abar, C, direct=of_D)
+            return driven, self._with_offsets(free, Abar, C)
+        w, at_once = entries(part.u, self.order, of_D, len(C))
+        at = self._bare(Abar, C)
+        driven = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
+        return driven.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
+
+    def _gain(self, ny: int) -> Array:
+        return np.zeros((self.order, ny)) if self.gain is None else self.gain
+
+    def _bare(self, Abar: Array, C: Array) -> Predictor:
+        """Return the predictor with the given gain whose other linear parameters are 0."""
+        nu, ny = self.parts[0].u.shape[1], len(C)
+        zero = np.zeros((self.order, nu)), np.zeros((ny, nu))
+        x0 = (np.zeros(self.order),) * len(self.parts)
+        return Predictor(Abar=Abar, Bbar=zero[0], C=C, D=zero[1], K=self._gain(ny), x0=x0)
+
+    def _fed(self, part: Part, Abar: Array, C: Array) -> Array | float:
+        """Return the part (N, ny) of the predictions that y drives through the given gain."""
+        return 0.0 if self.gain is None else self._bare(Abar, C).predicted(part, 0)
 
     def cost(self, Abar: Array, C: Array) -> float:
         """Return the sum of squared whitened errors."""
@@ -161,41 +193,30 @@ class StateSpaceProblem:
         ]
         return linear, without(linear.basis, stacked(J))
 
-    def sensitivities(
-        self, part: Part, at: Predictor, x0: Array, directions: Array
-    ) -> tuple[Array, Array]:
-        """Return the derivatives (d, ny, N) of yhat, and the responses to the initial state.
+    def sensitivities(self, i: int, at: Predictor, directions: Array) -> tuple[Array, Array]:
+        """Return the derivatives (d, ny, N) of yhat in experiment i, and the other responses.
 
         The derivatives are with respect to (Abar, C) in the given directions, to the entries of
-        Bbar and K signal by signal, and to those of D row by row. With `level` the responses also
-        contain a constant for each output. The changes of the gains of a Kalman filter after a
+        Bbar and K signal by signal, and to those of D row by row. The other responses are those to
+        the initial state and to offsets. The changes of the gains of a Kalman filter after a
         missing output are neglected.
         """
-        Abar, C, K = at.Abar, at.C, at.K
-        n, ny = K.shape
+        part, Abar, C, K = self.parts[i], at.Abar, at.C, at.K
         if part.rows.all() or not K.any():
-            x = _states(Abar, C, part.u @ at.Bbar.T + part.y @ K.T, x0)
+            x = _states(Abar, C, part.u @ at.Bbar.T + part.y @ K.T, at.x0[i])
             driven, free = self.responses(part, Abar, C)
-            by = np.concatenate([_moved(Abar, C, x, directions), driven])
-        else:
-            w = part.u @ at.Bbar.T + (part.gains_of(K) @ part.y[:, :, None])[:, :, 0]
-            yhat = held_responses(part, at, w[:, None], (part.u @ at.D.T)[:, None], x0[None])[:, 0]
-            y = np.where(part.rows, part.y, yhat)
-            x = recursion(Abar, part.u @ at.Bbar.T + y @ K.T, x0)[:-1]
-            w, at_once = entries(np.hstack([part.u, y]), n, part.u if self.direct else None, ny)
-            k = directions.shape[1]
-            by_A, by_C = np.split(directions.T, [n * n], axis=1)
-            w = np.concatenate([x @ by_A.reshape(k, n, n).swapaxes(1, 2), w])
-            at_once = np.concatenate([x @ by_C.reshape(k, ny, n).swapaxes(1, 2), at_once])
-            by = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
-            return by.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
-        return by, self.with_offsets(free, Abar, C)
+            return np.concatenate([_moved(Abar, C, x, directions), driven]), free
+        n, ny = K.shape
+        y = np.where(part.rows, part.y, at.predicted(part, i))
+        x = recursion(Abar, part.u @ at.Bbar.T + y @ K.T, at.x0[i])[:-1]
+        w, at_once = entries(np.hstack([part.u, y]), n, part.u if self.direct else None, ny)
+        by_A, by_C = np.split(directions.T, [n * n], axis=1)
+        w = np.concatenate([x @ by_A.reshape(-1, n, n).swapaxes(1, 2), w])
+        at_once = np.concatenate([x @ by_C.reshape(-1, ny, n).swapaxes(1, 2), at_once])
+        by = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
+        return by.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
 
-    def with_offsets(self, free: Array, Abar: Array, C: Array) -> Array:
-        """Return the responses (k, ny, N) to the initial state, and those to constant offsets.
-
-        Without `level` the offsets are left out.
-        """
+    def _with_offsets(self, free: Array, Abar: Array, C: Array) -> Array:
         return np.concatenate([free, offsets(Abar, C, free.shape[2])]) if self.level else free
 
     def minimise(self, Abar: Array, C: Array, *, most: int) -> tuple[Array, Array, Linear, Optimum]:
