@@ -231,7 +231,7 @@ def _found(
         searched = _searched(wanted, data, other, integrator)
         fit = searched.fit
         request = searched.chosen.candidate.request_for(data)
-        again = structs.replace(request, stable=False, focus=None, starts=None)
+        again = structs.replace(request, stable=False, focus=None, starts=None, replicates=None)
     else:
         fit = estimated(data, wanted)
         again = wanted
@@ -316,7 +316,7 @@ def _print_short(found: _Found) -> None:
         say("\n".join(model_output.short_search_lines(found.search)))
     say("\n".join(model_output.short_model_lines(found.fit, roots=not searched)))
     if found.validation is not None:
-        for line in model_output.pair_lines(found.validation.tests, verbose=False):
+        for line in model_output.pair_lines(found.validation.tests):
             say(line)
     say("\n".join(model_output.advice_lines(found.fit, found.doubts)))
 

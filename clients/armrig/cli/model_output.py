@@ -213,29 +213,14 @@ def residual_lines(tests: ResidualTest) -> list[str]:
             for name, white in zip(tests.outputs, tests.white_by_output, strict=True)
             if len(tests.outputs) > 1
         ),
-        *pair_lines(tests, verbose=True),
+        *pair_lines(tests, every=True),
     ]
 
 
-def pair_lines(tests: ResidualTest, *, verbose: bool) -> Iterator[str]:
-    """Yield the tests of each pair, with Bonferroni's correction for the number of pairs.
-
-    Without `verbose`, only pairs of input and output that fail a test are shown. If dynamics are
-    missing, the test of feedback is not valid. A single pair has no line of its own.
-    """
-    if tests.missing_dynamics_by_pair.size == 1:
-        return
-    missing = tests.missing_dynamics < WHITE_LEVEL
-    for p, good, bad, valid in (
-        (tests.missing_dynamics_by_pair, "no dynamics missing", "dynamics missing", True),
-        (tests.feedback_by_pair, "no feedback", "feedback, or a delay too large", not missing),
-    ):
-        for (i, j), value in np.ndenumerate(p):
-            rejected = value < WHITE_LEVEL / p.size
-            if valid and (rejected or verbose):
-                pair = f"{tests.inputs[j]} to {tests.outputs[i]}"
-                said = f"(p {p_relation(float(value))})" if value >= 0 else "not tested"
-                yield f"  {pair}: {bad if rejected else good} {said}"
+def pair_lines(tests: ResidualTest, *, every: bool = False) -> list[str]:
+    """Return the tests of each pair; a single pair has no line of its own."""
+    several = tests.missing_dynamics_by_pair.size > 1
+    return [*tests.pair_lines(every=every)] if several else []
 
 
 def lags_outside(tests: ResidualTest) -> str:
@@ -291,7 +276,7 @@ def _facts_of_each(fit: Fit) -> dict[str, Any]:
     poles = fit.poles()
     return {
         "structure": fit.structure,
-        "orders": fit.specification,
+        "orders": fit.specification or fit.orders,
         "integrator": list(fit.form.integrators),
         **fields_of(fit, "shared inputs outputs Ts"),
         "noise_covariance": fit.noise_covariance.tolist(),

@@ -185,7 +185,7 @@ def _print_validation(validated: _Validated, file: Path, *, verbose: bool, drawn
         f"({signature(validated.data.source)}); {table.note}",
         dim=True,
     )
-    lines = residual_lines(tests) if verbose else [*pair_lines(tests, verbose=False)]
+    lines = residual_lines(tests) if verbose else [*pair_lines(tests)]
     if lines:
         say("\n".join(lines))
     if (verbose or drawn) and (why := lags_outside(tests)):

@@ -116,7 +116,7 @@ def treats_signals(f: Callable[Concatenate[Signals, P], Signals]) -> Treatment[P
 
 
 def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..., R]:
-    """Return f with checks of its arguments, and with `converted` for the first argument."""
+    """Return f with checks of its arguments; the first argument is converted."""
     called = signature(f)
     parameters = list(called.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)

@@ -65,6 +65,8 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
     shared: Annotated[bool | None, Option("One denominator for all outputs", channels=2)] = None
     noise: bool | None = None
     """False if a state-space model has no gain K of the innovations."""
+    replicates: int | None = None
+    """Number of replicates from which the covariance of a subspace model is computed."""
 
     @property
     def asked(self) -> dict[str, Any]:

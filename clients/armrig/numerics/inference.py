@@ -6,9 +6,9 @@ is the influence of e_i on the estimate. If e is white with covariance Lambda, t
     covariance         W [sum over i, k of Lambda_ik H_i^T H_k] W^T     valid if e is white
     covariance_robust  W M W^T                                          valid also if e is coloured
 
-M is the covariance of the sum of H_i(t) e_i(t). For one output that is fitted by least squares, H
-is the orthonormal basis Q of the derivatives Psi of the prediction, W W^T is (Psi^T Psi)^-1, and
-the covariance is lambda W W^T.
+M is the covariance of the sum of H_i(t) e_i(t). If one output is fitted by least squares, H is the
+orthonormal basis Q of the derivatives Psi of the prediction. W W^T is then (Psi^T Psi)^-1, and the
+covariance is lambda W W^T.
 
 References
 ----------

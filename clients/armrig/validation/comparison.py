@@ -12,9 +12,8 @@ from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_data
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding
-from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
 from armrig.models.estimation_data import findings_on_own_data

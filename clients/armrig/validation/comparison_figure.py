@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.dataset import Signals
 from armrig.data.figures import without_ramp
-from armrig.data.signals import Signals
 from armrig.models.labels import Labels
 from armrig.numerics.quantities import error, minus
 from armrig.plots.captions import legend, named, sign

@@ -19,8 +19,7 @@ from armrig.validation.residuals import residuals
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.data.dataset import Dataset
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
     from armrig.validation.search_result import SearchResult
 

@@ -9,12 +9,12 @@ from functools import partial
 
 import numpy as np
 from armrig_core.errors import InputError
+from msgspec import structs
 from numpy.typing import NDArray
 
 from armrig.data.argument import as_dataset, takes_data
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
-from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.data_faults import level_without_input
 from armrig.estimation.multivariable.plans import integrating_outputs
@@ -151,7 +151,9 @@ def search(
     if validation is None:
         data, validation = estimation_and_validation(data)  # type: ignore[type-var]
     if isinstance(data, Signals):
-        plan = _planned_for_several(data, families, orders, nk, integrator)
+        plan = _planned_for_several(
+            data, families, orders, nk, integrator, simulated=horizon is None
+        )
     else:
         validation = as_dataset(validation)
         plan = _planned(data, validation, families, orders, nk, integrator, offset, horizon)
@@ -161,7 +163,7 @@ def search(
     scored = _counted(coming, [c.name for c in plan.candidates], progress)
     ranking = _ranked(scored, validation)
     return SearchResult(
-        ranked=tuple(ranking.usable),
+        ranked=tuple(_with_covariance(ranking, data)),
         rms=ranking.rms,
         excess=ranking.excess,
         excess_std=ranking.excess_std,
@@ -239,6 +241,8 @@ def _planned_for_several(
     orders: list[int],
     nk: int | Iterable[int] | None,
     integrator: bool | str | Sequence[str] | None,
+    *,
+    simulated: bool,
 ) -> _Plan:
     """Return the candidates for several signals."""
     if integrator is None:
@@ -256,12 +260,23 @@ def _planned_for_several(
             family=family,
             orders=(*dict.fromkeys(OFFERED[family].orders, n).items(), ("nk", k)),
             integrator=integrating or False,
+            simulates=simulated and "focus" in OFFERED[family].takes,
         )
         for family in names
         for k in delays
         for n in orders
     ]
     return _Plan(candidates=candidates, doubts=tuple(doubts_of_channels(data)))
+
+
+def _with_covariance(ranking: _Ranking, data: Dataset | Signals) -> Iterator[Scored]:
+    """Yield the ranked candidates; the chosen model's covariance is computed from replicates."""
+    for k, scored in enumerate(ranking.usable):
+        request = scored.candidate.request_for(data)
+        if k == ranking.chosen and request.replicates is not None:
+            yield replace(scored, fit=structs.replace(request, replicates=None).estimated(data))
+        else:
+            yield scored
 
 
 def _offered(known: Tested) -> list[OfferedName]:

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armrig.data.argument import as_dataset
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.estimation.multivariable.whitening import whitening
 from armrig.models.fit import Fit
 from armrig.models.prediction import prediction_errors

@@ -10,8 +10,7 @@ import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.argument import HasDataset, as_dataset
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.models.estimation_data import findings_on_own_data
 from armrig.models.fit import Fit
 from armrig.models.polynomials import Polynomials

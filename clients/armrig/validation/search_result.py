@@ -11,9 +11,8 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
-from armrig.data.signals import Signals
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.structure_table import STRUCTURES, OfferedName
@@ -57,7 +56,8 @@ class Candidate:
     def request_for(self, data: Dataset | Signals) -> Request:
         """Return the request that estimates the model from the data.
 
-        Unstable poles are reflected at |z| = 1 if the structure has this option.
+        Unstable poles are reflected at |z| = 1 if the structure has this option. Replicates, which
+        cost a hundred estimates, are not drawn.
         """
         row, columns = STRUCTURES[self.family], data.signals()
         one = (columns.ny, columns.nu) == (1, 1)
@@ -76,6 +76,7 @@ class Candidate:
             starts="few" if "starts" in takes else None,
             shared=True if "shared" in takes and not one else None,
             noise=False if "noise" in takes and data.missing else None,
+            replicates=0 if "replicates" in takes and columns.ny > 1 else None,
         )
 
     def estimated(self, data: Dataset | Signals) -> Fit:

@@ -6,10 +6,12 @@ import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import armrig
 import numpy as np
 import pytest
+from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.estimation.armax import armax
@@ -202,3 +204,21 @@ def _peak(compute: Callable[[], object]) -> int:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     return peak
+
+
+def test_the_prediction_error_of_a_long_angle_is_its_noise() -> None:
+    """Its initial state and ramp are a million times its noise, so that each digit counts."""
+    rng = np.random.default_rng(3)
+    n = 2000
+    u = np.repeat(rng.choice([0.0, 5.0], n // 10), 10)
+    B, F = [0, 0.004, 0.003], np.poly([0.91 + 0.16j, 0.91 - 0.16j, 0.69]).real
+    rate = filtered(B, F, u)
+    y = np.column_stack([np.cumsum(rate), rate])
+    y += 1e-4 * rng.standard_normal(y.shape)
+    data = Signals(u=u[:, None], y=y, Ts=0.01, inputs=["u"], outputs=["angle", "rate"])
+    fit: Any = armrig.oe(data, nb=2, nf=3, integrator="angle", shared="denominator")  # type: ignore[call-arg, arg-type]
+
+    later = data[137:]  # in the middle of a movement
+    e = later.y - fit.predict(later, None)
+
+    np.testing.assert_allclose(np.std(e, axis=0), 1e-4, rtol=0.1)

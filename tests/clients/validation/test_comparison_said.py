@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
-from armrig.data.signals import Signals
 from armrig.models.characteristics import SCALARS, ModelCharacteristics
 from armrig.models.fit import Fit
 from armrig.numerics.confidence_regions import Band

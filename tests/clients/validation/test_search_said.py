@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding, warning
-from armrig.data.signals import Signals
 from armrig.numerics.criteria import batch_means
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import model_search

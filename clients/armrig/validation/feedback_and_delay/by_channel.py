@@ -15,8 +15,7 @@ from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
 
 from armrig_core.errors import InputError
 
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 
 Name = tuple[str, str]
 P = ParamSpec("P")

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.numerics.criteria import mdl
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array

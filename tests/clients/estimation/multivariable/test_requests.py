@@ -303,9 +303,9 @@ def test_all_outputs_have_one_score_and_converge_together(
     data = Signals(u=u, y=y + 0.1 * e, Ts=1.0, outputs=["a", "b"])
     scores, one_of = list[str](), search._estimated
 
-    def inferred(*of: Any, parameters: Any, score: Any) -> Any:
+    def infer(*of: Any, parameters: Any, score: Any) -> Any:
         scores.append(score)
-        return search_inferred(*of, parameters=parameters, score=score)
+        return search_infer(*of, parameters=parameters, score=score)
 
     def unfinished(data: Signals, plan: Any, orders: str) -> Any:
         found = one_of(data, plan, orders)
@@ -313,8 +313,8 @@ def test_all_outputs_have_one_score_and_converge_together(
         end = replace(end, converged=plan.outputs != (1,), iterations=7)
         return replace(found, ends=((name, end), *found.ends[1:]))
 
-    search_inferred = search.inferred
-    monkeypatch.setattr(search, "inferred", inferred)
+    search_infer = search.infer
+    monkeypatch.setattr(search, "infer", infer)
     monkeypatch.setattr(search, "_estimated", unfinished)
 
     fit: Any = armrig.bj(data, nb=1, nc=nc, nd=nd, nf=[[1, 0], [0, 1]])
