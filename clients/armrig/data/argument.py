@@ -11,6 +11,7 @@ from armrig_core.calls import check_call
 from armrig_core.errors import InputTypeError
 
 from armrig.data.dataset import Dataset, require_visible
+from armrig.data.signals import Signals
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -55,6 +56,26 @@ def takes_recordings(
 
     If orders are given by position, as in MATLAB, the error message shows the call with names.
     """
+    return _taking(f, as_dataset)
+
+
+def takes_signals(
+    f: Callable[Concatenate[Dataset | Signals, P], R],
+) -> Callable[Concatenate[Dataset | Signals | HasDataset, P], R]:
+    """Decorate a function of data of any shape so that it also accepts a recording.
+
+    Signals of one input and one output are passed as a Dataset.
+    """
+    return _taking(f, _of_any_shape)
+
+
+def _of_any_shape(data: Dataset | Signals | HasDataset) -> Dataset | Signals:
+    if isinstance(data, Signals) and (data.nu, data.ny) != (1, 1):
+        return data
+    return as_dataset(data)
+
+
+def _taking(f: Callable[..., R], accepted: Callable[[Any], Any]) -> Callable[..., R]:
     called = signature(f)
     parameters = list(called.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)
@@ -65,7 +86,7 @@ def takes_recordings(
     @wraps(f)
     def taking(*args: Any, **options: Any) -> R:
         if len(args) > positional and by_name and not variadic:
-            as_dataset(args[0])
+            accepted(args[0])
             raise InputTypeError(_by_name(f.__name__, first, by_name, args[positional:]))
         if not args and first in options:
             args = (options.pop(first),)
@@ -73,7 +94,7 @@ def takes_recordings(
             _check_order(f.__name__, first, parameters, args)
         check_call(f.__name__, called, args, options)
         call: Callable[..., R] = f
-        return call(*(as_dataset(a) for a in args[:1]), *args[1:], **options)
+        return call(*(accepted(a) for a in args[:1]), *args[1:], **options)
 
     return taking
 

@@ -14,10 +14,10 @@ from armrig.data.finding import EstimateFinding, warning
 from armrig.data.several_signals import accepts_signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
 from armrig.estimation.data_faults import NO_OPTION, data_faults
-from armrig.estimation.hannan_rissanen import noise_start
-from armrig.estimation.prediction_error import PredictionErrorProblem, Solution
-from armrig.estimation.prediction_error_fit import with_integrator
+from armrig.estimation.prediction_error import with_integrator
+from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
+from armrig.estimation.start_values import noise_start
 from armrig.estimation.subspace import (
     projection,
     suggested_order,
@@ -182,7 +182,7 @@ def _focused(
     facts = {**facts, "horizon": free.horizon, "singular_values": free.singular_values}
     notes = [] if free.steady else [warning("no_gain", _NO_GAIN_TEXT)]
     if focus == "simulation":
-        orders = f"order={n.nc}, nk={n.nk}"
+        orders = f"order={n.nc}, nk={n.nk[0]}"
         A, B, C = simulating(data, n, free.A, free.C, orders=orders)
         return _fit(data, n, A, C, B, facts, tuple(notes))
     A = _stable(free.A, integrator=bool(n.integrator)) if stable else free.A
@@ -203,9 +203,10 @@ def _structure(order: int, *, nk: int, integrator: bool) -> Structure:
     """Return the orders of an ARMAX model with `order` states."""
     return Structure(
         na=order - int(integrator),
-        nb=order + int(nk == 0),
+        nb=(order + int(nk == 0),),
         nc=order,
-        nk=nk,
+        nf=(0,),
+        nk=(nk,),
         integrator="a" if integrator else "",
     )
 
@@ -222,24 +223,26 @@ def _fit(
     """Return the model; if B is None, B is estimated by least squares on the one-step errors."""
     free = without_integrator(A) if n.integrator else A
     one = np.ones(1)
-    experiments = [prepared(part, n) for part in data.experiments()]
-    given = [regression(x, n, C=C, D=one, F=one) for x in experiments]
+    experiments = [prepared(part.u, part.y, n) for part in data.experiments()]
+    given = [regression(x, n, A=free, C=C, D=one, F=[one]) for x in experiments]
     projected = [g.unknown.without(np.column_stack([g.X, g.y])) for g in given]
     whole = projected[0] if len(projected) == 1 else np.vstack(projected)
     if B is None:
-        basis = orthonormal(whole[:, n.na : -1])
-        if basis.rank < n.nb:
+        basis = orthonormal(whole[:, :-1])
+        if basis.rank < n.nb[0]:
             raise InputError(
-                f"u determines only {basis.rank} of {n.nb} numerator coefficients; lower the "
+                f"u determines only {basis.rank} of {n.nb[0]} numerator coefficients; lower the "
                 "order or excite with a richer input"
             )
-        b = basis.coefficients(whole[:, -1] - whole[:, : n.na] @ free[1:])
-        B = np.append(np.zeros(n.nk), b)
+        B = np.append(np.zeros(n.nk[0]), basis.coefficients(whole[:, -1]))
     parts = [
-        errors(x, n, g, A=free, B=B, C=C, D=one, F=one)
+        errors(x, n, g, A=free, B=[B], C=C, D=one, F=[one])
         for x, g in zip(experiments, given, strict=True)
     ]
-    blocks = [np.hstack([x[:, :-1], p.Psi]) for x, p in zip(projected, parts, strict=True)]
+    blocks = [
+        g.unknown.without(np.hstack([p.Psi[:, : n.na], g.X, p.Psi[:, n.na :]]))
+        for g, p in zip(given, parts, strict=True)
+    ]
     residuals = [np.where(x.rows, p.e, np.nan) for x, p in zip(experiments, parts, strict=True)]
     spans = [g.unknown.span for g in given]
     found = infer(residuals, blocks, score="correlated", spans=spans, y=data.y)
@@ -249,7 +252,7 @@ def _fit(
         A=A,
         B=B,
         C=C,
-        nk=n.nk,
+        nk=n.nk[0],
         integrator=bool(n.integrator),
         offset=bool(n.trend),
         Ts=data.Ts,
@@ -331,32 +334,32 @@ def simulating(
     ValueError
         u determines fewer coefficients than B has.
     """
-    output = Structure(nb=n.nb, nf=n.na, nk=n.nk, integrator="f" if n.integrator else "")
-    experiments = tuple(prepared(part, output) for part in data.experiments())
-    problem = PredictionErrorProblem(experiments=experiments, structure=output)
+    output = Structure(nb=n.nb, nf=(n.na,), nk=n.nk, integrator="f" if n.integrator else "")
+    experiments = tuple((prepared(part.u, part.y, output),) for part in data.experiments())
+    problem = PolynomialProblem(experiments=experiments, rows=(output,))
     start = stabilised(without_integrator(A) if n.integrator else A)
     found = problem.minimise(start[1:])
     solution = problem.solve(found.theta)
-    if solution.rank < n.nb:
+    if solution.rank < n.nb[0]:
         raise InputError(
-            f"{orders}: u determines only {solution.rank} of {n.nb} numerator coefficients; "
+            f"{orders}: u determines only {solution.rank} of {n.nb[0]} numerator coefficients; "
             "lower the order or excite with a richer input"
         )
     free = stabilised(np.append(1.0, found.theta))
-    B = np.append(np.zeros(n.nk), solution.ab)
+    B = np.append(np.zeros(n.nk[0]), solution.ab)
     whole = np.convolve([1.0, -1.0], free) if n.integrator else free
     noises = [C, _of_what_is_left(experiments, solution, whole, n.nc), reflected(whole)]
-    one_step = [prepared(part, n) for part in data.experiments()]
+    one_step = [prepared(part.u, part.y, n) for part in data.experiments()]
     losses = [_one_step_loss(one_step, n, free, B, noise) for noise in noises]
     return whole, B, noises[int(np.argmin(losses))]
 
 
 def _of_what_is_left(
-    experiments: Sequence[Experiment], solution: Solution, A: Array, nc: int
+    experiments: Sequence[tuple[Experiment, ...]], solution: Solution, A: Array, nc: int
 ) -> Array:
     """Return an estimate of C in C e = A (y - simulated y)."""
     v = []
-    for x, part in zip(experiments, solution.parts, strict=True):
+    for (x,), (part,) in zip(experiments, solution.parts, strict=True):
         left = x.y - part.driven
         left[~x.rows] = np.nan
         left = filtered(A, [1.0], left) if np.isfinite(left).all() else _convolved(A, left)
@@ -377,7 +380,7 @@ def _one_step_loss(
     """Return the sum of squared one-step errors after the unknown past is fitted."""
     one, total = np.ones(1), 0.0
     for x in experiments:
-        given = regression(x, n, C=C, D=one, F=one)
-        raw = given.y - given.X @ np.append(A[1:], B[n.nk :])
+        given = regression(x, n, A=A, C=C, D=one, F=[one])
+        raw = given.y - given.X @ B[n.nk[0] :]
         total += float(np.sum(given.unknown.without(raw[:, None]) ** 2))
     return total

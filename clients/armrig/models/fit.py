@@ -44,8 +44,8 @@ class Fit(Estimate):
         The initial state is estimated from the data by least squares. With an integrator, or if the
         model has `offset`, the input offset is estimated too. ŷ(t) is NaN if past samples that ŷ(t)
         needs are not known. For a model with A or D, but without C, ŷ is NaN at the beginning of an
-        experiment. For a model with C or D, ŷ is NaN during a gap and for at least the next
-        `horizon` - 1 samples.
+        experiment. For a model with C or D, ŷ is NaN during a gap. If the model also has an
+        integrator in A, ŷ is also NaN for at least the next `horizon` samples.
 
         Examples
         --------

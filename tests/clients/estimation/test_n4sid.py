@@ -63,7 +63,7 @@ def test_an_input_of_one_frequency_is_refused() -> None:
 
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])
 def test_a_model_without_a_steady_kalman_gain_is_reported(focus: Focus) -> None:
-    n = Structure(na=2, nb=2, nc=2, nk=1)
+    n = Structure(nf=(0,), na=2, nb=(2,), nc=2, nk=(1,))
     ones = np.ones(4)
     facts = {"weights": "cva", "canonical_correlations": ones, "suggested_order": 2}
 
@@ -221,7 +221,7 @@ def test_unstable_poles_are_reflected_and_an_integrator_is_kept(integrator: bool
 @pytest.mark.parametrize("missing", [False, True])
 def test_noise_is_not_estimated_from_the_time_before_the_first_sample(missing: bool) -> None:
     """The noise begins far from 0, and A y looks back on it."""
-    structure = Structure(nb=2, nf=2, nk=1)
+    structure = Structure(nb=(2,), nf=(2,), nk=(1,))
     parts, v, e = [], list[Vector](), 0.3 * np.random.default_rng(3).standard_normal((2, 500))
     for k in range(2):
         one = _data(k, 500, std=0.0)
@@ -229,11 +229,11 @@ def test_noise_is_not_estimated_from_the_time_before_the_first_sample(missing: b
         y = one.y + v[-1]
         y[100] = np.nan if missing else y[100]
         parts.append(Dataset(u=one.u, y=y, Ts=1.0, valid=np.isfinite(y)))
-    experiments = tuple(prepared(part, structure) for part in parts)
+    experiments = tuple((prepared(part.u, part.y, structure),) for part in parts)
     clean: Any = SimpleNamespace(
         parts=[
-            SimpleNamespace(driven=np.where(x.rows, x.y, 0.0) - w)
-            for x, w in zip(experiments, v, strict=True)
+            (SimpleNamespace(driven=np.where(x.rows, x.y, 0.0) - w),)
+            for (x,), w in zip(experiments, v, strict=True)
         ]
     )
 

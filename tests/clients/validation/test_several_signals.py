@@ -10,7 +10,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig import MultivariableFit, Signals
-from armrig.estimation.multivariable.oe import oe as oe_of_several
+from armrig.estimation import prediction_error
 from armrig.numerics.polynomial import filtered
 from armrig.validation.multivariable import feedback_and_delay
 from armrig.validation.multivariable.projection import parts_of, projection
@@ -303,7 +303,10 @@ def test_with_few_samples_one_output_has_the_whiteness_test_of_a_dataset(seed: i
         parts.append(
             (armrig.Dataset(u=u, y=y, Ts=1.0), Signals(u=u[:, None], y=y[:, None], Ts=1.0))
         )
-    fit, several = armrig.oe(parts[0][0], nb=2, nf=2), oe_of_several(parts[0][1], nb=2, nf=2)
+    fit, several = (
+        armrig.oe(parts[0][0], nb=2, nf=2),
+        prediction_error.estimated(parts[0][1], "oe", {"nb": 2, "nf": 2, "nk": 1}),
+    )
 
     for one, signals in parts:
         white = residuals_of_several(several, signals, 6).white

@@ -11,7 +11,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.data_checks import (
+from armrig.estimation.data_checks import (
     instability,
     origin,
     poor_fits,
@@ -34,7 +34,6 @@ from armrig.estimation.multivariable.subspace import (
     projected,
     realised,
 )
-from armrig.estimation.multivariable.whitening import patterns
 from armrig.estimation.orders import require_samples
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.multivariable.matrices import Matrices
@@ -45,6 +44,7 @@ from armrig.numerics.gram import least_squares_by_gram
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion, varying_recursion
 from armrig.numerics.stretches import stretches
+from armrig.numerics.whitening import patterns
 
 _MAX_SUGGESTED_ORDER = 10
 _STEP = 1e-6  # change of a matrix entry for a numerical derivative

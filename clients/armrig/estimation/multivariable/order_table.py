@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.orders import Integers, by_channel
+from armrig.estimation.channel_orders import Integers, by_channel
 from armrig.estimation.order_table import OrderTable, order_table, require_same_rate
 from armrig.numerics.criteria import Criterion
 from armrig.numerics.polynomial import Array

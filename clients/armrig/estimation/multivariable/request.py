@@ -85,6 +85,8 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
 
     def estimated(self, data: Signals) -> MultivariableFit:
         """Return the model estimated from the data."""
-        module = import_module(f"armrig.estimation.multivariable.{self.structure}")
+        # n4sid and ss of several signals have modules of their own.
+        home = "multivariable." if self.structure in ("n4sid", "ss") else ""
+        module = import_module(f"armrig.estimation.{home}{self.structure}")
         fit: MultivariableFit = getattr(module, self.structure)(data, **self.arguments(data))
         return fit

@@ -11,8 +11,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
-from armrig.estimation.multivariable.ends import ranked
+from armrig.estimation.data_checks import instability, origin, require_informative
 from armrig.estimation.multivariable.inference import (
     OutputResiduals,
     inferred,
@@ -34,8 +33,8 @@ from armrig.estimation.multivariable.state_space_problem import (
     without,
 )
 from armrig.estimation.multivariable.state_space_starts import moved_modes, starts
-from armrig.estimation.multivariable.whitening import whitening
 from armrig.estimation.orders import require_samples
+from armrig.estimation.search import ranked
 from armrig.models.estimate import Start
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.multivariable.matrices import Matrices
@@ -43,6 +42,7 @@ from armrig.numerics.checks import require_flags, require_integers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed
+from armrig.numerics.whitening import whitening
 
 _STEPS = 2  # steps of the search between two estimates of Lambda
 _TRIED_STEPS = 6  # steps between two estimates of Lambda while the start values are tried

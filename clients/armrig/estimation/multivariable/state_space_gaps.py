@@ -32,10 +32,10 @@ from armrig.estimation.multivariable.state_space_problem import (
     stable_matrix,
     tangent,
 )
-from armrig.estimation.multivariable.whitening import patterns
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
+from armrig.numerics.whitening import patterns
 
 _NEGLIGIBLE = 1e-9  # a smaller variance of C x, relative to the variance of e, counts as 0
 _STEP = 1e-6  # step of a numerical derivative; the coordinates are scaled

@@ -27,12 +27,12 @@ from armrig_core.errors import InputError
 from scipy.linalg import solve_discrete_lyapunov
 
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.whitening import whitening
 from armrig.numerics.checks import require_integers
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import free_responses, recursion, responses
+from armrig.numerics.whitening import whitening
 
 _MAX_MODULUS = 1 - 1e-7  # largest modulus of an eigenvalue of Abar in a search
 _ORBIT_TOLERANCE = 1e-10  # a smaller relative singular value is a rounding error

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.signals import Signals
+from armrig.estimation.channel_orders import integrating_outputs
 from armrig.estimation.multivariable.n4sid import n4sid
-from armrig.estimation.multivariable.oe import oe
-from armrig.estimation.multivariable.plans import integrating_outputs
 from armrig.estimation.multivariable.ss import ss
+from armrig.estimation.oe import oe
 from armrig.models.multivariable.fit import MultivariableFit, require_same_channels
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
@@ -224,7 +224,8 @@ def _estimated(
             for output, of in zip(data.outputs, integrating, strict=True)
             for input in data.inputs
         }
-        return oe(data, nb=nb, nf=n, nk=nk, integrator=integrator, shared="denominator")
+        fit: Any = oe(data, nb=nb, nf=n, nk=nk, integrator=integrator, shared="denominator")
+        return cast("MultivariableFit", fit)
     if family == "ss":
         return ss(data, order=n, nk=nk, noise=not data.missing)
     return n4sid(data, n, nk=nk, replicates=0)

@@ -23,9 +23,9 @@ from armrig.estimation.multivariable.state_space_problem import (
     tangent,
 )
 from armrig.estimation.multivariable.subspace import projected
-from armrig.estimation.multivariable.whitening import whitening
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.recursion import recursion, varying_recursion
+from armrig.numerics.whitening import whitening
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
