@@ -9,7 +9,7 @@ from typing import Any
 import armrig
 import control
 import numpy as np
-from armrig import ArmParameters, Dataset, MultivariableFit, Signals
+from armrig import ArmParameters, Dataset, Fit, Signals
 from armrig.models.structure import Structure
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
@@ -207,7 +207,7 @@ class MultivariablePlant:
 
     simulate: Callable[[Draw, int], tuple[Array, Array, dict[str, Any]]]
     """Returns u, y and the names of N samples."""
-    fit: Callable[[Signals], MultivariableFit]
+    fit: Callable[[Signals], Fit]
     theta: Array
     poles: Array
     G: Array

@@ -46,12 +46,13 @@ NOT_CALLED = {
     "Rig": "a live rig",
     "RigError": "an error",
     "SearchResult": "what search returns",
-    "SubspaceFit": "what n4sid returns",
     "example_recording": "load reads other recordings",
     "stream": "of a live rig",
 }
 """Public names that are not called, and why."""
 
+PROJECTION = ("order", "horizon", "suggested_order", "singular_values", "canonical_correlations")
+"""Members of a `Fit` that only n4sid fills."""
 NO_MEMBERS = {
     "*.plot": "plots draws it",
     "*.save": "load_fit reads it again",
@@ -63,11 +64,27 @@ NO_MEMBERS = {
     "*Fit.Ts": "given",
     "*Fit.nk": "given",
     "Dataset.N": "the length of u",
+    "ComparisonTable.of": "the rows have them",
+    "ComparisonTable.models": "the rows have them",
+    "Comparison.channel": "the model again",
+    "ResidualTest.white_by_output": "white again",
+    "ResidualTest.missing_dynamics_by_pair": "missing_dynamics again",
+    "ResidualTest.feedback_by_pair": "feedback again",
+    "ResidualTest.poorest_pair": "texts",
     "*Fit.findings": "the warnings again, by code",
     "*.names": "texts",
     "*.history": "texts",
     "*Fit.orders": "given",
     "*Fit.integrator": "given",
+    "Fit.form": "theta again",
+    "Fit.quality": "loss, N and fit_percent again",
+    "Fit.noise_covariance": "noise_variance again",
+    "Fit.ny": "the number of names",
+    "Fit.nu": "the number of names",
+    "Fit.shared": "given",
+    "Fit.output_weights": "given",
+    "Fit.state_space": "n4sid has it",
+    **{f"Fit.{name}": "n4sid has it" for name in PROJECTION},
     "*Fit.offset": "given",
     "*.estimated_from": "of other data",
     "*.summary": "summary calls it: it takes long",
@@ -81,7 +98,9 @@ NO_MEMBERS = {
     "*.metadata": "texts",
     "Dataset.replaced": "a copy",
     "Signals.replaced": "a copy",
-    "Signals.treated": "treatments call it",
+    "Dataset.signals": "Signals has them",
+    "Signals.select": "parts of Signals",
+    "Signals.signals": "the object itself",
     "Signals.channels": "Signals calls it",
     "Signals.dataset": "Dataset has them",
     "Signals.experiments": "parts of Signals",
@@ -91,6 +110,7 @@ NO_MEMBERS = {
     "Dataset.experiments": "Dataset calls it",
     "Dataset.select": "Dataset calls it",
     "Dataset.split": "Dataset calls it",
+    "Trend.each": "of functions",
     "*.fixed": "a parameter that was given",
     "*.slice_of": "numbers of parameters, which names has",
     "*.polynomial": "A, B, C, D and F again",
@@ -111,8 +131,6 @@ NO_MEMBERS = {
 _MODEL = ("theta", "std_robust", "loss", "fit_percent")
 BRIEF = {
     "Fit": _MODEL,
-    "SubspaceFit": _MODEL,
-    "PhysicalModel": ("theta",),
     "SpectralEstimate": ("G", "std_magnitude", "noise_spectrum", "coherence"),
     "StepAnalysis": ("tau", "settling", "gain"),
     "Dataset": ("u", "y", "starts"),
@@ -588,7 +606,7 @@ def driven_twice(missing: float = 0.0) -> armrig.Signals:
     return armrig.Signals(u=u, y=y, Ts=0.1, valid=rng.random(y.shape) >= missing)
 
 
-def of_several(fit: armrig.MultivariableFit) -> Variants:
+def of_several(fit: armrig.Fit) -> Variants:
     """Return the numbers of a model that do not depend on the state's coordinates."""
     for i, j, channel in fit.channels():
         yield f"channel {i} {j}", (channel.theta, channel.std, channel.std_robust)
@@ -685,15 +703,31 @@ def pem() -> Variants:
 
 @variants
 def n4sid() -> Variants:
+    for name, fit in of_n4sid().items():
+        yield from with_projection(name, fit)
+
+
+def with_projection(name: str, fit: armrig.Fit) -> Variants:
+    """Return a model of N4SID with the members that other models do not fill."""
+    yield name, fit
+    yield f"{name}.state_space()", fit.state_space()
+    for member in PROJECTION:
+        yield f"{name}.{member}", getattr(fit, member)
+
+
+def of_n4sid() -> dict[str, armrig.Fit]:
+    """Return models of N4SID."""
+    fits = {}
     for name in ("plain", "holes", "two", "mean"):
-        yield name, armrig.n4sid(data()[name], 2)
+        fits[name] = armrig.n4sid(data()[name], 2)
     for weights in ("moesp", "n4sid"):
-        yield weights, armrig.n4sid(data()["odd"], 2, weights, nk=3)
-    yield "chosen", armrig.n4sid(data()["plain"], horizon=8)
-    yield "simulation", armrig.n4sid(data()["two"], 2, focus="simulation")
-    yield "integrator", armrig.n4sid(integrating(), 2, integrator=True, stable=True)
-    yield "direct", armrig.n4sid(data()["mean"], 3, nk=0)
-    yield "unlike", armrig.n4sid(unlike(), 2, nk=3)
+        fits[weights] = armrig.n4sid(data()["odd"], 2, weights, nk=3)
+    fits["chosen"] = armrig.n4sid(data()["plain"], horizon=8)
+    fits["simulation"] = armrig.n4sid(data()["two"], 2, focus="simulation")
+    fits["integrator"] = armrig.n4sid(integrating(), 2, integrator=True, stable=True)
+    fits["direct"] = armrig.n4sid(data()["mean"], 3, nk=0)
+    fits["unlike"] = armrig.n4sid(unlike(), 2, nk=3)
+    return fits
 
 
 @variants
@@ -1414,7 +1448,7 @@ def load_fit() -> Variants:
     bj_odd().save(path)
     yield "bj", armrig.load_fit(path)
     armrig.n4sid(data()["plain"], 2).save(path)
-    yield "n4sid", armrig.load_fit(path)
+    yield from with_projection("n4sid", armrig.load_fit(path))
 
 
 @variants

@@ -15,11 +15,14 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("armrig")
+    name = _EARLIER_NAMES.get(name, name)
     if name not in __all__:
         raise AttributeError(_no_attribute(name), name=name)
     return public(__name__, name)
 
 
+_EARLIER_NAMES = {"SubspaceFit": "Fit", "MultivariableFit": "Fit"}
+"""Public names of earlier releases, and the present names."""
 _NAME_OF_MATLAB = {
     "iddata": "Dataset",
     "resid": "residuals",

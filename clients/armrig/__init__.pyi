@@ -3,10 +3,10 @@ from armrig_core.errors import FileError as FileError
 from armrig_core.errors import InputError as InputError
 
 from armrig.data.dataset import Dataset as Dataset
+from armrig.data.dataset import Signals as Signals
 from armrig.data.files.loading import load_data as load_data
 from armrig.data.files.loading import load_signals as load_signals
 from armrig.data.merging import merge as merge
-from armrig.data.signals import Signals as Signals
 from armrig.data.treatment import detrend as detrend
 from armrig.data.treatment import difference as difference
 from armrig.data.treatment import drift as drift
@@ -19,7 +19,6 @@ from armrig.estimation.armax import armax as armax
 from armrig.estimation.arx import arx as arx
 from armrig.estimation.bj import bj as bj
 from armrig.estimation.iv4 import iv4 as iv4
-from armrig.estimation.multivariable.ss import ss as ss
 from armrig.estimation.n4sid import n4sid as n4sid
 from armrig.estimation.nonparametric.bla import bla as bla
 from armrig.estimation.nonparametric.correlation import correlation as correlation
@@ -35,6 +34,7 @@ from armrig.estimation.recursive import RarxState as RarxState
 from armrig.estimation.recursive import rarx as rarx
 from armrig.estimation.recursive import rarx_start as rarx_start
 from armrig.estimation.recursive import rarx_step as rarx_step
+from armrig.estimation.ss import ss as ss
 from armrig.excitation import chirp as chirp
 from armrig.excitation import from_csv as from_csv
 from armrig.excitation import multisine as multisine
@@ -48,9 +48,7 @@ from armrig.excitation.experiment_design import predicted_parameter_std as predi
 from armrig.excitation.experiment_design import predicted_std as predicted_std
 from armrig.excitation.input_description import describe_input as describe_input
 from armrig.models.fit import Fit as Fit
-from armrig.models.multivariable.fit import MultivariableFit as MultivariableFit
-from armrig.models.multivariable.model_file import load_fit as load_fit
-from armrig.models.subspace_fit import SubspaceFit as SubspaceFit
+from armrig.models.model_file import load_fit as load_fit
 from armrig.physics.grey_box.estimate import greybox as greybox
 from armrig.physics.grey_box.fit import GreyFit as GreyFit
 from armrig.physics.grey_box.inverse_dynamics import inverse_dynamics as inverse_dynamics

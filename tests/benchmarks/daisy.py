@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 from armrig import Dataset, arx, n4sid, search
-from armrig.models.model import Model
+from armrig.models.fit import Fit
 from armrig.models.prediction import predicted
 from scipy.io import loadmat, savemat
 
@@ -80,7 +80,7 @@ def parts(data: np.ndarray, Ts: float) -> list[Dataset]:
     return [Dataset(u=u[a:b], y=y[a:b], Ts=Ts) for a, b in pairwise(cuts)]
 
 
-def fit_percent(model: Model, data: Dataset) -> float:
+def fit_percent(model: Fit, data: Dataset) -> float:
     """Return 100 (1 - |y - ŷ| / |y - mean y|), simulated from the best initial state."""
     with np.errstate(all="ignore"):
         error = data.y - predicted(model, data, None)
@@ -88,8 +88,8 @@ def fit_percent(model: Model, data: Dataset) -> float:
     return 100 * (1 - share) if np.isfinite(share) else -np.inf
 
 
-def _candidates(first: Dataset) -> dict[str, list[Model]]:
-    models: dict[str, list[Model]] = {
+def _candidates(first: Dataset) -> dict[str, list[Fit]]:
+    models: dict[str, list[Fit]] = {
         "armrig n4sid": [n4sid(first, n, nk=nk) for n in ORDERS for nk in DELAYS],
         "armrig n4sid, simulation": [
             n4sid(first, n, nk=nk, focus="simulation") for n in ORDERS for nk in DELAYS
@@ -99,8 +99,8 @@ def _candidates(first: Dataset) -> dict[str, list[Model]]:
     return models | (_octave(first) if shutil.which("octave-cli") else {})
 
 
-def _octave(first: Dataset) -> dict[str, list[Model]]:
-    models: dict[str, list[Model]] = {}
+def _octave(first: Dataset) -> dict[str, list[Fit]]:
+    models: dict[str, list[Fit]] = {}
     with tempfile.TemporaryDirectory() as folder:
         found = {"u": first.u[:, None], "y": first.y[:, None], "orders": np.array([*ORDERS], float)}
         savemat(Path(folder) / "in.mat", found)
@@ -109,12 +109,12 @@ def _octave(first: Dataset) -> dict[str, list[Model]]:
         rows = loadmat(Path(folder) / "out.mat")["models"]
     for method, *polynomials in rows:
         A, B, C = (p.ravel() for p in polynomials)
-        model = Model(A=A, B=B, C=C, nk=0, Ts=first.Ts)
+        model = Fit.of_channel(A=A, B=B, C=C, nk=0, Ts=first.Ts)
         models.setdefault(f"Octave {method.item()}", []).append(model)
     return models | {"Octave, of both": [m for both in models.values() for m in both]}
 
 
-def _say(name: str, method: str, model: Model, first: Dataset, last: Dataset) -> None:
+def _say(name: str, method: str, model: Fit, first: Dataset, last: Dataset) -> None:
     print(
         f"{name:15} {method:25} {fit_percent(model, last):7.1f}  "
         f"({model.label}, {model.denominator.size - 1} poles; {fit_percent(model, first):.1f})",

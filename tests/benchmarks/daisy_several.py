@@ -29,8 +29,8 @@ from pathlib import Path
 
 import armrig
 import numpy as np
-from armrig import MultivariableFit, Signals
-from armrig.models.multivariable.matrices import Matrices
+from armrig import Fit, Signals
+from armrig.models.matrices import Matrices
 from scipy.io import loadmat, savemat
 
 RECORDS = {
@@ -97,7 +97,7 @@ def main() -> None:
             _say(label, replace(fit, form=form), parts, seconds)
 
 
-def _say(label: str, fit: MultivariableFit, parts: tuple[Signals, Signals], seconds: float) -> None:
+def _say(label: str, fit: Fit, parts: tuple[Signals, Signals], seconds: float) -> None:
     """Print one line."""
     fits = []
     for part in parts:

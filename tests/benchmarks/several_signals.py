@@ -27,7 +27,7 @@ from typing import Any
 import armrig
 import control
 import numpy as np
-from armrig import Fit, MultivariableFit
+from armrig import Fit
 from armrig.models.uncertainty import frequency_responses
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.recursion import recursion
@@ -61,7 +61,7 @@ def true_quantities(plant: MultivariablePlant) -> Array:
     return np.concatenate([plant.theta, upper.real, upper.imag, G.real, G.imag])
 
 
-def quantities(plant: MultivariablePlant, fit: MultivariableFit) -> tuple[Array, Array]:
+def quantities(plant: MultivariablePlant, fit: Fit) -> tuple[Array, Array]:
     """Return the estimates of all quantities, and their deviations."""
     found = fit.poles()
     upper = np.flatnonzero(plant.poles.imag >= 0)

@@ -19,7 +19,7 @@ from armrig.estimation.nonparametric.step_analysis import StepAnalysis
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.physics.integrators.accuracy import convergence, sinusoid
-from armrig.physics.physical_model import PhysicalModel, physical_model
+from armrig.physics.physical_model import physical_model
 from armrig.physics.systems import beside_the_handout
 from armrig.recordings.calibration import estimate
 from armrig.recordings.overview import overview
@@ -41,6 +41,7 @@ from tests import same_numbers_calls as of
 from tests.clients.chassis_data import angle
 from tests.clients.handout_plant import HandoutPlant
 from tests.clients.made_turns import made_turns, still
+from tests.clients.models.made_fits import changed
 
 P = ArmParameters()
 A, B, _ = arm_matrices(P)
@@ -100,10 +101,10 @@ def hardly_a_pair() -> armrig.Fit:
     return armrig.oe(second_order(N=500, F=F), nb=2, nf=2)
 
 
-def exact(B: Any, F: Any) -> PhysicalModel:
+def exact(B: Any, F: Any) -> armrig.Fit:
     """Return a model of these polynomials, of which nothing was estimated."""
     of_the_rig = physical_model(P, Dataset(u=[0.0, 1.0], y=[0.0, 1.0], Ts=1.0))
-    return replace(of_the_rig, B=np.array(B), F=np.array(F), integrator=False)
+    return changed(of_the_rig, B=np.array(B), F=np.array(F), integrator=False)
 
 
 def searched() -> SearchResult:
@@ -250,7 +251,7 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_values, unlike": lambda e: of.unlike_integrating().plot("values", ax=ax()),
     "plot_compare, many": lambda e: armrig.compare(
         of.unlike().select(1),
-        *(replace(exact([0, 0, 0, -2.0 - k], [1, -0.9]), Ts=0.5, nk=3) for k in range(7)),
+        *(changed(exact([0, 0, 0, -2.0 - k], [1, -0.9]), Ts=0.5, nk=3) for k in range(7)),
         labels=[*"abcde", "with a name that is longer than the figure is wide, " * 3, "g"],
     ).plot(ax=ax()),
     "plot_residuals, unlike": lambda e: armrig.residuals(

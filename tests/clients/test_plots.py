@@ -7,7 +7,7 @@ import re
 import sys
 from base64 import b64decode
 from collections.abc import Callable, Iterator
-from dataclasses import is_dataclass, replace
+from dataclasses import is_dataclass
 from html import escape
 from importlib import import_module
 from itertools import pairwise
@@ -20,7 +20,6 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
-from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
 from armrig.numerics.polynomial import filtered
 from armrig.plots.captions import in_mathtext, named, named_by_run, signature, symbol
@@ -38,6 +37,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+
+from tests.clients.models.made_fits import changed
 
 
 def said(ax: Axes) -> list[str]:
@@ -76,7 +77,7 @@ def closed() -> Iterator[None]:
         plt.close("all")
 
 
-def _models(done: Study) -> list[Model]:
+def _models(done: Study) -> list[Fit]:
     return [m.model for m in done.models]
 
 
@@ -256,7 +257,7 @@ def test_a_step_keeps_its_ramp(done: Study) -> None:
 def test_a_logarithmic_scale_is_named_and_its_numbers_do_not_overlap(done: Study) -> None:
     figure = Figure(figsize=(6.4, 2.6), layout="constrained")
     models = _models(done)
-    far = replace(done.best.fit, B=np.append(0.0, 2.0 * done.best.fit.B[1:]))
+    far = changed(done.best.fit, B=np.append(0.0, 2.0 * done.best.fit.B[1:]))
     plots.plot_compare(done.validation, far, *models, ax=figure.add_subplot())
     FigureCanvasAgg(figure)
     figure.draw_without_rendering()

@@ -64,7 +64,7 @@ def _estimate(folder: Path) -> None:
     """Save a model of each kind, and the facts about all files."""
     recording = armrig.load(folder / "scheduled.mcap")
     data, several = recording.dataset(output="alpha"), recording.signals()
-    fits: dict[str, armrig.Fit | armrig.MultivariableFit] = {
+    fits: dict[str, armrig.Fit] = {
         "arx": armrig.arx(data, na=2, nb=2),
         "armax": armrig.armax(data, na=2, nb=2, nc=1),
         "ararx": armrig.ararx(data, na=2, nb=2, nd=1),
@@ -103,11 +103,9 @@ def facts(recording: armrig.Recording) -> dict[str, Any]:
     }
 
 
-def answers(
-    fit: armrig.Fit | armrig.MultivariableFit, recording: armrig.Recording
-) -> dict[str, Any]:
+def answers(fit: armrig.Fit, recording: armrig.Recording) -> dict[str, Any]:
     """Return a model's answers: its poles, and y one step ahead at every 30th sample."""
-    if isinstance(fit, armrig.Fit):
+    if (fit.ny, fit.nu) == (1, 1):
         predicted = fit.predict(recording.dataset(output=fit.output))
     else:
         predicted = fit.predict(recording.signals(fit.outputs)).ravel()

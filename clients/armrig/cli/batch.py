@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from armrig_core.errors import InputError
+from armrig_core.errors import FileError, InputError
 from armrig_core.telemetry import THETA_1, OutputName
 from msgspec.structs import asdict
 
@@ -127,7 +127,13 @@ def validate(
     from armrig.models.model_writing import model_text
     from armrig.report.batch.tasks import Validate
 
-    task = Validate(model=model_text(load_fit(model)), detrend=detrend)
+    fit = load_fit(model)
+    if (fit.ny, fit.nu) != (1, 1):
+        raise FileError(
+            f"{model} is a model of several signals; here give a model of one output and one "
+            "input, such as fit['alpha', 'u'] of it (armrig.load_fit and fit.save in Python)"
+        )
+    task = Validate(model=model_text(fit), detrend=detrend)
     _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
 
 

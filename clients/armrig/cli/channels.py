@@ -14,8 +14,8 @@ from armrig.cli.options import tell
 from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:
-    from armrig.data.signals import Signals
-    from armrig.models.multivariable.fit import MultivariableFit
+    from armrig.data.dataset import Signals
+    from armrig.models.fit import Fit
 
 _INPUTS = ("u",)
 """Inputs of a recording."""
@@ -39,7 +39,7 @@ def recorded_outputs(chosen: Sequence[str]) -> list[OutputName]:
     return [known[name] for name in chosen]
 
 
-def modelled_outputs(model: MultivariableFit, chosen: Sequence[str]) -> list[OutputName]:
+def modelled_outputs(model: Fit, chosen: Sequence[str]) -> list[OutputName]:
     """Return the model's outputs in the model's order; refuse a model of other signals."""
     known: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
     if not set(model.outputs) <= known.keys() or model.inputs != _INPUTS:
@@ -56,7 +56,7 @@ def modelled_outputs(model: MultivariableFit, chosen: Sequence[str]) -> list[Out
     return [known[name] for name in model.outputs]
 
 
-def require_as_many(model: MultivariableFit, outputs: Sequence[str], inputs: Sequence[str]) -> None:
+def require_as_many(model: Fit, outputs: Sequence[str], inputs: Sequence[str]) -> None:
     """Refuse column names if their number differs from the number of the model's signals."""
     for option, what, chosen, own in (
         ("--signal", "output", outputs, model.outputs),
@@ -69,7 +69,7 @@ def require_as_many(model: MultivariableFit, outputs: Sequence[str], inputs: Seq
             )
 
 
-def as_modelled(file: Path, signals: Signals, model: MultivariableFit) -> Signals:
+def as_modelled(file: Path, signals: Signals, model: Fit) -> Signals:
     """Return the signals with the model's names, in the model's order.
 
     If the user names other columns, these columns are used as the model's signals. A message lists

@@ -12,8 +12,7 @@ from armrig.cli.options import inform, tell
 from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset, Vector
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Dataset, Signals, Vector
 
 Named = Sequence[tuple[str, "Vector"]]
 """Names of signals, with their measured values."""

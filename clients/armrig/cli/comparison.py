@@ -41,8 +41,7 @@ if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
     from armrig.data.dataset import Dataset
-    from armrig.models.model import Model
-    from armrig.models.multivariable.fit import MultivariableFit
+    from armrig.models.fit import Fit
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import Comparison, ComparisonTable
 
@@ -136,7 +135,7 @@ def compare(
 class _Compared:
     """Models and the data of their comparison."""
 
-    models: list[tuple[str, Model]]
+    models: list[tuple[str, Fit]]
     """Pairs of name and model; several models may have the same name."""
     data: Dataset
     where: str
@@ -148,23 +147,22 @@ class _Compared:
         return [name for name, _ in self.models]
 
     @property
-    def fits(self) -> list[Model]:
+    def fits(self) -> list[Fit]:
         """Models without their names."""
         return [fit for _, fit in self.models]
 
 
 def _saved_models(
     files: Sequence[Path],
-) -> tuple[list[tuple[str, Model]], list[tuple[str, MultivariableFit]]]:
+) -> tuple[list[tuple[str, Fit]], list[tuple[str, Fit]]]:
     """Return the models of one output and one input, and the models of several signals."""
-    from armrig.models.multivariable.fit import MultivariableFit
-    from armrig.models.multivariable.model_file import load_fit
+    from armrig.models.model_file import load_fit
 
-    single: list[tuple[str, Model]] = []
-    several: list[tuple[str, MultivariableFit]] = []
+    single: list[tuple[str, Fit]] = []
+    several: list[tuple[str, Fit]] = []
     for path in files:
         fit = load_fit(path)
-        if isinstance(fit, MultivariableFit):
+        if (fit.ny, fit.nu) != (1, 1):
             several.append((path.stem, fit))
         else:
             single.append((path.stem, fit))
@@ -173,7 +171,7 @@ def _saved_models(
 
 def _studied(
     recordings: list[Recording],
-    saved: list[tuple[str, Model]],
+    saved: list[tuple[str, Fit]],
     *,
     na: int,
     nb: int,
@@ -200,7 +198,7 @@ def _studied(
     return _Compared(models=models + more, data=done.validation, where=where)
 
 
-def _same(a: Model, b: Model) -> bool:
+def _same(a: Fit, b: Fit) -> bool:
     """Return True if two models have the same polynomials, within 1e-6."""
     import numpy as np
 

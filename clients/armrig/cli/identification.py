@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from armrig_core.errors import InputError
@@ -45,8 +45,9 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.data.finding import Finding
     from armrig.models.fit import Fit
+    from armrig.models.structure_table import OfferedName
     from armrig.validation.comparison import ComparisonTable
-    from armrig.validation.residuals import ResidualTest
+    from armrig.validation.residual_test import ResidualTest
     from armrig.validation.search_result import SearchResult
 
 Search = Annotated[
@@ -247,7 +248,7 @@ def _found(
     if isinstance(wanted, _Search):
         searched = _searched(wanted, data, other, integrator)
         fit = searched.fit
-        again = Request(structure=searched.chosen.candidate.family, orders={})
+        again = Request(structure=cast("OfferedName", searched.chosen.candidate.family), orders={})
     else:
         fit = estimated(data, wanted)
         again = wanted

@@ -13,14 +13,13 @@ from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.equation import form, heading, signals, whiteness_sentence
 from armrig.models.fit import Fit
-from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.quantities import NBSP, near_one, p_relation, places, with_std
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice.advice import advice
 from armrig.validation.answer import DYNAMICS, FEEDBACK, LEVEL, NOISE, OF_DATA, UNTESTED
 from armrig.validation.comparison import Comparison
 from armrig.validation.residual_figure import BAND_99_PERCENT
-from armrig.validation.residuals import ResidualTest
+from armrig.validation.residual_test import ResidualTest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -89,7 +88,7 @@ def model_lines(fit: Fit) -> list[str]:
         how = "agree" if fit.agreed else "DISAGREE, the best one was used"
         ends = ", ".join(f"{s.name} {s.loss:.6g}" for s in fit.starts)
         lines.append(f"  starts {how}: {ends}{squared}" + ("" if fit.converged else _UNFINISHED))
-    if isinstance(fit, SubspaceFit):
+    if fit.canonical_correlations.size:
         lines += [f"  {line}" for line in fit.explain().splitlines()]
     return [*lines, *(f"  warning: {w}" for w in fit.warnings)]
 
@@ -229,7 +228,7 @@ def model_facts(fit: Fit) -> dict[str, Any]:
         "N": fit.N,
         "answers": fit.summary().facts(),
     }
-    if isinstance(fit, SubspaceFit):
+    if fit.canonical_correlations.size:
         facts["canonical_correlations"] = fit.canonical_correlations.tolist()
         facts["suggested_order"] = fit.suggested_order
     return facts

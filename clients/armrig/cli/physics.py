@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
     from armrig.data.dataset import Dataset
-    from armrig.models.model import Model
+    from armrig.models.fit import Fit
     from armrig.physics.grey_box.fit import GreyFit
     from armrig.physics.grey_box.split_study import SplitStudy
     from armrig.recordings.recording import Recording
@@ -250,15 +250,14 @@ def simulate(
         _step(cases(given), json=json, plot=plot, verbose=verbose)
         return
     from armrig.cli.spinner import spinner
-    from armrig.models.fit import Fit
-    from armrig.models.multivariable.model_file import load_fit
+    from armrig.models.model_file import load_fit
     from armrig.physics.physical_model import physical_model
     from armrig.validation.comparison import compare
     from armrig.validation.figures import plot_compare
 
     data = part.recordings(file)[0].dataset()
     saved = map(load_fit, model or ())
-    fits: list[Model] = [fit if isinstance(fit, Fit) else fit[data.output] for fit in saved]
+    fits: list[Fit] = [fit if (fit.ny, fit.nu) == (1, 1) else fit[data.output] for fit in saved]
     fits += [physical_model(p, data) for p in physics.values()]
     labels = [*(path.stem for path in model or ()), *physics]
     with spinner("simulating"):

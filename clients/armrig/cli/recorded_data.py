@@ -38,11 +38,8 @@ from armrig.cli.reading_options import (
 from armrig.data.files.suffixes import OTHER_DATA
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset
-    from armrig.data.signals import Signals
-    from armrig.models.model import Model
-    from armrig.models.multivariable.comparison import SignalsComparisonTable
-    from armrig.models.multivariable.fit import MultivariableFit
+    from armrig.data.dataset import Dataset, Signals
+    from armrig.models.fit import Fit
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import ComparisonTable
@@ -123,7 +120,7 @@ class SignalChoice(DataOptions):
         line = f"{taken}; --assume {kinds[not decided.integrates]} changes this"
         return decided.integrates, [line] if decided.reason or not from_recording(data) else []
 
-    def of(self, file: Path, model: Model | None = None) -> Dataset:
+    def of(self, file: Path, model: Fit | None = None) -> Dataset:
         """Return the data of a file, and print its defects; the default output is the model's."""
         if self.several:
             raise typer.BadParameter(
@@ -138,7 +135,7 @@ class SignalChoice(DataOptions):
             data = self._recorded(file, model)
         return self._treated(file, data, model)
 
-    def signals_of(self, file: Path, model: MultivariableFit | None = None) -> Signals:
+    def signals_of(self, file: Path, model: Fit | None = None) -> Signals:
         """Return signals of a file, and print its defects; the default signals are the model's."""
         outputs, inputs = names("--signal", self.signal), names("--input", self.input)
         if self._is_other(file):
@@ -149,7 +146,7 @@ class SignalChoice(DataOptions):
             signals = self._recording(file).signals(recorded_outputs(outputs or (THETA_1,)))
         return self._treated(file, signals, model)
 
-    def _treated(self, file: Path, data: Data, model: Model | MultivariableFit | None) -> Data:
+    def _treated(self, file: Path, data: Data, model: Fit | None) -> Data:
         """Return the data after --hampel and --detrend."""
         from armrig.data.treatment import detrend, hampel
 
@@ -160,7 +157,7 @@ class SignalChoice(DataOptions):
             inform(f"{file}: {data.history[-1]}", dim=True)
         return detrend(data) if self.detrend else data
 
-    def recorded_signals(self, file: Path, model: MultivariableFit) -> Signals:
+    def recorded_signals(self, file: Path, model: Fit) -> Signals:
         """Return the signals of a model from a recording."""
         outputs = modelled_outputs(model, names("--signal", self.signal))
         return self._recording(file).signals(outputs)
@@ -170,7 +167,7 @@ class SignalChoice(DataOptions):
         file: Path,
         inputs: Sequence[str],
         outputs: Sequence[str],
-        model: MultivariableFit | None,
+        model: Fit | None,
     ) -> Signals:
         from armrig.data.files.loading import load_signals
 
@@ -201,7 +198,7 @@ class SignalChoice(DataOptions):
         with spinner("reading"):
             return load(file, **columns, **{name: getattr(self, name) for name in READING})
 
-    def _other(self, file: Path, model: Model | None) -> Dataset:
+    def _other(self, file: Path, model: Fit | None) -> Dataset:
         from armrig.data.files.loading import load_data
         from armrig.data.treatment import INTEGRATING_OUTPUTS
         from armrig.estimation.data_faults import swapped
@@ -254,7 +251,7 @@ class SignalChoice(DataOptions):
         """Return the chosen part of recordings."""
         return loaded(files, self.calibration, self.start, self.stop)
 
-    def _recorded(self, file: Path, model: Model | None) -> Dataset:
+    def _recorded(self, file: Path, model: Fit | None) -> Dataset:
         recording = self._recording(file)
         if self.signal is None and model is not None and model.output not in _UNNAMED:
             return dataset_of(recording, model)
@@ -300,17 +297,17 @@ def source_facts(data: Dataset | Signals) -> dict[str, str]:
     return {kind or "recording": digest}
 
 
-def _without_means(model: Model | MultivariableFit | None) -> bool:
+def _without_means(model: Fit | None) -> bool:
     from armrig.data.step import MEAN, codes_of
 
     return MEAN in codes_of(getattr(model, "history", ()))
 
 
-def _with_level(model: Model | None) -> bool:
+def _with_level(model: Fit | None) -> bool:
     return bool(getattr(model, "offset", False))
 
 
-def warn_of_estimation_data(table: ComparisonTable | SignalsComparisonTable) -> None:
+def warn_of_estimation_data(table: ComparisonTable) -> None:
     """Print a warning if the comparison of a model uses the model's own estimation data."""
     for finding in table.findings:
         tell(finding.text)
@@ -329,7 +326,7 @@ def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
         return []
 
 
-def dataset_of(recording: Recording, model: Model) -> Dataset:
+def dataset_of(recording: Recording, model: Fit) -> Dataset:
     """Return the data of a recording whose output is the model's output."""
     for output in get_args(OutputName):
         if output == model.output:

@@ -15,20 +15,20 @@ from armrig.cli.next_step import say_next, typed, validation_beside
 from armrig.cli.recorded_data import SignalChoice, from_recording
 
 if TYPE_CHECKING:
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Signals
     from armrig.estimation.multivariable.request import SignalsRequest
-    from armrig.models.multivariable.fit import MultivariableFit
-    from armrig.validation.multivariable.residual_test import SignalsResidualTest
+    from armrig.models.fit import Fit
+    from armrig.validation.residual_test import ResidualTest
 
 
 def after_identify(
-    fit: MultivariableFit,
+    fit: Fit,
     request: SignalsRequest,
     data: Signals,
     file: Path,
     signals: SignalChoice,
     *,
-    tests: SignalsResidualTest | None,
+    tests: ResidualTest | None,
     validate: Path | None,
     save: Path | None,
     searched: bool,
@@ -60,7 +60,7 @@ def after_identify(
         say_next("identify check", file=typed(file), given=_one_channel(signals, data))
 
 
-def _fits(fit: MultivariableFit) -> bool:
+def _fits(fit: Fit) -> bool:
     """Return True if the search converged and the residuals of each output are white."""
     return fit.converged and not any(q.white.coloured for q in fit.quality)
 
@@ -97,8 +97,8 @@ def options_of(request: SignalsRequest) -> str:
 
 
 def after_validate(
-    fit: MultivariableFit,
-    tests: SignalsResidualTest,
+    fit: Fit,
+    tests: ResidualTest,
     data: Signals,
     file: Path,
     model: Path,

@@ -10,24 +10,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armrig.cli.model_output import RTOL, coefficients, equally_well, root_lines
-from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.plots.captions import signature
-from armrig.validation.answer import tests_sentence
+from armrig.validation.answer import ON_OWN_DATA, simulated_to, tests_sentence
+from armrig.validation.comparison import misfit_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Signals
     from armrig.models.fit import Fit
-    from armrig.models.multivariable.comparison import SignalsComparison, SignalsComparisonTable
-    from armrig.models.multivariable.fit import MultivariableFit
-    from armrig.validation.multivariable.residual_test import SignalsResidualTest
-    from armrig.validation.multivariable.search import SignalsSearch
+    from armrig.validation.comparison import Comparison, ComparisonTable
+    from armrig.validation.residual_test import ResidualTest
 
 
-def answer(fit: MultivariableFit) -> str:
+def answer(fit: Fit) -> str:
     """Return a sentence on the fit and the residuals of each output."""
     fits = [
         f"{name} to {q.fit_percent:.2f} %" for name, q in zip(fit.outputs, fit.quality, strict=True)
@@ -39,46 +37,43 @@ def answer(fit: MultivariableFit) -> str:
     return f"{said}; the residuals are white."
 
 
-def simulated(row: SignalsComparison, data: Signals) -> str:
+def simulated(rows: Sequence[Comparison]) -> str:
     """Return the fits as text, such as: theta_1 to 99.9 % (rms 0.0035 rad) and alpha to ….
 
     The text is the end of a sentence whose subject is the model.
     """
-    values = zip(data.outputs, data.units, row.fit_percent, row.rms_error, strict=True)
-    rms = "{} to {:.2f} % (rms {:.4g}{})"
-    return listed(
-        [rms.format(name, fit, e, f" {unit}" * bool(unit)) for name, unit, fit, e in values]
-    )
+    texts = [f"{row.output} to {simulated_to(row).removesuffix(ON_OWN_DATA)}" for row in rows]
+    return listed(texts) + ON_OWN_DATA * rows[0].on_estimation_data
 
 
 def validated(
-    table: SignalsComparisonTable, tests: SignalsResidualTest, file: Path, *, verbose: bool
+    table: ComparisonTable, tests: ResidualTest, file: Path, *, verbose: bool
 ) -> Iterator[str]:
     """Yield a sentence on simulation and tests, then each pair of signals that fails a test."""
-    row = table[0]
     yield (
-        f"Simulated on {file}, {row.name} fits {simulated(row, table.data)}.\n"
+        f"Simulated on {file}, {table[0].name} fits {simulated(table.models[0])}.\n"
         f"{tests_sentence(tests)}."
     )
     yield from _pair_lines(tests, verbose=verbose)
 
 
-def closest(table: SignalsComparisonTable) -> str:
+def closest(table: ComparisonTable) -> str:
     """Return a sentence on each output's best model; for a single model, on its fits."""
     how = "Simulated" if table.horizon is None else f"Predicted {table.horizon} ahead"
-    if len(table) == 1:
-        return f"{how}, {table[0].name} fits {simulated(table[0], table.data)}."
+    if len(table.models) == 1:
+        return f"{how}, {table[0].name} fits {simulated(table.models[0])}."
     of: dict[str, list[str]] = {}
-    for i, output in enumerate(table.data.outputs):
-        best = int(np.nanargmin([row.rms_error[i] for row in table]))
-        of.setdefault(table[best].name, []).append(output)
+    for output in table.outputs:
+        rows = table.of(output).rows
+        best = int(np.nanargmin([row.rms_error for row in rows]))
+        of.setdefault(rows[best].name, []).append(output)
     said = [f"{name} has the least error of {listed(outputs)}" for name, outputs in of.items()]
     return f"{how}, {listed(said)}."
 
 
 def validation_lines(
-    tables: Sequence[SignalsComparisonTable],
-    tests: SignalsResidualTest,
+    tables: Sequence[ComparisonTable],
+    tests: ResidualTest,
     file: Path,
     *,
     verbose: bool,
@@ -87,28 +82,32 @@ def validation_lines(
 
     Without `verbose`, only pairs of input and output that fail a test are shown.
     """
-    row, data = tables[0][0], tables[0].data
-    yield f"Simulated, {row.name} fits {simulated(row, data)}.\n{tests_sentence(tests)}."
+    rows, data = tables[0].rows, tables[0].data
+    yield f"Simulated, {rows[0].name} fits {simulated(rows)}.\n{tests_sentence(tests)}."
     yield f"validated on {data.N} samples of {file} ({signature(data.source)})"
-    width = max(len(name) for name in data.outputs)
-    same = [t.horizon for t in tables[1:] if np.allclose(t[0].rms_error, row.rms_error, RTOL, 0)]
+    width = max(len(row.output) for row in rows)
+    errors = [[row.rms_error for row in table] for table in tables]
+    same = [
+        table.horizon
+        for table, of_table in zip(tables[1:], errors[1:], strict=True)
+        if np.allclose(of_table, errors[0], RTOL, 0)
+    ]
     if same:
         yield equally_well(same)
     for table in tables[1:]:
         if table.horizon in same:
             continue
-        ahead, one = f"{table.horizon} ahead", table[0]
-        for values in zip(data.outputs, data.units, one.fit_percent, one.rms_error, strict=True):
-            name, unit, fit, rms = values
-            yield f"  {ahead:10}  {name:{width}}  fit {fit:7.2f} %  rms {rms:.4g} {unit}".rstrip()
+        ahead = f"{table.horizon} ahead"
+        for row in table:
+            yield misfit_line(f"{ahead:10}  {row.output:{width}}", row)
             ahead = ""
-    yield "  initial state estimated from these data by least squares"
+    yield f"  {tables[0].note}"
     for name, white in zip(tests.outputs, tests.white_by_output, strict=True):
         yield f"  residuals of {name}: {white}"
     yield from _pair_lines(tests, verbose=verbose)
 
 
-def _pair_lines(tests: SignalsResidualTest, *, verbose: bool) -> Iterator[str]:
+def _pair_lines(tests: ResidualTest, *, verbose: bool) -> Iterator[str]:
     """Yield the tests of each pair, with Bonferroni's correction for the number of pairs.
 
     If dynamics are missing, the test of feedback is not valid.
@@ -126,7 +125,7 @@ def _pair_lines(tests: SignalsResidualTest, *, verbose: bool) -> Iterator[str]:
                 yield f"  {pair}: {bad if rejected else good} {said}"
 
 
-def lines(fit: MultivariableFit, *, verbose: bool) -> Iterator[str]:
+def lines(fit: Fit, *, verbose: bool) -> Iterator[str]:
     """Yield a summary of the model; with `verbose`, also the coefficients of each channel."""
     yield repr(fit)
     if verbose:
@@ -136,28 +135,12 @@ def lines(fit: MultivariableFit, *, verbose: bool) -> Iterator[str]:
             yield from root_lines(channel)
 
 
-def request_of(found: SignalsSearch) -> SignalsRequest:
-    """Return the request that estimates the chosen model again, from all data."""
-    chosen = found.chosen
-    integrators = zip(found.fit.outputs, found.fit.form.integrators, strict=True)
-    integrating = tuple(name for name, integrates in integrators if integrates)
-    n = chosen.order
-    is_shared = chosen.family == "oe"
-    return SignalsRequest(
-        structure=chosen.family,
-        orders=dict.fromkeys(("nb", "nf"), n + bool(integrating)) if is_shared else {"order": n},
-        nk=found.nk,
-        integrating=integrating,
-        shared=is_shared,
-    )
-
-
-def model_facts(fit: MultivariableFit) -> dict[str, Any]:
+def model_facts(fit: Fit) -> dict[str, Any]:
     """Return the results of the estimation as JSON fields."""
     poles = fit.poles()
     return {
         "structure": fit.structure,
-        "orders": fit.orders,
+        "orders": fit.specification,
         "shared": fit.shared,
         "inputs": list(fit.inputs),
         "Ts": fit.Ts,
@@ -195,7 +178,7 @@ def model_facts(fit: MultivariableFit) -> dict[str, Any]:
     }
 
 
-def test_facts(tests: SignalsResidualTest) -> dict[str, Any]:
+def test_facts(tests: ResidualTest) -> dict[str, Any]:
     """Return the tests of the residuals as JSON fields."""
     return {
         "p_white": tests.white.p_value,
@@ -218,14 +201,14 @@ def test_facts(tests: SignalsResidualTest) -> dict[str, Any]:
     }
 
 
-def figures(fit: MultivariableFit, data: Signals) -> dict[str, Callable[[Axes], Axes]]:
+def figures(fit: Fit, data: Signals) -> dict[str, Callable[[Axes], Axes]]:
     """Return the functions that draw the simulated outputs, and each channel's Bode diagram."""
-    from armrig.models.multivariable.comparison import compare
-    from armrig.models.multivariable.figures import plot_signals_comparison
+    from armrig.plots import plot_compare
+    from armrig.validation.comparison import compare
 
     table = compare(data, fit)
     drawn: dict[str, Callable[[Axes], Axes]] = {
-        "compare": lambda ax: plot_signals_comparison(table, ax=ax)
+        "compare": lambda ax: plot_compare(data, table=table, ax=ax)
     }
     for i, j, channel in fit.channels():
         label = f"{fit.inputs[j]} to {fit.outputs[i]}"

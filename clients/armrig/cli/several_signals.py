@@ -11,7 +11,7 @@ import typer
 from armrig.cli import several_next
 from armrig.cli.figures import write_plot
 from armrig.cli.model_structures import Given, requested_of_several
-from armrig.cli.options import print_json, say, say_answer, tell
+from armrig.cli.options import fields_of, print_json, say, say_answer, tell
 from armrig.cli.recorded_data import (
     SignalChoice,
     from_recording,
@@ -22,11 +22,11 @@ from armrig.cli.recorded_data import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Signals
     from armrig.estimation.multivariable.request import SignalsRequest
-    from armrig.models.multivariable.comparison import SignalsComparisonTable
-    from armrig.models.multivariable.fit import MultivariableFit
-    from armrig.validation.multivariable.search import SignalsSearch
+    from armrig.models.fit import Fit
+    from armrig.validation.comparison import ComparisonTable
+    from armrig.validation.search_result import SearchResult
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +66,7 @@ def identify(
             fit = request.estimated(data)
     else:
         found = _searched(given, data, other, most)
-        request, fit = several_output.request_of(found), found.fit
+        request, fit = found.chosen.candidate.request_for(data), found.fit
         if not to.json:
             say(repr(found))
     table = None if other is None else compared(other, [fit])
@@ -101,10 +101,10 @@ def identify(
         )
 
 
-def _searched(given: Given, data: Signals, other: Signals | None, most: int) -> SignalsSearch:
+def _searched(given: Given, data: Signals, other: Signals | None, most: int) -> SearchResult:
     """Search the structures that the options allow, with 1 to `most` poles."""
     from armrig.cli.spinner import estimating
-    from armrig.validation.multivariable.search import FAMILIES, search
+    from armrig.validation.model_search import SEARCHED_OF_SEVERAL, search
 
     asked = {name: x for name, x in given.items() if x not in (None, False)}
     if extra := asked.keys() - {"structure", "nk", "integrator"}:
@@ -113,16 +113,17 @@ def _searched(given: Given, data: Signals, other: Signals | None, most: int) -> 
             f"--{name} does not go with --search of several signals, which tries the orders"
         )
     structure = asked.get("structure")
-    if structure is not None and structure not in FAMILIES:
+    if structure is not None and structure not in SEARCHED_OF_SEVERAL:
         raise typer.BadParameter(
-            f"--structure {structure}: --search of several signals tries {', '.join(FAMILIES)}"
+            f"--structure {structure}: --search of several signals tries "
+            f"{', '.join(SEARCHED_OF_SEVERAL)}"
         )
     integrating = _integrating(data) if given["integrator"] or from_recording(data) else ()
     with estimating("--max-order") as progress:
         return search(
             data,
             other,
-            families=FAMILIES if structure is None else (structure,),
+            families=None if structure is None else (structure,),
             orders=range(1, most + 1),
             nk=asked.get("nk", 1),
             integrator=integrating,
@@ -156,38 +157,36 @@ def _request(given: Given, data: Signals, *, shared: bool) -> SignalsRequest:
 
 def compared(
     data: Signals,
-    fits: Sequence[MultivariableFit],
+    fits: Sequence[Fit],
     horizon: int | None = None,
     labels: Sequence[str] | None = None,
-) -> SignalsComparisonTable:
+) -> ComparisonTable:
     """Return the comparison; print a warning if the data are a model's own estimation data."""
-    from armrig.models.multivariable.comparison import compare
+    from armrig.validation.comparison import compare
 
     table = compare(data, *fits, horizon=horizon, labels=labels)
     warn_of_estimation_data(table)
     return table
 
 
-def _rows(table: SignalsComparisonTable) -> list[dict[str, Any]]:
+def _rows(table: ComparisonTable) -> list[dict[str, Any]]:
     """Return the rows of a comparison as JSON fields."""
     return [
         {
-            "model": row.name,
-            "on_estimation_data": row.on_estimation_data,
+            "model": rows[0].name,
+            "on_estimation_data": rows[0].on_estimation_data,
             "horizon": table.horizon,
             "outputs": {
-                name: {"fit_percent": fit, "rms_error": rms}
-                for name, fit, rms in zip(
-                    table.data.outputs, row.fit_percent, row.rms_error, strict=True
-                )
+                row.output: fields_of(row, "fit_percent rms_error velocity_fit_percent")
+                for row in rows
             },
         }
-        for row in table.rows
+        for rows in table.models
     ]
 
 
 def validate(
-    fit: MultivariableFit,
+    fit: Fit,
     file: Path,
     signals: SignalChoice,
     horizons: Sequence[int],
@@ -198,25 +197,26 @@ def validate(
     """Validate a model of several signals: simulate it, predict with it, test its residuals."""
     from armrig.cli import several_output
     from armrig.cli.spinner import estimating
-    from armrig.models.multivariable.figures import plot_signals_comparison
-    from armrig.validation.multivariable.figures import (
+    from armrig.plots import plot_compare
+    from armrig.validation.comparison import compare as comparison_of
+    from armrig.validation.residual_figure import (
         COLUMN_WIDTH,
         ROW_HEIGHT,
-        plot_signals_residuals,
+        plot_residual_test,
     )
     from armrig.validation.residuals import residuals
 
     data = signals.signals_of(file, fit)
     with estimating("the orders"):
         simulated = compared(data, [fit])
-        tables = [simulated, *(fit.compare(data, horizon=h) for h in horizons)]
+        tables = [simulated, *(comparison_of(data, fit, horizon=h) for h in horizons)]
         tests = residuals(fit, data, lags)
     write_plot(
         to.figure,
         max(6.3, COLUMN_WIDTH * (1 + fit.nu)),
         height=max(3.6, ROW_HEIGHT * fit.ny),
-        compare=lambda ax: plot_signals_comparison(simulated, ax=ax),
-        residuals=lambda ax: plot_signals_residuals(tests, ax=ax),
+        compare=lambda ax: plot_compare(data, table=simulated, ax=ax),
+        residuals=lambda ax: plot_residual_test(tests, ax=ax),
     )
     if to.json:
         facts: dict[str, Any] = {"model": fit.label, "identified_from": fit.source}
@@ -230,7 +230,7 @@ def validate(
 
 
 def compare(
-    fits: Sequence[tuple[str, MultivariableFit]],
+    fits: Sequence[tuple[str, Fit]],
     file: Path,
     signals: SignalChoice,
     horizon: int | None,
@@ -240,12 +240,12 @@ def compare(
 ) -> None:
     """Compare models of the same signals."""
     from armrig.cli import several_output
-    from armrig.models.multivariable.figures import plot_signals_comparison
+    from armrig.plots import plot_compare
 
     data = signals.recorded_signals(file, fits[0][1])
     names = [name for name, _ in fits]
     table = compared(data, [fit for _, fit in fits], horizon, names)
-    write_plot(plot, height=3.6, compare=lambda ax: plot_signals_comparison(table, ax=ax))
+    write_plot(plot, height=3.6, compare=lambda ax: plot_compare(data, table=table, ax=ax))
     if json:
         print_json({"validation": data.source, "models": _rows(table)})
     else:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit
     from armrig.validation.comparison import ComparisonTable
-    from armrig.validation.residuals import ResidualTest
+    from armrig.validation.residual_test import ResidualTest
 
 ModelFile = Annotated[
     Path, typer.Option("--model", metavar="JSON", help="Model file written by identify --save.")
@@ -73,12 +73,11 @@ def validate(
 
     The command simulates the model, predicts the output, and tests the residuals.
     """
-    from armrig.models.multivariable.fit import MultivariableFit
-    from armrig.models.multivariable.model_file import load_fit
+    from armrig.models.model_file import load_fit
 
     check_plot(plot, [file, model])
     fit = load_fit(model)
-    if isinstance(fit, MultivariableFit):
+    if (fit.ny, fit.nu) != (1, 1):
         to = Outputs(figure=plot, json=json, verbose=verbose)
         validate_several(fit, file, signals, horizon or _HORIZONS, lags, model, to)
         return
@@ -163,7 +162,7 @@ def _print_validation(validated: _Validated, file: Path, *, verbose: bool, drawn
     from armrig.validation.comparison import row_line
 
     fit, table, tests = validated.fit, validated.simulated, validated.tests
-    simulated = simulated_to(table[0], table.unit)
+    simulated = simulated_to(table[0])
     say_answer(
         f"Simulated, {fit.heading} fits {fit.output} to {simulated}.\n{tests_sentence(tests)}."
     )
@@ -173,7 +172,7 @@ def _print_validation(validated: _Validated, file: Path, *, verbose: bool, drawn
         say(equally_well(same))
     for one in validated.predicted:
         if one.horizon not in same:
-            say(row_line(f"{f'{one.horizon} ahead':9}", one[0], one.unit))
+            say(row_line(f"{f'{one.horizon} ahead':9}", one[0]))
     N = validated.data.N - validated.data.missing
     say(
         f"{input_and_output(fit)}; estimated from {fit.N} samples, validated on {N} samples of "

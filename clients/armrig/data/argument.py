@@ -1,21 +1,23 @@
-"""Arguments of functions that take data: a Dataset, or an object with a method `dataset`."""
+"""Arguments of functions that take data: a Dataset, Signals, or an object with `dataset()`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
 from inspect import Parameter, signature
-from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
+from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, cast, overload
 
+import numpy as np
 from armrig_core.calls import check_call
-from armrig_core.errors import InputTypeError
+from armrig_core.errors import InputError, InputTypeError
 
-from armrig.data.dataset import Dataset, require_visible
-from armrig.data.signals import Signals
+from armrig.data.columns import MAX_SIZE
+from armrig.data.dataset import Dataset, Signals
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_MIN_SIZE = 1e-30  # powers of much smaller numbers underflow to 0
 _MAX_SHOWN_CHARACTERS = 20
 """Largest number of characters of an argument's value that a message quotes."""
 
@@ -25,6 +27,20 @@ class HasDataset(Protocol):
 
     def dataset(self) -> Dataset:
         """Return the input and the output as a Dataset."""
+
+
+class Treatment(Protocol, Generic[P]):
+    """Function that treats the columns of data, and returns data of the same class."""
+
+    # Signals also have `dataset()`, so both overloads accept Signals: the first overload applies.
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, data: Signals, /, *args: P.args, **options: P.kwargs
+    ) -> Signals: ...
+    @overload
+    def __call__(
+        self, data: Dataset | HasDataset, /, *args: P.args, **options: P.kwargs
+    ) -> Dataset: ...
 
 
 def as_dataset(data: Dataset | HasDataset) -> Dataset:
@@ -39,7 +55,7 @@ def as_dataset(data: Dataset | HasDataset) -> Dataset:
         underflow in floating point.
     """
     if isinstance(data, Dataset):
-        require_visible(data)
+        _require_visible(data.signals())
         return data
     if not callable(getattr(data, "dataset", None)):
         raise InputTypeError(
@@ -47,6 +63,14 @@ def as_dataset(data: Dataset | HasDataset) -> Dataset:
             'or a recording, armrig.load("F.mcap")'
         )
     return data.dataset()
+
+
+def as_signals(data: Signals | Dataset | HasDataset) -> Signals:
+    """Return Signals unchanged, or the columns of a Dataset or of a recording; see `as_dataset`."""
+    if isinstance(data, Signals):
+        _require_visible(data)
+        return data
+    return as_dataset(data).signals()
 
 
 def takes_recordings(
@@ -59,23 +83,40 @@ def takes_recordings(
     return _taking(f, as_dataset)
 
 
-def takes_signals(
+def as_data(data: Dataset | HasDataset | Signals) -> Dataset | Signals:
+    """Return Signals unchanged, and other data as a Dataset."""
+    return data if isinstance(data, Signals) else as_dataset(data)
+
+
+def takes_data(
     f: Callable[Concatenate[Dataset | Signals, P], R],
-) -> Callable[Concatenate[Dataset | Signals | HasDataset, P], R]:
-    """Decorate a function of data of any shape so that it also accepts a recording.
-
-    Signals of one input and one output are passed as a Dataset.
-    """
-    return _taking(f, _of_any_shape)
+) -> Callable[Concatenate[Dataset | HasDataset | Signals, P], R]:
+    """Decorate a function of data of any shape, so that it also accepts a recording."""
+    return _taking(f, as_data)
 
 
-def _of_any_shape(data: Dataset | Signals | HasDataset) -> Dataset | Signals:
-    if isinstance(data, Signals) and (data.nu, data.ny) != (1, 1):
-        return data
-    return as_dataset(data)
+def takes_signals(
+    f: Callable[Concatenate[Signals, P], R],
+) -> Callable[Concatenate[Signals | Dataset | HasDataset, P], R]:
+    """Decorate a function of Signals so that it also accepts a Dataset or a recording."""
+    return _taking(f, as_signals)
 
 
-def _taking(f: Callable[..., R], accepted: Callable[[Any], Any]) -> Callable[..., R]:
+def treats_signals(f: Callable[Concatenate[Signals, P], Signals]) -> Treatment[P]:
+    """Decorate a treatment of Signals; for a Dataset or a recording it returns a Dataset."""
+    treated = takes_signals(f)
+
+    @wraps(f)
+    def treating(*args: Any, **options: Any) -> Any:
+        found = treated(*args, **options)
+        given = args[0] if args else options["data"]
+        return found if isinstance(given, Signals) else found.dataset()
+
+    return cast("Treatment[P]", treating)
+
+
+def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..., R]:
+    """Return f with checks of its arguments; the first argument is converted."""
     called = signature(f)
     parameters = list(called.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)
@@ -86,17 +127,32 @@ def _taking(f: Callable[..., R], accepted: Callable[[Any], Any]) -> Callable[...
     @wraps(f)
     def taking(*args: Any, **options: Any) -> R:
         if len(args) > positional and by_name and not variadic:
-            accepted(args[0])
+            converted(args[0])
             raise InputTypeError(_by_name(f.__name__, first, by_name, args[positional:]))
         if not args and first in options:
             args = (options.pop(first),)
         if args:
             _check_order(f.__name__, first, parameters, args)
         check_call(f.__name__, called, args, options)
-        call: Callable[..., R] = f
-        return call(*(accepted(a) for a in args[:1]), *args[1:], **options)
+        return f(*(converted(a) for a in args[:1]), *args[1:], **options)
 
     return taking
+
+
+def _require_visible(data: Signals) -> None:
+    """Refuse a signal so small that powers of its values can underflow; allow a signal of zeros.
+
+    The constructor of Signals does not make this check, because a slice of valid data can consist
+    of a decayed response only.
+    """
+    for names, x, default in ((data.inputs, data.u, "u"), (data.outputs, data.y, "y")):
+        largest = np.fmax.reduce(np.abs(x), axis=0, initial=0.0)
+        for name, size in zip(names, largest.tolist(), strict=True):
+            if 0 < size < _MIN_SIZE:
+                raise InputError(
+                    f"the largest |{name or default}| is {size:.3g}; use a unit in which it is "
+                    f"from {_MIN_SIZE:g} to {MAX_SIZE:g}"
+                )
 
 
 def _check_order(name: str, first: str, parameters: list[Parameter], args: tuple[Any, ...]) -> None:

@@ -1,38 +1,349 @@
-"""Data for identification: input, output, sampling time, and missing samples."""
+"""Data of several inputs and outputs, and the view of one input and one output."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from math import isfinite
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
 import numpy as np
 from armrig_core.calls import checked_call
-from armrig_core.errors import InputError, InputTypeError
-from numpy.typing import ArrayLike, NDArray
+from armrig_core.errors import InputError
+from numpy.typing import ArrayLike
 
-from armrig.data.experiments import Experiments, merged
-from armrig.data.pandas_columns import plain, present
+from armrig.data.columns import (
+    Intersample,
+    Matrix,
+    Names,
+    as_tuple,
+    columns,
+    courses_of,
+    interval,
+    is_pandas,
+    names_of,
+    plain,
+    require_finite,
+    require_size,
+    sampling,
+    starts_of,
+    units_of,
+    validity,
+)
+from armrig.data.columns import Vector as Vector
+from armrig.data.experiments import Experiments, unchecked
 from armrig.data.trend import Trend
 from armrig.numerics.checks import column
 from armrig.numerics.stretches import Mask
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-Vector = NDArray[np.float64]
-
-_MAX_SIZE = 1e30  # products of fourth powers of data must be finite
-_MIN_SIZE = 1e-30  # powers of much smaller numbers underflow to 0
+_MAX_SHOWN = 12  # names in a message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, init=False, eq=False, repr=False)
+class Signals(Experiments):
+    """N samples of nu inputs and ny outputs, from one or several experiments.
+
+    A `Dataset` is the view of one input and one output: `signals.dataset("alpha", "u")` returns the
+    Dataset of the output alpha and the input u. Estimators that take a Dataset also accept Signals
+    of one input and one output.
+
+    Parameters
+    ----------
+    u : array_like, shape (N, nu) or (N,)
+        Inputs, one column for each input. The column names of a DataFrame name the inputs.
+    y : array_like, shape (N, ny) or (N,)
+        Outputs, one column for each output. NaN and masked values are missing.
+    Ts : float, optional
+        Sampling time in s.
+    t : array_like, shape (N,), optional
+        Sample times in s, instead of Ts. The times increase within each experiment. If the times
+        are equidistant, Ts is their interval.
+    valid : array_like of bool, shape (N, ny) or (N,), optional
+        False where an output is missing.
+    starts : sequence of int, default (0,)
+        Index of the first sample of each experiment.
+    inputs, outputs : sequence of str, optional
+        Names of the channels; by default u and y, or u1, u2 … and y1, y2 ….
+    input_units, units : sequence of str, optional
+        Units of the inputs and of the outputs.
+    intersample : {"zoh", "foh"} or sequence of these, default "zoh"
+        Course of each input between samples: held, or a straight line. Models in discrete time do
+        not use this setting.
+    source : str
+        Hash of the recording or data file; "" for data without a file.
+    history : sequence of str
+        Steps of the treatment so far, one sentence for each.
+    trends : sequence of Trend, default ()
+        Means and lines that `detrend` removed from each experiment; `retrend` restores them.
+
+    Raises
+    ------
+    ValueError
+        A shape is wrong, names repeat, an input is not finite, or one of several outputs has no
+        valid sample.
+
+    Examples
+    --------
+    >>> import numpy as np, armrig
+    >>> u = np.sign(np.sin(np.arange(200.0)))
+    >>> y = np.column_stack([np.cumsum(u), u])
+    >>> signals = armrig.Signals(u=u, y=y, Ts=0.01, outputs=["theta_1", "alpha"])
+    >>> signals.dataset("alpha").N
+    200
+    """
+
+    u: Matrix
+    """Inputs (N, nu)."""
+    y: Matrix
+    """Outputs (N, ny); NaN where an output is missing."""
+    Ts: float | None
+    """Sampling time in s; None if the times are not equidistant."""
+    times: Vector | None
+    """Sample times (N,) in s; None if the times are equidistant."""
+    valid: Mask
+    """Mask (N, ny), False where an output is missing."""
+    starts: tuple[int, ...]
+    """Index of the first sample of each experiment."""
+    inputs: tuple[str, ...]
+    """Names of the inputs."""
+    outputs: tuple[str, ...]
+    """Names of the outputs."""
+    input_units: tuple[str, ...]
+    """Units of the inputs."""
+    units: tuple[str, ...]
+    """Units of the outputs."""
+    intersample: tuple[Intersample, ...]
+    """Course of each input between samples: "zoh" (held) or "foh" (a straight line)."""
+    source: str
+    """Hash of the recording or data file; "" for data without a file."""
+    history: tuple[str, ...]
+    """Steps of the treatment, first to last, one sentence for each."""
+    trends: tuple[Trend, ...]
+    """Trend removed from each experiment; () without a trend, or if no trend can be restored."""
+
+    @checked_call
+    def __init__(
+        self,
+        *,
+        u: ArrayLike,
+        y: ArrayLike,
+        Ts: float | None = None,
+        t: ArrayLike | None = None,
+        valid: ArrayLike | None = None,
+        starts: Sequence[int] = (0,),
+        inputs: Names | None = None,
+        outputs: Names | None = None,
+        input_units: Names | None = None,
+        units: Names | None = None,
+        intersample: str | Sequence[str] = "zoh",
+        source: str = "",
+        history: Sequence[str] = (),
+        trends: Sequence[Trend] = (),
+    ) -> None:
+        u_, y_ = columns("u", u), columns("y", y)
+        (N, nu), ny = u_.shape, y_.shape[1]
+        if y_.shape[0] != N:
+            raise InputError(
+                f"u has {N} samples and y has {y_.shape[0]}; both need one value for each instant"
+            )
+        starts_ = starts_of(starts, N)
+        Ts_, times = sampling(Ts, t, starts_, N)
+        outputs_ = names_of("outputs", outputs, y, "y", ny)
+        inputs_ = names_of("inputs", inputs, u, "input" if "u" in outputs_ else "u", nu)
+        if both := sorted(set(inputs_) & set(outputs_)):
+            raise InputError(
+                f"{', '.join(both)}: the name of both an input and an output; each channel needs "
+                "its own name"
+            )
+        valid_ = np.isfinite(y_) & validity(valid, y_.shape)
+        for j, name in enumerate(inputs_):
+            cut_out = "a model needs the input at each instant: cut these samples out"
+            require_finite(name, u_[:, j], cut_out)
+            require_size(name, u_[:, j])
+        for i, name in enumerate(outputs_):
+            if ny > 1 and not valid_[:, i].any():
+                raise InputError(
+                    f"{name} has no valid sample in {N}; leave this output out, or record it again"
+                )
+            require_size(name or "y", y_[valid_[:, i], i])
+        if len(trends) not in (0, len(starts_)):
+            raise InputError(
+                f"{len(trends)} trends for {len(starts_)} experiments; give one for each, or none"
+            )
+        y_[~valid_] = np.nan
+        for array in (u_, y_, valid_, *(() if times is None else (times,))):
+            array.flags.writeable = False
+        values = {
+            "u": u_,
+            "y": y_,
+            "Ts": Ts_,
+            "times": times,
+            "valid": valid_,
+            "starts": starts_,
+            "inputs": inputs_,
+            "outputs": outputs_,
+            "input_units": units_of("input_units", input_units, nu),
+            "units": units_of("units", units, ny),
+            "intersample": courses_of(intersample, nu),
+            "source": source,
+            "history": tuple(history),
+            "trends": tuple(
+                t.each(lambda x: np.broadcast_to(x, nu), lambda x: np.broadcast_to(x, ny))
+                for t in trends
+            ),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)  # the fields of a frozen dataclass
+
+    def signals(self) -> Signals:
+        """Return the object itself; a Dataset and a recording have the same method.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals()
+        >>> signals.signals() is signals
+        True
+        """
+        return self
+
+    def _like(self, signals: Signals) -> Signals:
+        return signals
+
+    def _values(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self.__slots__}
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
+
+    def equidistant(self) -> float:
+        """Return Ts in s, or refuse times that are not equidistant.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> armrig.example_recording().signals().equidistant()
+        0.01
+        """
+        if self.Ts is None:
+            raise InputError(
+                "the sample times are not equidistant, which a model in discrete time needs; "
+                "interpolate the signals to equidistant times first"
+            )
+        return self.Ts
+
+    def output(self, name: str | None = None) -> int:
+        """Return the index of an output; the name may be left out if there is one output.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals()
+        >>> signals.outputs, signals.output("alpha")
+        (('theta_1', 'alpha'), 1)
+        """
+        return _index("output", name, self.outputs)
+
+    def input(self, name: str | None = None) -> int:
+        """Return the index of an input; the name may be left out if there is one input.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals()
+        >>> signals.u[:, signals.input("u")].max().round(1)
+        np.float64(4.5)
+        """
+        return _index("input", name, self.inputs)
+
+    def dataset(self, output: str | None = None, input: str | None = None) -> Dataset:
+        """Return the view of one output and one input as a Dataset; the arrays are shared.
+
+        `output` may be left out if there is one output, and `input` if there is one input.
+
+        Raises
+        ------
+        ValueError
+            A channel does not exist, a name is left out although there are several channels, or the
+            times are not equidistant.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals()
+        >>> signals.dataset("alpha")
+        <Dataset: 3000 samples at 0.01 s; output alpha [rad]>
+        """
+        if (output is None and self.ny > 1) or (input is None and self.nu > 1):
+            raise InputError(
+                f"{self.ny} outputs ({_listed(self.outputs)}) and {self.nu} inputs "
+                f"({_listed(self.inputs)}): choose one of each with signals.dataset(output, input)"
+            )
+        i, j = self.output(output), self.input(input)
+        self.equidistant()
+        pair = unchecked(
+            self,
+            u=self.u[:, j : j + 1],
+            y=self.y[:, i : i + 1],
+            valid=self.valid[:, i : i + 1],
+            inputs=("input" if self.outputs[i] == "u" else "u",),
+            outputs=(self.outputs[i],),
+            input_units=(self.input_units[j],),
+            units=(self.units[i],),
+            intersample=("zoh",),
+            trends=tuple(t.each(lambda x: x[[j]], lambda x: x[[i]]) for t in self.trends),
+        )
+        return view(pair)
+
+    def channels(self, outputs: Names | None = None, inputs: Names | None = None) -> Signals:
+        """Return only the named outputs and inputs, in the order given; None keeps all.
+
+        Raises
+        ------
+        ValueError
+            There is no such channel, or a name repeats.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals()
+        >>> signals.channels(outputs="alpha")
+        <Signals: 3000 samples at 0.01 s; outputs alpha [rad]; inputs u [V]>
+        """
+        of_y = [
+            self.output(name) for name in as_tuple(self.outputs if outputs is None else outputs)
+        ]
+        of_u = [self.input(name) for name in as_tuple(self.inputs if inputs is None else inputs)]
+        return self.replaced(
+            step=None,
+            u=self.u[:, of_u],
+            y=self.y[:, of_y],
+            valid=self.valid[:, of_y],
+            inputs=tuple(self.inputs[j] for j in of_u),
+            outputs=tuple(self.outputs[i] for i in of_y),
+            input_units=tuple(self.input_units[j] for j in of_u),
+            units=tuple(self.units[i] for i in of_y),
+            intersample=tuple(self.intersample[j] for j in of_u),
+            trends=[t.each(lambda x: x[of_u], lambda x: x[of_y]) for t in self.trends],
+        )
+
+    def __repr__(self) -> str:
+        """Describe the data in one line."""
+        outputs, inputs = _listed(self.outputs, self.units), _listed(self.inputs, self.input_units)
+        return self._described(f"outputs {outputs}; inputs {inputs}", "values missing")
+
+
 class Dataset(Experiments):
     """N equidistant samples of u and y, from one or several experiments.
+
+    A Dataset is a view of `Signals` with one input and one output, in which u and y have one
+    dimension. `signals()` returns these Signals, and `Signals.dataset` returns the view.
 
     Parameters
     ----------
@@ -71,28 +382,8 @@ class Dataset(Experiments):
     <Dataset: 4 samples at 0.01 s; output alpha [rad]; 1 missing (25.0 %)>
     """
 
-    u: Vector
-    """Input (N,), in `input_unit`."""
-    y: Vector
-    """Output (N,), in `unit`; NaN where it is missing."""
-    Ts: float
-    """Sampling time, in s."""
-    valid: Mask
-    """Mask (N,), False where y is missing."""
-    starts: tuple[int, ...]
-    """Index of the first sample of each experiment."""
-    output: str
-    """Name of y."""
-    unit: str
-    """Unit of y."""
-    input_unit: str
-    """Unit of u."""
-    source: str
-    """Hash of the recording or data file; "" for data without a file."""
-    history: tuple[str, ...]
-    """Steps of the treatment, first to last, one sentence for each."""
-    trends: tuple[Trend, ...]
-    """Trend removed from each experiment; () without a trend, or if no trend can be restored."""
+    __slots__ = ("_columns",)
+    _columns: Signals
 
     @checked_call
     def __init__(
@@ -110,62 +401,100 @@ class Dataset(Experiments):
         history: Sequence[str] = (),
         trends: Sequence[Trend] = (),
     ) -> None:
-        u, y, valid = plain("u", u), plain("y", y), present(y, valid)
-        u_, y_ = column("u", u), column("y", y)
-        N = u_.size
-        if y_.size != N:
-            raise InputError(
-                f"u has {N} samples and y has {y_.size}; both need one value for each instant"
-            )
-        valid_ = np.ones(N, dtype=np.bool_) if valid is None else _mask(valid)
-        if valid_.shape != (N,):
-            raise InputError(
-                f"valid has shape {valid_.shape}, u and y have ({N},); give one bool per sample"
-            )
+        given: Any = y
+        there = given.notna() if is_pandas(given) else None
+        y = plain("y", y)
+        u_, y_ = column("u", plain("u", u)), column("y", y)
+        valid_ = validity(valid, y_.shape) & validity(there, y_.shape)
         valid_ &= ~np.ma.getmaskarray(np.ma.asanyarray(y))
-        require_finite("u", u_, "a model needs the input at each instant: cut these samples out")
         require_finite("y", y_, "mark them missing, valid=numpy.isfinite(y)", where=valid_)
-        for name, x in (("u", u_), ("y", y_[valid_])):
-            require_size(name, x)
-        _require_one_number(Ts)
-        if not (isfinite(Ts) and Ts > 0):
-            raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
-        starts_ = starts_of(starts, N)
-        if len(trends) not in (0, len(starts_)):
-            raise InputError(
-                f"{len(trends)} trends for {len(starts_)} experiments; give one for each, or none"
-            )
-        y_[~valid_] = np.nan
-        for array in (u_, y_, valid_):
-            array.flags.writeable = False
-        values = {
-            "u": u_,
-            "y": y_,
-            "Ts": float(Ts),
-            "valid": valid_,
-            "starts": starts_,
-            "output": output,
-            "unit": unit,
-            "input_unit": input_unit,
-            "source": source,
-            "history": tuple(history),
-            "trends": tuple(trends),
-        }
-        for name, value in values.items():
-            object.__setattr__(
-                self, name, value
-            )  # the only way to set a field of a frozen dataclass
+        self._columns = Signals(
+            u=u_,
+            y=y_,
+            Ts=interval(Ts),
+            valid=valid_,
+            starts=starts,
+            outputs=[output],
+            units=[unit],
+            input_units=[input_unit],
+            source=source,
+            history=history,
+            trends=trends,
+        )
+
+    def signals(self) -> Signals:
+        """Return the data as Signals with one input, u, and one output; the arrays are shared.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> armrig.example_recording().dataset("alpha").signals()
+        <Signals: 3000 samples at 0.01 s; outputs alpha [rad]; inputs u [V]>
+        """
+        return self._columns
+
+    def _like(self, signals: Signals) -> Dataset:
+        return view(signals)
+
+    def _values(self) -> dict[str, Any]:
+        names = ("u", "y", "Ts", "valid", "starts", "output", "unit", "input_unit")
+        return {name: getattr(self, name) for name in (*names, "source", "history", "trends")}
 
     @property
-    def t(self) -> Vector:
-        """Time (N,) in s from the first sample, as if the experiments were consecutive."""
-        return self.Ts * np.arange(self.N, dtype=np.float64)
+    def u(self) -> Vector:
+        """Input (N,), in `input_unit`."""
+        return self._columns.u[:, 0]
 
     @property
-    def digest(self) -> str:
-        """Hash of u, y, valid, Ts and starts, to distinguish estimation and validation data."""
-        arrays = (self.u, self.y, self.valid, np.array([self.Ts]), np.array(self.starts))
-        return hashlib.blake2b(b"".join(x.tobytes() for x in arrays), digest_size=8).hexdigest()
+    def y(self) -> Vector:
+        """Output (N,), in `unit`; NaN where it is missing."""
+        return self._columns.y[:, 0]
+
+    @property
+    def valid(self) -> Mask:
+        """Mask (N,), False where y is missing."""
+        return self._columns.valid[:, 0]
+
+    @property
+    def Ts(self) -> float:
+        """Sampling time, in s."""
+        return self._columns.equidistant()
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """Index of the first sample of each experiment."""
+        return self._columns.starts
+
+    @property
+    def output(self) -> str:
+        """Name of y."""
+        return self._columns.outputs[0]
+
+    @property
+    def unit(self) -> str:
+        """Unit of y."""
+        return self._columns.units[0]
+
+    @property
+    def input_unit(self) -> str:
+        """Unit of u."""
+        return self._columns.input_units[0]
+
+    @property
+    def source(self) -> str:
+        """Hash of the recording or data file; "" for data without a file."""
+        return self._columns.source
+
+    @property
+    def history(self) -> tuple[str, ...]:
+        """Steps of the treatment, first to last, one sentence for each."""
+        return self._columns.history
+
+    @property
+    def trends(self) -> tuple[Trend, ...]:
+        """Trend removed from each experiment; () if there is no trend that can be restored."""
+        number = np.ndarray.item
+        return tuple(trend.each(number, number) for trend in self._columns.trends)
 
     def origin(self) -> dict[str, Any]:
         """Return the facts about the data that a `Fit` stores, such as units and history.
@@ -180,138 +509,30 @@ class Dataset(Experiments):
         names = ("output", "unit", "input_unit", "source", "history", "digest")
         return {name: getattr(self, name) for name in names}
 
-    def plot(
-        self, kind: Literal["time", "spectrum", "values"] = "time", *, ax: Axes | None = None
-    ) -> Figure:
-        """Return a figure of output and input.
-
-        Parameters
-        ----------
-        kind : {"time", "spectrum", "values"}
-            Plot the signals against time, their power spectra, or histograms of their values: see
-            `plot_data`, `plot_spectrum` and `plot_values` of `armrig.plots`.
-
-        Examples
-        --------
-        >>> import armrig
-        >>> data = armrig.example_recording().dataset("alpha")
-        >>> data.plot()
-        <Figure size ... with 2 Axes>
-        >>> data.plot("spectrum").savefig("spectrum.png")
-        """
-        from armrig.data.figures import plot_data, plot_spectrum, plot_values
-        from armrig.plots.layout import figure_of
-
-        kinds = {"time": plot_data, "spectrum": plot_spectrum, "values": plot_values}
-        if kind not in kinds:
-            raise InputError(f"kind={kind!r} must be one of {', '.join(kinds)}")
-        return figure_of(kinds[kind](self, ax=ax))
-
-    def _rest_between(self, a: int, b: int) -> dict[str, Any]:
-        ends = (*self.starts[1:], self.N)
-        trends = (
-            trend.later(max(a - start, 0) * self.Ts)
-            for trend, start, end in zip(self.trends, self.starts, ends, strict=False)
-            if end > a and start < b
-        )
-        return {"trends": tuple(trends)}
-
-    def select(self, *which: int) -> Dataset:
-        """Return the experiments with the given numbers, counted from 0, in the given order.
-
-        Raises
-        ------
-        ValueError
-            An experiment does not exist, or no number is given.
-
-        Examples
-        --------
-        >>> import armrig
-        >>> thirds = armrig.merge(armrig.example_recording().dataset("alpha").split(3))
-        >>> thirds.select(0, 2)  # without the second third
-        <Dataset: 2000 samples at 0.01 s; output alpha [rad]; 2 experiments; ...>
-        """
-        parts = list(self.experiments())
-        if not which or not all(0 <= i < len(parts) for i in which):
-            raise InputError(
-                f"select{which} needs numbers from 0 to {len(parts) - 1}: there are "
-                f"{len(parts)} experiments"
-            )
-        chosen = [parts[i].replaced(step=None, history=self.history) for i in which]
-        step = f"selected experiments {', '.join(map(str, which))} of {len(parts)}"
-        return merged_datasets(chosen).replaced(step=step, history=self.history)
-
     def __repr__(self) -> str:
         """Describe the data in one line."""
         unit = f" [{self.unit}]" if self.unit else ""
-        parts = [f"{self.N} samples at {self.Ts:g} s", f"output {self.output}{unit}"]
-        if self.missing:
-            parts.append(f"{self.missing} missing ({100 * self.missing / self.N:.1f} %)")
-        if len(self.starts) > 1:
-            parts.append(f"{len(self.starts)} experiments")
-        if self.history:
-            parts.append(f"history: {'; '.join(self.history)}")
-        return f"<Dataset: {'; '.join(parts)}>"
+        return self._described(f"output {self.output}{unit}", "missing")
 
 
-def merged_datasets(parts: Sequence[Dataset]) -> Dataset:
-    """Return several experiments as one Dataset; `armrig.merge` documents it."""
-    trends: list[Trend] = []
-    if any(d.trends for d in parts):
-        for d in parts:
-            trends += d.trends or [Trend() for _ in d.starts]
-    return merged(parts, trends=tuple(trends))
+def view(signals: Signals) -> Dataset:
+    """Return the view of equidistant Signals with one input and one output."""
+    data = object.__new__(Dataset)
+    object.__setattr__(data, "_columns", signals)
+    return data
 
 
-def starts_of(starts: Sequence[int], N: int) -> tuple[int, ...]:
-    """Return the indices of the first samples of the experiments; refuse indices out of order."""
-    starts_ = tuple(int(s) for s in starts)
-    if starts_[:1] != (0,) or not all(a < b for a, b in pairwise((*starts_, N))):
-        raise InputError(f"starts={starts_} must begin with 0 and rise strictly, below N={N}")
-    return starts_
+def _listed(names: Sequence[str], units: Sequence[str] = ()) -> str:
+    """Return names with their units as text; a long list is cut off."""
+    pairs = zip(names, units or [""] * len(names), strict=True)
+    texts = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
+    return ", ".join(texts[:_MAX_SHOWN]) + (", …" if len(texts) > _MAX_SHOWN else "")
 
 
-def _require_one_number(Ts: Any) -> None:
-    if Ts is None or isinstance(Ts, str) or np.ndim(Ts):
-        raise InputTypeError(
-            f"Ts is a {type(Ts).__name__}; give one number, in seconds, such as Ts=0.01"
-        )
-
-
-def _mask(valid: ArrayLike) -> Mask:
-    """Return a copy of a validity mask; a masked entry becomes False."""
-    return np.array(np.ma.filled(np.ma.asanyarray(valid), False), dtype=np.bool_)
-
-
-def require_size(name: str, x: Vector) -> None:
-    """Refuse numbers so large that their powers overflow in floating point."""
-    largest = float(np.max(np.abs(x), initial=0.0))
-    if largest > _MAX_SIZE:
-        raise InputError(
-            f"the largest |{name}| is {largest:.3g}; use a unit in which it is below {_MAX_SIZE:g}"
-        )
-
-
-def require_visible(data: Dataset) -> None:
-    """Refuse a signal so small that powers of its values can underflow; allow a signal of zeros.
-
-    The constructor of Dataset does not make this check, because a slice of valid data can consist
-    of a decayed response only.
-    """
-    for name, x in (("u", data.u), ("y", data.y[data.valid])):
-        largest = float(np.max(np.abs(x), initial=0.0))
-        if 0 < largest < _MIN_SIZE:
-            raise InputError(
-                f"the largest |{name}| is {largest:.3g}; use a unit in which it is from "
-                f"{_MIN_SIZE:g} to {_MAX_SIZE:g}"
-            )
-
-
-def require_finite(name: str, x: Vector, way_out: str, where: Mask | None = None) -> None:
-    """Refuse values that are not finite, among those marked True in `where`."""
-    bad = ~np.isfinite(x) if where is None else ~np.isfinite(x) & where
-    if bad.any():
-        first = int(np.argmax(bad))
-        raise InputError(
-            f"{name} is not finite at {bad.sum()} samples, first {x[first]} at {first}; {way_out}"
-        )
+def _index(what: str, name: str | None, names: tuple[str, ...]) -> int:
+    if name is None and len(names) == 1:
+        return 0
+    if name not in names:
+        said = f"{what}={name!r}: there is no such {what}" if name else f"which {what}?"
+        raise InputError(f"{said}; there are {_listed(names)}")
+    return names.index(name)

@@ -1,48 +1,78 @@
-"""Samples of one or several experiments, the common base of Dataset and Signals."""
+"""Samples of one or several experiments, the common base of Signals and Dataset."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import hashlib
+from collections.abc import Iterator
 from itertools import pairwise
 from numbers import Integral
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 
-from armrig.data.step import Step, codes_of, in_merged, took
+from armrig.data.columns import sampling
+from armrig.data.step import took
 from armrig.numerics.checks import require_integers
 
-Data = TypeVar("Data", bound="Experiments")
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
-_MAX_LISTED_LENGTHS = 8  # of merged parts, in a history
-_OWN = frozenset({"u", "y", "valid", "starts", "source", "history", "trends", "times"})
-"""Fields that differ between the parts of merged data."""
+    from armrig.data.signals import Signals
+
+T = TypeVar("T", bound="Experiments")
 
 
 class Experiments:
-    """Samples of u and y from one or several experiments."""
+    """Samples of inputs and outputs from one or several experiments."""
 
     __slots__: tuple[str, ...] = ()
 
-    Ts: Any
-    u: Any
-    y: Any
-    valid: Any
-    t: Any
-    starts: tuple[int, ...]
-    source: str
-    history: tuple[str, ...]
+    def signals(self) -> Signals:
+        """Return the data with a column for each channel."""
+        raise NotImplementedError
+
+    def _like(self, signals: Signals) -> Self:
+        """Return Signals as an object of this class."""
+        raise NotImplementedError
+
+    def _values(self) -> dict[str, Any]:
+        """Return the arguments with which the constructor makes the same data."""
+        raise NotImplementedError
 
     @property
     def N(self) -> int:
         """Number of instants, including instants with missing samples."""
-        return int(self.u.shape[0])
+        return int(self.signals().u.shape[0])
 
     @property
     def missing(self) -> int:
         """Number of missing values of y."""
-        return int(self.valid.size - np.count_nonzero(self.valid))
+        valid = self.signals().valid
+        return int(valid.size - np.count_nonzero(valid))
+
+    @property
+    def t(self) -> NDArray[np.float64]:
+        """Time (N,) in s; equidistant times begin at 0, as if the experiments were consecutive."""
+        data = self.signals()
+        if data.times is not None:
+            return data.times
+        return data.equidistant() * np.arange(self.N, dtype=np.float64)
+
+    @property
+    def digest(self) -> str:
+        """Hash of u, y, valid, the times and the starts.
+
+        It distinguishes estimation and validation data.
+        """
+        data = self.signals()
+        # Saved models contain the hash. Data of one channel hash Ts, all others the times.
+        of_one = data.u.shape[1] == data.y.shape[1] == 1 and data.Ts is not None
+        times = np.array([data.Ts]) if of_one else data.t
+        arrays = (data.u, data.y, data.valid, times, np.array(data.starts))
+        return hashlib.blake2b(b"".join(x.tobytes() for x in arrays), digest_size=8).hexdigest()
 
     def __len__(self) -> int:
         """Return the number of instants."""
@@ -65,21 +95,32 @@ class Experiments:
             raise InputError(f"data[{part.start}:{part.stop}] is empty: there are {self.N} samples")
         if (a, b) == (0, self.N):
             return self  # the data are immutable
-        begin, end = (
-            self.t[[a, b - 1]] - self.t[0] if self.Ts is None else self.Ts * np.array([a, b])
+        data, t = self.signals(), self.t
+        which = [k for k, (s, e) in enumerate(pairwise((*data.starts, self.N))) if e > a and s < b]
+        starts = [max(a, data.starts[k]) for k in which]
+        firsts = tuple(start - a for start in starts)
+        Ts, times = data.Ts, None
+        if Ts is None:
+            Ts, times = sampling(None, t[a:b], firsts, b - a)
+        end = t[b - 1] - t[0] + (data.Ts or 0.0)
+        step = took(f"took samples {a} to {b - 1} of {self.N}", t[a] - t[0], end)
+        return self._like(
+            unchecked(
+                data,
+                u=data.u[a:b],
+                y=data.y[a:b],
+                valid=data.valid[a:b],
+                Ts=Ts,
+                times=times,
+                starts=firsts,
+                trends=tuple(
+                    data.trends[k].later(t[start] - t[data.starts[k]])
+                    for k, start in zip(which, starts, strict=True)
+                    if data.trends
+                ),
+                history=(*data.history, step),
+            )
         )
-        return self.replaced(
-            u=self.u[a:b],
-            y=self.y[a:b],
-            valid=self.valid[a:b],
-            starts=(0, *(s - a for s in self.starts if a < s < b)),
-            step=took(f"took samples {a} to {b - 1} of {self.N}", begin, end),
-            **self._rest_between(a, b),
-        )
-
-    def _rest_between(self, a: int, b: int) -> dict[str, Any]:
-        """Return the further fields of the samples a to b - 1."""
-        raise NotImplementedError
 
     def split(self, k: int) -> tuple[Self, ...]:
         """Return k consecutive parts, whose lengths differ by at most one sample.
@@ -119,8 +160,45 @@ class Experiments:
         >>> [experiment.N for experiment in both.experiments()]
         [1500, 1500]
         """
-        for a, b in pairwise((*self.starts, self.N)):
+        for a, b in pairwise((*self.signals().starts, self.N)):
             yield self[a:b]
+
+    def select(self, *which: int) -> Self:
+        """Return the experiments with the given numbers, counted from 0, in the given order.
+
+        Raises
+        ------
+        ValueError
+            An experiment does not exist, or no number is given.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> thirds = armrig.merge(armrig.example_recording().dataset("alpha").split(3))
+        >>> thirds.select(0, 2)  # without the second third
+        <Dataset: 2000 samples at 0.01 s; output alpha [rad]; 2 experiments; ...>
+        """
+        data = self.signals()
+        count = len(data.starts)
+        if not which or not all(0 <= i < count for i in which):
+            raise InputError(
+                f"select{which} needs numbers from 0 to {count - 1}: there are {count} experiments"
+            )
+        edges = (*data.starts, self.N)
+        parts = [np.arange(edges[i], edges[i + 1]) for i in which]
+        rows = np.concatenate(parts)
+        step = f"selected experiments {', '.join(map(str, which))} of {count}"
+        return self._like(
+            data.replaced(
+                step=step,
+                u=data.u[rows],
+                y=data.y[rows],
+                valid=data.valid[rows],
+                times=None if data.times is None else data.times[rows],
+                starts=np.cumsum([0, *(part.size for part in parts[:-1])]).tolist(),
+                trends=[data.trends[i] for i in which if data.trends],
+            )
+        )
 
     def replaced(self, *, step: str | None, **fields: Any) -> Self:
         """Return a copy with the given fields replaced, and with `step` added to its history.
@@ -133,11 +211,38 @@ class Experiments:
         >>> degrees
         <Dataset: 3000 samples at 0.01 s; output alpha [deg]; history: converted y to degrees>
         """
-        values = {name: getattr(self, name) for name in self.__slots__} | fields
+        values = self._values() | fields
         t = values.pop("times", None)
         if step is not None:
             values["history"] = (*values["history"], step)
         return type(self)(**values | ({} if t is None else {"t": t, "Ts": None}))
+
+    def plot(
+        self, kind: Literal["time", "spectrum", "values"] = "time", *, ax: Axes | None = None
+    ) -> Figure:
+        """Return a figure of outputs and inputs.
+
+        Parameters
+        ----------
+        kind : {"time", "spectrum", "values"}
+            Plot the signals against time, their power spectra, or histograms of their values: see
+            `plot_data`, `plot_spectrum` and `plot_values` of `armrig.plots`.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> data = armrig.example_recording().dataset("alpha")
+        >>> data.plot()
+        <Figure size ... with 2 Axes>
+        >>> data.plot("spectrum").savefig("spectrum.png")
+        """
+        from armrig.data.figures import plot_data, plot_spectrum, plot_values
+        from armrig.plots.layout import figure_of
+
+        kinds = {"time": plot_data, "spectrum": plot_spectrum, "values": plot_values}
+        if kind not in kinds:
+            raise InputError(f"kind={kind!r} must be one of {', '.join(kinds)}")
+        return figure_of(kinds[kind](self.signals(), ax=ax))
 
     def _repr_html_(self) -> str:
         """Return text and figure as HTML for a notebook."""
@@ -146,44 +251,24 @@ class Experiments:
         shown: Any = self
         return html(shown)
 
-
-def merged(parts: Sequence[Data], **fields: Any) -> Data:
-    """Return several experiments as one object, with further fields; see `armrig.merge`."""
-    first = parts[0]
-    for name in first.__slots__:
-        values = set() if name in _OWN else {getattr(d, name) for d in parts}
-        if len(values) > 1:
-            raise InputError(
-                f"merge needs the same {name} in all data, got {sorted(values, key=str)}; apply "
-                "the same treatment to all before merging"
-            )
-    offsets = np.cumsum([0, *(d.N for d in parts[:-1])])
-    return first.replaced(
-        step=None,
-        u=np.concatenate([d.u for d in parts]),
-        y=np.concatenate([d.y for d in parts]),
-        valid=np.concatenate([d.valid for d in parts]),
-        starts=tuple(int(o) + s for o, d in zip(offsets, parts, strict=True) for s in d.starts),
-        source="+".join(dict.fromkeys(d.source for d in parts if d.source)),
-        history=_joined_history(parts),
-        **fields,
-    )
+    def _described(self, channels: str, missing: str) -> str:
+        """Return one line with the names of the channels, and with the word for missing values."""
+        data = self.signals()
+        rate = "unequal intervals" if data.Ts is None else f"{data.Ts:g} s"
+        parts = [f"{self.N} samples at {rate}", channels]
+        if self.missing:
+            share = 100 * self.missing / data.y.size
+            parts.append(f"{self.missing} {missing} ({share:.1f} %)")
+        if len(data.starts) > 1:
+            parts.append(f"{len(data.starts)} experiments")
+        if data.history:
+            parts.append(f"history: {'; '.join(data.history)}")
+        return f"<{type(self).__name__}: {'; '.join(parts)}>"
 
 
-def _joined_history(parts: Sequence[Experiments]) -> tuple[str, ...]:
-    """Return the history of merged data: common steps, then steps of each part, then the merge."""
-    if len(parts) == 1:
-        return parts[0].history
-    common: list[str] = []
-    for steps in zip(*(d.history for d in parts), strict=False):
-        if len(set(steps)) > 1:
-            break
-        common.append(steps[0])
-    own = [
-        Step(f"part {i}: {step}", in_merged(code))
-        for i, d in enumerate(parts, 1)
-        for step, code in list(zip(d.history, codes_of(d.history), strict=True))[len(common) :]
-    ]
-    lengths = ", ".join(str(d.N) for d in parts[:_MAX_LISTED_LENGTHS])
-    lengths += ", …" if len(parts) > _MAX_LISTED_LENGTHS else ""
-    return (*common, *own, f"merged {len(parts)} parts of {lengths} samples")
+def unchecked(value: T, **fields: Any) -> T:
+    """Return a copy with the given fields replaced; the fields are valid and not checked again."""
+    copy = object.__new__(type(value))
+    for name in value.__slots__:
+        object.__setattr__(copy, name, fields.get(name, getattr(value, name)))
+    return copy

@@ -2,121 +2,105 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, minus
 from armrig.plots.captions import NAMES, legend, named, sign
-from armrig.plots.layout import BLUE, INK, bare_minor, finish, hertz, panels, shade
+from armrig.plots.layout import (
+    BLUE,
+    INK,
+    axes,
+    bare_minor,
+    finish,
+    hertz,
+    high_axes,
+    panels,
+    rows,
+    shade,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Vector = NDArray[np.float64]
+    from armrig.data.argument import HasDataset
+    from armrig.data.columns import Vector
+    from armrig.data.dataset import Dataset, Signals
 
 MIN_RAMP_SHARE = 0.95  # share of the variance above which a straight line hides other motion
 _MIN_INPUT_CHANGES = 5  # an input with fewer changes is a step
 
 
-class InputAndOutput(Protocol):
-    """Input and output at N instants; `Dataset` has these fields and documents them."""
-
-    @property
-    def u(self) -> Vector:
-        """Input (N,)."""
-
-    @property
-    def y(self) -> Vector:
-        """Output (N,), NaN where it is missing."""
-
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        """Mask (N,), False where the output is missing."""
-
-    @property
-    def t(self) -> Vector:
-        """Time (N,), in s."""
-
-    @property
-    def Ts(self) -> float:
-        """Sampling time, in s."""
-
-    @property
-    def output(self) -> str:
-        """Name of y."""
-
-    @property
-    def unit(self) -> str:
-        """Unit of y."""
-
-    @property
-    def input_unit(self) -> str:
-        """Unit of u."""
-
-    @property
-    def source(self) -> str:
-        """Hash of the recording, or ""."""
-
-    def experiments(self) -> Iterable[InputAndOutput]:
-        """Iterate over the experiments."""
-
-
-@runtime_checkable
-class HasInputAndOutput(Protocol):
-    """An object with signals, such as a `Recording`."""
-
-    def dataset(self) -> InputAndOutput:
-        """Return the signals."""
-
-
-def without_ramp(data: InputAndOutput) -> tuple[Vector, str, tuple[str, ...]]:
+def without_ramp(
+    data: Dataset | Signals, output: str | None = None
+) -> tuple[Vector, str, tuple[str, ...]]:
     """Return the ramp (N,) that dominates an output, the label of the axis, and legend lines.
 
     If a straight line explains nearly all of y, the ramp has the slope of this line. A plot of an
     angle that turns by 140 rad, for example, would show only the mean rotation. The label and the
     legend lines name the slope. Otherwise the ramp is 0, and there are no legend lines. The ramp is
-    also 0 if the input is a step, because the slope is part of the step response.
+    also 0 if the inputs are steps, because the slope is part of the step response.
     """
-    none = np.zeros(data.t.size), named(data.output, data.unit), ()
-    seen = data.valid
-    if np.count_nonzero(seen) < 3 or np.count_nonzero(np.diff(data.u)) < _MIN_INPUT_CHANGES:
+    signals = data.signals()
+    i = signals.output(output)
+    name, unit, t = signals.outputs[i], signals.units[i], signals.t
+    none = np.zeros(t.size), named(name, unit), ()
+    seen = signals.valid[:, i]
+    changes = np.count_nonzero(np.any(np.diff(signals.u, axis=0), axis=1))
+    if np.count_nonzero(seen) < 3 or changes < _MIN_INPUT_CHANGES:
         return none
-    slope, level = np.polyfit(data.t[seen], data.y[seen], 1)
-    left = np.var(data.y[seen] - level - slope * data.t[seen])
-    if not left < (1 - MIN_RAMP_SHARE) * np.var(data.y[seen]):
+    y = signals.y[seen, i]
+    slope, level = np.polyfit(t[seen], y, 1)
+    left = np.var(y - level - slope * t[seen])
+    if not left < (1 - MIN_RAMP_SHARE) * np.var(y):
         return none
-    name, digits = NAMES.get(data.output, data.output), minus(f"{abs(slope):.3g}")
-    label = f"{name} {'−' if slope > 0 else '+'} {digits} $t$\n[{data.unit or '–'}]"
-    rate = f"{minus(f'{slope:.3g}')}{NBSP}{f'{data.unit}/s' if data.unit else 'per s'}"
-    return slope * data.t, label, (f"{name} minus its mean rate, {rate}",)
+    shown, digits = NAMES.get(name, name), minus(f"{abs(slope):.3g}")
+    label = f"{shown} {'−' if slope > 0 else '+'} {digits} $t$\n[{unit or '–'}]"
+    rate = f"{minus(f'{slope:.3g}')}{NBSP}{f'{unit}/s' if unit else 'per s'}"
+    return slope * t, label, (f"{shown} minus its mean rate, {rate}",)
 
 
-def plot_data(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = None) -> Axes:
-    """Plot the output and, below, the input against time; times without an output are shaded.
+def plot_data(source: Dataset | Signals | HasDataset, *, ax: Axes | None = None) -> Axes:
+    """Plot the outputs and, below, the inputs against time; times without an output are shaded.
 
     For a recording, the output is theta_1. An output that is nearly a ramp is drawn without the
-    ramp: see `without_ramp`.
+    ramp: see `without_ramp`. A vertical line marks the beginning of each experiment, except the
+    first.
     """
-    data = _data_of(source)
-    ax, below = panels(ax, 0.28)
-    ramp, label, notes = without_ramp(data)
-    ax.plot(data.t, data.y - ramp, color=BLUE, lw=0.9)
-    ax.set_ylabel(label)
-    below.step(data.t, data.u, where="post", color=INK, lw=0.7)
-    below.set_ylabel(named("$u$", data.input_unit))
-    below.set_xlabel("$t$ [s]")
-    below.margins(y=0.15)
-    for panel in (ax, below):
-        shade(panel, data.valid, data.Ts)
-    finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
-    return sign(ax, data.source, above=legend(ax, *notes))
+    data = _signals_of(source)
+    n = data.ny + data.nu
+    every = [*panels(ax, 0.28)] if n == 2 else rows(ax or high_axes(n), n)
+    t, notes = data.t, list[str]()
+    for i, panel in enumerate(every[: data.ny]):
+        ramp, label, note = without_ramp(data, data.outputs[i])
+        notes += note
+        panel.plot(t, data.y[:, i] - ramp, color=BLUE, lw=0.9)
+        panel.set_ylabel(label)
+    for j, panel in enumerate(every[data.ny :]):
+        if data.intersample[j] == "zoh":
+            panel.step(t, data.u[:, j], where="post", color=INK, lw=0.7)
+        else:
+            panel.plot(t, data.u[:, j], color=INK, lw=0.7)
+        panel.set_ylabel(named(_input(data, j), data.input_units[j]))
+        panel.margins(y=0.15)
+    for k, panel in enumerate(every):
+        if data.Ts is not None:
+            of = slice(k, k + 1) if k < data.ny else slice(None)
+            shade(panel, np.logical_or.reduce(data.valid[:, of], axis=1), data.Ts)
+        for start in data.starts[1:]:
+            panel.axvline(t[start], color=INK, lw=0.6, ls=(0, (4, 2)))
+    every[-1].set_xlabel("$t$ [s]")
+    finish(*every, xlim=(float(t.min()), float(t.max()) or 1.0))
+    return sign(every[0], data.source, above=legend(every[0], *notes))
 
 
-def plot_spectrum(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = None) -> Axes:
-    """Plot the power density of the output and, below it, of the input, on logarithmic axes.
+plot_signals = plot_data
+"""Former name of `plot_data` for Signals."""
+
+
+def plot_spectrum(source: Dataset | Signals | HasDataset, *, ax: Axes | None = None) -> Axes:
+    """Plot the power density of the outputs and, below, of the inputs, on logarithmic axes.
 
     The density is averaged over the parts without a gap: see `armrig.numerics.power_spectrum`.
     A density that rises towards the right edge, the Nyquist frequency, shows noise or a sampling
@@ -124,58 +108,81 @@ def plot_spectrum(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None
     """
     from armrig.numerics.power_spectrum import power_spectrum
 
-    data = _data_of(source)
-    ax, below = panels(ax, 0.5)
-    notes: list[str] = []
-    for panel, signals, colour, label, unit in (
-        (ax, [d.y for d in data.experiments()], BLUE, data.output, data.unit),
-        (below, [d.u for d in data.experiments()], INK, "$u$", data.input_unit),
-    ):
-        omega, density = power_spectrum(signals, data.Ts)
+    data = _signals_of(source)
+    Ts, parts, n = data.equidistant(), [*data.experiments()], data.ny + data.nu
+    every = rows(ax or (high_axes(n + 2) if n > 2 else axes(None)), n)
+    channels = [
+        *(
+            (BLUE, NAMES.get(name, name), unit, [part.y[:, i] for part in parts])
+            for i, (name, unit) in enumerate(zip(data.outputs, data.units, strict=True))
+        ),
+        *(
+            (INK, _input(data, j), unit, [part.u[:, j] for part in parts])
+            for j, unit in enumerate(data.input_units)
+        ),
+    ]
+    for panel, (colour, name, unit, signals) in zip(every, channels, strict=True):
+        omega, density = power_spectrum(signals, Ts)
         # A logarithmic axis cannot show frequency 0. At the Nyquist frequency the density is not
         # doubled. Both are left out.
         omega, density = omega[1:-1], density[1:-1]
         panel.plot(omega, np.maximum(density, 1e-300), color=colour, lw=0.9)
         panel.set_xscale("log")
         panel.set_yscale("log")
-        panel.set_ylabel(f"{NAMES.get(label, label)} [{squared(unit)}s/rad]")
-        notes.append(f"power density of {NAMES.get(label, label)}")
+        panel.set_ylabel(f"{name} [{_squared(unit)}s/rad]")
         bare_minor(panel.xaxis, panel.yaxis)
-        shown = density[density > 0]
-        if shown.size:
+        seen = density[density > 0]
+        if seen.size:
             # Show at most 12 decades: a periodic input has only rounding errors between its peaks.
-            panel.set_ylim(max(float(shown.min()), 1e-12 * float(shown.max())) / 2, None)
-    below.set_xlabel(r"$\omega$ [rad/s]")
-    finish(ax, below, xlim=(float(omega[0]), np.pi / data.Ts))
-    legend(below, notes[1])
-    return sign(ax, data.source, above=legend(ax, notes[0], lift=hertz(ax)))
+            panel.set_ylim(max(float(seen.min()), 1e-12 * float(seen.max())) / 2, None)
+    every[-1].set_xlabel(r"$\omega$ [rad/s]")
+    finish(*every, xlim=(float(omega[0]), np.pi / Ts))
+    first, *others = (f"power density of {name}" for _, name, _, _ in channels)
+    for panel, note in zip(every[1:], others, strict=True):
+        legend(panel, note)
+    return sign(every[0], data.source, above=legend(every[0], first, lift=hertz(every[0])))
 
 
-def plot_values(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = None) -> Axes:
-    """Plot histograms of the output and, below it, of the input.
+def plot_values(source: Dataset | Signals | HasDataset, *, ax: Axes | None = None) -> Axes:
+    """Plot histograms of the outputs and, below, of the inputs.
 
     The counts are logarithmic, so that a single sample far from all others is visible.
     """
-    data = _data_of(source)
-    ax, below = panels(ax, 0.5, sharex=False)
-    ramp, label, notes = without_ramp(data)
-    for panel, values, colour, name in (
-        (ax, (data.y - ramp)[data.valid], BLUE, label),
-        (below, data.u, INK, named("$u$", data.input_unit)),
-    ):
+    data = _signals_of(source)
+    n, notes = data.ny + data.nu, list[str]()
+    every = [ax or (high_axes(n + 2) if n > 2 else axes(None))]
+    for k in range(n - 1, 0, -1):
+        every[-1:] = panels(every[-1], k / (k + 1), sharex=False)
+    for k, panel in enumerate(every):
+        if k < data.ny:
+            ramp, label, note = without_ramp(data, data.outputs[k])
+            notes += note
+            values, colour = (data.y[:, k] - ramp)[data.valid[:, k]], BLUE
+        else:
+            j = k - data.ny
+            label = named(_input(data, j), data.input_units[j])
+            values, colour = data.u[:, j], INK
         panel.hist(values, bins=60, color=colour, alpha=0.75)
         panel.set_yscale("log")
         panel.set_ylim(bottom=0.6)
-        panel.set_xlabel(name)
+        panel.set_xlabel(label)
         panel.set_ylabel("samples")
         finish(panel)
-    return sign(ax, data.source, above=legend(ax, *notes))
+    return sign(every[0], data.source, above=legend(every[0], *notes))
 
 
-def squared(unit: str) -> str:
+def _signals_of(source: Dataset | Signals | HasDataset) -> Signals:
+    """Return the columns of data, or of the dataset of a recording."""
+    data: Any = source
+    signals: Signals = (data if hasattr(data, "digest") else data.dataset()).signals()
+    return signals
+
+
+def _input(data: Signals, j: int) -> str:
+    """Return the name of input j for a label."""
+    return "$u$" if data.inputs[j] == "u" else data.inputs[j]
+
+
+def _squared(unit: str) -> str:
     """Return the squared unit and a space, for the label of an axis; "" without a unit."""
     return f"({unit})² " if "/" in unit else f"{unit}² " if unit else ""
-
-
-def _data_of(source: InputAndOutput | HasInputAndOutput) -> InputAndOutput:
-    return source.dataset() if isinstance(source, HasInputAndOutput) else source

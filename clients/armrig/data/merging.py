@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, overload
 
+import numpy as np
 from armrig_core.calls import checked_call
 from armrig_core.errors import InputError, InputTypeError
 
-from armrig.data.dataset import Dataset, merged_datasets
-from armrig.data.signals import Signals, merged_signals
+from armrig.data.dataset import Dataset, Signals
+from armrig.data.step import Step, codes_of, in_merged
+from armrig.data.trend import Trend
+
+_MAX_LISTED_LENGTHS = 8  # of merged parts, in a history
+_SAME = ("Ts", "outputs", "inputs", "units", "input_units", "intersample")
+"""Fields that are the same in all merged parts."""
 
 
 @overload
@@ -28,7 +34,7 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
     Returns
     -------
     Dataset or Signals
-        All samples in the order given, with the starts of all experiments.
+        All samples in the order given, with the starts and the trends of all experiments.
 
     Raises
     ------
@@ -45,11 +51,60 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
     """
     given: Any = parts
     kinds = {type(part) for part in (given if isinstance(given, Sequence) else (None,))}
-    if kinds - {Dataset} and kinds - {Signals}:
+    if len(kinds) > 1 or kinds - {Dataset, Signals}:
         raise InputTypeError(
             "merge takes one list of Datasets, merge([d1, d2]), or one list of Signals; for a "
             "recording, give recording.dataset() or recording.signals()"
         )
     if not parts:
         raise InputError("merge needs at least one Dataset, got none")
-    return merged_signals(parts) if kinds == {Signals} else merged_datasets(parts)
+    each: list[Signals] = [data.signals() for data in parts]
+    for name in _SAME:
+        values = {getattr(data, name) for data in each}
+        if len(values) > 1:
+            raise InputError(
+                f"merge needs the same {name} in all data, got {sorted(values, key=str)}; apply "
+                "the same treatment to all before merging"
+            )
+    known = [data.times for data in each if data.times is not None]
+    offsets = np.cumsum([0, *(data.N for data in each[:-1])])
+    merged = each[0].replaced(
+        step=None,
+        u=np.concatenate([data.u for data in each]),
+        y=np.concatenate([data.y for data in each]),
+        valid=np.concatenate([data.valid for data in each]),
+        times=np.concatenate(known) if known else None,
+        starts=[int(o) + s for o, data in zip(offsets, each, strict=True) for s in data.starts],
+        source="+".join(dict.fromkeys(data.source for data in each if data.source)),
+        history=_joined_history(each),
+        trends=_joined_trends(each),
+    )
+    return merged if kinds == {Signals} else merged.dataset()
+
+
+def _joined_trends(parts: Sequence[Signals]) -> list[Trend]:
+    """Return the trend of each experiment; if another has a trend, an experiment without has 0."""
+    if not any(data.trends for data in parts):
+        return []
+    return [trend for data in parts for trend in data.trends or [Trend() for _ in data.starts]]
+
+
+def _joined_history(parts: Sequence[Signals]) -> tuple[str, ...]:
+    """Return the history of merged data: common steps, then steps of each part, then the merge."""
+    if len(parts) == 1:
+        return parts[0].history
+    common: list[str] = []
+    for steps in zip(*(data.history for data in parts), strict=False):
+        if len(set(steps)) > 1:
+            break
+        common.append(steps[0])
+    own = [
+        Step(f"part {i}: {step}", in_merged(code))
+        for i, data in enumerate(parts, 1)
+        for step, code in list(zip(data.history, codes_of(data.history), strict=True))[
+            len(common) :
+        ]
+    ]
+    lengths = ", ".join(str(data.N) for data in parts[:_MAX_LISTED_LENGTHS])
+    lengths += ", …" if len(parts) > _MAX_LISTED_LENGTHS else ""
+    return (*common, *own, f"merged {len(parts)} parts of {lengths} samples")

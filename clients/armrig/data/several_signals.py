@@ -10,7 +10,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 from armrig_core.errors import InputTypeError
 
-from armrig.data.signals import Signals
+from armrig.data.dataset import Signals
 
 P = ParamSpec("P")
 R = TypeVar("R")

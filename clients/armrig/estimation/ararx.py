@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from armrig.data.argument import takes_signals
+from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset
 from armrig.data.signals import Signals
 from armrig.estimation.channel_orders import Shared
@@ -14,7 +14,7 @@ from armrig.models.fit import Fit
 from armrig.models.structure_table import Initial, Starts
 
 
-@takes_signals
+@takes_data
 def ararx(
     data: Dataset | Signals,
     *,
@@ -48,8 +48,7 @@ def ararx(
     -------
     Fit
         `covariance` is lambda (Psi^T Psi)^-1 for (a, b, d). `covariance_robust` is the estimate of
-        Newey and West. Several
-        outputs give a `MultivariableFit`. Without a shared denominator each output is estimated
+        Newey and West. Without a shared denominator each output is estimated
         separately.
 
     Raises

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.data.argument import takes_signals
+from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding
 from armrig.data.signals import Signals
@@ -20,14 +20,14 @@ from armrig.estimation.channel_orders import (
     by_pair,
     channels_of,
 )
-from armrig.estimation.data_checks import require_informative
+from armrig.estimation.data_checks import instability, require_informative
 from armrig.estimation.data_faults import NO_OPTION, data_faults, undetermined
 from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
-from armrig.estimation.multivariable.inference import OutputResiduals, pairwise_covariance
 from armrig.estimation.orders import require_samples
 from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
 from armrig.models.fit import Fit
-from armrig.numerics.inference import infer
+from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.inference import OutputResiduals
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array, monic
 from armrig.numerics.regressors import complete, past
@@ -38,7 +38,7 @@ _MAX_ROUNDS = 20
 _SAME_TOLERANCE = 1e-8  # relative change of Lambda at which the iteration ends
 
 
-@takes_signals
+@takes_data
 def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool = False) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) by least squares.
 
@@ -72,8 +72,7 @@ def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool 
     -------
     Fit
         `covariance` is lambda (Phi^T Phi)^-1, or the inverse of the sum of Phi^T inv(Lambda) Phi.
-        `covariance_robust` is the estimate of Newey and West. Several outputs or inputs give a
-        `MultivariableFit`.
+        `covariance_robust` is the estimate of Newey and West.
 
     Raises
     ------
@@ -99,6 +98,8 @@ def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool 
     >>> print(f"{fit.fit_percent:.0f} % one step ahead, residuals {fit.white}")
     94 % one step ahead, residuals coloured (p < 0.001, Ljung-Box test)
     """
+    if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
+        data = data.dataset()
     inputs, outputs = channels_of(data)
     na_ = by_pair("na", na, data, least=0)
     nb_ = by_channel("nb", nb, data, least=int(len(inputs) == 1))
@@ -128,13 +129,16 @@ def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool 
     notes: list[EstimateFinding] = []
     if stable:
         found, notes = _with_stable_poles(equations, found, na_.diagonal().tolist())
-    if isinstance(data, Dataset):
-        return _fit(data, equations[0], found, na_[0, 0], int(nk_[0, 0]), notes)
     estimates = [*_outputs(data, equations, found, na_, nb_, nk_)]
-    fit: Any = fit_of_outputs(
-        data, estimates, name="arx", orders=orders, score="correlated", findings=notes
+    name = "" if isinstance(data, Dataset) else orders
+    fit = fit_of_outputs(
+        data, estimates, found.basis.W, structure="arx", score="correlated", specification=name
     )
-    return cast("Fit", fit)
+    if isinstance(data, Signals):
+        return replace(fit, findings=(*notes, *instability(fit.form)))
+    residuals = [r.e for r in estimates[0].residuals]
+    faults = data_faults(data, residuals, way_out=NO_OPTION)
+    return with_stability_warning(replace(fit, findings=(*notes, *faults)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -247,33 +251,8 @@ def _with_stable_poles(
     return replace(found, theta=tuple(np.concatenate([A[1:], b]) for A, b in pairs)), notes
 
 
-def _fit(
-    data: Dataset,
-    equation: _Equation,
-    found: _Solution,
-    na: int,
-    nk: int,
-    notes: list[EstimateFinding],
-) -> Fit:
-    """Return the model of one input and one output."""
-    (theta,) = found.theta
-    residuals = equation.residuals(theta)
-    quality = infer(residuals, equation.Phi, score="correlated", y=data.y, basis=found.basis)
-    fit = Fit(
-        structure="arx",
-        A=monic(theta[:na]),
-        B=np.append(np.zeros(nk), theta[na:]),
-        nk=nk,
-        Ts=data.Ts,
-        findings=(*notes, *data_faults(data, residuals, way_out=NO_OPTION)),
-        **quality.quality(),
-        **data.origin(),
-    )
-    return with_stability_warning(fit)
-
-
 def _outputs(
-    data: Signals,
+    data: Dataset | Signals,
     equations: Sequence[_Equation],
     found: _Solution,
     na: Integers,
@@ -281,30 +260,33 @@ def _outputs(
     nk: Integers,
 ) -> Iterator[EstimatedOutput]:
     """Yield the polynomials and residuals of each output."""
-    parts, one = list(data.experiments()), np.ones(1)
-    H = np.split(found.basis.Q @ found.basis.W.T, np.cumsum([data.ny * p.N for p in parts])[:-1])
-    shares = [unspread(G, M) for G, M in zip(found.weights, H, strict=True)] or [[M] for M in H]
-    whole = np.split(np.eye(H[0].shape[1]), np.cumsum([e.size for e in equations])[:-1])
+    parts, (ny, nu), one = list(data.experiments()), nb.shape, np.ones(1)
+    Q = np.split(found.basis.Q, np.cumsum([ny * part.N for part in parts])[:-1])
+    shares = [unspread(G, M) for G, M in zip(found.weights, Q, strict=True)] if ny > 1 else []
+    whole = np.split(np.eye(len(found.basis.W)), np.cumsum([e.size for e in equations])[:-1])
     for i, (equation, theta) in enumerate(zip(equations, found.theta, strict=True)):
         each = np.split(theta, np.cumsum([*na[i], *nb[i]])[:-1])
         delays = nk[i].tolist()
         yield EstimatedOutput(
             polynomials={
-                "A": tuple(np.append(float(i == k), each[k]) for k in range(data.ny)),
+                "A": tuple(np.append(float(i == k), each[k]) for k in range(ny)),
                 "B": tuple(
-                    np.append(np.zeros(k), b) for k, b in zip(delays, each[data.ny :], strict=True)
+                    np.append(np.zeros(k), b) for k, b in zip(delays, each[ny:], strict=True)
                 ),
                 "C": one,
                 "D": one,
-                "F": (one,) * data.nu,
+                "F": (one,) * nu,
                 "nk": tuple(delays),
                 "integrators": False,
             },
             residuals=tuple(
-                OutputResiduals(e=e, y=part.y[:, i], H=of[i], Psi=Phi, Z=np.zeros((part.N, 0)))
-                for e, part, of, Phi in zip(
-                    equation.residuals(theta), parts, shares, equation.Phi, strict=True
+                OutputResiduals(
+                    e=e,
+                    y=y,
+                    H=shares[k][i] if ny > 1 else Q[k],
+                    Psi=equation.Phi[k] if ny > 1 else None,
                 )
+                for k, (e, y) in enumerate(zip(equation.residuals(theta), equation.y, strict=True))
             ),
             parameters=equation.size,
             J=whole[i],

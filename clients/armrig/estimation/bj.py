@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from armrig.data.argument import takes_signals
+from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset
 from armrig.data.signals import Signals
 from armrig.estimation.channel_orders import Shared
@@ -14,7 +14,7 @@ from armrig.models.fit import Fit
 from armrig.models.structure_table import Initial, Starts
 
 
-@takes_signals
+@takes_data
 def bj(
     data: Dataset | Signals,
     *,
@@ -56,9 +56,8 @@ def bj(
     -------
     Fit
         `covariance` is lambda (Psi^T Psi)^-1 for (b, c, d, f). `covariance_robust` is the estimate
-        of Newey and West. For nc = nd = 0 both covariances equal the covariances of `oe`. Several
-        outputs give a `MultivariableFit`. Without a shared denominator each output is estimated
-        separately.
+        of Newey and West. For nc = nd = 0 both covariances equal the covariances of `oe`.
+        Without a shared denominator each output is estimated separately.
 
     Raises
     ------

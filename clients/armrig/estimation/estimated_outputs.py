@@ -1,4 +1,4 @@
-"""Model of several inputs or outputs, from the estimates of its outputs."""
+"""Model from the estimates of its outputs."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from armrig.data.finding import EstimateFinding
+from armrig.data.dataset import Dataset
 from armrig.data.signals import Signals
-from armrig.estimation.data_checks import instability, origin
-from armrig.estimation.multivariable.inference import OutputResiduals, inferred
-from armrig.models.estimate import Start
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.multivariable.polynomials import Polynomials
-from armrig.numerics.inference import Score
+from armrig.estimation.data_checks import origin
+from armrig.models.fit import Fit
+from armrig.models.polynomials import Polynomials
+from armrig.numerics.inference import OutputResiduals, Score, infer
 from armrig.numerics.polynomial import Array
 
 
@@ -34,41 +32,36 @@ class EstimatedOutput:
 
 
 def fit_of_outputs(
-    data: Signals,
+    data: Dataset | Signals,
     estimates: Sequence[EstimatedOutput],
+    W: Array,
     *,
-    name: str,
-    orders: str,
+    structure: str,
     score: Score,
-    findings: Sequence[EstimateFinding] = (),
-    shared: bool = False,
-    converged: bool = True,
-    starts: Sequence[Start] = (),
-) -> MultivariableFit:
-    """Return the model with the covariance of all coefficients together."""
-    form = Polynomials(
-        **{
-            field: tuple(one.polynomials[field] for one in estimates)
-            for field in estimates[0].polynomials
-        }
-    )
-    found = inferred(
+    rounding: float = 0.0,
+    **fields: Any,
+) -> Fit:
+    """Return the model with its covariance, loss and tests of whiteness.
+
+    Parameters
+    ----------
+    W : ndarray (d, r)
+        Matrix that transforms the influences of the residuals to the d estimated coefficients.
+    **fields
+        Other fields of the `Fit`.
+    """
+    names = estimates[0].polynomials
+    found = infer(
         [*zip(*(one.residuals for one in estimates), strict=True)],
+        W,
         parameters=[one.parameters for one in estimates],
         score=score,
+        rounding=rounding,
     )
-    J = np.vstack([one.J for one in estimates])
-    fields = found.fields()
-    for covariance in ("covariance", "covariance_robust"):
-        fields[covariance] = J @ fields[covariance] @ J.T
-    return MultivariableFit(
-        structure=name,
-        orders=orders,
-        form=form,
-        shared=shared,
-        converged=converged,
-        starts=tuple(starts),
-        findings=(*findings, *instability(form)),
-        **fields,
+    return Fit(
+        structure=structure,
+        form=Polynomials(**{x: tuple(one.polynomials[x] for one in estimates) for x in names}),
+        **found.transformed(np.vstack([one.J for one in estimates])).fields(),
         **origin(data),
+        **fields,
     )

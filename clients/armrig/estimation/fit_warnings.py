@@ -8,10 +8,10 @@ import numpy as np
 
 from armrig.data.finding import EstimateFinding, warning
 from armrig.estimation.problem import PolynomialProblem
-from armrig.models.estimate import MAX_TRUSTED_CURVATURE, Start
-from armrig.numerics.inference import Inference
+from armrig.models.quality import MAX_TRUSTED_CURVATURE, Start
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, roots
+from armrig.numerics.whiteness import Whiteness
 
 CURVED_TEXT = (
     "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
@@ -39,7 +39,9 @@ def search_warnings(
         yield warning("poorer_minimum", text, loss=starts[-1].loss)
 
 
-def parameter_warnings(found: Inference, C: Array, curved: float) -> Iterator[EstimateFinding]:
+def parameter_warnings(
+    W: Array, white: Whiteness, C: Array, curved: float
+) -> Iterator[EstimateFinding]:
     """Yield warnings about C, about the rank of the data, and about the curvature of the loss."""
     if C.size > 1 and np.max(np.abs(roots(C))) > 1 - _CIRCLE_TOLERANCE:
         yield warning(
@@ -48,11 +50,11 @@ def parameter_warnings(found: Inference, C: Array, curved: float) -> Iterator[Es
             "of the root has no meaning. Lower nc, or check whether the data were differenced or "
             "detrended",
         )
-    d = found.basis.W.shape[0]
-    if found.basis.rank < d:
-        text = f"the data determine only {found.basis.rank} of {d} parameters: lower the orders"
-        yield warning("undetermined", text, rank=found.basis.rank, parameters=d)
-    if curved > MAX_TRUSTED_CURVATURE and not found.white.coloured:
+    d, rank = W.shape
+    if rank < d:
+        text = f"the data determine only {rank} of {d} parameters: lower the orders"
+        yield warning("undetermined", text, rank=rank, parameters=d)
+    if curved > MAX_TRUSTED_CURVATURE and not white.coloured:
         yield warning("curved", CURVED_TEXT, curvature=curved)
 
 

@@ -16,7 +16,7 @@ from armrig.estimation.stability import reflection_warnings, stabilised, with_st
 from armrig.models.fit import Fit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.criteria import fit_percent
-from armrig.numerics.inference import infer
+from armrig.numerics.inference import infer, least_squares_residuals
 from armrig.numerics.least_squares import column_norms, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.numerics.regressors import ArxRows, arx_rows, complete
@@ -98,11 +98,17 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     A = free = np.append(1.0, theta[:na])
     if stable and (A := stabilised(free)) is not free:
         theta, e = _with_given_poles(A, prewhitened)
+    basis = orthonormal(np.vstack(instruments))
     found = infer(
-        e, instruments, score="correlated", test="ljung-box", prewhitening=L.size - 1
-    ).transformed(inverse)
+        least_squares_residuals(e, basis),
+        inverse @ basis.W,
+        score="correlated",
+        test="ljung-box",
+        prewhitening=L.size - 1,
+    )
+    white = found.quality[0].white
     sse = sum(float(np.nansum(v**2)) for v in _left(whole, theta))
-    fit = Fit(
+    fit = Fit.of_channel(
         structure="iv4",
         A=A,
         B=np.append(np.zeros(nk), theta[na:]),
@@ -114,8 +120,8 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
         N=N,
         Ts=data.Ts,
         fit_percent=fit_percent(y, sse),
-        whiteness=found.white.p_value,
-        whiteness_test=found.white.test,
+        whiteness=white.p_value,
+        whiteness_test=white.test,
         findings=(*reflection_warnings(free, A), *data_faults(data, e, way_out=NO_OPTION)),
         **data.origin(),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from armrig.data.argument import takes_signals
+from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset
 from armrig.data.signals import Signals
 from armrig.estimation.channel_orders import Shared
@@ -14,7 +14,7 @@ from armrig.models.fit import Fit
 from armrig.models.structure_table import Initial, Starts
 
 
-@takes_signals
+@takes_data
 def oe(
     data: Dataset | Signals,
     *,
@@ -75,9 +75,8 @@ def oe(
         `covariance` is lambda (Psi^T Psi)^-1 for (b, f), with the nuisance parameters marginalised.
         `covariance_robust` is the sandwich form with an autoregressive estimate of the residuals'
         autocorrelation. With an integrator both covariances are transformed linearly from F̃ to F.
-        Both matrices are then singular in the direction that would move the root at 1. Several
-        outputs give a `MultivariableFit`. Without a shared denominator each output is estimated
-        separately.
+        Both matrices are then singular in the direction that would move the root at 1.
+        Without a shared denominator each output is estimated separately.
 
     Raises
     ------

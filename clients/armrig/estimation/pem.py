@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from armrig.data.argument import takes_signals
+from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset
 from armrig.data.signals import Signals
 from armrig.estimation.channel_orders import Shared
@@ -13,7 +13,7 @@ from armrig.models.fit import Fit
 from armrig.models.structure_table import Initial, Starts
 
 
-@takes_signals
+@takes_data
 def pem(
     data: Dataset | Signals,
     *,

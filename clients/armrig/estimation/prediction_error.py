@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast, get_args
+from typing import Any, get_args
 
 import numpy as np
 from armrig_core.errors import InputError
+from scipy.linalg import block_diag
 
 from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding, warning
@@ -15,15 +16,15 @@ from armrig.data.signals import Signals
 from armrig.estimation.channel_orders import (
     Shared,
     as_text,
+    channels_of,
     checked_orders,
     integrating_outputs,
     structures,
 )
-from armrig.estimation.data_checks import require_informative
+from armrig.estimation.data_checks import instability, require_informative
 from armrig.estimation.data_faults import CONSTANT_INPUT, constant_input, data_faults
 from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
 from armrig.estimation.fit_warnings import curvature, parameter_warnings, search_warnings
-from armrig.estimation.multivariable.inference import OutputResiduals
 from armrig.estimation.orders import require_samples
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.estimation.search import (
@@ -36,12 +37,12 @@ from armrig.estimation.search import (
     weighted_by,
 )
 from armrig.estimation.stability import with_stability_warning, with_stable_poles
-from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.innovations import Errors, prepared
+from armrig.models.quality import Start
 from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
 from armrig.models.structure_table import Initial, Starts
-from armrig.numerics.inference import Inference, infer
+from armrig.numerics.inference import OutputResiduals, Score
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whitening import unspread
@@ -128,6 +129,8 @@ def estimated(
             names = [f'"{x}"' for x in allowed]
             either = " or ".join(names) if len(names) == 2 else f"one of {', '.join(names)}"
             raise InputError(f"{option}={value!r} must be {either}")
+    if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
+        data = data.dataset()
     if initial == "backcast":
         initial = "estimate"
     if offset and initial != "estimate":
@@ -147,19 +150,28 @@ def estimated(
     found = [_chosen(data, text, [rows[i] for i in group], group, options) for group in groups]
     if isinstance(data, Dataset):
         return _fit(data, found[0], name)
-    white = all(n.white for n in rows)
-    fit: Any = fit_of_outputs(
+    estimates, W = _outputs(data, found)
+    fit = fit_of_outputs(
         data,
-        _outputs(data, found),
-        name=name,
-        orders=text,
-        score="exogenous" if white else "correlated",
-        findings=[*(note for one in found for note in one.findings), *_unfinished(data, found)],
+        estimates,
+        W,
+        structure=name,
+        score=_score(found),
+        specification=text,
+        offset=offset,
         shared=bool(shared),
         converged=all(one.ends[0][1].converged for one in found),
-        starts=[start for one in found for start in _starts(data, one)],
+        starts=tuple(start for one in found for start in _starts(data, one)),
     )
-    return cast("Fit", fit)
+    notes = [note for one in found for note in one.findings]
+    notes += [*_unfinished(data, found), *instability(fit.form)]
+    return replace(fit, findings=tuple(notes))
+
+
+def _score(found: Sequence[_Estimated]) -> Score:
+    """Return how the influences of the residuals depend on the noise."""
+    white = all(n.white for one in found for n in one.problem.rows)
+    return "exogenous" if white else "correlated"
 
 
 def _chosen(
@@ -227,9 +239,9 @@ def _problem(
     return weighted_by(problem, np.diag([float(np.nanvar(_output(data, i))) for i in outputs]))
 
 
-def _output(data: Dataset | Signals, i: int) -> Array:
+def _output(data: Any, i: int) -> Array:
     """Return output i (N,), NaN where it is missing."""
-    return data.y if data.y.ndim == 1 else data.y[:, i]
+    return np.asarray(data.y.reshape(data.N, -1)[:, i])
 
 
 def _part(
@@ -295,70 +307,47 @@ def _fit(data: Dataset, one: _Estimated, name: str) -> Fit:
     ends = [(start, replace(o, converged=o.converged or o.cost <= floor)) for start, o in one.ends]
     n, best = problem.rows[0], ends[0][1]
     p = problem.named(solution.ab, theta)
-    free = _inference(data, problem, solution)
-    found = free.transformed(with_integrator(n)[:, np.argsort(problem.columns_of(0))])
-    of_theta = free.covariance[problem.linear_size :, problem.linear_size :]
-    exact = best.cost <= floor
-    curved = 0.0 if exact else curvature(problem, theta, of_theta, found.noise_variance)
+    [estimate], W = _outputs(data, [one])
+    curved = 0.0
+    if best.cost > floor:
+        variance = float(solution.e @ solution.e) / max(_degrees(one), 1)
+        own = W[problem.linear_size :]
+        curved = curvature(problem, theta, variance * own @ own.T, variance)
     agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
+    N = sum(int(np.count_nonzero(x.rows)) for (x,) in problem.experiments)
     starts = tuple(
-        Start(name=start, loss=o.cost / found.N, iterations=o.iterations, converged=o.converged)
+        Start(name=start, loss=o.cost / N, iterations=o.iterations, converged=o.converged)
         for start, o in ends
     )
     responses = [
         _free_response(n, p, part, s)
         for part, (s,) in zip(data.experiments(), solution.parts, strict=True)
     ]
-    A, (F,) = _with_root(n, p)
-    fit = Fit(
+    fit = fit_of_outputs(
+        data,
+        [estimate],
+        W,
         structure=name,
-        A=A,
-        B=p["B"][0],
-        C=p["C"],
-        D=p["D"],
-        F=F,
-        nk=n.nk[0],
-        integrator=bool(n.integrator),
+        score=_score([one]),
+        rounding=floor,
         offset=bool(n.trend),
-        Ts=data.Ts,
         converged=best.converged,
         starts=starts if len(starts) > 1 else (),
         agreed=agreed,
         free=tuple(responses),
         curvature=curved,
-        findings=(
-            *search_warnings(best, starts, agreed=agreed),
-            *parameter_warnings(found, p["C"], curved),
-            *data_faults(
-                data,
-                _residuals(problem, solution),
-                way_out="" if n.trend else "estimate it, too (option offset)",
-            ),
-            *one.findings,
+    )
+    findings = (
+        *search_warnings(best, starts, agreed=agreed),
+        *parameter_warnings(W, fit.white, p["C"], curved),
+        *data_faults(
+            data,
+            [r.e for r in estimate.residuals],
+            way_out="" if n.trend else "estimate it, too (option offset)",
         ),
-        **found.quality(),
-        **data.origin(),
+        *one.findings,
     )
-    return with_stability_warning(fit)
-
-
-def _inference(data: Dataset, problem: PolynomialProblem, solution: Solution) -> Inference:
-    """Return the covariance of the parameters, the loss and the test of whiteness."""
-    N = [x.rows.size for (x,) in problem.experiments]
-    return infer(
-        _residuals(problem, solution),
-        np.split(solution.Psi, np.cumsum(N)[:-1]),
-        score="exogenous" if problem.rows[0].white else "correlated",
-        spans=[past.span for past in solution.past],
-        y=data.y,
-        rounding=rounding_floor(problem),
-    )
-
-
-def _residuals(problem: PolynomialProblem, solution: Solution) -> list[Array]:
-    """Return e of each experiment, (N_i,), NaN in rows without an error."""
-    parts = zip(problem.experiments, solution.parts, strict=True)
-    return [np.where(x.rows, s.e, np.nan) for (x,), (s,) in parts]
+    return with_stability_warning(replace(fit, findings=findings))
 
 
 def with_integrator(n: Structure) -> Array:
@@ -396,34 +385,36 @@ def _free_response(n: Structure, p: dict[str, Any], part: Dataset, errors: Error
     return FreeResponse(transients=transients, offset=offset_from_ramp(B, F, coefficients[0], 0.0))
 
 
-def _outputs(data: Signals, found: Sequence[_Estimated]) -> list[EstimatedOutput]:
-    """Return the polynomials and residuals of each output, in the order of the outputs."""
-    whole, begin = np.eye(sum(one.parameters for one in found)), 0
-    parts = list(data.experiments())
+def _outputs(
+    data: Dataset | Signals, found: Sequence[_Estimated]
+) -> tuple[list[EstimatedOutput], Array]:
+    """Return the polynomials and residuals of each output, and the matrix W of `fit_of_outputs`."""
+    bases = [orthonormal(one.solution.Psi) for one in found]
+    W = block_diag(*(basis.W for basis in bases))
+    alone = W.shape[1] == bases[0].rank and len(found[0].outputs) == 1
+    ny = len(channels_of(data)[1])
     outputs: dict[int, EstimatedOutput] = {}
-    for one in found:
-        problem, solution = one.problem, one.solution
-        own = slice(begin, begin + one.parameters)
-        basis = orthonormal(solution.Psi)
-        rows = np.cumsum([len(of) * of[0].y.size for of in problem.experiments])[:-1]
-        shares = np.split(basis.Q @ basis.W.T, rows)
-        if len(problem.rows) > 1:
-            of_rows = [unspread(G, H) for G, H in zip(problem.weights, shares, strict=True)]
-        else:
-            of_rows = [[H] for H in shares]
-        k = len(one.outputs)
+    row = column = 0
+    for one, basis in zip(found, bases, strict=True):
+        problem, solution, k = one.problem, one.solution, len(one.outputs)
+        ends = np.cumsum([k * of[0].y.size for of in problem.experiments])[:-1]
+        shares = np.split(basis.Q, ends)
+        whitened = [unspread(problem.weights[e], Q) if k > 1 else [Q] for e, Q in enumerate(shares)]
         for r, (i, n) in enumerate(zip(one.outputs, problem.rows, strict=True)):
             residuals = []
-            for e, part in enumerate(parts):
-                given, row = solution.given[e][r], solution.parts[e][r]
-                H = np.zeros((part.N, whole.shape[0]))
-                H[:, own] = solution.scales[r] * of_rows[e][r]
+            for e, part in enumerate(data.experiments()):
+                given, errors = solution.given[e][r], solution.parts[e][r]
+                H, Psi = whitened[e][r], None
+                if not alone:
+                    H = np.zeros((part.N, W.shape[1]))
+                    H[:, column : column + basis.rank] = solution.scales[r] * whitened[e][r]
+                    Psi = given.unknown.without(np.hstack([given.X, errors.Psi]))
                 residuals.append(
                     OutputResiduals(
-                        e=np.where(problem.experiments[e][r].rows, row.e, np.nan),
-                        y=part.y[:, i],
+                        e=np.where(problem.experiments[e][r].rows, errors.e, np.nan),
+                        y=_output(part, i),
                         H=H,
-                        Psi=np.hstack([given.X, row.Psi]),
+                        Psi=Psi,
                         Z=given.unknown.span,
                     )
                 )
@@ -432,7 +423,7 @@ def _outputs(data: Signals, found: Sequence[_Estimated]) -> list[EstimatedOutput
             A, F = _with_root(n, p)
             outputs[i] = EstimatedOutput(
                 polynomials={
-                    "A": tuple(A if j == i else np.zeros(1) for j in range(data.ny)),
+                    "A": tuple(A if j == i else np.zeros(1) for j in range(ny)),
                     "B": tuple(p["B"]),
                     "C": p["C"],
                     "D": p["D"],
@@ -442,10 +433,10 @@ def _outputs(data: Signals, found: Sequence[_Estimated]) -> list[EstimatedOutput
                 },
                 residuals=tuple(residuals),
                 parameters=n.parameters - common + common / k,
-                J=with_integrator(n) @ whole[begin + problem.columns_of(r)],
+                J=with_integrator(n) @ np.eye(W.shape[0])[row + problem.columns_of(r)],
             )
-        begin = own.stop
-    return [outputs[i] for i in range(data.ny)]
+        row, column = row + one.parameters, column + basis.rank
+    return [outputs[i] for i in range(ny)], W
 
 
 def _with_root(n: Structure, p: dict[str, Any]) -> tuple[Array, list[Array]]:

@@ -15,10 +15,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from armrig.estimation.multivariable.inference import pairwise_covariance
 from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.start_values import filtered_denominators, start_values
 from armrig.models.innovations import completed
+from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, filtered, monic, reduced, roots
 from armrig.numerics.whitening import whitening

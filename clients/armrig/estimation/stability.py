@@ -10,7 +10,6 @@ import numpy as np
 from armrig.data.finding import Asks, EstimateFinding, warning
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.models.fit import Fit
-from armrig.models.model import Model
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, monic, reflected, roots, without_integrator
@@ -80,7 +79,7 @@ def with_stable_poles(
     return theta, solution, tuple(notes)
 
 
-def largest_unstable(model: Model) -> float:
+def largest_unstable(model: Fit) -> float:
     """Return the largest |z| of the poles on or outside the unit circle, or 0 if all are inside.
 
     All poles of G and of the noise model are included, except a pole that is 1 by construction.

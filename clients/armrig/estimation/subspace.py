@@ -1,7 +1,7 @@
 """State-space models from projections of the future outputs on past data.
 
-At each instant a window contains p past samples and f future samples. The matrix M = [U_f W_p Y_f],
-with W_p = [U_p Y_p], has the triangular factor ::
+At each instant a window contains p past samples and f future samples of nu inputs and ny outputs.
+The matrix M = [U_f W_p Y_f], with W_p = [U_p Y_p], has the triangular factor ::
 
         R11 R12 R13
     R =     R22 R23
@@ -24,16 +24,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, solve_discrete_are
 from scipy.linalg.lapack import dggev
 
 from armrig.models.structure_table import Weights
 from armrig.numerics.criteria import aic, mdl
 from armrig.numerics.gram import cholesky_factor, gram_of_windows
 from armrig.numerics.least_squares import least_squares, triangle, without_span
-from armrig.numerics.polynomial import Array
+from armrig.numerics.polynomial import Array, lagged
 from armrig.numerics.stretches import stretches
 
 Integers = NDArray[np.int_]
+Parts = Sequence[tuple[Array, Array]]
+"""Inputs (N, nu) and outputs (N, ny) of each experiment or stretch; a missing output is NaN."""
 _BLOCK_ROWS = 1024  # rows decomposed at once
 _SINGULAR_VALUE_ROUNDING = 1e-10  # a singular value below this share of the largest is 0
 
@@ -50,18 +53,21 @@ class Windows:
     """Number of future samples, f."""
     N: int
     """Number of windows."""
+    nu: int
+    """Number of inputs."""
+    ny: int
+    """Number of outputs."""
 
     def columns(self, *names: str) -> Integers:
         """Return the indices in R of the columns "uf", "up", "yp" or "yf", oldest samples first."""
         f, p = self.future, self.past
-        begins = {"uf": (0, f), "up": (f, p), "yp": (f + p, p), "yf": (f + 2 * p, f)}
-        return np.concatenate([b + np.arange(n) for b, n in (begins[name] for name in names)])
+        widths = {"uf": f * self.nu, "up": p * self.nu, "yp": p * self.ny, "yf": f * self.ny}
+        begins = dict(zip(widths, np.cumsum([0, *widths.values()]).tolist(), strict=False))
+        return np.concatenate([begins[name] + np.arange(widths[name]) for name in names])
 
 
-def windows(
-    signals: Sequence[tuple[Array, Array]], *, past: int, future: int, most: int | None = None
-) -> Windows:
-    """Return the windows of (u, y) in which no y is missing; a missing y is NaN.
+def windows(parts: Parts, *, past: int, future: int, most: int | None = None) -> Windows:
+    """Return the windows in which no output is missing.
 
     The means of u and y are projected out, because the data may have offsets. Only the first `most`
     windows are used.
@@ -71,45 +77,56 @@ def windows(
     digits, R is computed by a QR decomposition of the windows.
     """
     length = past + future
-    parts = list(_whole_stretches(signals, length, most))
-    N = sum(y.size - length + 1 for _, y in parts)
-    shifts = np.array([*range(past, length), *range(past)])
-    order = np.concatenate([shifts, length + np.arange(length)])
-    R = cholesky_factor(gram_of_windows(parts, length)[np.ix_(order, order)])
+    (u, y), *_ = parts
+    nu, m = u.shape[1], u.shape[1] + y.shape[1]
+    whole = _centred([np.hstack(part) for part in complete_stretches(parts, length, most)])
+    N = sum(x.shape[0] - length + 1 for x in whole)
+    at = np.arange(m * length).reshape(m, length).T  # instant after instant
+    order = np.concatenate(
+        [at[past:, :nu], at[:past, :nu], at[:past, nu:], at[past:, nu:]], axis=None
+    )
+    G = gram_of_windows([[*x.T] for x in whole], length, m)
+    R = cholesky_factor(G[np.ix_(order, order)])
     if R is None:
-        R = _by_decomposition(parts, order, length)
-    return Windows(R=R, past=past, future=future, N=N)
+        R = np.triu(triangle(_blocks(whole, order, length), 1 + order.size))[1:, 1:]
+    return Windows(R=R, past=past, future=future, N=N, nu=nu, ny=m - nu)
 
 
-def _whole_stretches(
-    signals: Sequence[tuple[Array, Array]], length: int, most: int | None
-) -> Iterator[tuple[Array, Array]]:
-    """Yield (u, y) minus their means for each stretch of complete data that contains a window."""
+def complete_stretches(
+    parts: Parts, length: int, most: int | None = None
+) -> list[tuple[Array, Array]]:
+    """Return the stretches of at least `length` samples without a missing output.
+
+    Together they have at most `most` windows of that length.
+    """
     runs, left = [], np.inf if most is None else most
-    for u, y in signals:
-        for s in stretches(np.isfinite(y)):
+    for u, y in parts:
+        for s in stretches(np.asarray(np.isfinite(y).all(axis=1))):
             if s.stop - s.start >= length and left > 0:
                 stop = int(min(s.stop, s.start + length - 1 + left))
                 runs.append((u[s.start : stop], y[s.start : stop]))
                 left -= stop - s.start - length + 1
-    if runs:
-        # The means are projected out later; subtracting them here keeps more digits.
-        mean_u, mean_y = (float(np.mean(np.concatenate(x))) for x in zip(*runs, strict=True))
-        yield from ((u - mean_u, y - mean_y) for u, y in runs)
+    return runs
 
 
-def _by_decomposition(parts: list[tuple[Array, Array]], order: Integers, length: int) -> Array:
-    """Return the triangular factor of the windows of all parts, computed in blocks of rows."""
-    return np.triu(triangle(_blocks(parts, order, length), 1 + 2 * length))[1:, 1:]
+def _centred(parts: list[Array]) -> list[Array]:
+    """Return the signals (N, m) minus their means over all parts.
+
+    The means are projected out later; subtracting them here keeps more digits.
+    """
+    if not parts:
+        return []
+    mean = np.array([np.mean(column) for column in np.ascontiguousarray(np.vstack(parts).T)])
+    return [x - mean for x in parts]
 
 
-def _blocks(parts: list[tuple[Array, Array]], order: Integers, length: int) -> Iterator[Array]:
-    """Yield blocks of windows; short parts share a block."""
+def _blocks(parts: list[Array], order: Integers, length: int) -> Iterator[Array]:
+    """Yield blocks of windows [1 U_f U_p Y_p Y_f]; short parts share a block."""
     waiting: list[Array] = []
-    for u, y in parts:
-        count = y.size - length + 1
+    for x in parts:
+        count = x.shape[0] - length + 1
         for begin in range(0, count, _BLOCK_ROWS):
-            waiting.append(_block(u, y, order, range(begin, min(begin + _BLOCK_ROWS, count))))
+            waiting.append(_block(x, order, length, range(begin, min(begin + _BLOCK_ROWS, count))))
             if sum(block.shape[0] for block in waiting) >= _BLOCK_ROWS:
                 yield np.vstack(waiting)
                 waiting = []
@@ -117,23 +134,22 @@ def _blocks(parts: list[tuple[Array, Array]], order: Integers, length: int) -> I
         yield np.vstack(waiting)
 
 
-def _block(u: Array, y: Array, order: Integers, rows: range) -> Array:
+def _block(x: Array, order: Integers, length: int, rows: range) -> Array:
     """Return [1 U Y] for the windows that begin at `rows`, with the columns in the given order."""
-    length = order.size // 2
     M = np.ones((len(rows), 1 + order.size), order="F")
     for j, k in enumerate(order, 1):
-        x, shift = (u, k) if k < length else (y, k - length)
-        M[:, j] = x[rows.start + shift : rows.stop + shift]
+        signal, shift = divmod(int(k), length)
+        M[:, j] = x[rows.start + shift : rows.stop + shift, signal]
     return M
 
 
 def shortened(w: Windows, samples: int) -> Windows:
     """Return the windows of the same instants, shortened to `samples` past and future samples."""
-    h = samples
+    nu, ny = samples * w.nu, samples * w.ny
     uf, up, yp, yf = (w.columns(name) for name in ("uf", "up", "yp", "yf"))
-    kept = np.concatenate([uf[:h], up[-h:], yp[-h:], yf[:h]])
+    kept = np.concatenate([uf[:nu], up[-nu:], yp[-ny:], yf[:ny]])
     R = np.asarray(np.linalg.qr(w.R[:, kept], mode="r"))
-    return Windows(R=R, past=h, future=h, N=w.N)
+    return Windows(R=R, past=samples, future=samples, N=w.N, nu=w.nu, ny=w.ny)
 
 
 def autoregressive_order(w: Windows) -> int:
@@ -143,13 +159,21 @@ def autoregressive_order(w: Windows) -> int:
     the chosen n, the n past samples cover the memory of the predictor. Therefore these samples
     determine the state.
     """
-    up, yp = w.columns("up"), w.columns("yp")
-    lags = np.column_stack([yp[::-1], up[::-1]]).ravel()
-    chosen = np.concatenate([w.columns("uf")[:1], lags, w.columns("yf")[:1]])
-    y = np.asarray(np.linalg.qr(w.R[:, chosen], mode="r"))[:, -1]
+    up, yp = (w.columns(name).reshape(w.past, -1)[::-1] for name in ("up", "yp"))
+    lags = np.hstack([yp, up]).ravel()
+    chosen = np.concatenate([w.columns("uf")[: w.nu], lags, w.columns("yf")[: w.ny]])
     n = np.arange(1, w.past + 1)
-    losses = np.cumsum(y[::-1] ** 2)[::-1][1 + 2 * n] / w.N
-    return int(n[np.argmin(aic(losses, 2 * n, w.N))])
+    losses = _losses(w.R[:, chosen], w, w.nu + n * (w.nu + w.ny))
+    return int(n[np.argmin(aic(losses, n * (w.nu + w.ny) * w.ny, w.N))])
+
+
+def _losses(M: Array, w: Windows, known: Integers) -> Array:
+    """Return det of the mean of e e^T, for y regressed on the first `known` columns of M = [X Y].
+
+    For one output the determinant is the mean squared error.
+    """
+    y = np.asarray(np.linalg.qr(M, mode="r"))[:, -w.ny :]
+    return np.array([np.linalg.det(y[k:].T @ y[k:] / w.N) for k in known])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,20 +181,19 @@ class Projection:
     """Projection of the future outputs on the past, for given future inputs."""
 
     H: Array
-    """Matrix H in Y_f = H W_p + L U_f + noise, (f, 2 p)."""
+    """Matrix H in Y_f = H W_p + L U_f + noise, (f ny, p (nu + ny))."""
     U: Array
-    """Left singular vectors, multiplied by the inverse of the left weight matrix, (f, f). The first
-    n vectors span the columns of the observability matrix."""
+    """Left singular vectors, multiplied by the inverse of the left weight matrix, (f ny, f ny). The
+    first n vectors span the columns of the observability matrix."""
     singular_values: Array
-    """Singular values (f,); with "cva" the canonical correlations of past and future."""
+    """Singular values (f ny,); with "cva" the canonical correlations of past and future."""
 
 
 def projection(w: Windows, weights: Weights) -> Projection:
     """Return the singular value decomposition of the weighted projection."""
-    f = w.future
-    past = w.columns("up", "yp")
+    f, past, future = w.future * w.nu, w.columns("up", "yp"), w.columns("yf")
     R12, R22 = w.R[:f, past], w.R[f : f + past.size, past]
-    R23, R33 = w.R[f : f + past.size, -f:], w.R[f + past.size :, -f:]
+    R23, R33 = w.R[f : f + past.size, future], w.R[f + past.size :, future]
     # Columns of the past may be linearly dependent; without noise they are always dependent.
     H = least_squares(R22, R23).T
     if weights == "cva":
@@ -188,25 +211,26 @@ def projection(w: Windows, weights: Weights) -> Projection:
 
 def visible_states(w: Windows) -> int:
     """Return the number of states that the data show; without noise, at most the system's order."""
-    f = w.future
-    values = np.linalg.svd(w.R[f:-f, -f:], compute_uv=False)
+    past, future = w.columns("up", "yp"), w.columns("yf")
+    values = np.linalg.svd(w.R[np.ix_(past, future)], compute_uv=False)
     return int(np.count_nonzero(values > _SINGULAR_VALUE_ROUNDING * values[0]))
 
 
 def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
-    """Return the mean squared one-step errors of models with 1 … `most` states, (most,).
+    """Return the losses of the one-step errors of models with 1 … `most` states, (most,).
 
     The n states of a model are the components of H W_p along the first n singular vectors.
     Therefore a single QR decomposition determines the losses for all n.
     """
-    y, now = w.R[:, w.columns("yf")[0]], w.R[:, w.columns("uf")[:1]]
+    y, now = w.R[:, w.columns("yf")[: w.ny]], w.R[:, w.columns("uf")[: w.nu]]
     states = w.R[:, w.columns("up", "yp")] @ (found.H.T @ found.U[:, :most])
-    rest = np.asarray(np.linalg.qr(np.column_stack([now, states, y]), mode="r"))[:, -1]
-    return np.cumsum(rest[::-1] ** 2)[::-1][2 : 2 + most] / w.N
+    return _losses(np.column_stack([now, states, y]), w, w.nu + np.arange(1, most + 1))
 
 
 def suggested_order(w: Windows, found: Projection, most: int) -> int:
-    """Return the order that minimises MDL of the one-step loss; a state has 3 parameters (A, B, K).
+    """Return the order that minimises MDL of the one-step loss.
+
+    A state has nu + 2 ny parameters, in B, K and the observable form of A and C.
 
     MDL is more reliable than a criterion that uses only the singular values. The two criteria were
     compared in 120 trials: four systems of order 2 or 3, N = 500 and N = 2000, CVA weights, 25 past
@@ -214,86 +238,100 @@ def suggested_order(w: Windows, found: Projection, most: int) -> int:
     trials.
     """
     n = np.arange(1, most + 1)
-    return 1 + int(np.argmin(mdl(one_step_losses(w, found, most), 3 * n, w.N)))
-
-
-def _states(w: Windows, found: Projection, n: int) -> Array:
-    """Return n states, each a combination of the columns of R that contain the past."""
-    Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
-    from_past = np.linalg.lstsq(Gamma, found.H, rcond=None)[0].T
-    return np.asarray(w.R[:, w.columns("up", "yp")] @ from_past)
+    return 1 + int(np.argmin(mdl(one_step_losses(w, found, most), n * (w.nu + 2 * w.ny), w.N)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Realisation:
-    """Matrices of x(t+1) = A x(t) + … + K e(t), y(t) = C x(t) + … + e(t)."""
+    """Matrices of x(t+1) = A x(t) + … + w(t), y(t) = C x(t) + … + v(t)."""
 
     A: Array
     """Transition matrix (n, n)."""
-    predictor: Array
-    """Eigenvalues of A - K C, none outside the unit circle, (n,)."""
-    steady: bool
-    """True if there is a steady Kalman filter; otherwise K is zero."""
+    C: Array
+    """Matrix of the outputs (ny, n)."""
+    covariance: Array
+    """Covariance of [w v], (n + ny, n + ny)."""
+
+    def predictor_poles(self) -> Array | None:
+        """Return the eigenvalues of A - K C for one output, or None without a steady filter.
+
+        Q, S and r are the blocks of `covariance`. With F = A - S C / r, the Riccati equation has
+        the pencil below. The eigenvalues of A - K C are the n smallest eigenvalues of the pencil ::
+
+            | F^T               0 |       | I  C C^T / r |
+            | (S S^T / r - Q)   I | - z * | 0  F         |
+
+        K itself is not needed. The states are scaled so that C C^T / r and S S^T / r - Q have the
+        same norm for any unit of y.
+
+        References
+        ----------
+        .. [1] T. Pappas, A. Laub, N. Sandell, IEEE Trans. Automatic Control 25 (1980) 631-641.
+        """
+        (C,), n = self.C, len(self.A)
+        Q, S, r = self.covariance[:n, :n], self.covariance[:n, n], float(self.covariance[n, n])
+        if not r > 0:
+            return None
+        F = self.A - np.outer(S, C) / r
+        gain, noise = np.outer(C, C) / r, np.outer(S, S) / r - Q
+        sizes = float(np.linalg.norm(gain)), float(np.linalg.norm(noise))
+        scale = np.sqrt(sizes[1] / sizes[0]) if all(sizes) else 1.0
+        left, right = np.eye(2 * n), np.eye(2 * n)
+        left[:n, :n], left[n:, :n] = F.T, noise / scale
+        right[:n, n:], right[n:, n:] = gain * scale, F
+        real, imaginary, over, *_, failed = dggev(left, right, compute_vl=0, compute_vr=0)
+        with np.errstate(all="ignore"):
+            z = (real + 1j * imaginary) / over
+        z = z[np.argsort(np.where(np.isnan(z), np.inf, np.abs(z)))][:n]
+        return None if failed or not np.isfinite(z).all() else np.asarray(z)
+
+    def gain(self) -> Array:
+        """Return the gain K (n, ny) of the steady Kalman filter; 0 if there is none."""
+        n = len(self.A)
+        Q, S, R = self.covariance[:n, :n], self.covariance[:n, n:], self.covariance[n:, n:]
+        try:
+            P = solve_discrete_are(self.A.T, self.C.T, Q, R, s=S)
+            K = np.linalg.solve(self.C @ P @ self.C.T + R, self.C @ P @ self.A.T + S.T).T
+        except (LinAlgError, ValueError):
+            return np.zeros((n, len(self.C)))
+        return np.asarray(K)
 
 
 def realised(w: Windows, found: Projection, n: int) -> Realisation:
-    """Return A and the eigenvalues of A - K C for n states.
+    """Return A, C and the covariance of the noise for n states.
 
     A is computed from the shift invariance of the observability matrix.
 
     The states at t and t + 1 are computed by two projections. The states at t + 1 and y(t) are
-    regressed on the states at t and the inputs. K follows from a Riccati equation with the
-    covariance of the residuals.
+    regressed on the states at t and the inputs. The covariance is that of the residuals.
     """
-    f = w.future
+    ny, nu = w.ny, w.nu
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
-    shift = np.linalg.pinv(Gamma[:-1])
-    A = shift @ Gamma[1:]
-    C = Gamma[0]
-    y, X = w.columns("yf"), _states(w, found, n)
-    uf = w.columns("uf")
-    later = np.concatenate([w.columns("up"), uf[:1], w.columns("yp"), y[:1]])
-    known = w.R[:, np.concatenate([uf[1:], later])]
-    coefficients = least_squares(known, w.R[:, y[1:]])
-    ahead = w.R[:, later] @ coefficients[f - 1 :]
-    left = np.column_stack([ahead @ shift.T, w.R[:, y[0]]])
+    shift = np.linalg.pinv(Gamma[:-ny])
+    uf, yf = w.columns("uf"), w.columns("yf")
+    X = w.R[:, w.columns("up", "yp")] @ np.linalg.lstsq(Gamma, found.H, rcond=None)[0].T
+    later = np.concatenate([w.columns("up"), uf[:nu], w.columns("yp"), yf[:ny]])
+    known = w.R[:, np.concatenate([uf[nu:], later])]
+    coefficients = least_squares(known, w.R[:, yf[ny:]])
+    ahead = w.R[:, later] @ coefficients[uf.size - nu :]
+    left = np.column_stack([ahead @ shift.T, w.R[:, yf[:ny]]])
     rho = without_span(np.hstack([X, w.R[:, uf]]), left)
-    covariance = rho.T @ rho / max(w.N - n - f - 1, 1)
-    predictor = _steady_filter(A, C, covariance)
-    if predictor is None:
-        return Realisation(A=A, predictor=np.linalg.eigvals(A), steady=False)
-    return Realisation(A=A, predictor=predictor, steady=True)
+    covariance = rho.T @ rho / max(w.N - n - uf.size, 1)
+    return Realisation(A=shift @ Gamma[ny:], C=Gamma[:ny], covariance=covariance)
 
 
-def _steady_filter(A: Array, C: Array, covariance: Array) -> Array | None:
-    """Return the eigenvalues of A - K C of the steady Kalman filter, or None if there is none.
-
-    Q, S and r are the blocks of `covariance`. With F = A - S C / r, the Riccati equation has the
-    pencil below. The eigenvalues of A - K C are the n smallest eigenvalues of the pencil ::
-
-        | F^T               0 |       | I  C C^T / r |
-        | (S S^T / r - Q)   I | - z * | 0  F         |
-
-    K itself is not needed. The states are scaled so that C C^T / r and S S^T / r - Q have the same
-    norm for any unit of y.
-
-    References
-    ----------
-    .. [1] T. Pappas, A. Laub, N. Sandell, IEEE Trans. Automatic Control 25 (1980) 631-641.
-    """
-    n = C.size
-    Q, S, r = covariance[:n, :n], covariance[:n, n], float(covariance[n, n])
-    if not r > 0:
-        return None
-    F = A - np.outer(S, C) / r
-    gain, noise = np.outer(C, C) / r, np.outer(S, S) / r - Q
-    sizes = float(np.linalg.norm(gain)), float(np.linalg.norm(noise))
-    scale = np.sqrt(sizes[1] / sizes[0]) if all(sizes) else 1.0
-    left, right = np.eye(2 * n), np.eye(2 * n)
-    left[:n, :n], left[n:, :n] = F.T, noise / scale
-    right[:n, n:], right[n:, n:] = gain * scale, F
-    real, imaginary, over, *_, failed = dggev(left, right, compute_vl=0, compute_vr=0)
-    with np.errstate(all="ignore"):
-        z = (real + 1j * imaginary) / over
-    z = z[np.argsort(np.where(np.isnan(z), np.inf, np.abs(z)))][:n]
-    return None if failed or not np.isfinite(z).all() else np.asarray(z)
+def long_regression(parts: Parts, lags: int, *, direct: bool) -> Array:
+    """Return the coefficients (lags, ny, nu + ny) of past u and y in a regression of y."""
+    blocks, right = [], []
+    for u, y in parts:
+        s = np.hstack([u, y])
+        columns = [np.ones((y.shape[0], 1))] + ([u] if direct else [])
+        columns += [
+            np.column_stack([lagged(x, [k])[:, 0] for x in s.T]) for k in range(1, lags + 1)
+        ]
+        blocks.append(np.hstack(columns)[lags:])
+        right.append(y[lags:])
+    (u, y), *_ = parts
+    theta = least_squares(np.vstack(blocks), np.vstack(right))
+    rest = theta[1 + (u.shape[1] if direct else 0) :]
+    return rest.reshape(lags, u.shape[1] + y.shape[1], y.shape[1]).transpose(0, 2, 1)

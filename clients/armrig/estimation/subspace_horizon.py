@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from armrig_core.errors import InputError
 from scipy.linalg.lapack import dposv
 
-from armrig.data.dataset import Dataset
 from armrig.estimation.orders import require_samples
+from armrig.estimation.stability import CIRCLE_ROUNDING
+from armrig.estimation.state_space_problem import state_responses
 from armrig.estimation.subspace import (
+    Parts,
     Projection,
-    Realisation,
     Windows,
     autoregressive_order,
+    complete_stretches,
     projection,
     realised,
     shortened,
@@ -23,144 +24,167 @@ from armrig.estimation.subspace import (
 )
 from armrig.models.structure_table import Weights
 from armrig.numerics.checks import require_integers
-from armrig.numerics.polynomial import (
-    Array,
-    filtered,
-    impulse,
-    lagged,
-    with_roots_inside,
-    without_integrator,
-)
-from armrig.numerics.stretches import stretches
+from armrig.numerics.polynomial import Array, with_roots_inside, without_integrator
+from armrig.numerics.recursion import in_observer_form, outputs
 
 MIN_HORIZON, MAX_HORIZON = 10, 30
 """Limits of the horizon that AIC chooses, in samples."""
 _MAX_WINDOWS = 4000  # largest number of windows for the choice of the longest horizon
 _MAX_COMPARED_SAMPLES = 2000  # largest number of samples for the comparison of models
 _MIN_LOSS_SHARE = 1e-10  # least loss / |y|²; normal equations lose all digits of a smaller loss
-
-Signals = Sequence[tuple[Array, Array]]
-
-
-def delayed_signals(data: Dataset, nk: int) -> Signals:
-    """Return (u, y) of each experiment, with u delayed by nk - 1 samples."""
-    later = max(nk - 1, 0)
-    signals = [(lagged(part.u, [later])[:, 0], part.y) for part in data.experiments()]
-    return [(u[later:], y[later:]) for u, y in signals]
+_CIRCLE_MARGIN = 1e-6  # least distance of a reflected pole from the circle
+_MAX_PREDICTOR_MODULUS = 0.999  # of a pole that had to be moved into the unit circle
 
 
-def usable_windows(
-    data: Dataset, signals: Signals, order: int | None, horizon: int | None
-) -> Windows:
+def least_horizon(order: int | None, ny: int) -> int:
+    """Return the least horizon for which the noise model of n states is right."""
+    return 3 if order is None else -(-order // ny) + 2
+
+
+def usable_windows(signals: Parts, order: int | None, horizon: int | None) -> Windows:
     """Return the windows for `horizon`, or for the longest useful horizon if `horizon` is None."""
-    measured = data.N - data.missing
+    (u, y), *_ = signals
+    m, ny = u.shape[1] + y.shape[1], y.shape[1]
+    measured = sum(int(np.isfinite(y).all(axis=1).sum()) for _, y in signals)
     i = longest_horizon(signals, measured, order) if horizon is None else int(horizon)
-    require_integers(horizon=(i, 3 if order is None else int(order) + 2))
+    require_integers(horizon=(i, least_horizon(order, ny)))
     w = windows(signals, past=i, future=i)
-    asked = f"horizon={i}, with windows of {2 * i} samples without a gap,"
-    got = w.N + 2 * i - 1 if w.N else min(measured, 2 * i - 1)
-    require_samples(asked, needed=4 * i + 2 + 2 * i, got=got)
-    if not w.R[:, w.columns("yf")].any():
-        raise InputError(
-            f"{data.output} is constant and shows no state; record data in which it changes"
-        )
+    require_windows(i, m, w.N + 2 * i - 1 if w.N else min(measured, 2 * i - 1))
     return w
 
 
-def longest_horizon(signals: Signals, samples: int, order: int | None) -> int:
-    """Return the largest useful horizon: the maximum of 10, 2 (order + 1) and an ARX model's order.
+def require_windows(horizon: int, signals: int, got: int) -> None:
+    """Refuse data whose complete windows have fewer samples than a projection needs."""
+    length = 2 * horizon
+    require_samples(
+        f"horizon={horizon}, with windows of {length} samples without a gap of more than "
+        f"{horizon},",
+        needed=(length + 1) * signals + length,
+        got=got,
+    )
 
-    AIC chooses the order of the ARX model, at most 30. For short data the horizon is at most a
-    twelfth of the number of samples, but at least order + 2.
+
+def longest_horizon(signals: Parts, samples: int, order: int | None) -> int:
+    """Return the largest useful horizon: at least 10, and at least the order of an ARX model.
+
+    AIC chooses the order of the ARX model, at most 30. The horizon is also at least 2 (order + 1)
+    for one output. For short data the horizon is at most a twelfth of the number of samples, or
+    less for more than two signals, but at least the `least_horizon`.
     """
-    least = 2 if order is None else order + 2
-    most = max(samples // 12, least)
+    (u, y), *_ = signals
+    least = 2 if order is None else least_horizon(order, y.shape[1])
+    most = max(samples // (6 * (u.shape[1] + y.shape[1])), least)
     w = windows(signals, past=min(MAX_HORIZON, most), future=1, most=_MAX_WINDOWS)
     enough = 2 * len(w.R) < w.N
     wanted = autoregressive_order(w) if enough else MIN_HORIZON
     return min(max(wanted, MIN_HORIZON, 2 * least - 2), most)
 
 
-def least_loss(signals: Signals, models: Sequence[tuple[Array, Array]], *, direct: bool) -> int:
-    """Return the index of the model (A, C) with the least one-step loss.
-
-    B of each model is chosen so that the loss is least. The loss of A y = B u + C e is computed
-    over the longest stretches without missing y, at most 2000 samples in all. A level and the
-    predictor's initial state are fitted for each stretch. If the data have no noise, the losses are
-    only rounding errors and the index is 0.
-    """
-    parts = _longest_stretches(signals)
-    scale = sum(float(y @ y) for _, y in parts)
-    losses = [sum(_loss(u, y, A, C, direct=direct) for u, y in parts) for A, C in models]
-    if not losses[0] > _MIN_LOSS_SHARE * scale:
-        return 0
-    return int(np.argmin(np.where(np.isnan(losses), np.inf, losses)))
-
-
-def _longest_stretches(signals: Signals) -> list[tuple[Array, Array]]:
-    whole = [(u[s], y[s]) for u, y in signals for s in stretches(np.isfinite(y))]
-    left, parts = _MAX_COMPARED_SAMPLES, []
-    for u, y in sorted(whole, key=lambda part: -part[1].size):
-        if left > 0:
-            parts.append((u[:left], y[:left]))
-            left -= y.size
-    return parts
-
-
-def _loss(u: Array, y: Array, A: Array, C: Array, *, direct: bool) -> float:
-    """Return the least sum of squares of (A y - B u - free response) / C, by normal equations.
-
-    Normal equations square the condition number. A comparison of models tolerates the loss of
-    digits, but an estimate does not.
-    """
-    n = A.size - 1
-    if y.size < 4 * n + 4:
-        return 0.0
-    pulse = impulse(C, y.size)
-    first = int(not direct)
-    M = np.empty((y.size, 2 * n + 3 - first), order="F")
-    M[:, : n + 1 - first] = lagged(filtered([1.0], C, u), range(first, n + 1))
-    M[:, n + 1 - first : -2] = lagged(pulse, range(n))
-    M[:, -2], M[:, -1] = np.cumsum(pulse), filtered(A, C, y)
-    G = M.T @ M
-    scale = np.sqrt(np.diag(G))
-    scale[scale == 0] = 1.0
-    G /= np.outer(scale, scale)
-    # A small multiple of the identity keeps G positive definite if u does not determine all of B.
-    _, b, failed = dposv(G[:-1, :-1] + 1e-12 * np.eye(len(G) - 1), G[:-1, -1])
-    if failed:
-        return float("nan")
-    return float(scale[-1] ** 2 * (G[-1, -1] - 2 * b @ G[:-1, -1] + b @ G[:-1, :-1] @ b))
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Poles:
-    """Polynomials A and C of a model, estimated without B."""
+class Innovations:
+    """Matrices of x(t+1) = A x + B u + K e, y = C x + D u + e, estimated without B and D."""
 
     A: Array
-    """Polynomial of the poles; with an integrator one pole is exactly 1."""
+    """Transition matrix (n, n); with an integrator one eigenvalue is 1."""
     C: Array
-    """Polynomial of the predictor's poles; no pole is outside the unit circle."""
+    """Matrix of the outputs (ny, n)."""
+    K: Array
+    """Gain (n, ny); no eigenvalue of A - K C is outside the unit circle."""
     horizon: int
     """Number of past and of future samples of the projection."""
     singular_values: Array
     """Singular values of the projection."""
     steady: bool
-    """True if there is a steady Kalman filter. Otherwise C is A with all roots moved inside the
-    unit circle."""
+    """True if there is a steady Kalman filter. Otherwise A - K C has the eigenvalues of A, moved
+    inside the unit circle."""
+    integrator: bool = False
+    """True if a pole is exactly 1."""
+
+    @property
+    def Abar(self) -> Array:
+        """Transition matrix A - K C of the predictor."""
+        return np.asarray(self.A - self.K @ self.C)
+
+    def integrating(self) -> Innovations:
+        """Return the model with the real pole nearest 1 moved to 1."""
+        z = np.linalg.eigvals(self.A).astype(np.complex128)
+        z[_nearest_1(z)] = 1.0
+        return replace(self._with_poles(z), integrator=True)
+
+    def stabilised(self) -> Innovations:
+        """Return the model with the poles, except an integrator, reflected into the circle."""
+        z = np.linalg.eigvals(self.A)
+        size = np.abs(z)
+        out = size >= 1 - CIRCLE_ROUNDING
+        if self.integrator:
+            i = _nearest_1(z)
+            z[i], out[i] = 1.0, False
+        if not out.any():
+            return self
+        limits = np.minimum(1 / np.maximum(size, 1), 1 - _CIRCLE_MARGIN)
+        return self._with_poles(np.where(out, z / np.maximum(size, 1) * limits, z))
+
+    def _with_poles(self, z: Array) -> Innovations:
+        """Return the model with the poles z in place of the eigenvalues of A, in their order."""
+        if in_observer_form(self.A, self.C):
+            p = np.real(np.poly(z))
+            if (z == 1).any():  # without rounding
+                p = np.convolve([1.0, -1.0], without_integrator(p))
+            return self.with_transition(companion(p))
+        _, V = np.linalg.eig(self.A)
+        return self.with_transition(np.real(V @ np.diag(z) @ np.linalg.inv(V)))
+
+    def with_transition(self, A: Array) -> Innovations:
+        """Return the model with another A.
+
+        A - K C changes as little as possible; for one output it does not change.
+        """
+        return replace(self, A=A, K=self.K + (A - self.A) @ np.linalg.pinv(self.C))
 
 
-def poles_at(w: Windows, found: Projection, order: int, *, integrator: bool) -> Poles:
-    """Return A and C for the horizon of the windows."""
+def companion(p: Array) -> Array:
+    """Return the transition matrix of the observer form with the characteristic polynomial p."""
+    A = np.eye(p.size - 1, k=1)
+    A[:, 0] = -p[1:]
+    return A
+
+
+def _nearest_1(z: Array) -> int:
+    """Return the index of the real pole nearest 1."""
+    return int(np.argmin(np.abs(z - 1) + 10.0 * (np.abs(z.imag) > 1e-9)))
+
+
+def innovations_at(w: Windows, found: Projection, order: int, *, integrator: bool) -> Innovations:
+    """Return A, C and K for the horizon of the windows.
+
+    For one output the matrices are in observer form, because the responses of this form need the
+    fewest operations.
+    """
     space = realised(w, found, order)
-    A, C = _polynomials(space, integrator=integrator)
-    return Poles(
-        A=A, C=C, horizon=w.future, singular_values=found.singular_values, steady=space.steady
+    A, C = space.A, space.C
+    if w.ny == 1:
+        z = np.linalg.eigvals(A)
+        inside = space.predictor_poles()
+        steady = inside is not None
+        c = with_roots_inside(z if inside is None else inside, _MAX_PREDICTOR_MODULUS)
+        A, C = companion(np.real(np.poly(A))), np.eye(1, order)
+        K = c[1:, None] + A[:, :1]
+    else:
+        K = space.gain()
+        steady = bool(K.any())
+    model = Innovations(
+        A=A,
+        C=C,
+        K=K,
+        horizon=w.future,
+        singular_values=found.singular_values,
+        steady=steady,
     )
+    return model.integrating() if integrator else model
 
 
-def best_poles(
-    signals: Signals,
+def best_innovations(
+    signals: Parts,
     w: Windows,
     found: Projection,
     order: int,
@@ -168,34 +192,83 @@ def best_poles(
     *,
     integrator: bool,
     direct: bool,
-) -> Poles:
-    """Return the poles for the horizon of `w` or order + 2, whichever has the lower one-step loss.
+    simulated: bool = False,
+) -> Innovations:
+    """Return the model for the horizon of `w` or for a shorter horizon, by the one-step loss.
+
+    If `simulated`, the loss of the simulation decides, which is that of the model with K = 0.
+
+    The shorter horizons are order + 2 and the `least_horizon`, which are equal for one output.
 
     For white noise on the output, the memory of the predictor is long, and the horizon must be
     long. If the noise has the poles of A, a long horizon is not necessary, and in short data it
     reduces the accuracy. An example is an ARMAX system of order 4 at N = 300. The loss of its model
     exceeded the least possible loss by 29 % with a horizon of 10, and by 5 % with a horizon of 6.
     For white noise on the output, the loss was 6 % above the least possible loss with a horizon of
-    10, and 10 % above with a horizon of 6. The losses can be compared because both models have the
+    10, and 10 % above with a horizon of 6. The losses can be compared because all models have the
     same number of parameters.
     """
-    long = poles_at(w, found, order, integrator=integrator)
-    if order + 2 >= w.future:
-        return long
-    short = shortened(w, order + 2)
-    other = poles_at(short, projection(short, weights), order, integrator=integrator)
-    both = long, other
-    return both[least_loss(signals, [(p.A, p.C) for p in both], direct=direct)]
+    models = [innovations_at(w, found, order, integrator=integrator)]
+    for horizon in dict.fromkeys((order + 2, least_horizon(order, w.ny))):
+        if horizon < w.future:
+            short = shortened(w, horizon)
+            at = projection(short, weights)
+            models.append(innovations_at(short, at, order, integrator=integrator))
+    if not models[1:]:
+        return models[0]
+    compared = models
+    if simulated:
+        stable = (model.stabilised() for model in models)
+        compared = [replace(model, K=np.zeros(model.K.shape)) for model in stable]
+    return models[least_loss(signals, compared, direct=direct)]
 
 
-def _polynomials(space: Realisation, *, integrator: bool) -> tuple[Array, Array]:
-    """Return A and C of the ARMAX model that is equivalent to the state-space model."""
-    A, C = np.real(np.poly(space.A)), with_roots_inside(space.predictor)
-    return _integrating(A) if integrator else A, C
+def least_loss(signals: Parts, models: Sequence[Innovations], *, direct: bool) -> int:
+    """Return the index of the model with the least one-step loss.
+
+    B of each model is chosen so that the loss is least. The loss is the determinant of the sum of
+    e e^T over the longest stretches without missing y, at most 2000 samples in all. A level and the
+    predictor's initial state are fitted for each stretch. If the data have no noise, the losses are
+    only rounding errors and the index is 0.
+    """
+    parts = _longest_stretches(signals)
+    y = np.vstack([y for _, y in parts])
+    squares = [sum(_squares(u, y, model, direct=direct) for u, y in parts) for model in models]
+    if not np.trace(squares[0]) > _MIN_LOSS_SHARE * np.sum(y**2):
+        return 0
+    losses = np.array([np.linalg.det(S) for S in squares])
+    return int(np.argmin(np.where(np.isnan(losses), np.inf, losses)))
 
 
-def _integrating(A: Array) -> Array:
-    """Return A with its real root nearest 1 moved to 1."""
-    z = np.roots(A).astype(np.complex128)
-    z[np.argmin(np.abs(z - 1) + 10.0 * (np.abs(z.imag) > 1e-9))] = 1.0
-    return np.convolve([1.0, -1.0], without_integrator(np.real(np.poly(z))))
+def _longest_stretches(signals: Parts) -> list[tuple[Array, Array]]:
+    left, parts = _MAX_COMPARED_SAMPLES, []
+    for u, y in sorted(complete_stretches(signals, 1), key=lambda part: -len(part[1])):
+        if left > 0:
+            parts.append((u[:left], y[:left]))
+            left -= len(y)
+    return parts
+
+
+def _squares(u: Array, y: Array, model: Innovations, *, direct: bool) -> Array:
+    """Return the sum of e e^T with the least trace for given A, C and K, by normal equations.
+
+    Normal equations square the condition number. A comparison of models tolerates the loss of
+    digits, but an estimate does not.
+    """
+    (N, ny), n = y.shape, len(model.A)
+    if 4 * n + 4 > N:
+        return np.zeros((ny, ny))
+    driven, free = state_responses(u, model.Abar, model.C, direct=u if direct else None)
+    level = np.broadcast_to(np.eye(ny)[:, :, None], (ny, ny, N))
+    M = np.concatenate([driven, free, level])
+    left = y.T - outputs(model.Abar, model.C, y @ model.K.T, np.zeros(n)).T
+    rows = M.reshape(len(M), -1)
+    scale = np.sqrt(np.einsum("kt,kt->k", rows, rows))
+    scale[scale == 0] = 1.0
+    rows = rows / scale[:, None]
+    # A small multiple of the identity keeps G positive definite if u does not determine all of B.
+    _, b, failed = dposv(rows @ rows.T + 1e-12 * np.eye(len(M)), rows @ left.ravel())
+    if failed:
+        return np.full((ny, ny), np.nan)
+    e = left - (b @ rows).reshape(ny, N)
+    return np.asarray(e @ e.T)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.models.linearised import root_derivatives
 from armrig.models.parameter_draws import Draws, directions, drawn
 from armrig.models.uncertainty import pole_regions
 from armrig.numerics.confidence_regions import MIN_DRAWS, Band, band, linearised_band, sampled_band
@@ -18,7 +19,7 @@ from armrig.numerics.step_times import mean_lag, rise_time, slowest_time
 from armrig.numerics.whiteness import joint_p_value
 
 if TYPE_CHECKING:
-    from armrig.models.model import Model
+    from armrig.models.fit import Fit
 
 
 Vector = NDArray[np.float64]
@@ -92,7 +93,7 @@ class ModelCharacteristics:
     """Draws of the parameters; None if nothing was estimated or the covariance is not known."""
 
 
-def model_characteristics(model: Model) -> ModelCharacteristics:
+def model_characteristics(model: Fit) -> ModelCharacteristics:
     """Return the characteristic numbers of a model, with standard deviations and ranges.
 
     The frequencies are found from |G|: first on a grid of 600 points up to the Nyquist frequency,
@@ -126,7 +127,7 @@ def model_characteristics(model: Model) -> ModelCharacteristics:
 
 
 def _ranges(
-    model: Model,
+    model: Fit,
     own: dict[str, float],
     std: dict[str, float],
     draws: Draws | None,
@@ -150,7 +151,7 @@ def _range(value: float, std: float, samples: Vector) -> Band:
     return band(value, std, there) if np.isfinite(std) else sampled_band(there)
 
 
-def _deviations(model: Model, *, integrating: bool) -> dict[str, float]:
+def _deviations(model: Fit, *, integrating: bool) -> dict[str, float]:
     covariance = np.asarray(model.trusted_covariance)
     if not np.isfinite(covariance).all():
         return dict.fromkeys(SCALARS, float("nan"))
@@ -171,7 +172,7 @@ def _deviations(model: Model, *, integrating: bool) -> dict[str, float]:
     return dict(zip(SCALARS, np.sqrt(variance).tolist(), strict=True))
 
 
-def _continuous(model: Model, *, integrating: bool) -> Complex:
+def _continuous(model: Fit, *, integrating: bool) -> Complex:
     """Return the poles log(z)/Ts in 1/s, NaN for a z that is real and not positive."""
     z = model.poles().values
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -181,12 +182,12 @@ def _continuous(model: Model, *, integrating: bool) -> Complex:
     return np.asarray(s)
 
 
-def integrates(model: Model) -> bool:
+def integrates(model: Fit) -> bool:
     """Return whether y integrates: by construction, or by a pole within 5e-3 of 1."""
     return model.integrator or bool(np.any(np.abs(roots(model.denominator) - 1) < 5e-3))
 
 
-def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, float]:
+def _scalars(model: Fit, theta: Vector, *, integrating: bool) -> dict[str, float]:
     B, F = _polynomials(model, theta)
     if integrating:
         F = (without_integrator(F) if model.integrator else _without_one(F)) * model.Ts
@@ -233,7 +234,7 @@ def _without_one(F: Vector) -> Vector:
     return np.atleast_1d(np.real(np.poly(np.delete(z, np.argmin(np.abs(z - 1))))))
 
 
-def _polynomials(model: Model, theta: Vector) -> tuple[Vector, Vector]:
+def _polynomials(model: Fit, theta: Vector) -> tuple[Vector, Vector]:
     """Return B and the denominator A F for the coefficients theta."""
     a, b, f = (theta[model.slice_of(letter)] for letter in "abf")
     B = np.concatenate([np.zeros(model.nk), b])
@@ -300,7 +301,7 @@ def _first_below(x: Vector, y: Vector, level: float) -> float:
     return float(x[i - 1] + share * (x[i] - x[i - 1]))
 
 
-def overlapping(model: Model) -> list[tuple[complex, complex, float]]:
+def overlapping(model: Fit) -> list[tuple[complex, complex, float]]:
     """Return the pole, zero and p value of each pair that cannot be distinguished at the 1 % level.
 
     The pair with the smallest distance is first. The difference between the pole and the zero has
@@ -309,35 +310,28 @@ def overlapping(model: Model) -> list[tuple[complex, complex, float]]:
     are uncertain, but they vary together, and their difference is small. Of a complex pole and its
     conjugate, only the pole above the real axis is listed.
     """
-    poles = [(letter, z) for letter in ("a", "f") for z in _roots(model, letter)]
+    zeros = _roots_by_theta(model, "b")
     found = []
-    for letter, pole in poles:
-        if pole.imag < 0 or (letter == model.integrating and abs(pole - 1) < 1e-6):
-            continue
-        for zero in _roots(model, "b"):
-            apart = pole - zero
-            if zero.imag < -_REAL_TOLERANCE or abs(apart) > _MAX_PAIR_DISTANCE:
+    for letter in ("a", "f"):
+        for pole, by_pole in _roots_by_theta(model, letter):
+            if pole.imag < 0 or (letter == model.integrating and abs(pole - 1) < 1e-6):
                 continue
-            d = _derivative(model, letter, pole) - _derivative(model, "b", zero)
-            J = np.vstack([d.real, d.imag])
-            s = np.array([apart.real, apart.imag])
-            p = joint_p_value(s, J @ model.trusted_covariance @ J.T)
-            if p >= CANCELLATION_LEVEL:
-                found.append((complex(pole), complex(zero), p))
+            for zero, by_zero in zeros:
+                apart = pole - zero
+                if zero.imag < -_REAL_TOLERANCE or abs(apart) > _MAX_PAIR_DISTANCE:
+                    continue
+                d = by_pole - by_zero
+                J = np.vstack([d.real, d.imag])
+                s = np.array([apart.real, apart.imag])
+                p = joint_p_value(s, J @ model.trusted_covariance @ J.T)
+                if p >= CANCELLATION_LEVEL:
+                    found.append((complex(pole), complex(zero), p))
     return sorted(found, key=lambda pair: abs(pair[0] - pair[1]))
 
 
-def _roots(model: Model, letter: str) -> Complex:
-    p = getattr(model, letter.upper())
-    return np.roots(p[model.nk :] if letter == "b" else p).astype(np.complex128)
-
-
-def _derivative(model: Model, letter: str, root: complex) -> Complex:
-    """Return the derivative of a root with respect to theta, (d,): dz = -z^(n-k) / p'(z) dp_k."""
-    p = getattr(model, letter.upper())
-    p, first = (p[model.nk :], 0) if letter == "b" else (p, 1)
-    powers = p.size - 1 - np.arange(first, p.size)
-    out = np.zeros(model.theta.size, dtype=np.complex128)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        out[model.slice_of(letter)] = -(root**powers) / np.polyval(np.polyder(p), root)
-    return out
+def _roots_by_theta(model: Fit, letter: str) -> list[tuple[complex, Complex]]:
+    """Return each root of one polynomial with its derivatives (d,) by theta."""
+    z, dz = root_derivatives(model, letter)
+    by_theta = np.zeros((z.size, model.theta.size), dtype=np.complex128)
+    by_theta[:, model.slice_of(letter)] = dz
+    return list(zip(z.tolist(), by_theta, strict=True))

@@ -2,46 +2,98 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import isnan
+from typing import TYPE_CHECKING
 
-from armrig.models.estimate import Estimate
-from armrig.models.model import Model, Vector
+import numpy as np
+
+from armrig.numerics.quantities import plural
+
+if TYPE_CHECKING:
+    from armrig.models.fit import Fit
+    from armrig.models.state_space import Vector
 
 
-def described(fit: Estimate) -> str:
-    """Return an estimated model as a few lines of text."""
-    lines = [
-        heading(fit),
-        *equations(fit, fit.std),
-        f"  fit {fit.fit_percent:.2f} % one step ahead on estimation data, "
-        f"loss {fit.loss:.4g}, FPE {fit.fpe:.4g}, AIC {fit.aic:.5g}",
-        f"  {whiteness_sentence(fit)}",
-    ]
-    if fit.starts:
-        how = "agree" if fit.agreed else "DISAGREE, the best was taken"
-        ends = ", ".join(f"{s.name} {s.loss:.6g}" for s in fit.starts)
-        lines.append(f"  starts {how}: {ends}" + ("" if fit.converged else " (NOT CONVERGED)"))
+def described(fit: Fit) -> str:
+    """Return a model as a few lines of text.
+
+    The text of a model of several signals has a line for each output instead of the equation.
+    """
+    if (fit.ny, fit.nu) != (1, 1):
+        lines = list(_outputs_and_poles(fit))
+    else:
+        lines = [heading(fit), *equations(fit, fit.std if fit.quality else None)]
+        lines += [
+            f"  fit {q.fit_percent:.2f} % one step ahead on estimation data, "
+            f"loss {q.loss:.4g}, FPE {fit.fpe:.4g}, AIC {fit.aic:.5g}\n"
+            f"  {whiteness_sentence(fit)}"
+            for q in fit.quality
+        ]
+        if fit.starts:
+            how = "agree" if fit.agreed else "DISAGREE, the best was taken"
+            ends = ", ".join(f"{s.name} {s.loss:.6g}" for s in fit.starts)
+            lines.append(f"  starts {how}: {ends}" + ("" if fit.converged else " (NOT CONVERGED)"))
     return "\n".join([*lines, *(f"  warning: {w}" for w in fit.warnings)])
 
 
-def heading(model: Model) -> str:
+def _outputs_and_poles(fit: Fit) -> Iterator[str]:
+    """Yield a line with the signals, a line for each output, and a line with the poles."""
+    inputs = ", ".join(_with_unit(*x) for x in zip(fit.inputs, fit.input_units, strict=True))
+    yield (
+        f"{fit.label}: {inputs} to {plural(fit.ny, 'output')}, Ts {fit.Ts:g} s, "
+        f"{fit.theta.size} parameters"
+    )
+    outputs = [_with_unit(*x) for x in zip(fit.outputs, fit.units, strict=True)]
+    width = max(map(len, outputs))
+    for output, q in zip(outputs, fit.quality, strict=True):
+        yield (
+            f"  {output:{width}}  fit {q.fit_percent:6.2f} % one step ahead, loss {q.loss:.4g}, "
+            f"N {q.N}, residuals {q.white}"
+        )
+    if fit.ny > 1:
+        yield f"  correlation of the noise: {_correlations(fit)}"
+    poles = fit.poles()
+    parts = zip(poles.values, np.asarray(poles.std), strict=True)
+    yield "  poles: " + ", ".join(_pole(z, std) for z, std in parts if z.imag >= 0)
+    if fit.starts and not fit.converged:
+        yield "  NOT CONVERGED"
+
+
+def _correlations(fit: Fit) -> str:
+    std = np.sqrt(np.diag(fit.noise_covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = fit.noise_covariance / np.outer(std, std)
+    return ", ".join(
+        f"{fit.outputs[i]} and {fit.outputs[k]} {r[i, k]:.2f}"
+        for i in range(fit.ny)
+        for k in range(i + 1, fit.ny)
+    )
+
+
+def _pole(z: complex, std: float) -> str:
+    sign = f" ± {z.imag:.4f}i" if z.imag > 0 else ""
+    return f"{z.real:.4f}{sign} (std {std:.2g})"
+
+
+def heading(model: Fit) -> str:
     """Return a line with structure, orders, signals, Ts and, for an estimate, number of samples."""
     return f"{model.heading}: {signals(model)}"
 
 
-def signals(model: Model) -> str:
+def signals(model: Fit) -> str:
     """Return a line with signals, sampling time and, for an estimate, number of samples."""
-    used = f", N {model.N}" if isinstance(model, Estimate) else ""
+    used = f", N {model.N}" if model.quality else ""
     return f"{input_and_output(model)}{used}"
 
 
-def input_and_output(model: Model) -> str:
+def input_and_output(model: Fit) -> str:
     """Return a line with the signals and the sampling time."""
-    u, y = _with_unit("u", model.input_unit), _with_unit(model.output, model.unit)
+    u, y = _with_unit(model.inputs[0], model.input_unit), _with_unit(model.output, model.unit)
     return f"{u} to {y}, Ts {model.Ts:g} s"
 
 
-def equations(model: Model, std: Vector | None = None) -> list[str]:
+def equations(model: Fit, std: Vector | None = None) -> list[str]:
     """Return lines with the equation and the polynomials, with standard deviations if given."""
     lines = [f"  {form(model)}"]
     lines += [f"  {letter}(q) = {_polynomial(model, letter, std)}" for letter in letters(model)]
@@ -50,7 +102,7 @@ def equations(model: Model, std: Vector | None = None) -> list[str]:
     return lines
 
 
-def form(model: Model) -> str:
+def form(model: Fit) -> str:
     """Return the model's equation with the letters of its polynomials."""
     known = letters(model)
     left = "A(q) y(t)" if "A" in known else "y(t)"
@@ -61,17 +113,17 @@ def form(model: Model) -> str:
         (False, True): "1/D(q) e(t)",
         (True, True): "C(q)/D(q) e(t)",
     }["C" in known, "D" in known]
-    if isinstance(model, Estimate) and model.structure in ("iv4", "channel"):
+    if model.structure in ("iv4", "channel"):
         noise = "v(t)"
     return f"{left} = {driven} u(t) + {noise}"
 
 
-def letters(model: Model) -> list[str]:
+def letters(model: Fit) -> list[str]:
     """Return the letters of B and of the polynomials that are not 1, "A" … "F"."""
     return [name for name in "ABCDF" if name == "B" or model.polynomial(name.lower()).size > 1]
 
 
-def _polynomial(model: Model, letter: str, std: Vector | None) -> str:
+def _polynomial(model: Fit, letter: str, std: Vector | None) -> str:
     part = model.slice_of(letter.lower())
     first = model.nk if letter == "B" else 1
     text = "" if letter == "B" else "1"
@@ -87,7 +139,7 @@ def _with_unit(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def whiteness_sentence(fit: Estimate, std: str = "std", robust: str = "std_robust") -> str:
+def whiteness_sentence(fit: Fit, std: str = "std", robust: str = "std_robust") -> str:
     """Return a text with the result of the whiteness test and the standard deviation to trust."""
     of = "IV4's prewhitened residuals" if fit.structure == "iv4" else "residuals"
     if isnan(fit.whiteness):

@@ -1,63 +1,74 @@
-"""Estimated model with uncertainty, quality on the data and results of the search."""
+"""Parameters, quality and uncertainty of a model: a `Fit` without responses, texts and figures."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from armrig_core.errors import InputError
 
-from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding
-from armrig.models.model import Matrix, Model, Vector, freeze, standard_deviations
-from armrig.models.responses import NoiseSpectrum
+from armrig.models.matrices import Matrices
+from armrig.models.polynomials import Polynomials
+from armrig.models.quality import MAX_TRUSTED_CURVATURE, Start
+from armrig.models.state_space import Matrix, Vector, freeze
 from armrig.models.structure import FreeResponse
-from armrig.models.structure_table import DESCRIBED
+from armrig.models.structure_table import DESCRIBED, named
 from armrig.numerics import criteria
+from armrig.numerics.inference import OutputQuality
+from armrig.numerics.quantities import plural
 from armrig.numerics.whiteness import Whiteness
 
-MAX_TRUSTED_CURVATURE = 0.5
-"""Largest `Estimate.curvature` at which the coefficients' standard deviations are reliable. Up to
-this limit the 95 % intervals contain 95 % of the true values (docs/benchmarks.md)."""
+if TYPE_CHECKING:
+    from armrig.data.dataset import Dataset
+    from armrig.data.signals import Signals
+
+Form = Polynomials | Matrices
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
-    """One start value of the search, and its result."""
+# Not slotted: an assignment to a property of a frozen class with slots raises a TypeError.
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Estimate:
+    """Parameters of a model with covariance, loss and results of the search.
 
-    name: str
-    """Method that found the start value."""
-    loss: float
-    """Mean squared residual at the minimum that the search reached."""
-    iterations: int
-    """Number of steps of the search."""
-    converged: bool
-    """True if the change of the loss and the scaled gradient are within the tolerance."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class Estimate(Model):
-    """A model with covariance, loss and search results: a `Fit` without texts and figures."""
+    A model of one input and one output always has polynomials. A state space of one input and one
+    output is converted to A y = B u + C e, or to y = B/F u + e without K.
+    """
 
     structure: str
-    """Name of a `structure_table.RegisteredStructure`, such as "oe"."""
+    """Name of a `structure_table.RegisteredStructure`, such as "oe", or of the origin of a model
+    that was not estimated, such as "physics"."""
+    form: Form
+    """Parameters and equations: polynomials, or the matrices of a state space."""
+    specification: str = ""
+    """Orders as text, such as "nb=[[2],[1]], nf=2, nk=1", for a model of several signals."""
+    inputs: tuple[str, ...] = ("u",)
+    """Names of the inputs."""
+    outputs: tuple[str, ...] = ("y",)
+    """Names of the outputs."""
+    input_units: tuple[str, ...] = ("",)
+    """Units of the inputs."""
+    units: tuple[str, ...] = ("",)
+    """Units of the outputs."""
+    Ts: float
+    """Sampling time, in s."""
+    offset: bool = False
+    """True if the input has an unknown offset, which is estimated again from each data set."""
+    shared: bool = False
+    """True if all outputs share one denominator."""
+    output_weights: tuple[float, ...] = ()
+    """Weights w_i if the estimator minimised the sum of w_i e_i²; empty if the weights were
+    computed from the noise covariance."""
     covariance: Matrix
-    """Covariance of theta, lambda (J^T J)^-1; valid if the residuals are white."""
+    """Covariance of theta (d, d), lambda (J^T J)^-1; valid if the residuals are white."""
     covariance_robust: Matrix
-    """Covariance of theta, sandwich form; also valid if the residuals are coloured."""
-    noise_variance: float
-    """Estimate of lambda, the variance of e, in the squared unit of y. It is the sum of squared
-    residuals divided by its degrees of freedom."""
-    loss: float
-    """Mean squared residual (one step ahead) on the estimation data, in the squared unit of y."""
-    N: int
-    """Number of residuals in the loss."""
-    fit_percent: float
-    """100 (1 - |y - ŷ| / |y - mean y|), one step ahead, on the estimation data."""
-    whiteness: float
-    """p value of the whiteness test of the residuals on the estimation data."""
-    whiteness_test: str = ""
-    """Name of the test of whiteness."""
+    """Covariance of theta (d, d), sandwich form; also valid if the residuals are coloured."""
+    noise_covariance: Matrix
+    """Covariance Lambda of e (ny, ny). Each variance is the sum of squared residuals divided by its
+    degrees of freedom."""
+    quality: tuple[OutputQuality, ...] = ()
+    """Loss, fit and whiteness of each output; empty if the model was not estimated."""
     converged: bool = True
     """True if the search for the minimum converged within its tolerance."""
     starts: tuple[Start, ...] = ()
@@ -70,60 +81,68 @@ class Estimate(Model):
     deviations from the minimum. The deviation is 0 for a linear regression and in older files."""
     free: tuple[FreeResponse, ...] = ()
     """Initial state and input offset of each experiment, estimated with theta."""
+    weights: str = ""
+    """Weights of the projection of N4SID: "cva", "moesp" or "n4sid"."""
+    horizon: int = 0
+    """Number of past samples in the projection that determines the poles; the number of future
+    samples is equal. 0 without a projection."""
+    singular_values: Vector = field(default_factory=lambda: np.zeros(0))
+    """Singular values of the weighted projection of the future on the past, largest first,
+    (horizon,)."""
+    canonical_correlations: Vector = field(default_factory=lambda: np.zeros(0))
+    """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. They do not
+    depend on `weights`: they are the singular values for the weights "cva"."""
+    suggested_order: int = 0
+    """Order with the least MDL, at most 10. MDL is computed from the one-step errors of the
+    estimated states. 0 without a projection."""
     findings: tuple[EstimateFinding, ...] = ()
     """Findings about the reliability of the numbers, with codes for programs."""
     source: str = ""
-    """Hash of the recording that the model was identified from, or ""."""
+    """Hash of the recording or file that the model was identified from, or ""."""
     history: tuple[str, ...] = ()
     """Steps of the treatment of the estimation data, in order."""
     digest: str = ""
     """Fingerprint of the estimation data."""
 
     def __post_init__(self) -> None:
-        """Make the arrays read-only."""
-        Model.__post_init__(self)
-        freeze(self, ("covariance", "covariance_robust"))
+        """Make the arrays read-only, and convert a state space of one input and one output."""
+        if isinstance(self.form, Matrices) and self.ny == self.nu == 1:
+            form, J = self.form.channel(0, 0)
+            object.__setattr__(self, "form", form)
+            for name in ("covariance", "covariance_robust"):
+                object.__setattr__(self, name, J @ getattr(self, name) @ J.T)
+        freeze(self, ("covariance", "covariance_robust", "noise_covariance"))
+        freeze(self, ("singular_values", "canonical_correlations"))
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences of the findings about the reliability of the numbers."""
-        return tuple(f.text for f in self.findings)
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
 
     @property
-    def label(self) -> str:
-        """Structure and orders in the shortest form, such as OE[4 4 1]."""
-        return DESCRIBED[self.structure].short(self.orders)
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
 
     @property
-    def heading(self) -> str:
-        """Structure, and orders by their names, such as OE(nb=4, nf=4, nk=1)."""
-        return DESCRIBED[self.structure].long(self.orders)
-
-    @property
-    def orders(self) -> dict[str, int]:
-        """Orders of the structure by name: na, nb, nc, nd, nf or order, and nk."""
-        sizes = self._sizes | {"order": self.A.size - 1}
-        return {name: sizes[name] for name in (*DESCRIBED[self.structure].orders, "nk")}
+    def theta(self) -> Vector:
+        """Parameters (d,); for one input and one output a1 …, b1 …, c1 …, d1 …, f1 …."""
+        return self.form.theta
 
     @property
     def std(self) -> Vector:
         """Standard deviations of theta (d,), from `covariance`."""
-        return np.sqrt(np.diag(self.covariance))
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def std_robust(self) -> Vector:
         """Standard deviations of theta (d,), from `covariance_robust`."""
-        return np.sqrt(np.diag(self.covariance_robust))
-
-    @property
-    def white(self) -> Whiteness:
-        """Result of the whiteness test; str() returns it as text."""
-        return Whiteness(p_value=self.whiteness, test=self.whiteness_test)
+        return np.sqrt(np.maximum(np.diag(self.covariance_robust), 0.0))
 
     @property
     def trusts_robust(self) -> bool:
         """True if the residuals are coloured, so that only the robust covariance is valid."""
-        return self.white.coloured
+        return any(q.white.coloured for q in self.quality)
 
     @property
     def trusts_coefficients(self) -> bool:
@@ -142,6 +161,215 @@ class Estimate(Model):
         return self.covariance_robust if self.trusts_robust else self.covariance
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences of the findings about the reliability of the numbers."""
+        return tuple(f.text for f in self.findings)
+
+    @property
+    def label(self) -> str:
+        """Structure and orders in the shortest form, such as OE[4 4 1]."""
+        if self.structure in DESCRIBED and not self.specification:
+            return DESCRIBED[self.structure].short(self.orders)
+        return self.heading if self.specification else self.structure
+
+    @property
+    def heading(self) -> str:
+        """Structure, and orders by their names, such as OE(nb=4, nf=4, nk=1)."""
+        title = self.structure.upper() if self.quality else self.structure
+        return f"{title}({self.specification or named(self.orders)})"
+
+    def estimated_from(self, data: Dataset | Signals) -> bool:
+        """Return whether the model was estimated from these data.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> first, second = armrig.example_recording().dataset("alpha").split(2)
+        >>> fit = armrig.oe(first, nb=3, nf=3)
+        >>> fit.estimated_from(first), fit.estimated_from(second)
+        (True, False)
+        """
+        return bool(self.digest) and self.digest == data.digest
+
+    @property
+    def _polynomials(self) -> Polynomials:
+        """Polynomials of the only channel."""
+        if self.ny == self.nu == 1 and isinstance(self.form, Polynomials):
+            return self.form
+        raise InputError(
+            f"the model has {plural(self.ny, 'output')} and {plural(self.nu, 'input')}: choose one "
+            f"of each, such as fit[{self.outputs[-1]!r}, {self.inputs[-1]!r}]"
+        )
+
+    @property
+    def A(self) -> Vector:
+        """Coefficients in q^-1, beginning with 1; only this 1 if the structure has no A."""
+        return self._polynomials.A[0][0]
+
+    @property
+    def B(self) -> Vector:
+        """Coefficients in q^-1, beginning with nk zeros."""
+        return self._polynomials.B[0][0]
+
+    @property
+    def C(self) -> Vector:
+        """Coefficients in q^-1, beginning with 1."""
+        return self._polynomials.C[0]
+
+    @property
+    def D(self) -> Vector:
+        """Coefficients in q^-1, beginning with 1."""
+        return self._polynomials.D[0]
+
+    @property
+    def F(self) -> Vector:
+        """Coefficients in q^-1, beginning with 1; a root is exactly 1 if F has the integrator."""
+        return self._polynomials.F[0][0]
+
+    @property
+    def nk(self) -> int:
+        """Number of samples before u affects y."""
+        return self._polynomials.nk[0][0]
+
+    @property
+    def integrator(self) -> bool:
+        """True if F, or A if there is no F, has the factor 1 - q^-1 by construction."""
+        return self._polynomials.integrators[0]
+
+    @property
+    def integrating(self) -> Literal["", "a", "f"]:
+        """Polynomial with the factor 1 - q^-1 by construction: "a", "f" or ""."""
+        if not self.integrator:
+            return ""
+        return "f" if self.F.size > 1 else "a"
+
+    @property
+    def denominator(self) -> Vector:
+        """Product A F, whose roots are the poles from u to y."""
+        return np.convolve(self.A, self.F)
+
+    def polynomial(self, letter: str) -> Vector:
+        """Return the coefficients of one polynomial, "a" … "f", beginning with q^0.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> fit.polynomial("f").round(2)
+        array([ 1.  , -2.51,  2.11, -0.59])
+        """
+        p: Vector = getattr(self, letter.upper())
+        return p
+
+    def slice_of(self, letter: str) -> slice:
+        """Return the slice of theta with the parameters of one polynomial, "a" … "f".
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> fit.names[fit.slice_of("f")]
+        ('f1', 'f2', 'f3')
+        >>> fit.theta[fit.slice_of("f")].round(2)
+        array([-2.51,  2.11, -0.59])
+        """
+        return self._polynomials.slice_of(letter, 0, 0)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters in the order of theta: a1 …, b1 …, c1 …, d1 …, f1 …."""
+        form = self._polynomials
+        sizes = ((x, form.slice_of(x, 0, 0)) for x in "abcdf")
+        return tuple(f"{x}{k + 1}" for x, part in sizes for k in range(part.stop - part.start))
+
+    @property
+    def orders(self) -> dict[str, int]:
+        """Orders of the structure by name: na, nb, nc, nd, nf or order, and nk.
+
+        A model that was not estimated has nb, nk and all orders that are not 0.
+        """
+        sizes = {"na": self.A.size - 1, "nb": self.B.size - self.nk, "nc": self.C.size - 1}
+        sizes |= {"nd": self.D.size - 1, "nf": self.F.size - 1, "nk": self.nk}
+        if self.structure not in DESCRIBED:
+            return {name: n for name, n in sizes.items() if n or name in ("nb", "nk")}
+        sizes["order"] = self.order
+        return {name: sizes[name] for name in (*DESCRIBED[self.structure].orders, "nk")}
+
+    @property
+    def order(self) -> int:
+        """Number of states; the states of a delay beyond one sample are not counted."""
+        if isinstance(self.form, Matrices):
+            return int(self.form.A.shape[0])
+        return int(self.denominator.size) - 1
+
+    @property
+    def parameters(self) -> int:
+        """Number of free parameters: d, or d - 1 if a root is 1 by construction."""
+        return int(self.theta.size) - int(self.integrator)
+
+    @property
+    def output(self) -> str:
+        """Name of the only output."""
+        return self.outputs[self._only]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the only output."""
+        return self.units[self._only]
+
+    @property
+    def input_unit(self) -> str:
+        """Unit of the only input."""
+        return self.input_units[self._only]
+
+    @property
+    def noise_variance(self) -> float:
+        """Estimate of lambda, the variance of e, in the squared unit of y."""
+        return float(self.noise_covariance[self._only, self._only])
+
+    @property
+    def _quality(self) -> OutputQuality:
+        """Quality of the only output."""
+        if not self.quality:
+            raise InputError(f"{self.label} was not estimated: it has no loss and no residuals")
+        return self.quality[self._only]
+
+    @property
+    def loss(self) -> float:
+        """Mean squared residual, one step ahead, on the estimation data, in y's squared unit."""
+        return self._quality.loss
+
+    @property
+    def N(self) -> int:
+        """Number of residuals in the loss."""
+        return self._quality.N
+
+    @property
+    def fit_percent(self) -> float:
+        """100 (1 - |y - ŷ| / |y - mean y|), one step ahead, on the estimation data."""
+        return self._quality.fit_percent
+
+    @property
+    def white(self) -> Whiteness:
+        """Result of the whiteness test; str() returns it as text."""
+        return self._quality.white
+
+    @property
+    def whiteness(self) -> float:
+        """Probability value p of the whiteness test of the residuals on the estimation data."""
+        return self.white.p_value
+
+    @property
+    def whiteness_test(self) -> str:
+        """Name of the test of whiteness."""
+        return self.white.test
+
+    @property
+    def _only(self) -> int:
+        """Index 0 of the only channel; a model of several channels raises an error."""
+        return len(self._polynomials.A) - 1
+
+    @property
     def fpe(self) -> float:
         """Akaike's final prediction error, loss (1 + d/N) / (1 - d/N)."""
         return float(criteria.fpe(self.loss, self.parameters, self.N))
@@ -155,48 +383,3 @@ class Estimate(Model):
     def mdl(self) -> float:
         """Rissanen's criterion (BIC), -2 log likelihood + d log N, for Gaussian e."""
         return float(criteria.mdl(self.loss, self.parameters, self.N))
-
-    def estimated_from(self, data: Dataset) -> bool:
-        """Return whether the model was estimated from these data.
-
-        Examples
-        --------
-        >>> import armrig
-        >>> first, second = armrig.example_recording().dataset("alpha").split(2)
-        >>> fit = armrig.oe(first, nb=3, nf=3)
-        >>> fit.estimated_from(first), fit.estimated_from(second)
-        (True, False)
-        """
-        return bool(self.digest) and self.digest == data.digest
-
-    def noise_spectrum(self, omega: ArrayLike) -> NoiseSpectrum:
-        """Return the power spectrum of C/(A D) e at omega (n,) in rad/s, up to pi/Ts.
-
-        Phi is lambda Ts |C/(A D)|². The variance of the noise is the integral of Phi/(2 pi) from
-        -pi/Ts to pi/Ts. The standard deviation of Phi includes the uncertainty of lambda, whose
-        variance is 2 lambda²/N.
-
-        Raises
-        ------
-        ValueError
-            A frequency is outside 0 to pi/Ts.
-
-        Examples
-        --------
-        The noise of an output-error model is white.
-
-        >>> import armrig
-        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
-        >>> spectrum = fit.noise_spectrum([1, 10, 100])
-        >>> (spectrum.Phi / (fit.noise_variance * fit.Ts)).round(3)
-        array([1., 1., 1.])
-        """
-        omega_ = self._frequencies(omega)
-        H, dlnH = self._ratio(omega_, "c", "ad")
-        Phi = self.noise_variance * self.Ts * np.abs(H) ** 2
-        with np.errstate(invalid="ignore"):
-            relative = np.hypot(
-                2 * standard_deviations(dlnH.real, self.trusted_covariance), np.sqrt(2 / self.N)
-            )
-            std = Phi * relative
-        return NoiseSpectrum(omega=omega_, Phi=Phi, std=std)

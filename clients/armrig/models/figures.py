@@ -17,7 +17,6 @@ from armrig.models.labels import (
     sources_of,
     with_method,
 )
-from armrig.models.model import Model
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.pole_zero_figure import plot_poles_zeros
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
@@ -41,9 +40,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from armrig.models.fit import Fit
+
 
 _AMBIGUOUS_TURN_DEG = 150.0  # a sudden phase change by more than this may have either sign
 _TURN_STEPS = 4  # number of frequencies over which a phase change is sudden
+_CHANNEL_WIDTH = 4.5  # inches, of the frequency response of one channel
+_CHANNEL_HEIGHT = 3.6  # inches, likewise
 _MAX_DOTS = 40  # largest number of dots of a spectral estimate
 
 
@@ -99,7 +102,7 @@ def plot_bode(
 
 
 def plot_step(
-    *models: Model, n: int | None = None, labels: Labels = None, ax: Axes | None = None
+    *models: Fit, n: int | None = None, labels: Labels = None, ax: Axes | None = None
 ) -> Axes:
     """Plot the response to a unit step with 95 % bands.
 
@@ -141,10 +144,22 @@ def plot_step(
     return sign(ax, *sources_of(models), above=above)
 
 
-def plot_fit(model: Model) -> Figure:
-    """Return a figure of one model with frequency response, step response, poles and zeros."""
+def plot_fit(model: Fit) -> Figure:
+    """Return a figure of one model with frequency response, step response, poles and zeros.
+
+    The figure of a model of several signals has the frequency response of each channel, a row for
+    each output and a column for each input.
+    """
     from matplotlib import pyplot as plt
 
+    if (model.ny, model.nu) != (1, 1):
+        size = _CHANNEL_WIDTH * model.nu, _CHANNEL_HEIGHT * model.ny
+        figure = plt.figure(figsize=size, layout="constrained")
+        cells = figure.add_gridspec(nrows=model.ny, ncols=model.nu)
+        for i, j, channel in model.channels():
+            name = f"{model.inputs[j]} to {model.outputs[i]}"
+            plot_bode(channel, labels=[name], ax=figure.add_subplot(cells[i, j]))
+        return figure
     figure = plt.figure(figsize=(9.0, 5.6), layout="constrained")
     grid = figure.add_gridspec(nrows=2, ncols=2, width_ratios=(1.2, 1), height_ratios=(1, 1.5))
     plot_bode(model, ax=figure.add_subplot(grid[:, 0]))
@@ -224,15 +239,15 @@ def _response(
     model: Any, omega: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
     """Return G, its frequencies (at most pi/Ts), its bands, and the draws for the bands."""
-    if isinstance(model, Model):
-        w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
-        answer = model.frequency_response(w)
-        if not np.nan_to_num(answer.std_magnitude).any():
-            return w, answer.G, None, None
-        draws = drawn(model)
-        return w, answer.G, frequency_bands(model, answer, draws), draws
-    w = omega[omega <= np.pi / model.dt * (1 + 1e-9)] if model.dt else omega
-    return w, np.asarray(model(np.exp(1j * w * model.dt) if model.dt else 1j * w)), None, None
+    if hasattr(model, "dt"):  # a python-control system
+        w = omega[omega <= np.pi / model.dt * (1 + 1e-9)] if model.dt else omega
+        return w, np.asarray(model(np.exp(1j * w * model.dt) if model.dt else 1j * w)), None, None
+    w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
+    answer = model.frequency_response(w)
+    if not np.nan_to_num(answer.std_magnitude).any():
+        return w, answer.G, None, None
+    draws = drawn(model)
+    return w, answer.G, frequency_bands(model, answer, draws), draws
 
 
 def _phase(G: NDArray[Any]) -> NDArray[np.float64]:

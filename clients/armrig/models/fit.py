@@ -1,25 +1,52 @@
-"""Result of an estimation: a model with uncertainty, texts and figures."""
+"""Model of any number of signals, with its uncertainty, predictions, texts and figures."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from armrig.data.dataset import Dataset
+import numpy as np
+from armrig_core.errors import InputError
+from numpy.typing import ArrayLike
+
 from armrig.models.estimate import Estimate
-from armrig.models.model import Vector
+from armrig.models.linearised import (
+    frequencies,
+    polynomial_roots,
+    ratio,
+    sensitivity,
+    standard_deviations,
+)
+from armrig.models.polynomials import Polynomials
+from armrig.models.responses import FrequencyResponse, NoiseSpectrum, Roots, StepResponse
+from armrig.models.state_space import Matrix, Vector
+from armrig.numerics.checks import column, require_integers
+from armrig.numerics.inference import OutputQuality
+from armrig.numerics.polynomial import filtered
+from armrig.numerics.whiteness import Whiteness
 
 if TYPE_CHECKING:
     from os import PathLike
 
+    import control
     from matplotlib.figure import Figure
 
+    from armrig.data.dataset import Dataset
+    from armrig.data.signals import Signals
     from armrig.models.summary import Summary
 
+_ONE = np.ones(1)
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+
+# Not slotted: an assignment to a property of a frozen class with slots raises a TypeError.
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Fit(Estimate):
-    """A model A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) with its uncertainty.
+    """A model A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) or a state space, with its uncertainty.
+
+    A model of one input and one output has the polynomials A, B, C, D and F. The model of several
+    signals has a channel for each input and output: `fit["alpha", "u"]` is the model from u to
+    alpha, with its poles, responses, standard deviations, texts and figures.
 
     Examples
     --------
@@ -36,16 +63,352 @@ class Fit(Estimate):
       ...
     >>> fit.poles().values.round(2)
     array([1.  +0.j  , 0.91+0.16j, 0.91-0.16j, 0.69+0.j  ])
+
+    A model of two outputs that share a denominator:
+
+    >>> data = armrig.example_recording().signals()
+    >>> fit = armrig.oe(data, nb=[[4], [3]], nf=3, integrator="theta_1", shared="denominator")
+    >>> fit.outputs, fit.inputs
+    (('theta_1', 'alpha'), ('u',))
+    >>> [quality.white.coloured for quality in fit.quality]
+    [False, False]
+    >>> fit["alpha", "u"].poles().values.round(2)
+    array([0.91+0.16j, 0.91-0.16j, 0.69+0.j  ])
     """
 
-    def predict(self, data: Dataset, horizon: int | None = 1) -> Vector:
-        """Return ŷ(t) (N,) from u up to t and y up to t - horizon; from u alone if horizon is None.
+    @classmethod
+    def of_channel(
+        cls,
+        *,
+        structure: str = "model",
+        A: ArrayLike = _ONE,
+        B: ArrayLike,
+        C: ArrayLike = _ONE,
+        D: ArrayLike = _ONE,
+        F: ArrayLike = _ONE,
+        nk: int,
+        integrator: bool = False,
+        input: str = "u",
+        output: str = "y",
+        input_unit: str = "",
+        unit: str = "",
+        covariance: ArrayLike | None = None,
+        covariance_robust: ArrayLike | None = None,
+        noise_variance: float = 0.0,
+        loss: float | None = None,
+        N: int = 0,
+        fit_percent: float = float("nan"),
+        whiteness: float = float("nan"),
+        whiteness_test: str = "",
+        **fields: Any,
+    ) -> Fit:
+        """Return a model of one input and one output from its polynomials and its quality.
+
+        Parameters
+        ----------
+        A, B, C, D, F : array_like
+            Coefficients in q^-1; B begins with nk zeros, the others with 1.
+        covariance, covariance_robust : array_like, shape (d, d), optional
+            Covariance of theta; 0 for a model that was not estimated.
+        noise_variance : float
+            Variance of e, in the squared unit of y.
+        loss : float, optional
+            Mean squared residual, in the squared unit of y; None if the model was not estimated.
+        **fields
+            Other fields of `Fit`, such as Ts, findings and history.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> armrig.Fit.of_channel(B=[0, 1], F=[1, -0.5], nk=1, Ts=0.1).poles().values
+        array([0.5+0.j])
+        """
+        form = Polynomials.of_channel(A=A, B=B, C=C, D=D, F=F, nk=nk, integrator=integrator)
+        P, robust = (
+            np.zeros((form.theta.size,) * 2) if x is None else np.asarray(x)
+            for x in (covariance, covariance_robust)
+        )
+        white = Whiteness(p_value=whiteness, test=whiteness_test)
+        quality = OutputQuality(loss=loss or 0.0, N=N, fit_percent=fit_percent, white=white)
+        return cls(
+            structure=structure,
+            form=form,
+            inputs=(input,),
+            outputs=(output,),
+            input_units=(input_unit,),
+            units=(unit,),
+            covariance=P,
+            covariance_robust=robust,
+            noise_covariance=np.array([[noise_variance]]),
+            quality=() if loss is None else (quality,),
+            **fields,
+        )
+
+    def __getitem__(self, channel: tuple[str, str] | str) -> Fit:
+        """Return the model from one input to one output: fit["alpha", "u"].
+
+        The input may be left out if there is only one input.
+
+        Raises
+        ------
+        ValueError
+            There is no such output or input, or the input does not affect the output.
+        """
+        output, input = channel if isinstance(channel, tuple) else (channel, None)
+        i = _index("output", output, self.outputs)
+        j = _index("input", input, self.inputs)
+        if self.ny == self.nu == 1:
+            return self
+        form, J = self.form.channel(i, j)
+        return Fit(
+            structure="channel" if self.form.coupled else self.structure,
+            form=form,
+            inputs=(self.inputs[j],),
+            outputs=(self.outputs[i],),
+            input_units=(self.input_units[j],),
+            units=(self.units[i],),
+            Ts=self.Ts,
+            offset=self.offset or form.integrators[0],
+            covariance=J @ self.covariance @ J.T,
+            covariance_robust=J @ self.covariance_robust @ J.T,
+            noise_covariance=self.noise_covariance[i : i + 1, i : i + 1],
+            quality=self.quality[i : i + 1],
+            converged=self.converged,
+            findings=self.findings,
+            source=self.source,
+            history=self.history,
+        )
+
+    def channels(self) -> Iterator[tuple[int, int, Fit]]:
+        """Iterate over the channels that have a model: indices of output and input, and the model.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> data = armrig.example_recording().signals()
+        >>> fit = armrig.oe(data, nb=[[4], [3]], nf=3, integrator="theta_1", shared="denominator")
+        >>> for i, j, channel in fit.channels():
+        ...     print(f"{fit.inputs[j]} to {fit.outputs[i]}: {channel.label}")
+        u to theta_1: OE[4 4 1]
+        u to alpha: OE[3 3 1]
+        """
+        for i, output in enumerate(self.outputs):
+            for j, input in enumerate(self.inputs):
+                if self.form.has(i, j):
+                    yield i, j, self[output, input]
+
+    def poles(self) -> Roots:
+        """Return the poles from the inputs to the outputs: the roots of A, then the roots of F.
+
+        The poles of several outputs follow one another; equal denominators count once.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> fit.poles().values.round(2)
+        array([0.91+0.16j, 0.91-0.16j, 0.69+0.j  ])
+        >>> fit.poles().std.round(4)
+        array([0.0002, 0.0002, 0.0015])
+        """
+        if self.ny == self.nu == 1:
+            found = [polynomial_roots(self, letter) for letter in "af"]
+        else:
+            found = [fit.poles() for fit in self._distinct_denominators()]
+        return Roots(
+            values=np.concatenate([r.values for r in found]),
+            covariance=np.concatenate([r.covariance for r in found]),
+        )
+
+    def _distinct_denominators(self) -> list[Fit]:
+        """Return one channel for each distinct denominator."""
+        found: list[Fit] = []
+        for _, _, fit in self.channels():
+            if not any(np.array_equal(fit.denominator, known.denominator) for known in found):
+                found.append(fit)
+        if self.shared or self.form.coupled:
+            return [max(found, key=lambda fit: fit.denominator.size)]
+        return found
+
+    def zeros(self) -> Roots:
+        """Return the zeros from u to y, without the zeros at 0 and at infinity that delays cause.
+
+        Examples
+        --------
+        The zero at 1 means that alpha is 0 at a constant voltage.
+
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> fit.zeros().values.round(2)
+        array([ 1.  +0.j, -0.92+0.j])
+        """
+        return polynomial_roots(self, "b")
+
+    def frequency_response(self, omega: ArrayLike) -> FrequencyResponse:
+        """Return G at omega (n,) in rad/s, up to the Nyquist frequency pi/Ts.
+
+        G is (n,) for one input and one output, otherwise (n, ny, nu). The relative error of |G| is
+        the real part of d ln G = dG/G. The error of the phase is the imaginary part of d ln G.
+
+        Raises
+        ------
+        ValueError
+            A frequency is outside 0 to pi/Ts.
+
+        Examples
+        --------
+        The arm resonates near 18 rad/s.
+
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> response = fit.frequency_response([2, 18, 160])
+        >>> abs(response.G).round(3)
+        array([0.015, 0.148, 0.003])
+        """
+        omega_ = frequencies(self, omega)
+        if (self.ny, self.nu) != (1, 1):
+            G = np.zeros((omega_.size, self.ny, self.nu), dtype=np.complex128)
+            magnitude, phase = np.zeros((2, *G.shape))
+            for i, j, fit in self.channels():
+                own = fit.frequency_response(omega_)
+                G[:, i, j] = own.G
+                magnitude[:, i, j], phase[:, i, j] = own.std_magnitude, own.std_phase
+            return FrequencyResponse(omega=omega_, G=G, std_magnitude=magnitude, std_phase=phase)
+        G, dlnG = ratio(self, omega_, "b", "af")
+        with np.errstate(invalid="ignore"):
+            relative, phase = (
+                standard_deviations(d, self.trusted_covariance) for d in (dlnG.real, dlnG.imag)
+            )
+            magnitude = np.abs(G) * relative
+        return FrequencyResponse(omega=omega_, G=G, std_magnitude=magnitude, std_phase=phase)
+
+    def noise_spectrum(self, omega: ArrayLike) -> NoiseSpectrum:
+        """Return the power spectrum of C/(A D) e at omega (n,) in rad/s, up to pi/Ts.
+
+        Phi is lambda Ts |C/(A D)|². The variance of the noise is the integral of Phi/(2 pi) from
+        -pi/Ts to pi/Ts. The standard deviation of Phi includes the uncertainty of lambda, whose
+        variance is 2 lambda²/N.
+
+        Raises
+        ------
+        ValueError
+            A frequency is outside 0 to pi/Ts.
+
+        Examples
+        --------
+        The noise of an output-error model is white.
+
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> spectrum = fit.noise_spectrum([1, 10, 100])
+        >>> (spectrum.Phi / (fit.noise_variance * fit.Ts)).round(3)
+        array([1., 1., 1.])
+        """
+        omega_ = frequencies(self, omega)
+        H, dlnH = ratio(self, omega_, "c", "ad")
+        Phi = self.noise_variance * self.Ts * np.abs(H) ** 2
+        with np.errstate(invalid="ignore"):
+            relative = np.hypot(
+                2 * standard_deviations(dlnH.real, self.trusted_covariance), np.sqrt(2 / self.N)
+            )
+            std = Phi * relative
+        return NoiseSpectrum(omega=omega_, Phi=Phi, std=std)
+
+    def step_response(self, n: int, *, rate: bool = False) -> StepResponse:
+        """Return the first n samples, n >= 1, of the response to a unit step from rest.
+
+        The response is (n,) for one input and one output. For several signals it is (n, ny, nu),
+        with the responses to a step of each input.
+
+        If `rate` is True, the response is the rate (y(t) - y(t-1))/Ts, at the middle of each
+        sampling interval. Use `rate` for an integrating output, whose step response is a ramp.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> data = armrig.example_recording().dataset("theta_1")
+        >>> fit = armrig.oe(data, nb=4, nf=4, integrator=True)
+        >>> response = fit.step_response(100, rate=True)
+        >>> print(f"{response.y[-1]:.2f} rad/s per V")
+        1.86 rad/s per V
+        """
+        require_integers(n=(n, 1))
+        t: Vector = self.Ts * (np.arange(n, dtype=np.float64) + 0.5 * rate)
+        if (self.ny, self.nu) != (1, 1):
+            y, std = np.zeros((2, n, self.ny, self.nu))
+            for i, j, fit in self.channels():
+                own = fit.step_response(n, rate=rate)
+                y[:, i, j], std[:, i, j] = own.y, own.std
+            return StepResponse(t=t, y=y, std=std, rate=rate)
+        u = np.ones(n)
+        if rate:
+            u = np.zeros(n + 1)
+            u[0] = 1 / self.Ts
+        at = slice(int(rate), None)
+        return StepResponse(
+            t=t,
+            y=self.simulate(u)[at],
+            std=standard_deviations(sensitivity(self, u), self.trusted_covariance)[at],
+            rate=rate,
+        )
+
+    def simulate(self, u: ArrayLike) -> Vector:
+        """Return the model's output for the input u, from rest and without noise.
+
+        u and the output are (N,) for one input and one output. For several signals u is (N, nu),
+        and the output is (N, ny).
+
+        u must not contain the input offset. If the offset was estimated, subtract `free[i].offset`,
+        the offset of experiment i, from the measured input.
+
+        u has the sampling time `Ts`. For a model of detrended data, first subtract the mean of the
+        estimation data's input from u. Add the mean of the output to the result, unless the output
+        integrates. `Dataset.trends` contains both means.
+
+        Raises
+        ------
+        ValueError
+            u has another shape.
+
+        Examples
+        --------
+        >>> import armrig, numpy as np
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> alpha = fit.simulate(4.0 * np.ones(200))
+        >>> print(f"largest {abs(alpha).max():.2f} rad, at the end {abs(alpha[-1]):.2f} rad")
+        largest 0.29 rad, at the end 0.00 rad
+        """
+        if self.ny == self.nu == 1:
+            return filtered(self.B, self.denominator, column("u", u))
+        u_ = np.asarray(u, dtype=np.float64)
+        u_ = u_[:, None] if u_.ndim == 1 else u_
+        if u_.ndim != 2 or u_.shape[1] != self.nu:
+            raise InputError(
+                f"u has shape {np.shape(u)}; give (N, {self.nu}), a column for each of "
+                f"{', '.join(self.inputs)}"
+            )
+        return self.form.realised().deterministic.simulated(u_)
+
+    def predict(self, data: Dataset | Signals, horizon: int | None = 1) -> Vector:
+        """Return ŷ(t) from u up to t and y up to t - horizon; from u alone if horizon is None.
+
+        ŷ is (N,) for one input and one output, otherwise (N, ny).
 
         The initial state is estimated from the data by least squares. With an integrator, or if the
-        model has `offset`, the input offset is estimated too. ŷ(t) is NaN if past samples that ŷ(t)
-        needs are not known. For a model with A or D, but without C, ŷ is NaN at the beginning of an
-        experiment. For a model with C or D, ŷ is NaN during a gap. If the model also has an
-        integrator in A, ŷ is also NaN for at least the next `horizon` samples.
+        model has `offset`, the input offset is estimated too.
+
+        One input and one output: ŷ(t) is NaN if past samples that ŷ(t) needs are not known. For a
+        model with A or D, but without C, ŷ is NaN at the beginning of an experiment. For a model
+        with C or D, ŷ is NaN during a gap. If A has an integrator, ŷ of such a model is also NaN
+        for at least the next `horizon` samples.
+
+        Several signals: if a sample of an output is missing, the prediction continues without the
+        sample. ŷ of an output is NaN before the first measured sample of this output.
+
+        Raises
+        ------
+        ValueError
+            The data have other signals, units or another sampling time than the model.
 
         Examples
         --------
@@ -61,6 +424,101 @@ class Fit(Estimate):
         from armrig.models.prediction import predicted
 
         return predicted(self, data, horizon)
+
+    def state_space(self) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix]:
+        """Return A (n, n), B (n, nu), C (ny, n), D (ny, nu) and K (n, ny) of the innovations form.
+
+        The innovations form is x(t+1) = A x(t) + B u(t) + K e(t), y(t) = C x(t) + D u(t) + e(t). A
+        model of polynomials has the observer form. There the state x_k(t) of an ARMAX model is the
+        sum of the terms with y, u and e before t in the difference equation of y(t + k - 1).
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.n4sid(armrig.example_recording().dataset("alpha"))
+        >>> A, B, C, D, K = fit.state_space()
+        >>> A.round(1)
+        array([[ 2.5,  1. ,  0. ],
+               [-2.1,  0. ,  1. ],
+               [ 0.6,  0. ,  0. ]])
+        >>> C, D
+        (array([[1., 0., 0.]]), array([[0.]]))
+        """
+        s = self.form.realised()
+        return s.A, s.B, s.C, s.D, s.K
+
+    def to_control(self) -> control.TransferFunction | control.StateSpace:
+        """Return the model from u to y as a python-control system with named signals and dt=Ts.
+
+        The system is a transfer function for polynomials of one input and one output, and a state
+        space for N4SID, ss and several signals.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> G = fit.to_control()
+        >>> G.input_labels, G.output_labels, G.dt
+        (['u'], ['alpha'], 0.01)
+        >>> G.den[0][0].round(2)
+        array([ 1.  , -2.51,  2.11, -0.59])
+        """
+        import control
+
+        names = {"inputs": list(self.inputs), "outputs": list(self.outputs)}
+        if (self.ny, self.nu) != (1, 1) or "order" in self.orders:
+            s = self.form.realised().deterministic
+            return control.ss(s.A, s.B, s.C, s.D, self.Ts, **names)
+        n = max(self.B.size, self.denominator.size)
+        padded = [np.pad(p, (0, n - p.size)) for p in (self.B, self.denominator)]
+        return control.tf(*padded, self.Ts, **names)
+
+    def noise_to_control(self) -> control.TransferFunction:
+        """Return the noise model H = C / (D A), from e to y, as a transfer function with dt=Ts.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.armax(armrig.example_recording().dataset("alpha"), na=3, nb=3, nc=3)
+        >>> H = fit.noise_to_control()
+        >>> H.input_labels, H.output_labels, H.dt
+        (['e'], ['alpha'], 0.01)
+        >>> H.num[0][0].round(1)
+        array([ 1. , -2.5,  2.1, -0.6])
+        """
+        import control
+
+        D = np.convolve(self.D, self.A)
+        n = max(self.C.size, D.size)
+        padded = [np.pad(p, (0, n - p.size)) for p in (self.C, D)]
+        return control.tf(*padded, self.Ts, inputs=["e"], outputs=[self.output])
+
+    def explain(self) -> str:
+        """Return a text with the canonical correlations and the order that the data suggest.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.n4sid(armrig.example_recording().dataset("alpha"))
+        >>> print(fit.explain())
+        canonical correlations of past and future:
+           1   0.9999...
+           2   0.999...
+           3   0.994...  <- order
+           4   0.25...
+          ...
+        the one-step errors suggest order 3 (MDL)
+        """
+        if not self.canonical_correlations.size:
+            raise InputError(f"{self.label} has no canonical correlations; N4SID estimates them")
+        values = self.canonical_correlations[: max(10, self.order + 2)]
+        lines = ["canonical correlations of past and future:"]
+        lines += [
+            f"  {k:2}  {value:8.5f}{'  <- order' if k == self.order else ''}"
+            for k, value in enumerate(values, 1)
+        ]
+        lines.append(f"the one-step errors suggest order {self.suggested_order} (MDL)")
+        return "\n".join(lines)
 
     def summary(self) -> Summary:
         """Return poles, zeros, gain, bandwidth and times with 95 % ranges, as a table to print.
@@ -86,6 +544,8 @@ class Fit(Estimate):
 
     def plot(self) -> Figure:
         """Return a figure of frequency and step response, poles and zeros, with 95 % regions.
+
+        The figure of a model of several signals has the frequency response of each channel.
 
         `plot_bode`, `plot_step` and `plot_poles_zeros` of `armrig.plots` draw each panel alone, for
         several models or in your own axes.
@@ -163,3 +623,12 @@ class Fit(Estimate):
         from armrig.models.equation import described
 
         return described(self)
+
+
+def _index(what: str, name: str | None, names: tuple[str, ...]) -> int:
+    if name is None and len(names) == 1:
+        return 0
+    if name not in names:
+        said = f"{what} {name!r}: there is no such {what}" if name else f"which {what}?"
+        raise InputError(f"{said}; the model has {', '.join(names)}")
+    return names.index(name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from armrig.models.model import Model
+from armrig.models.estimate import Estimate
 from armrig.numerics.confidence_regions import Band
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ def labels_of(models: Sequence[Any], labels: Labels) -> list[str]:
         return list(labels)
     # A python-control system has the attribute `name`.
     return [
-        model.label if isinstance(model, Model) else str(getattr(model, "name", "model"))
+        model.label if isinstance(model, Estimate) else str(getattr(model, "name", "model"))
         for model in models
     ]
 

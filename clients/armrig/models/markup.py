@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from html import escape
 from math import isfinite
+from typing import TYPE_CHECKING
 
 from armrig.models.equation import form, letters, whiteness_sentence
-from armrig.models.estimate import Estimate
-from armrig.models.model import Model
+
+if TYPE_CHECKING:
+    from armrig.models.fit import Fit
 
 
-def latex(fit: Estimate) -> str:
+def latex(fit: Fit) -> str:
     r"""Return the equation as an `aligned` block, each coefficient with its standard deviation."""
     equation = form(fit).replace(") e(t)", r")\,e(t)").replace("1/D(q)", r"\frac{1}{D(q)}")
     for ratio in ("B(q)/F(q)", "C(q)/D(q)"):
@@ -23,14 +25,14 @@ def latex(fit: Estimate) -> str:
     return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
 
 
-def typst(fit: Estimate) -> str:
+def typst(fit: Fit) -> str:
     """Return the equation as a block of Typst mathematics, with the content of `latex`."""
     rows = [typst_form(fit).replace(" = ", " &= ")]
     rows += [f"{letter}(q) &= {_polynomial(fit, letter, _TYPST)}" for letter in letters(fit)]
     return "$ " + " \\\n  ".join(rows) + " $"
 
 
-def typst_form(model: Model) -> str:
+def typst_form(model: Fit) -> str:
     """Return the equation in Typst mathematics, with the letters of the polynomials."""
     return form(model).replace(") ", ") thin ").replace("thin =", "=").replace("thin +", "+")
 
@@ -59,7 +61,7 @@ _TYPST = _Notation(
 )
 
 
-def _polynomial(fit: Estimate, letter: str, notation: _Notation) -> str:
+def _polynomial(fit: Fit, letter: str, notation: _Notation) -> str:
     part = fit.slice_of(letter.lower())
     first = fit.nk if letter == "B" else 1
     text = "" if letter == "B" else "1"
@@ -83,8 +85,13 @@ def _number(x: float, digits: int, notation: _Notation) -> str:
     return notation.times_ten.format(mantissa=mantissa, exponent=int(exponent))
 
 
-def html(fit: Estimate) -> str:
-    """Return equation, coefficients and quality as HTML; MathJax renders the equation."""
+def html(fit: Fit) -> str:
+    """Return equation, coefficients and quality as HTML; MathJax renders the equation.
+
+    A model of several signals, and a model that was not estimated, are preformatted text.
+    """
+    if (fit.ny, fit.nu) != (1, 1) or not fit.quality:
+        return f"<pre>{escape(repr(fit))}</pre>"
     rows = "".join(
         f"<tr><td>{name}</td><td>{value:.5g}</td><td>{std:.2g}</td><td>{robust:.2g}</td></tr>"
         for name, value, std, robust in zip(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from os import PathLike
 from pathlib import Path
@@ -14,18 +15,24 @@ from armrig_core.errors import FileError
 
 from armrig.data.finding import EstimateFinding
 from armrig.data.step import Step
-from armrig.models.estimate import Start
+from armrig.models.estimate import Form
 from armrig.models.fit import Fit
+from armrig.models.matrices import Matrices
 from armrig.models.model_writing import FORMAT, VERSION
+from armrig.models.polynomials import Polynomials
+from armrig.models.quality import Start
 from armrig.models.structure import FreeResponse
-from armrig.models.subspace_fit import SubspaceFit
+from armrig.numerics.inference import OutputQuality
+from armrig.numerics.whiteness import Whiteness
 
+FORMAT_OF_SEVERAL = "armrig-multivariable-model"
+"""Format of models of several signals before version 2; its version is 1."""
 MAX_BYTES = 1 << 26
 """Largest size of a file, in bytes. The file of a model with 1000 parameters is smaller."""
-_KINDS = {"n4sid": SubspaceFit}
-_ARRAYS = ("A", "B", "C", "D", "F", "covariance", "covariance_robust")
-_SINGULAR = ("singular_values", "canonical_correlations")
-_FIGURES = ("noise_variance", "loss", "Ts", "fit_percent", "whiteness")
+_COVARIANCES = ("covariance", "covariance_robust", "noise_covariance")
+_ARRAYS = (*_COVARIANCES, "singular_values", "canonical_correlations")
+_TUPLES = ("inputs", "outputs", "input_units", "units")
+_NUMBERS = ("Ts", "curvature")
 
 
 def load_fit(path: str | PathLike[str]) -> Fit:
@@ -37,6 +44,15 @@ def load_fit(path: str | PathLike[str]) -> Fit:
         The file contains no model, has another format version, or is damaged.
     OSError
         The file cannot be read.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+    >>> fit.save("alpha.json")
+    >>> loaded = armrig.load_fit("alpha.json")
+    >>> loaded.heading, bool((loaded.theta == fit.theta).all())
+    ('OE(nb=3, nf=3, nk=1)', True)
     """
     path = Path(path)
     try:
@@ -63,21 +79,18 @@ def fit_of(text: str, path: str) -> Fit:
     """
     try:
         content = json.loads(text) if text.lstrip().startswith("{") else None
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            several = isinstance(content, dict) and "quality" in content
+        known = {FORMAT: VERSION, FORMAT_OF_SEVERAL: 1}
+        if not isinstance(content, dict) or content.get("format") not in known:
             raise FileError(
-                f"{path} is a model of several signals; here give a model of one output and one "
-                "input, such as fit['alpha', 'u'] of it (armrig.load_fit and fit.save in Python)"
-                if several
-                else f"{path} is no model file; `armrig identify --save` and fit.save(path) write "
+                f"{path} is no model file; `armrig identify --save` and fit.save(path) write "
                 "model files"
             )
-        if content.get("version") != VERSION:
+        if not 1 <= content.get("version", 0) <= known[content["format"]]:
             raise FileError(
                 f"{path} has format version {content.get('version')!r}, this armrig reads "
                 f"{VERSION}; it was written by armrig {content.get('armrig')}"
             )
-        fit = _restored(content)
+        fit = _restored(_renewed(content))
         d = fit.theta.size
         if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
             raise FileError(
@@ -94,16 +107,51 @@ def fit_of(text: str, path: str) -> Fit:
     return fit
 
 
+def _renewed(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a file of an earlier version as the content of the present version."""
+    if content["format"] == FORMAT_OF_SEVERAL:
+        quality = [_renewed_quality(q) for q in content["quality"]]
+        return content | {"specification": content["orders"], "quality": quality}
+    if content["version"] == VERSION:
+        return content
+    old = content
+    form = {"kind": "polynomials", "nk": [[old["nk"]]], "integrators": [old["integrator"]]}
+    form |= {name: [[old[name]]] for name in "ABF"} | {name: [old[name]] for name in "CD"}
+    return content | {
+        "form": form,
+        "outputs": [old["output"]],
+        "units": [old["unit"]],
+        "input_units": [old["input_unit"]],
+        "noise_covariance": [[old["noise_variance"]]],
+        "quality": [_renewed_quality(old)],
+    }
+
+
+def _renewed_quality(old: Mapping[str, Any]) -> dict[str, Any]:
+    white = {"p_value": old["whiteness"], "test": old.get("whiteness_test", "")}
+    return {name: old[name] for name in ("loss", "N", "fit_percent")} | {"white": white}
+
+
 def _restored(content: dict[str, Any]) -> Fit:
-    kind = _KINDS.get(content["structure"], Fit)
     # Fields that a file of an earlier release lacks keep their defaults.
-    known = [f for f in fields(kind) if f.name in content or f.default is MISSING]
-    values = {f.name: content[f.name] for f in known}
-    arrays = [name for name in (*_ARRAYS, *_SINGULAR) if name in values]
-    values |= {name: np.array(_numbers(values[name]), dtype=np.float64) for name in arrays}
-    values |= {name: float(values[name]) for name in _FIGURES}
+    needed = {f.name for f in fields(Fit) if f.default is f.default_factory is MISSING}
+    values = {f.name: content[f.name] for f in fields(Fit) if f.name in {*content, *needed}}
+    values |= {name: _array(values[name]) for name in _ARRAYS if name in values}
+    values |= {name: tuple(values[name]) for name in _TUPLES if name in values}
+    values |= {name: float(values[name]) for name in _NUMBERS if name in values}
+    values["output_weights"] = tuple(map(float, values.get("output_weights", ())))
+    values["form"] = _form(content["form"])
+    values["quality"] = tuple(
+        OutputQuality(
+            loss=float(q["loss"]),
+            N=q["N"],
+            fit_percent=float(q["fit_percent"]),
+            white=Whiteness(p_value=float(q["white"]["p_value"]), test=q["white"]["test"]),
+        )
+        for q in content["quality"]
+    )
     values["starts"] = tuple(
-        Start(**(start | {"loss": float(start["loss"])})) for start in values["starts"]
+        Start(**(start | {"loss": float(start["loss"])})) for start in content["starts"]
     )
     values["free"] = tuple(
         FreeResponse(
@@ -111,16 +159,35 @@ def _restored(content: dict[str, Any]) -> Fit:
             level=float(free["level"]),
             offset=float(free["offset"]),
         )
-        for free in values["free"]
+        for free in content.get("free", ())
     )
-    values["history"] = tuple(map(Step, content["history"], content["treatment"]))
-    values["findings"] = tuple(map(_finding, content["findings"]))
-    return kind(**values)
+    steps = zip(content["history"], content["treatment"], strict=True)
+    values["history"] = tuple(Step(text, code) for text, code in steps)
+    values["findings"] = tuple(
+        EstimateFinding(**(f | {"numbers": {k: float(x) for k, x in f["numbers"].items()}}))
+        for f in content["findings"]
+    )
+    return Fit(**values)
 
 
-def _finding(content: dict[str, Any]) -> EstimateFinding:
-    numbers = {name: float(x) for name, x in content["numbers"].items()}
-    return EstimateFinding(**(content | {"numbers": numbers}))
+def _form(content: dict[str, Any]) -> Form:
+    if content["kind"] == "matrices":
+        matrices = {name: _array(content[name]) for name in "ABCDK"}
+        return Matrices(**matrices, nk=tuple(content["nk"]))
+    rows = {name: tuple(tuple(map(_array, row)) for row in content[name]) for name in "ABF"}
+    return Polynomials(
+        A=rows["A"],
+        B=rows["B"],
+        C=tuple(map(_array, content["C"])),
+        D=tuple(map(_array, content["D"])),
+        F=rows["F"],
+        nk=tuple(tuple(row) for row in content["nk"]),
+        integrators=tuple(content["integrators"]),
+    )
+
+
+def _array(values: Any) -> Any:
+    return np.array(_numbers(values), dtype=np.float64)
 
 
 def _numbers(values: Any) -> Any:

@@ -4,24 +4,33 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from importlib.metadata import version
 from math import isfinite
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from armrig.data.step import codes_of
-from armrig.models.estimate import Estimate, Start
-from armrig.models.structure import FreeResponse
+from armrig.models.matrices import Matrices
+from armrig.models.polynomials import Polynomials
+
+if TYPE_CHECKING:
+    from armrig.models.fit import Fit
 
 FORMAT = "armrig model"
-VERSION = 1
+VERSION = 2
+"""Version 1 contained the polynomials of one input and one output at its top level."""
+FORMS: dict[str, type[Matrices] | type[Polynomials]] = {
+    "matrices": Matrices,
+    "polynomials": Polynomials,
+}
+"""Classes of the parameters, by the names of the classes in a file."""
 
 
-def save_fit(fit: Estimate, path: str | PathLike[str]) -> Path:
+def save_fit(fit: Fit, path: str | PathLike[str]) -> Path:
     """Write a model as JSON and return the path.
 
     Raises
@@ -34,31 +43,26 @@ def save_fit(fit: Estimate, path: str | PathLike[str]) -> Path:
     return path
 
 
-def model_text(fit: Estimate) -> str:
+def model_text(fit: Fit) -> str:
     """Return a model as the JSON text of its file."""
-    content = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
-    content |= {f.name: plain(getattr(fit, f.name)) for f in fields(fit) if f.name != "findings"}
+    (kind,) = (name for name, form in FORMS.items() if isinstance(fit.form, form))
+    content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
+    content |= _plain(fit)
+    content["form"] = {"kind": kind} | content["form"]
     content["treatment"] = codes_of(fit.history)
-    content["findings"] = [
-        {"about": f.about, "level": f.level, "asks": f.asks, "text": f.text}
-        | {"numbers": plain(f.numbers)}
-        for f in fit.findings
-    ]
     return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def plain(value: Any) -> Any:
+def _plain(value: Any) -> Any:
     """Return a value for JSON; a number that is not finite becomes "nan", "inf" or "-inf"."""
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, Start | FreeResponse):
-        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    if is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
     if isinstance(value, Mapping):
-        return {name: plain(x) for name, x in value.items()}
+        return {name: _plain(x) for name, x in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(x) for x in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
+        return [_plain(x) for x in value]
     if isinstance(value, float) and not isfinite(value):
         return str(value)
     return value

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from armrig.numerics.polynomial import stable, without_integrator
 
 if TYPE_CHECKING:
-    from armrig.models.model import Model
+    from armrig.models.fit import Fit
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -51,7 +51,7 @@ class Draws:
         return ", ".join(f"{n} of {self.asked} {what}" for n, what in counted if n)
 
 
-def drawn(model: Model, *, n: int = DRAWS, rng: np.random.Generator | None = None) -> Draws | None:
+def drawn(model: Fit, *, n: int = DRAWS, rng: np.random.Generator | None = None) -> Draws | None:
     """Return n draws of theta from N(theta, P); P is the trusted covariance of the model.
 
     With P = W W^T the draws are theta + W x, with x standard normal. The draws of x are pairs x and
@@ -97,7 +97,7 @@ def drawn(model: Model, *, n: int = DRAWS, rng: np.random.Generator | None = Non
     return Draws(theta=np.concatenate(kept), asked=asked, unstable=unstable, degenerate=degenerate)
 
 
-def directions(model: Model) -> Matrix:
+def directions(model: Fit) -> Matrix:
     """Return W (d, r) with W W^T = P, the trusted covariance.
 
     Each column is a step of one standard deviation. W is computed from the correlation matrix of
@@ -107,7 +107,7 @@ def directions(model: Model) -> Matrix:
     return outward @ _root(inward @ model.trusted_covariance @ inward.T)
 
 
-def _stable(model: Model, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _stable(model: Fit, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask of the draws with all poles inside the unit circle.
 
     A pole fixed at 1 is ignored.
@@ -119,7 +119,7 @@ def _stable(model: Model, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np
     return inside
 
 
-def polynomial_of(model: Model, theta: Matrix, letter: str) -> Matrix:
+def polynomial_of(model: Fit, theta: Matrix, letter: str) -> Matrix:
     """Return the coefficients of one polynomial, a row for each draw; B includes its nk zeros."""
     free = theta[:, model.slice_of(letter)]
     before = np.zeros((theta.shape[0], model.nk)) if letter == "b" else np.ones((theta.shape[0], 1))
@@ -127,7 +127,7 @@ def polynomial_of(model: Model, theta: Matrix, letter: str) -> Matrix:
 
 
 def roots_of(
-    model: Model, theta: Matrix, letter: str, known: NDArray[np.bool_] | None = None
+    model: Fit, theta: Matrix, letter: str, known: NDArray[np.bool_] | None = None
 ) -> Complex:
     """Return the roots of one polynomial of each draw, (n, order); a fixed root at 1 is first.
 
@@ -148,7 +148,7 @@ def roots_of(
     return np.hstack([np.ones((n, 1)), z]) if fixed else z
 
 
-def _integrator_maps(model: Model) -> tuple[Matrix, Matrix]:
+def _integrator_maps(model: Fit) -> tuple[Matrix, Matrix]:
     """Return the matrix that maps theta to the free parameters, and the matrix that maps back."""
     d = model.theta.size
     if not model.integrating:
@@ -171,7 +171,7 @@ def _normal(n: int, d: int, rng: np.random.Generator) -> Matrix:
     return np.asarray(np.linalg.solve(L, x.T).T)
 
 
-def _without(model: Model, letter: str, p: Vector) -> Vector:
+def _without(model: Fit, letter: str, p: Vector) -> Vector:
     return without_integrator(p) if letter == model.integrating else p
 
 

@@ -18,7 +18,7 @@ from armrig.plots.layout import GREY, INK, axes, finish, pens
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.models.model import Model
+    from armrig.models.fit import Fit
 
 # The sizes decrease, so that coinciding markers of several models are all visible.
 _MARKER_SIZES = (9.0, 6.5, 4.0, 4.0)
@@ -28,7 +28,7 @@ _RASTER_POINTS = 120
 _MAX_WIDENINGS = 6  # largest number of widenings of a raster until it contains the whole region
 
 
-def plot_poles_zeros(*models: Model, labels: Labels = None, ax: Axes | None = None) -> Axes:
+def plot_poles_zeros(*models: Fit, labels: Labels = None, ax: Axes | None = None) -> Axes:
     """Plot poles (×) and zeros (○) in the z plane with their 95 % regions and the unit circle.
 
     The region of a real root is an interval, drawn as a bar. The region of a complex root is an
@@ -112,7 +112,7 @@ def _draw_densest(ax: Axes, densest: HighestDensityRegion, colour: str) -> None:
     ax.contour(x, y, excess, levels=[1.0], colors=[colour], linestyles=":", linewidths=1.0)
 
 
-def _mark_cancelling(ax: Axes, model: Model) -> None:
+def _mark_cancelling(ax: Axes, model: Fit) -> None:
     """Mark each pair of a pole and a zero that cannot be distinguished, and its conjugate pair."""
     for pole, zero, _ in overlapping(model):
         middle = (pole + zero) / 2

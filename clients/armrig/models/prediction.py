@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from numbers import Integral
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.dataset import Dataset, Vector
+from armrig.data.signals import Signals
 from armrig.models.innovations import Unknown, errors, prepared, regression, summed_input
+from armrig.models.state_space import predicted as of_outputs
 from armrig.models.structure import Structure, free_columns, transient_count
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.noise_filter import NoiseFilter
@@ -18,10 +20,10 @@ from armrig.numerics.polynomial import Array, filtered, impulse, lagged, without
 from armrig.numerics.regressors import complete, past
 
 if TYPE_CHECKING:
-    from armrig.models.model import Model
+    from armrig.models.fit import Fit
 
 
-def simulated(model: Model, part: Dataset) -> Vector:
+def simulated(model: Fit, part: Dataset) -> Vector:
     """Return the simulated output of one experiment (N,), from the least-squares initial state.
 
     With an integrator, or if the model has `offset`, the input offset is estimated too. The
@@ -46,18 +48,33 @@ def simulated(model: Model, part: Dataset) -> Vector:
     return np.asarray(forced + columns @ free.coefficients(part.y[part.valid] - forced[part.valid]))
 
 
-def predicted(model: Model, data: Dataset, horizon: int | None) -> Vector:
-    """Return ŷ (N,), as `Fit.predict` documents.
+def predicted(model: Fit, data: Dataset | Signals, horizon: int | None) -> Array:
+    """Return ŷ, as `Fit.predict` documents.
 
     Raises
     ------
     ValueError
-        horizon is below 1, or the data differ from the model in output, unit or Ts.
+        horizon is below 1, or the data differ from the model in signals, units or Ts.
     """
-    _require_dataset(data)
     require_same_signals(model, data)
     _require_horizon(horizon)
-    parts = data.experiments()
+    if (model.ny, model.nu) != (1, 1):
+        data = cast("Signals", data)
+        system = model.form.realised()
+        return np.concatenate(
+            [
+                of_outputs(
+                    system,
+                    part,
+                    horizon=horizon,
+                    integrating=model.form.integrators,
+                    offset=model.offset,
+                    noise_std=np.sqrt(np.diag(model.noise_covariance)),
+                )
+                for part in data.experiments()
+            ]
+        )
+    parts = _single(data).experiments()
     if horizon is None or structure_of(model).white:
         return np.concatenate([simulated(model, part) for part in parts])
     if model.C.size == model.D.size == model.F.size == 1 and not (model.offset or model.integrator):
@@ -65,7 +82,7 @@ def predicted(model: Model, data: Dataset, horizon: int | None) -> Vector:
     return np.concatenate([_innovations_predicted(model, part, horizon) for part in parts])
 
 
-def structure_of(model: Model) -> Structure:
+def structure_of(model: Fit) -> Structure:
     """Return the structure of a model; its orders do not count the root of the integrator."""
     inside = {"a": 0, "f": 0, model.integrating: 1}
     return Structure(
@@ -80,7 +97,7 @@ def structure_of(model: Model) -> Structure:
     )
 
 
-def _innovations_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
+def _innovations_predicted(model: Fit, part: Dataset, horizon: int) -> Vector:
     """Return y(t) minus the contribution of the innovations of the last `horizon` samples."""
     found = prediction_errors(model, part)
     e, ahead = found.e, min(horizon, part.N)
@@ -90,7 +107,7 @@ def _innovations_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
     return np.asarray(part.y - lagged(e, range(ahead)) @ h)
 
 
-def _arx_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
+def _arx_predicted(model: Fit, part: Dataset, horizon: int) -> Vector:
     known = _known_past(model, part)
     driven = filtered(model.B, [1.0], part.u)
     driven[: model.B.size - 1] = np.nan
@@ -105,7 +122,7 @@ def _arx_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
     return y
 
 
-def _known_past(model: Model, part: Dataset) -> Array:
+def _known_past(model: Fit, part: Dataset) -> Array:
     """Return E[y(t-1) … y(t-na) | data to t-1], (N, na); NaN before na successive measurements.
 
     If all na samples were measured, the result contains the measured samples. During and after a
@@ -151,7 +168,7 @@ class Residuals:
     """Filter of data with gaps, for a model with C or D."""
 
 
-def prediction_errors(model: Model, part: Dataset) -> Residuals:
+def prediction_errors(model: Fit, part: Dataset) -> Residuals:
     """Return the residuals of one experiment, with the unknown past estimated by least squares."""
     structure = structure_of(model)
     p = {letter: getattr(model, letter) for letter in "ABCDF"}
@@ -179,33 +196,64 @@ def _none(N: int, parameters: int) -> Residuals:
     return Residuals(e=np.full(N, np.nan), Psi=np.zeros((N, parameters)), unknown=nothing)
 
 
-def _require_dataset(data: object) -> None:
-    if not isinstance(data, Dataset):
-        raise InputTypeError(
-            f"data is a {type(data).__name__}: give a Dataset; for an input, use fit.simulate(u)"
-        )
+def _single(data: Dataset | Signals) -> Dataset:
+    """Return the data of the only output and input."""
+    return data if isinstance(data, Dataset) else data.dataset()
 
 
 def _require_horizon(horizon: object) -> None:
-    if horizon is not None and not (isinstance(horizon, Integral) and int(horizon) >= 1):
+    if horizon is None:
+        return
+    if isinstance(horizon, bool) or not isinstance(horizon, Integral) or int(horizon) < 1:
         raise InputError(f"horizon={horizon!r} must be an integer >= 1, or None for simulation")
 
 
-def require_same_signals(model: Model, data: Dataset) -> None:
-    """Refuse data that differ from the model in output, unit or sampling time.
+def require_same_signals(model: Fit, data: Dataset | Signals) -> None:
+    """Refuse data that differ from the model in signals, units or sampling time.
 
-    An empty name matches any name, and an empty unit any unit. The name y counts as empty.
+    For one input and one output, an empty name matches any name, and an empty unit any unit. The
+    name y counts as empty.
     """
-    if not np.isclose(model.Ts, data.Ts, rtol=1e-9, atol=0.0):
-        raise InputError(
-            f"the model has Ts={model.Ts:g} s and the data have Ts={data.Ts:g} s; "
-            "identify and validate at the same rate"
+    if (model.ny, model.nu) != (1, 1):
+        _require_same_channels(model, data)
+        return
+    if not isinstance(data, Dataset | Signals):
+        raise InputTypeError(
+            f"data is a {type(data).__name__}: give a Dataset; for an input, use fit.simulate(u)"
         )
-    names = {model.output, data.output} - {"", "y"}
-    units = {model.unit, data.unit} - {""}
+    one = _single(data)
+    _require_same_Ts(model, one.Ts)
+    names = {model.output, one.output} - {"", "y"}
+    units = {model.unit, one.unit} - {""}
     if len(names) > 1 or len(units) > 1:
-        of_model, of_data = (f"{x.output} [{x.unit or '–'}]" for x in (model, data))
+        of_model, of_data = (f"{x.output} [{x.unit or '–'}]" for x in (model, one))
         raise InputError(
             f"the model's output is {of_model} and the data contain {of_data}; validate with the "
             f"model's output, recording.dataset(output={model.output!r})"
+        )
+
+
+def _require_same_channels(model: Fit, data: object) -> None:
+    if not isinstance(data, Signals):
+        raise InputTypeError(
+            f"data is a {type(data).__name__}: give Signals with {', '.join(model.outputs)} and "
+            f"{', '.join(model.inputs)}; for inputs alone, use fit.simulate(u)"
+        )
+    _require_same_Ts(model, data.equidistant())
+    for what, own, theirs in (
+        ("outputs", model.outputs, data.outputs),
+        ("inputs", model.inputs, data.inputs),
+    ):
+        if own != theirs:
+            raise InputError(
+                f"the model's {what} are {', '.join(own)} and the data have {', '.join(theirs)}; "
+                "choose them with signals.channels(outputs, inputs)"
+            )
+
+
+def _require_same_Ts(model: Fit, Ts: float) -> None:
+    if not np.isclose(model.Ts, Ts, rtol=1e-9, atol=0.0):
+        raise InputError(
+            f"the model has Ts={model.Ts:g} s and the data have Ts={Ts:g} s; "
+            "identify and validate at the same rate"
         )

@@ -181,7 +181,7 @@ OF_SEVERAL: dict[str, RegisteredStructure] = {
     row.name: row for row in (*_ROWS, _SS) if row.takes_several is not None
 }
 """Specifications of the structures that have an estimator of several signals."""
-DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | {CHANNEL.name: CHANNEL}
+DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | OF_SEVERAL | {CHANNEL.name: CHANNEL}
 """Specifications of all structures that a `Fit` may have, by name."""
 OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for name in OFFERED_NAMES}
 """Specifications of the structures that the commands offer, by name."""

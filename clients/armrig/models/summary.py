@@ -13,14 +13,13 @@ from armrig.models.characteristics import (
     model_characteristics,
     overlapping,
 )
-from armrig.models.estimate import Estimate
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.uncertainty import pole_regions, zero_regions
 from armrig.numerics.confidence_regions import HALF_WIDTH, Region
 from armrig.numerics.quantities import minus, with_range
 
 if TYPE_CHECKING:
-    from armrig.models.model import Model
+    from armrig.models.fit import Fit
 
 _UNITS = {
     "gain": "",
@@ -119,7 +118,7 @@ class Summary:
         return f"{_range(value, float(known.low), float(known.high), known.method)} {unit}".rstrip()
 
 
-def summary(model: Model) -> Summary:
+def summary(model: Fit) -> Summary:
     """Return poles, zeros and characteristic numbers of a model with their 95 % ranges.
 
     A range is linearised, or computed by draws from N(theta, P) if the linearisation is poor. There
@@ -135,7 +134,7 @@ def summary(model: Model) -> Summary:
         figures=model_characteristics(model),
         cancelling=() if draws is None else tuple(overlapping(model)),
         draws=draws,
-        robust=isinstance(model, Estimate) and model.trusts_robust,
+        robust=model.trusts_robust,
         gain_unit=f"{model.unit}/{model.input_unit}" if model.unit and model.input_unit else "",
     )
 

@@ -17,7 +17,7 @@ from armrig.models.parameter_draws import Draws, drawn, polynomial_of, roots_of
 from armrig.numerics.confidence_regions import Band, Region, band, regions
 
 if TYPE_CHECKING:
-    from armrig.models.model import Model
+    from armrig.models.fit import Fit
     from armrig.models.responses import FrequencyResponse, StepResponse
 
 Vector = NDArray[np.float64]
@@ -25,7 +25,7 @@ Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-def pole_regions(model: Model, draws: Draws | None = None) -> list[Region]:
+def pole_regions(model: Fit, draws: Draws | None = None) -> list[Region]:
     """Return the 95 % region of each pole, in the order of `model.poles()`.
 
     The regions of the roots of A and of the roots of F are computed separately.
@@ -40,7 +40,7 @@ def pole_regions(model: Model, draws: Draws | None = None) -> list[Region]:
     return found
 
 
-def zero_regions(model: Model, draws: Draws | None = None) -> list[Region]:
+def zero_regions(model: Fit, draws: Draws | None = None) -> list[Region]:
     """Return the 95 % region of each zero, in the order of `model.zeros()`."""
     draws = drawn(model) if draws is None else draws
     zeros = model.zeros()
@@ -53,7 +53,7 @@ def zero_regions(model: Model, draws: Draws | None = None) -> list[Region]:
 
 
 def frequency_bands(
-    model: Model, answer: FrequencyResponse, draws: Draws | None
+    model: Fit, answer: FrequencyResponse, draws: Draws | None
 ) -> tuple[Band, Band]:
     """Return the 95 % band of |G| and the 95 % band of the phase of G.
 
@@ -72,7 +72,7 @@ def frequency_bands(
     )
 
 
-def step_band(model: Model, answer: StepResponse, draws: Draws | None) -> Band:
+def step_band(model: Fit, answer: StepResponse, draws: Draws | None) -> Band:
     """Return the 95 % band of a step response; without draws the band is linearised."""
     if draws is None:
         return band(answer.y, answer.std, None)
@@ -82,7 +82,7 @@ def step_band(model: Model, answer: StepResponse, draws: Draws | None) -> Band:
     return band(answer.y, answer.std, samples)
 
 
-def frequency_responses(model: Model, theta: Matrix, omega: ArrayLike) -> Complex:
+def frequency_responses(model: Fit, theta: Matrix, omega: ArrayLike) -> Complex:
     """Return G (m, n) of each draw in theta (m, d) at omega (n,), in rad/s."""
     x = np.exp(-1j * np.atleast_1d(np.asarray(omega, np.float64)) * model.Ts)
     G = polynomial_of(model, theta, "b") @ _powers(x, model.B.size)
@@ -96,7 +96,7 @@ def frequency_responses(model: Model, theta: Matrix, omega: ArrayLike) -> Comple
     return np.asarray(G)
 
 
-def step_responses(model: Model, theta: Matrix, n: int) -> Matrix:
+def step_responses(model: Fit, theta: Matrix, n: int) -> Matrix:
     """Return the first n samples (m, n) of the unit step response of each draw in theta (m, d)."""
     B = polynomial_of(model, theta, "b")
     y = np.cumsum(np.pad(B, ((0, 0), (0, max(0, n - B.shape[1]))))[:, :n], axis=1)

@@ -16,6 +16,22 @@ from armrig.numerics.whiteness import autoregression
 
 _FILTER_ROWS = 1 << 16  # rows filtered at once, so that the memory does not grow with the data
 _SUM_ROWS = 1 << 11  # rows summed at once
+_MIN_WHITENED = 30  # least number of errors from which the correlation of outputs is estimated
+
+
+def pairwise_covariance(e: Array) -> Array:
+    """Return the positive definite covariance of e (N, ny) about 0; a missing value is NaN."""
+    known = np.isfinite(e)
+    x, mark = np.where(known, e, 0.0), known.astype(np.float64)
+    pairs = np.maximum(mark.T @ mark, 1.0)
+    found = (x.T @ x) / pairs
+    std = np.sqrt(np.diag(found))
+    if not (std > 0).all():
+        return np.diag(np.maximum(std, 1e-150) ** 2)
+    values, axes = np.linalg.eigh(found / np.outer(std, std))
+    # The missing samples differ between pairs of outputs, so the estimate can be indefinite.
+    inside = (axes * np.maximum(values, 1e-8)) @ axes.T
+    return np.asarray(inside * np.outer(std, std))
 
 
 def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
@@ -59,6 +75,50 @@ def exogenous_score_in_blocks(
             if C.size > 1:
                 scores, state = lfilter([1.0], C, scores[:, ::-1], zi=state)
             total += s2 * (scores @ scores.T)
+    return total
+
+
+def joint_exogenous_score(H: Sequence[Sequence[Array]], e: Sequence[Sequence[Array]]) -> Array:
+    """Return the covariance of the sum of H_i(t) e_i(t) over t and outputs i.
+
+    The residuals of each output are autoregressive, and the errors of the autoregressions are
+    correlated at the same instant. H must not depend on the noise. For one output the result is
+    `exogenous_score`.
+
+    Parameters
+    ----------
+    H : sequence of sequence of ndarray (N_i, d)
+        H of each experiment and output, zero in the rows in which y is missing.
+    e : sequence of sequence of ndarray (N_i,)
+        Residuals of each experiment and output, NaN if y is missing.
+    """
+    from scipy.signal import lfilter
+
+    ny = len(e[0])
+    if ny == 1:
+        return exogenous_score([h for (h,) in H], [x for (x,) in e])
+    fitted = [autoregression([of[i] for of in e]) for i in range(ny)]
+    models, variances = zip(*fitted, strict=True)
+    # A value that depends on a missing sample is NaN.
+    white = [
+        np.column_stack([np.convolve(x, C)[: x.size] for x, C in zip(of, models, strict=True)])
+        for of in e
+    ]
+    known = np.isfinite(np.vstack(white))
+    if np.min(known.T.astype(int) @ known) < _MIN_WHITENED:
+        # Missing samples leave too few errors of the autoregressions.
+        white = [np.column_stack(of) for of in e]
+    Sigma = pairwise_covariance(np.vstack(white))
+    Sigma *= np.sqrt(np.outer(variances, variances) / np.outer(np.diag(Sigma), np.diag(Sigma)))
+    total = np.zeros((H[0][0].shape[1],) * 2)
+    for of in H:
+        back = [
+            lfilter([1.0], C, h[::-1], axis=0) if C.size > 1 else h[::-1]
+            for h, C in zip(of, models, strict=True)
+        ]
+        for i in range(ny):
+            for k in range(ny):
+                total += Sigma[i, k] * (back[i].T @ back[k])
     return total
 
 

@@ -1,13 +1,14 @@
 """Covariance, loss and test of whiteness, from residuals and derivatives, for all estimators.
 
-The parameters theta were fitted by least squares. Psi contains the derivatives of the prediction
-with respect to theta, and Q is the orthonormal basis of the columns of Psi. W W^T is
-(Psi^T Psi)^-1, and M is the covariance of the score Psi^T e. Then ::
+The error of an estimate is W times the sum of H_i(t) e_i(t) over time t and outputs i. H_i (N, r)
+is the influence of e_i on the estimate. If e is white with covariance Lambda, then ::
 
-    covariance         lambda W W^T         valid if e is white
-    covariance_robust  W (Q^T R Q) W^T      valid also if e is coloured
+    covariance         W [sum over i, k of Lambda_ik H_i^T H_k] W^T     valid if e is white
+    covariance_robust  W M W^T                                          valid also if e is coloured
 
-R is the covariance of e. The robust form equals W W^T M W W^T, since M = Psi^T R Psi and Psi W = Q.
+M is the covariance of the sum of H_i(t) e_i(t). If one output is fitted by least squares, H is the
+orthonormal basis Q of the derivatives Psi of the prediction. W W^T is then (Psi^T Psi)^-1, and the
+covariance is lambda W W^T.
 
 References
 ----------
@@ -23,9 +24,13 @@ from typing import Any, Literal
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.numerics.covariance import correlated_score, exogenous_score
+from armrig.numerics.covariance import (
+    correlated_score,
+    joint_exogenous_score,
+    pairwise_covariance,
+)
 from armrig.numerics.criteria import fit_percent
-from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.least_squares import Basis
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import (
     LJUNG_BOX,
@@ -39,34 +44,79 @@ from armrig.numerics.whiteness import (
 
 Score = Literal["exogenous", "correlated"]
 Test = Literal["portmanteau", "ljung-box"]
+_ROUNDING_SHARE = 1e-18  # sse below this share of the sum of y² is due to rounding errors
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OutputResiduals:
+    """Residuals of one output in one experiment, and their derivatives."""
+
+    e: Array
+    """Residuals (N,), NaN where there is none."""
+    H: Array
+    """Influence of e on the estimate (N, r); 0 in rows without a residual."""
+    Psi: Array | None = None
+    """Derivatives of the prediction with respect to the parameters of this output, (N, d_i); 0 in
+    rows without a residual. Their projection on Z is subtracted. None if H is an orthonormal basis
+    of the derivatives."""
+    Z: Array | None = None
+    """Orthonormal basis of the responses to the unknown state (N, q); 0 in rows without a residual.
+    None if there is no unknown state."""
+    y: Array | None = None
+    """Measured output (N,); None if it is not known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OutputQuality:
+    """Quality of a model for one output, one step ahead, on the estimation data."""
+
+    loss: float
+    """Mean squared error, in the squared unit of the output."""
+    N: int
+    """Number of errors in the loss."""
+    fit_percent: float
+    """100 (1 - |y - ŷ| / |y - mean y|); NaN if y is not known."""
+    white: Whiteness
+    """Result of the whiteness test of the errors; `NOT_TESTED` if no test was requested or
+    possible."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Inference:
-    """Uncertainty of d fitted parameters, and the quality of the fit."""
+    """Uncertainty of d parameters, and the quality of the fit for each of ny outputs."""
 
     covariance: Array
     """Covariance of the parameters, classic form, (d, d)."""
     covariance_robust: Array
     """Covariance of the parameters, sandwich form, (d, d)."""
-    noise_variance: float
-    """Variance of the noise: sum of squared residuals divided by its degrees of freedom."""
-    loss: float
-    """Mean squared residual."""
-    N: int
-    """Number of residuals."""
-    fit_percent: float
-    """100 (1 - |e| / |y - mean y|); NaN if y is not known."""
-    white: Whiteness
-    """Result of the whiteness test; `NOT_TESTED` if no test was requested or possible."""
-    basis: Basis
-    """Basis of the columns of Psi, all experiments stacked."""
+    noise_covariance: Array
+    """Covariance of e (ny, ny): sums of products divided by their degrees of freedom."""
+    quality: tuple[OutputQuality, ...]
+    """Loss, fit and whiteness of each output."""
 
-    def quality(self) -> dict[str, Any]:
-        """Return covariances, loss and whiteness test by the field names of a `Fit`."""
-        names = ("covariance", "covariance_robust", "noise_variance", "loss", "N", "fit_percent")
-        white = {"whiteness": self.white.p_value, "whiteness_test": self.white.test}
-        return {name: getattr(self, name) for name in names} | white
+    @property
+    def noise_variance(self) -> float:
+        """Variance of the noise of the first output."""
+        return float(self.noise_covariance[0, 0])
+
+    def fields(self) -> dict[str, Any]:
+        """Return the fields of this result by name."""
+        names = ("covariance", "covariance_robust", "noise_covariance", "quality")
+        return {name: getattr(self, name) for name in names}
+
+    def of_one_output(self) -> dict[str, Any]:
+        """Return covariances, loss and whiteness test of one output, by the names of a `Fit`."""
+        (quality,) = self.quality
+        return {
+            "covariance": self.covariance,
+            "covariance_robust": self.covariance_robust,
+            "noise_variance": self.noise_variance,
+            "loss": quality.loss,
+            "N": quality.N,
+            "fit_percent": quality.fit_percent,
+            "whiteness": quality.white.p_value,
+            "whiteness_test": quality.white.test,
+        }
 
     def transformed(self, J: Array) -> Inference:
         """Return the inference for the parameters J theta, with a given matrix J."""
@@ -77,111 +127,170 @@ class Inference:
         )
 
 
-def infer(
+def least_squares_residuals(
     residuals: Sequence[Array],
-    blocks: Sequence[Array],
+    basis: Basis,
     *,
-    score: Score,
     spans: Sequence[Array] | None = None,
-    nuisance: int = 0,
     y: Array | None = None,
-    basis: Basis | None = None,
-    test: Test | None = "portmanteau",
-    rounding: float = 0.0,
-    prewhitening: int = 0,
-) -> Inference:
-    """Return covariance, loss and test of whiteness from the residuals of all experiments.
+) -> list[list[OutputResiduals]]:
+    """Return the residuals of one output that was fitted by least squares, for `infer`.
 
     Parameters
     ----------
     residuals : sequence of ndarray (N_i,)
         Residuals of each experiment, NaN if they are not known.
-    blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment: the derivatives of the prediction with respect to theta. The
-        projection of these derivatives on the nuisance responses is subtracted. Psi is zero in the
-        rows without a residual.
-    score : {"exogenous", "correlated"}
-        Estimate of M. "exogenous" assumes that Psi is independent of the noise. With "correlated",
-        Psi may depend on the noise.
-    spans : sequence of ndarray (N_i, r_i), optional
-        Orthonormal basis of the responses of the nuisance parameters in each experiment; zero in
-        the rows without a residual.
-    nuisance : int, default 0
-        Number of further nuisance parameters, whose responses are not contained in `spans`.
+    basis : Basis
+        Basis of the derivatives of the prediction in all experiments, 0 in rows without a residual.
+    spans : sequence of ndarray (N_i, q_i), optional
+        Orthonormal basis of the responses to the unknown state in each experiment.
     y : ndarray (sum of N_i,), optional
         Measured output, for `fit_percent`.
-    basis : Basis, optional
-        Basis of the columns of all blocks, if it is known.
+    """
+    edges = np.cumsum([e.size for e in residuals])[:-1]
+    none = [None] * len(residuals)
+    parts = zip(
+        residuals,
+        np.split(basis.Q, edges),
+        none if spans is None else spans,
+        none if y is None else np.split(y, edges),
+        strict=True,
+    )
+    return [[OutputResiduals(e=e, H=Q, Z=span, y=part)] for e, Q, span, part in parts]
+
+
+def infer(
+    experiments: Sequence[Sequence[OutputResiduals]],
+    W: Array,
+    *,
+    score: Score,
+    parameters: Sequence[float] | None = None,
+    test: Test | None = "portmanteau",
+    rounding: float = 0.0,
+    prewhitening: float = 0,
+) -> Inference:
+    """Return covariance, loss and tests of whiteness from the residuals of all experiments.
+
+    Parameters
+    ----------
+    experiments : sequence of sequence of OutputResiduals
+        Residuals of each experiment and output.
+    W : ndarray (d, r)
+        Matrix that transforms the sum of H_i(t) e_i(t) to the error of the d parameters.
+    score : {"exogenous", "correlated"}
+        Estimate of M. "exogenous" assumes that H is independent of the noise. With "correlated", H
+        may depend on the noise.
+    parameters : sequence of float, optional
+        Number of parameters that were fitted to each output. A parameter that k outputs share
+        counts 1/k for each of them. By default each output has the same number, d/ny.
     test : {"portmanteau", "ljung-box"}, optional
         Test of whiteness. "portmanteau" allows for the fitted parameters. "ljung-box" is for
-        residuals to which theta was not fitted. With None there is no test.
+        residuals to which the parameters were not fitted. With None there is no test.
     rounding : float, default 0.0
         If the sum of squared residuals is at most this number, the residuals are rounding errors
         and are not tested.
-    prewhitening : int, default 0
-        Order of the autoregression that was fitted to the residuals to prewhiten them. This order
-        is subtracted from the degrees of freedom of the Ljung-Box test.
+    prewhitening : float, default 0
+        Number of noise parameters that were fitted to the residuals, such as the order of an
+        autoregression that prewhitens them. It is subtracted from the degrees of freedom of the
+        Ljung-Box test.
 
     Raises
     ------
     ValueError
-        The number of residuals does not exceed the number of parameters.
+        The number of residuals of an output does not exceed the number of its parameters.
     """
-    N = sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals)
-    spans = [np.zeros((e.size, 0)) for e in residuals] if spans is None else spans
-    d = blocks[0].shape[1]
-    others = nuisance + sum(span.shape[1] for span in spans)
-    degrees = N - d - others
-    if degrees < 1:
-        raise InputError(
-            f"{N} samples are too few to estimate the noise: {d} parameters and {others} initial "
-            "conditions are fitted to them; lower the orders, or record longer"
-        )
-    sse = sum(float(np.nansum(e**2)) for e in residuals)
-    if basis is None:
-        basis = orthonormal(blocks[0] if len(blocks) == 1 else np.vstack(blocks))
-    bread = basis.W @ basis.W.T
-    # Q instead of Psi: if columns are nearly equal, rounding can make variances in W W^T M W W^T
-    # negative.
-    edges = np.cumsum([e.size for e in residuals])[:-1]
-    middle = _middle(score, residuals, np.split(basis.Q, edges)) * N / degrees
-    tested = test if sse > rounding else None
+    outputs = list(zip(*experiments, strict=True))
+    ny = len(outputs)
+    parameters = [W.shape[0] / ny] * ny if parameters is None else parameters
+    counts = np.array([sum(int(np.count_nonzero(np.isfinite(r.e))) for r in of) for of in outputs])
+    degrees = np.array(
+        [_degrees(of, N, d) for of, N, d in zip(outputs, counts.tolist(), parameters, strict=True)]
+    )
+    quality = tuple(
+        quality_of(of, test=test, rounding=rounding, prewhitening=prewhitening) for of in outputs
+    )
+    inflation = counts / degrees
+    if ny == 1:
+        Lambda = np.array([[quality[0].loss]]) * inflation
+    else:
+        e = np.vstack([np.column_stack([r.e for r in of]) for of in experiments])
+        Lambda = pairwise_covariance(e) * np.sqrt(np.outer(inflation, inflation))
+    M = _score(experiments, score) * float(np.sum(counts) / np.sum(degrees))
     return Inference(
-        covariance=sse / degrees * bread,
-        covariance_robust=basis.W @ middle @ basis.W.T,
-        noise_variance=sse / degrees,
-        loss=sse / N,
-        N=N,
-        fit_percent=_explained(y, residuals, sse),
-        white=_whiteness(tested, residuals, blocks, spans, basis, prewhitening),
-        basis=basis,
+        covariance=W @ _white_score(experiments, Lambda) @ W.T,
+        covariance_robust=W @ M @ W.T,
+        noise_covariance=Lambda,
+        quality=quality,
     )
 
 
-def _middle(score: Score, residuals: Sequence[Array], blocks: Sequence[Array]) -> Array:
-    """Return the covariance of X^T e for the stacked `blocks` X."""
-    estimate = exogenous_score if score == "exogenous" else correlated_score
-    return estimate(blocks, residuals)
+def _degrees(parts: Sequence[OutputResiduals], N: int, parameters: float) -> float:
+    """Return the degrees of freedom of one output's residuals."""
+    unknown = sum(r.Z.shape[1] for r in parts if r.Z is not None)
+    if N - unknown - parameters < 1:
+        raise InputError(
+            f"{N} samples are too few to estimate the noise: {parameters:g} parameters and "
+            f"{unknown} initial conditions are fitted to them; lower the orders, or record longer"
+        )
+    return float(N - unknown - parameters)
 
 
-def _explained(y: Array | None, residuals: Sequence[Array], sse: float) -> float:
-    if y is None:
-        return float("nan")
-    return fit_percent(y[np.isfinite(np.concatenate(residuals))], sse)
+def _white_score(experiments: Sequence[Sequence[OutputResiduals]], Lambda: Array) -> Array:
+    """Return the covariance of the sum of H_i(t) e_i(t) for white e with covariance Lambda."""
+    if len(Lambda) == 1 and experiments[0][0].Psi is None:
+        return np.asarray(Lambda[0, 0] * np.eye(experiments[0][0].H.shape[1]))
+    return np.asarray(
+        np.sum(
+            [
+                Lambda[i, k] * (ri.H.T @ rk.H)
+                for of in experiments
+                for i, ri in enumerate(of)
+                for k, rk in enumerate(of)
+            ],
+            axis=0,
+        )
+    )
 
 
-def _whiteness(
-    test: Test | None,
-    residuals: Sequence[Array],
-    blocks: Sequence[Array],
-    spans: Sequence[Array],
-    basis: Basis,
-    prewhitening: int,
-) -> Whiteness:
-    if test is None:
-        return NOT_TESTED
-    lags = default_lags(sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals))
-    if test == "ljung-box":
-        p = ljung_box(joined(residuals, lags), lags, min(prewhitening, lags - 1))
-        return Whiteness(p_value=p, test=LJUNG_BOX)
-    return portmanteau(residuals, blocks, spans, lags, Q=basis.Q)
+def _score(experiments: Sequence[Sequence[OutputResiduals]], score: Score) -> Array:
+    """Return M, the covariance of the sum of H_i(t) e_i(t)."""
+    H, e = [[r.H for r in of] for of in experiments], [[r.e for r in of] for of in experiments]
+    if score == "exogenous":
+        return joint_exogenous_score(H, e)
+    if len(experiments[0]) == 1:
+        return correlated_score([h for (h,) in H], [v for (v,) in e])
+    scores = [np.sum([r.H * np.nan_to_num(r.e)[:, None] for r in of], axis=0) for of in experiments]
+    return correlated_score(scores, [np.ones(s.shape[0]) for s in scores])
+
+
+def quality_of(
+    parts: Sequence[OutputResiduals],
+    *,
+    test: Test | None = "portmanteau",
+    rounding: float = 0.0,
+    prewhitening: float = 0,
+) -> OutputQuality:
+    """Return loss, fit and whiteness of one output; the arguments are those of `infer`."""
+    e = np.concatenate([r.e for r in parts])
+    known = np.isfinite(e)
+    N, sse, fit = int(np.count_nonzero(known)), float(np.nansum(e**2)), float("nan")
+    measured = [r.y for r in parts if r.y is not None]
+    if measured:
+        y = np.concatenate(measured)[known]
+        fit, rounding = fit_percent(y, sse), max(rounding, _ROUNDING_SHARE * float(y @ y))
+    white = NOT_TESTED
+    lags = default_lags(N)
+    if test == "ljung-box" and sse > rounding:
+        fitted = min(round(prewhitening), lags - 1)
+        p = ljung_box(joined([r.e for r in parts], lags), lags, fitted)
+        white = Whiteness(p_value=p, test=LJUNG_BOX)
+    elif test == "portmanteau" and sse > rounding:
+        Q = np.vstack([r.H for r in parts]) if parts[0].Psi is None else None
+        white = portmanteau(
+            [r.e for r in parts],
+            [r.H if r.Psi is None else r.Psi for r in parts],
+            [np.zeros((r.e.size, 0)) if r.Z is None else r.Z for r in parts],
+            lags,
+            Q=Q,
+        )
+    return OutputQuality(loss=sse / max(N, 1), N=N, fit_percent=fit, white=white)

@@ -7,8 +7,9 @@ from math import isqrt
 import numpy as np
 from scipy.signal import lfilter
 
-from armrig.numerics.polynomial import Array
+from armrig.numerics.polynomial import Array, impulse, lagged
 
+_SETTLED_SHARE = 1e-18  # share of the largest value below which an impulse response is 0
 _MAX_CONDITION = 1e5  # largest condition number of the eigenvectors for a sum over modes
 
 
@@ -104,6 +105,26 @@ def varying_recursion(Phi: Array, w: Array, x0: Array) -> Array:
     return np.asarray(x.swapaxes(0, 1).reshape(blocks * length, m, n)[: N + 1])
 
 
+def in_observer_form(Phi: Array, C: Array) -> bool:
+    """Return whether C (q - Phi)^-1 e_k is q^-k / c(q) for each unit vector e_k.
+
+    The first column of Phi then contains the coefficients -c_k of the polynomial c.
+    """
+    n = Phi.shape[0]
+    return np.array_equal(C, np.eye(1, n)) and np.array_equal(Phi[:, 1:], np.eye(n, n - 1))
+
+
+def outputs(Phi: Array, C: Array, w: Array, x0: Array) -> Array:
+    """Return C x(0) … C x(N - 1) of x(k+1) = Phi x(k) + w(k), (N, ny)."""
+    if not in_observer_form(Phi, C):
+        return np.asarray(recursion(Phi, w, x0)[:-1] @ C.T)
+    total = np.zeros(w.shape[0])
+    for k in range(len(Phi)):
+        total[k : k + 1] += x0[k]
+        total[k + 1 :] += w[: total.size - k - 1, k]
+    return np.asarray(lfilter([1.0], np.append(1.0, -Phi[:, 0]), total)[:, None])
+
+
 def free_responses(Phi: Array, C: Array, N: int) -> Array:
     """Return C Phi^t e_k, t = 0 … N - 1, for each unit vector e_k as initial state, (n, ny, N).
 
@@ -111,6 +132,12 @@ def free_responses(Phi: Array, C: Array, N: int) -> Array:
     one. All other powers are products of these powers.
     """
     n = Phi.shape[0]
+    if in_observer_form(Phi, C):
+        h = impulse(np.append(1.0, -Phi[:, 0]), N)
+        size = np.abs(h)
+        settled = np.argmax(size[::-1] > _SETTLED_SHARE * size.max())
+        h[N - settled :] = 0.0
+        return lagged(h, range(n)).T[:, None]
     length = isqrt(N) + 1
     powers = np.empty((length + 1, n, n))
     powers[0] = np.eye(n)
@@ -142,6 +169,12 @@ def responses(Phi: Array, C: Array, signals: Array) -> Array:
         Signals s.
     """
     (N, m), (ny, n) = signals.shape, C.shape
+    if in_observer_form(Phi, C):
+        filtered = lfilter([1.0], np.append(1.0, -Phi[:, 0]), signals.T)
+        found = np.zeros((m, n, 1, N))
+        for k in range(min(n, N - 1)):
+            found[:, k, 0, k + 1 :] = filtered[:, : N - k - 1]
+        return found
     z, V = np.linalg.eig(Phi)
     if np.linalg.cond(V) > _MAX_CONDITION:
         driven = np.zeros((N, m, n, n))

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 import numpy as np
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calls import checked_call
@@ -13,52 +10,13 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import as_dataset
 from armrig.data.dataset import Dataset, Vector
-from armrig.models.model import Model
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from armrig.models.summary import Summary
+from armrig.models.fit import Fit
 
 Matrix = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class PhysicalModel(Model):
-    """Sampled equations of the rig; the parameters are given, so the model has no uncertainty."""
-
-    @property
-    def label(self) -> str:
-        """Name in tables and legends."""
-        return "physics"
-
-    def predict(self, data: Dataset, horizon: int | None = None) -> Vector:
-        """Return ŷ(t) (N,), as `armrig.Fit.predict` does; by default, the output is simulated."""
-        from armrig.models.prediction import predicted
-
-        return predicted(self, data, horizon)
-
-    def summary(self) -> Summary:
-        """Return a summary of poles, zeros, gain, bandwidth and times, which can be printed."""
-        from armrig.models.summary import summary
-
-        return summary(self)
-
-    def plot(self) -> Figure:
-        """Return a figure of frequency and step response, poles and zeros."""
-        from armrig.models.figures import plot_fit
-
-        return plot_fit(self)
-
-    def __repr__(self) -> str:
-        """Return the model as a few lines of text, the equation first."""
-        from armrig.models.equation import equations, heading
-
-        return "\n".join([heading(self), *equations(self)])
-
-
 @checked_call
-def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
+def physical_model(p: ArmParameters, data: Dataset) -> Fit:
     """Return the physical model of the whole arm from u to the output of the data.
 
     If the output of the data is alpha, the model is from u to alpha and has no integrator. For all
@@ -81,7 +39,8 @@ def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
     first = int(not integrator)
     c = C[0] if integrator else C[1, 1:]
     numerator, denominator = transfer(A[first:, first:], B[first:], c, data.Ts)
-    return PhysicalModel(
+    return Fit.of_channel(
+        structure="physics",
         B=numerator,
         F=denominator,
         nk=1,

@@ -1,7 +1,7 @@
 from armrig.data.figures import plot_data as plot_data
+from armrig.data.figures import plot_signals as plot_signals
 from armrig.data.figures import plot_spectrum as plot_spectrum
 from armrig.data.figures import plot_values as plot_values
-from armrig.data.signal_figures import plot_signals as plot_signals
 from armrig.estimation.figures import plot_orders as plot_orders
 from armrig.estimation.nonparametric.figures import plot_correlation as plot_correlation
 from armrig.estimation.nonparametric.figures import plot_impulse as plot_impulse

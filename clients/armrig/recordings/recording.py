@@ -14,8 +14,7 @@ from armrig_core.manifest import Manifest, Outcome, Recovered
 from armrig_core.telemetry import THETA_1, OutputName
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.step import took
 from armrig.data.treatment import difference
 from armrig.numerics.stretches import Mask

@@ -6,8 +6,8 @@ from itertools import zip_longest
 from math import isfinite
 
 from armrig.models.equation import letters
+from armrig.models.fit import Fit
 from armrig.models.markup import typst_form
-from armrig.models.model import Model
 from armrig.numerics.quantities import (
     NBSP,
     error,
@@ -162,7 +162,7 @@ def _fixed_root(black: Study) -> str:
     )
 
 
-def _polynomials(model: Model) -> list[str]:
+def _polynomials(model: Fit) -> list[str]:
     """Return the definition of each polynomial of a model, in Typst's mathematics."""
     defined = []
     for letter in letters(model):

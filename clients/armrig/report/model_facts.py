@@ -10,13 +10,11 @@ import numpy as np
 from armrig.models.equation import letters, whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.markup import typst_form
-from armrig.models.model import Model
 from armrig.numerics.quantities import fixed, listed, number, p_value, percent, places, power
 from armrig.recordings.findings import alpha_moves
 from armrig.report.recording_facts import run_name
 from armrig.report.study import Assessed, AssessedFit, Study, each_output
-from armrig.validation.multivariable.residual_test import SignalsResidualTest
-from armrig.validation.residuals import ResidualTest
+from armrig.validation.residual_test import ResidualTest
 
 
 def orders(study: Study) -> str:
@@ -79,7 +77,7 @@ def model_table(m: AssessedFit, reference: Assessed, symbol: str = "") -> dict[s
     }
 
 
-def _coefficients(fit: Fit, reference: Model | None) -> list[list[str]]:
+def _coefficients(fit: Fit, reference: Fit | None) -> list[list[str]]:
     rows = []
     theirs = dict(zip(reference.names, reference.theta, strict=True)) if reference else {}
     for name, value, std, robust in zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True):
@@ -256,7 +254,7 @@ def residual_rows(study: Study) -> list[list[str]]:
     ]
 
 
-def _p_values(tests: Sequence[ResidualTest | SignalsResidualTest]) -> list[list[float]]:
+def _p_values(tests: Sequence[ResidualTest]) -> list[list[float]]:
     """Return, for each hypothesis in the order of `HYPOTHESES`, the p values of the tests."""
     return [
         [t.white.p_value for t in tests],

@@ -217,7 +217,7 @@ def _trends(name: str, data: Dataset) -> list[str]:
     for i, trend in enumerate(data.trends, 1):
         which = f"experiment {i} of {len(data.trends)}" if len(data.trends) > 1 else "the data"
         parts = [
-            _line(what, level, slope, unit)
+            _line(what, float(level), float(slope), unit)
             for what, level, slope, unit in (
                 ("u", trend.u_level, trend.u_slope, data.input_unit),
                 (data.output, trend.y_level, trend.y_slope, data.unit),

@@ -12,14 +12,12 @@ from armrig_core.arm import ArmParameters
 from armrig_core.errors import FileError, InputError
 from armrig_core.telemetry import ALPHA, THETA_1, OutputName
 
-from armrig.data.dataset import Dataset, Vector
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.estimation.orders import require_sensible
 from armrig.models.fit import Fit
-from armrig.models.model import Model
 from armrig.models.structure_table import ARM_POLES
 from armrig.physics.physical_model import physical_model
 from armrig.recordings.jitter import (
@@ -30,8 +28,8 @@ from armrig.recordings.jitter import (
 )
 from armrig.recordings.recording import Recording
 from armrig.validation.comparison import Comparison, compare
-from armrig.validation.multivariable.residual_test import SignalsResidualTest
-from armrig.validation.residuals import ResidualTest, residuals
+from armrig.validation.residual_test import ResidualTest
+from armrig.validation.residuals import residuals
 
 STEP = "step"
 """Kind of experiment that a report shows, but does not use for estimation."""
@@ -93,7 +91,7 @@ class Assessed:
         return self.comparison.name
 
     @property
-    def model(self) -> Model:
+    def model(self) -> Fit:
         """The model."""
         return self.comparison.model
 
@@ -108,7 +106,7 @@ class AssessedFit(Assessed):
     """Tests of the model's residuals on the validation data."""
     deviation: Vector
     """|G - G_physics| / |G_physics| at the study's frequencies, (n,)."""
-    together: SignalsResidualTest | None = None
+    together: ResidualTest | None = None
     """Tests of the residuals of all outputs of the model; None if the model has one output."""
 
 
@@ -256,7 +254,7 @@ def study(
     each = [_of_each(one) for one in (estimation, validation)]
     for one in each[0]:
         _require_sensible(one, orders.of(one.output))
-    tests: dict[str, SignalsResidualTest] = {}
+    tests: dict[str, ResidualTest] = {}
     if isinstance(estimation, Signals) and isinstance(validation, Signals):
         joint = _joint_fits(estimation, orders)
         tests = {name: residuals(fit, validation) for name, fit in joint.items()}
@@ -306,7 +304,7 @@ def _fits(data: Dataset, orders: Orders) -> dict[str, Fit]:
     }
 
 
-def _joint_fits(data: Signals, orders: Orders) -> dict[str, Any]:
+def _joint_fits(data: Signals, orders: Orders) -> dict[str, Fit]:
     """Return the models of all outputs, by their names in the report."""
     of_each = [orders.of(name) for name in data.outputs]
     integrating = [n for n, own in zip(data.outputs, of_each, strict=True) if own.integrator]
@@ -327,9 +325,9 @@ def _joint_fits(data: Signals, orders: Orders) -> dict[str, Any]:
 
 def assessed(
     fits: Mapping[str, Fit],
-    physics: Model,
+    physics: Fit,
     validation: Dataset,
-    together: Mapping[str, SignalsResidualTest] = MappingProxyType({}),
+    together: Mapping[str, ResidualTest] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Compare all models with the validation data; return fields of a `Study`.
 
@@ -337,7 +335,7 @@ def assessed(
     ----------
     fits : mapping of str to Fit
         Models by their names in the report.
-    together : mapping of str to SignalsResidualTest, optional
+    together : mapping of str to ResidualTest, optional
         Joint tests of all outputs, for the models that have several outputs.
     """
     # Compare first, because `compare` refuses a model of another sampling time.

@@ -11,13 +11,13 @@ from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice.model_advice import COLOURED
 from armrig.validation.comparison import Comparison, ComparisonTable
-from armrig.validation.residuals import ResidualTest
+from armrig.validation.residual_test import ResidualTest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from armrig.data.finding import Finding
-    from armrig.validation.multivariable.residual_test import SignalsResidualTest
+    from armrig.validation.residual_test import ResidualTest
 
 _DATA_FIRST = "correct the data first, see below"
 OF_DATA = frozenset({"outliers", "level"})
@@ -27,6 +27,7 @@ DYNAMICS = "look at the orders or the delay"
 FEEDBACK = "look at the experiment, or the delay is too large"
 LEVEL = f"a p below {WHITE_LEVEL:g} rejects"
 _MORE_TESTS = f"{LEVEL.capitalize()}; --validate F2 tests the residuals against the input, too."
+ON_OWN_DATA = " on its estimation data"
 UNTESTED = "too few samples or residuals for the test"
 
 
@@ -49,22 +50,22 @@ def answer(
     said += f"; {_DATA_FIRST if doubted else COLOURED}." if fit.trusts_robust else "."
     if validation is None or tests is None:
         return said if isnan(fit.whiteness) else f"{said}\n{_MORE_TESTS}"
-    simulated = simulated_to(validation[0], validation.unit)
+    simulated = simulated_to(validation[0])
     return (
         f"{said}\nSimulated on the validation data it fits to {simulated}.\n"
         f"{tests_sentence(tests)}."
     )
 
 
-def simulated_to(row: Comparison, unit: str) -> str:
+def simulated_to(row: Comparison) -> str:
     """Return the fit of a simulation as text, such as 99.9 % (rms 0.0035 rad, velocity 83.6 %)."""
     velocity = row.velocity_fit_percent
-    said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {unit}".rstrip()
+    said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {row.unit}".rstrip()
     said += f", velocity {velocity:.2f} %)" if velocity is not None else ")"
-    return said + " on its estimation data" * row.on_estimation_data
+    return said + ON_OWN_DATA * row.on_estimation_data
 
 
-def tests_sentence(tests: ResidualTest | SignalsResidualTest) -> str:
+def tests_sentence(tests: ResidualTest) -> str:
     """Return the result of the tests of the residuals, with p values and the level."""
     failed, passed = [], []
     if tests.white.coloured:

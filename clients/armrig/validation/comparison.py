@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import TYPE_CHECKING
 
@@ -11,16 +11,15 @@ import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import NDArray
 
-from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
+from armrig.data.argument import takes_data
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding
-from armrig.data.several_signals import accepts_signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
 from armrig.models.estimation_data import findings_on_own_data
-from armrig.models.model import Model
-from armrig.models.prediction import predicted
+from armrig.models.fit import Fit
 from armrig.numerics.criteria import fit_percent
+from armrig.numerics.quantities import plural
 from armrig.validation.model_differences import explanation, table
 
 if TYPE_CHECKING:
@@ -28,14 +27,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_OWN = "  (estimation data)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Comparison:
-    """Output of one model, compared with measured data."""
+    """One output of one model, compared with measured data."""
 
     name: str
     """Label of the model; by default its structure and orders."""
+    output: str = ""
+    """Name of the output."""
+    unit: str = ""
+    """Unit of the output."""
     fit_percent: float
     """100 (1 - |y - ŷ| / |y - mean y|) over the samples that were measured."""
     rms_error: float
@@ -46,13 +52,19 @@ class Comparison:
     """True if the model was estimated from these data."""
     y: Vector
     """Output ŷ of the model, (N,)."""
-    model: Model
+    model: Fit
     """The model."""
+
+    @property
+    def channel(self) -> Fit:
+        """The model of this output and its only input."""
+        is_channel = (self.model.ny, self.model.nu) == (1, 1)
+        return self.model if is_channel else self.model[self.output]
 
     @property
     def characteristics(self) -> ModelCharacteristics:
         """Gain, poles, resonances, bandwidth and step response, computed at each call."""
-        return model_characteristics(self.model)
+        return model_characteristics(self.channel)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -60,37 +72,58 @@ class ComparisonTable:
     """Comparison of models on one data set; iterate over the table or print the table."""
 
     rows: tuple[Comparison, ...]
-    """A row for each model, in the order of the arguments."""
+    """A row for each model and output: model after model, in the order of the arguments."""
     horizon: int | None
     """Prediction horizon in samples; None for simulation."""
-    unit: str
-    """Unit of the rms error."""
     note: str
     """Text that names the quantities estimated from the compared data."""
-    data: Dataset
+    data: Dataset | Signals
     """Data that the models were compared with."""
 
     def __len__(self) -> int:
-        """Return the number of models."""
+        """Return the number of rows."""
         return len(self.rows)
 
+    def __iter__(self) -> Iterator[Comparison]:
+        """Iterate over the rows."""
+        return iter(self.rows)
+
     def __getitem__(self, i: int) -> Comparison:
-        """Return the comparison of model i, from 0."""
+        """Return row i, from 0."""
         return self.rows[i]
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the compared outputs."""
+        return tuple(dict.fromkeys(row.output for row in self.rows))
+
+    @property
+    def models(self) -> tuple[tuple[Comparison, ...], ...]:
+        """Rows of each model, one for each output."""
+        ny = len(self.outputs)
+        return tuple(self.rows[k : k + ny] for k in range(0, len(self.rows), ny))
+
+    def of(self, output: str) -> ComparisonTable:
+        """Return the comparison of one output."""
+        if output not in self.outputs:
+            raise InputError(
+                f"output {output!r}: there is no such output; there are {', '.join(self.outputs)}"
+            )
+        return replace(self, rows=tuple(row for row in self.rows if row.output == output))
 
     @property
     def findings(self) -> tuple[EstimateFinding, ...]:
         """Warnings, code "own data" or "overlap", about models estimated from these data."""
-        named = [(row.name, row.model) for row in self.rows]
+        named = [(rows[0].name, rows[0].model) for rows in self.models]
         return tuple(findings_on_own_data(named, self.data))
 
     def table(self, *, brief: bool = False) -> str:
         """Return a table of gain, resonances, bandwidth, step response and poles of the models.
 
         A brief table contains no poles. If a range is computed from draws, a brief table contains
-        the range instead of the value.
+        the range instead of the value. Each of several outputs has a table.
         """
-        return "\n".join(table(self.rows, brief=brief))
+        return self._of_each(lambda rows: table(rows, brief=brief))
 
     def explain(self, *, brief: bool = False) -> str:
         """Return the closest model and the significant differences from the reference, as text.
@@ -100,7 +133,13 @@ class ComparisonTable:
         The reference is the physical model, `armrig.physical_model(p, data)` (handout, assignment
         3.4). Without a physical model, the reference is the last model.
         """
-        return "\n".join(explanation(self.rows, brief=brief))
+        return self._of_each(lambda rows: explanation(rows, brief=brief))
+
+    def _of_each(self, text: Callable[[Sequence[Comparison]], list[str]]) -> str:
+        if len(self.outputs) == 1:
+            return "\n".join(text(self.rows))
+        lines = [[f"{output}:", *text(self.of(output).rows)] for output in self.outputs]
+        return "\n".join(line for of_output in lines for line in of_output)
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of data, models and errors: see `armrig.plots.plot_compare`."""
@@ -116,28 +155,35 @@ class ComparisonTable:
         return html(self)
 
     def __repr__(self) -> str:
-        """Return a line for each model."""
-        what = "simulation" if self.horizon is None else f"{self.horizon} samples ahead"
+        """Return a line for each model; a model of several outputs has a line for each output."""
+        what = "simulation" if self.horizon is None else f"{plural(self.horizon, 'sample')} ahead"
         lines = [f"{what}; {self.note}"]
-        width = max(len(row.name) for row in self.rows)
-        lines += [row_line(f"{row.name:{width}}", row, self.unit) for row in self.rows]
+        if len(self.outputs) == 1:
+            width = max(len(row.name) for row in self.rows)
+            return "\n".join([*lines, *(row_line(f"{r.name:{width}}", r) for r in self.rows)])
+        width = max(len(name) for name in self.outputs)
+        for rows in self.models:
+            lines.append(f"  {rows[0].name}{_OWN * rows[0].on_estimation_data}")
+            lines += [f"  {misfit_line(f'{row.output:{width}}', row)}" for row in rows]
         return "\n".join(lines)
 
 
-def row_line(name: str, row: Comparison, unit: str) -> str:
+def row_line(name: str, row: Comparison) -> str:
     """Return the row of a model as a line of text."""
+    return misfit_line(name, row) + _OWN * row.on_estimation_data
+
+
+def misfit_line(name: str, row: Comparison) -> str:
+    """Return the errors of a row as a line of text."""
     velocity = row.velocity_fit_percent
-    line = f"  {name}  fit {row.fit_percent:7.2f} %  rms {row.rms_error:.4g} {unit}".rstrip()
-    if velocity is not None:
-        line += f"  velocity fit {velocity:7.2f} %"
-    return line + "  (estimation data)" * row.on_estimation_data
+    line = f"  {name}  fit {row.fit_percent:7.2f} %  rms {row.rms_error:.4g} {row.unit}".rstrip()
+    return line if velocity is None else f"{line}  velocity fit {velocity:7.2f} %"
 
 
-@accepts_signals("armrig.models.multivariable.comparison")
-@takes_recordings
+@takes_data
 def compare(
-    data: Dataset,
-    *models: Model,
+    data: Dataset | Signals,
+    *models: Fit,
     horizon: int | None = None,
     labels: Sequence[str] | None = None,
 ) -> ComparisonTable:
@@ -152,10 +198,10 @@ def compare(
 
     Parameters
     ----------
-    data : Dataset
+    data : Dataset or Signals
         N samples, preferably of an experiment that no model was estimated from.
     *models : Fit
-        At least one model, with the output of the data.
+        At least one model, with the outputs and inputs of the data.
     horizon : int, optional
         Number of samples to predict ahead, >= 1, from the measured past; simulation by default.
     labels : sequence of str, optional
@@ -164,14 +210,15 @@ def compare(
     Returns
     -------
     ComparisonTable
-        A row for each model: fit in percent, rms error in y's unit, ŷ (N,). `table()` compares
-        gain, poles, resonances, bandwidth and step response; `explain()` names the differences.
+        A row for each model and output: fit in percent, rms error in y's unit, ŷ (N,). `table()`
+        compares gain, poles, resonances, bandwidth and step response; `explain()` names the
+        differences. `of("alpha")` is the comparison of one of several outputs.
 
     Raises
     ------
     ValueError
-        No model was given, the numbers of labels and models differ, or a model has another output,
-        unit or sampling time than the data.
+        No model was given, the numbers of labels and models differ, or a model has other channels,
+        another unit or another sampling time than the data.
 
     Examples
     --------
@@ -200,38 +247,58 @@ def compare(
         raise InputError(
             f"{len(names)} labels for {len(models)} models; give one label for each model"
         )
-    integrating = data.output in INTEGRATING_OUTPUTS or any(m.integrator for m in models)
-    note = "initial state" + (" and input offset" if any(m.integrator for m in models) else "")
+    for model, name in zip(models, names, strict=True):
+        several = isinstance(data, Signals) and (data.ny, data.nu) != (1, 1)
+        if several and (model.ny, model.nu) == (1, 1):
+            raise InputTypeError(
+                f"{name} has one output; compare it with signals.dataset(output, input)"
+            )
+    integrators = [model.form.integrators for model in models]
+    offset = any(any(of_model) for of_model in integrators)
+    note = "initial state" + " and input offset" * offset
+    rows = [
+        _compared(data, model, name, horizon, np.any(integrators, axis=0))
+        for model, name in zip(models, names, strict=True)
+    ]
     return ComparisonTable(
-        rows=tuple(
-            _compared(data, model, name, horizon, integrating=integrating)
-            for model, name in zip(models, names, strict=True)
-        ),
+        rows=tuple(row for of_model in rows for row in of_model),
         horizon=horizon,
-        unit=data.unit,
         note=f"{note} estimated from these data by least squares",
         data=data,
     )
 
 
 def _compared(
-    data: Dataset, model: Model, name: str, horizon: int | None, *, integrating: bool
-) -> Comparison:
-    y = predicted(model, data, horizon)
-    percent, rms = _misfit(data.y, y)
-    velocity = None
-    if integrating:
-        modelled = data.replaced(y=y, valid=np.isfinite(y), step=None)
-        velocity, _ = _misfit(difference(data).y, difference(modelled).y)
-    return Comparison(
-        name=name,
-        fit_percent=percent,
-        rms_error=rms,
-        velocity_fit_percent=velocity,
-        on_estimation_data=model.estimated_from(data),
-        y=y,
-        model=model,
-    )
+    data: Dataset | Signals,
+    model: Fit,
+    name: str,
+    horizon: int | None,
+    integrators: Mask,
+) -> Iterator[Comparison]:
+    """Yield the comparison of each output of a model."""
+    y = model.predict(data, horizon).reshape(data.N, -1)
+    if isinstance(data, Signals):
+        each = [data.dataset(output, data.inputs[0]) for output in data.outputs]
+    else:
+        each = [data]
+    own = model.estimated_from(data)
+    for own_data, modelled, integrates in zip(each, y.T, integrators.tolist(), strict=True):
+        percent, rms = _misfit(own_data.y, modelled)
+        velocity = None
+        if integrates or own_data.output in INTEGRATING_OUTPUTS:
+            of_model = own_data.replaced(y=modelled, valid=np.isfinite(modelled), step=None)
+            velocity, _ = _misfit(difference(own_data).y, difference(of_model).y)
+        yield Comparison(
+            name=name,
+            output=own_data.output,
+            unit=own_data.unit,
+            fit_percent=percent,
+            rms_error=rms,
+            velocity_fit_percent=velocity,
+            on_estimation_data=own,
+            y=modelled,
+            model=model,
+        )
 
 
 def _misfit(measured: Vector, modelled: Vector) -> tuple[float, float]:

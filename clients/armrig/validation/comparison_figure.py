@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.dataset import Signals
 from armrig.data.figures import without_ramp
 from armrig.models.labels import Labels
 from armrig.numerics.quantities import error, minus
-from armrig.plots.captions import legend, sign
-from armrig.plots.layout import GREY, INK, MISSING, finish, panels, pens, shade
+from armrig.plots.captions import legend, named, sign
+from armrig.plots.layout import GREY, INK, MISSING, finish, high_axes, panels, pens, rows, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +27,7 @@ _MIN_DISTANCE_PT = 16.0  # least distance of two tick labels, before the layout 
 
 
 def plot_comparison(
-    data: Dataset,
+    data: Dataset | Signals,
     compared: Sequence[Comparison],
     *,
     labels: Labels = None,
@@ -38,8 +39,14 @@ def plot_comparison(
     the least rms error. The data are dots, so that a difference smaller than the noise is visible.
     If another model is far worse, the scale is linear up to about three times the least error.
     Dotted lines mark this limit. Beyond the limit the scale is logarithmic. A ramp of the output is
-    removed: see `armrig.data.figures.without_ramp`.
+    removed: see `armrig.data.figures.without_ramp`. Several outputs have a panel each, which shows
+    the data and the models.
     """
+    outputs = list(dict.fromkeys(row.output for row in compared))
+    if len(outputs) > 1:
+        return _plot_outputs(data, compared, outputs, labels, ax)
+    if isinstance(data, Signals):
+        data = data.dataset(outputs[0], data.inputs[0])
     ax, below = panels(ax, 0.5)
     names = labels or [row.name for row in compared]
     best = min(range(len(compared)), key=lambda i: _size(compared[i].rms_error))
@@ -74,6 +81,37 @@ def plot_comparison(
         shade(panel, data.valid, data.Ts)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
     return sign(ax, data.source, above=legend(ax, *notes))
+
+
+def _plot_outputs(
+    data: Dataset | Signals,
+    compared: Sequence[Comparison],
+    outputs: Sequence[str],
+    labels: Labels,
+    ax: Axes | None,
+) -> Axes:
+    """Plot each measured output and the outputs of all models against time."""
+    shown = rows(ax or high_axes(len(outputs)), len(outputs))
+    for i, (panel, output) in enumerate(zip(shown, outputs, strict=True)):
+        of_output = [row for row in compared if row.output == output]
+        names = labels or [row.name for row in of_output]
+        y = data.y[:, data.outputs.index(output)] if isinstance(data, Signals) else data.y
+        panel.plot(data.t, y, color=MISSING, lw=4.5, label="measured")
+        for row, name, pen in zip(of_output, names, pens(len(of_output)), strict=True):
+            panel.plot(data.t, row.y, label=None if i else name, **pen)
+        panel.set_ylabel(named(output, of_output[0].unit))
+        fits = ", ".join(f"{row.fit_percent:.1f} %" for row in of_output)
+        panel.annotate(
+            f"fit {fits}",
+            (1.0, 1.0),
+            xycoords="axes fraction",
+            ha="right",
+            va="bottom",
+            fontsize="small",
+        )
+    shown[-1].set_xlabel("$t$ [s]")
+    finish(*shown, xlim=(float(np.min(data.t)), float(np.max(data.t)) or 1.0))
+    return sign(shown[0], data.source, above=legend(shown[0]))
 
 
 def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Comparison], best: int) -> float:

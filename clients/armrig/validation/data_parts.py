@@ -7,8 +7,7 @@ from typing import TypeVar
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.data.dataset import Dataset, Vector
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.estimation.data_faults import CONSTANT_INPUT
 
 Data = TypeVar("Data", Dataset, Signals)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.models.fit import Fit
 from armrig.models.labels import Labels
-from armrig.models.model import Model
 from armrig.plots.captions import legend
 from armrig.plots.layout import COLOURS, GREY, INK, axes, finish, logarithmic
 from armrig.validation.comparison import ComparisonTable, compare
@@ -19,7 +19,7 @@ from armrig.validation.residuals import residuals
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.data.dataset import Dataset
+    from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
     from armrig.validation.search_result import SearchResult
 
@@ -30,14 +30,14 @@ _MOST = 1000.0  # models with a larger multiple of the least error are counted, 
 
 
 def plot_compare(
-    data: Dataset,
-    *models: Model,
+    data: Dataset | Signals,
+    *models: Fit,
     horizon: int | None = None,
     labels: Labels = None,
     table: ComparisonTable | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Show the measured output and the models' outputs, simulated unless a horizon is given.
+    """Show the measured outputs and the models' outputs, simulated unless a horizon is given.
 
     See `armrig.validation.comparison_figure.plot_comparison`. If `table` is given, the comparison
     is not computed again.
@@ -47,9 +47,13 @@ def plot_compare(
 
 
 def plot_residuals(
-    fit: Fit, data: Dataset, *, lags: int | None = None, ax: Axes | None = None
+    fit: Fit,
+    data: Dataset | Signals,
+    *,
+    lags: int | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
-    """Show how a model's residuals correlate with each other and with the input.
+    """Show how a model's residuals correlate with each other and with the inputs.
 
     See `armrig.validation.residual_figure.plot_residual_test`.
     """

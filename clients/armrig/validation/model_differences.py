@@ -8,8 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from armrig.models.characteristics import DRAWS, SCALARS, ModelCharacteristics
-from armrig.models.estimate import Estimate
-from armrig.models.model import Model
+from armrig.models.fit import Fit
 from armrig.numerics.quantities import minus, places, with_range, with_std
 
 SURE = 2.58  # least significant difference, in standard deviations, at the level 1 %
@@ -47,7 +46,7 @@ class Row(Protocol):
     @property
     def name(self) -> str: ...  # noqa: D102
     @property
-    def model(self) -> Model: ...  # noqa: D102
+    def channel(self) -> Fit: ...  # noqa: D102
     @property
     def characteristics(self) -> ModelCharacteristics: ...  # noqa: D102
     @property
@@ -122,7 +121,7 @@ def explanation(rows: Sequence[Row], *, brief: bool = False) -> list[str]:
     there is no physical model, the reference is the last model. Brief sentences contain no causes.
     """
     lines = [_best(rows)]
-    reference = next((row for row in rows if not isinstance(row.model, Estimate)), rows[-1])
+    reference = next((row for row in rows if not row.channel.quality), rows[-1])
     figures = reference.characteristics
     for row in (row for row in rows if row is not reference):
         if row.rms_error > _MAX_COMPARED_RATIO * reference.rms_error:
@@ -162,7 +161,7 @@ def _hopeless(row: Row, reference: Row, *, brief: bool) -> str:
     said += f"{reference.name}: its characteristics differ because the model is poor"
     if brief:
         return f"{said}."
-    if isinstance(row.model, Estimate) and row.model.structure == "arx":
+    if row.channel.structure == "arx":
         said += ". ARX assumes noise that passes through 1/A; a potentiometer adds noise to the "
         said += "output, which biases the ARX model: "
         return said + "take OE."

@@ -11,18 +11,26 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
+from armrig.data.argument import as_dataset, takes_data
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
-from armrig.data.several_signals import accepts_signals
+from armrig.data.treatment import INTEGRATING_OUTPUTS
+from armrig.estimation.channel_orders import integrating_outputs
 from armrig.estimation.data_faults import level_without_input
+from armrig.estimation.n4sid import n4sid
 from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
-from armrig.models.structure_table import OFFERED, OFFERED_NAMES, OfferedName
+from armrig.models.structure_table import (
+    OF_SEVERAL,
+    OFFERED,
+    OFFERED_NAMES,
+    CommandName,
+    OfferedName,
+)
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
-from armrig.validation.advice.data_advice import Tested, doubts, tested
+from armrig.validation.advice.data_advice import Tested, data_doubts, doubts, tested
 from armrig.validation.data_parts import estimation_and_validation
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.residuals import residuals
@@ -33,19 +41,21 @@ Vector = NDArray[np.float64]
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
 _ROUNDING = 1e-9  # share of y below which errors count as equal
+SEARCHED_OF_SEVERAL: tuple[CommandName, ...] = ("ss", "n4sid", "oe")
+"""Structures of several signals that are searched; oe has a shared denominator."""
+_CIRCLE_TOLERANCE = 1e-6
 _UNBOUNDED = 1e3  # multiple of the largest |y| above which an error counts as unbounded
 
 
-@accepts_signals("armrig.validation.multivariable.search")
-@takes_recordings
+@takes_data
 def search(
-    data: Dataset,
-    validation: Dataset | None = None,
+    data: Dataset | Signals,
+    validation: Dataset | Signals | None = None,
     *,
-    families: Sequence[OfferedName] | None = None,
-    orders: Iterable[int] = range(1, 6),
+    families: Sequence[CommandName] | None = None,
+    orders: Iterable[int] | None = None,
     nk: int | Iterable[int] | None = None,
-    integrator: bool | None = None,
+    integrator: bool | str | Sequence[str] | None = None,
     offset: bool | None = None,
     horizon: int | None = None,
     executor: Executor | None = None,
@@ -69,35 +79,45 @@ def search(
     are called with `stable=True`. If a pole was moved into the unit circle, the findings of the
     chosen model report this.
 
+    For several outputs, the squared error is the sum over the outputs of (y - ŷ)² / var y. For
+    several signals, a candidate of order n has n poles; an output with an integrator has one more
+    pole, and one more numerator coefficient for each input. "oe" has a shared denominator. If
+    samples are missing, "ss" has no K.
+
     Parameters
     ----------
-    data : Dataset
+    data : Dataset or Signals
         Data to estimate from.
-    validation : Dataset, optional
+    validation : Dataset or Signals, optional
         Data to rank the models on; by default the second half of `data`. Then only the first half
         is used for estimation. If u rests in one half, `data` are cut at another sample, so that u
         moves in both parts.
     families : sequence of str, optional
         Names of structures, such as "oe"; by default all but "ararx" and "pem". In closed loop the
-        default contains only structures whose noise model prevents a bias by feedback.
-    orders : iterable of int
-        Numbers of poles to try, >= 1, including the pole of an integrator.
+        default contains only structures whose noise model prevents a bias by feedback. For several
+        signals "ss", "n4sid" and "oe", or only "oe" with an integrator, because a state-space model
+        has no fixed pole.
+    orders : iterable of int, optional
+        Numbers of poles to try, >= 1, including the pole of an integrator; by default 1 to 5. For
+        several signals the poles of integrators do not count, and the default is 1 to 8.
     nk : int or iterable of int, optional
         Numbers of samples before u affects y; each number is tried. By default the nk that `delay`
         finds, at least 1, is tried. If a direct term is not ruled out, 0 is tried, too. In closed
         loop 0 is not tried, because a controller causes an apparent direct term. If the data do not
         distinguish feedback from a direct term, 0 is tried, and `doubts` contains this finding.
-    integrator : bool, optional
+        For several signals the default is 1.
+    integrator : bool, str or sequence of str, optional
         If True, structures with this option have a pole at exactly 1. The default is True for
-        theta_1. For any other output, a test decides whether the output integrates.
+        theta_1. For any other output, a test decides whether the output integrates. For several
+        signals: the outputs with a pole at 1, by default theta_1.
     offset : bool, optional
         If True, the offset of the input is estimated in structures with this option. The default is
         True if y has a constant part that u does not explain. This part must exceed 2 standard
         deviations in one of the two data sets.
     horizon : int, optional
         Samples to predict ahead, >= 1. By default the models are simulated, and "n4sid" is
-        estimated with `focus="simulation"`. In closed loop the default is 1, because a model that
-        is biased by feedback would have the best simulation.
+        estimated with `focus="simulation"`. In closed loop the default for one input and output is
+        1, because a model that is biased by feedback would have the best simulation.
     executor : concurrent.futures.Executor, optional
         Executor for the estimates, such as a ``ProcessPoolExecutor``; by default the estimates run
         in the thread of the caller.
@@ -130,49 +150,151 @@ def search(
     >>> found.fit.heading
     'OE(nb=3, nf=3, nk=1)'
     """
+    if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
+        data = data.dataset()
+    if orders is None:
+        orders = range(1, 9) if isinstance(data, Signals) else range(1, 6)
     orders = several("orders", orders)
     halved = validation is None
     if validation is None:
-        data, validation = estimation_and_validation(data)
-    known = tested(data, integrator)
-    if nk is None:
-        nk = _likely_delays(known)
-    delays = several("nk", nk) if isinstance(nk, Iterable) else [nk]
-    families = several_of(
-        "families", _offered(known) if families is None else families, OFFERED_NAMES
-    )
-    if horizon is None and known.closed:
-        horizon = 1
-    against = doubts(data, known)
-    offset, against, notes = _offset(data, validation, known, offset, families, against)
-    candidates = list(
-        _candidates(
-            families,
-            orders,
-            delays,
-            integrator=known.integration.integrates,
-            offset=offset,
-            simulated=horizon is None,
-        )
-    )
+        data, validation = estimation_and_validation(data)  # type: ignore[type-var]
+    if isinstance(data, Signals):
+        plan = _planned_for_several(data, families, orders, nk, integrator)
+    else:
+        validation = as_dataset(validation)
+        plan = _planned(data, validation, families, orders, nk, integrator, offset, horizon)
+        horizon = plan.horizon
     score = partial(_score, data=data, validation=validation, horizon=horizon)
-    coming = (map if executor is None else executor.map)(score, candidates)
-    scored = _counted(coming, [c.name for c in candidates], progress)
+    coming = (map if executor is None else executor.map)(score, plan.candidates)
+    scored = _counted(coming, [c.name for c in plan.candidates], progress)
     ranking = _ranked(scored, validation)
     return SearchResult(
-        ranked=tuple(ranking.usable),
+        ranked=tuple(_with_covariance(ranking, data)),
         rms=ranking.rms,
         excess=ranking.excess,
         excess_std=ranking.excess_std,
         chosen_index=ranking.chosen,
         failed=tuple(j for j in scored if j.reason),
-        doubts=tuple(against),
-        notes=(*known.integration.notes, *notes),
+        doubts=plan.doubts,
+        notes=plan.notes,
         halved=halved,
         tests=residuals(ranking.fit, validation),
         horizon=horizon,
-        unit=validation.unit,
+        unit=_unit(validation),
     )
+
+
+def _unit(data: Dataset | Signals) -> str:
+    """Return the unit of the errors; the errors of several outputs are in standard deviations."""
+    if isinstance(data, Dataset):
+        return data.unit
+    return "σ" if data.ny > 1 else data.units[0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Plan:
+    """Candidates of a search, and the findings that led to them."""
+
+    candidates: list[Candidate]
+    horizon: int | None = None
+    doubts: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def _planned(
+    data: Dataset,
+    validation: Dataset,
+    families: Sequence[CommandName] | None,
+    orders: list[int],
+    nk: int | Iterable[int] | None,
+    integrator: bool | str | Sequence[str] | None,
+    offset: bool | None,
+    horizon: int | None,
+) -> _Plan:
+    """Test the data, and return the candidates for one input and one output."""
+    if isinstance(integrator, Sequence):
+        integrator = data.output in ([integrator] if isinstance(integrator, str) else integrator)
+    known = tested(data, integrator)
+    if nk is None:
+        nk = _likely_delays(known)
+    delays = several("nk", nk) if isinstance(nk, Iterable) else [nk]
+    offered = several_of(
+        "families", _offered(known) if families is None else families, OFFERED_NAMES
+    )
+    if horizon is None and known.closed:
+        horizon = 1
+    against = doubts(data, known)
+    offset, against, notes = _offset(data, validation, known, offset, offered, against)
+    candidates = _candidates(
+        offered,
+        orders,
+        delays,
+        integrator=known.integration.integrates,
+        offset=offset,
+        simulated=horizon is None,
+    )
+    return _Plan(
+        candidates=list(candidates),
+        horizon=horizon,
+        doubts=tuple(against),
+        notes=(*known.integration.notes, *notes),
+    )
+
+
+def _planned_for_several(
+    data: Signals,
+    families: Sequence[CommandName] | None,
+    orders: list[int],
+    nk: int | Iterable[int] | None,
+    integrator: bool | str | Sequence[str] | None,
+) -> _Plan:
+    """Return the candidates for several signals."""
+    if integrator is None:
+        integrator = [name for name in data.outputs if name in INTEGRATING_OUTPUTS]
+    marks = zip(data.outputs, integrating_outputs(integrator, data), strict=True)
+    integrating = tuple(output for output, integrates in marks if integrates)
+    names: list[CommandName] = several_of(
+        "families", SEARCHED_OF_SEVERAL if families is None else families, SEARCHED_OF_SEVERAL
+    )
+    if integrating:
+        names = ["oe"]
+    delays = several("nk", nk) if isinstance(nk, Iterable) else [1 if nk is None else nk]
+    _require_orders(orders, delays)
+    candidates = [
+        Candidate(
+            family=family,
+            orders=(*dict.fromkeys(OF_SEVERAL[family].orders, n).items(), ("nk", k)),
+            integrating=integrating,
+        )
+        for family in names
+        for k in delays
+        for n in orders
+    ]
+    return _Plan(candidates=candidates, doubts=tuple(_doubts_of_channels(data)))
+
+
+def _doubts_of_channels(data: Signals) -> Iterator[Finding]:
+    """Yield the doubts about the data of each channel, and about each input once."""
+    for i, output in enumerate(data.outputs):
+        for input in data.inputs:
+            for found in data_doubts(data.dataset(output, input)):
+                of_channel = found.about == "feedback"
+                if of_channel or i == 0:
+                    subject = f"{input} to {output}" if of_channel else input
+                    yield replace(found, text=f"{subject}: {found.text}")
+
+
+def _with_covariance(ranking: _Ranking, data: Dataset | Signals) -> Iterator[Scored]:
+    """Yield the ranked candidates; a chosen n4sid model of several signals has a covariance.
+
+    This covariance costs a hundred estimates.
+    """
+    for k, scored in enumerate(ranking.usable):
+        if k == ranking.chosen and isinstance(data, Signals) and scored.candidate.family == "n4sid":
+            orders = dict(scored.candidate.orders)
+            yield replace(scored, fit=n4sid(data, orders["order"], nk=orders["nk"]))
+        else:
+            yield scored
 
 
 def _offered(known: Tested) -> list[OfferedName]:
@@ -232,10 +354,7 @@ def _candidates(
     offset: bool,
     simulated: bool,
 ) -> Iterator[Candidate]:
-    for n in orders:
-        require_integers(orders=(n, 1))
-    for nk in delays:
-        require_integers(nk=(nk, 0))
+    _require_orders(orders, delays)
     for family in families:
         kind = OFFERED[family]
         for nk in delays:
@@ -248,6 +367,13 @@ def _candidates(
                         offset=offset and "offset" in kind.takes,
                         simulates=simulated and "focus" in kind.takes,
                     )
+
+
+def _require_orders(orders: list[int], delays: list[int]) -> None:
+    for n in orders:
+        require_integers(orders=(n, 1))
+    for nk in delays:
+        require_integers(nk=(nk, 0))
 
 
 def _likely_delays(known: Tested) -> list[int]:
@@ -265,7 +391,12 @@ def _orders(family: OfferedName, n: int) -> list[dict[str, int]]:
     return [{name: m if name in ("nc", "nd") else n for name in names} for m in noise]
 
 
-def _score(candidate: Candidate, data: Dataset, validation: Dataset, horizon: int | None) -> Scored:
+def _score(
+    candidate: Candidate,
+    data: Dataset | Signals,
+    validation: Dataset | Signals,
+    horizon: int | None,
+) -> Scored:
     none = np.zeros(0)
     try:
         with np.errstate(all="ignore"):
@@ -277,12 +408,21 @@ def _score(candidate: Candidate, data: Dataset, validation: Dataset, horizon: in
     reason = ""
     # If the error grows to the end of the data, the standard error of its mean square is as large
     # as the mean square. The ranking alone would not reject such a candidate.
-    bound = _UNBOUNDED * np.max(np.abs(validation.y[validation.valid]), initial=0.0) or np.inf
+    largest = np.max(np.abs(np.where(validation.valid, validation.y, 0.0)), axis=0)
+    bound = np.where(largest > 0, _UNBOUNDED * largest, np.inf)
     if not np.isfinite(fit.theta).all() or (np.abs(error) > bound).any():
         reason = "its output is unbounded"
-    elif farthest := largest_unstable(fit):
+    elif farthest := _largest_unstable(fit):
         reason = f"a pole at |z| = {farthest:.4f} is not inside the unit circle"
     return Scored(candidate=candidate, fit=fit, reason=reason, error=error)
+
+
+def _largest_unstable(fit: Fit) -> float:
+    """Return the largest |z| of the poles outside the unit circle, or 0."""
+    if (fit.ny, fit.nu) == (1, 1):
+        return largest_unstable(fit)
+    largest = float(np.max(np.abs(np.linalg.eigvals(fit.form.realised().A)), initial=0.0))
+    return largest if largest > 1 + _CIRCLE_TOLERANCE else 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -298,7 +438,7 @@ class _Ranking:
     """The chosen model."""
 
 
-def _ranked(scored: list[Scored], validation: Dataset) -> _Ranking:
+def _ranked(scored: list[Scored], validation: Dataset | Signals) -> _Ranking:
     usable = [j for j in scored if not j.reason]
     if not usable:
         first = scored[0]
@@ -306,16 +446,19 @@ def _ranked(scored: list[Scored], validation: Dataset) -> _Ranking:
             "none of the structures could be estimated; the first, "
             f"{first.candidate.name}: {first.reason}"
         )
+    y = np.where(validation.valid, validation.y, np.nan).reshape(validation.N, -1)
+    std = np.nanstd(y, axis=0) if y.shape[1] > 1 else np.ones(1)
+    errors = np.array([j.error.reshape(y.shape) / std for j in usable])
     # All models are compared at the same samples, since their initial transients differ.
-    both = np.all([np.isfinite(j.error) for j in usable], axis=0)
+    both = np.isfinite(errors).all(axis=0)
     if not both.any():
         raise InputError("no validation sample is predicted by all models; validate on longer data")
-    squared = np.array([j.error[both] ** 2 for j in usable])
+    squared = np.sum(np.where(both, errors, 0.0) ** 2, axis=2)[:, both.any(axis=1)]
     order = np.argsort(squared.mean(axis=1), kind="stable")
     squared, usable = squared[order], [usable[i] for i in order]
     difference = squared - squared[0]
     excess_std = standard_error(np.array([batch_means(d) for d in difference]))
-    rounding = _ROUNDING**2 * float(np.mean(validation.y[validation.valid] ** 2))
+    rounding = _ROUNDING**2 * float(np.nanmean((y / std) ** 2))
     excess_std = np.maximum(excess_std, rounding)
     excess = difference.mean(axis=1)
     chosen = simplest_as_good(excess, excess_std, [s.parameters for s in usable])

@@ -1,179 +1,69 @@
-"""Tests of a model by its residuals: whiteness, and independence of the input."""
+"""Tests of a model by its residuals: whiteness, and independence of the inputs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
-from typing import TYPE_CHECKING, cast, overload
+from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
-from numpy.typing import NDArray
 
 from armrig.data.argument import HasDataset, as_dataset
-from armrig.data.dataset import Dataset
-from armrig.data.finding import EstimateFinding
-from armrig.models.estimate import Estimate
+from armrig.data.dataset import Dataset, Signals
 from armrig.models.estimation_data import findings_on_own_data
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.prediction import Residuals, prediction_errors, require_same_signals
-from armrig.numerics.covariance import exogenous_score
-from armrig.numerics.least_squares import orthonormal
+from armrig.models.fit import Fit
+from armrig.models.polynomials import Polynomials
+from armrig.models.prediction import require_same_signals
+from armrig.numerics.covariance import joint_exogenous_score
 from armrig.numerics.polynomial import Array
-from armrig.numerics.quantities import p_relation
-from armrig.numerics.whiteness import (
-    WHITE_LEVEL,
-    Whiteness,
-    autocovariance,
-    default_lags,
-    joined,
-    joint_p_value,
-    ljung_box,
-    portmanteau,
+from armrig.numerics.whiteness import default_lags, joined, joint_p_value, ljung_box
+from armrig.validation.output_whiteness import jointly_white, white_by_output
+from armrig.validation.projection import (
+    Part,
+    Projection,
+    parts_of,
+    projection,
+    sum_of_products,
 )
-from armrig.validation.power import lack_of_power
 from armrig.validation.residual_figure import BAND_99_PERCENT
+from armrig.validation.residual_test import ResidualTest
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+_MIN_SUM_VARIANCE = 1e-4
+"""Least variance of a tested combination of the sums of several pairs, as a share of the largest.
 
-    from armrig.data.signals import Signals
-    from armrig.validation.multivariable.residual_test import SignalsResidualTest
-
-Vector = NDArray[np.float64]
-
-_COLUMNS = 8  # number of lagged inputs that are processed at once
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class ResidualTest:
-    """Correlation of the residuals with themselves and with the input."""
-
-    e: Vector
-    """Residuals one step ahead, (N,), NaN where they are not known."""
-    lags: NDArray[np.int_]
-    """Lags 0 … L."""
-    autocorrelation: Vector
-    """Autocorrelation of the residuals at `lags`; 1 at lag 0."""
-    autocorrelation_band: float
-    """Half width 2.58/sqrt(N) of the 99 % band for white residuals, at all lags except 0."""
-    whiteness: float
-    """p value of the hypothesis that the residuals are white, from the test `whiteness_test`."""
-    whiteness_test: str
-    """Name of the whiteness test: portmanteau, or Ljung-Box if the portmanteau is unreliable."""
-    ljung_box: float
-    """p value of the Ljung-Box test, for comparison with other programs."""
-    cross_lags: NDArray[np.int_]
-    """Lags -L … L; at a positive lag the input precedes the residual."""
-    cross_correlation: Vector
-    """Correlation of e(t) with u(t - lag) at `cross_lags`."""
-    cross_band: float
-    """Half width 2.58 sqrt(P / (N R_e(0) R_u(0))) of the 99 % band, if the parameters are exactly
-    known. `residuals` defines P."""
-    cross_std: Vector
-    """Standard deviation of `cross_correlation`, including the effect of the estimated
-    parameters."""
-    missing_dynamics: float
-    """p value of the hypothesis that past and present input, lags 0 … L, are uncorrelated with
-    e."""
-    feedback: float
-    """p value of the hypothesis that future input, lags -L … -1, is uncorrelated with e."""
-    on_estimation_data: bool
-    """True if the parameters were estimated from these data; the tests account for this."""
-    source: str
-    """Hash of the recording, or ""."""
-    findings: tuple[EstimateFinding, ...] = ()
-    """Warnings, with the code "overlap" if the model was also estimated from a part of these data.
-    """
-
-    @property
-    def white(self) -> Whiteness:
-        """Result of the whiteness test; str() returns it as text."""
-        return Whiteness(p_value=self.whiteness, test=self.whiteness_test)
-
-    @property
-    def allowance(self) -> float:
-        """Factor by which the parameters' uncertainty widens the band of the cross-correlation."""
-        known = self.cross_band / BAND_99_PERCENT
-        return float(np.median(self.cross_std)) / known if known > 0 else float("nan")
-
-    @property
-    def powerless(self) -> str:
-        """Reason why the tests have no power, with a remedy; "" if they have power."""
-        return lack_of_power(self.allowance, on_estimation_data=self.on_estimation_data)
-
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of both correlations: see `armrig.plots.plot_residuals`."""
-        from armrig.plots.layout import figure_of
-        from armrig.validation.residual_figure import plot_residual_test
-
-        return figure_of(plot_residual_test(self, ax=ax))
-
-    def __repr__(self) -> str:
-        """Return the results of the tests in a few lines."""
-        if self.powerless:
-            p_values = (self.whiteness, self.missing_dynamics, self.feedback)
-            if not any(p < WHITE_LEVEL for p in p_values):
-                powerless = f"residuals on validation data: no test has power: {self.powerless}"
-                return "\n".join([powerless, *self._warnings()])
-        where = "estimation" if self.on_estimation_data else "validation"
-        look = ": look at the noise model or order" if self.white.coloured else ""
-        verdicts = (
-            ("no dynamics missing", "dynamics missing", self.missing_dynamics, "orders or delay"),
-            ("no feedback", "feedback, or a delay too large", self.feedback, "experiment"),
-        )
-        lines = [
-            f"residuals on {where} data, {np.count_nonzero(np.isfinite(self.e))} samples",
-            f"  {self.white}{look}",
-        ]
-        for good, bad, p, where_to_look in verdicts:
-            said = f"{bad} (p {p_relation(p)}): look at the {where_to_look}"
-            if np.isnan(p):
-                subject = bad.partition(",")[0]
-                said = f"{subject}: not tested, because u is constant or the samples are few"
-            elif not p < WHITE_LEVEL:
-                said = f"{good} (p {p_relation(p)})"
-            lines.append(f"  {said}")
-        return "\n".join([*lines, *self._warnings()])
-
-    def _warnings(self) -> list[str]:
-        return [f"  {finding.text}" for finding in self.findings]
-
-
-@overload
-def residuals(
-    fit: MultivariableFit, data: Signals, lags: int | None = None
-) -> SignalsResidualTest: ...
-
-
-@overload
-def residuals(
-    fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
-) -> ResidualTest: ...
+A combination with a smaller variance is not tested, because the estimation of the parameters sets
+it to 0. Its computed variance is only the error of the differences that approximate Psi.
+"""
 
 
 def residuals(
-    fit: Estimate | MultivariableFit,
-    data: Dataset | HasDataset | Signals,
-    lags: int | None = None,
-) -> ResidualTest | SignalsResidualTest:
-    """Test whether the one-step residuals are white and independent of the input.
+    fit: Fit, data: Dataset | HasDataset | Signals, lags: int | None = None
+) -> ResidualTest:
+    """Test whether the one-step residuals are white and independent of the inputs.
 
     Whiteness is tested by a portmanteau test that allows for the estimated parameters. If this test
     cannot be trusted, the Ljung-Box test decides (see `armrig.numerics.whiteness`). The result
     always contains the Ljung-Box test, for comparison with other programs. On estimation data the
-    degrees of freedom of the Ljung-Box test are reduced by na + nc + nd. The test of independence
-    uses the sums s_k of e(t) u(t - k) over t, for all lags k together. The statistic s^T M^-1 s has
-    a chi-squared distribution. M is the covariance of the sums ::
+    degrees of freedom of the Ljung-Box test are reduced by na + nc + nd. Several outputs are also
+    tested together.
 
-        M = Z_p^T R_e Z_p                                        on estimation data
-        M = Z^T R_e Z + (Z^T Psi) cov(theta) (Psi^T Z)           on other data
+    The test of independence uses the sums s_k of e_i(t) u_j(t - k) over t, for all lags k together:
+    for each output i and input j, and for all pairs together. The statistic s^T M^-1 s has a
+    chi-squared distribution; if there are several pairs, a beta distribution accounts for the
+    estimated variance of the noise. The residuals are e = (1 - P) v, with the noise v and the
+    projection P on the estimated quantities. The columns of Z contain the lagged inputs. Therefore
+    s = Z^T e is equal to H^T v with H = (1 - P)^T Z. M is the covariance of the sums ::
 
-    Z contains the lagged inputs. R_e is the covariance of the residuals, estimated by an
-    autoregression. Psi contains the derivatives of the prediction with respect to the parameters.
-    Z_p is Z minus the projection of Z on Psi. The projection accounts for the estimation: on
-    estimation data, the residuals are less correlated with the past input than the noise is.
+        M = H^T R H                                              on estimation data
+        M = H^T R H + (H^T Psi) cov(theta) (Psi^T H)             on other data
+
+    R is the covariance of the noise, estimated by an autoregression of each output. Psi contains
+    the derivatives of the prediction with respect to the parameters. P projects on the effects of
+    the unknown past, the ramps of integrating outputs and, on estimation data, the parameters. P
+    uses the weights of the estimator, the inverse of the noise covariance if outputs are estimated
+    together. The projection accounts for the estimation: on estimation data, the residuals are less
+    correlated with the past input than the noise is.
 
     The band for a single lag has the variance P/(N R_e(0) R_u(0)). P is the sum over k of the
     product of the autocovariances R_e(k) and R_u(k). The variance is 1/N only if e or u is white.
@@ -183,8 +73,8 @@ def residuals(
 
     Parameters
     ----------
-    fit : Fit or MultivariableFit
-        Model of the same outputs as the data.
+    fit : Fit
+        Model with the outputs and inputs of the data.
     data : Dataset or Signals
         N samples, or a recording.
     lags : int, optional
@@ -192,18 +82,20 @@ def residuals(
 
     Returns
     -------
-    ResidualTest or SignalsResidualTest
-        Residuals (N,) in y's unit, correlations (without unit) with bands, and p values.
+    ResidualTest
+        Residuals (N, ny) in y's unit, correlations (without unit) with bands, and p values. With
+        one input and one output, the axes of outputs and inputs are left out.
 
     Raises
     ------
     ValueError
-        The model and the data differ in output, unit or sampling time, or L is out of range.
+        The model and the data differ in channels, unit or sampling time, or L is out of range.
 
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.6.
     .. [2] T. Söderström, P. Stoica, *System Identification*, 1989, section 11.2.
+    .. [3] J. R. M. Hosking, J. Am. Stat. Assoc. 75 (1980) 602-608 (several outputs).
 
     Examples
     --------
@@ -225,56 +117,91 @@ def residuals(
       no dynamics missing (p = 0.02...)
       no feedback (p = 0.5...)
     """
-    if isinstance(fit, MultivariableFit):
-        from armrig.validation.multivariable.residuals import residuals as of_several
-
-        return of_several(fit, cast("Signals", data), lags)
-    if not hasattr(fit, "noise_variance"):
-        raise InputTypeError(
-            f"the model must come first, got a {type(fit).__name__}: residuals(fit, data)"
-        )
-    data = as_dataset(data)
-    require_same_signals(fit, data)
-    known = [prediction_errors(fit, part) for part in data.experiments()]
-    N = sum(int(np.count_nonzero(np.isfinite(r.e))) for r in known)
-    L = _possible(default_lags(N) if lags is None else lags, N)
+    data = _checked(fit, data)
     own = fit.estimated_from(data)
-    e = joined([r.e for r in known], L)
-    R, _ = autocovariance(e, L)
-    theta_covariance = _free_covariance(fit)
-    input_ = _input_sums(data, known, theta_covariance, L, own=own)
-    scale = sqrt(input_.power * R[0] * N) if input_.power > 0 and R[0] > 0 else np.inf
-    past, future = slice(L, 2 * L + 1), slice(0, L)
-    white = portmanteau(
-        [r.e for r in known],
-        [r.Psi for r in known],
-        [r.unknown.span for r in known],
-        L,
-        None if own else theta_covariance,
-    )
+    parts, theta_covariance = parts_of(fit, data)
+    ny, nu = parts[0].e.shape[1], parts[0].u.shape[1]
+    several = (ny, nu) != (1, 1)
+    # For a subspace estimate, which does not minimise the errors, P is not known.
+    fitted = own and not (several and fit.structure == "n4sid")
+    of_theta = None if fitted else theta_covariance
+    e = np.vstack([p.e for p in parts])
+    counts = np.isfinite(e).sum(axis=0)
+    L = _possible(lags, int(counts.min()))
+    projected = projection(parts, own=fitted)
+    R = _autocovariance([p.e for p in parts], L)
+    if several:
+        # The weights of several outputs are estimated, too.
+        projected = projected.applied()
+    sums = _input_sums(projected, of_theta, R, L)
+    pairs = np.arange(sums.values.size).reshape(ny, nu, 2 * L + 1)
+    past, future = pairs[:, :, L:], pairs[:, :, :L]
+    free = counts * (1 - projected.rank / counts.sum()) if fitted else counts
+
+    def p_value(at: Array, N: float) -> float:
+        k = at.ravel()
+        s, M = sums.values[k], sums.covariance[np.ix_(k, k)]
+        return joint_p_value(s, M, _MIN_SUM_VARIANCE, N) if several else joint_p_value(s, M)
+
+    def by_pair(at: Array) -> Array:
+        return np.array([[p_value(k, N) for k in row] for row, N in zip(at, free, strict=True)])
+
+    def squeezed(x: Array) -> Any:
+        if several:
+            return x
+        return float(x.item()) if x.size == 1 else x[0, 0]
+
+    each = white_by_output(projected, of_theta, L)
+    power = np.outer(*[np.sqrt(np.diag(R[:, :, 0]))] * 2)[:, :, None]
+    signals = [joined([p.e[:, i] for p in parts], L) for i in range(ny)]
+    parameters = _noise_parameters(fit) if own else [0] * ny
     return ResidualTest(
-        e=np.concatenate([r.e for r in known]),
+        outputs=fit.outputs,
+        inputs=fit.inputs,
+        e=e if several else e[:, 0],
         lags=np.arange(L + 1),
-        autocorrelation=R / R[0] if R[0] > 0 else np.full(L + 1, np.nan),
-        autocorrelation_band=BAND_99_PERCENT / sqrt(max(N, 1)),
-        whiteness=white.p_value,
-        whiteness_test=white.test,
-        ljung_box=ljung_box(e, L, _noise_parameters(fit) if own else 0),
+        autocorrelation=squeezed(R / np.where(power > 0, power, np.nan)),
+        autocorrelation_band=squeezed(BAND_99_PERCENT / np.sqrt(np.maximum(counts, 1))),
+        white_by_output=tuple(each),
+        white=jointly_white(projected, of_theta, L) if ny > 1 else each[0],
+        ljung_box=squeezed(
+            np.array([ljung_box(x, L, n) for x, n in zip(signals, parameters, strict=True)])
+        ),
         cross_lags=np.arange(-L, L + 1),
-        cross_correlation=input_.sums / scale,
-        cross_band=BAND_99_PERCENT * sqrt(input_.variance) / scale,
-        cross_std=np.sqrt(np.maximum(np.diag(input_.covariance), 0.0)) / scale,
-        missing_dynamics=joint_p_value(input_.sums[past], input_.covariance[past, past]),
-        feedback=joint_p_value(input_.sums[future], input_.covariance[future, future]),
+        cross_correlation=squeezed(sums.values[pairs] / sums.scale[:, :, None]),
+        cross_band=squeezed(BAND_99_PERCENT * sums.known_std / sums.scale),
+        cross_std=squeezed(
+            np.sqrt(np.maximum(np.diag(sums.covariance)[pairs], 0.0)) / sums.scale[:, :, None]
+        ),
+        missing_dynamics_by_pair=by_pair(past),
+        feedback_by_pair=by_pair(future),
+        missing_dynamics=p_value(past, free.sum()),
+        feedback=p_value(future, free.sum()),
+        allowance=sums.allowance,
         on_estimation_data=own,
         source=data.source,
         findings=() if own else tuple(findings_on_own_data([(fit.label, fit)], data)),
     )
 
 
-def _possible(L: int, N: int) -> int:
+def _checked(fit: Fit, data: Dataset | HasDataset | Signals) -> Dataset | Signals:
+    """Return data with the channels of the model; refuse other data."""
+    if not isinstance(fit, Fit):
+        raise InputTypeError(
+            f"the model must come first, got a {type(fit).__name__}: residuals(fit, data)"
+        )
+    if not fit.quality:
+        raise InputError(f"{fit.label} was not estimated: it has no noise model to test")
+    if not isinstance(data, Signals) and (fit.ny, fit.nu) == (1, 1):
+        data = as_dataset(data)
+    require_same_signals(fit, data)  # type: ignore[arg-type]
+    return data  # type: ignore[return-value]
+
+
+def _possible(lags: int | None, N: int) -> int:
     """Return the number of lags; refuse a number that N residuals do not allow."""
     longest = max(N // 2, 1)
+    L = default_lags(N) if lags is None else lags
     if not 1 <= L <= longest:
         raise InputError(f"lags={L} must be 1 to {longest}, half of the {N} residuals")
     return L
@@ -282,91 +209,96 @@ def _possible(L: int, N: int) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _InputSums:
-    """Sums s_k of e(t) u(t - k), k = -L … L, and their covariance."""
+    """Sums s of e_i(t) u_j(t - k), k = -L … L, pair after pair, and their covariance."""
 
-    sums: Array
-    """s_k, (2 L + 1,)."""
+    values: Array
+    """s, (ny nu (2 L + 1),)."""
     covariance: Array
-    """M, (2 L + 1, 2 L + 1)."""
-    power: float
-    """Sum of u(t)²."""
-    variance: float
-    """Variance of s_0 for exactly known parameters of the model."""
+    """M."""
+    scale: Array
+    """Root of the sum of e_i(t)² times the sum of u_j(t)², (ny, nu); infinite if a sum is 0."""
+    known_std: Array
+    """Standard deviation of s at lag 0 for exactly known parameters, (ny, nu)."""
+    allowance: float
+    """Factor by which the uncertainty of the parameters increases a typical deviation of s."""
 
 
 def _input_sums(
-    data: Dataset, known: list[Residuals], theta_covariance: Array, L: int, *, own: bool
+    projected: Projection, theta_covariance: Array | None, R: Array, L: int
 ) -> _InputSums:
-    mean = np.mean(data.u)
-    Z = [
-        _lagged_both_ways(part.u - mean, L, r)
-        for part, r in zip(data.experiments(), known, strict=True)
-    ]
-    e = [r.e for r in known]
-    u = [z[:, L : L + 1] for z in Z]
+    parts = projected.parts
+    ny, nu = parts[0].e.shape[1], parts[0].u.shape[1]
+    e = [[*p.e.T] for p in parts]
+    Z = [_lagged_both_ways(part, L) for part in parts]
+    projected.remove_states(Z)
+    sums = sum_of_products(Z, [np.nan_to_num(p.e)[:, :, None] for p in parts])[:, 0]
+    at_0 = np.arange(L, ny * nu * (2 * L + 1), 2 * L + 1)
+    now = [z[:, :, at_0] for z in Z]
+    own = np.arange(ny * nu) // nu  # output of each pair
+    power = np.sum([np.sum(z[:, own, np.arange(ny * nu)] ** 2, axis=0) for z in now], axis=0)
+    energy = np.array([sum(float(np.nansum(p.e[:, i] ** 2)) for p in parts) for i in range(ny)])
+    scale = np.sqrt(power.reshape(ny, nu) * energy[:, None])
+    known = np.diag(joint_exogenous_score([[*z.transpose(1, 0, 2)] for z in now], e))
+    projected.remove_parameters(Z)
+    M = joint_exogenous_score([[z[:, i] for i in range(ny)] for z in Z], e)
+    before = np.diag(M).copy()
+    if theta_covariance is not None:
+        slope = sum_of_products([part.Psi for part in parts], Z)
+        M = M + slope.T @ theta_covariance @ slope
+    elif ny * nu > 1:
+        N = sum(int(part.known.sum()) for part in parts)
+        M = M * (N / max(N - projected.rank, 1))
+    ratios = np.diag(M)[before > 0] / before[before > 0]
     return _InputSums(
-        sums=sum((z.T @ np.nan_to_num(x) for z, x in zip(Z, e, strict=True)), np.zeros(2 * L + 1)),
-        power=float(sum(np.sum(z**2) for z in u)),
-        variance=float(exogenous_score(u, e)[0, 0]),
-        covariance=_score_covariance(Z, known, theta_covariance, own=own),  # changes Z: last
+        values=sums,
+        covariance=M,
+        scale=np.where(scale > 0, scale, np.inf),
+        known_std=np.sqrt(known).reshape(ny, nu),
+        allowance=float(np.sqrt(np.median(ratios))) if ratios.size else float("nan"),
     )
 
 
-def _lagged_both_ways(u: Vector, L: int, known: Residuals) -> Array:
-    """Return u(t - k), k = -L … L, (N, 2 L + 1), zero in the rows without a residual.
+def _lagged_both_ways(part: Part, L: int) -> Array:
+    """Return u_j(t - k), k = -L … L, in the rows with a residual of output i: (N, ny, K).
 
-    The effects of the unknown past are projected out, because the unknown past is estimated from
-    the tested data.
+    The K columns are the pairs i, j, each with its lags. A column is 0 in the rows of the other
+    outputs, and outside the experiment.
     """
-    Z = np.zeros((u.size, 2 * L + 1), order="F")
-    there = np.isfinite(known.e)
-    for columns in _few(2 * L + 1):
-        for j in range(columns.start, columns.stop):
-            later, earlier = max(j - L, 0), max(L - j, 0)
-            n = max(u.size - later - earlier, 0)
-            Z[later : later + n, j] = u[earlier : earlier + n]
-        Z[~there, columns] = 0.0
-        Z[:, columns] = known.unknown.without(Z[:, columns])
+    (N, ny), nu, width = part.e.shape, part.u.shape[1], 2 * L + 1
+    # In Fortran order the columns are contiguous.
+    Z = np.zeros((N, ny, ny * nu * width), order="F")
+    for i in range(ny):
+        unknown = np.flatnonzero(~part.known[:, i])
+        for k in range(-L, L + 1):
+            late, early, n = max(k, 0), max(-k, 0), max(N - abs(k), 0)
+            columns = slice(i * nu * width + L + k, (i + 1) * nu * width, width)
+            Z[late : late + n, i, columns] = part.u[early : early + n]
+            Z[unknown, i, columns] = 0.0
     return Z
 
 
-def _few(columns: int) -> list[slice]:
-    """Return groups of columns, so that only a small part of a long matrix is copied at once."""
-    return [slice(a, min(a + _COLUMNS, columns)) for a in range(0, columns, _COLUMNS)]
+def _autocovariance(parts: Sequence[Array], L: int) -> Array:
+    """Return the means of e_i(t) e_k(t - lag) over the measured pairs, (ny, ny, L + 1)."""
+    e = [np.nan_to_num(x) for x in parts]
+    marks = [np.isfinite(x).astype(np.float64) for x in parts]
+
+    def sums(x: Sequence[Array]) -> Array:
+        at = [sum(v[k:].T @ v[: max(v.shape[0] - k, 0)] for v in x) for k in range(L + 1)]
+        return np.stack(at, axis=-1)
+
+    return np.asarray(sums(e) / np.maximum(sums(marks), 1.0))
 
 
-def _score_covariance(
-    Z: list[Array], known: list[Residuals], theta_covariance: Array, *, own: bool
-) -> Array:
-    """Return M; on estimation data, also replace Z by Z minus its projection on Psi, in place."""
-    e = [r.e for r in known]
-    if not own:
-        pairs = zip(Z, known, strict=True)
-        none = np.zeros((Z[0].shape[1], theta_covariance.shape[0]))
-        slope = sum((z.T @ r.Psi for z, r in pairs), none)
-        return np.asarray(exogenous_score(Z, e) + slope @ theta_covariance @ slope.T)
-    Q = orthonormal(np.vstack([r.Psi for r in known])).Q
-    parts = list(zip(Z, np.split(Q, np.cumsum([z.shape[0] for z in Z])[:-1]), strict=True))
-    shadow = sum((q.T @ z for z, q in parts), np.zeros((Q.shape[1], Z[0].shape[1])))
-    for z, q in parts:
-        for columns in _few(z.shape[1]):
-            z[:, columns] -= q @ shadow[:, columns]
-    return exogenous_score(Z, e)
-
-
-def _noise_parameters(fit: Estimate) -> int:
-    """Return the number of parameters of the noise model C/(A D), without the integrator."""
-    noise = fit.A.size + fit.C.size + fit.D.size - 3
-    return noise - int(fit.integrating == "a")
-
-
-def _free_covariance(fit: Estimate) -> Array:
-    """Return the covariance of the free parameters; an integrator is divided out of F or A."""
-    if not fit.integrator:
-        return fit.covariance_robust
-    part, size = fit.slice_of(fit.integrating), fit.theta.size
-    # f̃_k = f_1 + … + f_k undoes f_k = f̃_k - f̃_(k-1).
-    summing = np.eye(size)
-    summing[part, part] = np.tri(part.stop - part.start)
-    summing = np.delete(summing, part.stop - 1, axis=0)
-    return np.asarray(summing @ fit.covariance_robust @ summing.T)
+def _noise_parameters(fit: Fit) -> list[int]:
+    """Return the number of parameters of the noise model of each output, without integrators."""
+    form = fit.form
+    if not isinstance(form, Polynomials):
+        K = form.realised().K
+        return [K.shape[0] * bool(K.any())] * fit.ny
+    rows = zip(form.A, form.C, form.D, form.F, form.integrators, strict=True)
+    return [
+        sum(max(a.size - 1, 0) for a in A)
+        + (C.size + D.size - 2)
+        - int(integrates and all(f.size == 1 for f in F))
+        for A, C, D, F, integrates in rows
+    ]

@@ -5,38 +5,43 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
+from armrig.estimation.multivariable.request import SignalsRequest
+from armrig.estimation.n4sid import n4sid
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
-from armrig.models.structure_table import STRUCTURES, OfferedName
+from armrig.models.structure_table import OF_SEVERAL, STRUCTURES, CommandName, OfferedName
 from armrig.numerics.quantities import p_relation, plural
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.validation.residuals import ResidualTest
+from armrig.validation.residual_test import ResidualTest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
+_ROWS = OF_SEVERAL | STRUCTURES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
     """A structure with its orders."""
 
-    family: OfferedName
+    family: CommandName
     """Name of the estimator."""
     orders: tuple[tuple[str, int], ...]
     """Orders by name."""
     integrator: bool = False
     """True if a pole is 1 by construction."""
+    integrating: tuple[str, ...] = ()
+    """Outputs of several signals with a pole at 1; the pole is not counted in the orders."""
     offset: bool = False
     """True if the input's offset is estimated with the model."""
     simulates: bool = False
@@ -45,18 +50,38 @@ class Candidate:
     @property
     def name(self) -> str:
         """Structure and orders as text, in the same form as in comparisons of models."""
-        return STRUCTURES[self.family].short(dict(self.orders))
+        return _ROWS[self.family].short(dict(self.orders))
 
     @property
     def order(self) -> int:
         """Number of poles of B/F or B/A."""
-        return dict(self.orders)[STRUCTURES[self.family].poles]
+        return dict(self.orders)[_ROWS[self.family].poles]
 
-    def estimated(self, data: Dataset) -> Fit:
-        """Return the model estimated from the data, with unstable poles reflected at |z| = 1."""
+    def request_for(self, data: Signals) -> SignalsRequest:
+        """Return the request that estimates the model from several signals."""
         orders = dict(self.orders)
-        request = Request(
+        nk, counted = orders.pop("nk"), bool(self.integrating)
+        return SignalsRequest(
             structure=self.family,
+            nk=nk,
+            orders={name: n + counted for name, n in orders.items()},
+            integrating=self.integrating,
+            shared=self.family == "oe",
+            noise=not data.missing,
+        )
+
+    def estimated(self, data: Dataset | Signals) -> Fit:
+        """Return the model estimated from the data.
+
+        Unstable poles of a model of one input and output are reflected at |z| = 1.
+        """
+        orders = dict(self.orders)
+        if isinstance(data, Signals):
+            if self.family == "n4sid":  # without a covariance, which costs a hundred estimates
+                return n4sid(data, orders["order"], nk=orders["nk"], replicates=0)
+            return self.request_for(data).estimated(data)
+        request = Request(
+            structure=cast("OfferedName", self.family),
             nk=orders.pop("nk"),
             orders={**orders},
             integrator=self.integrator,
@@ -80,7 +105,8 @@ class Scored:
     reason: str
     """Reason why there is no usable model, or ""."""
     error: Vector
-    """y - ŷ on the validation data, (N,), NaN where it is unknown; empty without a model."""
+    """y - ŷ on the validation data, (N,) or (N, ny), NaN where it is unknown; empty without a
+    model."""
 
     @property
     def model(self) -> Fit:
@@ -92,7 +118,18 @@ class Scored:
     @property
     def parameters(self) -> int:
         """Number of free parameters, 0 without a model."""
-        return 0 if self.fit is None else self.fit.parameters
+        return 0 if self.fit is None else _free(self.fit)
+
+
+def _free(fit: Fit) -> int:
+    """Return the number of free parameters; the choice of the state coordinates does not count."""
+    if (fit.ny, fit.nu) == (1, 1):
+        return fit.parameters
+    if fit.structure not in ("ss", "n4sid"):
+        return int(fit.theta.size)
+    A, B, C, D, _ = fit.state_space()
+    n, nu, ny = A.shape[0], B.shape[1], C.shape[0]
+    return int(n * (nu + 2 * ny) + (ny * nu if D.any() else 0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -115,7 +152,8 @@ class SearchResult:
     ranked: tuple[Scored, ...]
     """Candidates with a usable model, best first."""
     rms: Vector
-    """Root mean square error of each candidate in `ranked`, in y's unit."""
+    """Root mean square error of each candidate in `ranked`, in y's unit. For several outputs: root
+    of the sum of the mean squared errors, each divided by the variance of the output."""
     excess: Vector
     """Mean squared error minus the mean squared error of the best candidate, (n,)."""
     excess_std: Vector
@@ -137,7 +175,7 @@ class SearchResult:
     horizon: int | None
     """Number of samples that the models predict ahead; None for simulation."""
     unit: str
-    """Unit of y."""
+    """Unit of `rms`: the unit of y, or σ for several outputs."""
 
     @property
     def chosen(self) -> Scored:
@@ -291,7 +329,7 @@ def _about_highest_order(found: SearchResult) -> Iterator[str]:
 
 def _about_families(found: SearchResult) -> Iterator[str]:
     """Yield a sentence if the least error of ARX models is far above that of OE models."""
-    best: dict[OfferedName, int] = {}
+    best: dict[CommandName, int] = {}
     for k, j in enumerate(found.ranked):
         best.setdefault(j.candidate.family, k)
     if "arx" in best and "oe" in best and found.rms[best["oe"]] > 0:

@@ -24,6 +24,7 @@ from armrig.models.spectral_estimate import (
     phase_delay,
 )
 from armrig.numerics.quantities import minus, plural, times
+from armrig.validation.feedback_and_delay.by_channel import each_channel
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.recommended_structures import Recommendation, Recommended, recommended
@@ -148,6 +149,7 @@ class StructureHints:
         )
 
 
+@each_channel()
 @takes_recordings
 def structure_hints(
     data: Dataset,
@@ -180,8 +182,10 @@ def structure_hints(
 
     Parameters
     ----------
-    data : Dataset
-        Data with an exciting input; missing samples and several experiments are allowed.
+    data : Dataset or Signals
+        Data with an exciting input; missing samples and several experiments are allowed. For
+        Signals with several channels, each pair of an output and an input is examined separately;
+        the other inputs are part of the noise.
     integrator : bool, optional
         True if y integrates; by default the data decide.
     seed : int or numpy.random.Generator, default 0
@@ -190,7 +194,8 @@ def structure_hints(
     Returns
     -------
     StructureHints
-        Orders and estimates; its repr and explain() give the reasons.
+        Orders and estimates; its repr and explain() give the reasons. For Signals with several
+        channels, the result is `ByChannel`: `found["alpha", "u"]` are the hints of one channel.
 
     Raises
     ------

@@ -138,9 +138,13 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
         findings=(),
     )
     row: Any = SimpleNamespace(
-        fit_percent=80.0, rms_error=0.01234, velocity_fit_percent=70.126, on_estimation_data=False
+        fit_percent=80.0,
+        rms_error=0.01234,
+        unit="rad",
+        velocity_fit_percent=70.126,
+        on_estimation_data=False,
     )
-    table: Any = type("Table", (list,), {"unit": "rad"})([row])
+    table: Any = [row]
 
     alone = answer(of, None, None, [])
     validated = answer(of, table, _tests(), [])
@@ -158,8 +162,8 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
     assert data_first in answer(of, None, None, [])
     of.findings = [_finding("gaps")]
     assert "trust σ robust, not σ; raise the orders" in answer(of, None, None, [])
-    row.velocity_fit_percent = None
-    assert simulated_to(row, "") == "80.00 % (rms 0.01234)"
+    row.velocity_fit_percent, row.unit = None, ""
+    assert simulated_to(row) == "80.00 % (rms 0.01234)"
 
 
 @pytest.mark.parametrize(

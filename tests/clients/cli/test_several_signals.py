@@ -11,6 +11,10 @@ import pytest
 from armrig.cli import several_output
 from armrig.cli.recorded_data import SignalChoice
 from armrig.cli.several_next import after_compare, after_validate
+from armrig.data.dataset import Signals
+from armrig.validation.comparison import Comparison, ComparisonTable
+
+from tests.clients.models.made_fits import made
 
 P = np.array([[0.5, 0.004, 0.0005], [0.02, 1.0, np.nan]])
 """p values of two outputs and three inputs; 0.01 / 6 is 0.0017."""
@@ -66,19 +70,18 @@ def test_the_tests_of_each_pair_are_in_json_under_its_names() -> None:
     assert facts["pairs"][5]["p_no_feedback"] == 0.0005
 
 
-def _table(horizon: int | None, **rms: list[float]) -> Any:
+def _table(horizon: int | None, **rms: list[float]) -> ComparisonTable:
     """Return a comparison of models by their errors of the outputs y and z."""
+    model, data = made(), Signals(u=[0.0, 1.0], y=np.eye(2), Ts=1.0, outputs=["y", "z"])
     rows = [
-        SimpleNamespace(name=name, rms_error=np.array(errors), fit_percent=100 - np.array(errors))
+        Comparison(
+            name=name, output=output, unit=unit, fit_percent=100 - e, rms_error=e, y=np.zeros(2),
+            velocity_fit_percent=None, on_estimation_data=False, model=model,
+        )
         for name, errors in rms.items()
-    ]
-
-    class Table(list[Any]):
-        data = SimpleNamespace(outputs=("y", "z"), units=("rad", ""))
-
-    table = Table(rows)
-    table.horizon = horizon  # type: ignore[attr-defined]
-    return table
+        for output, unit, e in zip("yz", ("rad", ""), errors, strict=True)
+    ]  # fmt: skip
+    return ComparisonTable(rows=tuple(rows), horizon=horizon, note="", data=data)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, Mask, Vector
+from armrig.data.columns import Vector
+from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.data.treatment import hampel
 from armrig.data.treatment.wrong_samples import _gross, quantum, too_quiet
@@ -167,7 +168,7 @@ def test_rounding_errors_are_not_outliers(y: NDArray[np.float64]) -> None:
 
 
 def test_a_record_without_enough_residuals_is_refused() -> None:
-    gaps: Mask = np.arange(2000) % 12 > 1
+    gaps = np.arange(2000) % 12 > 1
     wild: Vector = np.random.default_rng(0).standard_cauchy(400)
 
     with pytest.raises(ValueError, match="too many gaps"):

@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
 from armrig.data.step import LINE, MEAN, codes_of
 from armrig.data.treatment import IntegratingOutputWarning, detrend, difference, drift, retrend
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
@@ -21,12 +21,27 @@ from numpy.typing import NDArray
 finite = st.floats(-1e3, 1e3).map(lambda x: x if abs(x) > 1e-20 else 0.0)  # as data may be
 
 
+numbers = arrays(np.float64, (4, 30), elements=finite)
+masks = arrays(np.bool_, (2, 30))
+SHAPES = pytest.mark.parametrize("shape", [(1, 1), (2, 1), (2, 2)], ids=str)
+
+
+def of_shape(
+    shape: tuple[int, int], x: NDArray[np.float64], valid: NDArray[np.bool_], Ts: float
+) -> Signals:
+    """Return two experiments of nu inputs and ny outputs."""
+    nu, ny = shape
+    assume(ny == 1 or valid.any(axis=1).all())
+    return Signals(u=x[:nu].T, y=x[2 : 2 + ny].T, Ts=Ts, valid=valid[:ny].T, starts=(0, 12))
+
+
+@SHAPES
 @settings(max_examples=40)
-@given(arrays(np.float64, (2, 30), elements=finite), arrays(np.bool_, 30), st.integers(0, 1))
+@given(numbers, masks, st.integers(0, 1))
 def test_detrending_twice_changes_nothing(
-    signals: NDArray[np.float64], valid: NDArray[np.bool_], order: int
+    shape: tuple[int, int], x: NDArray[np.float64], valid: NDArray[np.bool_], order: int
 ) -> None:
-    data = Dataset(u=signals[0], y=signals[1], Ts=1.0, valid=valid, starts=(0, 12))
+    data = of_shape(shape, x, valid, Ts=1.0)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", IntegratingOutputWarning)
@@ -121,16 +136,13 @@ def test_a_difference_is_missing_if_a_neighbour_is_missing() -> None:
     assert (velocity.output, velocity.unit) == ("velocity", "rad/s")
 
 
+@SHAPES
 @settings(max_examples=40)
-@given(
-    arrays(np.float64, (2, 30), elements=finite),
-    arrays(np.bool_, 30),
-    st.lists(st.integers(0, 1), min_size=1, max_size=3),
-)
+@given(numbers, masks, st.lists(st.integers(0, 1), min_size=1, max_size=3))
 def test_retrend_restores_the_removed_trends(
-    signals: NDArray[np.float64], valid: NDArray[np.bool_], orders: list[int]
+    shape: tuple[int, int], x: NDArray[np.float64], valid: NDArray[np.bool_], orders: list[int]
 ) -> None:
-    data = Dataset(u=signals[0], y=signals[1], Ts=0.1, valid=valid, starts=(0, 12))
+    data = of_shape(shape, x, valid, Ts=0.1)
 
     treated = data
     with warnings.catch_warnings():
@@ -141,20 +153,24 @@ def test_retrend_restores_the_removed_trends(
 
     np.testing.assert_allclose(back.u, data.u, atol=1e-9)
     np.testing.assert_allclose(back.y, data.y, atol=1e-9)
-    np.testing.assert_array_equal(back.valid, valid)
+    np.testing.assert_allclose(retrend(treated, treated.y), data.y, atol=1e-9)
+    np.testing.assert_array_equal(back.valid, data.valid)
     assert back.trends == ()
     assert back.history[-1] == "restored the trend of u and y"
 
 
+@SHAPES
 @settings(max_examples=40)
 @given(st.integers(0, 28), st.integers(1, 29), st.integers(1, 5))
-def test_a_part_of_the_data_keeps_its_part_of_the_trend(a: int, length: int, k: int) -> None:
-    rng = np.random.default_rng(3)
-    data = Dataset(
-        u=rng.random(30), y=5 + 0.3 * np.arange(30) + rng.random(30), Ts=0.2, starts=(0, 9, 20)
-    )
+def test_a_part_of_the_data_keeps_its_part_of_the_trend(
+    shape: tuple[int, int], a: int, length: int, k: int
+) -> None:
+    rng, (nu, ny) = np.random.default_rng(3), shape
+    y = 5 + 0.3 * np.arange(30)[:, None] + rng.random((30, ny))
+    data = Signals(u=rng.random((30, nu)), y=y, Ts=0.2, starts=(0, 9, 20))
     treated = detrend(data, order=1)
     b = min(a + length, 30)
+    assume(b - a >= max(shape))  # fewer samples than channels are refused
 
     np.testing.assert_allclose(retrend(treated[a:b]).y, data.y[a:b])
     np.testing.assert_allclose(retrend(treated[a:b]).u, data.u[a:b])
@@ -218,6 +234,23 @@ def test_each_experiment_has_its_own_drift_and_gaps_are_left_out() -> None:
     assert second.rate == pytest.approx(-0.02, abs=4 * second.std)
     assert first.z > 2.58 > -2.58 > second.z
     assert first.unit == "V"
+
+
+def test_each_output_has_a_drift_and_all_inputs_explain_it() -> None:
+    """The second input rises slowly: without it, its effect would be a drift."""
+    still, drifts = drifting(1, 0.0), drifting(1, 0.02)
+    slow = 0.001 * np.arange(still.N) + 0.1 * telegraph(still.N, 0.1, seed=5)
+    y = np.column_stack([still.y + filtered([0, 0.2], [1, -0.9], slow), drifts.y])
+    names = {"outputs": ["flow", "level"], "units": ["l/s", "V"]}
+    signals = Signals(u=np.column_stack([still.u, slow]), y=y, Ts=0.1, **names)  # type: ignore[arg-type]
+
+    alone = drift(signals.channels("level", "u1"))
+    first, second = drift(signals)
+
+    assert alone == drift(drifts.replaced(step=None, output="level"))
+    assert (first.output, second.output) == ("flow", "level")
+    assert abs(first.z) < 2.58 < second.z
+    assert abs(drift(signals.channels("flow", "u1"))[0].z) > 2.58
 
 
 def test_data_whose_gaps_leave_too_few_rows_have_no_drift() -> None:

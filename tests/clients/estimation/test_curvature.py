@@ -14,8 +14,8 @@ from armrig.estimation.fit_warnings import (
     search_warnings,
 )
 from armrig.estimation.problem import PolynomialProblem
-from armrig.models.estimate import Start
 from armrig.models.innovations import prepared
+from armrig.models.quality import Start
 from armrig.models.structure import Structure
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import filtered
@@ -87,10 +87,9 @@ def test_undetermined_parameters_are_reported(
     C: list[float], rank: int, curved: float, coloured: bool, told: list[str]
 ) -> None:
     """If the residuals are coloured, the standard deviations are not trusted anyway."""
-    basis = SimpleNamespace(W=np.zeros((4, rank)), rank=rank)
-    found: Any = SimpleNamespace(basis=basis, white=SimpleNamespace(coloured=coloured))
+    white: Any = SimpleNamespace(coloured=coloured)
 
-    warnings = list(parameter_warnings(found, np.array(C), curved))
+    warnings = list(parameter_warnings(np.zeros((4, rank)), white, np.array(C), curved))
 
     assert [x.about for x in warnings] == told
     for x in warnings:

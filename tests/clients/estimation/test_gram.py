@@ -16,13 +16,13 @@ def _signals(seed: int, sizes: list[int], std: float = 0.1) -> list[tuple[Array,
     for N in sizes:
         u = rng.standard_normal(N) + 0.5
         y = filtered([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u) + std * rng.standard_normal(N)
-        parts.append((u, y))
+        parts.append((u[:, None], y[:, None]))
     return parts
 
 
 def _plainly(parts: list[tuple[Array, Array]], length: int) -> Array:
     """Return the windows [U Y] that have no hole, less their means."""
-    blocks = [np.hstack([sliding_window_view(x, length) for x in part]) for part in parts]
+    blocks = [np.hstack([sliding_window_view(x[:, 0], length) for x in part]) for part in parts]
     M = np.vstack(blocks)
     M = M[np.isfinite(M).all(axis=1)]
     return np.asarray(M - M.mean(axis=0))
@@ -32,7 +32,7 @@ def _plainly(parts: list[tuple[Array, Array]], length: int) -> Array:
 def test_the_gram_matrix_is_that_of_the_windows(sizes: list[int]) -> None:
     parts = _signals(1, sizes)
 
-    G = gram_of_windows(parts, 20)
+    G = gram_of_windows([[x[:, 0] for x in part] for part in parts], 20)
 
     M = _plainly(parts, 20)
     np.testing.assert_allclose(G, M.T @ M, atol=1e-11 * np.abs(G).max())
@@ -72,6 +72,6 @@ def test_windows_whose_squares_lose_digits_are_decomposed(std: float) -> None:
 
     w = windows(parts, past=8, future=8)
 
-    assert cholesky_factor(gram_of_windows(parts, 16)) is None
+    assert cholesky_factor(gram_of_windows([[x[:, 0] for x in part] for part in parts], 16)) is None
     rest = np.abs(np.diag(w.R)[-4:]) / np.sqrt(w.N)
     assert ((rest > std / 10) & (rest < 10 * std)).all()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
+import armrig
 import numpy as np
 import pytest
+from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.arx import arx
@@ -193,3 +196,34 @@ def test_without_validation_data_mdl_decides() -> None:
 
     assert [table.best(criterion).na for criterion in ("aic", "fpe", "mdl")] == [2, 2, 1]
     assert table.best().na == 1
+
+
+def test_each_output_has_separate_orders() -> None:
+    rng = np.random.default_rng(6)
+    u = rng.standard_normal((400, 2))
+    y = np.column_stack(
+        [
+            filtered([0, 1.0], [1, -1.2, 0.5], u[:, 0])
+            + filtered([0, 0.5], [1, -1.2, 0.5], u[:, 1])
+            + filtered([0.2], [1, -1.2, 0.5], rng.standard_normal(400)),
+            filtered([0, 0, 1.0, 0.5], [1, -0.7], u[:, 1])
+            + filtered([0, 0, 0.3], [1, -0.7], u[:, 0])
+            + filtered([0.2], [1, -0.7], rng.standard_normal(400)),
+        ]
+    )
+    data = Signals(u=u, y=y, Ts=0.1, outputs=["a", "b"])
+
+    found: Any = armrig.select_orders(data, range(1, 5), range(1, 5), range(4))
+
+    assert found.best("mdl") == {
+        "na": [[2, 0], [0, 1]],
+        "nb": [[1, 1], [2, 2]],
+        "nk": [[1] * 2, [2] * 2],
+    }
+    fit: Any = armrig.arx(data, **found.best("mdl"))  # type: ignore[arg-type]
+    table = found["b"]
+    at = int(np.flatnonzero((table.na == 1) & (table.nb == 2) & (table.nk == 2))[0])
+    np.testing.assert_allclose(table.loss[at], fit.quality[1].loss, rtol=0.02)
+    assert table.parameters[at] == 5
+    assert len(found) == 2
+    assert repr(found).startswith("a:\n- chosen")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation import subspace
+from armrig.estimation.state_space_problem import scaled_signals
 from armrig.estimation.subspace import (
-    _steady_filter,
+    Realisation,
     autoregressive_order,
     projection,
     shortened,
@@ -16,10 +19,10 @@ from armrig.estimation.subspace import (
     windows,
 )
 from armrig.estimation.subspace_horizon import (
-    _integrating,
+    Innovations,
     _longest_stretches,
-    _loss,
-    delayed_signals,
+    _squares,
+    companion,
     least_loss,
     longest_horizon,
     usable_windows,
@@ -31,10 +34,15 @@ from scipy.linalg import solve_discrete_are
 Vector = NDArray[np.float64]
 
 
+def columns(u: Vector, y: Vector) -> tuple[Vector, Vector]:
+    return u[:, None], y[:, None]
+
+
 def signals(N: int, noise: float = 0.1) -> list[tuple[Vector, Vector]]:
     """Return u and y of a plant of one pole, noise through it."""
     u, e = np.random.default_rng(1).standard_normal((2, N))
-    return [(u, filtered([0.0, 1.0], [1.0, -0.5], u) + filtered([noise], [1.0, -0.5], e))]
+    y = filtered([0.0, 1.0], [1.0, -0.5], u) + filtered([noise], [1.0, -0.5], e)
+    return [columns(u, y)]
 
 
 @pytest.mark.parametrize(
@@ -58,7 +66,7 @@ def test_a_long_memory_takes_a_long_horizon() -> None:
     u, e = np.random.default_rng(1).standard_normal((2, 4000))
     y = filtered([0.0, 1.0], [1.0, -0.98], u) + 2 * e
 
-    assert 10 < longest_horizon([(u, y)], 4000, None) <= 30
+    assert 10 < longest_horizon([columns(u, y)], 4000, None) <= 30
 
 
 def test_models_are_compared_on_the_longest_stretches() -> None:
@@ -67,21 +75,32 @@ def test_models_are_compared_on_the_longest_stretches() -> None:
     y[[500, 2200]] = np.nan  # 500, 1699 and 799 samples
     short = np.arange(100.0)
 
-    parts = _longest_stretches([(short, short), (u, y)])
+    parts = _longest_stretches([columns(short, short), columns(u, y)])
 
     assert [y.size for _, y in parts] == [1699, 301]
     assert [y[0] for _, y in parts] == [501.0, 2201.0]
     assert all(np.array_equal(u, y) for u, y in parts)
 
 
+def innovations(A: Vector, C: Vector) -> Innovations:
+    """Return the observer form of A y = B u + C e."""
+    n = A.size - 1
+    return Innovations(
+        A=companion(A),
+        C=np.eye(1, n),
+        K=(C - A)[1:, None],
+        horizon=n + 2,
+        singular_values=np.ones(n),
+        steady=True,
+    )
+
+
 def test_the_model_of_least_loss_is_chosen_or_the_first_without_noise() -> None:
-    true, other = (np.array([1.0, -0.5]), np.ones(1)), (np.array([1.0, 0.3]), np.ones(1))
+    true, other = (innovations(np.array([1.0, a]), np.array([1.0, 0.0])) for a in (-0.5, 0.3))
 
     for models, best in (((true, other), 0), ((other, true), 1)):
-        padded = [(A, np.append(C, 0.0)) for A, C in models]
-        assert least_loss(signals(1000), padded, direct=False) == best
-    small = [(A, np.append(C, 0.0)) for A, C in (true, true)]
-    assert least_loss(signals(1000, noise=1e-9), small, direct=False) == 0
+        assert least_loss(signals(1000), models, direct=False) == best
+    assert least_loss(signals(1000, noise=1e-9), (true, true), direct=False) == 0
 
 
 def test_shortened_windows_are_the_middle_of_the_long_ones() -> None:
@@ -115,7 +134,7 @@ def test_the_memory_of_the_predictor_minimises_aic() -> None:
         rng = np.random.default_rng(seed)
         u, e = rng.standard_normal((2, 130))
         y = filtered([0, 0.4], [1, -0.6, 0.2, -0.25], u) + filtered([1], [1, -0.6, 0.2, -0.25], e)
-        w = windows([(u, y)], past=9, future=1)
+        w = windows([columns(u, y)], past=9, future=1)
         criterion = []
         for n in range(1, 10):
             rows = np.hstack(
@@ -143,66 +162,72 @@ def test_a_state_counts_as_three_parameters(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_predictor_is_that_of_the_riccati_equation() -> None:
     rng = np.random.default_rng(2)
     A = np.array([[0.9, 0.2, 0.0], [-0.3, 0.7, 0.1], [0.0, 0.2, 0.5]])
-    C, M = np.array([1.0, -0.5, 0.3]), rng.standard_normal((4, 6))
+    C, M = np.array([[1.0, -0.5, 0.3]]), rng.standard_normal((4, 6))
     covariance = M @ M.T
+    space = Realisation(A=A, C=C, covariance=covariance)
 
-    z = _steady_filter(A, C, covariance)
+    z = space.predictor_poles()
 
-    Q, S, r = covariance[:3, :3], covariance[:3, 3], covariance[3, 3]
-    P = solve_discrete_are(A.T, C[:, None], Q, [[r]], s=S[:, None])
-    K = (A @ P @ C + S) / (C @ P @ C + r)
-    expected = np.linalg.eigvals(A - np.outer(K, C))
+    Q, S, r = covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:]
+    P = solve_discrete_are(A.T, C.T, Q, r, s=S)
+    K = (A @ P @ C.T + S) / (C @ P @ C.T + r)
+    expected = np.linalg.eigvals(A - K @ C)
+    np.testing.assert_allclose(space.gain(), K, atol=1e-9)
     assert z is not None
     np.testing.assert_allclose(np.sort_complex(z), np.sort_complex(expected), atol=1e-9)
     silent = covariance.copy()
     silent[3] = silent[:, 3] = 0.0
-    assert _steady_filter(A, C, silent) is None
+    assert replace(space, covariance=silent).predictor_poles() is None
 
 
 def test_the_real_pole_nearest_1_becomes_the_integrator() -> None:
     """A pair of poles nearer to 1 stays."""
     pair = [0.99 + 0.02j, 0.99 - 0.02j]
+    A = np.real(np.poly([*pair, 0.95, -0.99, 0.3]))
+    before = innovations(A, np.append(1.0, np.zeros(5)))
 
-    A = _integrating(np.real(np.poly([*pair, 0.95, -0.99, 0.3])))
+    after = before.integrating()
 
-    found = np.sort_complex(np.roots(A))
+    found = np.sort_complex(np.linalg.eigvals(after.A))
     np.testing.assert_allclose(found, np.sort_complex([*pair, 1.0, -0.99, 0.3]), atol=1e-9)
+    np.testing.assert_allclose(after.Abar, before.Abar, atol=1e-12)
 
 
 @pytest.mark.parametrize("nk", [0, 1, 3])
 def test_a_delayed_input_acts_one_sample_later(nk: int) -> None:
     u = np.arange(20.0)
-    data = Dataset(u=u, y=-u, Ts=1.0, starts=(0, 12))
+    data = Dataset(u=u, y=-u, Ts=1.0, starts=(0, 12)).signals()
 
-    for (late, y), part in zip(delayed_signals(data, nk), data.experiments(), strict=True):
+    parts, su, sy = scaled_signals(data, (nk,))
+
+    for (late, y), part in zip(parts, data.experiments(), strict=True):
         lost = max(nk - 1, 0)
-        np.testing.assert_array_equal(late, part.u[: part.N - lost])
-        np.testing.assert_array_equal(y, part.y[lost:])
+        np.testing.assert_allclose(late * su, part.u[: part.N - lost])
+        np.testing.assert_allclose(y * sy, part.y[lost:])
 
 
 def test_a_horizon_has_room_for_the_order_and_enough_windows() -> None:
     """Eleven windows in a row take 20 samples, if each has 10."""
-    [(u, y)] = signals(60)
-    valid = np.ones(60, dtype=np.bool_)
-    valid[[17, 30, 35]] = False
-    data = Dataset(u=u, y=y, Ts=1.0, valid=valid)
-    parts = delayed_signals(data, 1)
+    parts = signals(60)
+    parts[0][1][[17, 30, 35]] = np.nan
 
     for order, horizon, least in ((None, 2, 3), (4, 5, 6)):
         with pytest.raises(ValueError, match=f"horizon={horizon} must be an integer >= {least}"):
-            usable_windows(data, parts, order, horizon)
+            usable_windows(parts, order, horizon)
     assert windows(parts, past=5, future=5).N == 8 + 3 + 15
-    got = r"horizon=5, with windows of 10 samples without a gap, needs at least 32 samples, got"
-    with pytest.raises(ValueError, match=f"{got} 20"):
-        usable_windows(data[:30], delayed_signals(data[:30], 1), None, 5)
-    with pytest.raises(ValueError, match=f"{got} 7"):
-        usable_windows(data[:7], delayed_signals(data[:7], 1), None, 5)
-    assert usable_windows(data, parts, None, 5).N == 26
+    got = (
+        "horizon=5, with windows of 10 samples without a gap of more than 5, needs at least 32 "
+        "samples, got"
+    )
+    for N, measured in ((30, 20), (7, 7)):
+        with pytest.raises(ValueError, match=f"{got} {measured}"):
+            usable_windows([(u[:N], y[:N]) for u, y in parts], None, 5)
+    assert usable_windows(parts, None, 5).N == 26
 
 
 def test_data_without_noise_show_the_states_of_their_system() -> None:
     [(u, y)] = signals(200, noise=0.0)
-    y = y + filtered([0.0, 0.0, 1.0], [1.0, -1.2, 0.8], u)
+    y = y + filtered([0.0, 0.0, 1.0], [1.0, -1.2, 0.8], u[:, 0])[:, None]
 
     assert visible_states(windows([(u, y)], past=6, future=6)) == 3
 
@@ -220,8 +245,8 @@ def test_the_loss_equals_that_of_least_squares(direct: bool, N: int) -> None:
     )
     v = filtered(A, C, y)
 
-    loss = _loss(u, y, A, C, direct=direct)
+    squares = _squares(*columns(u, y), innovations(A, C), direct=direct)
 
     best = Phi @ np.linalg.lstsq(Phi, v, rcond=None)[0]
-    assert loss == pytest.approx(float(np.sum((v - best) ** 2)), rel=1e-6)
-    assert _loss(u[:11], y[:11], A, C, direct=direct) == 0.0
+    assert squares[0, 0] == pytest.approx(float(np.sum((v - best) ** 2)), rel=1e-6)
+    assert not _squares(*columns(u[:11], y[:11]), innovations(A, C), direct=direct).any()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import armrig
@@ -14,7 +13,7 @@ from armrig.numerics.polynomial import filtered
 from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices
 
-from tests.clients.models.made_fits import made
+from tests.clients.models.made_fits import changed, made
 from tests.sampling import sampled
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ def test_a_first_order_system_has_its_textbook_figures() -> None:
     """Gain 2, time constant 0.1 s, bandwidth 10 rad/s, neither resonance nor overshoot."""
     Ts, tau = 1e-3, 0.1
     pole = np.exp(-Ts / tau)
-    fit = replace(_any_fit(), B=np.array([0.0, 2 * (1 - pole)]), F=np.array([1.0, -pole]), Ts=Ts)
+    fit = changed(_any_fit(), B=np.array([0.0, 2 * (1 - pole)]), F=np.array([1.0, -pole]), Ts=Ts)
 
     t = model_characteristics(fit)
 
@@ -54,7 +53,7 @@ def test_a_first_order_system_has_its_textbook_figures() -> None:
 def test_only_the_deviations_of_real_poles_are_sampled() -> None:
     F = np.real(np.poly([0.97 * np.exp(1j), 0.97 * np.exp(-1j), 0.9, 0.86]))
     P = 1e-6 * np.eye(5)
-    fit = replace(_any_fit(), F=F, covariance=P, covariance_robust=P)
+    fit = changed(_any_fit(), F=F, covariance=P, covariance_robust=P)
 
     t = model_characteristics(fit)
 
@@ -81,7 +80,7 @@ def _moved(fit: armrig.Fit, theta: np.ndarray) -> armrig.Fit:
     """Return a claim with other coefficients, b1 … b4 f1 … f4."""
     none = np.zeros((8, 8))
     B, F = np.append(0, theta[:4]), np.append(1, theta[4:])
-    return replace(fit, B=B, F=F, covariance=none, covariance_robust=none)
+    return changed(fit, B=B, F=F, covariance=none, covariance_robust=none)
 
 
 def _any_fit() -> armrig.Fit:
@@ -93,7 +92,7 @@ def test_a_resonance_is_the_peak_of_the_gain_to_rounding() -> None:
     r, phi, Ts = 0.95, 0.4, 0.01
     F = np.array([1.0, -2 * r * np.cos(phi), r**2])
     P = np.zeros((3, 3))
-    fit = replace(_any_fit(), F=F, Ts=Ts, covariance=P, covariance_robust=P)
+    fit = changed(_any_fit(), F=F, Ts=Ts, covariance=P, covariance_robust=P)
     peak = np.arccos((1 + r**2) / (2 * r) * np.cos(phi)) / Ts
 
     assert model_characteristics(fit).resonance == pytest.approx(peak, rel=1e-11)
@@ -110,7 +109,7 @@ def test_the_times_of_a_model_equal_the_step_analysis_at_any_Ts(Ts: float) -> No
     data = armrig.Dataset(u=u, y=filtered(B, F, u), Ts=Ts, output="theta_1", unit="rad")
     fit = armrig.oe(data, nb=2, nf=2, integrator=True, starts="few")
     B_late = np.array([0.0, 0.0, 0.0, 1 - pole])
-    late = replace(_any_fit(), B=B_late, nk=3, F=np.array([1.0, -pole]), Ts=Ts)
+    late = changed(_any_fit(), B=B_late, nk=3, F=np.array([1.0, -pole]), Ts=Ts)
 
     of_data, of_late = armrig.step_analysis(data), model_characteristics(late)
     for t in (model_characteristics(fit), of_late):

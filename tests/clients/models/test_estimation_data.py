@@ -11,7 +11,6 @@ from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding
 from armrig.data.signals import Signals
 from armrig.models.fit import Fit
-from armrig.models.multivariable.fit import MultivariableFit
 
 
 def dataset(source: str = "a") -> Dataset:
@@ -119,7 +118,7 @@ def test_several_signals_have_the_same_findings(tmp_path: Path) -> None:
     armrig.arx(data[:200], na=[[1, 0], [0, 1]], nb=1).save(tmp_path / "m.json")
     fit = armrig.load_fit(tmp_path / "m.json")
 
-    assert isinstance(fit, MultivariableFit)
+    assert isinstance(fit, Fit)
     for part, times in ((data[150:], [15.0, 20.0]), (data[200:], [])):
         table, tests = armrig.compare(part, fit), armrig.residuals(fit, part)
         numbers = [x for f in table.findings for x in f.numbers.values()]

@@ -15,6 +15,8 @@ from armrig.numerics.polynomial import filtered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.clients.models.made_fits import changed
+
 B, F = np.array([0, 0, 1.0, 0.5]), np.array([1, -1.2, 0.6])
 
 
@@ -53,7 +55,7 @@ def test_a_frequency_beyond_nyquist_is_refused(fit: Fit) -> None:
 def test_the_response_of_an_integrator_is_accurate_near_zero_frequency() -> None:
     """G tends to b / (F̃(1) i omega Ts), so no coefficients cancel."""
     rest = np.array([1, -1.3, 0.47])
-    fit = Fit(
+    fit = Fit.of_channel(
         structure="oe", A=np.ones(1), B=np.array([0, 0.3]), F=np.convolve([1, -1], rest),
         nk=1, integrator=True, Ts=0.01, covariance=np.eye(4), covariance_robust=np.eye(4),
         noise_variance=1.0, loss=1.0, N=100, fit_percent=0.0, whiteness=0.5,
@@ -124,7 +126,7 @@ def test_the_deviation_of_a_white_spectrum_is_that_of_its_variance(fit: Fit) -> 
 def test_the_trusted_covariance_depends_on_the_residuals(fit: Fit) -> None:
     d = fit.theta.size
     made_up = replace(fit, covariance=np.eye(d), covariance_robust=9 * np.eye(d))
-    white, coloured = (replace(made_up, whiteness=p) for p in (0.5, 0.001))
+    white, coloured = (changed(made_up, whiteness=p) for p in (0.5, 0.001))
 
     assert white.trusted_covariance[0, 0] == 1.0
     assert coloured.trusted_covariance[0, 0] == 9.0

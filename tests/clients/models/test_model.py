@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 import armrig
 import numpy as np
 import pytest
-from armrig.models.model import Model
+from armrig.models.fit import Fit
 from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from tests.clients.models.made_fits import made
+from tests.clients.models.made_fits import changed, made
 
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
@@ -27,22 +28,19 @@ def fit(plant: HandoutPlant) -> armrig.Fit:
     return armrig.oe(plant.dataset(1, N=800), nb=4, nf=4, integrator=True, starts="few")
 
 
-def claimed(fit: armrig.Fit) -> Model:
-    return Model(A=fit.A, B=fit.B, F=fit.F, nk=fit.nk, integrator=True, Ts=fit.Ts)
+def test_a_model_that_was_not_estimated_has_no_deviations_and_no_loss() -> None:
+    model = Fit.of_channel(B=[0, 0.3], F=np.convolve([1, -1], [1, -0.6]), nk=1, Ts=0.1)
 
-
-def test_a_model_responds_like_the_fit_with_the_same_polynomials(fit: armrig.Fit) -> None:
-    model, omega = claimed(fit), np.geomspace(0.1, 50.0, 40)
-    u = np.random.default_rng(0).standard_normal(60)
-
-    np.testing.assert_array_equal(model.poles().values, fit.poles().values)
-    np.testing.assert_array_equal(model.zeros().values, fit.zeros().values)
-    G = model.frequency_response(omega).G
-    np.testing.assert_array_equal(G, fit.frequency_response(omega).G)
-    np.testing.assert_array_equal(model.step_response(30).y, fit.step_response(30).y)
-    np.testing.assert_array_equal(model.simulate(u), fit.simulate(u))
-    assert model.orders == fit.orders
-    assert model.names == fit.names
+    assert (model.label, model.heading) == ("model", "model(nb=1, nf=2, nk=1)")
+    assert repr(model).splitlines()[0] == "model(nb=1, nf=2, nk=1): u to y, Ts 0.1 s"
+    assert not model.trusts_robust
+    assert not model.poles().covariance.any()
+    assert not model.step_response(9).std.any()
+    for name in ("loss", "N", "fit_percent", "whiteness", "aic"):
+        with pytest.raises(InputError, match="model was not estimated: it has no loss"):
+            getattr(model, name)
+    with pytest.raises(InputError, match="model was not estimated: it has no noise model to test"):
+        armrig.residuals(model, armrig.Dataset(u=[0.0, 1.0], y=[0.0, 1.0], Ts=0.1))
 
 
 def test_the_physical_model_of_alpha_is_that_of_the_arm() -> None:
@@ -71,7 +69,7 @@ def test_a_pole_has_a_deviation_with_an_ill_conditioned_covariance(
     F = np.poly(poles).real
     powers = poles[0] ** np.arange(3, -1, -1)
     still = np.linalg.svd(np.vstack([powers.real, powers.imag]))[2][2:]
-    plain = replace(fit, F=F, structure="OE", integrator=False)
+    plain = changed(fit, F=F, structure="OE", integrator=False)
     f = plain.slice_of("f")
 
     for v in np.random.default_rng(3).standard_normal((20, 2)) @ still:
@@ -115,7 +113,7 @@ def test_deviations_follow_from_the_derivatives(integrating: str) -> None:
     fit, omega = whole(), np.array([0.3, 4.0, 20.0])
     if integrating:
         p = getattr(fit, integrating.upper())
-        fit = replace(fit, **{integrating.upper(): np.convolve(p, [1, -1])})
+        fit = changed(fit, **{integrating.upper(): np.convolve(p, [1, -1])})
         d = fit.theta.size
         P = np.diag(np.square(0.01 * np.arange(1, d + 1)))
         fit = replace(fit, covariance=P, covariance_robust=P)
@@ -124,7 +122,7 @@ def test_deviations_follow_from_the_derivatives(integrating: str) -> None:
     def moved(h: Vector) -> list[Vector]:
         theta = fit.theta + h
         parts = {letter: theta[fit.slice_of(letter)] for letter in "abcdf"}
-        other = replace(
+        other = changed(
             fit,
             B=np.append([0.0, 0.0], parts.pop("b")),
             **{letter.upper(): np.append(1.0, part) for letter, part in parts.items()},
@@ -176,8 +174,8 @@ def test_an_integrator_is_a_pole_at_1_without_a_deviation_and_no_parameter() -> 
         assert poles.std[1 - at] > 0
         assert fit.parameters == 3
         assert fit.integrating == letter.lower()
-        assert replace(fit, integrator=False).parameters == 4
-        assert replace(fit, integrator=False).integrating == ""
+        assert changed(fit, integrator=False).parameters == 4
+        assert changed(fit, integrator=False).integrating == ""
         assert getattr(fit, other).tolist() == [1.0]
 
 

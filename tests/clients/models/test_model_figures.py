@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tests.clients.models.made_fits import made, made_estimate
+from tests.clients.models.made_fits import apart, fit_of_form, made, made_estimate
 
 Vector = NDArray[np.float64]
 
@@ -94,3 +94,13 @@ def test_a_phase_that_jumps_by_half_a_turn_stays_between_minus_360_and_0() -> No
         turned = (phase[known] - np.array(angles, float)[known]) / 360
         np.testing.assert_allclose(turned, np.round(turned), atol=1e-9)
         assert -360 <= phase[0] <= 0
+
+
+def test_a_model_of_several_signals_has_a_panel_for_each_channel() -> None:
+    """The input v does not reach b."""
+    figure = fit_of_form(apart()).plot()
+
+    legends = [legend for ax in figure.axes if (legend := ax.get_legend())]
+    shown = [text.get_text() for legend in legends for text in legend.get_texts()]
+    channels = ["u to a", "v to a", "w to a", "u to b", "w to b"]
+    assert [name.partition(",")[0] for name in shown] == channels

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
+from armrig.data.signals import Signals
 from armrig.models.fit import Fit
 from armrig.models.prediction import prediction_errors, structure_of
 from armrig.numerics.polynomial import Array, filtered
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from tests.clients.models.made_fits import made
+from tests.clients.models.made_fits import apart, fit_of_form, made
 
 
 def conditional_means(fit: Fit, data: Dataset) -> Array:
@@ -154,3 +156,28 @@ def test_an_equation_error_depends_only_on_the_samples_of_its_row(na: int, nk: i
     expected, known = sums(fit, data)
     np.testing.assert_array_equal(np.isfinite(found), known)
     np.testing.assert_allclose(found[known], expected[known], atol=1e-12)
+
+
+def test_signals_of_one_input_and_output_are_predicted_as_their_dataset() -> None:
+    rng = np.random.default_rng(4)
+    fit = made(A=(1, -0.8), B=(0, 1.0), C=(1, 0.3), std=(0.1, 0.1, 0.1))
+    signals = Signals(u=rng.standard_normal(50), y=rng.standard_normal(50), Ts=0.1, outputs="alpha")
+
+    for horizon in (1, 3, None):
+        expected = fit.predict(signals.dataset(), horizon)
+        np.testing.assert_array_equal(fit.predict(signals, horizon), expected)
+    with pytest.raises(InputError, match="horizon=True must be an integer >= 1, or None"):
+        fit.predict(signals, True)
+    with pytest.raises(TypeError, match="data is a list: give a Dataset"):
+        fit.predict([1.0])  # type: ignore[arg-type]
+
+
+def test_the_fields_of_one_channel_are_refused_for_a_model_of_several_signals() -> None:
+    fit = fit_of_form(apart())
+
+    for name in ("A", "B", "C", "D", "F", "nk", "loss", "N", "white", "names", "output", "unit"):
+        with pytest.raises(InputError, match=r"2 outputs and 3 inputs: choose .* fit\['b', 'w'\]"):
+            getattr(fit, name)
+    for method in (fit.zeros, fit.summary, fit.latex, fit.noise_to_control):
+        with pytest.raises(InputError, match="choose one of each"):
+            method()

@@ -23,7 +23,7 @@ from armrig.numerics.confidence_regions import (
 )
 from armrig.numerics.polynomial import filtered
 
-from tests.clients.models.made_fits import made
+from tests.clients.models.made_fits import changed, made
 
 NEAR = (0.85 + 0.02j, 0.85 - 0.02j, 0.5)
 PLAIN = (0.83 + 0.35j, 0.83 - 0.35j, 0.7)
@@ -197,7 +197,7 @@ def test_each_draw_has_the_responses_and_roots_of_its_model(nk: int) -> None:
 
     for i in (0, 3, 19):
         a, b, f = np.split(draws.theta[i], [1, 4])
-        moved = replace(fit, A=np.append(1, a), B=np.append(np.zeros(nk), b), F=np.append(1, f))
+        moved = changed(fit, A=np.append(1, a), B=np.append(np.zeros(nk), b), F=np.append(1, f))
         np.testing.assert_allclose(G[i], moved.frequency_response(omega).G)
         np.testing.assert_allclose(steps[i], moved.step_response(9).y)
         for letter, roots in (("b", moved.zeros()), ("f", np.roots(moved.F)), ("a", [-a[0]])):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.numerics import covariance
-from armrig.numerics.covariance import correlated_score, exogenous_score
-from armrig.numerics.inference import infer
+from armrig.numerics.covariance import correlated_score, exogenous_score, joint_exogenous_score
+from armrig.numerics.inference import infer, least_squares_residuals
+from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.whiteness import autoregression
 from scipy.linalg import toeplitz
@@ -86,7 +87,8 @@ def test_for_white_residuals_the_robust_covariance_is_the_classic(d: int) -> Non
     e = y - Phi @ np.linalg.lstsq(Phi, y, rcond=None)[0]
     assert autoregression([e])[0].size == 1  # white, as the autoregression sees it
 
-    found = infer([e], [Phi], score="exogenous")
+    basis = orthonormal(Phi)
+    found = infer(least_squares_residuals([e], basis), basis.W, score="exogenous")
 
     np.testing.assert_allclose(found.covariance_robust, found.covariance, rtol=1e-10)
 
@@ -96,14 +98,16 @@ def test_ljung_and_box_count_no_pair_across_a_boundary() -> None:
     residuals[1][40:43] = 0.1
     lags = 25
 
-    found = infer(residuals, blocks, score="exogenous", test="ljung-box")
+    basis = orthonormal(np.vstack(blocks))
+    parts = least_squares_residuals(residuals, basis)
+    found = infer(parts, basis.W, score="exogenous", test="ljung-box")
 
     N = sum(SIZES)
     pairs = np.array([sum(n - k for n in SIZES) for k in range(lags + 1)])
     sums = [sum(float(e[k:] @ e[: e.size - k]) for e in residuals) for k in range(lags + 1)]
     R = np.array(sums) / pairs
     Q = (N + 2) / N * np.sum(pairs[1:] * (R[1:] / R[0]) ** 2)
-    assert found.white.p_value == pytest.approx(chi2.sf(Q, lags), rel=1e-9)
+    assert found.quality[0].white.p_value == pytest.approx(chi2.sf(Q, lags), rel=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -119,3 +123,65 @@ def test_an_autoregression_has_at_most_a_tenth_of_the_residuals_as_its_order(see
 
     assert all(max(of_both) <= N // 10 for N, of_both in orders.items())
     assert 7 <= max(orders[300]) <= 10 * np.log10(300)
+
+
+NOISE = ([1.0, -0.8], [1.0, 0.6])
+
+
+def coloured(outputs: int) -> tuple[list[list[Array]], list[list[Array]]]:
+    """Return H and residuals of different levels, for each of two experiments and each output."""
+    rng = np.random.default_rng(2)
+    H, e = [], []
+    for N, level in zip(SIZES, (1.0, -1.0), strict=True):
+        white = rng.standard_normal((N, 2)) @ [[1.0, 0.5], [0.0, 1.0]]
+        e.append([level + filtered([1.0], NOISE[i], white[:, i]) for i in range(outputs)])
+        H.append([rng.standard_normal((N, 3)).cumsum(axis=0) for _ in range(outputs)])
+    return H, e
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_the_order_of_the_experiments_does_not_matter(outputs: int) -> None:
+    H, e = coloured(outputs)
+
+    found = joint_exogenous_score(H, e)
+
+    np.testing.assert_allclose(joint_exogenous_score(H[::-1], e[::-1]), found, rtol=1e-9)
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_the_covariance_of_several_outputs_contains_their_common_noise(outputs: int) -> None:
+    """The sum of H_i^T L_i L_k^T H_k S_ik over the outputs; L are the autoregressions' responses.
+
+    S has the variances of the autoregressions, and the correlation of their errors.
+    """
+    H, e = coloured(outputs)
+    models = [autoregression([of[i] for of in e]) for i in range(outputs)]
+    assert all(C.size > 1 for C, _ in models)
+    errors = np.vstack(
+        [
+            np.column_stack([_whitened(C, x) for x, (C, _) in zip(of, models, strict=True)])
+            for of in e
+        ]
+    )
+    S = errors.T @ errors
+    std = np.sqrt(np.diag(S))
+    deviation = np.sqrt([s2 for _, s2 in models])
+    S *= np.outer(deviation, deviation) / np.outer(std, std)
+
+    expected = np.zeros((3, 3))
+    for of in H:
+        back = [_response(C, h.shape[0]).T @ h for h, (C, _) in zip(of, models, strict=True)]
+        for i in range(outputs):
+            for k in range(outputs):
+                expected += S[i, k] * back[i].T @ back[k]
+    np.testing.assert_allclose(joint_exogenous_score(H, e), expected, rtol=1e-9)
+
+
+def _response(C: Array, N: int) -> Array:
+    """Return the lower triangular matrix of the impulse response of 1/C."""
+    return np.tril(toeplitz(filtered([1.0], C, np.eye(1, N)[0])))
+
+
+def _whitened(C: Array, e: Array) -> Array:
+    """Return C e; e is 0 before the experiment."""
+    return np.convolve(C, e)[: e.size]

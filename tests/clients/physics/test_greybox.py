@@ -184,11 +184,11 @@ def test_the_remedy_of_a_poorer_fit_depends_on_the_input() -> None:
     data = Dataset(u=u, y=np.arange(200.0), Ts=Ts, valid=np.arange(200) >= 100)
     both_ways = data.replaced(u=u - 2.5, step=None)
 
-    assert worse_with_friction(data, 1.0, np.exp(0.09)) == ()
-    assert worse_with_friction(data, 2.0, 1.0) == ()
-    [held] = worse_with_friction(data, 1.0, np.exp(0.11))
-    [free] = worse_with_friction(both_ways, 1.0, np.exp(0.11))
-    [mixed] = worse_with_friction(merge([both_ways, data]), 1.0, 2.0)
+    assert worse_with_friction(data.signals(), 1.0, np.exp(0.09)) == ()
+    assert worse_with_friction(data.signals(), 2.0, 1.0) == ()
+    [held] = worse_with_friction(data.signals(), 1.0, np.exp(0.11))
+    [free] = worse_with_friction(both_ways.signals(), 1.0, np.exp(0.11))
+    [mixed] = worse_with_friction(merge([both_ways, data]).signals(), 1.0, 2.0)
 
     assert held.endswith('use friction="viscous", or play an input of both signs')
     assert free.endswith("begin nearer, with another `fixed`")

@@ -129,12 +129,12 @@ def test_the_friction_derivatives_equal_finite_differences() -> None:
     """T_c acts as the voltage T_c R_m / (N K_m), so R_m changes both; two experiments, one gap."""
     names = ("R_m", "N", "b_1")
     parts = tuple(
-        Dataset(u=u, y=np.zeros(150), Ts=Ts, valid=np.arange(150) % 50 != 9)
+        Dataset(u=u, y=np.zeros(150), Ts=Ts, valid=np.arange(150) % 50 != 9).signals()
         for u in (U[:150], U[150:300] - 2.5)
     )
     physics = Physics(model=chassis, fixed=P, output="theta_1")
     problem = GreyBoxWithFriction(
-        plain=GreyBox(physics=physics, names=names, experiments=parts), speed=1
+        plain=GreyBox(physics=(physics,), names=names, experiments=parts), speed=1
     )
     eta = problem.plain.coordinates({name: getattr(P, name) for name in names})
     z = np.concatenate([eta, [0.02], [0.1, 3.0], [-0.2, -2.0, 0.3]])

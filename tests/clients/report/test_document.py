@@ -31,6 +31,7 @@ from matplotlib import figure
 from matplotlib.text import Text
 
 from tests.clients.made_recordings import of_the_arm, written
+from tests.clients.models.made_fits import changed
 
 NOTE = Note(t=1.5, text='#panic() *x* $y$ `#eval("1")` \\ [z] @nobody', owner="#panic() <b>")
 """Markup, which a report prints as text."""
@@ -280,7 +281,7 @@ def test_only_an_arx_model_far_from_the_best_is_reported_as_biased(
 
 
 def test_untested_residuals_are_not_reported_as_coloured(done: Study) -> None:
-    untested = replace(done.best, fit=replace(done.best.fit, whiteness=float("nan")))
+    untested = replace(done.best, fit=changed(done.best.fit, whiteness=float("nan")))
 
     said = str(content(replace(done, estimated=(untested,)), ())["estimation"])
 

@@ -21,6 +21,7 @@ import pytest
 from armrig.excitation import telegraph
 from armrig.models.characteristics import model_characteristics
 from armrig.numerics.quantities import NBSP
+from armrig.numerics.whiteness import Whiteness
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.report.answers import QUESTIONS, Answers, Student
@@ -201,7 +202,12 @@ def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStu
         best,
         fit=fit,
         comparison=replace(best.comparison, rms_error=0.004),
-        tests=replace(best.tests, whiteness=0.11, missing_dynamics=0.33, feedback=0.44),
+        tests=replace(
+            best.tests,
+            white=Whiteness(p_value=0.11, test="T"),
+            missing_dynamics=0.33,
+            feedback=0.44,
+        ),
     )
 
     found = sections(replace(done, black=replace(done.black, estimated=(made_up,))), "3")

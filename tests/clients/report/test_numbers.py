@@ -7,6 +7,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
+from armrig.numerics.whiteness import Whiteness
 from armrig.recordings.jitter import SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
 from armrig.report.conclusions import abstract, conclusions
@@ -15,6 +16,8 @@ from armrig.report.model_facts import estimations, model_table, residual_rows
 from armrig.report.recording_facts import facts, shared_facts, timing_rows
 from armrig.report.study import AssessedFit, Study
 from armrig_core.calibration import Calibration, Figure, Made
+
+from tests.clients.models.made_fits import changed
 
 TIMING = SamplingStatistics(
     Ts_us=10_000.0,
@@ -56,7 +59,7 @@ def test_each_coefficient_has_its_two_deviations_in_their_columns(done: Study) -
 
 def test_the_loss_and_the_criteria_are_reported_by_their_names(done: Study) -> None:
     """FPE = loss (N + d)/(N - d), and AIC."""
-    fit = replace(done.best.fit, loss=2.5e-5)
+    fit = changed(done.best.fit, loss=2.5e-5)
 
     said = estimations(replace(done, estimated=(replace(done.best, fit=fit),)))
 
@@ -65,10 +68,14 @@ def test_the_loss_and_the_criteria_are_reported_by_their_names(done: Study) -> N
     assert f"AIC {fit.aic:.0f}".replace("-", "−") in said
 
 
+def p_of(value: float) -> Whiteness:
+    return Whiteness(p_value=value, test="portmanteau test")
+
+
 def test_each_p_value_is_in_the_row_of_its_test(done: Study) -> None:
     arx, oe = done.estimated
-    p = {"whiteness": 0.11, "ljung_box": 0.22, "missing_dynamics": 0.33, "feedback": 0.44}
-    other = {"whiteness": 0.51, "ljung_box": 0.62, "missing_dynamics": 0.73, "feedback": 0.84}
+    p = {"white": p_of(0.11), "ljung_box": 0.22, "missing_dynamics": 0.33, "feedback": 0.44}
+    other = {"white": p_of(0.51), "ljung_box": 0.62, "missing_dynamics": 0.73, "feedback": 0.84}
     judged = replace(done, estimated=(with_tests(arx, **p), with_tests(oe, **other)))
 
     rows = [row[:-1] for row in residual_rows(judged)]
@@ -226,7 +233,7 @@ def test_the_jitter_is_that_of_the_validation_recording(done: Study) -> None:
 def test_the_verdict_on_residuals_suggests_what_to_check(
     done: Study, white: float, free: float, ending: str
 ) -> None:
-    judged = with_tests(done.best, whiteness=white, missing_dynamics=free)
+    judged = with_tests(done.best, white=p_of(white), missing_dynamics=free)
 
     said = conclusions(replace(done, estimated=(judged,)))[1]
 

@@ -42,9 +42,9 @@ def test_the_numbers_of_each_output_are_those_of_the_model_of_both(
     arx = armrig.arx(first, na=[[4, 0], [0, 3]], nb=[[4], [3]])
 
     for name, fit in (("ARX", arx), ("OE", oe)):
-        row = armrig.compare(other, fit)[0]
+        table = armrig.compare(other, fit)
         rms = [one.model(name).comparison.rms_error for one in each_output(both)]
-        np.testing.assert_allclose(rms, row.rms_error, rtol=1e-3)
+        np.testing.assert_allclose(rms, [row.rms_error for row in table], rtol=1e-3)
     tests = armrig.residuals(oe, other)
     together = both.estimated[1].together
     assert together is not None

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
+from typing import Any
+
 import armrig
 import numpy as np
+from armrig import Fit, Signals
 from armrig.data.dataset import Dataset
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
@@ -34,3 +38,34 @@ def under_control(N: int = 1500) -> Dataset:
 
 def switched(N: int = 1500) -> Vector:
     return armrig.telegraph(N, 0.1, 0.0, 5.0, seed=1) - 2.5
+
+
+SAMPLES = 400
+"""Samples of `two_outputs`."""
+
+
+def two_outputs(seed: int, *, missing: float = 0.0, cross: float = 0.5) -> Signals:
+    """Return two outputs of two inputs; u2 reaches y1 one sample later than the other channels."""
+    rng = np.random.default_rng([41, seed])
+    u = np.repeat(np.sign(rng.standard_normal((SAMPLES // 2, 2))), 2, axis=0)
+    y = np.column_stack(
+        [
+            filtered([0, 1.0, 0.5], [1, -1.2, 0.5], u[:, 0]),
+            filtered([0, 0.3], [1, -0.3], u[:, 0]) + filtered([0, 0.8], [1, -0.7], u[:, 1]),
+        ]
+    )
+    y[:, 0] += cross * filtered([0, 0, 1.0], [1, -0.7], u[:, 1])
+    y += rng.multivariate_normal([0, 0], [[0.04, 0.02], [0.02, 0.03]], SAMPLES)
+    valid = rng.random(y.shape) >= missing
+    return Signals(u=u, y=y, Ts=0.1, valid=valid, inputs=["u1", "u2"], outputs=["y1", "y2"])
+
+
+@cache
+def oe_of_two_outputs(seed: int, missing: float = 0.0, *, nk_12: int = 2) -> Fit:
+    """Return the OE model of a plant, with the delay from u2 to y1."""
+    orders: dict[str, Any] = {
+        "nb": [[2, 1], [1, 1]],
+        "nf": [[2, 1], [1, 1]],
+        "nk": {("y1", "u2"): nk_12},
+    }
+    return armrig.oe(two_outputs(seed, missing=missing), **orders)  # type: ignore[return-value]

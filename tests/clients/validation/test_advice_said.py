@@ -14,8 +14,8 @@ from armrig.numerics.whiteness import Whiteness
 from armrig.validation.advice import data_advice, model_advice
 from armrig.validation.advice.data_advice import Tested as OfData
 from armrig.validation.feedback_and_delay.delay_result import Delay
-from armrig.validation.multivariable.residual_test import SignalsResidualTest
 from armrig.validation.power import lack_of_power
+from armrig.validation.residual_test import ResidualTest
 from armrig.validation.residuals import _possible
 from armrig_core.errors import InputError
 
@@ -224,7 +224,7 @@ def test_at_most_half_of_the_residuals_are_lags(L: int, N: int, longest: int) ->
     assert _possible(longest, N) == longest
 
 
-def signals_test(**fields: Any) -> SignalsResidualTest:
+def signals_test(**fields: Any) -> ResidualTest:
     """Return a test of two outputs and three inputs, made up."""
     rng = np.random.default_rng(5)
     e = rng.standard_normal((50, 2))
@@ -235,6 +235,8 @@ def signals_test(**fields: Any) -> SignalsResidualTest:
         "e": e,
         "lags": np.arange(4),
         "autocorrelation": rng.standard_normal((2, 2, 4)),
+        "autocorrelation_band": np.array([0.36, 0.38]),
+        "ljung_box": np.array([0.3, 0.7]),
         "white_by_output": (
             Whiteness(p_value=0.25, test="portmanteau"),
             Whiteness(p_value=0.75, test="Ljung-Box"),
@@ -242,6 +244,7 @@ def signals_test(**fields: Any) -> SignalsResidualTest:
         "white": Whiteness(p_value=0.5, test="portmanteau"),
         "cross_lags": np.arange(-3, 4),
         "cross_correlation": rng.standard_normal((2, 3, 7)),
+        "cross_band": np.full((2, 3), 0.4),
         "cross_std": rng.uniform(0.1, 1.0, (2, 3, 7)),
         "missing_dynamics_by_pair": np.array([[0.5, np.nan, 0.3], [0.2, 0.1, 0.0017]]),
         "feedback_by_pair": np.array([[0.6, 0.7, 0.0016], [0.8, 0.9, 0.95]]),
@@ -251,7 +254,7 @@ def signals_test(**fields: Any) -> SignalsResidualTest:
         "on_estimation_data": False,
         "source": "",
     }
-    return SignalsResidualTest(**(values | fields))
+    return ResidualTest(**(values | fields))
 
 
 def test_the_poorest_pair_has_the_least_p_value_of_those_tested() -> None:

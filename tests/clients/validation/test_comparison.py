@@ -6,10 +6,12 @@ import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import armrig
 import numpy as np
 import pytest
+from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.estimation.armax import armax
@@ -19,8 +21,11 @@ from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.validation.comparison import compare
-from armrig.validation.residuals import _free_covariance, residuals
+from armrig.validation.projection import _free_covariance
+from armrig.validation.residuals import residuals
 from scipy.stats import chi2
+
+from tests.clients.models.made_fits import changed
 
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
@@ -66,9 +71,7 @@ def test_an_unbounded_simulation_has_a_fit_of_minus_infinity(plant: HandoutPlant
     """The textbook's first choice on an integrating angle may be unstable."""
     unstable = arx(plant.dataset(1)[:400], na=6, nb=4)
     unstable_A = np.convolve(unstable.A, [1, -3.0])
-    import dataclasses
-
-    fit = dataclasses.replace(
+    fit = changed(
         unstable, A=unstable_A, covariance=np.zeros((11, 11)), covariance_robust=np.zeros((11, 11))
     )
 
@@ -201,3 +204,21 @@ def _peak(compute: Callable[[], object]) -> int:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     return peak
+
+
+def test_the_prediction_error_of_a_long_angle_is_its_noise() -> None:
+    """Its initial state and ramp are a million times its noise, so that each digit counts."""
+    rng = np.random.default_rng(3)
+    n = 2000
+    u = np.repeat(rng.choice([0.0, 5.0], n // 10), 10)
+    B, F = [0, 0.004, 0.003], np.poly([0.91 + 0.16j, 0.91 - 0.16j, 0.69]).real
+    rate = filtered(B, F, u)
+    y = np.column_stack([np.cumsum(rate), rate])
+    y += 1e-4 * rng.standard_normal(y.shape)
+    data = Signals(u=u[:, None], y=y, Ts=0.01, inputs=["u"], outputs=["angle", "rate"])
+    fit: Any = armrig.oe(data, nb=2, nf=3, integrator="angle", shared="denominator")  # type: ignore[call-arg, arg-type]
+
+    later = data[137:]  # in the middle of a movement
+    e = later.y - fit.predict(later, None)
+
+    np.testing.assert_allclose(np.std(e, axis=0), 1e-4, rtol=0.1)

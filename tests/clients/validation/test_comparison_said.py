@@ -7,19 +7,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
 from armrig.models.characteristics import SCALARS, ModelCharacteristics
-from armrig.models.model import Model
+from armrig.models.fit import Fit
 from armrig.numerics.confidence_regions import Band
-from armrig.validation.comparison import Comparison, _misfit, compare
+from armrig.numerics.polynomial import Array
+from armrig.validation.comparison import Comparison, ComparisonTable, _misfit, compare
 from armrig.validation.comparison_figure import plot_comparison
 from armrig.validation.model_differences import explanation
+from armrig_core.errors import InputError
 from matplotlib.figure import Figure
 
 from tests.clients.models.made_fits import made
 
-PHYSICS = Model(B=np.array([0.0, 1.0]), nk=1, Ts=0.1)
+PHYSICS = Fit.of_channel(B=np.array([0.0, 1.0]), nk=1, Ts=0.1)
 
 
 def figures(
@@ -48,7 +50,7 @@ def figures(
 
 def row(name: str, rms: float, t: ModelCharacteristics | None = None, **fields: Any) -> Any:
     values: dict[str, Any] = {
-        "model": made(structure="oe", F=(1, -0.5)),
+        "channel": made(structure="oe", F=(1, -0.5)),
         "on_estimation_data": False,
     }
     return SimpleNamespace(
@@ -86,7 +88,7 @@ def test_the_closest_model_is_named_with_its_error(
 
 def test_differences_are_relative_to_the_physics_in_any_order() -> None:
     """A difference counts beyond 2.58 σ of both models, and beyond a thousandth."""
-    physics = row("physics", 1.0, figures({"overshoot": -8.0}, std=0.03), model=PHYSICS)
+    physics = row("physics", 1.0, figures({"overshoot": -8.0}, std=0.03), channel=PHYSICS)
     fit = row("fit", 1.1, figures({"gain": 1.12, "bandwidth": 4.2, "overshoot": 8.0}, std=0.04))
 
     for rows in ([physics, fit], [fit, physics]):
@@ -109,7 +111,7 @@ def test_differences_are_relative_to_the_physics_in_any_order() -> None:
 def test_the_differences_of_a_poor_model_are_not_explained() -> None:
     arx = made(structure="arx", A=(1, -0.5))
     said = [
-        explanation([row("a", rms, model=model), row("b", 0.1)])[1]
+        explanation([row("a", rms, channel=model), row("b", 0.1)])[1]
         for rms, model in ((0.51, arx), (0.51, made(structure="oe", F=(1, -0.5))), (0.5, arx))
     ]
 
@@ -128,6 +130,8 @@ def data(output: str = "alpha", unit: str = "rad") -> Dataset:
 
 def compared(name: str, y: Any, rms: float, **fields: Any) -> Comparison:
     values: dict[str, Any] = {
+        "output": "alpha",
+        "unit": "rad",
         "fit_percent": 12.345,
         "velocity_fit_percent": None,
         "on_estimation_data": False,
@@ -211,3 +215,75 @@ def test_a_scale_is_logarithmic_beyond_three_times_the_least_error_if_one_is_8_t
     assert (f"scale logarithmic beyond ±{limit:g} rad, dotted" in texts) == bool(limit)
     if limit:
         assert below.get_ylim()[1] == pytest.approx(2 * (largest - 0.1))
+
+
+class Constant:
+    """A model that predicts the same numbers always."""
+
+    label = "constant"
+    form = SimpleNamespace(integrators=(False, False))
+    ny, nu = 2, 1
+
+    def __init__(self, *y: float) -> None:
+        self.y = np.array(y)
+
+    def predict(self, data: Signals, horizon: int | None = 1) -> Array:
+        return np.tile(self.y, (data.u.shape[0], 1))
+
+    def estimated_from(self, data: Signals) -> bool:
+        """Return whether the first number is 0."""
+        return bool(self.y[0] == 0)
+
+
+def compared_outputs() -> ComparisonTable:
+    """Return a comparison of two models over outputs with missing samples."""
+    y = np.array([[1.0, 2.0], [3.0, 4.0], [99.0, 6.0], [5.0, 99.0]])
+    valid = np.array([[1, 1], [1, 1], [0, 1], [1, 0]], dtype=bool)
+    data = Signals(
+        u=np.zeros((4, 1)), y=y, Ts=0.5, valid=valid, outputs=["a", "long"], units=["rad", ""]
+    )
+    models: Any = Constant(3.0, 0.0), Constant(0.0, 4.0)
+    return compare(data, *models, labels=("first", "second"), horizon=2)
+
+
+def test_outputs_are_compared_at_their_measured_samples() -> None:
+    """The outputs are 1, 3, 5 and 2, 4, 6."""
+    table = compared_outputs()
+    first, second = table.models
+    spread = np.sqrt(8.0)
+
+    assert [(r.name, r.output, r.unit) for r in table.of("a")] == [
+        ("first", "a", "rad"),
+        ("second", "a", "rad"),
+    ]
+    assert [r.rms_error for r in first] == pytest.approx([np.sqrt(8 / 3), np.sqrt(56 / 3)])
+    assert [r.fit_percent for r in first] == pytest.approx([0, 100 * (1 - np.sqrt(56) / spread)])
+    assert [r.rms_error for r in second] == pytest.approx([np.sqrt(35 / 3), np.sqrt(8 / 3)])
+    assert [r.fit_percent for r in second] == pytest.approx([100 * (1 - np.sqrt(35) / spread), 0])
+    assert [r.on_estimation_data for r in table] == [False, False, True, True]
+    assert [f.about for f in compared_outputs().findings] == ["own data"]
+    unbounded: Any = Constant(np.inf, 0.0)
+    one, other = compare(compared_outputs().data, unbounded)
+    assert (one.fit_percent, one.rms_error) == (-np.inf, np.inf)
+    assert np.isfinite(other.rms_error)
+    with pytest.raises(InputError, match="there is no such output; there are a, long"):
+        table.of("b")
+
+
+def test_a_panel_for_each_output_has_the_fits_of_its_models() -> None:
+    table = compared_outputs()
+
+    panels = table.plot().axes
+
+    texts = [[text.get_text() for text in panel.texts] for panel in panels]
+    assert "fit 0.0 %, -109.2 %" in texts[0]
+    assert "fit -164.6 %, 0.0 %" in texts[1]
+    for i, panel in enumerate(panels):
+        measured, *models = panel.lines[:3]
+        shown = np.asarray(measured.get_ydata(), float)
+        valid = table.data.valid[:, i]
+        np.testing.assert_array_equal(shown[valid], table.data.y[valid, i])
+        for line, of_model in zip(models, table.models, strict=True):
+            np.testing.assert_array_equal(line.get_ydata(), of_model[i].y)
+    assert "rad" in panels[0].get_ylabel()
+    assert panels[1].get_xlim() == (0.0, 1.5)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import armrig
 import numpy as np
 import pytest
+from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.numerics.polynomial import filtered, impulse
+from armrig.validation.feedback_and_delay import other_inputs
 from armrig.validation.feedback_and_delay.delay import _hidden_by_steps, _Onset, _Readings
 from armrig.validation.feedback_and_delay.lag_tests import _least_without_one, lag_tests
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 from scipy.stats import f
 
+from tests.clients.validation.plants import two_outputs
 from tests.sampling import sampled
 
 if TYPE_CHECKING:
@@ -407,3 +411,47 @@ def test_a_wide_range_of_lags_is_not_tested_by_its_shape() -> None:
 
     assert found.interval == (0, 11)
     assert (found.misfit, seen) == ({}, [])
+
+
+def test_each_channel_has_a_separate_delay() -> None:
+    found = armrig.delay(two_outputs(1))
+
+    nk = {name: found[name].nk for name in found}  # type: ignore[attr-defined, index]
+    assert nk == {("y1", "u1"): 1, ("y1", "u2"): 2, ("y2", "u1"): 1, ("y2", "u2"): 1}
+    assert repr(found).startswith("u1 to y1: nk = 1")
+
+
+def test_a_channel_without_a_response_has_a_reason() -> None:
+    found: Any = armrig.delay(two_outputs(1, cross=0.0))
+
+    assert len(found) == 3
+    with pytest.raises(InputError, match="u2 to y1: "):
+        found["y1", "u2"]
+    with pytest.raises(InputError, match="there is no such channel"):
+        found["y9", "u2"]
+
+
+def test_a_model_of_all_inputs_has_at_most_a_fifth_of_its_rows_as_parameters() -> None:
+    """As many parameters as rows fit noise exactly, and would be chosen for it."""
+    rng = np.random.default_rng(1)
+    data = Signals(u=rng.standard_normal((60, 2)), y=rng.standard_normal((60, 1)), Ts=0.1)
+
+    (block,) = other_inputs._best_blocks([*data.experiments()], "y1")
+
+    assert block.shape[1] - 1 <= 60 / 5
+    with pytest.raises(InputError, match="too few samples of y1 for an ARX model"):
+        other_inputs._best_blocks([data[:24]], "y1")
+
+
+def test_each_channel_of_several_signals_has_separate_hints() -> None:
+    """The channels have the orders 2, 1, 1 and 1; u2 reaches y1 one sample later."""
+    found: Any = armrig.structure_hints(two_outputs(1))
+
+    first = {name: found[name].structures[0] for name in found}
+    assert {name: (s.nb, s.nf, s.nk) for name, s in first.items()} == {
+        ("y1", "u1"): (2, 2, 1),
+        ("y1", "u2"): (1, 1, 2),
+        ("y2", "u1"): (1, 1, 1),
+        ("y2", "u2"): (1, 1, 1),
+    }
+    assert found.explain().startswith("u1 to y1:\n- integrator: ")

@@ -5,19 +5,29 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import armrig
 import numpy as np
 import pytest
+from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
+from armrig.models.structure_table import OfferedName
 from armrig.numerics.polynomial import filtered
 from armrig.validation.model_search import _ranked, search
-from armrig.validation.search_result import Candidate, OfferedName, Scored, SearchResult
+from armrig.validation.search_result import Candidate, Scored, SearchResult
+from armrig_core.errors import InputError
 
-from tests.clients.validation.plants import of_second_order, switched, under_control
+from tests.clients.validation.plants import (
+    SAMPLES,
+    of_second_order,
+    switched,
+    two_outputs,
+    under_control,
+)
 from tests.sampling import sampled
 
 if TYPE_CHECKING:
@@ -205,13 +215,21 @@ def test_an_optional_structure_is_searched_on_request() -> None:
     assert {j.candidate.name for j in asked.ranked} == {"ARARX[2 2 1 1]", "ARARX[2 2 2 1]"}
 
 
-def test_unknown_families_and_impossible_orders_are_refused() -> None:
-    data = _data(1, [1.0], [1.0], 80)
+@pytest.mark.parametrize(
+    ("shape", "unknown", "allowed", "order"),
+    [("1x1", "arimax", "arx, armax", 40), ("2x2", "arx", "ss, n4sid, oe", 9)],
+)
+def test_unknown_families_and_impossible_orders_are_refused(
+    shape: str, unknown: Any, allowed: str, order: int
+) -> None:
+    data: Any = _data(1, [1.0], [1.0], 80) if shape == "1x1" else two_outputs(0)[:20]
 
-    with pytest.raises(ValueError, match="families has 'arimax'; each must be one of arx, armax"):
-        search(data, families=("arimax",))  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="none of the structures could be estimated; the first"):
-        search(data, families=("arx",), orders=(40,))
+    with pytest.raises(
+        InputError, match=f"families has '{unknown}'; each must be one of {allowed}"
+    ):
+        search(data, families=(unknown,))
+    with pytest.raises(InputError, match="none of the structures could be estimated; the first"):
+        search(data, families=("oe",), orders=(order,))
 
 
 def test_models_without_a_sample_in_common_are_not_compared() -> None:
@@ -285,3 +303,65 @@ def test_an_output_that_is_found_to_integrate_gets_its_integrator() -> None:
 
     assert found.fit.integrator
     assert "taken as integrating" in found.explain()
+
+
+def test_the_search_chooses_the_order_of_the_plant() -> None:
+    data = two_outputs(2, cross=0.0)  # poles: a pair, 0.3, 0.7
+    done: list[str] = []
+
+    found: Any = armrig.search(
+        data,
+        two_outputs(102, cross=0.0),  # type: ignore[arg-type]
+        families=["ss"],  # type: ignore[list-item]
+        orders=(3, 4, 5),
+        progress=lambda k, n, name: done.append(f"{k} of {n} {name}"),
+    )
+
+    assert found.chosen.candidate.name == "SS[4 1]"
+    assert found.fit.estimated_from(data)
+    assert done == [
+        "0 of 3 SS[3 1]",
+        "1 of 3 SS[4 1]",
+        "2 of 3 SS[5 1]",
+        "3 of 3 ",
+    ]
+    assert "  <- chosen" in repr(found)
+    assert found.tests.outputs == ("y1", "y2")
+    assert not found.tests.rejects
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.1])
+def test_a_state_space_has_no_k_if_samples_are_missing(missing: float) -> None:
+    found: Any = armrig.search(two_outputs(2, missing=missing), families=["ss"], orders=[2])
+
+    assert found.fit.form.K.any() == (not missing)
+
+
+@pytest.mark.exhaustive
+def test_the_search_finds_the_integrator_of_one_output() -> None:
+    rng = np.random.default_rng(3)
+    u = np.repeat(np.sign(rng.standard_normal(SAMPLES // 4)), 4)
+    rate = filtered([0, 0.4, 0.2], np.poly([0.8, 0.5]), u)
+    y = np.column_stack([np.cumsum(rate), rate]) + 0.05 * rng.standard_normal((SAMPLES, 2))
+    data = Signals(u=u[:, None], y=y, Ts=0.1, outputs=["angle", "rate"])
+
+    found: Any = armrig.search(data, integrator="angle", orders=(1, 2, 3))  # type: ignore[arg-type]
+
+    assert found.chosen.candidate.name == "OE[2 2 1]"
+    assert found.fit.form.integrators == (True, False)
+
+
+def test_every_family_of_a_search_has_all_orders_of_an_iterator() -> None:
+    found: Any = armrig.search(two_outputs(0), families=["n4sid", "oe"], orders=iter((1, 2)))
+
+    tried = {(j.candidate.family, j.candidate.order) for j in (*found.ranked, *found.failed)}
+    assert tried == {("n4sid", 1), ("n4sid", 2), ("oe", 1), ("oe", 2)}
+
+
+def test_a_search_needs_every_input_to_change_in_both_parts() -> None:
+    data = two_outputs(0)
+    u = np.column_stack([data.u[:, 0], np.where(np.arange(data.N) < 9, 0.0, 1.0), data.u[:, 1:]])
+    rests = Signals(u=u, y=data.y, Ts=1.0)
+
+    with pytest.raises(InputError, match="u moves in one part of the data only"):
+        armrig.search(rests, families=["oe"], orders=[1])

@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
+import armrig
 import numpy as np
 import pytest
+from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.models.fit import Fit
 from armrig.models.prediction import prediction_errors
+from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.whiteness import autoregression, joint_p_value, portmanteau
+from armrig.validation.output_whiteness import _white, white_by_output
+from armrig.validation.projection import parts_of, projection
 from armrig.validation.residuals import residuals
+from armrig_core.errors import InputError
 from scipy.stats import chi2
+
+from tests.clients.validation.plants import SAMPLES, oe_of_two_outputs, two_outputs
+from tests.plants import chassis_and_arm
+from tests.sampling import sampled
 
 L = 6
 
@@ -120,18 +131,6 @@ def test_the_whiteness_test_accounts_for_the_estimated_parameters(own: bool) -> 
     assert tested.whiteness == pytest.approx(p[own], rel=1e-9)
 
 
-def test_the_allowance_is_the_widening_of_the_band() -> None:
-    fit, judged = oe(data(1, 400), nb=2, nf=2), data(2, 300)
-    unsure = replace(fit, covariance_robust=1e4 * fit.covariance_robust)
-
-    sure, wide = residuals(fit, judged), residuals(unsure, judged)
-
-    assert 0.9 < sure.allowance < 2
-    assert wide.allowance > 10 * sure.allowance
-    assert not sure.powerless
-    assert f"correlations by a factor of {wide.allowance:.0f}" in wide.powerless
-
-
 def test_a_constant_input_tests_neither_dynamics_nor_feedback() -> None:
     rng = np.random.default_rng(1)
     u = np.repeat(rng.choice([-1.0, 1.0], 100), 4)
@@ -143,3 +142,177 @@ def test_a_constant_input_tests_neither_dynamics_nor_feedback() -> None:
     assert "dynamics missing: not tested" in said
     assert "feedback: not tested" in said
     assert "no feedback" not in said
+
+
+def joint(test: Any) -> list[float]:
+    return [test.white.p_value, test.missing_dynamics, test.feedback]
+
+
+@pytest.mark.parametrize("missing", sampled([0.0, 0.2]))
+def test_the_tests_of_a_true_model_pass(missing: float) -> None:
+    p = []
+    for seed in range(4):
+        fit = oe_of_two_outputs(seed, missing)
+        for data in (two_outputs(seed, missing=missing), two_outputs(seed + 100, missing=missing)):
+            p += joint(armrig.residuals(fit, data))
+
+    assert min(p) > 0.0005
+    assert 0.2 < np.mean(p) < 0.8
+
+
+def test_the_residuals_of_a_joint_estimate_have_no_part_that_was_estimated() -> None:
+    """Rows with orders of their own and correlated noise are weighted together."""
+    data = two_outputs(0)
+    fit: Any = armrig.arx(data, na=[[2, 1], [0, 1]], nb=[[2, 1], [1, 2]])  # type: ignore[arg-type]
+    (part,), _ = parts_of(fit, data)
+    projected = projection([part], own=True)
+    B = np.concatenate([part.S, projected.T[0]], axis=2)
+    WB = part.weighted(B)
+
+    np.testing.assert_allclose(np.einsum("tir,tik->rk", B, WB), np.eye(projected.rank), atol=1e-9)
+    # A part of the noise would be about 1. The initial state is the difference from 0.
+    left = np.einsum("tir,ti->r", WB, np.nan_to_num(part.e))
+    assert np.abs(left).max() < 0.05
+
+
+@pytest.mark.parametrize("run", [10, 60])
+def test_a_sum_that_the_estimate_determines_is_not_tested(run: int) -> None:
+    """The poles are so quick that B nearly fits each lag. A rest of the ramp would be p < 1e-40."""
+    drawn = chassis_and_arm(23)
+    data = drawn.signals(500, 0.0, (23, 500, run, 0))
+
+    found = armrig.residuals(drawn.fit(data), data)
+
+    assert min(found.missing_dynamics_by_pair.ravel()) > 0.01
+
+
+def test_several_experiments_are_tested_together() -> None:
+    parts = [two_outputs(seed)[: SAMPLES // 2] for seed in (0, 1)]
+    data = armrig.merge(parts)
+    fit: Any = armrig.oe(data, nb=[[2, 1], [1, 1]], nf=[[2, 1], [1, 1]], nk={("y1", "u2"): 2})  # type: ignore[arg-type]
+
+    found = armrig.residuals(fit, data)
+
+    # No product of samples of two experiments is in a mean.
+    e = [found.e[: SAMPLES // 2], found.e[SAMPLES // 2 :]]
+    lag_3 = sum(x[3:].T @ x[:-3] for x in e) / (SAMPLES - 6)
+    lag_3 /= np.mean(found.e**2, axis=0).prod() ** 0.5
+    assert found.autocorrelation[0, 1, 3] == pytest.approx(lag_3[0, 1])
+    for white, quality in zip(found.white_by_output, fit.quality, strict=True):
+        assert white.p_value == pytest.approx(quality.white.p_value, rel=0.02)
+    assert min(joint(found)) > 0.001
+
+
+def test_a_delay_too_long_shows_only_in_its_pair() -> None:
+    found = armrig.residuals(oe_of_two_outputs(0, nk_12=3), two_outputs(100))
+
+    assert found.missing_dynamics < 1e-6
+    p = found.missing_dynamics_by_pair
+    assert p[0, 1] < 1e-6
+    assert min(p[0, 0], p[1, 0], p[1, 1]) > 1e-3
+    assert "u2 to y1: dynamics missing (p < 0.001)" in repr(found)
+    pair = found["y1", "u2"]
+    assert pair.missing_dynamics == p[0, 1]
+    np.testing.assert_array_equal(pair.correlation, found.cross_correlation[0, 1])
+    with pytest.raises(InputError, match="no channel; give an output of y1 and y2 and an input of"):
+        found["u2", "y1"]
+
+
+def test_only_the_joint_test_rejects_delayed_common_noise() -> None:
+    """y2 contains the noise of y1 three samples later: each output alone is white."""
+    data, other = two_outputs(0), two_outputs(100)
+    rng = np.random.default_rng(5)
+    parts = []
+    for signals in (data, other):
+        e = 0.4 * rng.standard_normal(SAMPLES + 3)
+        y = signals.y + np.column_stack([e[3:], e[:SAMPLES]])
+        parts.append(signals.replaced(step=None, y=y))
+    nk = {("y1", "u2"): 2}
+    fit: Any = armrig.oe(parts[0], nb=[[2, 1], [1, 1]], nf=[[2, 1], [1, 1]], nk=nk)  # type: ignore[arg-type]
+
+    found = armrig.residuals(fit, parts[1])
+
+    assert found.white.p_value < 1e-6
+    assert all(white.p_value > 0.01 for white in found.white_by_output)
+
+
+def test_an_input_that_follows_an_output_shows_as_feedback() -> None:
+    rng = np.random.default_rng(8)
+    e = 0.5 * rng.standard_normal(SAMPLES)
+    u = np.sign(rng.standard_normal((SAMPLES, 2)))
+    v = filtered([1.0], [1, -0.8], e)
+    u[:, 1] += np.append(0.0, v[:-1])  # u2 follows the noise of y
+    y = filtered([0, 1.0], [1, -0.5], u[:, 0]) + filtered([0, 0.5], [1, -0.5], u[:, 1]) + v
+    data = Signals(u=u, y=y[:, None], Ts=0.1, inputs=["u1", "u2"], outputs=["y"])
+    fit: Any = armrig.oe(data, nb=1, nf=1)
+
+    found = armrig.residuals(fit, data)
+
+    assert found.feedback_by_pair[0, 1] < 1e-4
+    assert found.feedback_by_pair[0, 0] > 1e-3
+    assert armrig.open_loop(data)["y", "u2"].feedback  # type: ignore[index]
+    assert not armrig.open_loop(data)["y", "u1"].feedback  # type: ignore[index]
+
+
+@pytest.mark.parametrize("shape", ["1x1", "2x2"])
+@pytest.mark.parametrize("factor", [1e2, 1e4])
+def test_the_allowance_is_a_factor_of_deviations(shape: str, factor: float) -> None:
+    """The variance of the parameters is added to that of the noise."""
+    fit = oe(data(1, 400), nb=2, nf=2) if shape == "1x1" else oe_of_two_outputs(0)
+    judged = data(2, 300) if shape == "1x1" else two_outputs(100)
+    wide = replace(fit, covariance_robust=factor * fit.covariance_robust)
+
+    sure, unsure = (residuals(one, judged) for one in (fit, wide))
+
+    assert unsure.allowance**2 - 1 == pytest.approx(factor * (sure.allowance**2 - 1), rel=1e-3)
+    assert 0.9 < sure.allowance < 2
+    assert not sure.powerless
+    said = f"correlations by a factor of {unsure.allowance:.0f}"
+    assert (said in unsure.powerless) == (unsure.allowance > 10)
+
+
+def test_sums_and_deviations_of_each_pair_are_those_of_its_signals() -> None:
+    """Correlation of e_i(t) with u_j(t - k), and its deviation about 1/sqrt(N) for white e."""
+    fit, data = oe_of_two_outputs(0), two_outputs(100)
+
+    found = armrig.residuals(fit, data, 5)
+
+    e, u = np.nan_to_num(found.e), data.u - data.u.mean(axis=0)
+    (part,), _ = parts_of(fit, data)
+    WS = part.weighted(part.S)
+    for i, j, k in ((0, 1, 3), (1, 0, -4), (0, 0, 0), (1, 1, 5)):
+        late, early = max(k, 0), max(-k, 0)
+        x, z = e[late : SAMPLES - early, i], u[early : SAMPLES - late, j]
+        # The initial states are estimated from the same data.
+        left = u[:, j] - WS[:, i] @ (part.S[:, i].T @ u[:, j])
+        expected = (x @ z) / np.sqrt(np.sum(e[:, i] ** 2) * np.sum(left**2))
+        at = int(np.flatnonzero(found.cross_lags == k)[0])
+        assert found.cross_correlation[i, j, at] == pytest.approx(expected, abs=1e-9)
+    np.testing.assert_allclose(found.cross_std, 1 / np.sqrt(SAMPLES), rtol=0.5)
+
+
+def test_given_weights_of_the_outputs_are_those_of_the_projection() -> None:
+    """The estimator minimised the sum of w_i e_i²."""
+    fit = replace(oe_of_two_outputs(0), output_weights=(2.0, 8.0))
+
+    (part,), _ = parts_of(fit, two_outputs(0))
+
+    weights = np.einsum("tij,tik->tjk", part.G, part.G)
+    np.testing.assert_allclose(weights, np.broadcast_to(np.diag([2.0, 8.0]), weights.shape))
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_the_test_of_several_outputs_is_for_one_output_the_portmanteau_test(own: bool) -> None:
+    """With few samples, to the digits, on the estimation data and on others."""
+    fitted, judged = data(1, 50), data(1 if own else 11, 50)
+    fit = oe(fitted, nb=2, nf=2)
+    parts, covariance = parts_of(fit, judged)
+    projected, of_theta = projection(parts, own=own), None if own else covariance
+    Lambda = pairwise_covariance(np.vstack([part.e for part in parts]))
+
+    white = _white(projected, Lambda, 1 / np.sqrt(Lambda), of_theta, L)
+
+    (expected,) = white_by_output(projected, of_theta, L)
+    assert fit.estimated_from(judged) is own
+    assert white.test == expected.test
+    assert white.p_value == pytest.approx(expected.p_value, rel=1e-6)

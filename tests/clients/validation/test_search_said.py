@@ -8,25 +8,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding, warning
 from armrig.numerics.criteria import batch_means
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import model_search
 from armrig.validation.model_search import _ranked
-from armrig.validation.multivariable.search import (
-    SignalsCandidate,
-    SignalsSearch,
-    _free,
-)
-from armrig.validation.multivariable.search import _ranked as ranked_of_several
 from armrig.validation.recommended_structures import (
     Recommendation,
     Recommended,
     _busiest,
     _trimmed,
 )
-from armrig.validation.search_result import Candidate, Scored, SearchResult
+from armrig.validation.search_result import Candidate, Scored, SearchResult, _free
 from armrig.validation.structure_hints import (
     _agreed,
     _confirmed,
@@ -151,19 +145,28 @@ def test_an_offset_is_estimated_if_one_of_the_data_sets_has_a_level(
             assert notes == [f"{where}y is about 5: OE, BJ can estimate it (option offset)"]
 
 
-def test_models_are_ranked_at_the_samples_that_all_of_them_predict() -> None:
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_models_are_ranked_at_the_samples_that_all_of_them_predict(outputs: int) -> None:
+    """The errors of several outputs are divided by the deviations of the outputs, and added."""
     rng = np.random.default_rng(2)
     N = 120
-    validation = Dataset(u=np.zeros(N), y=rng.standard_normal(N), Ts=1.0)
-    errors = [rng.standard_normal(N) * size for size in (2.0, 1.0, 1.02)]
-    errors[0][:10], errors[1][5:20], errors[2][0] = np.nan, np.nan, 1e6
-    candidates = [replace(scored("oe", n), error=e) for n, e in zip((3, 4, 1), errors, strict=True)]
-    bad = replace(scored("arx", 1, reason="unbounded"), error=np.full(N, 1e9))
+    y = rng.standard_normal((N, outputs)) * [1.0, 3.0][:outputs]
+    signals = Signals(u=np.zeros((N, 2)), y=y, Ts=1.0)
+    validation = Dataset(u=np.zeros(N), y=y[:, 0], Ts=1.0) if outputs == 1 else signals
+    std = np.std(y, axis=0) if outputs > 1 else np.ones(1)
+    errors = [rng.standard_normal((N, outputs)) * size for size in (2.0, 1.0, 1.02)]
+    errors[0][:10, 0], errors[1][5:20], errors[2][0, 0] = np.nan, np.nan, 1e6
+    shaped = [e[:, 0] if outputs == 1 else e for e in errors]
+    candidates = [replace(scored("oe", n), error=e) for n, e in zip((3, 4, 1), shaped, strict=True)]
+    bad = replace(scored("arx", 1, reason="unbounded"), error=np.full(shaped[0].shape, 1e9))
 
     ranking = _ranked([candidates[0], bad, *candidates[1:]], validation)
 
-    both = np.arange(20, N)
-    squares = {n: e[both] ** 2 for n, e in zip((3, 4, 1), errors, strict=True)}
+    both = np.isfinite(errors).all(axis=0)
+    squares = {
+        n: np.sum(np.where(both, e / std, 0.0) ** 2, axis=1)[both.any(axis=1)]
+        for n, e in zip((3, 4, 1), errors, strict=True)
+    }
     order = sorted(squares, key=lambda n: squares[n].mean())
     assert [j.candidate.order for j in ranking.usable] == order
     np.testing.assert_allclose(ranking.rms, [np.sqrt(squares[n].mean()) for n in order])
@@ -173,7 +176,7 @@ def test_models_are_ranked_at_the_samples_that_all_of_them_predict() -> None:
     means = np.asarray(batch_means(d))
     expected = means.std(ddof=1) / np.sqrt(means.size)
     assert ranking.excess_std[1] == pytest.approx(expected)
-    assert ranking.excess_std[0] == pytest.approx(1e-18 * np.mean(validation.y**2))
+    assert ranking.excess_std[0] == pytest.approx(1e-18 * np.mean((y / std) ** 2))
     assert ranking.usable[ranking.chosen].model is ranking.fit
     with pytest.raises(ValueError, match="read-only"):
         ranking.usable[0].error[0] = 1.0
@@ -273,59 +276,14 @@ def test_the_cost_without_a_b_coefficient_rises_as_its_covariance_predicts() -> 
         assert bits == pytest.approx(expected, rel=1e-6)
 
 
-def of_several(
-    name: Any, order: int, error: Any, *, reason: str = "", parameters: int = 1
-) -> SignalsCandidate:
-    theta = np.zeros(parameters)
-    fit: Any = SimpleNamespace(structure="oe", theta=theta)
-    return SignalsCandidate(
-        family=name, order=order, fit=None if reason else fit, reason=reason,
-        error=np.asarray(error, float),
-    )  # fmt: skip
-
-
-def test_a_search_of_several_signals_is_ranked_and_explained() -> None:
-    rng = np.random.default_rng(4)
-    base = 1.0 + 0.1 * rng.standard_normal(90)
-    near = rng.standard_normal(90)
-    near += 0.01 - near.mean()
-    candidates = [
-        of_several("ss", 3, base + 1.0, parameters=9),
-        of_several("oe", 4, base, parameters=12),
-        of_several("oe", 2, base + 1e-4 * near, parameters=6),
-        of_several("n4sid", 7, [], reason="too few samples"),
-    ]
-
-    found = ranked_of_several(candidates, halved=True, horizon=None, nk=2)
-
-    names = [c.name for c in found.ranked]
-    assert names == ["oe of order 4", "oe of order 2", "ss of order 3"]
-    assert found.chosen.name == "oe of order 2"
-    assert (found.nk, found.horizon, found.halved) == (2, None, True)
-    np.testing.assert_allclose(found.excess, [0.0, 1e-6, 1.0], atol=1e-9)
-    lines = repr(found).splitlines()
-    assert [line.split()[4] for line in lines[1:4]] == ["12", "6", "9"]
-    assert [line.endswith("  chosen") for line in lines[1:4]] == [False, True, False]
-    assert lines[4:] == [
-        "n4sid of order 7 too few samples",
-        "oe of order 4, simulated, has the least error on the second part of the data.",
-        "oe of order 2 has fewer parameters (6 instead of 12), and its error exceeds the least by "
-        "no more than the standard error of the difference.",
-    ]
-    ahead: SignalsSearch = replace(found, halved=False, horizon=3)
-    assert ahead.explain().startswith(
-        "oe of order 4, predicted 3 ahead, has the least error on the val"
-    )
-    with pytest.raises(ValueError, match="the first, n4sid of order 7: too few samples"):
-        ranked_of_several(candidates[3:], halved=True, horizon=None, nk=1)
-
-
 @pytest.mark.parametrize(("direct", "free"), [(False, 3 * (2 + 6)), (True, 3 * (2 + 6) + 6)])
 def test_the_coordinates_of_the_state_do_not_count_as_parameters(direct: bool, free: int) -> None:
     """Three states, two inputs, three outputs."""
     D = np.full((3, 2), float(direct))
     matrices = np.zeros((3, 3)), np.zeros((3, 2)), np.zeros((3, 3)), D, np.zeros((3, 3))
-    fit: Any = SimpleNamespace(structure="ss", theta=np.zeros(99), state_space=lambda: matrices)
+    fit: Any = SimpleNamespace(
+        structure="ss", theta=np.zeros(99), ny=3, nu=2, state_space=lambda: matrices
+    )
 
     assert _free(fit) == free
-    assert _free(SimpleNamespace(structure="oe", theta=np.zeros(7))) == 7  # type: ignore[arg-type]
+    assert _free(SimpleNamespace(structure="oe", theta=np.zeros(7), ny=2, nu=1)) == 7  # type: ignore[arg-type]

@@ -19,7 +19,8 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.recording_file.file_records import MAGIC
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset, require_size
+from armrig.data.columns import require_size
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.arrays import read_mat, read_npz, read_parquet
 from armrig.data.files.column_faults import held, stuck, treated
 from armrig.data.files.mat_variables import DamageError
@@ -28,7 +29,6 @@ from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
 from armrig.data.files.stamps import time_columns, times_of
 from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
 from armrig.data.files.text import read_text
-from armrig.data.signals import Signals
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask, stretches
@@ -119,13 +119,9 @@ def load_data(
     how = Reading(time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic)
     with _naming(Path(path)):
         (of_u,), (of_y,), found = _samples(Path(path), input, signal, how)
-        u, y = found.pop("u")[:, 0], found.pop("y")[:, 0]
-        names: dict[str, Any] = {
-            "output": of_y.name or "y",
-            "unit": of_y.unit,
-            "input_unit": of_u.unit,
-        }
-        return Dataset(u=u, y=y, valid=~np.isnan(y), **names, **found)
+        return Signals(
+            outputs=of_y.name or "y", units=of_y.unit, input_units=of_u.unit, **found
+        ).dataset()
 
 
 @checked_call

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import warnings
-from typing import overload
+from typing import TypeVar, overload
 
 import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
-from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset, Vector
+from armrig.data.argument import treats_signals
+from armrig.data.columns import Matrix, Vector, columns
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.step import LINE, MEAN, Step
-from armrig.data.treatment.channelwise import channelwise
 from armrig.data.treatment.integrating import IntegratingOutputWarning, integrating
 from armrig.data.trend import Trend
-from armrig.numerics.checks import column
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.stretches import Mask
 
+Data = TypeVar("Data", Dataset, Signals)
 
-@channelwise
-@takes_recordings
-def detrend(data: Dataset, order: int = 0) -> Dataset:
+
+@treats_signals
+def detrend(data: Signals, order: int = 0) -> Signals:
     """Return the data with mean (order 0) or straight line (order 1) removed from u and y.
 
     The mean or line of each experiment is fitted to its valid samples by least squares. The field
@@ -37,14 +37,14 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
 
     Parameters
     ----------
-    data : Dataset
+    data : Dataset or Signals
         N samples.
     order : {0, 1}
         0 removes the mean, 1 removes a straight line.
 
     Returns
     -------
-    Dataset
+    Dataset or Signals
         N samples in the same units, with the step in `history`.
 
     Warns
@@ -73,31 +73,34 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
         raise InputError(
             f"order={order!r} must be 0 (remove the mean) or 1 (remove a straight line)"
         )
-    found = integrating(data) if order == 1 else None
-    if found:
+    found = [integrating(data, name) for name in data.outputs] if order == 1 else []
+    evidence = " and ".join(x.text for x in found if x)
+    if evidence:
         warnings.warn(
-            f"detrend(order=1): {found.text}, so its line is the response to the mean of u and not "
+            f"detrend(order=1): {evidence}, so its line is the response to the mean of u and not "
             "a drift; keep the line, and use order=0, oe(integrator=True) or difference(data)",
             IntegratingOutputWarning,
             stacklevel=2,
         )
     u, y, trends = data.u.copy(), data.y.copy(), []
-    for k, part in enumerate(data.experiments()):
-        t = part.t
-        u_line = _line(t, part.u, np.ones(part.N, dtype=np.bool_), order)
-        y_line = _line(t, part.y, part.valid, order)
-        removed = Trend(u_level=u_line[0], u_slope=u_line[1], y_level=y_line[0], y_slope=y_line[1])
-        rows = slice(data.starts[k], data.starts[k] + part.N)
+    for k, (part, start) in enumerate(zip(data.experiments(), data.starts, strict=True)):
+        t = part.t - part.t[0]
+        u_lines = _lines(t, part.u, np.ones(part.u.shape, dtype=np.bool_), order)
+        y_lines = _lines(t, part.y, part.valid, order)
+        removed = Trend(
+            u_level=u_lines[0], u_slope=u_lines[1], y_level=y_lines[0], y_slope=y_lines[1]
+        )
+        rows = slice(start, start + part.N)
         u[rows] -= removed.u(t)
         y[rows] -= removed.y(t)
         trends.append(data.trends[k] + removed if data.trends else removed)
     what = "the mean" if order == 0 else "a straight line"
     each = "" if len(trends) == 1 else " of each experiment"
-    despite = f", although {found.text}" if found else ""
+    despite = f", although {evidence}" if evidence else ""
     return data.replaced(
         u=u,
         y=y,
-        trends=tuple(trends),
+        trends=trends,
         step=Step(
             f"removed {what} from u and y{each} (order {order}){despite}", LINE if order else MEAN
         ),
@@ -105,30 +108,30 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
 
 
 @overload
-def retrend(data: Dataset) -> Dataset: ...
+def retrend(data: Data) -> Data: ...
 @overload
-def retrend(data: Dataset, y: ArrayLike) -> Vector: ...
-def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
+def retrend(data: Data, y: ArrayLike) -> Vector: ...
+def retrend(data: Data, y: ArrayLike | None = None) -> Data | Vector:
     """Return the data, or an output that a model computed from them, with the trend restored.
 
     Parameters
     ----------
-    data : Dataset
+    data : Dataset or Signals
         N samples treated by `detrend`, or slices, parts or merges of such data. Their `trends`
         still store what was removed.
-    y : array_like, shape (N,), optional
-        An output simulated or predicted from these data, in y's unit.
+    y : array_like, shape (N,) or (N, ny), optional
+        Outputs simulated or predicted from these data, in y's unit.
 
     Returns
     -------
-    Dataset or ndarray, shape (N,)
+    Dataset, Signals or ndarray
         The data with the trend restored; if `y` is given, `y` plus the trend of the output.
 
     Raises
     ------
     ValueError
         No trend was removed from these data, the data were filtered after `detrend`, or y does not
-        have the shape (N,).
+        have a value for each sample of each output.
 
     Examples
     --------
@@ -144,10 +147,10 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
             "there is no trend to restore: detrend was not applied to these data, or they were "
             f"filtered after detrend (history: {done}); keep the data from before the filter"
         )
-    u_trend, y_trend = np.zeros(data.N), np.zeros(data.N)
+    u_trend, y_trend = np.zeros(data.u.shape), np.zeros(data.y.shape)
     for trend, part, start in zip(data.trends, data.experiments(), data.starts, strict=True):
-        u_trend[start : start + part.N] = trend.u(part.t)
-        y_trend[start : start + part.N] = trend.y(part.t)
+        t, rows = part.t - part.t[0], slice(start, start + part.N)
+        u_trend[rows], y_trend[rows] = trend.u(t), trend.y(t)
     if y is None:
         return data.replaced(
             u=data.u + u_trend,
@@ -155,12 +158,24 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
             trends=(),
             step="restored the trend of u and y",
         )
-    given = column("y", y)
-    if given.size != data.N:
+    given = columns("y", y)
+    if given.shape[0] != data.N:
         raise InputError(
-            f"y has {given.size} samples and the data have {data.N}; give one for each instant"
+            f"y has {given.shape[0]} samples and the data have {data.N}; give one for each instant"
         )
-    return given + y_trend
+    if given.size != y_trend.size:
+        raise InputError(
+            f"y has {given.shape[1]} columns; give one for each of the "
+            f"{y_trend.size // data.N} outputs"
+        )
+    return given.reshape(y_trend.shape) + y_trend
+
+
+def _lines(t: Vector, x: Matrix, where: Mask, order: int) -> tuple[Vector, Vector]:
+    """Return levels at t = 0 and slopes of the least-squares lines of the columns of x."""
+    lines = [_line(t, *column, order) for column in zip(x.T, where.T, strict=True)]
+    levels, slopes = np.array(lines).T
+    return levels, slopes
 
 
 def _line(t: Vector, x: Vector, where: Mask, order: int) -> tuple[float, float]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
+from armrig.data.argument import takes_signals
+from armrig.data.dataset import Signals
 from armrig.data.treatment.integrating import integrating
 from armrig.data.treatment.whitening import whitening
 
@@ -27,6 +27,8 @@ class Drift:
     """Length of the experiment, in s."""
     unit: str
     """Unit of the output."""
+    output: str = "y"
+    """Name of the output."""
 
     @property
     def z(self) -> float:
@@ -42,19 +44,20 @@ class Drift:
         )
 
 
-@takes_recordings
+@takes_signals
 def drift(
-    data: Dataset, order: int = _DEFAULT_ORDER, *, integrator: bool | None = None
+    data: Signals, order: int = _DEFAULT_ORDER, *, integrator: bool | None = None
 ) -> tuple[Drift, ...]:
     """Estimate the drift of the output of each experiment, without the response to the input.
 
-    A model of high order, A(q) y(t) = B(q) u(t) + c + d t + e(t), is estimated by least squares;
-    the drift of the output is d / A(1) per sample. A line through y alone would also contain the
-    response to the input, and its standard deviation would ignore the colour of the noise.
+    For each output a model of high order, A(q) y(t) = B(q) u(t) + c + d t + e(t), is estimated by
+    least squares. The drift of the output is d / A(1) per sample. A line through y
+    alone would also contain the response to the input, and its standard deviation would ignore the
+    colour of the noise.
 
     Parameters
     ----------
-    data : Dataset
+    data : Dataset or Signals
         N samples; equations that contain a missing sample are left out.
     order : int, default 10
         Order of A and B.
@@ -66,7 +69,7 @@ def drift(
     Returns
     -------
     tuple of Drift
-        A drift for each experiment.
+        A drift for each experiment, first those of the first output.
 
     Raises
     ------
@@ -83,32 +86,41 @@ def drift(
     >>> print(f"{1e3 * found.rate:.2f} ± {1e3 * found.std:.2f} mrad/s")
     -0.02 ± 0.06 mrad/s
     """
-    found = integrating(data) if integrator is None else None
-    if found or integrator:
-        reason = found.text if found else f"{data.output} integrates, as integrator=True says"
-        raise InputError(
-            f"{reason}: its line is the response to the mean of u, not a drift; estimate the "
-            "input's offset instead, oe(data, ..., integrator=True).free[0].offset"
-        )
-    return tuple(_drift_of(part, order) for part in data.experiments())
+    for name in data.outputs:
+        found = integrating(data, name) if integrator is None else None
+        if found or integrator:
+            reason = found.text if found else f"{name} integrates, as integrator=True says"
+            raise InputError(
+                f"{reason}: its line is the response to the mean of u, not a drift; estimate the "
+                "input's offset instead, oe(data, ..., integrator=True).free[0].offset"
+            )
+    return tuple(_drift_of(part, i, order) for i in range(data.ny) for part in data.experiments())
 
 
-def _drift_of(part: Dataset, n: int) -> Drift:
+def _drift_of(part: Signals, i: int, n: int) -> Drift:
+    """Return the drift of output i in an experiment."""
+    y, known = part.y[:, i], int(np.count_nonzero(part.valid[:, i]))
     needed = 4 * n + 10
-    if part.N - part.missing < needed:
+    if known < needed:
         raise InputError(
-            f"an experiment has {part.N - part.missing} samples; a drift estimate of order {n} "
+            f"an experiment has {known} samples; a drift estimate of order {n} "
             f"needs {needed}: lower the order"
         )
-    model = whitening([(part.u, part.y)], n, slope=True)
+    model = whitening([(part.u, y)], n, slope=True)
     if model.rows < needed - n:
         raise InputError(
             f"an experiment has {model.rows} samples after {n} samples without a gap; a drift "
             f"estimate of order {n} needs {needed - n}: lower the order"
         )
-    gain = float(np.sum(model.A))
-    rate = model.d / gain / part.Ts
-    by_theta = np.zeros(2 * n + 3)
-    by_theta[:n], by_theta[-1] = -rate / gain, 1 / gain / part.Ts
+    Ts, gain = part.equidistant(), float(np.sum(model.A))
+    rate = model.d / gain / Ts
+    by_theta = np.zeros(len(model.covariance))
+    by_theta[:n], by_theta[-1] = -rate / gain, 1 / gain / Ts
     variance = float(by_theta @ model.covariance @ by_theta)
-    return Drift(rate=rate, std=variance**0.5, seconds=part.N * part.Ts, unit=part.unit)
+    return Drift(
+        rate=rate,
+        std=variance**0.5,
+        seconds=part.N * Ts,
+        unit=part.units[i],
+        output=part.outputs[i],
+    )

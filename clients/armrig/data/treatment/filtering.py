@@ -10,9 +10,9 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
-from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset, Vector
-from armrig.data.treatment.channelwise import channelwise
+from armrig.data.argument import treats_signals
+from armrig.data.columns import Matrix, Vector
+from armrig.data.dataset import Signals
 from armrig.numerics.checks import column, require_integers, require_numbers
 from armrig.numerics.polynomial import filtered, stable
 from armrig.numerics.stretches import Mask
@@ -23,16 +23,15 @@ _HALF_LENGTH = 8  # of the anti-alias filter, in samples of the lower rate
 _KAISER_BETA = 5.0
 
 
-@channelwise
-@takes_recordings
+@treats_signals
 def prefilter(
-    data: Dataset,
+    data: Signals,
     numerator: ArrayLike | None = None,
     denominator: ArrayLike = (1.0,),
     *,
     band: tuple[float, float] | None = None,
     order: int = 4,
-) -> Dataset:
+) -> Signals:
     """Return the data with u and y filtered by the same L(q), which weights frequencies.
 
     From y = G u + v follows L y = G L u + L v: the plant G does not change. L determines at which
@@ -45,7 +44,7 @@ def prefilter(
 
     Parameters
     ----------
-    data : Dataset
+    data : Dataset or Signals
         N samples.
     numerator, denominator : array_like
         Coefficients of L in q^-1. Without a denominator, the memory is at most the number of
@@ -58,7 +57,7 @@ def prefilter(
 
     Returns
     -------
-    Dataset
+    Dataset or Signals
         N samples in the same units. `trends` is empty: `retrend` cannot restore a trend.
 
     Raises
@@ -80,18 +79,18 @@ def prefilter(
             "give either numerator (and denominator) of the filter, or band=(low, high) in rad/s"
         )
     if band is not None:
-        L = _butterworth(band, order, data.Ts)
+        L = _butterworth(band, order, data.equidistant())
     else:
         L = _rational(numerator, denominator)
     memory = _memory(L)
-    u, y = np.empty(data.N), np.empty(data.N)
-    valid = np.zeros(data.N, dtype=np.bool_)
+    u, y, valid = np.empty(data.u.shape), np.empty(data.y.shape), np.empty_like(data.valid)
     for part, start in zip(data.experiments(), data.starts, strict=True):
         rows = slice(start, start + part.N)
-        u[rows] = _from_steady(L, part.u)
-        y[rows] = _from_steady(L, _held(part.y, part.valid))
+        held = [_held(x, there) for x, there in zip(part.y.T, part.valid.T, strict=True)]
+        u[rows] = np.column_stack([_from_steady(L, x) for x in part.u.T])
+        y[rows] = np.column_stack([_from_steady(L, x) for x in held])
         valid[rows] = _known_for(part.valid, memory)
-    if not valid.any():
+    if not valid.any(axis=0).all():
         raise InputError(
             f"{L.name} remembers {memory} samples, and no stretch of y without a gap is as long; "
             "use a shorter filter (a wider band, a lower order, or a numerator alone)"
@@ -102,9 +101,8 @@ def prefilter(
     return data.replaced(u=u, y=y, valid=valid, trends=(), step=step)
 
 
-@channelwise
-@takes_recordings
-def resample(data: Dataset, Ts: float) -> Dataset:
+@treats_signals
+def resample(data: Signals, Ts: float) -> Signals:
     """Return the data at a lower sampling rate, after the same anti-alias filter for u and y.
 
     The filter is a symmetric low-pass of 16 Ts_new/Ts_old + 1 coefficients with a Kaiser window. It
@@ -116,14 +114,14 @@ def resample(data: Dataset, Ts: float) -> Dataset:
 
     Parameters
     ----------
-    data : Dataset
+    data : Dataset or Signals
         N samples.
     Ts : float
         New sampling time in s, a whole multiple of the sampling time of the data.
 
     Returns
     -------
-    Dataset
+    Dataset or Signals
         About N Ts_old/Ts_new samples. Between the new samples u is not constant. A model that
         assumes a zero-order hold is therefore an approximation, accurate well below the new Nyquist
         frequency.
@@ -145,58 +143,57 @@ def resample(data: Dataset, Ts: float) -> Dataset:
     from scipy.signal import firwin
 
     require_numbers(Ts=Ts)
-    factor = round(Ts / data.Ts) if 0 < Ts < np.inf else 0
-    if factor < 1 or not isclose(factor * data.Ts, Ts, rel_tol=1e-6):
+    old = data.equidistant()
+    factor = round(Ts / old) if 0 < Ts < np.inf else 0
+    if factor < 1 or not isclose(factor * old, Ts, rel_tol=1e-6):
         raise InputError(
-            f"Ts={Ts!r} s must be a whole multiple of the data's {data.Ts:g} s, for example "
-            f"{2 * data.Ts:g} s; a faster rate would invent samples"
+            f"Ts={Ts!r} s must be a whole multiple of the data's {old:g} s, for example "
+            f"{2 * old:g} s; a faster rate would invent samples"
         )
     if factor == 1:
         return data
     half = _HALF_LENGTH * factor
     h = firwin(2 * half + 1, 0.8 / factor, window=("kaiser", _KAISER_BETA))
-    us, ys, masks = [], [], []
+    parts = []
     for i, part in enumerate(data.experiments()):
         if 2 * half + 1 > part.N:
             raise InputError(
                 f"experiment {i} has {part.N} samples; resampling to {Ts:g} s needs "
                 f"{2 * half + 1}: leave it out with select, or use a shorter Ts"
             )
-        u, y, valid = _decimated(part, h, factor)
-        us.append(u)
-        ys.append(y)
-        masks.append(valid)
-    valid = np.concatenate(masks)
-    if not valid.any():
+        parts.append(_decimated(part, h, factor))
+    u, y, valid = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    if not valid.any(axis=0).all():
         raise InputError(
             f"no stretch of y without a gap has the {2 * half + 1} samples that the anti-alias "
             f"filter for {Ts:g} s needs: record at that rate instead, or difference and average"
         )
-    step = f"resampled from {data.Ts:g} s to {factor * data.Ts:g} s after a low-pass filter of "
+    step = f"resampled from {old:g} s to {factor * old:g} s after a low-pass filter of "
     step += f"{2 * half + 1} coefficients; {np.count_nonzero(~valid)} of {valid.size} samples "
     step += "are missing"
     return data.replaced(
-        u=np.concatenate(us),
-        y=np.concatenate(ys),
+        u=u,
+        y=y,
         valid=valid,
-        starts=tuple(int(s) for s in np.cumsum([0, *(m.size for m in masks[:-1])])),
-        trends=tuple(trend.later(half * data.Ts) for trend in data.trends),
-        Ts=factor * data.Ts,
+        starts=np.cumsum([0, *(len(part[0]) for part in parts[:-1])]).tolist(),
+        trends=[trend.later(half * old) for trend in data.trends],
+        Ts=factor * old,
         step=step,
     )
 
 
-def _decimated(part: Dataset, h: Vector, factor: int) -> tuple[Vector, Vector, Mask]:
+def _decimated(part: Signals, h: Vector, factor: int) -> tuple[Matrix, Matrix, Mask]:
     """Return u, y and valid of an experiment, filtered by h, at every factor-th sample."""
     from scipy.signal import upfirdn
 
-    level = float(np.mean(part.y[part.valid])) if part.valid.any() else 0.0
+    pairs = zip(part.y.T, part.valid.T, strict=True)
+    level = np.array([np.mean(y[valid]) if valid.any() else 0.0 for y, valid in pairs])
     y = np.where(part.valid, part.y - level, 0.0)
     # Row j of the decimated convolution is centred on sample j * factor - half.
     rows = slice(2 * _HALF_LENGTH, (part.N - 1) // factor + 1)
     return (
-        upfirdn(h, part.u, down=factor)[rows],
-        upfirdn(h, y, down=factor)[rows] + level,
+        upfirdn(h, part.u, down=factor, axis=0)[rows],
+        upfirdn(h, y, down=factor, axis=0)[rows] + level,
         _known_for(part.valid, h.size)[h.size - 1 :: factor],
     )
 
@@ -291,9 +288,9 @@ def _held(y: Vector, valid: Mask) -> Vector:
 
 
 def _known_for(valid: Mask, memory: int) -> Mask:
-    """Return a mask, True where the last `memory` samples are all valid."""
-    count = np.concatenate([[0], np.cumsum(valid)])
-    whole = np.zeros(valid.size, dtype=np.bool_)
-    if valid.size >= memory:
+    """Return a mask (N, ny), True where the last `memory` samples of an output are all valid."""
+    count = np.insert(np.cumsum(valid, axis=0), 0, 0, axis=0)
+    whole = np.zeros(valid.shape, dtype=np.bool_)
+    if len(valid) >= memory:
         whole[memory - 1 :] = count[memory:] - count[:-memory] == memory
     return whole

@@ -9,14 +9,14 @@ import numpy as np
 from armrig_core import telemetry
 from armrig_core.telemetry import THETA_1
 
-from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset, Vector
+from armrig.data.argument import treats_signals
+from armrig.data.columns import Vector
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding, warning
-from armrig.data.treatment.channelwise import channelwise
 from armrig.data.trend import Trend
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import complete, past
-from armrig.numerics.stretches import Mask, constant
+from armrig.numerics.stretches import Mask, pieces
 
 # Outputs that integrate by construction, whatever the result of a test on a short record.
 INTEGRATING_OUTPUTS = frozenset({THETA_1})
@@ -35,16 +35,16 @@ class IntegratingOutputWarning(UserWarning):
     """A linear trend was removed from an output that integrates its input."""
 
 
-def integrating(data: Dataset) -> Finding | None:
-    """Return the evidence that the output integrates; None without evidence.
+def integrating(data: Dataset | Signals, output: str | None = None) -> Finding | None:
+    """Return the evidence that an output integrates; None without evidence.
 
     An output whose name is in `INTEGRATING_OUTPUTS` integrates. Any other output is tested with a
-    Dickey-Fuller regression, which contains a trend, lags, and the input as covariate ::
+    Dickey-Fuller regression, which contains a trend, lags, and the inputs as covariates ::
 
         y(t) - y(t-1) = c + d t + g y(t-1) + lags of the difference and of u + e(t)
 
-    The output integrates if g is not significantly negative at the 5 % level. With the input as
-    covariate, the exact critical value is smaller in magnitude (Hansen 1995). The critical value
+    The output integrates if g is not significantly negative at the 5 % level. With inputs as
+    covariates, the exact critical value is smaller in magnitude (Hansen 1995). The critical value
     without covariates, used here, therefore favours an integrator.
 
     If the data are too few for this test, the result is None. The data are too few if fewer than 10
@@ -57,14 +57,19 @@ def integrating(data: Dataset) -> Finding | None:
     .. [1] D. A. Dickey, W. A. Fuller, J. Amer. Statist. Assoc. 74 (1979) 427-431.
     .. [2] B. E. Hansen, Econometric Theory 11 (1995) 1148-1171.
     """
-    if data.output in INTEGRATING_OUTPUTS:
-        return warning("integrator", f"{data.output} integrates its input")
+    signals = data.signals()
+    i = signals.output(output)
+    name = signals.outputs[i]
+    if name in INTEGRATING_OUTPUTS:
+        return warning("integrator", f"{name} integrates its input")
     lags = range(1, _TEST_LAGS + 1)
     rows, targets = [], []
-    for part in data.experiments():
-        change = np.diff(part.y, prepend=np.nan)
+    for part in signals.experiments():
+        y = part.y[:, i]
+        change = np.diff(y, prepend=np.nan)
         trend = np.column_stack([np.ones(part.N), np.arange(part.N) / max(part.N, 1)])
-        Phi = np.hstack([past(part.y, [1]), trend, past(change, lags), past(part.u, lags)])
+        inputs = [past(u, lags) for u in part.u.T]
+        Phi = np.hstack([past(y, [1]), trend, past(change, lags), *inputs])
         usable = complete(Phi, change)
         rows.append(Phi[usable])
         targets.append(change[usable])
@@ -76,23 +81,23 @@ def integrating(data: Dataset) -> Finding | None:
     variance = float(np.sum(basis.without(target) ** 2)) / degrees
     g, std = basis.coefficients(target)[0], np.sqrt(variance * np.sum(basis.W[0] ** 2))
     limit = DICKEY_FULLER_TREND_5_PERCENT * std
-    if g < limit or limit < -MIN_SEEN_PULL or _rests(data):
+    if g < limit or limit < -MIN_SEEN_PULL or _rests(signals, i):
         return None
-    text = f"{data.output} behaves as an integrating output (no return to a trend line is visible)"
+    text = f"{name} behaves as an integrating output (no return to a trend line is visible)"
     return warning("integrator", text, pull=float(g), std=float(std))
 
 
-def _rests(data: Dataset) -> bool:
+def _rests(data: Signals, i: int) -> bool:
     """Return whether y moves from rest to rest at the long steps of u, which refutes an integrator.
 
-    The change of y in the last third of a hold of u is compared with the change of y's level from
-    hold to hold. For an integrator, the ratio is 0.4 or more. One standard deviation is added to
-    each change, and the ratio is computed from the sums over all steps.
+    The change of output i in the last third of a hold of all inputs is compared with the change of
+    its level from hold to hold. For an integrator, the ratio is 0.4 or more. One standard deviation
+    is added to each change, and the ratio is computed from the sums over all steps.
     """
     steps = []
     for part in data.experiments():
-        for holds in pairwise(constant(part.u)):
-            ends = [_end_of_hold(part.y[s], part.valid[s]) for s in holds]
+        for holds in pairwise(pieces(np.any(np.diff(part.u, axis=0), axis=1))):
+            ends = [_end_of_hold(part.y[s, i], part.valid[s, i]) for s in holds]
             length = min(s.stop - s.start for s in holds)
             if length >= _MIN_HOLD_SAMPLES:
                 steps.append((length, abs(ends[1][0] - ends[0][0]), ends[0][1] + ends[1][1]))
@@ -124,10 +129,9 @@ def rate_name(output: str) -> str:
     return rates.get(output) or f"rate of {output}"
 
 
-@channelwise
-@takes_recordings
-def difference(data: Dataset) -> Dataset:
-    """Return data with the velocity (y(t) - y(t-1)) / Ts as output; u is unchanged.
+@treats_signals
+def difference(data: Signals) -> Signals:
+    """Return data with the velocities (y(t) - y(t-1)) / Ts as outputs; u is unchanged.
 
     The velocity is missing if one of the two samples is missing, and at the first sample of each
     experiment. A model of the velocity has the same nk as a model of the position, and
@@ -135,13 +139,13 @@ def difference(data: Dataset) -> Dataset:
 
     Parameters
     ----------
-    data : Dataset
+    data : Dataset or Signals
         N samples, Ts in s.
 
     Returns
     -------
-    Dataset
-        N samples whose output is the rate of y, in y's unit per s; the rate of theta_1 is named
+    Dataset or Signals
+        N samples whose outputs are the rates of y, in y's unit per s; the rate of theta_1 is named
         `velocity`.
 
     Examples
@@ -151,19 +155,20 @@ def difference(data: Dataset) -> Dataset:
     >>> data.output, data.unit
     ('velocity', 'rad/s')
     """
-    y = np.full(data.N, np.nan)
-    y[1:] = np.diff(data.y) / data.Ts
+    Ts, y = data.equidistant(), np.full(data.y.shape, np.nan)
+    y[1:] = np.diff(data.y, axis=0) / Ts
     y[list(data.starts)] = np.nan
-    name = rate_name(data.output)
+    names = [rate_name(output) for output in data.outputs]
+    each = f"output{'s' * (data.ny > 1)} {', '.join(map(repr, names))}"
     return data.replaced(
         y=y,
         valid=np.isfinite(y),
-        output=name,
-        unit=f"{data.unit}/s" if data.unit else "",
-        trends=tuple(
+        outputs=names,
+        units=[f"{unit}/s" if unit else "" for unit in data.units],
+        trends=[
             Trend(u_level=t.u_level, u_slope=t.u_slope, y_level=t.y_slope) for t in data.trends
-        ),
-        step=f"took differences of {data.output} over Ts={data.Ts:g} s as the output {name!r}",
+        ],
+        step=f"took differences of {', '.join(data.outputs)} over Ts={Ts:g} s as the {each}",
     )
 
 

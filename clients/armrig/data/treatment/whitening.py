@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from armrig.data.dataset import Vector
+from armrig.data.columns import Vector
 from armrig.numerics.gram import cholesky_factor
 from armrig.numerics.least_squares import orthonormal, triangle
 from armrig.numerics.polynomial import Array
@@ -24,8 +24,8 @@ class Whitening:
 
     A: Vector
     """Coefficients of A (n + 1,), beginning with 1."""
-    B: Vector
-    """Coefficients of B, beginning with the direct term: (n + 1,), or (nu, n + 1) for u (N, nu)."""
+    B: Array
+    """Coefficients of B (nu, n + 1) of each input, beginning with the direct term."""
     c: float
     """Constant."""
     d: float
@@ -39,7 +39,7 @@ class Whitening:
         """Return e (N,), NaN where y(t) or one of the n outputs before it is missing."""
         n = self.A.size - 1
         e = np.convolve(y, self.A)[: y.size]
-        for x, B in zip(np.atleast_2d(u.T), np.atleast_2d(self.B), strict=True):
+        for x, B in zip(u.reshape(y.size, -1).T, self.B, strict=True):
             e = e - np.convolve(x, B)[: y.size]
         e -= self.c + self.d * np.arange(y.size)
         e[:n] = np.nan
@@ -49,13 +49,11 @@ class Whitening:
 def whitening(parts: Sequence[tuple[Array, Vector]], n: int, *, slope: bool = False) -> Whitening:
     """Estimate a model of order n from (u, y) of each experiment; a missing y is NaN.
 
-    A single input is an array (N,). Several inputs are an array (N, nu).
-
-    If u has 200 000 values or more, only evenly spaced blocks of rows are used. The normal
-    equations are solved. If the normal equations lose too many digits, QR is used.
+    u is (N,) or (N, nu). If u has 200 000 values or more, only evenly spaced blocks of rows are
+    used. The normal equations are solved. If the normal equations lose too many digits, QR is used.
     """
-    several = parts[0][0].ndim > 1
-    m = (n + 1) * (parts[0][0].shape[1] if several else 1)
+    parts = [(u.reshape(y.size, -1), y) for u, y in parts]
+    m = (n + 1) * parts[0][0].shape[1]
     width = n + m + 1 + int(slope)
     total = sum(u.size for u, _ in parts)
     skip = max(1, total // _MAX_ROWS)
@@ -71,7 +69,7 @@ def whitening(parts: Sequence[tuple[Array, Vector]], n: int, *, slope: bool = Fa
     covariance[:width, :width] = sse / max(rows - basis.rank, 1) * (basis.W @ basis.W.T)
     return Whitening(
         A=np.append(1.0, theta[:n]),
-        B=theta[n : n + m].reshape(-1, n + 1) if several else theta[n : n + m],
+        B=theta[n : n + m].reshape(-1, n + 1),
         c=float(theta[n + m]),
         d=float(theta[n + m + 1]) if slope else 0.0,
         covariance=covariance,
@@ -89,8 +87,7 @@ def _all_blocks(parts: Sequence[tuple[Array, Vector]], n: int, slope: bool) -> I
             continue
         # Windows are faster than lagged copies, and hampel estimates a model in each round.
         outputs, inputs = (sliding_window_view(x, n + 1, axis=0)[..., ::-1] for x in (y, u))
-        if u.ndim > 1:
-            inputs = inputs.reshape(len(inputs), -1)
+        inputs = inputs.reshape(len(inputs), -1)
         times = np.arange(n, y.size, dtype=np.float64)[:, None]
         blocks = (in_blocks(M, _BLOCK_ROWS) for M in (outputs, inputs, times))
         for ys, us, t in zip(*blocks, strict=True):

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, overload
 
 import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.argument import HasDataset, takes_recordings
-from armrig.data.dataset import Dataset, Vector
-from armrig.data.signals import Signals
+from armrig.data.argument import treats_signals
+from armrig.data.columns import Vector
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.treatment.whitening import Whitening, whitening
 from armrig.numerics.checks import require_integers, require_numbers
 from armrig.numerics.least_squares import orthonormal
@@ -254,18 +253,8 @@ FALSE_ALARM_PROBABILITY = 0.01  # of one or more outliers in a clean record
 _MAX_LISTED_SAMPLES = 10
 
 
-# Signals also have `dataset()`, so both overloads accept Signals: the first overload applies.
-@overload
-def hampel(  # type: ignore[overload-overlap]
-    data: Signals, *, threshold: float | None = None, order: int | None = None
-) -> Signals: ...
-@overload
-def hampel(
-    data: Dataset | HasDataset, *, threshold: float | None = None, order: int | None = None
-) -> Dataset: ...
-def hampel(
-    data: Any, *, threshold: float | None = None, order: int | None = None
-) -> Dataset | Signals:
+@treats_signals
+def hampel(data: Signals, *, threshold: float | None = None, order: int | None = None) -> Signals:
     """Return the data with outliers of y marked missing.
 
     An ARX model of high order removes the dynamics, so a step of the input is not an outlier,
@@ -317,8 +306,6 @@ def hampel(
     >>> np.flatnonzero(~found.valid)
     array([100])
     """
-    if not isinstance(data, Signals):
-        return _of_dataset(data, threshold=threshold, order=order)
     valid, steps = data.valid.copy(), []
     for i, name in enumerate(data.outputs):
         parts = [(part.u, part.y[:, i]) for part in data.experiments()]
@@ -326,13 +313,6 @@ def hampel(
         valid[:, i] &= ~wrong
         steps.append(step)
     return data.replaced(step=None, valid=valid, history=(*data.history, *steps))
-
-
-@takes_recordings
-def _of_dataset(data: Dataset, *, threshold: float | None, order: int | None) -> Dataset:
-    parts = [(part.u, part.y) for part in data.experiments()]
-    wrong, step = _outliers(parts, data.output, threshold, order)
-    return data.replaced(valid=data.valid & ~wrong, step=step)
 
 
 def _outliers(

@@ -16,7 +16,7 @@ from armrig.models.structure_table import OF_SEVERAL, CommandName, Weights
 
 if TYPE_CHECKING:
     from armrig.data.signals import Signals
-    from armrig.models.multivariable.fit import MultivariableFit
+    from armrig.models.fit import Fit
 
 _COUNTS_INTEGRATOR = ("na", "nb", "nf")
 """Orders that are lower by one for an output that does not integrate."""
@@ -83,10 +83,8 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
             return each
         return {(output, input): each[output] for output in data.outputs for input in data.inputs}
 
-    def estimated(self, data: Signals) -> MultivariableFit:
+    def estimated(self, data: Signals) -> Fit:
         """Return the model estimated from the data."""
-        # n4sid and ss of several signals have modules of their own.
-        home = "multivariable." if self.structure in ("n4sid", "ss") else ""
-        module = import_module(f"armrig.estimation.{home}{self.structure}")
-        fit: MultivariableFit = getattr(module, self.structure)(data, **self.arguments(data))
+        module = import_module(f"armrig.estimation.{self.structure}")
+        fit: Fit = getattr(module, self.structure)(data, **self.arguments(data))
         return fit

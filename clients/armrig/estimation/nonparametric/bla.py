@@ -9,7 +9,8 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset, merged_datasets
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.etfe import excited, period
@@ -92,7 +93,7 @@ def bla(
     (10, True)
     """
     require_integers(transient=(transient, 0))
-    joint = data if isinstance(data, Dataset) else merged_datasets(list(data))
+    joint = data if isinstance(data, Dataset) else merge(list(data))
     decided = integration(joint, integrator)
     integrates = decided.integrates
     parts = list(joint.experiments())

@@ -11,7 +11,8 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset, merged_datasets
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.blackman_tukey import filled
@@ -396,7 +397,7 @@ def _power(data: Dataset, *, integrates: bool) -> tuple[Vector, Vector]:
     """Return frequencies and the spectrum of y (of its rate if y integrates), by Welch's method."""
     whole = filled(data, integrator=integrates)
     if integrates:
-        whole = merged_datasets([difference(part)[1:] for part in whole.experiments()])
+        whole = merge([difference(part)[1:] for part in whole.experiments()])
     shortest = min(part.N for part in whole.experiments())
     omega = np.linspace(0, np.pi / data.Ts, 257)[1:]
     return omega, welch(whole, max(8, min(512, shortest // 2)), omega).y

@@ -10,7 +10,8 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset, merged_datasets
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.blackman_tukey import (
@@ -167,7 +168,7 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
     if not parts:
         longest = max(part.N for part in data.experiments())
         raise InputError(f"delay={delay} is too long; the longest experiment has {longest} samples")
-    return merged_datasets(
+    return merge(
         [
             part.replaced(
                 u=part.u[: part.N - delay],
@@ -182,7 +183,7 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
 
 def _rate(data: Dataset) -> Dataset:
     """Return the rate of y without each experiment's first sample, at which the rate is unknown."""
-    return merged_datasets([difference(part)[1:] for part in data.experiments() if part.N > 1])
+    return merge([difference(part)[1:] for part in data.experiments() if part.N > 1])
 
 
 def _frequencies(omega: ArrayLike | None, data: Dataset, *, logarithmic: bool) -> Vector:

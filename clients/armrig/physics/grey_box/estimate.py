@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from armrig_core.arm import ArmParameters, require_parameters
@@ -12,18 +11,17 @@ from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1
 from numpy.typing import NDArray
 
-from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
-from armrig.data.several_signals import accepts_signals
+from armrig.data.argument import takes_signals
+from armrig.data.dataset import Signals
 from armrig.data.treatment.wrong_samples import quantum, too_quiet
 from armrig.numerics.criteria import fit_percent
-from armrig.numerics.inference import Inference, infer
+from armrig.numerics.inference import Inference, OutputResiduals, infer
 from armrig.numerics.least_squares import Basis
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
+from armrig.numerics.stretches import Mask
 from armrig.physics.grey_box.fit import (
     GreyFit,
     below_zero,
-    by_experiment,
     determined,
     named_influence,
     named_std,
@@ -45,7 +43,7 @@ from armrig.physics.grey_box.parameters import (
     require_output,
 )
 from armrig.physics.grey_box.sampled_model import Model, Physics
-from armrig.physics.systems import chassis
+from armrig.physics.systems import arm, chassis
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -58,13 +56,14 @@ MAX_LOG_FACTOR = 12.0
 _BOUND_SHARE = 0.98  # of the bound; a search halves its steps, so it ends just below the bound
 _MIN_LOG_RATIO = 10.0  # least N ln(ratio of two costs) of a significant difference
 _MIN_COST = 1e-300
+_MAX_ROUNDS = 8  # largest number of estimates of the outputs' noise
+_SETTLED = 1e-4  # relative change of the noise's standard deviations at which the rounds end
 
 
-@accepts_signals("armrig.physics.grey_box.several_outputs")
-@takes_recordings
+@takes_signals
 def greybox(
-    data: Dataset,
-    model: Model = chassis,
+    data: Signals,
+    model: Model | None = None,
     free: Sequence[str] = ("J_1",),
     fixed: ArmParameters | None = None,
     output: str = THETA_1,
@@ -76,6 +75,8 @@ def greybox(
 
     The model and its derivatives are sampled exactly for the held input. Initial state and input
     offset u0 of each experiment are estimated too. A missing output removes only its own residual.
+    If there are several outputs, the sum of ``|e_i|²/std_i²`` over the outputs i is minimised. The
+    standard deviations std_i of the noise are estimated again after each search.
     For the chassis, with a = N K_m / R_m and d = (N K_m)² / R_m, the equation is ::
 
         J_1 theta_1'' = a (u - u0) - (d + b_1) theta_1' - T_c sign theta_1'
@@ -83,18 +84,20 @@ def greybox(
     Parameters
     ----------
     data : Dataset or Signals
-        u in V and the output that `output` names. If Signals contain theta_1 and alpha, both
-        outputs are used together, and the default model is `armrig.arm`.
-    model : callable, default `armrig.chassis`
+        u in V and the output that `output` names. If Signals contain theta_1 and alpha, named as in
+        the model, both outputs are used together.
+    model : callable, optional
         Function `ArmParameters` -> control.StateSpace, continuous with one input: `armrig.chassis`
         if the rotating part was removed, `armrig.arm` for the complete rig, or your own function.
+        The default is `armrig.chassis` for one output, and `armrig.arm` for several.
     free : sequence of str, default ("J_1",)
         Parameters to estimate, fields of `ArmParameters`. The search starts at their values in
         `fixed`.
     fixed : ArmParameters, optional
         Values of all other parameters; by default the values of the handout.
     output : str, default "theta_1"
-        Label of the model's measured output.
+        Label of the model's measured output. If there are several outputs, `plot`, `simulate` and
+        the tests of the result refer to this output.
     fixed_std : mapping of str to float, optional
         Standard deviations of fixed parameters. The variances that result from these standard
         deviations are added to the variances of the estimates.
@@ -103,7 +106,8 @@ def greybox(
         as in the handout, neglects friction. Neglected viscous friction biases J_1. Neglected
         Coulomb friction biases J_1 if the chassis stops. If the chassis does not stop, u0 contains
         the Coulomb friction. If T_c is estimated, u0 is estimated only with a bipolar input. With
-        an input of one sign, T_c and u0 cannot be distinguished, and u0 is 0.
+        an input of one sign, T_c and u0 cannot be distinguished, and u0 is 0. T_c needs data of one
+        output.
 
     Returns
     -------
@@ -111,13 +115,14 @@ def greybox(
         `covariance` is lambda (Psi^T Psi)^-1 plus the contribution of `fixed_std`. lambda is the
         variance of the noise. Psi contains the derivatives of the output, without the parts that a
         change of initial state and offset explains. `covariance_robust` is the sandwich form plus
-        the contribution of `fixed_std`.
+        the contribution of `fixed_std`. For several outputs, `by_output` contains loss, fit and
+        whiteness of each output.
 
     Raises
     ------
     ValueError
-        A name is unknown or given twice, the model lacks an output or a state, there are too few
-        samples, or the data do not determine the parameters.
+        A name is unknown or given twice, there are several inputs, the model lacks an output or a
+        state, there are too few samples, or the data do not determine the parameters.
 
     References
     ----------
@@ -140,29 +145,54 @@ def greybox(
     require_parameters(p, "fixed")
     names = free_names(free, friction)
     given = checked_fixed_std(fixed_std or {}, names)
-    physics = Physics(model=model, fixed=p, output=output)
-    physics.check()
-    require_output(data, output)
+    _require_channels(data, names, output)
+    labels = (output,) if data.ny == 1 else data.outputs
+    model = model or (chassis if data.ny == 1 else arm)
+    physics = tuple(Physics(model=model, fixed=p, output=label) for label in labels)
+    for one in physics:
+        one.check()
+    if data.ny == 1:
+        require_output(data.outputs[0], output)
     experiments = tuple(data.experiments())
-    _require_samples(data, experiments, names, states=len(physics.labels()[1]))
+    _require_samples(data, experiments, names, states=len(physics[0].labels()[1]))
+    spread = np.nanstd(data.y, axis=0) if data.ny > 1 else np.ones(1)
     plain = GreyBox(
-        physics=physics, names=tuple(x for x in names if x != COULOMB), experiments=experiments
+        physics=physics,
+        names=tuple(x for x in names if x != COULOMB),
+        experiments=experiments,
+        std=spread,
     )
     eta = plain.coordinates({name: getattr(p, name) for name in plain.names})
-    best = searched(plain, eta)
+    plain, best = minimised(plain, eta)
     if COULOMB not in names:
-        return _fit(data, plain, best, eta, names, given)
-    problem = GreyBoxWithFriction(plain=plain, speed=_speed(physics))
+        return _fit(data, plain, best, eta, names, given, labels.index(output))
+    problem = GreyBoxWithFriction(plain=plain, speed=_speed(physics[0]))
     start = problem.start(best.theta)
     without, best = best, searched(problem, start)
     worse = worse_with_friction(data, without.cost, best.cost)
-    return _fit(data, problem, best, start, names, given, worse)
+    return _fit(data, problem, best, start, names, given, 0, worse)
+
+
+def _require_channels(data: Signals, names: Sequence[str], output: str) -> None:
+    """Refuse signals that do not fit the rig, and Coulomb friction of several outputs."""
+    if data.nu != 1:
+        raise InputError(
+            f"the inputs are {', '.join(data.inputs)}; the rig has one, u: choose it with "
+            "signals.channels(outputs, inputs)"
+        )
+    if data.ny > 1 and output not in data.outputs:
+        raise InputError(f"output={output!r} is none of the data's {', '.join(data.outputs)}")
+    if data.ny > 1 and COULOMB in names:
+        raise InputError(
+            'friction: Coulomb friction is estimated from one output; give friction="viscous", or '
+            'signals.dataset("theta_1")'
+        )
 
 
 def _require_samples(
-    data: Dataset, experiments: Sequence[Dataset], names: Sequence[str], *, states: int
+    data: Signals, experiments: Sequence[Signals], names: Sequence[str], *, states: int
 ) -> None:
-    samples = data.N - data.missing
+    samples = int(np.count_nonzero(data.valid.any(axis=1)))
     needed = len(names) + (states + 1) * len(experiments) + 1
     if samples < needed or min(part.N for part in experiments) < 2:
         count = len(experiments)
@@ -173,18 +203,23 @@ def _require_samples(
         )
 
 
-class Problem(Protocol):
-    """Least-squares problem in the coordinates of physical parameters."""
+def minimised(problem: GreyBox, start: Vector) -> tuple[GreyBox, Optimum]:
+    """Return the problem with the estimated noise of several outputs, and its minimum."""
+    best = searched(problem, start)
+    for _ in range(_MAX_ROUNDS if problem.std.size > 1 else 0):
+        e = np.vstack(problem.residuals(problem.at(best.theta).e))
+        std = np.maximum(np.sqrt(np.nanmean(e**2, axis=0)), 1e-12 * problem.std)
+        change = float(np.max(np.abs(std / problem.std - 1)))
+        problem = replace(problem, std=std)
+        if change < _SETTLED:
+            break
+        best = searched(problem, best.theta, around=start)
+    return problem, best
 
-    @property
-    def plain(self) -> GreyBox:
-        """`GreyBox` problem, used for the names and the coordinates of the parameters."""
 
-    def linearise(self, eta: Vector) -> tuple[Vector, Matrix]:
-        """Return residuals and derivatives at the coordinates."""
-
-
-def searched(problem: GreyBox | Problem, start: Vector, around: Vector | None = None) -> Optimum:
+def searched(
+    problem: GreyBox | GreyBoxWithFriction, start: Vector, around: Vector | None = None
+) -> Optimum:
     """Return the minimum that a search from `start` finds.
 
     The logarithm of each parameter differs by at most `MAX_LOG_FACTOR` from its value in `around`.
@@ -210,32 +245,35 @@ def _speed(physics: Physics) -> int:
 
 
 def _fit(
-    data: Dataset,
+    data: Signals,
     problem: GreyBox | GreyBoxWithFriction,
     best: Optimum,
     start: Vector,
     names: tuple[str, ...],
     fixed_std: dict[str, float],
+    i: int,
     worse: tuple[str, ...] = (),
 ) -> GreyFit:
+    """Return the result, whose loss, fit and whiteness are those of output i."""
     plain = problem if isinstance(problem, GreyBox) else problem.plain
+    physics, own = plain.physics[i], data.dataset(data.outputs[i])
     at = problem.at(best.theta)
     values = plain.values(best.theta[: len(plain.names)])
     if COULOMB in names:
         values[COULOMB] = float(best.theta[len(plain.names)])
     _require_seen(names, np.linalg.norm(at.Psi, axis=0) > _MIN_SEEN_SHARE * at.size)
-    valid_y = data.y[data.valid]
-    rounding = ROUNDING_SHARE * float(valid_y @ valid_y)
+    rounding = ROUNDING_SHARE * float(np.nansum((data.y / plain.std) ** 2))
     converged = best.converged or best.cost <= rounding
     basis = determined(at.Psi)
-    found = _inference(data, plain.experiments, at, basis, rounding)
+    found = _inference(plain, at, basis)
     held = tuple(x for x in NAMES if x not in names)
     influence = -basis.W @ (basis.Q.T @ problem.at(best.theta, held).Psi)
-    scale_held = scales(held, {x: getattr(plain.physics.fixed, x) for x in held})
+    scale_held = scales(held, {x: getattr(physics.fixed, x) for x in held})
     std_held = np.array([fixed_std.get(x, 0.0) for x in held]) / scale_held
     noise, whole, robust = _covariances(found, influence, std_held, scales(names, values))
     std = named_std(names, whole)
-    step = quantum(data)
+    has_friction = bool({"b_1", COULOMB} & {*names})
+    quality, steps = found.quality[i], [quantum(data.dataset(name)) for name in data.outputs]
     return GreyFit(
         method="output error",
         names=names,
@@ -243,46 +281,65 @@ def _fit(
         std=std,
         std_noise=named_std(names, noise),
         std_robust=named_std(names, robust),
+        covariance=whole,
+        covariance_robust=robust,
         condition=float(np.linalg.cond(at.Psi / np.linalg.norm(at.Psi, axis=0))),
         influence=named_influence(names, held, influence),
-        fixed=plain.physics.parameters({k: v for k, v in values.items() if k != COULOMB}),
+        fixed=physics.parameters({k: v for k, v in values.items() if k != COULOMB}),
         fixed_std=fixed_std,
         initial=tuple(tuple(x[:-1].tolist()) for x in at.free),
         offset=tuple(float(x[-1]) for x in at.free),
-        quantum=step,
-        Ts=data.Ts,
+        noise_variance=float(found.noise_covariance[i, i]),
+        loss=quality.loss,
+        fit_percent=quality.fit_percent,
+        whiteness=quality.white.p_value,
+        whiteness_test=quality.white.test,
+        quantum=steps[i],
+        N=quality.N,
+        Ts=own.Ts,
         converged=converged,
-        physics=plain.physics,
+        physics=physics,
+        by_output=dict(zip(data.outputs, found.quality, strict=True)) if data.ny > 1 else {},
         warnings=(
             *([] if converged else [f"no convergence in {best.iterations} steps"]),
             *at_bound(plain.names, best.theta - start),
-            *no_model(found.fit_percent),
+            *no_model(min(q.fit_percent for q in found.quality)),
             *worse,
             *below_zero(values, std),
-            *noise_warnings(step, found, has_friction=bool({"b_1", COULOMB} & {*names})),
+            *noise_warnings(data.outputs, steps, found, has_friction=has_friction),
         ),
-        **replace(found, covariance=whole, covariance_robust=robust).quality(),
-        **data.origin(),
+        **own.origin() | {"digest": data.digest},
     )
 
 
-def _inference(
-    data: Dataset,
-    experiments: tuple[Dataset, ...],
-    at: Linearised,
-    basis: Basis,
-    rounding: float,
-) -> Inference:
-    residuals, blocks, spans = by_experiment(experiments, at)
-    return infer(
-        residuals,
-        blocks,
-        score="exogenous",
-        spans=spans,
-        y=data.y,
-        basis=basis.spread(data.valid),
-        rounding=rounding,
-    )
+def _inference(plain: GreyBox, at: Linearised, basis: Basis) -> Inference:
+    """Return covariances of the coordinates, and the quality for each output."""
+    ny, begin, experiments = plain.std.size, 0, []
+    for data, e, Z in zip(plain.experiments, plain.residuals(at.e), at.spans, strict=True):
+        outputs = []
+        for i, std in enumerate(plain.std):
+            known = data.valid[:, i]
+            rows = slice(begin, begin + int(known.sum()))
+            begin = rows.stop
+            H = _spread(basis.Q[rows] / std, known)
+            of_output = OutputResiduals(e=e[:, i], y=data.y[:, i], H=H)
+            # The outputs share the free responses, so one output alone has no basis of them.
+            if ny == 1:
+                of_output = replace(of_output, Z=_spread(Z, known))
+            else:
+                of_output = replace(of_output, Psi=_spread(at.Psi[rows] * std, known))
+            outputs.append(of_output)
+        experiments.append(outputs)
+    unknown = sum(x.size for x in at.free)
+    each = None if ny == 1 else [(basis.W.shape[0] + unknown) / ny] * ny
+    return infer(experiments, basis.W, score="exogenous", parameters=each)
+
+
+def _spread(rows: Matrix, known: Mask) -> Matrix:
+    """Return a matrix for all samples, with `rows` at the known samples and zeros elsewhere."""
+    whole = np.zeros((known.size, rows.shape[1]))
+    whole[known] = rows
+    return whole
 
 
 def _covariances(
@@ -335,19 +392,24 @@ def no_model(fit: float) -> Iterator[str]:
         )
 
 
-def noise_warnings(step: float, found: Inference, *, has_friction: bool) -> Iterator[str]:
+def noise_warnings(
+    outputs: Sequence[str], steps: Sequence[float], found: Inference, *, has_friction: bool
+) -> Iterator[str]:
     """Yield warnings of noise below a third of a converter step, and of coloured residuals."""
-    if quiet := too_quiet(step, found.noise_variance):
-        yield quiet
-    if found.white.coloured:
-        perhaps = "" if has_friction else " (friction?)"
-        yield (
-            f"the residuals are {found.white}: the model lacks a property of the rig{perhaps}, "
-            "or the noise is not white; prefer std_robust"
-        )
+    variances = np.diag(found.noise_covariance).tolist()
+    for name, step, variance, quality in zip(outputs, steps, variances, found.quality, strict=True):
+        of_output = f"{name}: " if len(outputs) > 1 else ""
+        if quiet := too_quiet(step, variance):
+            yield f"{of_output}{quiet}"
+        if quality.white.coloured:
+            perhaps = "" if has_friction else " (friction?)"
+            yield (
+                f"{of_output}the residuals are {quality.white}: the model lacks a property of the "
+                f"rig{perhaps}, or the noise is not white; prefer std_robust"
+            )
 
 
-def worse_with_friction(data: Dataset, without: float, best: float) -> tuple[str, ...]:
+def worse_with_friction(data: Signals, without: float, best: float) -> tuple[str, ...]:
     """Return a warning if the fit is significantly worse with Coulomb friction.
 
     `without` and `best` are |e|² without and with Coulomb friction.

@@ -42,7 +42,9 @@ def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes
     """
     ax, below = panels(ax, 0.38)
     names = tuple(n for n in fit.names if n != COULOMB)
-    problem = GreyBox(physics=fit.physics, names=names, experiments=tuple(data.experiments()))
+    problem = GreyBox(
+        physics=(fit.physics,), names=names, experiments=tuple(data.signals().experiments())
+    )
     e = np.full(data.N, np.nan)
     e[data.valid] = problem.at(problem.coordinates({n: fit.values[n] for n in names}), ()).e
     estimates = ", ".join(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,10 +12,9 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.models.multivariable.fit import OutputQuality
 from armrig.numerics.checks import column
+from armrig.numerics.inference import OutputQuality
 from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.physics.grey_box.least_squares_problem import Linearised
 from armrig.physics.grey_box.parameters import COULOMB, SIGNED, UNITS
 from armrig.physics.grey_box.response import linear_parts
 from armrig.physics.grey_box.sampled_model import Physics
@@ -312,29 +310,6 @@ def determined(Psi: Matrix) -> Basis:
             "distinguish the others: hold more of them fixed"
         )
     return basis
-
-
-def by_experiment(
-    experiments: tuple[Dataset, ...], at: Linearised
-) -> tuple[list[Vector], list[Matrix], list[Matrix]]:
-    """Return residuals, derivatives and free responses of each experiment, for all samples."""
-    masks = [d.valid for d in experiments]
-    edges = np.cumsum([0, *(np.count_nonzero(valid) for valid in masks)])
-    residuals, blocks = [], []
-    for valid, (a, b) in zip(masks, pairwise(edges), strict=True):
-        e = np.full(valid.size, np.nan)
-        e[valid] = at.e[a:b]
-        residuals.append(e)
-        blocks.append(_spread(at.Psi[a:b], valid))
-    spans = [_spread(Q, valid) for Q, valid in zip(at.spans, masks, strict=True)]
-    return residuals, blocks, spans
-
-
-def _spread(rows: Matrix, valid: NDArray[np.bool_]) -> Matrix:
-    """Return a matrix for all samples, with `rows` at the valid samples and zeros elsewhere."""
-    whole = np.zeros((valid.size, rows.shape[1]))
-    whole[valid] = rows
-    return whole
 
 
 def scales(names: Sequence[str], values: dict[str, float]) -> Vector:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment.wrong_samples import quantum
-from armrig.numerics.inference import Inference, infer
+from armrig.numerics.inference import Inference, infer, least_squares_residuals
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
@@ -136,7 +136,7 @@ def inverse_dynamics(
     J_1 = 0.0017 kg m², 0.2 %
     """
     p = ArmParameters() if fixed is None else fixed
-    require_output(data, THETA_1)
+    require_output(data.output, THETA_1)
     names = free_names(("J_1",), friction)
     given = checked_fixed_std(fixed_std or {}, names)
     tried = _tried(data, p, names, width)
@@ -169,12 +169,12 @@ def inverse_dynamics(
         initial=(),
         offset=(float(-drift / p.torque_per_volt),) * len(data.starts),
         noise_variance=found.noise_variance,
-        loss=found.loss,
-        fit_percent=found.fit_percent,
+        loss=found.quality[0].loss,
+        fit_percent=found.quality[0].fit_percent,
         whiteness=white,
         whiteness_test=SMOOTHED_NOISE,
         quantum=quantum(data),
-        N=found.N,
+        N=found.quality[0].N,
         Ts=data.Ts,
         physics=physics,
         width=s,
@@ -264,7 +264,7 @@ def _at(
     g = balance.by_velocity
     spread = known * float(k.first @ k.first) * np.outer(g, g)
     robust = solution.inference.transformed(slope).covariance_robust
-    bread = slope @ np.linalg.inv(solution.moment) / solution.inference.N
+    bread = slope @ np.linalg.inv(solution.moment) / solution.inference.quality[0].N
     white = known * np.diag(bread @ _meat(solution.blocks, h, _every(s, data.Ts)) @ bread.T)
     beta_bias = -np.linalg.solve(solution.moment, spread @ solution.beta)
     return _Tried(
@@ -375,11 +375,9 @@ def _solved(balance: _TorqueBalance, s: float) -> _Solution:
         condition=float(np.linalg.cond(X / np.linalg.norm(X, axis=0))),
         moment=X.T @ X / target.size,
         inference=infer(
-            residuals,
-            blocks,
+            least_squares_residuals(residuals, basis.spread(kept), y=balance.target),
+            basis.W,
             score="exogenous",
-            y=balance.target,
-            basis=basis.spread(kept),
             test=None,
         ),
         residuals=residuals,

@@ -5,14 +5,14 @@ The free responses of an experiment are the responses to its initial state and i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Signals
 from armrig.numerics.least_squares import orthonormal
 from armrig.physics.grey_box.parameters import SIGNED
 from armrig.physics.grey_box.response import linear_parts, sensitivity, with_friction
@@ -34,12 +34,16 @@ def bipolar(u: Vector) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linearised:
-    """Residuals and derivatives at given coordinates, for the valid samples of all experiments."""
+    """Residuals and derivatives at given coordinates, for the M measured values.
+
+    In each experiment the values of the first output precede those of the next. The rows of an
+    output are divided by the standard deviation of its noise.
+    """
 
     e: Vector
     """Residuals (M,) after the fit of the free responses."""
     Psi: Matrix
-    """Derivatives of the output with respect to the coordinates, (M, d). Their projection on the
+    """Derivatives of the outputs with respect to the coordinates, (M, d). Their projection on the
     free responses is subtracted."""
     size: Vector
     """Norm of each derivative before the projection, (d,)."""
@@ -51,17 +55,20 @@ class Linearised:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GreyBox:
-    """Problem min |y - model(parameters) - free responses|, solved for the parameters only.
+    """Problem min sum of |y_i - model_i(parameters) - free responses|²/std_i² over the outputs i.
 
-    The free responses are projected out.
+    The free responses are projected out. The outputs of an experiment have the same initial state
+    and the same input offset.
     """
 
-    physics: Physics
-    """Model with its fixed parameters."""
+    physics: tuple[Physics, ...]
+    """Model of each output, with its fixed parameters."""
     names: tuple[str, ...]
     """Free parameters; the coordinates are logarithms, except for `SIGNED` parameters."""
-    experiments: tuple[Dataset, ...]
+    experiments: tuple[Signals, ...]
     """Data of each experiment."""
+    std: Vector = field(default_factory=lambda: np.ones(1))
+    """Standard deviation of the noise of each output, (ny,); 1 for a single output."""
 
     def values(self, eta: Vector) -> dict[str, float]:
         """Return the parameters that have the given coordinates."""
@@ -82,16 +89,18 @@ class GreyBox:
     def at(self, eta: Vector, by: Sequence[str] | None = None) -> Linearised:
         """Return residuals and the derivatives with respect to the free parameters, or to `by`."""
         by = self.names if by is None else by
-        Ts = self.experiments[0].Ts
-        model = self.physics.sampled(self.values(eta), by, Ts)
+        values, Ts = self.values(eta), self.experiments[0].equidistant()
+        models = [physics.sampled(values, by, Ts) for physics in self.physics]
         residuals, blocks, spans, free, sizes = [], [], [], [], []
         for data in self.experiments:
-            y, columns = linear_parts(model, data.u)
-            basis = orthonormal(columns[data.valid])
-            rest = (data.y - y)[data.valid]
+            u = data.u[:, 0]
+            outputs, responses = zip(*(linear_parts(model, u) for model in models), strict=True)
+            basis = orthonormal(self._stacked(responses, data))
+            rest = self._stacked(data.y.T - np.array(outputs), data)
             x = basis.coefficients(rest)
+            slopes = [sensitivity(model, u, x[:-1], float(x[-1])) for model in models]
+            by_eta = self._stacked(slopes, data)
             residuals.append(basis.without(rest))
-            by_eta = sensitivity(model, data.u, x[:-1], float(x[-1]))[data.valid]
             sizes.append(np.sum(by_eta**2, axis=0))
             blocks.append(basis.without(by_eta))
             spans.append(basis.Q)
@@ -103,6 +112,24 @@ class GreyBox:
             spans=tuple(spans),
             free=tuple(free),
         )
+
+    def _stacked(self, of_outputs: Iterable[Matrix], data: Signals) -> Matrix:
+        """Return the weighted rows of the measured values, first those of the first output."""
+        rows = zip(of_outputs, data.valid.T, self.std, strict=True)
+        return np.concatenate([x[known] / std for x, known, std in rows])
+
+    def residuals(self, e: Vector) -> list[Matrix]:
+        """Return the residuals (N, ny) of each experiment in units of y, NaN where y is missing.
+
+        `e` contains the weighted residuals as in `Linearised`.
+        """
+        edges = np.cumsum([np.count_nonzero(data.valid) for data in self.experiments])[:-1]
+        found = []
+        for data, part in zip(self.experiments, np.split(e, edges), strict=True):
+            whole = np.full(data.y.shape, np.nan)
+            whole.T[data.valid.T] = part * np.repeat(self.std, data.valid.sum(axis=0))
+            found.append(whole)
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,7 +156,7 @@ class GreyBoxWithFriction:
         free = self.plain.at(eta).free
         taken = [x[-1] for x, is_free in zip(free, self._offsets(), strict=True) if not is_free]
         volts = max(float(np.mean(taken)) if taken else 0.0, _MIN_START_V)
-        per_volt = self.plain.physics.parameters(self.plain.values(eta)).torque_per_volt
+        per_volt = self.plain.physics[0].parameters(self.plain.values(eta)).torque_per_volt
         own = [x if is_free else x[:-1] for x, is_free in zip(free, self._offsets(), strict=True)]
         return np.concatenate([eta, [volts * per_volt], *own])
 
@@ -161,7 +188,7 @@ class GreyBoxWithFriction:
 
     def _offsets(self) -> list[bool]:
         """Return a list with True for each experiment in which u0 is free."""
-        return [bipolar(data.u) for data in self.plain.experiments]
+        return [bipolar(data.u[:, 0]) for data in self.plain.experiments]
 
     def _parts(self, z: Vector) -> list[slice]:
         """Return for each experiment the slice of z that contains its x0 and u0."""
@@ -175,14 +202,16 @@ class GreyBoxWithFriction:
         plain = self.plain
         own, first = len(plain.names) + 1, len(by) + 1
         values = plain.values(z[: own - 1])
-        model = plain.physics.sampled(values, by, plain.experiments[0].Ts)
-        per_volt = plain.physics.parameters(values).torque_per_volt
+        (physics,) = plain.physics
+        model = physics.sampled(values, by, plain.experiments[0].equidistant())
+        per_volt = physics.parameters(values).torque_per_volt
         V = float(z[own - 1]) / per_volt
         residuals, blocks, rows = [], [], []
         begin, n = 0, model.Phi.shape[0]
         for data, part in zip(plain.experiments, self._parts(z), strict=True):
             x = z[own:][part]
-            u = data.u - x[n] if x.size > n else data.u
+            known = data.valid[:, 0]
+            u = data.u[:, 0] - x[n] if x.size > n else data.u[:, 0]
             answer = with_friction(model, u, x[:n], V, self.speed)
             J = np.zeros((data.N, first + z.size - own))
             J[:, : len(by)] = answer.by_parameters
@@ -191,8 +220,8 @@ class GreyBoxWithFriction:
             J[:, len(by)] = answer.by_friction / per_volt
             by_free = np.column_stack([answer.by_initial, answer.by_offset])
             J[:, first + part.start : first + part.stop] = by_free[:, : x.size]
-            residuals.append((data.y - answer.y)[data.valid])
-            blocks.append(J[data.valid])
+            residuals.append((data.y[:, 0] - answer.y)[known])
+            blocks.append(J[known])
             rows.append((begin, begin + residuals[-1].size))
             begin += residuals[-1].size
         return np.concatenate(residuals), np.vstack(blocks), rows

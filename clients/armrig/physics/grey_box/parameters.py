@@ -11,8 +11,6 @@ from armrig_core.arm import ArmParameters
 from armrig_core.errors import InputError
 from armrig_core.telemetry import OutputName
 
-from armrig.data.dataset import Dataset
-
 NAMES = tuple(f.name for f in fields(ArmParameters))
 SIGNED = frozenset({"b_1"})
 """Parameters that may be 0, and are therefore not estimated as logarithms."""
@@ -53,11 +51,11 @@ def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...
     return tuple(names)
 
 
-def require_output(data: Dataset, output: str) -> None:
-    """Refuse data with another output than the model, if the output is one of a recording."""
-    if data.output in _RECORDED and data.output != output:
+def require_output(measured: str, output: str) -> None:
+    """Refuse another measured output than the model's, if it is an output of a recording."""
+    if measured in _RECORDED and measured != output:
         raise InputError(
-            f"the data contain {data.output}, the model's output is {output}; use "
+            f"the data contain {measured}, the model's output is {output}; use "
             f"recording.dataset(output={output!r})"
         )
 

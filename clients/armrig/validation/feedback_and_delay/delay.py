@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.data.several_signals import accepts_signals
 from armrig.data.treatment.integrating import integration
 from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.quantities import plural
 from armrig.numerics.regressors import in_blocks
+from armrig.validation.feedback_and_delay.by_channel import each_channel
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.lag_tests import (
     MOST_COEFFICIENTS,
@@ -28,6 +28,7 @@ from armrig.validation.feedback_and_delay.lag_tests import (
     lag_tests,
 )
 from armrig.validation.feedback_and_delay.open_loop import open_loop
+from armrig.validation.feedback_and_delay.other_inputs import without_other_inputs
 from armrig.validation.feedback_and_delay.smooth_onset import (
     SURPRISING,
     Progress,
@@ -50,7 +51,7 @@ _MIN_DETERMINED_LAGS = 28  # a sum of few sines determines fewer lags
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
 
 
-@accepts_signals("armrig.validation.multivariable.feedback_and_delay")
+@each_channel(without_other_inputs)
 @takes_recordings
 def delay(
     data: Dataset,
@@ -85,11 +86,11 @@ def delay(
     ----------
     data : Dataset or Signals
         At least 50 samples with an exciting input. Samples may be missing, and the data may have
-        several experiments. If `data` is a Signals, each pair of an output and an input is tested
-        separately.
+        several experiments. For Signals with several channels, each pair of an output and an
+        input is tested separately, without the effects of the other inputs (`other_inputs`).
     integrator : bool, optional
         True if y integrates. The default is True for theta_1. For any other y a test decides, and
-        `remarks` contains the result of this test.
+        `remarks` contains the result of this test. With several inputs this argument has no effect.
     progress : callable, optional
         Called before each slow estimate with the number of finished estimates, the number of all
         estimates, and the tested lag as text.
@@ -101,7 +102,9 @@ def delay(
         the time delay (dead time) in whole samples, in addition to the sample of the hold. Multiply
         it by `Ts` for the delay in s. If `interval` contains several nk, `delay` is the least
         possible delay, but at least 0. The command `armrig check` runs the same test. For the
-        response to a step, use `step_analysis`.
+        response to a step, use `step_analysis`. For Signals with several channels, the result is
+        `ByChannel`: `found["alpha", "u"]` is the `Delay` of one channel, and `refused` contains
+        the channels without a visible response.
 
     Raises
     ------

@@ -10,8 +10,8 @@ from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.data.several_signals import accepts_signals
 from armrig.numerics.quantities import p_relation, percent
+from armrig.validation.feedback_and_delay.by_channel import each_channel
 from armrig.validation.feedback_and_delay.sims import CannotTellError, Sims, sims
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def require_level(level: float) -> None:
         raise InputError(f"level={level!r} must lie between 0 and 1, such as 0.05")
 
 
-@accepts_signals("armrig.validation.multivariable.feedback_and_delay")
+@each_channel()
 @takes_recordings
 def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     """Test whether the rig ran in open loop: u(t), u(t + 1), … do not depend on y(t).
@@ -151,9 +151,11 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
 
     Parameters
     ----------
-    data : Dataset
+    data : Dataset or Signals
         u as applied and y as measured; y(t) is read before u(t) is applied. If y(t) is missing, the
-        regression has no row for t. No row contains samples of two experiments.
+        regression has no row for t. No row contains samples of two experiments. For Signals with
+        several channels, each pair of an output and an input is tested. In open loop, some of these
+        tests find feedback by chance: one of twenty tests at the level 0.05.
     level : float, default 0.05
         Level of the test, between 0 and 1.
 
@@ -161,7 +163,8 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     -------
     OpenLoop
         .feedback (None if u follows from its own past, or if y has no noise), .p_value,
-        .explain(), .plot().
+        .explain(), .plot(). For Signals with several channels, the result is `ByChannel`:
+        `found["alpha", "u"]` is the `OpenLoop` of one channel.
 
     Raises
     ------

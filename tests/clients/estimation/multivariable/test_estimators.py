@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, cast
+from typing import Any
 
 import armrig
 import numpy as np
 import pytest
 from armrig import Dataset, Signals
-from armrig.estimation.prediction_error import estimated
 from armrig.estimation.search import ranked
-from armrig.models.multivariable.fit import MultivariableFit
+from armrig.models.fit import Fit
 from armrig.numerics.polynomial import Array, filtered
 from armrig_core.errors import InputError
 
@@ -71,10 +70,10 @@ COUPLED: dict[str, Any] = {
 COUPLED_THETA = [-0.8, 0.2, 0.1, 1.0, 0.4, -0.2, 0.1, -0.5, 0.7]
 
 
-def several(name: str, data: Signals, integrator: Any = False, **orders: Any) -> MultivariableFit:
-    """Return a `MultivariableFit`, also for one input and output."""
-    fit: Any = estimated(data, name, orders | {"nk": 1}, integrator=integrator)
-    return cast("MultivariableFit", fit)
+def several(name: str, data: Signals, **orders: Any) -> Fit:
+    """Return the fit of Signals."""
+    fit: Fit = getattr(armrig, name)(data, **orders)
+    return fit
 
 
 SINGLE: dict[str, dict[str, Any]] = {
@@ -106,7 +105,7 @@ def test_one_input_and_output_give_the_estimate_of_the_dataset(name: str) -> Non
     assert fit.whiteness == pytest.approx(known.whiteness, rel=1e-5)
     assert fit.fit_percent == pytest.approx(known.fit_percent)
     for horizon in (1, 5, None):
-        ours, theirs = found.predict(signals, horizon)[:, 0], known.predict(data, horizon)
+        ours, theirs = found.predict(signals, horizon), known.predict(data, horizon)
         both = np.isfinite(theirs)
         np.testing.assert_allclose(ours[both], theirs[both], rtol=1e-6, atol=1e-7)
 
@@ -160,7 +159,7 @@ def test_an_armax_model_that_integrates_its_noise_is_that_of_the_dataset() -> No
     np.testing.assert_allclose(found["a"].theta, known.theta, rtol=1e-6)
     np.testing.assert_allclose(found["a"].std, known.std, rtol=1e-5)
     assert found["a"].integrator
-    e = data.y[:, 0] - found.predict(data)[:, 0]
+    e = data.y[:, 0] - found.predict(data)
     np.testing.assert_allclose(e[1:], (data.y[:, 0] - known.predict(data.dataset()))[1:], atol=1e-4)
 
 
@@ -200,7 +199,7 @@ def test_noise_free_data_give_back_the_plant(missing: float) -> None:
 
 
 @cache
-def fitted_bj(missing: float) -> MultivariableFit:
+def fitted_bj(missing: float) -> Fit:
     """Return a Box-Jenkins model of data without this share of the outputs."""
     return armrig.bj(plant(missing=missing, C=(1, 0.4), D=(1, -0.8)), nc=1, nd=1, **ORDERS)
 

@@ -272,9 +272,9 @@ def test_all_outputs_have_one_score_and_converge_together(
     data = Signals(u=u, y=y + 0.1 * e, Ts=1.0, outputs=["a", "b"])
     scores, one_of = list[str](), prediction_error._chosen
 
-    def inferred(*of: Any, parameters: Any, score: Any) -> Any:
+    def infer(*of: Any, score: Any, **options: Any) -> Any:
         scores.append(score)
-        return search_inferred(*of, parameters=parameters, score=score)
+        return search_infer(*of, score=score, **options)
 
     def unfinished(*of: Any) -> Any:
         found = one_of(*of)
@@ -282,8 +282,8 @@ def test_all_outputs_have_one_score_and_converge_together(
         end = replace(end, converged=found.outputs != (1,), iterations=7)
         return replace(found, ends=[(name, end), *found.ends[1:]])
 
-    search_inferred = estimated_outputs.inferred
-    monkeypatch.setattr(estimated_outputs, "inferred", inferred)
+    search_infer = estimated_outputs.infer
+    monkeypatch.setattr(estimated_outputs, "infer", infer)
     monkeypatch.setattr(prediction_error, "_chosen", unfinished)
 
     fit: Any = armrig.bj(data, nb=1, nc=nc, nd=nd, nf=[[1, 0], [0, 1]])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.estimation.multivariable.error_process import error_process
+from armrig.estimation.error_process import error_process
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 

@@ -31,10 +31,18 @@ from armrig.numerics.checks import require_integers
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
-from armrig.numerics.recursion import free_responses, recursion, responses
+from armrig.numerics.recursion import (
+    free_responses,
+    in_observer_form,
+    outputs,
+    recursion,
+    responses,
+    varying_recursion,
+)
 from armrig.numerics.whitening import whitening
 
 _MAX_MODULUS = 1 - 1e-7  # largest modulus of an eigenvalue of Abar in a search
+_EIGENVALUE_TOLERANCE = 1e-10  # singular value of 1 - Abar that shows the eigenvalue 1
 _ORBIT_TOLERANCE = 1e-10  # a smaller relative singular value is a rounding error
 
 
@@ -68,6 +76,22 @@ class Predictor:
     """Gain K for complete data (n, ny)."""
     x0: tuple[Array, ...]
     """State at the start of each experiment, (n,)."""
+
+    def simulated(self, u: Array, e: Array, x0: Array) -> Array:
+        """Return the outputs (N, ny) for given inputs, errors and initial state."""
+        w = u @ self.Bbar.T + (u @ self.D.T + e) @ self.K.T
+        x = recursion(self.Abar + self.K @ self.C, w, x0)[:-1]
+        return np.asarray(x @ self.C.T + u @ self.D.T + e)
+
+    def impulses(self, length: int) -> Array:
+        """Return the impulse responses from u and e, of `length` samples each, as a vector."""
+        A = self.Abar + self.K @ self.C
+        x = np.hstack([self.Bbar + self.K @ self.D, self.K])
+        found = [self.D.ravel()]
+        for _ in range(length):
+            found.append((self.C @ x).ravel())
+            x = A @ x
+        return np.concatenate(found)
 
     def balanced(self) -> Predictor:
         """Return this predictor in the coordinates of `output_normal`."""
@@ -118,6 +142,8 @@ class StateSpaceProblem:
     """True if D is estimated."""
     noise: bool
     """True if K is estimated; False for an output-error model."""
+    level: bool = False
+    """True if a constant is added to the predictions of each output."""
 
     def linear(self, Abar: Array, C: Array) -> Linear:
         """Return the linear parameters by least squares."""
@@ -126,7 +152,7 @@ class StateSpaceProblem:
         states, left, raw = [], [], []
         for part in self.parts:
             driven, free = self.responses(part, Abar, C)
-            Z = orthonormal(whitened(part, free))
+            Z = basis_of_states(part, self.with_offsets(free, Abar, C))
             both = whitened(part, np.concatenate([driven, part.y.T[None]]))
             states.append(Z)
             raw.append(both)
@@ -142,7 +168,7 @@ class StateSpaceProblem:
             K=signals[:, nu:] if self.noise else np.zeros((n, ny)),
             D=D,
             x0=tuple(
-                Z.coefficients(M[:, -1] - M[:, :-1] @ theta)
+                Z.coefficients(M[:, -1] - M[:, :-1] @ theta)[:n]
                 for Z, M in zip(states, raw, strict=True)
             ),
             rank=basis.rank,
@@ -154,16 +180,8 @@ class StateSpaceProblem:
 
     def responses(self, part: Part, Abar: Array, C: Array) -> tuple[Array, Array]:
         """Return the outputs (k, ny, N) due to each linear parameter, and to each initial state."""
-        n = self.order
         signals = np.hstack([part.u, part.y]) if self.noise else part.u
-        N, m = signals.shape
-        driven = responses(Abar, C, signals).reshape(m * n, -1, N)
-        if self.direct:
-            ny, nu = C.shape[0], part.u.shape[1]
-            at_once = np.zeros((ny, nu, ny, N))
-            at_once[range(ny), :, range(ny)] = part.u.T
-            driven = np.concatenate([driven, at_once.reshape(ny * nu, ny, N)])
-        return driven, free_responses(Abar, C, N)
+        return state_responses(signals, Abar, C, direct=part.u if self.direct else None)
 
     def cost(self, Abar: Array, C: Array) -> float:
         """Return the sum of squared whitened errors."""
@@ -178,15 +196,62 @@ class StateSpaceProblem:
         directions : ndarray, shape (n (n + ny), k)
             Changes of Abar, then of C, each row by row.
         """
-        n, ny = self.order, C.shape[0]
-        by_A = directions[: n * n].T.reshape(-1, n, n)
-        by_C = directions[n * n :].T.reshape(-1, ny, n)
         found = []
         for part, x0 in zip(self.parts, linear.x0, strict=True):
-            x = recursion(Abar, part.u @ linear.Bbar.T + part.y @ linear.K.T, x0)[:-1]
-            moved = np.tensordot(by_A, responses(Abar, C, x), axes=((2, 1), (0, 1)))
-            found.append(moved + by_C @ x.T)
+            x = _states(Abar, C, part.u @ linear.Bbar.T + part.y @ linear.K.T, x0)
+            found.append(_moved(Abar, C, x, directions))
         return found
+
+    def linearised(self, Abar: Array, C: Array, directions: Array) -> tuple[Linear, Array]:
+        """Return the linear part, and the derivatives of the whitened predictions.
+
+        The effects of the linear parameters and initial states are projected out.
+        """
+        linear = self.linear(Abar, C)
+        by = self.derivatives(Abar, C, linear, directions)
+        J = [
+            without(Z, whitened(part, d))
+            for part, d, Z in zip(self.parts, by, linear.states, strict=True)
+        ]
+        return linear, without(linear.basis, stacked(J))
+
+    def sensitivities(
+        self, part: Part, at: Predictor, x0: Array, directions: Array
+    ) -> tuple[Array, Array]:
+        """Return the derivatives (d, ny, N) of yhat, and the responses to the initial state.
+
+        The derivatives are with respect to (Abar, C) in the given directions, to the entries of
+        Bbar and K signal by signal, and to those of D row by row. With `level` the responses also
+        contain a constant for each output. The error of a missing output is taken as 0.
+        """
+        Abar, C, K = at.Abar, at.C, at.K
+        N, (n, ny) = len(part.u), K.shape
+        if part.rows.all() or not K.any():
+            x = _states(Abar, C, part.u @ at.Bbar.T + part.y @ K.T, x0)
+            driven, free = self.responses(part, Abar, C)
+            by = np.concatenate([_moved(Abar, C, x, directions), driven])
+        else:
+            w = part.u @ at.Bbar.T + (part.rows * part.y) @ K.T
+            yhat = held_responses(part, at, w[:, None], (part.u @ at.D.T)[:, None], x0[None])[:, 0]
+            y = np.where(part.rows, part.y, yhat)
+            x = recursion(Abar, part.u @ at.Bbar.T + y @ K.T, x0)[:-1]
+            w, at_once = entries(np.hstack([part.u, y]), n, part.u if self.direct else None, ny)
+            k = directions.shape[1]
+            by_A, by_C = np.split(directions.T, [n * n], axis=1)
+            w = np.concatenate([x @ by_A.reshape(k, n, n).swapaxes(1, 2), w])
+            at_once = np.concatenate([x @ by_C.reshape(k, ny, n).swapaxes(1, 2), at_once])
+            by = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
+            nothing = np.zeros((N, n, n)), np.zeros((N, n, ny))
+            free = held_responses(part, at, *nothing, np.eye(n))
+            by, free = by.transpose(1, 2, 0), free.transpose(1, 2, 0)
+        return by, self.with_offsets(free, Abar, C)
+
+    def with_offsets(self, free: Array, Abar: Array, C: Array) -> Array:
+        """Return the responses (k, ny, N) to the initial state, and those to constant offsets.
+
+        Without `level` the offsets are left out.
+        """
+        return np.concatenate([free, offsets(Abar, C, free.shape[2])]) if self.level else free
 
     def minimise(self, Abar: Array, C: Array, *, most: int) -> tuple[Array, Array, Linear, Optimum]:
         """Return Abar, C and the linear part after at most `most` steps along the tangent space."""
@@ -201,15 +266,10 @@ class StateSpaceProblem:
 
         def linearise(t: Array) -> tuple[Array, Array]:
             A, c = at(t)
-            linear = self.linear(A, c)
+            linear, J = self.linearised(A, c, V)
             last.clear()
             last[t.tobytes()] = linear
-            by = self.derivatives(A, c, linear, V)
-            J = [
-                without(Z, whitened(part, d))
-                for part, d, Z in zip(self.parts, by, linear.states, strict=True)
-            ]
-            return linear.e, without(linear.basis, stacked(J))
+            return linear.e, J
 
         found = levenberg_marquardt(
             linearise,
@@ -236,14 +296,125 @@ class StateSpaceProblem:
         return [slice(a, b) for a, b in pairwise([0, *sizes])]
 
 
+def state_responses(
+    signals: Array, Abar: Array, C: Array, *, direct: Array | None
+) -> tuple[Array, Array]:
+    """Return the outputs (k, ny, N) due to each entry of B and D, and to each initial state.
+
+    The entries of B, for the inputs `signals`, are ordered by signal; those of D by output. D is
+    for the inputs `direct`; None means that there is no D.
+    """
+    (N, m), (ny, n) = signals.shape, C.shape
+    driven = responses(Abar, C, signals).reshape(m * n, ny, N)
+    if direct is not None:
+        at_once = np.zeros((ny, direct.shape[1], ny, N))
+        at_once[range(ny), :, range(ny)] = direct.T
+        driven = np.concatenate([driven, at_once.reshape(-1, ny, N)])
+    return driven, free_responses(Abar, C, N)
+
+
+def _states(Abar: Array, C: Array, w: Array, x0: Array) -> Array:
+    """Return the states (N, n); in observer form only the first state, which is the output."""
+    if not in_observer_form(Abar, C):
+        return recursion(Abar, w, x0)[:-1]
+    x = np.zeros(w.shape)
+    x[:, :1] = outputs(Abar, C, w, x0)
+    return x
+
+
+def _moved(Abar: Array, C: Array, x: Array, directions: Array) -> Array:
+    """Return the derivatives (k, ny, N) of yhat in directions of Abar and C, for the states x."""
+    n, ny = len(Abar), len(C)
+    by_A, by_C = np.split(directions.T, [n * n], axis=1)
+    by_A, by_C = by_A.reshape(-1, n, n), by_C.reshape(-1, ny, n)
+    used = np.flatnonzero(by_A.any(axis=(0, 1)))  # in observer form only the first state
+    moved = np.tensordot(by_A[:, :, used], responses(Abar, C, x[:, used]), axes=((2, 1), (0, 1)))
+    return np.asarray(moved + by_C @ x.T if by_C.any() else moved)
+
+
+def offsets(Abar: Array, C: Array, N: int) -> Array:
+    """Return the responses (k, ny, N) to constant offsets of u and y.
+
+    The responses are a constant for each output, and a ramp if Abar has the eigenvalue 1. For one
+    output the response of this eigenvalue to the initial state replaces the constant.
+    """
+    ny, n = C.shape
+    _, s, V = np.linalg.svd(np.eye(n) - Abar)
+    levels = np.broadcast_to(np.eye(ny)[:, :, None], (ny, ny, N))
+    if s[-1] > _EIGENVALUE_TOLERANCE:
+        return levels
+    ramp = (C @ V[-1])[None, :, None] * np.arange(1.0, N + 1)
+    return ramp if ny == 1 else np.concatenate([levels, ramp])
+
+
+def entries(signals: Array, n: int, direct: Array | None, ny: int) -> tuple[Array, Array]:
+    """Return the arguments w (k, N, n) and at_once (k, N, ny) of `held_responses` for B and D."""
+    N, m = signals.shape
+    w = np.zeros((m, n, N, n))
+    w[:, range(n), :, range(n)] = signals.T
+    w = w.reshape(m * n, N, n)
+    if direct is None:
+        return w, np.zeros((m * n, N, ny))
+    of_D = np.zeros((ny, direct.shape[1], N, ny))
+    of_D[range(ny), :, :, range(ny)] = direct.T
+    of_D = of_D.reshape(-1, N, ny)
+    return (
+        np.concatenate([w, np.zeros((len(of_D), N, n))]),
+        np.concatenate([np.zeros((m * n, N, ny)), of_D]),
+    )
+
+
+def held_responses(
+    part: Part, at: Predictor, w: Array, at_once: Array, x0: Array | None = None
+) -> Array:
+    """Return responses (N, k, ny) of the predictor if the error of a missing output is 0.
+
+    M(t) is the identity without the rows of the missing outputs ::
+
+        x(t+1) = (Abar + K (1 - M(t)) C) x(t) + w(t) + K (1 - M(t)) v(t),    C x(t) + v(t)
+
+    Parameters
+    ----------
+    w : ndarray, shape (N, k, n)
+        Right-hand sides.
+    at_once : ndarray, shape (N, k, ny)
+        Parts v of the outputs that do not depend on the state.
+    x0 : ndarray, shape (k, n), optional
+        Initial states; by default 0.
+    """
+    lost = at.K * ~part.rows[:, None, :]
+    w = w + at_once @ lost.swapaxes(1, 2)
+    x0 = np.zeros(w.shape[1:]) if x0 is None else x0
+    x = varying_recursion(at.Abar + lost @ at.C, w, x0)[:-1]
+    return np.asarray(x @ at.C.T + at_once)
+
+
 def whitened(part: Part, columns: Array) -> Array:
     """Return the whitened columns (k, ny, N) as a matrix (ny N, k), rows ordered by output."""
     k, ny, N = columns.shape
-    if part.rows.all():
+    if ny == 1:
+        white = columns * part.weights[:, 0, 0]
+    elif part.rows.all():
         white = part.weights[0] @ columns
     else:
         white = np.einsum("tij,kjt->kit", part.weights, columns)
     return np.asarray(white.reshape(k, ny * N).T)
+
+
+def basis_of_states(part: Part, free: Array) -> Basis:
+    """Return the basis of the whitened responses (k, ny, N) to the initial state and to offsets.
+
+    The last rows are left out of the decomposition if the responses have settled to 0.
+    """
+    Z = whitened(part, free)
+    used = np.flatnonzero(Z.any(axis=1))
+    last = used[-1] + 1 if used.size else 0
+    if last == len(Z):
+        return orthonormal(Z)
+    basis = orthonormal(Z[:last])
+    Q = np.zeros((len(Z), basis.rank))
+    Q[:last] = basis.Q
+    return Basis(Q=Q, W=basis.W)
 
 
 def without(basis: Basis, M: Array) -> Array:
@@ -286,6 +457,15 @@ def _balancing(A: Array, C: Array) -> tuple[Array, Array]:
     return (axes * root).T, axes / root
 
 
+def directions(Abar: Array, C: Array) -> Array:
+    """Return the directions (n (n + ny), n ny) of Abar and C that change the model.
+
+    In observer form they are the entries of the first column of Abar.
+    """
+    n = len(Abar)
+    return np.eye(n * (n + 1))[:, : n * n : n] if in_observer_form(Abar, C) else tangent(Abar, C)
+
+
 def tangent(A: Array, C: Array) -> Array:
     """Return an orthonormal basis (n (n + ny), n ny) of the directions that change the model.
 
@@ -315,13 +495,18 @@ def delays_of(nk: int | Sequence[int], data: Signals) -> tuple[int, ...]:
 def scaled_signals(
     data: Signals, delays: tuple[int, ...]
 ) -> tuple[list[tuple[Array, Array]], Array, Array]:
-    """Return scaled and delayed u and y of each experiment, and the scales of u and of y."""
+    """Return scaled and delayed u and y of each experiment, and the scales of u and of y.
+
+    The signals begin at the first sample at which all delayed inputs are known.
+    """
     su, sy = _scale(data.u), _scale(data.y)
+    lags = [max(k - 1, 0) for k in delays]
+    first = max(lags)
     signals = []
     for part in data.experiments():
-        pairs = zip(part.u.T, delays, strict=True)
-        u = np.column_stack([_delayed(x, max(k - 1, 0)) for x, k in pairs])
-        signals.append((u / su, part.y / sy))
+        pairs = zip(part.u.T, lags, strict=True)
+        u = np.column_stack([x[first - lag : max(part.N - lag, first - lag)] for x, lag in pairs])
+        signals.append((u / su, part.y[first:] / sy))
     return signals, su, sy
 
 
@@ -329,10 +514,6 @@ def _scale(columns: Array) -> Array:
     """Return the standard deviation of each column, 1 for a constant column."""
     std = np.nanstd(columns, axis=0)
     return np.where(std > 0, std, 1.0)
-
-
-def _delayed(x: Array, lag: int) -> Array:
-    return np.concatenate([np.full(lag, x[0]), x[: x.size - lag]]) if lag else x
 
 
 def parts_of(signals: Sequence[tuple[Array, Array]], Lambda: Array) -> tuple[Part, ...]:

@@ -1,7 +1,8 @@
-"""Result of the tests of a model with several signals by its residuals."""
+"""Result of the tests of a model by its residuals."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_DYNAMICS = "no dynamics missing", "dynamics missing"
-_FEEDBACK = "no feedback", "feedback, or a delay too large"
+_DYNAMICS = "no dynamics missing", "dynamics missing", "orders or delay"
+_FEEDBACK = "no feedback", "feedback, or a delay too large", "experiment"
 _NOT_VALID = "until the dynamics are modelled, the test of feedback is not valid"
 
 
@@ -55,35 +56,49 @@ class PairTest:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class SignalsResidualTest:
-    """Correlations of the residuals of several outputs with themselves and with the inputs."""
+class ResidualTest:
+    """Correlation of the residuals with themselves and with the inputs.
+
+    With one input and one output, the axes of the outputs and of the inputs are left out: `e` is
+    (N,), and `cross_correlation` is (2 L + 1,).
+    """
 
     outputs: tuple[str, ...]
-    """Names of the outputs."""
+    """Names of the ny outputs."""
     inputs: tuple[str, ...]
-    """Names of the inputs."""
+    """Names of the nu inputs."""
     e: Array
     """Residuals one step ahead, (N, ny), NaN where they are not known."""
     lags: NDArray[np.int_]
     """Lags 0 … L."""
     autocorrelation: Array
     """Correlation of e_i(t) with e_k(t - lag) at `lags`, (ny, ny, L + 1); 1 at i = k and lag 0."""
+    autocorrelation_band: float | Array
+    """Half width 2.58/sqrt(N) of the 99 % band for white residuals, (ny,), at all lags except 0."""
     white_by_output: tuple[Whiteness, ...]
-    """Test of the hypothesis that the residuals of each output are white."""
+    """Test of the hypothesis that the residuals of each output are white: portmanteau, or Ljung-Box
+    if the portmanteau is unreliable."""
     white: Whiteness
-    """Test of the hypothesis that the vector of residuals is white, for all outputs together."""
+    """Test of the hypothesis that the residuals of all outputs are white and uncorrelated with
+    earlier residuals of other outputs; str() returns it as text."""
+    ljung_box: float | Array
+    """p value of the Ljung-Box test of each output, (ny,), for comparison with other programs."""
     cross_lags: NDArray[np.int_]
     """Lags -L … L; at a positive lag the input precedes the residual."""
     cross_correlation: Array
     """Correlation of e_i(t) with u_j(t - lag) at `cross_lags`, (ny, nu, 2 L + 1)."""
+    cross_band: float | Array
+    """Half width 2.58 sqrt(P / (N R_e(0) R_u(0))) of the 99 % band, (ny, nu), if the parameters are
+    exactly known. `residuals` defines P."""
     cross_std: Array
-    """Standard deviations of `cross_correlation`, with the effect of the estimated parameters."""
+    """Standard deviation of `cross_correlation`, including the effect of the estimated
+    parameters."""
     missing_dynamics_by_pair: Array
-    """For each output and input, the p value of the hypothesis that past and present input are
-    uncorrelated with the residuals, (ny, nu)."""
+    """For each output and input, the p value of the hypothesis that past and present input, lags
+    0 … L, are uncorrelated with the residuals, (ny, nu)."""
     feedback_by_pair: Array
-    """For each output and input, the p value of the hypothesis that future input is uncorrelated
-    with the residuals, (ny, nu)."""
+    """For each output and input, the p value of the hypothesis that future input, lags -L … -1, is
+    uncorrelated with the residuals, (ny, nu)."""
     missing_dynamics: float
     """p value of the hypothesis that no past or present input is correlated with any residual."""
     feedback: float
@@ -98,6 +113,16 @@ class SignalsResidualTest:
     findings: tuple[EstimateFinding, ...] = ()
     """Warnings, with the code "overlap" if the model was also estimated from a part of these data.
     """
+
+    @property
+    def whiteness(self) -> float:
+        """Return the p value of the joint test of whiteness, `whiteness_test`."""
+        return self.white.p_value
+
+    @property
+    def whiteness_test(self) -> str:
+        """Return the name of the joint test of whiteness."""
+        return self.white.test
 
     @property
     def rejects(self) -> bool:
@@ -132,22 +157,23 @@ class SignalsResidualTest:
                 f"of {listed(self.inputs)}"
             )
         i, j = self.outputs.index(output), self.inputs.index(input)
+        shape = len(self.outputs), len(self.inputs)
         return PairTest(
             output=output,
             input=input,
             lags=self.cross_lags,
-            correlation=self.cross_correlation[i, j],
-            std=self.cross_std[i, j],
+            correlation=self.cross_correlation.reshape(*shape, -1)[i, j],
+            std=self.cross_std.reshape(*shape, -1)[i, j],
             missing_dynamics=float(self.missing_dynamics_by_pair[i, j]),
             feedback=float(self.feedback_by_pair[i, j]),
         )
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure with a row for each output: autocorrelation, cross-correlations."""
+        """Return a figure of the correlations: see `armrig.plots.plot_residuals`."""
         from armrig.plots.layout import figure_of
-        from armrig.validation.multivariable.figures import plot_signals_residuals
+        from armrig.validation.residual_figure import plot_residual_test
 
-        return figure_of(plot_signals_residuals(self, ax=ax))
+        return figure_of(plot_residual_test(self, ax=ax))
 
     def _repr_html_(self) -> str:
         """Return text and figure as HTML for a notebook."""
@@ -158,31 +184,45 @@ class SignalsResidualTest:
     def __repr__(self) -> str:
         """Return a text: the joint tests, then a line for each output and each rejected pair."""
         where = "estimation" if self.on_estimation_data else "validation"
-        counts = np.isfinite(self.e).sum(axis=0).tolist()
-        missing = self.missing_dynamics < WHITE_LEVEL
+        if self.powerless and not self.rejects:
+            powerless = f"residuals on {where} data: no test has power: {self.powerless}"
+            return "\n".join([powerless, *self._warnings()])
+        several = self.missing_dynamics_by_pair.size > 1
+        counts = np.isfinite(self.e).sum(axis=0)
+        look = ": look at the noise model or order" if self.white.coloured else ""
+        not_valid = several and self.missing_dynamics < WHITE_LEVEL
         lines = [
-            f"residuals on {where} data, {listed([str(n) for n in counts])} samples",
-            f"  all outputs together: {self.white}",
+            f"residuals on {where} data, {listed([str(n) for n in np.atleast_1d(counts)])} samples",
+            f"  {'all outputs together: ' * (len(self.outputs) > 1)}{self.white}{look}",
             f"  {_verdict(*_DYNAMICS, self.missing_dynamics)}",
-            f"  {_NOT_VALID if missing else _verdict(*_FEEDBACK, self.feedback)}",
-            *([f"  no power: {self.powerless}"] if self.powerless else []),
+            f"  {_NOT_VALID if not_valid else _verdict(*_FEEDBACK, self.feedback)}",
         ]
-        lines += [
-            f"  {name}: {white}"
-            for name, white in zip(self.outputs, self.white_by_output, strict=True)
-        ]
+        if several:
+            lines += self._of_each(with_feedback=not not_valid)
+        return "\n".join([*lines, *self._warnings()])
+
+    def _of_each(self, *, with_feedback: bool) -> Iterator[str]:
+        """Yield the whiteness of each output, and each pair that a test rejects."""
+        if len(self.outputs) > 1:
+            for name, white in zip(self.outputs, self.white_by_output, strict=True):
+                yield f"  {name}: {white}"
         of_pairs = [(self.missing_dynamics_by_pair, _DYNAMICS[1])]
-        if not missing:
+        if with_feedback:
             of_pairs.append((self.feedback_by_pair, _FEEDBACK[1]))
         for p, what in of_pairs:
-            lines += [
-                f"  {self.inputs[j]} to {self.outputs[i]}: {what} (p {p_relation(float(p[i, j]))})"
-                for i, j in zip(*np.nonzero(p < WHITE_LEVEL / p.size), strict=True)
-            ]
-        return "\n".join([*lines, *(f"  {finding.text}" for finding in self.findings)])
+            for i, j in zip(*np.nonzero(p < WHITE_LEVEL / p.size), strict=True):
+                pair = f"{self.inputs[j]} to {self.outputs[i]}"
+                yield f"  {pair}: {what} (p {p_relation(float(p[i, j]))})"
+
+    def _warnings(self) -> list[str]:
+        return [f"  {finding.text}" for finding in self.findings]
 
 
-def _verdict(good: str, bad: str, p: float) -> str:
+def _verdict(good: str, bad: str, look: str, p: float) -> str:
+    """Return the result of a test as text, with the setting to look at if the test rejects."""
     if not p >= 0:
-        return f"{good}: too few samples to test"
-    return f"{bad if p < WHITE_LEVEL else good} (p {p_relation(p)})"
+        subject = bad.partition(",")[0]
+        return f"{subject}: not tested, because u is constant or the samples are few"
+    if p < WHITE_LEVEL:
+        return f"{bad} (p {p_relation(p)}): look at the {look}"
+    return f"{good} (p {p_relation(p)})"

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.estimation.multivariable.state_space_problem import (
+from armrig.estimation.state_space_problem import (
     StateSpaceProblem,
     reflected_matrix,
     stable_matrix,
 )
-from armrig.estimation.multivariable.subspace import (
+from armrig.estimation.subspace import (
     complete_stretches,
-    from_impulses,
     long_regression,
-    projected,
+    projection,
     realised,
+    windows,
 )
 from armrig.numerics.polynomial import Array
 
@@ -49,10 +49,11 @@ def starts(
         whole = complete_stretches(signals, 4 * horizon)
         if not whole:
             continue
+        w = windows(whole, past=horizon, future=horizon)
         for weights in ("cva", "moesp"):
-            A, C, K = realised(projected(whole, horizon, weights), n)
-            name = f"n4sid, {weights}, horizon {horizon}"
-            found[name] = (A - K @ C if problem.noise else A, C)
+            space = realised(w, projection(w, weights), n)
+            Abar = space.A - space.gain() @ space.C if problem.noise else space.A
+            found[f"n4sid, {weights}, horizon {horizon}"] = (Abar, space.C)
     for lags in dict.fromkeys(max(min(k, most), n + 1) for k in (2 * n + 2, 4 * n + 10)):
         whole = complete_stretches(signals, 2 * lags)
         if not whole:
@@ -60,7 +61,7 @@ def starts(
         psi = long_regression(whole, lags, direct=problem.direct)
         if not problem.noise:
             psi = _simulated_impulses(psi, signals[0][0].shape[1], 2 * lags)
-        found[f"ARX of order {lags}"] = from_impulses(psi, n)
+        found[f"ARX of order {lags}"] = _from_impulses(psi, n)
     stable = {
         name: (reflected_matrix(Abar), C)
         for name, (Abar, C) in found.items()
@@ -130,3 +131,13 @@ def _simulated_impulses(psi: Array, nu: int, length: int) -> Array:
         for m in range(min(k, lags)):
             g[k] += psi[m, :, nu:] @ g[k - m - 1]
     return g
+
+
+def _from_impulses(impulses: Array, order: int) -> tuple[Array, Array]:
+    """Return A and C of the impulse response (k, ny, m), from its Hankel matrix (Ho and Kalman)."""
+    k, ny, _ = impulses.shape
+    r = (k + 1) // 2
+    H = np.block([[impulses[a + b] for b in range(k - r + 1)] for a in range(r)])
+    U, s, _ = np.linalg.svd(H, full_matrices=False)
+    Gamma = U[:, :order] * np.sqrt(s[:order])
+    return np.linalg.pinv(Gamma[:-ny]) @ Gamma[ny:], Gamma[:ny]

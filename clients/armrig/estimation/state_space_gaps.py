@@ -24,15 +24,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.estimation.multivariable.inference import pairwise_covariance
-from armrig.estimation.multivariable.state_space_problem import (
+from armrig.estimation.state_space_problem import (
     Part,
     Predictor,
     parts_of,
     stable_matrix,
     tangent,
 )
-from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whitening import patterns
@@ -184,17 +184,21 @@ class GapProblem:
             found.append(e)
         return found
 
-    def influence(self, at: Predictor) -> Array:
-        """Return the derivatives of the whitened predictions; initial states are projected out.
+    def influence(self, at: Predictor) -> tuple[Array, tuple[Basis, ...]]:
+        """Return the derivatives of the whitened predictions, and the effects of initial states.
 
         The matrix (ny N, d) has one column for each entry of t in `moved`, except the initial
-        states. The covariance S(t) of the errors is held constant.
+        states, which are projected out. The covariance S(t) of the errors is held constant.
         """
         V = tangent(at.Abar, at.C)
         states = at.Abar.shape[0] * len(self.parts)
         size = V.shape[1] + at.Bbar.size + at.K.size + self.direct * at.D.size
         _, J, _, _ = self.linearise(at, V, np.zeros(size + states))
-        return orthonormal(J[:, size:]).without(J[:, :size])
+        sizes = np.cumsum([part.y.size for part in self.parts])[:-1]
+        free = np.split(J[:, size:], sizes)
+        bases = tuple(orthonormal(Z[:, Z.any(axis=0)]) for Z in free)
+        pairs = zip(bases, np.split(J[:, :size], sizes), strict=True)
+        return np.vstack([Z.without(by) for Z, by in pairs]), bases
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,29 +6,39 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from armrig.estimation.multivariable.inference import pairwise_covariance
+from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.polynomial import Array
-from armrig.numerics.whiteness import NOT_TESTED, Whiteness, decided
-from armrig.validation.multivariable.projection import Part, Projection, sum_of_products
+from armrig.numerics.whiteness import NOT_TESTED, Whiteness, decided, portmanteau
+from armrig.validation.projection import Part, Projection, sum_of_products
 
 
 def white_by_output(
-    parts: Sequence[Part], projected: Projection, L: int, *, own: bool
-) -> tuple[Whiteness, ...]:
-    """Test for each output whether its residuals are white."""
+    projected: Projection, theta_covariance: Array | None, L: int
+) -> list[Whiteness]:
+    """Test for each output whether its residuals are white.
+
+    Parameters
+    ----------
+    theta_covariance : ndarray (p, p), optional
+        Covariance of the parameters, if they were estimated from other data.
+    """
+    parts = projected.parts
+    if parts[0].e.shape[1] == 1:
+        e, Psi, S = zip(*((p.e[:, 0], p.Psi[:, 0], p.S[:, 0]) for p in parts), strict=True)
+        return [portmanteau(e, Psi, S, L, theta_covariance)]
     Lambda = _covariance(parts)
     rows = np.diag(1 / np.sqrt(np.diag(Lambda)))
-    return tuple(_white(parts, projected, Lambda, row[None], L, own=own) for row in rows)
+    return [_white(projected, Lambda, row[None], theta_covariance, L) for row in rows]
 
 
-def jointly_white(parts: Sequence[Part], projected: Projection, L: int, *, own: bool) -> Whiteness:
+def jointly_white(projected: Projection, theta_covariance: Array | None, L: int) -> Whiteness:
     """Test whether the residuals of all outputs are jointly white, also across outputs.
 
     The residuals are whitened across the outputs. Instants with a missing output are left out.
     """
-    Lambda = _covariance(parts)
+    Lambda = _covariance(projected.parts)
     T = np.linalg.inv(np.linalg.cholesky(Lambda))
-    return _white(parts, projected, Lambda, T, L, own=own)
+    return _white(projected, Lambda, T, theta_covariance, L)
 
 
 def _covariance(parts: Sequence[Part]) -> Array:
@@ -36,7 +46,7 @@ def _covariance(parts: Sequence[Part]) -> Array:
 
 
 def _white(
-    parts: Sequence[Part], projected: Projection, Lambda: Array, T: Array, L: int, *, own: bool
+    projected: Projection, Lambda: Array, T: Array, theta_covariance: Array | None, L: int
 ) -> Whiteness:
     """Test whether w = T e, which has m outputs with covariance 1, is white.
 
@@ -44,8 +54,10 @@ def _white(
     variance of a sum is the number of its products. The estimation changes cov e from Lambda to
     Lambda - B D^T - D B^T. B and D follow from the projection P on the estimated quantities. The
     last two terms shift the means of the sums, and the influence H = (1 - P)^T Z reduces the
-    covariance of the sums. For one output the test equals `armrig.numerics.whiteness.portmanteau`.
+    covariance of the sums. For one output the test equals `armrig.numerics.whiteness.portmanteau`,
+    which is quicker.
     """
+    parts = projected.parts
     m = T.shape[0]
     used = np.flatnonzero(T.any(axis=0))
     whole = [np.asarray(p.known[:, used].all(axis=1)) for p in parts]
@@ -73,12 +85,11 @@ def _white(
     V = np.broadcast_to(pairs * N / (N + 2), (m, m, L)).ravel()
     H = projected.influence(Z)
     M = np.diag(V) + _spread(H, Lambda) - _spread(Z, Lambda)
-    if not own:
+    if theta_covariance is not None:
         slope = sum_of_products([part.Psi for part in parts], H)
-        M += slope.T @ slope
+        M += slope.T @ theta_covariance @ slope
     mean = np.zeros((m, m, L))
-    known = [part.known for part in parts]
-    for (B, D), k in zip(projected.loss(Lambda, known), whole, strict=True):
+    for (B, D), k in zip(projected.loss(Lambda), whole, strict=True):
         b, d = ((T @ x) * k[:, None, None] for x in (B, D))
         for lag in range(1, L + 1):
             mean[:, :, lag - 1] -= _product(b, d, lag) + _product(d, b, lag)

@@ -8,14 +8,19 @@ The innovations form is ::
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.signals import Signals
-from armrig.models.model import Complex, Matrix, Vector, freeze
 from armrig.numerics.least_squares import column_norms
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 _MIN_SINGULAR_VALUE = 1e-4  # least singular value of the responses, divided by the largest
 _MIN_SHOWN_VALUE = 1e-10  # this ratio for a combination of states with a significant effect
@@ -73,18 +78,34 @@ class StateSpace:
         return np.asarray(x @ self.C.T + u @ self.D.T)
 
 
+def frozen(values: ArrayLike) -> Vector:
+    """Return a read-only copy of an array of numbers."""
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
+
+
+def freeze(value: Any, names: tuple[str, ...]) -> None:
+    """Replace the fields `names` of a dataclass by read-only arrays of numbers."""
+    for name in names:
+        object.__setattr__(value, name, frozen(getattr(value, name)))
+
+
 def predicted(
     system: StateSpace,
     part: Signals,
     *,
     horizon: int | None,
     integrating: tuple[bool, ...],
+    offset: bool = False,
     noise_std: Vector,
 ) -> Array:
     """Return ŷ (N, ny) of one experiment from y up to t - horizon; from u alone if horizon is None.
 
-    The initial state, and a ramp of each integrating output, are estimated by least squares. The
-    ramp represents the offset of the input. The innovation of a missing output is taken as 0. If
+    The initial state and a ramp of each integrating output are estimated by least squares. With
+    `offset`, the level of each other output is estimated, too. The ramp or the level represents the
+    offset of the input.
+    The innovation of a missing output is taken as 0. If
     the model is unstable, ŷ may be infinite. The predictions of an output are NaN before its first
     measured sample.
 
@@ -98,15 +119,15 @@ def predicted(
         system = system.deterministic
     used = part.valid if horizon is not None else np.zeros_like(part.valid)
     with np.errstate(over="ignore", invalid="ignore"):
-        r = _responses(system, part, integrating=integrating, used=used)
+        r = _responses(system, part, integrating=integrating, offset=offset, used=used)
         if not np.isfinite(r.errors).all():
             return np.full(part.y.shape, np.inf)
         c, x = r.combination(part, noise_std), r.x
         for _ in range((horizon or 1) - 1):
             ahead = x[:-1] @ system.A.T + r.inputs[:-1] @ system.B.T
             x = np.concatenate([x[:1], ahead])
-        is_ramp = np.arange(c.size) > system.order
-        own = _outputs(system, x, r.inputs) - r.outputs * is_ramp[:, None]
+        is_trend = np.arange(c.size) > system.order
+        own = _outputs(system, x, r.inputs) - r.outputs * is_trend[:, None]
     found = np.asarray(np.einsum("k,tki->ti", c, own))
     # Before the first measured sample of an output, hardly any data determine its state.
     unknown = np.cumsum(part.valid, axis=0) == 0
@@ -114,18 +135,18 @@ def predicted(
 
 
 def error_responses(
-    system: StateSpace, part: Signals, *, integrating: tuple[bool, ...]
+    system: StateSpace, part: Signals, *, integrating: tuple[bool, ...], offset: bool = False
 ) -> ErrorResponses:
     """Return the responses of the one-step error y - ŷ to the data and to estimated quantities.
 
-    The estimated quantities are the initial state and the ramps of `predicted`.
+    The estimated quantities are the initial state, the ramps and the levels of `predicted`.
     """
-    return _responses(system, part, integrating=integrating, used=part.valid)
+    return _responses(system, part, integrating=integrating, offset=offset, used=part.valid)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ErrorResponses:
-    """The m responses of a system: to the data, to each unit initial state, and to each ramp."""
+    """The m responses of a system: to the data, to each unit initial state, and to each trend."""
 
     inputs: Array
     """Inputs (N, m, nu)."""
@@ -143,16 +164,16 @@ class ErrorResponses:
 
 
 def _responses(
-    system: StateSpace, part: Signals, *, integrating: tuple[bool, ...], used: Array
+    system: StateSpace, part: Signals, *, integrating: tuple[bool, ...], offset: bool, used: Array
 ) -> ErrorResponses:
     """Return the responses; innovations of outputs not marked in `used` are taken as 0."""
-    at = [i for i, integrates in enumerate(integrating) if integrates]
+    at = [i for i, integrates in enumerate(integrating) if integrates or offset]
     n = system.order
     inputs, outputs = np.zeros((2, part.N, 1 + n + len(at), max(part.nu, part.ny)))
     inputs, outputs = inputs[:, :, : part.nu], outputs[:, :, : part.ny]
     inputs[:, 0], outputs[:, 0] = part.u, np.where(part.valid, part.y, 0.0)
     for k, i in enumerate(at, 1 + n):
-        outputs[:, k, i] = np.arange(1.0, part.N + 1.0)
+        outputs[:, k, i] = np.arange(1.0, part.N + 1.0) if integrating[i] else 1.0
     x0 = np.zeros((1 + n + len(at), n))
     x0[1 : 1 + n] = np.eye(n)
     x = _states(system, inputs, outputs, x0, used)

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
 
+from armrig.data.argument import takes_signals
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
 from armrig.estimation.data_checks import instability, origin, require_informative
-from armrig.estimation.multivariable.inference import (
-    OutputResiduals,
-    inferred,
-    pairwise_covariance,
-)
-from armrig.estimation.multivariable.n4sid import n4sid
-from armrig.estimation.multivariable.state_space_gaps import searched
-from armrig.estimation.multivariable.state_space_problem import (
+from armrig.estimation.n4sid import n4sid
+from armrig.estimation.orders import require_samples
+from armrig.estimation.search import ranked
+from armrig.estimation.state_space_fit import derivatives, inference, influence, matrices
+from armrig.estimation.state_space_gaps import searched
+from armrig.estimation.state_space_problem import (
     Linear,
     Part,
     Predictor,
@@ -27,19 +25,14 @@ from armrig.estimation.multivariable.state_space_problem import (
     delays_of,
     parts_of,
     scaled_signals,
-    stacked,
     tangent,
-    whitened,
-    without,
 )
-from armrig.estimation.multivariable.state_space_starts import moved_modes, starts
-from armrig.estimation.orders import require_samples
-from armrig.estimation.search import ranked
-from armrig.models.estimate import Start
-from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.multivariable.matrices import Matrices
+from armrig.estimation.state_space_starts import moved_modes, starts
+from armrig.models.fit import Fit
+from armrig.models.matrices import Matrices
+from armrig.models.quality import Start
 from armrig.numerics.checks import require_flags, require_integers
-from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed
 from armrig.numerics.whitening import whitening
@@ -89,6 +82,7 @@ class _Criterion:
         return self.given, ny * float(np.log(mean))
 
 
+@takes_signals
 def ss(
     data: Signals,
     *,
@@ -96,7 +90,7 @@ def ss(
     nk: int | Sequence[int] = 1,
     noise: bool = True,
     output_weights: Sequence[float] | None = None,
-) -> MultivariableFit:
+) -> Fit:
     """Estimate A, B, C, D and K of x(t+1) = A x + B u + K e, y = C x + D u + e.
 
     The search minimises log det of the covariance of the prediction errors, or, with given weights
@@ -106,7 +100,7 @@ def ss(
 
     Parameters
     ----------
-    data : Signals
+    data : Dataset or Signals
         N samples of nu inputs and ny outputs. After a missing y, a Kalman filter computes the
         predictions. The search then takes about ten times as long.
     order : int, optional
@@ -123,7 +117,7 @@ def ss(
 
     Returns
     -------
-    MultivariableFit
+    Fit
         The covariance of the matrices is singular in the directions that only change the state's
         coordinates. Use the standard deviations of poles and responses.
 
@@ -151,7 +145,7 @@ def ss(
     alpha: 97.5 %
     """
     if order is None:
-        order = n4sid(data, nk=nk, replicates=0).form.realised().A.shape[0]
+        order = n4sid(data, nk=nk).form.realised().A.shape[0]
     require_integers(order=(order, 1))
     require_flags(noise=noise)
     delays = delays_of(nk, data)
@@ -192,24 +186,26 @@ def ss(
     )
     if gaps:
         measured = [
-            (u, np.where(part.valid, y, np.nan))
+            (u, np.where(part.valid[part.N - len(y) :], y, np.nan))
             for (u, y), part in zip(signals, data.experiments(), strict=True)
         ]
         end = searched(measured, predictor, best.Lambda, direct=direct)
         problem, predictor = replace(problem, parts=end.problem.parts), end.predictor
         best = replace(best, iterations=best.iterations + end.iterations, converged=end.converged)
-        Psi, residuals = end.problem.influence(predictor), end.problem.residuals(predictor)
+        Psi, states = end.problem.influence(predictor)
+        residuals = end.problem.residuals(predictor)
     else:
-        Psi = _influence(problem, best, linear)
+        Psi, states = influence(problem, predictor, tangent(best.Abar, best.C))
         residuals = problem.residuals(best.Abar, best.C, linear)
-    form, T = _form(predictor, su, sy, delays, problem)
-    found = _inference(data, problem, Psi, residuals, sy)
+    by = derivatives(problem, predictor, tangent(predictor.Abar, predictor.C))
+    form, T = matrices(predictor, by, su, sy, delays)
+    found = inference(data, problem, Psi, states, residuals, sy)
     fields = found.fields()
     fields["covariance"] = T @ found.covariance @ T.T
     fields["covariance_robust"] = T @ found.covariance_robust @ T.T
-    return MultivariableFit(
+    return Fit(
         structure="ss",
-        orders=f"order={n}, nk={_short(delays)}" + ("" if noise else ", noise=False"),
+        specification=f"order={n}, nk={_short(delays)}" + ("" if noise else ", noise=False"),
         form=form,
         output_weights=weights,
         converged=best.converged,
@@ -231,7 +227,7 @@ def ss(
 def _filled(data: Signals, order: int, nk: int | Sequence[int]) -> Signals:
     """Return the data with missing outputs replaced by the output of an output-error model."""
     simulated = ss(data, order=order, nk=nk, noise=False).predict(data, horizon=None)
-    y = np.where(data.valid, data.y, simulated)
+    y = np.where(data.valid, data.y, simulated.reshape(data.y.shape))
     return data.replaced(step=None, y=y, valid=np.isfinite(y))
 
 
@@ -350,97 +346,6 @@ def _round(
         criterion=value,
         iterations=end.iterations + found.iterations,
         converged=abs(end.criterion - value) <= tolerance,
-    )
-
-
-def _form(
-    predictor: Predictor, su: Array, sy: Array, delays: tuple[int, ...], problem: StateSpaceProblem
-) -> tuple[Matrices, Array]:
-    """Return the model in units of the data, and the derivatives of its theta.
-
-    The derivatives are with respect to the parameters of the search, in this order: the coordinates
-    along the tangent space, Bbar and K (signal by signal), and D.
-    """
-    n, ny, nu = problem.order, sy.size, su.size
-    Abar, C, K, D = predictor.Abar, predictor.C, predictor.K, predictor.D
-    V = tangent(Abar, C)
-    width = n * nu + n * ny * problem.noise + ny * nu * problem.direct
-    d = V.shape[1] + width
-    by_Abar = np.zeros((d, n, n))
-    by_C, by_B = np.zeros((d, ny, n)), np.zeros((d, n, nu))
-    by_K, by_D = np.zeros((d, n, ny)), np.zeros((d, ny, nu))
-    by_Abar[: V.shape[1]] = V[: n * n].T.reshape(-1, n, n)
-    by_C[: V.shape[1]] = V[n * n :].T.reshape(-1, ny, n)
-    at = V.shape[1]
-    for s in range(nu + ny * problem.noise):
-        for k in range(n):
-            if s < nu:
-                by_B[at, k, s] = 1.0
-            else:
-                by_K[at, k, s - nu] = 1.0
-            at += 1
-    if problem.direct:
-        by_D[at:] = np.eye(ny * nu).reshape(-1, ny, nu)
-    by_A = by_Abar + by_K @ C + K @ by_C
-    by_B = by_B + by_K @ D + K @ by_D
-    form = Matrices(
-        A=Abar + K @ C,
-        B=(predictor.Bbar + K @ D) / su,
-        C=sy[:, None] * C,
-        D=sy[:, None] * D / su,
-        K=K / sy,
-        nk=delays,
-    )
-    blocks = [by_A, by_B / su, sy[:, None] * by_C, sy[:, None] * by_D / su, by_K / sy]
-    return form, np.hstack([b.reshape(d, -1) for b in blocks]).T
-
-
-def _influence(problem: StateSpaceProblem, best: _End, linear: Linear) -> Array:
-    """Return the derivatives of the whitened predictions; initial states are projected out."""
-    V = tangent(best.Abar, best.C)
-    by = problem.derivatives(best.Abar, best.C, linear, V)
-    along = [
-        without(Z, whitened(part, d))
-        for part, d, Z in zip(problem.parts, by, linear.states, strict=True)
-    ]
-    return np.hstack([stacked(along), linear.X])
-
-
-def _inference(
-    data: Signals, problem: StateSpaceProblem, Psi: Array, residuals: Sequence[Array], sy: Array
-) -> Any:
-    edges = problem.edges()
-    basis = orthonormal(Psi)
-    H = basis.Q @ basis.W.T
-    ny = sy.size
-    experiments = []
-    for part, e, at, experiment in zip(
-        problem.parts, residuals, edges, data.experiments(), strict=True
-    ):
-        whole = H[at].reshape(ny, part.u.shape[0], -1)
-        white = Psi[at].reshape(ny, part.u.shape[0], -1)
-        unwhitened = np.linalg.inv(part.weights[0]) if part.rows.all() else None
-        of = []
-        for i in range(ny):
-            h = np.einsum("tk,ktd->td", part.weights[:, :, i], whole) / sy[i]
-            psi = (
-                np.einsum("k,ktd->td", unwhitened[i], white) if unwhitened is not None else white[i]
-            )
-            of.append(
-                OutputResiduals(
-                    e=e[:, i] * sy[i],
-                    y=experiment.y[:, i],
-                    H=h,
-                    Psi=psi,
-                    Z=np.zeros((e.shape[0], 0)),
-                )
-            )
-        experiments.append(of)
-    states = problem.order * len(problem.parts)
-    return inferred(
-        experiments,
-        parameters=[(Psi.shape[1] + states) / ny] * ny,
-        score="correlated" if problem.noise else "exogenous",
     )
 
 

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.models.model import Matrix, Vector
-from armrig.models.multivariable.interpolation import circle, coefficients
-from armrig.models.multivariable.polynomials import Channel
-from armrig.models.multivariable.state_space import StateSpace
+from armrig.models.polynomials import Matrix, Polynomials, Vector, circle, coefficients
+from armrig.models.state_space import StateSpace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,8 +53,8 @@ class Matrices:
 
     @property
     def coupled(self) -> bool:
-        """True, because the channels have no noise polynomials of their own."""
-        return True
+        """True if there are several outputs: their channels have no C and D of their own."""
+        return len(self.C) > 1
 
     @property
     def integrators(self) -> tuple[bool, ...]:
@@ -67,43 +65,47 @@ class Matrices:
         """Return True: each input affects each output."""
         return True
 
-    def channel(self, i: int, j: int) -> Channel:
-        """Return B and F from input j to output i, with F(x) = det(1 - x A) and x = q^-1.
+    def channel(self, i: int, j: int) -> tuple[Polynomials, Matrix]:
+        """Return the polynomials from input j to output i, and their derivatives (m, d).
 
-        With W = inv(1 - x A), B = F (D + x C W B). The derivatives are d F = -x F tr(W dA) and
-        d W = x W dA W.
+        With x = q^-1, W = inv(1 - x A), c = C_i and b = B_j, the model is y = B/F u. With a single
+        output and K, the model is F y = B u + C e ::
+
+            F = det(1 - x A),    B = F (D + x c W b),    C = det(1 - x (A - K c))
+
+        The derivatives are d F = -x F tr(W dA) and d W = x W dA W.
         """
-        n = self.A.shape[0]
+        n, nu, ny = self.A.shape[0], self.B.shape[1], self.C.shape[0]
         x = circle(n + 1, np.linalg.eigvals(self.A))
         W = np.linalg.inv(np.eye(n) - x[:, None, None] * self.A)
         F = 1 / np.linalg.det(W)
         cW, Wb = self.C[i] @ W, W @ self.B[:, j]
         G = self.D[i, j] + x * (cW @ self.B[:, j])
-        by_F, by_B = np.zeros((2, x.size, self.theta.size), dtype=np.complex128)
+        by_F, by_B, by_C = np.zeros((3, x.size, self.theta.size), dtype=np.complex128)
+        c = n * (n + nu) + i * n + np.arange(n)
         by_F[:, : n * n] = (-x * F)[:, None] * W.transpose(0, 2, 1).reshape(x.size, -1)
         by_B[:, : n * n] = by_F[:, : n * n] * G[:, None]
         moved = (x**2 * F)[:, None, None] * cW[:, :, None] * Wb[:, None, :]
         by_B[:, : n * n] += moved.reshape(x.size, -1)
-        nu, ny = self.B.shape[1], self.C.shape[0]
-        b = n * n + np.arange(n) * nu + j
-        c = n * (n + nu) + i * n + np.arange(n)
-        by_B[:, b] = (x * F)[:, None] * cW
+        by_B[:, n * n + np.arange(n) * nu + j] = (x * F)[:, None] * cW
         by_B[:, c] = (x * F)[:, None] * Wb
         by_B[:, n * (n + nu + ny) + i * nu + j] = F
         first = min(self.nk[j], 1)
         delay = self.nk[j] - first
-        return Channel(
-            polynomials={
-                "A": np.ones(1),
-                "B": np.concatenate([np.zeros(delay + first), coefficients(F * G, x)[first:]]),
-                "C": np.ones(1),
-                "D": np.ones(1),
-                "F": np.append(1.0, coefficients(F, x)[1:]),
-            },
-            J=np.vstack([coefficients(by_B, x)[first:], coefficients(by_F, x)[1:]]),
-            nk=self.nk[j],
-            integrator=False,
+        B = np.concatenate([np.zeros(delay + first), coefficients(F * G, x)[first:]])
+        f = np.append(1.0, coefficients(F, x)[1:])
+        dB, dF = coefficients(by_B, x)[first:], coefficients(by_F, x)[1:]
+        if self.coupled or not self.K.any():
+            return Polynomials.of_channel(B=B, F=f, nk=self.nk[j]), np.vstack([dB, dF])
+        V = np.linalg.inv(np.eye(n) - x[:, None, None] * (self.A - self.K @ self.C))
+        C = 1 / np.linalg.det(V)
+        by_C[:, : n * n] = (-x * C)[:, None] * V.transpose(0, 2, 1).reshape(x.size, -1)
+        by_C[:, c] = (x * C)[:, None] * (V @ self.K[:, 0])
+        by_C[:, -n:] = (x * C)[:, None] * (self.C[0] @ V)
+        form = Polynomials.of_channel(
+            A=f, B=B, C=np.append(1.0, coefficients(C, x)[1:]), nk=self.nk[j]
         )
+        return form, np.vstack([dF, dB, coefficients(by_C, x)[1:]])
 
     def realised(self) -> StateSpace:
         """Return the innovations form, with a chain of states for each delay beyond one sample."""

@@ -1,10 +1,10 @@
-"""Polynomials of A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) with several inputs and outputs.
+"""Polynomials of A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) with any number of signals.
 
 Row i of the model is ::
 
     sum_k A_ik y_k = sum_j B_ij/F_ij u_j + C_i/D_i e_i
 
-Either all F and D are 1 (ARX, ARMAX), or A is the identity (OE, BJ).
+If A has elements outside its diagonal, all F and D are 1 (ARX, ARMAX).
 """
 
 from __future__ import annotations
@@ -15,27 +15,20 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from armrig.models.model import Matrix, Vector
-from armrig.models.multivariable.interpolation import circle, coefficients
-from armrig.models.multivariable.state_space import StateSpace
+from armrig.models.state_space import StateSpace, frozen
 
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Row = tuple[Vector, ...]
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Channel:
-    """Polynomials from one input to one output, and their derivatives."""
-
-    polynomials: dict[str, Vector]
-    """Coefficients of A, B, C, D and F by letter."""
-    J: Matrix
-    """Derivatives of the channel's theta with respect to the theta of the whole model."""
-    nk: int
-    """Number of samples before the input affects the output."""
-    integrator: bool
-    """True if F, or A if there is no F, has the factor 1 - q^-1 by construction."""
+_ONE = np.ones(1)
+_RADIUS = 1.05
+"""Radius of the circle in q, divided by the modulus of the largest pole. If all poles are inside
+the unit circle, this number is the radius itself."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,7 +48,34 @@ class Polynomials:
     nk: tuple[tuple[int, ...], ...]
     """Number of samples before input j affects output i."""
     integrators: tuple[bool, ...]
-    """True for each output whose row has the factor 1 - q^-1 by construction."""
+    """True for each output whose row has the factor 1 - q^-1 by construction, in F, or in A if
+    there is no F."""
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for name in "ABF":
+            rows = tuple(tuple(map(frozen, row)) for row in getattr(self, name))
+            object.__setattr__(self, name, rows)
+        for name in "CD":
+            object.__setattr__(self, name, tuple(map(frozen, getattr(self, name))))
+
+    @classmethod
+    def of_channel(
+        cls,
+        *,
+        B: ArrayLike,
+        nk: int,
+        A: ArrayLike = _ONE,
+        C: ArrayLike = _ONE,
+        D: ArrayLike = _ONE,
+        F: ArrayLike = _ONE,
+        integrator: bool = False,
+    ) -> Polynomials:
+        """Return the polynomials from one input to one output."""
+        a, b, c, d, f = (np.asarray(p, dtype=np.float64) for p in (A, B, C, D, F))
+        return cls(
+            A=((a,),), B=((b,),), C=(c,), D=(d,), F=((f,),), nk=((nk,),), integrators=(integrator,)
+        )
 
     @property
     def theta(self) -> Vector:
@@ -120,26 +140,31 @@ class Polynomials:
         """Return whether input j affects output i."""
         return self.coupled or self.B[i][j].size > self.nk[i][j]
 
-    def channel(self, i: int, j: int) -> Channel:
-        """Return the polynomials from input j to output i."""
+    def channel(self, i: int, j: int) -> tuple[Polynomials, Matrix]:
+        """Return the polynomials from input j to output i, and their derivatives.
+
+        The derivatives (m, d) are those of the m parameters of the channel with respect to theta.
+        """
         if not self.has(i, j):
             raise InputError("this input does not affect this output: nb is 0")
         if self.coupled:
             return self._coupled_channel(i, j)
-        p = {"A": self.A[i][i], "B": self.B[i][j], "C": self.C[i], "D": self.D[i]}
-        p["F"] = self.F[i][j]
         columns = {"a": i, "b": j, "c": i, "d": i, "f": j}
         at = np.concatenate(
             [np.r_[self.slice_of(letter, i, k)] for letter, k in columns.items()]
         ).astype(np.int_)
-        return Channel(
-            polynomials=p,
-            J=np.eye(self.theta.size)[at],
+        form = Polynomials.of_channel(
+            A=self.A[i][i],
+            B=self.B[i][j],
+            C=self.C[i],
+            D=self.D[i],
+            F=self.F[i][j],
             nk=self.nk[i][j],
             integrator=self.integrators[i],
         )
+        return form, np.eye(self.theta.size)[at]
 
-    def _coupled_channel(self, i: int, j: int) -> Channel:
+    def _coupled_channel(self, i: int, j: int) -> tuple[Polynomials, Matrix]:
         """Return B/F with F = det A and B = row i of adj A times column j of B.
 
         F and B are interpolated from their values at points on a circle in q^-1. With X = inv(A)
@@ -176,18 +201,12 @@ class Polynomials:
         dF, dB = (coefficients(v, x) for v in (by_det, by_B))
         paths = [k for k in range(ny) if self.B[k][j].size > self.nk[k][j]]
         nk = min(self.nk[k][j] + int(k != i) for k in paths)
-        return Channel(
-            polynomials={
-                "A": np.ones(1),
-                "B": np.append(np.zeros(nk), B[nk : last + 1]),
-                "C": np.ones(1),
-                "D": np.ones(1),
-                "F": np.append(1.0, F[1 : degree + 1]),
-            },
-            J=np.vstack([dB[nk : last + 1], dF[1 : degree + 1]]),
+        form = Polynomials.of_channel(
+            B=np.append(np.zeros(nk), B[nk : last + 1]),
+            F=np.append(1.0, F[1 : degree + 1]),
             nk=nk,
-            integrator=False,
         )
+        return form, np.vstack([dB[nk : last + 1], dF[1 : degree + 1]])
 
     def realised(self) -> StateSpace:
         """Return the innovations form; the last states are the noise states of OE and BJ models."""
@@ -228,8 +247,11 @@ class Polynomials:
             part["K"][:, i] = _tail(self.C[i], n)
             part["D"] = D
             return part, _observer(0, nu, ny)
+        # A row with A and with F or D has the responses B/(A F) and C/(A D).
+        F = [np.convolve(self.A[i][i], f) for f in self.F[i]]
+        below = np.convolve(self.A[i][i], self.D[i])
         blocks = []
-        for j, (b, f) in enumerate(zip(self.B[i], self.F[i], strict=True)):
+        for j, (b, f) in enumerate(zip(self.B[i], F, strict=True)):
             n = max(b.size, f.size) - 1
             block = _observer(n, nu, ny)
             block["A"][:, :1] -= _tail(f, n)[:, None]
@@ -243,10 +265,10 @@ class Polynomials:
             "C": np.concatenate([p["C"] for p in blocks]),
             "D": D,
         }
-        n = max(self.C[i].size, self.D[i].size) - 1
+        n = max(self.C[i].size, below.size) - 1
         noise = _observer(n, nu, ny)
-        noise["A"][:, :1] -= _tail(self.D[i], n)[:, None]
-        noise["K"][:, i] = _tail(self.C[i], n) - _tail(self.D[i], n)
+        noise["A"][:, :1] -= _tail(below, n)[:, None]
+        noise["K"][:, i] = _tail(self.C[i], n) - _tail(below, n)
         return driven, noise
 
 
@@ -280,3 +302,20 @@ def _with_sum(block: dict[str, Any]) -> dict[str, Any]:
 def _tail(p: Vector, n: int) -> Vector:
     """Return the coefficients after the first coefficient, padded with zeros to length n."""
     return np.pad(p[1:], (0, n + 1 - p.size))
+
+
+def circle(n: int, poles: Any) -> Complex:
+    """Return n values of q^-1 on a circle in q that contains all poles."""
+    radius = _RADIUS * max(1.0, float(np.max(np.abs(poles), initial=0.0)))
+    return np.asarray(np.exp(-2j * np.pi * np.arange(n) / n) / radius)
+
+
+def coefficients(values: Any, x: Complex) -> Any:
+    """Return the n coefficients of the polynomials in q^-1 with the values (n, …) at the points x.
+
+    The points are those of `circle`.
+    """
+    n = x.size
+    powers = np.abs(x[0]) ** np.arange(n)
+    found = np.fft.ifft(values, axis=0).real
+    return found / powers.reshape((n,) + (1,) * (found.ndim - 1))

@@ -11,10 +11,10 @@ import armrig
 import numpy as np
 import pytest
 from armrig import Dataset, Signals
-from armrig.estimation.multivariable.n4sid import _completed
-from armrig.estimation.multivariable.ss import _Criterion, _End, _improved
-from armrig.estimation.multivariable.state_space_gaps import GapProblem, searched
-from armrig.estimation.multivariable.state_space_problem import (
+from armrig.estimation.n4sid import completed
+from armrig.estimation.ss import _Criterion, _End, _improved
+from armrig.estimation.state_space_gaps import GapProblem, searched
+from armrig.estimation.state_space_problem import (
     Part,
     Predictor,
     StateSpaceProblem,
@@ -22,7 +22,8 @@ from armrig.estimation.multivariable.state_space_problem import (
     reflected_matrix,
     tangent,
 )
-from armrig.estimation.multivariable.subspace import projected
+from armrig.estimation.subspace import windows
+from armrig.estimation.subspace_horizon import Innovations
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.recursion import recursion, varying_recursion
 from armrig.numerics.whitening import whitening
@@ -31,7 +32,8 @@ from numpy.typing import NDArray
 
 from tests.sampling import sampled
 
-ss, n4sid = (import_module(f"armrig.estimation.multivariable.{name}") for name in ("ss", "n4sid"))
+ss = import_module("armrig.estimation.ss")
+n4sid = import_module("armrig.estimation.n4sid")
 
 N = 1200
 A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, 0.5]])
@@ -191,7 +193,7 @@ def test_a_start_value_is_stable() -> None:
 def test_noise_free_data_give_back_the_plant() -> None:
     for fit in (
         armrig.ss(data(scale=0.0), order=3, noise=False),
-        armrig.n4sid(data(scale=1e-7), 3, replicates=0),
+        armrig.n4sid(data(scale=1e-7), 3),
     ):
         np.testing.assert_allclose(nearest(fit.poles().values), POLES, atol=1e-5)
         G = fit.frequency_response([2.0]).G[0]
@@ -238,10 +240,10 @@ def test_one_input_and_output_give_the_armax_model() -> None:
 
     fit = armrig.ss(Signals(u=u, y=y, Ts=1.0), order=2)
 
-    channel = fit["y", "u"]
-    np.testing.assert_allclose(channel.F, known.A, atol=2e-5)
-    np.testing.assert_allclose(channel.B, known.B, atol=2e-5)
-    np.testing.assert_allclose(channel.std, [*known.std[2:4], *known.std[:2]], rtol=1e-3)
+    np.testing.assert_allclose(fit.A, known.A, atol=2e-5)
+    np.testing.assert_allclose(fit.B, known.B, atol=2e-5)
+    np.testing.assert_allclose(fit.C, known.C, atol=2e-5)
+    np.testing.assert_allclose(fit.std, known.std, rtol=1e-3)
     assert fit.quality[0].loss == pytest.approx(known.loss, rel=1e-8)
 
 
@@ -269,22 +271,23 @@ def test_missing_outputs_of_an_output_error_model_are_left_out() -> None:
 
 def test_a_subspace_estimate_worse_than_the_mean_is_reported() -> None:
     signals = armrig.example_recording().signals()
-    poor, good = (armrig.n4sid(signals, n, replicates=0) for n in (1, 4))
+    poor, good = (armrig.n4sid(signals, n) for n in (1, 4))
 
     (found,) = (x for x in poor.findings if x.about == "poor_fit")
     assert found.level == "warning"
     assert found.text.startswith("the model predicts alpha worse than the mean of alpha does")
     assert found.numbers["fit_percent"] == poor.quality[1].fit_percent < 0
-    assert not good.findings
+    assert [x.about for x in good.findings] == ["bound"]
 
 
 def test_a_subspace_estimate_predicts_the_missing_outputs() -> None:
     """theta_1 is far from 0 where it is missing, and K leads its errors to alpha."""
-    fit = armrig.n4sid(armrig.example_recording().signals(), 4, replicates=0)
+    fit = armrig.n4sid(armrig.example_recording().signals(), 4)
 
-    assert [found.fit_percent for found in fit.quality] == pytest.approx([99.99, 97.4], abs=0.1)
-    losses = [found.loss for found in fit.quality]
-    np.testing.assert_allclose(np.diag(fit.noise_covariance), losses)
+    assert [found.fit_percent for found in fit.quality] == pytest.approx([99.99, 97.6], abs=0.1)
+    # A, C, B and K of four states, and the initial state, are fitted to the two outputs.
+    expected = [q.loss * q.N / (q.N - (8 + 4 + 8 + 4) / 2) for q in fit.quality]
+    np.testing.assert_allclose(np.diag(fit.noise_covariance), expected)
     np.testing.assert_allclose(fit.noise_covariance, fit.noise_covariance.T)
 
 
@@ -370,9 +373,9 @@ def test_replicates_have_the_missing_samples_of_the_data(monkeypatch: pytest.Mon
     seen: list[list[Array]] = []
     estimated = n4sid._estimated
 
-    def watched(signals: Any, *of: Array, direct: bool) -> Any:
+    def watched(signals: Any, options: Any) -> Any:
         seen.append([np.isfinite(y) for _, y in signals])
-        return estimated(signals, *of, direct=direct)
+        return estimated(signals, options)
 
     monkeypatch.setattr(n4sid, "_estimated", watched)
     whole = data(missing=0.02)[:400]
@@ -405,7 +408,7 @@ def test_the_factor_of_windows_has_their_squares(offset: float, scale: float) ->
     signals, i = data(scale=scale), 8
     parts = [(signals.u[at] + offset, signals.y[at] - offset) for at in (slice(300), slice(300, N))]
 
-    R = projected(parts, i, "cva").R
+    R = windows(parts, past=i, future=i).R
 
     rows = [
         np.concatenate([*u[t + i : t + 2 * i], *u[t : t + i], *y[t : t + i], *y[t + i : t + 2 * i]])
@@ -419,26 +422,27 @@ def test_the_factor_of_windows_has_their_squares(offset: float, scale: float) ->
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", [1, 2])
 def test_missing_outputs_are_estimated_until_they_settle(seed: int) -> None:
-    whole, gaps = (armrig.n4sid(data(seed, missing=m), 3, replicates=0) for m in (0.0, 0.2))
+    whole, gaps = (armrig.n4sid(data(seed, missing=m), 3) for m in (0.0, 0.2))
     found, expected = (nearest(fit.poles().values) for fit in (gaps, whole))
 
     # Interpolated values alone move the real pole by 0.05.
     assert np.abs(found - expected).max() < 0.003
     assert gaps.converged
-    assert not any(f.code == "not_converged" for f in gaps.findings)
+    assert not any(f.about == "not_converged" for f in gaps.findings)
 
 
 def test_a_predictor_does_not_need_the_value_of_a_missing_output() -> None:
     rng = np.random.default_rng(3)
     u, y = rng.standard_normal((40, 2)), rng.standard_normal((40, 2))
     y[[0, 5, 6, 7, 31], [0, 1, 1, 0, 1]] = np.nan
-    model, (predicted,) = _completed([(u, y)], A, C, K, direct=True)
+    model = Innovations(A=A, C=C, K=K, horizon=5, singular_values=np.ones(3), steady=True)
+    at, (predicted,), _ = completed([(u, y)], model, direct=True, level=False)
 
-    x, by_hand = model.x0[0], []
+    x, by_hand = at.x0[0], []
     for now, measured in zip(u, y, strict=True):
-        by_hand.append(model.C @ x + model.D @ now)
+        by_hand.append(C @ x + at.D @ now)
         e = np.where(np.isfinite(measured), measured - by_hand[-1], 0.0)
-        x = model.A @ x + model.B @ now + model.K @ e
+        x = A @ x + (at.Bbar + K @ at.D) @ now + K @ e
 
     np.testing.assert_allclose(predicted, by_hand, atol=1e-9)
 
@@ -457,18 +461,18 @@ def test_the_matrices_change_at_every_step_of_a_recursion() -> None:
 
 
 def test_the_replicates_have_the_deviations_of_many_runs() -> None:
-    fits = [armrig.n4sid(data(seed=s), 3, replicates=0) for s in range(60)]
+    fits = [armrig.n4sid(data(seed=s), 3) for s in range(60)]
     values = np.array([nearest(f.poles().values) for f in fits])
     spread = np.sqrt(np.var(values.real, axis=0) + np.var(values.imag, axis=0))
 
-    poles = armrig.n4sid(data(seed=7), 3).poles()
+    poles = armrig.n4sid(data(seed=7), 3, replicates=100).poles()
 
     order = [int(np.argmin(np.abs(poles.values - z))) for z in POLES]
     assert np.abs(poles.std[order] / spread - 1).max() < 0.45
 
 
 def test_the_order_is_suggested() -> None:
-    orders = [armrig.n4sid(data(seed=s), replicates=0).form.A.shape[0] for s in range(5)]
+    orders = [armrig.n4sid(data(seed=s)).form.A.shape[0] for s in range(5)]
 
     assert orders.count(3) >= 4
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.estimation.multivariable.subspace import complete_stretches, long_regression
+from armrig.estimation.subspace import complete_stretches, long_regression
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 

@@ -1,0 +1,196 @@
+"""Columns of numbers with names and units, from the arguments of a caller."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from math import isfinite
+from typing import Any, Literal, get_args
+
+import numpy as np
+from armrig_core.errors import InputError, InputTypeError
+from numpy.typing import ArrayLike, NDArray
+
+from armrig.numerics.stretches import Mask
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Intersample = Literal["zoh", "foh"]
+Names = str | Sequence[str]
+
+MAX_SIZE = 1e30
+"""Largest magnitude of a value: products of fourth powers of data must be finite."""
+_MAX_INTERVAL_DEVIATION = 1e-3
+"""Largest deviation of an interval of equidistant times, as a share of the mean interval."""
+
+
+def columns(name: str, values: Any) -> Matrix:
+    """Return a column-major copy (N, n) of the values, with NaN for masked values."""
+    if getattr(values, "ndim", 1) == 2 and is_pandas(values):
+        values = np.column_stack([plain(name, values.iloc[:, j]) for j in range(values.shape[1])])
+    given = np.ma.asanyarray(plain(name, values))
+    if given.dtype.kind not in "buif":
+        raise InputError(
+            f"{name} is an array of {given.dtype}; give real numbers, a column for each channel"
+        )
+    taken = np.array(np.ma.filled(given.astype(np.float64), np.nan), order="F")
+    if taken.ndim == 1:
+        taken = taken[:, None]
+    if taken.ndim != 2 or 0 in taken.shape:
+        raise InputError(
+            f"{name} has shape {taken.shape}; give (N, n), a row for each instant and a column for "
+            "each channel"
+        )
+    if taken.shape[1] > taken.shape[0]:
+        raise InputError(
+            f"{name} has {taken.shape[0]} rows and {taken.shape[1]} columns, fewer samples than "
+            f"channels; give {name}.T if the channels are the rows"
+        )
+    return taken
+
+
+def plain(name: str, values: Any) -> Any:
+    """Return a pandas column as an array, NaN for missing values; return other values unchanged.
+
+    Raises
+    ------
+    ValueError
+        A value is not a number, or `values` is a table instead of a column.
+    """
+    if not is_pandas(values):
+        return values
+    if getattr(values, "ndim", 1) != 1:
+        raise InputError(
+            f"{name} is a table of pandas with shape {values.shape}; give one column, df[{name!r}]"
+        )
+    if getattr(values.dtype, "kind", "") == "c":
+        return values.to_numpy()
+    try:
+        return values.to_numpy(dtype=np.float64, na_value=np.nan)
+    except (TypeError, ValueError) as err:
+        raise InputError(
+            f"{name} is a column of {values.dtype}: {err}; give numbers, see pandas.to_numeric"
+        ) from err
+
+
+def is_pandas(values: Any) -> bool:
+    """Return whether `values` is a pandas object, recognised by its methods."""
+    return hasattr(values, "to_numpy") and hasattr(values, "isna")
+
+
+def validity(valid: Any, shape: tuple[int, ...]) -> Mask:
+    """Return a copy of a mask for values of a shape; masked and missing entries become False."""
+    if valid is None:
+        return np.ones(shape, dtype=np.bool_)
+    if is_pandas(valid):
+        valid = valid.to_numpy(dtype=np.bool_, na_value=False)
+    given = np.array(np.ma.filled(np.ma.asanyarray(valid), False), dtype=np.bool_)
+    if given.ndim == 1 < len(shape):
+        given = given[:, None]
+    if given.shape != shape:
+        raise InputError(f"valid has shape {given.shape}, y has {shape}; give one bool per value")
+    return given
+
+
+def names_of(what: str, names: Names | None, values: Any, letter: str, n: int) -> tuple[str, ...]:
+    """Return n names; the default is the names of a DataFrame's columns, or `letter` and a number.
+
+    The empty name is only for a single channel.
+    """
+    if names is None and is_pandas(values) and hasattr(values, "columns"):
+        names = [str(name) for name in values.columns]
+    if names is None:
+        return (letter,) if n == 1 else tuple(f"{letter}{k + 1}" for k in range(n))
+    given = as_tuple(names)
+    if len(given) != n or not all(isinstance(name, str) and (name or n == 1) for name in given):
+        raise InputError(
+            f"{what}={list(given)!r}: {n} names are needed, one for each column of {letter}"
+        )
+    if repeated := sorted({name for name in given if given.count(name) > 1}):
+        raise InputError(f"{what}: {', '.join(repeated)} repeats; each channel needs its own name")
+    return given
+
+
+def units_of(what: str, units: Names | None, n: int) -> tuple[str, ...]:
+    """Return n units; the default is "", no unit."""
+    given = ("",) * n if units is None else as_tuple(units)
+    if len(given) != n:
+        raise InputError(
+            f'{what}={list(given)!r}: {n} units are needed, one for each channel; "" is none'
+        )
+    return given
+
+
+def courses_of(intersample: Names, n: int) -> tuple[Intersample, ...]:
+    """Return the course of each of n inputs between samples; one course is for all inputs."""
+    given = (intersample,) * n if isinstance(intersample, str) else tuple(intersample)
+    allowed = get_args(Intersample)
+    if len(given) != n or not set(given) <= set(allowed):
+        raise InputError(
+            f'intersample={intersample!r} must be "zoh" or "foh", or one of these for each of the '
+            f"{n} inputs"
+        )
+    return tuple(allowed[allowed.index(course)] for course in given)
+
+
+def as_tuple(names: Names) -> tuple[str, ...]:
+    """Return one name or several names as a tuple."""
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
+def starts_of(starts: Sequence[int], N: int) -> tuple[int, ...]:
+    """Return the indices of the first samples of the experiments; refuse indices out of order."""
+    starts_ = tuple(int(s) for s in starts)
+    if starts_[:1] != (0,) or not all(a < b for a, b in pairwise((*starts_, N))):
+        raise InputError(f"starts={starts_} must begin with 0 and rise strictly, below N={N}")
+    return starts_
+
+
+def sampling(
+    Ts: Any, t: ArrayLike | None, starts: tuple[int, ...], N: int
+) -> tuple[float | None, Vector | None]:
+    """Return (Ts, None) for equidistant samples, and (None, times) for other samples."""
+    if (Ts is None) == (t is None):
+        raise InputError("give either Ts, the sampling time in s, or t, the time of each sample")
+    if t is None:
+        return interval(Ts), None
+    times = np.array(plain("t", t), dtype=np.float64)
+    if times.shape != (N,) or not np.isfinite(times).all():
+        raise InputError(f"t has shape {times.shape}; give {N} finite times, one for each sample")
+    intervals = np.concatenate([np.diff(times[a:b]) for a, b in pairwise((*starts, N))])
+    if not intervals.size or not (intervals > 0).all():
+        raise InputError("t must rise from each sample of an experiment to the next")
+    mean = float(np.mean(intervals))
+    if np.max(np.abs(intervals - mean)) <= _MAX_INTERVAL_DEVIATION * mean:
+        return mean, None
+    return None, times
+
+
+def interval(Ts: Any) -> float:
+    """Return a sampling time in s; refuse a value that is not one finite number > 0."""
+    if Ts is None or isinstance(Ts, str) or np.ndim(Ts):
+        raise InputTypeError(
+            f"Ts is a {type(Ts).__name__}; give one number, in seconds, such as Ts=0.01"
+        )
+    if not (isfinite(Ts) and Ts > 0):
+        raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
+    return float(Ts)
+
+
+def require_size(name: str, x: Vector) -> None:
+    """Refuse numbers so large that their powers overflow in floating point."""
+    largest = float(np.max(np.abs(x), initial=0.0))
+    if largest > MAX_SIZE:
+        raise InputError(
+            f"the largest |{name}| is {largest:.3g}; use a unit in which it is below {MAX_SIZE:g}"
+        )
+
+
+def require_finite(name: str, x: Vector, way_out: str, where: Mask | None = None) -> None:
+    """Refuse values that are not finite, among those marked True in `where`."""
+    bad = ~np.isfinite(x) if where is None else ~np.isfinite(x) & where
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise InputError(
+            f"{name} is not finite at {bad.sum()} samples, first {x[first]} at {first}; {way_out}"
+        )

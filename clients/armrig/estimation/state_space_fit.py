@@ -1,0 +1,183 @@
+"""Matrices, covariance and quality of a state-space model, from its predictor of scaled signals.
+
+The parameters of the predictor are Abar and C, along some directions, then the entries of Bbar and
+K signal by signal, then those of D row by row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armrig.data.signals import Signals
+from armrig.estimation.state_space_problem import (
+    Predictor,
+    StateSpaceProblem,
+    basis_of_states,
+    stacked,
+    whitened,
+    without,
+)
+from armrig.models.matrices import Matrices
+from armrig.numerics.inference import Inference, OutputResiduals, infer
+from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.polynomial import Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Derivatives:
+    """Derivatives of the matrices of the innovations form with respect to the d parameters."""
+
+    Abar: Array
+    """(d, n, n)."""
+    A: Array
+    """(d, n, n)."""
+    B: Array
+    """(d, n, nu)."""
+    C: Array
+    """(d, ny, n)."""
+    D: Array
+    """(d, ny, nu)."""
+    K: Array
+    """(d, n, ny)."""
+
+    def moved(self, at: Predictor, step: Array) -> Predictor:
+        """Return the predictor after a small step of the parameters (d,)."""
+        A, B, C, D, K = (
+            M + np.tensordot(step, by, axes=1)
+            for M, by in (
+                (at.Abar + at.K @ at.C, self.A),
+                (at.Bbar + at.K @ at.D, self.B),
+                (at.C, self.C),
+                (at.D, self.D),
+                (at.K, self.K),
+            )
+        )
+        return Predictor(Abar=A - K @ C, Bbar=B - K @ D, C=C, D=D, K=K, x0=at.x0)
+
+    def at_fixed_pole(self, A: Array) -> Array:
+        """Return a basis (d, d - 1) of the parameters that do not move the pole of A nearest 1."""
+        z, V = np.linalg.eig(A)
+        i = int(np.argmin(np.abs(z - 1)))
+        moves = np.real(np.einsum("j,djk,k->d", np.linalg.inv(V)[i], self.A, V[:, i]))
+        return np.asarray(np.linalg.qr(moves[:, None], mode="complete")[0][:, 1:])
+
+    def along(self, N: Array) -> Derivatives:
+        """Return the derivatives with respect to z, if the parameters are N z."""
+        names = ("Abar", "A", "B", "C", "D", "K")
+        return Derivatives(**{x: np.tensordot(N.T, getattr(self, x), axes=1) for x in names})
+
+
+def derivatives(problem: StateSpaceProblem, at: Predictor, V: Array) -> Derivatives:
+    """Return the derivatives of the matrices for the directions V of Abar and C."""
+    (n, ny), nu, m = at.K.shape, at.Bbar.shape[1], V.shape[1]
+    of_K = n * ny * problem.noise
+    d = m + n * nu + of_K + ny * nu * problem.direct
+    Abar, C = np.zeros((d, n, n)), np.zeros((d, ny, n))
+    Abar[:m], C[:m] = V[: n * n].T.reshape(-1, n, n), V[n * n :].T.reshape(-1, ny, n)
+    Bbar, K, D = np.zeros((d, n, nu)), np.zeros((d, n, ny)), np.zeros((d, ny, nu))
+    Bbar[m : m + n * nu] = np.eye(n * nu).reshape(-1, nu, n).swapaxes(1, 2)
+    K[m + n * nu :][:of_K] = np.eye(of_K).reshape(-1, ny, n).swapaxes(1, 2)
+    if problem.direct:
+        D[m + n * nu + of_K :] = np.eye(ny * nu).reshape(-1, ny, nu)
+    return Derivatives(
+        Abar=Abar, A=Abar + K @ at.C + at.K @ C, B=Bbar + K @ at.D + at.K @ D, C=C, D=D, K=K
+    )
+
+
+def matrices(
+    at: Predictor, by: Derivatives, su: Array, sy: Array, delays: tuple[int, ...]
+) -> tuple[Matrices, Array]:
+    """Return the model in units of the data, and the derivatives of its theta."""
+    form = Matrices(
+        A=at.Abar + at.K @ at.C,
+        B=(at.Bbar + at.K @ at.D) / su,
+        C=sy[:, None] * at.C,
+        D=sy[:, None] * at.D / su,
+        K=at.K / sy,
+        nk=delays,
+    )
+    blocks = [by.A, by.B / su, sy[:, None] * by.C, sy[:, None] * by.D / su, by.K / sy]
+    return form, np.hstack([b.reshape(len(b), -1) for b in blocks]).T
+
+
+def influence(
+    problem: StateSpaceProblem,
+    at: Predictor,
+    V: Array,
+    states: Sequence[Basis] | None = None,
+) -> tuple[Array, Sequence[Basis]]:
+    """Return the derivatives of the whitened predictions, and the effects of the initial states.
+
+    The effects of the initial states are projected out of the derivatives (ny N, d). They are
+    returned as a basis for each experiment; a known basis is an argument.
+    """
+    known = [None] * len(problem.parts) if states is None else states
+    bases, left = [], []
+    for part, x0, Z in zip(problem.parts, at.x0, known, strict=True):
+        by, free = problem.sensitivities(part, at, x0, V)
+        bases.append(basis_of_states(part, free) if Z is None else Z)
+        left.append(without(bases[-1], whitened(part, by)))
+    return stacked(left), bases
+
+
+def inference(
+    data: Signals,
+    problem: StateSpaceProblem,
+    Psi: Array,
+    states: Sequence[Basis],
+    residuals: Sequence[Array],
+    sy: Array,
+) -> Inference:
+    """Return the covariance of the parameters, and the quality of each output.
+
+    Parameters
+    ----------
+    Psi : ndarray, shape (ny N, d)
+        Derivatives of the whitened predictions.
+    states : sequence of Basis
+        Effects of the initial states in each experiment, which are projected out of Psi.
+    residuals : sequence of ndarray (N_i, ny)
+        Errors of the scaled outputs, NaN where an output is missing.
+    """
+    basis, ny = orthonormal(Psi), sy.size
+    W = basis.W if ny > 1 else basis.W * problem.parts[0].weights.max() / sy
+    experiments = []
+    of_parts = zip(problem.parts, states, residuals, problem.edges(), strict=True)
+    for (part, Z, e, at), whole in zip(of_parts, data.experiments(), strict=True):
+        late = whole.N - len(e)  # before the delayed inputs are known, the errors are unknown
+        e = np.vstack([np.where(np.isnan(whole.y[:late]), np.nan, 0.0), e * sy])
+        span = np.eye(whole.N, late)
+        if ny == 1:
+            span = np.hstack([span, _led(Z.Q, late)])
+            of = [OutputResiduals(e=e[:, 0], y=whole.y[:, 0], H=_led(basis.Q[at], late), Z=span)]
+            experiments.append(of)
+            continue
+        G, white = part.weights, Psi[at].reshape(ny, len(part.u), -1)
+        unwhitened = np.linalg.inv(G[0]) if part.rows.all() else np.eye(ny)
+        each = basis.Q[at].reshape(ny, len(part.u), -1)
+        of = []
+        for i in range(ny):
+            h = sum(G[:, k, i, None] * each[k] for k in range(i, ny)) / sy[i]
+            psi = sum(unwhitened[i, k] * white[k] for k in range(i + 1))
+            of.append(
+                OutputResiduals(
+                    e=e[:, i], y=whole.y[:, i], H=_led(h, late), Psi=_led(psi, late), Z=span
+                )
+            )
+        experiments.append(of)
+    # The outputs share the states, so that a state counts as 1/ny for each output.
+    shared = 0 if ny == 1 else sum(Z.rank for Z in states)
+    return infer(
+        experiments,
+        W,
+        parameters=[(Psi.shape[1] + shared) / ny] * ny,
+        score="correlated" if problem.noise else "exogenous",
+    )
+
+
+def _led(x: Array, late: int) -> Array:
+    """Return x (N, k) after `late` rows of zeros."""
+    return np.pad(x, ((late, 0), (0, 0))) if late else x

@@ -1,1 +1,0 @@
-"""Validation of models with several inputs and outputs."""
