@@ -10,11 +10,12 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.armax import armax
-from armrig.estimation.n4sid import _pole_std, _without_past, n4sid
+from armrig.estimation.n4sid import _pole_std, n4sid
 from armrig.estimation.oe import oe
 from armrig.estimation.start_values import noise_start
 from armrig.estimation.subspace import Realisation
 from armrig.estimation.subspace_horizon import Innovations, companion
+from armrig.estimation.subspace_simulation import _without_past
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.models.model_file import load_fit
