@@ -98,7 +98,7 @@ _ROWS = (
         equation="A y = B u + e",
         orders={"na": _N, "nb": _N},
         poles="na",
-        takes_several=(),
+        takes_several=("stable",),
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -107,7 +107,7 @@ _ROWS = (
         orders={"na": _N, "nb": _N, "nc": _N},
         poles="na",
         takes=_SEARCHED,
-        takes_several=("integrator", "shared"),
+        takes_several=(*_SEARCHED, "stable", "shared"),
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -116,7 +116,7 @@ _ROWS = (
         orders={"nb": _N, "nf": _N},
         poles="nf",
         takes=_SEARCHED,
-        takes_several=("integrator", "shared"),
+        takes_several=(*_SEARCHED, "stable", "shared"),
     ),
     RegisteredStructure(
         name="bj",
@@ -124,7 +124,7 @@ _ROWS = (
         orders={"nb": _N, "nc": 1, "nd": 1, "nf": _N},
         poles="nf",
         takes=_SEARCHED,
-        takes_several=("integrator",),
+        takes_several=(*_SEARCHED, "stable"),
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -147,6 +147,7 @@ _ROWS = (
         orders={"na": _N, "nb": _N, "nd": 1},
         poles="na",
         takes=_SEARCHED,
+        takes_several=(*_SEARCHED, "stable"),
         closed_loop=True,
         searched=False,  # IV4 and BJ cover this noise; ARARX would lengthen a search by a quarter
     ),

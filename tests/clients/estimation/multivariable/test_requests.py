@@ -22,8 +22,8 @@ from armrig.estimation.channel_orders import (
     structures as structures_of,
 )
 from armrig.estimation.multivariable.order_table import select_orders
-from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.estimation.problem import PolynomialProblem
+from armrig.estimation.request import Request
 from armrig.models.structure import Structure
 from armrig.numerics.polynomial import Array, filtered, lagged
 from armrig_core.errors import InputError
@@ -89,7 +89,7 @@ def each(a: int, b: int, c: int) -> dict[tuple[str, str], int]:
 def test_an_output_that_does_not_integrate_has_one_root_less(
     structure: Any, orders: Any, options: dict[str, Any], expected: dict[str, Any]
 ) -> None:
-    found = SignalsRequest(structure=structure, orders=orders, **options).arguments(signals())
+    found = Request(structure=structure, orders=orders, **options).arguments(signals())
 
     assert found == {"nk": 1} | expected
     takes = {"nb", "nf", "na", "nc"} & found.keys()
@@ -100,7 +100,7 @@ def test_an_output_that_does_not_integrate_has_one_root_less(
 
 def test_an_order_without_a_free_coefficient_is_refused() -> None:
     of = {"structure": "oe", "integrating": ("b",)}
-    request: Any = SignalsRequest(orders={"nb": 2, "nf": 1}, **of)  # type: ignore[arg-type]
+    request: Any = Request(orders={"nb": 2, "nf": 1}, **of)  # type: ignore[arg-type]
 
     with pytest.raises(InputError) as refused:
         request.arguments(signals())
@@ -109,7 +109,7 @@ def test_an_order_without_a_free_coefficient_is_refused() -> None:
         "nf=1 leaves no coefficient for a, c, because nf also counts the integrator of b; give "
         "nf >= 2"
     )
-    high: Any = SignalsRequest(orders={"nb": 7, "nf": 7}, **of)  # type: ignore[arg-type]
+    high: Any = Request(orders={"nb": 7, "nf": 7}, **of)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="13 parameters from 120 samples; at most 12 parameters"):
         high.arguments(signals())
 
