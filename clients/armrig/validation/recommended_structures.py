@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from armrig.data.dataset import Dataset
-from armrig.estimation.order_table import select_orders
+from armrig.estimation.order_selection import select_orders
 from armrig.estimation.orders import require_samples
 from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.start_values import Path, steiglitz_mcbride

@@ -21,7 +21,7 @@ from armrig.estimation.channel_orders import (
 from armrig.estimation.channel_orders import (
     structures as structures_of,
 )
-from armrig.estimation.multivariable.order_table import select_orders
+from armrig.estimation.order_selection import select_orders
 from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.request import Request
 from armrig.models.structure import Structure
