@@ -169,8 +169,7 @@ def _check_taken(structure: OfferedName, asked: Given) -> None:
 
 def _check_shape(structure: OfferedName, asked: Given, ny: int, nu: int) -> None:
     """Refuse a structure or an option that a model of ny outputs and nu inputs cannot have."""
-    kind = OFFERED[structure]
-    if (ny, nu) != (1, 1) and not kind.several:
+    if (ny, nu) != (1, 1) and not OFFERED[structure].several:
         able = listed([name for name, row in OFFERED.items() if row.several])
         raise typer.BadParameter(
             f"--structure {structure} has one output and one input; for several signals use {able}"
@@ -179,11 +178,6 @@ def _check_shape(structure: OfferedName, asked: Given, ny: int, nu: int) -> None
         if name in OPTIONS and ny * nu < OPTIONS[name][1].channels:
             raise typer.BadParameter(
                 f"{_typed(name, value)} is for several outputs: name them, --signal A,B"
-            )
-        if name in kind.one_channel and (ny, nu) != (1, 1):
-            raise typer.BadParameter(
-                f"{_typed(name, value)} is for {kind.title} of one output and one input; leave it "
-                "out"
             )
 
 

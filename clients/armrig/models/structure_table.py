@@ -52,8 +52,6 @@ class RegisteredStructure:
     """Name of the order that is the number of poles from u to y."""
     takes: tuple[str, ...] = ()
     """Arguments of the estimator in addition to the orders and nk."""
-    one_channel: tuple[str, ...] = ()
-    """Arguments in `takes` that need one input and one output."""
     several: bool = True
     """True if the estimator takes several inputs and outputs."""
     closed_loop: bool = False
@@ -88,8 +86,7 @@ def with_article(title: str) -> str:
 
 
 _N = ARM_POLES
-_SEARCHED = ("integrator", "offset", "initial", "stable", "starts")
-_ONE = ("offset", "initial", "stable", "starts")
+_SEARCHED = ("integrator", "offset", "initial", "stable", "starts", "shared")
 _ROWS = (
     RegisteredStructure(
         name="arx",
@@ -97,7 +94,6 @@ _ROWS = (
         orders={"na": _N, "nb": _N},
         poles="na",
         takes=("stable",),
-        one_channel=("stable",),
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -105,8 +101,7 @@ _ROWS = (
         equation="A y = B u + C e",
         orders={"na": _N, "nb": _N, "nc": _N},
         poles="na",
-        takes=(*_SEARCHED, "shared"),
-        one_channel=_ONE,
+        takes=_SEARCHED,
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -114,8 +109,7 @@ _ROWS = (
         equation="y = B/F u + e",
         orders={"nb": _N, "nf": _N},
         poles="nf",
-        takes=(*_SEARCHED, "shared"),
-        one_channel=_ONE,
+        takes=_SEARCHED,
         searched_of_several=True,
     ),
     RegisteredStructure(
@@ -124,7 +118,6 @@ _ROWS = (
         orders={"nb": _N, "nc": 1, "nd": 1, "nf": _N},
         poles="nf",
         takes=_SEARCHED,
-        one_channel=_ONE,
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -149,7 +142,6 @@ _ROWS = (
         orders={"na": _N, "nb": _N, "nd": 1},
         poles="na",
         takes=_SEARCHED,
-        several=False,
         closed_loop=True,
         searched=False,  # IV4 and BJ cover this noise; ARARX would lengthen a search by a quarter
     ),
@@ -168,7 +160,7 @@ _ROWS = (
         equation="A y = B/F u + C/D e",
         orders={"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N},
         poles="nf",
-        takes=("offset", "initial", "stable", "starts"),
+        takes=("offset", "initial", "stable", "starts", "shared"),
         closed_loop=True,
     ),
 )

@@ -61,7 +61,6 @@ class Candidate:
         """
         row, columns = STRUCTURES[self.family], data.signals()
         one = (columns.ny, columns.nu) == (1, 1)
-        takes = [name for name in row.takes if one or name not in row.one_channel]
         orders = dict(self.orders)
         nk, counted = orders.pop("nk"), isinstance(self.integrator, tuple) and bool(self.integrator)
         return Request(
@@ -70,13 +69,13 @@ class Candidate:
             orders={name: n + counted for name, n in orders.items()},
             integrator=self.integrator,
             offset=self.offset,
-            stable="stable" in takes,
+            stable="stable" in row.takes,
             focus="simulation" if self.simulates else None,
             # Few starts suffice: a model of too high order has many minima, but is not chosen.
-            starts="few" if "starts" in takes else None,
-            shared=True if "shared" in takes and not one else None,
-            noise=False if "noise" in takes and data.missing else None,
-            replicates=0 if "replicates" in takes and columns.ny > 1 else None,
+            starts="few" if "starts" in row.takes else None,
+            shared=True if "shared" in row.takes and not one else None,
+            noise=False if "noise" in row.takes and data.missing else None,
+            replicates=0 if "replicates" in row.takes and columns.ny > 1 else None,
         )
 
     def estimated(self, data: Dataset | Signals) -> Fit:
