@@ -11,9 +11,13 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.comparison import _same
+from armrig.data.dataset import Signals
+from armrig.validation.answer import closest
+from armrig.validation.comparison import Comparison, ComparisonTable
 from armrig_core.arm import ArmParameters
 
 from tests.clients.made_recordings import of_the_arm, written
+from tests.clients.models.made_fits import made
 
 
 @pytest.fixture(scope="module")
@@ -74,3 +78,32 @@ def test_models_with_equal_polynomials_and_sampling_time_are_the_same() -> None:
         assert _same(model(), model(**{name: np.array([1.0, 0.5, -0.25 - 1e-8])}))
         assert not _same(model(), model(**{name: np.array([1.0, 0.5, -0.25 - 1e-5])}))
         assert not _same(model(), model(**{name: np.array([1.0, 0.5])}))
+
+
+def _table(horizon: int | None, **rms: list[float]) -> ComparisonTable:
+    """Return a comparison of models by their errors of the outputs y and z."""
+    model, data = made(), Signals(u=[0.0, 1.0], y=np.eye(2), Ts=1.0, outputs=["y", "z"])
+    rows = [
+        Comparison(
+            name=name, output=output, unit=unit, fit_percent=100 - e, rms_error=e, y=np.zeros(2),
+            velocity_fit_percent=None, on_estimation_data=False, model=model,
+        )
+        for name, errors in rms.items()
+        for output, unit, e in zip("yz", ("rad", ""), errors, strict=True)
+    ]  # fmt: skip
+    return ComparisonTable(rows=tuple(rows), horizon=horizon, note="", data=data)
+
+
+@pytest.mark.parametrize(
+    ("horizon", "rms", "said"),
+    [
+        (None, {"a": [1, 5], "b": [2, 4]}, "Simulated, a has the least error of y and b has"),
+        (None, {"a": [3, 5], "b": [2, 4]}, "Simulated, b has the least error of y and z."),
+        (7, {"a": [3, np.nan], "b": [4, 9]}, "Predicted 7 ahead, a has the least error of y"),
+        (2, {"a": [3, 5]}, "Predicted 2 ahead, a fits y to 97.00 % (rms 3 rad) and z to 95.00 %"),
+    ],
+)
+def test_the_model_with_the_least_error_is_named_for_each_output(
+    horizon: int | None, rms: dict[str, list[float]], said: str
+) -> None:
+    assert closest(_table(horizon, **rms)).startswith(said)

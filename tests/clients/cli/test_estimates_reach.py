@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from armrig import Dataset
+from armrig import Dataset, Signals
 from armrig.cli import main
-from armrig.cli.identification import _warn_of_integrator
+from armrig.cli.identification import _for_outputs, _Search
 from armrig.cli.integrators import _check_step
-from armrig.cli.model_structures import requested_of_several
+from armrig.cli.model_structures import requested
 from armrig.cli.recorded_data import SignalChoice
 from armrig.estimation.request import DEFAULTS, Request
 from armrig.models.structure_table import COUNTED
@@ -63,21 +63,55 @@ def _asked(**options: Any) -> dict[str, Any]:
     return NOTHING | options
 
 
-def test_the_options_of_several_signals_reach_their_request() -> None:
-    def of_several(shared: bool = False, **options: Any) -> Request:
-        integrating = ("theta_1",)
-        return requested_of_several(_asked(**options), integrating=integrating, shared=shared)
+def _outputs(*outputs: str, source: str = "ab12") -> Any:
+    """Return data of one input; with one output, the data are a Dataset."""
+    rng = np.random.default_rng(0)
+    y = rng.standard_normal((3, len(outputs)))
+    data = Signals(u=np.ones(3), y=y, Ts=1.0, source=source, outputs=outputs)
+    return data if len(outputs) > 1 else data.dataset()
 
-    assert of_several(structure="n4sid", order=3, nk=2, weights="cva") == Request(
+
+def test_the_options_of_several_signals_reach_their_request() -> None:
+    def of(*outputs: str, source: str = "ab12", **options: Any) -> Any:
+        wanted = requested(_asked(**options), len(outputs))
+        integrator = bool(options.get("integrator"))
+        return _for_outputs(wanted, _outputs(*outputs, source=source), integrator=integrator)
+
+    oe: dict[str, Any] = {"structure": "oe", "nb": 2, "nf": 3, "integrator": True}
+    both: dict[str, Any] = {"structure": "oe", "orders": {"nb": 2, "nf": 3}}
+    assert of("theta_1", "alpha", structure="n4sid", order=3, nk=2, weights="cva") == Request(
         structure="n4sid", orders={"order": 3}, nk=2, weights="cva"
     )
-    assert of_several(True, structure="oe", nb=2, nf=3, integrator=True) == Request(
-        structure="oe", orders={"nb": 2, "nf": 3}, integrating=("theta_1",), shared=True
-    )
-    with pytest.raises(typer.BadParameter, match="--nd 1 does not go with OE of several signals"):
-        of_several(structure="oe", nd=1)
-    with pytest.raises(typer.BadParameter, match="--structure iv4 has one output and one input"):
-        of_several(structure="iv4")
+    assert of("alpha", "theta_1", **oe) == Request(**both, integrator=("theta_1",), shared=True)
+    assert of("y", "z", source="csv:1", **oe) == Request(**both, integrator=("y", "z"))
+    assert of("theta_1", **oe) == Request(**both, integrator=True)
+    for options, said in (
+        ({"structure": "oe", "nd": 1}, "--nd 1 goes with --structure bj or ararx; an OE model has"),
+        ({"structure": "iv4"}, "--structure iv4 has one output and one input; for several"),
+        ({"structure": "oe", "integrator": True}, "the rig has no pole at 1 for alpha and v"),
+    ):
+        with pytest.raises(typer.BadParameter, match=said):
+            of("alpha", "velocity", **options)
+    with pytest.raises(typer.BadParameter, match="--shared is for several outputs: name them"):
+        of("theta_1", structure="oe", shared=True)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "source", "integrator", "found"),
+    [
+        (("theta_1", "alpha"), "ab12", False, ("theta_1",)),
+        (("y", "z"), "csv:1", False, ()),
+        (("y", "z"), "csv:1", True, ("y", "z")),
+    ],
+)
+def test_a_search_of_several_outputs_knows_which_integrate(
+    outputs: tuple[str, ...], source: str, integrator: bool, found: tuple[str, ...]
+) -> None:
+    data, wanted = _outputs(*outputs, source=source), _Search(fixed={"nk": 2}, most=3, jobs=1)
+
+    chosen: Any = _for_outputs(wanted, data, integrator=integrator)
+
+    assert chosen.fixed == {"nk": 2, "integrator": found}
 
 
 def test_the_next_command_reads_the_same_data() -> None:
@@ -85,7 +119,7 @@ def test_the_next_command_reads_the_same_data() -> None:
         **{"signal": "y 1", "input": "2", "time": "t_s", "Ts": 0.05, "detrend": True},
         **{"hampel": True, "calibration": Path("c.toml"), "start": 0.0, "stop": 2.5},
     )
-    data: Any = SimpleNamespace(output="alpha")
+    data = _outputs("alpha")
 
     assert every.options(data) == (
         " --input 2 --signal 'y 1' --time t_s --Ts 0.05 --detrend --hampel --calibration c.toml"
@@ -95,10 +129,18 @@ def test_the_next_command_reads_the_same_data() -> None:
     assert nothing.options() == ""
     assert nothing.options(data) == " --signal alpha"
     for output in ("theta_1", "y", ""):
-        assert nothing.options(SimpleNamespace(output=output)) == ""  # type: ignore[arg-type]
-    assert SignalChoice(signal="a,b").several
-    assert SignalChoice(signal=None, input="1,2").several
-    assert not SignalChoice(signal="a", input="b").several
+        assert nothing.options(_outputs(output)) == ""
+    assert nothing.options(_outputs("alpha", "y")) == ""
+    assert SignalChoice(signal="a,b").shape == (2, 1)
+    assert SignalChoice(signal=None, input="1,2").shape == (1, 2)
+    assert SignalChoice(signal="a", input="b").shape == SignalChoice().shape == (1, 1)
+
+
+def test_a_repeated_option_names_several_signals_as_commas_do() -> None:
+    of = SignalChoice.of_options
+
+    assert of(signal=["a", "b"], input=None) == of(signal="a,b") == SignalChoice(signal="a,b")
+    assert of(signal=[], input=["u,v", "w"]).inputs == ("u", "v", "w")
 
 
 @pytest.mark.parametrize(
@@ -111,7 +153,10 @@ def test_the_next_command_reads_the_same_data() -> None:
 def test_an_integrator_for_a_stable_output_of_the_rig_causes_a_warning(
     source: str, output: str, is_told: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _warn_of_integrator(Dataset(u=np.ones(2), y=np.ones(2), Ts=1.0, source=source, output=output))
+    data = Dataset(u=np.ones(2), y=np.ones(2), Ts=1.0, source=source, output=output)
+    request = Request(structure="oe", orders={}, integrator=True)
+
+    assert _for_outputs(request, data, integrator=True) is request
 
     said = (
         f"armrig: --integrator: the rig has no pole at 1 for {output}, which does not integrate\n"

@@ -12,6 +12,7 @@ from armrig.cli.model_output import (
     advice_lines,
     hint,
     lags_outside,
+    residual_facts,
     residual_lines,
     short_search_lines,
     to_act_on,
@@ -20,6 +21,7 @@ from armrig.data.finding import Finding, warning
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import answer as answers
 from armrig.validation.answer import answer, simulated_to
+from armrig.validation.residual_test import ResidualTest
 
 
 def _white(p: float) -> Whiteness:
@@ -91,7 +93,8 @@ def _tests(**changes: Any) -> Any:
     of: dict[str, Any] = {"white": _white(0.4), "whiteness": 0.4, "on_estimation_data": False}
     of |= {"missing_dynamics": 0.3, "feedback": 0.2, "powerless": "", "e": np.array([1, np.nan])}
     of |= {"autocorrelation": np.array([1.0, 0.2, -0.2, 0.0]), "autocorrelation_band": 0.1}
-    of |= {"cross_lags": np.arange(-2, 3), "cross_std": np.full(5, 0.1)}
+    of |= {"cross_lags": np.arange(-2, 3), "cross_std": np.full(5, 0.1), "outputs": ("y",)}
+    of |= {"missing_dynamics_by_pair": np.full((1, 1), 0.3), "white_by_output": (_white(0.4),)}
     return SimpleNamespace(**of | {"cross_correlation": np.array([0, 0, 0.3, -0.3, 0])} | changes)
 
 
@@ -116,6 +119,69 @@ def test_the_tests_of_the_residuals_have_a_line_each() -> None:
     ]
 
 
+P = np.array([[0.5, 0.004, 0.0005], [0.02, 1.0, np.nan]])
+"""p values of two outputs and three inputs; 0.01 / 6 is 0.0017."""
+
+
+def _pairs(**changes: Any) -> Any:
+    of = {"outputs": ("y", "z"), "inputs": ("u", "v", "w"), "missing_dynamics_by_pair": P}
+    of |= {"feedback_by_pair": P[::-1], "missing_dynamics": 0.5, "feedback": 0.5}
+    return SimpleNamespace(**of | changes)
+
+
+def test_a_pair_fails_its_test_at_the_level_of_all_pairs_together() -> None:
+    brief = list(ResidualTest.pair_lines(_pairs()))
+    every = list(ResidualTest.pair_lines(_pairs(), every=True))
+    missing = list(ResidualTest.pair_lines(_pairs(missing_dynamics=0.009), every=True))
+
+    assert brief == [
+        "  w to y: dynamics missing (p < 0.001)",
+        "  w to z: feedback, or a delay too large (p < 0.001)",
+    ]
+    assert every[:6] == [
+        "  u to y: no dynamics missing (p = 0.500)",
+        "  v to y: no dynamics missing (p = 0.004)",
+        "  w to y: dynamics missing (p < 0.001)",
+        "  u to z: no dynamics missing (p = 0.020)",
+        "  v to z: no dynamics missing (p = 1.000)",
+        "  w to z: no dynamics missing not tested",
+    ]
+    assert every[6:9] == [
+        "  u to y: no feedback (p = 0.020)",
+        "  v to y: no feedback (p = 1.000)",
+        "  w to y: no feedback not tested",
+    ]
+    assert (len(every), missing) == (12, every[:6])
+
+
+def test_the_tests_of_each_pair_are_in_json_with_its_names() -> None:
+    white = [_white(p) for p in (0.3, 0.2, 0.1)]
+    tests = _pairs(
+        **{"white_by_output": white[1:], "missing_dynamics": 0.4, "powerless": ""},
+        **{"whiteness": 0.3, "whiteness_test": "T"},
+    )
+    rows: Any = [
+        SimpleNamespace(output=name, fit_percent=p, rms_error=1 - p, velocity_fit_percent=None,
+                        on_estimation_data=False)
+        for name, p in (("y", 0.75), ("z", 0.5))
+    ]  # fmt: skip
+    data: Any = SimpleNamespace(source="csv:12")
+
+    facts = residual_facts(data, rows, tests)
+
+    assert (facts["outputs"], facts["fit_percent"]) == (["y", "z"], [0.75, 0.5])
+    assert (facts["rms_error"], facts["velocity_fit_percent"]) == ([0.25, 0.5], [None, None])
+    assert (facts["p_white"], facts["p_no_dynamics_missing"], facts["p_no_feedback"]) == (
+        *(0.3, 0.4, 0.5),
+    )
+    assert facts["p_white_by_output"] == [0.2, 0.1]
+    assert [(of["output"], of["input"]) for of in facts["channels"]] == [
+        (output, input) for output in "yz" for input in "uvw"
+    ]
+    assert facts["channels"][2]["p_no_dynamics_missing"] == 0.0005
+    assert facts["channels"][5]["p_no_feedback"] == 0.0005
+
+
 def test_lag_0_of_the_input_counts_among_the_dynamics() -> None:
     """Outside are two of three lags of whiteness, two of three of the dynamics, and no other."""
     for changes, said in (
@@ -131,9 +197,10 @@ def test_lag_0_of_the_input_counts_among_the_dynamics() -> None:
 
 
 def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
+    quality = SimpleNamespace(fit_percent=91.239, white=_white(0.4))
     of: Any = SimpleNamespace(
-        **{"heading": "ARX", "output": "alpha", "fit_percent": 91.239, "structure": "arx"},
-        **{"whiteness": 0.4, "white": _white(0.4), "trusts_robust": False},
+        **{"heading": "ARX", "outputs": ("alpha",), "ny": 1, "structure": "arx"},
+        **{"quality": (quality,), "trusts_robust": False},
         trusts_coefficients=True,
         findings=(),
     )
@@ -148,7 +215,7 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
 
     alone = answer(of, None, None, [])
     validated = answer(of, table, _tests(), [])
-    of.trusts_robust, of.white = True, _white(0.001)
+    of.trusts_robust, quality.white = True, _white(0.001)
 
     head = "ARX fits alpha to 91.24 % one step ahead; residuals white (p = 0.400, T): trust σ."
     assert alone.startswith(f"{head}\nA p below 0.01 rejects; --validate F2 tests the residuals")
@@ -170,15 +237,16 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
     ("changes", "is_hinted"),
     [
         ({}, True),
-        ({"integrator": True}, False),
+        ({"form": SimpleNamespace(integrators=(True,))}, False),
         ({"structure": "arx"}, False),
-        ({"output": "alpha"}, False),
+        ({"outputs": ("alpha",)}, False),
     ],
 )
 def test_an_integrator_is_suggested_only_for_an_oe_model_of_the_angle(
     changes: dict[str, Any], is_hinted: bool
 ) -> None:
-    of: dict[str, Any] = {"structure": "oe", "output": "theta_1", "integrator": False}
+    of: dict[str, Any] = {"structure": "oe", "outputs": ("theta_1",)}
+    of["form"] = SimpleNamespace(integrators=(False,))
 
     said = hint(SimpleNamespace(**of | changes))  # type: ignore[arg-type]
 

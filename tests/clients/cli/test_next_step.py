@@ -6,15 +6,13 @@ import re
 import shlex
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import armrig
 import pytest
 import typer
 from armrig.cli import app, main
-from armrig.cli.next_step import AFTER, CHECK, free_name, naming, next_line, options_after
-from armrig.estimation.request import Request
+from armrig.cli.next_step import AFTER, free_name, naming, next_line
 from armrig.excitation import telegraph
 from armrig.rig.collection import Collected
 from armrig_core.manifest import Outcome
@@ -226,66 +224,6 @@ def test_the_report_uses_the_repetition_of_a_step(pair: Path) -> None:
     put(pair, "step-first-again", "0000000f")
 
     assert next_line("calibrate", rig="") == "next: armrig sampling @first-again -o sampling.png"
-
-
-OE: dict[str, Any] = {"structure": "oe", "orders": {"nb": 4, "nf": 3}, "nk": 2}
-INTEGRATING = OE | {"integrator": True}
-BJ: dict[str, Any] = {"structure": "bj", "orders": {"nb": 1, "nc": 2, "nd": 3, "nf": 4}}
-PEM: dict[str, Any] = {
-    **{"structure": "pem", "orders": {"na": 0, "nb": 2, "nc": 0, "nd": 0, "nf": 2}}
-}
-ARX: dict[str, Any] = {"structure": "arx", "orders": {"na": 2, "nb": 3}}
-OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
-
-
-@pytest.mark.parametrize(
-    ("asked", "about", "how", "wanted"),
-    [
-        (OE, "", "", OPTIONS),
-        (OE, "integrator", "", f"{OPTIONS} --integrator"),
-        (OE, "integrator level", "", f"{OPTIONS} --offset"),
-        (OE, "level", "detrended", "--structure oe --nb 4 --nf 3 --nk 2 --offset"),
-        (OE | {"offset": True}, "level", "", "--structure oe --nb 3 --nf 2 --nk 2 --offset"),
-        (INTEGRATING, "level", "searched", f"{OPTIONS} --integrator"),
-        (OE | {"offset": True}, "integrator", "", f"{OPTIONS} --integrator"),
-        (OE, "outliers", "", f"{OPTIONS} --hampel"),
-        (OE, "outliers feedback", "", f"{OPTIONS} --hampel"),
-        (OE, "order", "", "--structure oe --nb 3 --nf 2 --nk 2"),
-        (OE, "poles", "complex", "--structure oe --nb 2 --nf 1 --nk 2"),
-        (OE, "order", "complex real", "--structure oe --nb 1 --nf 1 --nk 2"),
-        (INTEGRATING, "order", "complex real", "--structure oe --nb 1 --nf 2 --nk 2 --integrator"),
-        (OE, "", "unconverged", "--structure oe --nb 3 --nf 2 --nk 2"),
-        (OE, "residuals", "", "--structure oe --search"),
-        (OE, "residuals", "searched", OPTIONS),
-        *((OE, f"residuals {name}", "", CHECK) for name in ("feedback", "delay", "unstable")),
-        (ARX, "level", "", "--structure arx --na 2 --nb 3 --nk 1 --detrend"),
-        (ARX, "level", "detrended", "--structure arx --na 1 --nb 2 --nk 1"),
-        (ARX, "integrator", "", "--structure arx --na 2 --nb 3 --nk 1"),
-        (ARX, "structure", "", "--structure oe --nb 3 --nf 2 --nk 1 --integrator"),
-        (BJ, "order", "complex", "--structure bj --nb 1 --nc 2 --nd 3 --nf 2 --nk 1"),
-        (PEM, "residuals", "", "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1"),
-    ],
-)
-def test_the_next_estimation_follows_the_findings(
-    asked: dict[str, Any], about: str, how: str, wanted: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    request = Request(**asked)
-    pairs = [(pole, 0, 0) for pole, name in ((0.5 + 0.1j, "complex"), (0.5, "real")) if name in how]
-    pairs = [(complex(pole), zero, p) for pole, zero, p in pairs]
-    monkeypatch.setattr("armrig.validation.advice.model_advice.cancelling", lambda _: pairs)
-    fit: Any = SimpleNamespace(
-        structure=request.structure,
-        orders=request.orders | {"nk": request.nk},
-        integrator=request.integrator,
-        offset=request.offset,
-        converged="unconverged" not in how,
-    )
-
-    options = options_after(
-        fit, request, set(about.split()), searched="searched" in how, detrended="detrended" in how
-    )
-
-    assert options == wanted
 
 
 def test_the_next_command_names_a_rig_and_endpoint_that_are_not_defaults() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.model_structures import requested
-from armrig.cli.next_step import options_of
+from armrig.cli.next_estimation import options_of
 from armrig.estimation.orders import require_sensible
 from armrig.estimation.request import OPTIONS, Request, flag
 from armrig.models.structure_table import OFFERED, users
@@ -28,7 +28,8 @@ DATA = armrig.Dataset(
 def _with(option: str) -> Request:
     """Return a request with an option that is not its default, and one of each kind of order."""
     kind, _ = OPTIONS[option]
-    value = {bool: True, int | None: 7}.get(kind) or get_args(get_args(kind)[0])[-1]
+    flags = (bool, bool | None, bool | tuple[str, ...])
+    value = True if kind in flags else get_args(get_args(kind)[0])[-1]
     structure = users(option)[0]
     orders = dict.fromkeys(OFFERED[structure].orders, 2)
     return Request(structure=structure, orders=orders, nk=0, **{option: value})
@@ -41,16 +42,20 @@ def test_options_of_a_request_are_parsed_to_the_same_request(
     request, asked, tasks = _with(option), list[Any](), list[Any]()
     monkeypatch.setattr("armrig.cli.batch._do", lambda task, *_, **__: tasks.append(task))
     monkeypatch.setattr(
-        "armrig.cli.identification.requested", lambda given: asked.append(requested(given))
+        "armrig.cli.identification.requested",
+        lambda given, *shape: asked.append(requested(given, *shape)),
     )
     monkeypatch.setattr("armrig.cli.identification._check_files", _ended)
 
     typed = shlex.split(options_of(request))
-    assert main(["batch", "identify", str(tmp_path), "-o", "t.parquet", *typed]) == 0
-    assert main(["identify", "data.csv", *typed]) == 1
+    of_one = OPTIONS[option][1].channels == 1
+    columns = [] if of_one else ["--signal", "y", "--signal", "z"]
+    batch = ["batch", "identify", str(tmp_path), "-o", "t.parquet", *typed]
+    assert main(batch) == (0 if of_one else 2)  # a batch has one output and one input
+    assert main(["identify", "data.csv", *typed, *columns]) == 1
 
     assert asked == [request]
-    assert tasks == [Identify(**asdict(request))]
+    assert tasks == [Identify(**asdict(request))] * of_one
 
 
 def _ended(*_: Any, **__: Any) -> None:
@@ -66,7 +71,7 @@ def test_an_option_of_another_structure_is_refused(
     typed = f"{flag(option)} {value}".strip()
 
     for structure in others:
-        arguments = ["batch", "identify", str(tmp_path), "-o", "t.parquet"]
+        arguments = ["identify", "F.csv", "--save", str(tmp_path / "m.json"), "--signal", "y,z"]
         assert main([*arguments, "--structure", structure, *typed.split()]) == 2
         said = " ".join(capsys.readouterr().err.split())
         assert f"{typed} goes with --structure {' or '.join(users(option))}" in said

@@ -1,0 +1,138 @@
+"""Next commands after an estimation, a validation or a comparison."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig import Signals
+from armrig.cli.next_estimation import CHECK, _better_options, after_validate, options_after
+from armrig.cli.recorded_data import SignalChoice
+from armrig.estimation.request import Request
+
+OE: dict[str, Any] = {"structure": "oe", "orders": {"nb": 4, "nf": 3}, "nk": 2}
+INTEGRATING = OE | {"integrator": True}
+BJ: dict[str, Any] = {"structure": "bj", "orders": {"nb": 1, "nc": 2, "nd": 3, "nf": 4}}
+PEM: dict[str, Any] = {
+    **{"structure": "pem", "orders": {"na": 0, "nb": 2, "nc": 0, "nd": 0, "nf": 2}}
+}
+ARX: dict[str, Any] = {"structure": "arx", "orders": {"na": 2, "nb": 3}}
+OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
+
+
+@pytest.mark.parametrize(
+    ("asked", "about", "how", "wanted"),
+    [
+        (OE, "", "", OPTIONS),
+        (OE, "integrator", "", f"{OPTIONS} --integrator"),
+        (OE, "integrator level", "", f"{OPTIONS} --offset"),
+        (OE, "level", "detrended", "--structure oe --nb 4 --nf 3 --nk 2 --offset"),
+        (OE | {"offset": True}, "level", "", "--structure oe --nb 3 --nf 2 --nk 2 --offset"),
+        (INTEGRATING, "level", "searched", f"{OPTIONS} --integrator"),
+        (OE | {"offset": True}, "integrator", "", f"{OPTIONS} --integrator"),
+        (OE, "outliers", "", f"{OPTIONS} --hampel"),
+        (OE, "outliers feedback", "", f"{OPTIONS} --hampel"),
+        (OE, "order", "", "--structure oe --nb 3 --nf 2 --nk 2"),
+        (OE, "poles", "complex", "--structure oe --nb 2 --nf 1 --nk 2"),
+        (OE, "order", "complex real", "--structure oe --nb 1 --nf 1 --nk 2"),
+        (INTEGRATING, "order", "complex real", "--structure oe --nb 1 --nf 2 --nk 2 --integrator"),
+        (OE, "", "unconverged", "--structure oe --nb 3 --nf 2 --nk 2"),
+        (OE, "residuals", "", "--structure oe --search"),
+        (OE, "residuals", "searched", OPTIONS),
+        *((OE, f"residuals {name}", "", CHECK) for name in ("feedback", "delay", "unstable")),
+        (ARX, "level", "", "--structure arx --na 2 --nb 3 --nk 1 --detrend"),
+        (ARX, "level", "detrended", "--structure arx --na 1 --nb 2 --nk 1"),
+        (ARX, "integrator", "", "--structure arx --na 2 --nb 3 --nk 1"),
+        (ARX, "structure", "", "--structure oe --nb 3 --nf 2 --nk 1 --integrator"),
+        (BJ, "order", "complex", "--structure bj --nb 1 --nc 2 --nd 3 --nf 2 --nk 1"),
+        (PEM, "residuals", "", "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1"),
+    ],
+)
+def test_the_next_estimation_follows_the_findings(
+    asked: dict[str, Any], about: str, how: str, wanted: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request = Request(**asked)
+    pairs = [(pole, 0, 0) for pole, name in ((0.5 + 0.1j, "complex"), (0.5, "real")) if name in how]
+    pairs = [(complex(pole), zero, p) for pole, zero, p in pairs]
+    monkeypatch.setattr("armrig.validation.advice.model_advice.cancelling", lambda _: pairs)
+    fit: Any = SimpleNamespace(
+        structure=request.structure,
+        orders=request.orders | {"nk": request.nk},
+        integrator=request.integrator,
+        offset=request.offset,
+        converged="unconverged" not in how,
+    )
+
+    options = options_after(
+        fit, request, set(about.split()), searched="searched" in how, detrended="detrended" in how
+    )
+
+    assert options == wanted
+
+
+@pytest.mark.parametrize(
+    ("source", "outputs", "wanted"),
+    [
+        ("", ("alpha", "theta_1"), "simulate F --model m.json --from 1 --to 9 -o simulate.png"),
+        ("", ("alpha", "velocity"), "check F --signal alpha --detrend --from 1 --to 9"),
+        ("csv:12", ("y", "z"), "check F --input w --signal alpha --detrend --from 1 --to 9"),
+    ],
+)
+def test_a_validation_suggests_the_physics_or_the_poorest_channel(
+    source: str, outputs: tuple[str, ...], wanted: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tests: Any = SimpleNamespace(poorest_pair=("alpha", "w"))
+    given = SignalChoice(signal=",".join(outputs), input="u,w", start=1, stop=9, detrend=True)
+    fit: Any = SimpleNamespace(outputs=outputs, ny=2, nu=2)
+
+    after_validate(fit, tests, _data(source, outputs), Path("F"), Path("m.json"), given)
+
+    assert capsys.readouterr().err == f"next: armrig {wanted}\n"
+
+
+def _data(source: str, outputs: tuple[str, ...], mean: float = 0.0) -> Signals:
+    """Return 40 samples of two inputs and the outputs, with a mean of the outputs."""
+    rng = np.random.default_rng(0)
+    y = mean + rng.standard_normal((40, len(outputs)))
+    u = rng.choice([-1.0, 1.0], (40, 2))
+    return Signals(u=u, y=y, Ts=1.0, source=source, outputs=outputs, inputs=("u", "w"))
+
+
+@pytest.mark.parametrize(
+    ("source", "outputs", "mean", "about", "wanted"),
+    [
+        ("", ("theta_1", "alpha"), 0.0, "residuals", "--structure oe --integrator"),
+        ("", ("alpha", "velocity"), 9.0, "residuals", "--search"),
+        ("csv:12", ("y", "z"), 9.0, "residuals feedback", f"{OPTIONS} --detrend"),
+        ("csv:12", ("y", "z"), 0.0, "residuals", "--search"),
+        ("csv:12", ("y", "z"), 0.0, "residuals feedback", CHECK),
+    ],
+)
+def test_coloured_residuals_of_several_signals_suggest_means_integrator_or_search(
+    source: str, outputs: tuple[str, ...], mean: float, about: str, wanted: str
+) -> None:
+    found = _better_options(Request(**OE), _data(source, outputs, mean), {*about.split()})
+
+    assert found == wanted
+
+
+@pytest.mark.parametrize(
+    ("source", "output", "given"),
+    [
+        ("", "theta_1", ""),
+        ("", "alpha", " --signal alpha"),
+        ("csv:12", "theta_1", " --input w --signal theta_1"),
+    ],
+)
+def test_a_channel_is_chosen_by_the_names_that_its_file_needs(
+    source: str, output: str, given: str
+) -> None:
+    several = SignalChoice(signal="theta_1,alpha", input=None if not source else "u,w")
+    data = _data(source, ("theta_1", "alpha"))
+
+    assert several.of_channel(output, "w", data).options(data) == given
+    alone = SignalChoice(signal="alpha")
+    assert alone.of_channel(output, "u", data.dataset("alpha", "u")) is alone
