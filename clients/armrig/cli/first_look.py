@@ -192,7 +192,8 @@ def hints(
     known = {name: one for name, one in found.items() if not isinstance(one, str)}
     if not known:
         raise InputError(str(next(iter(found.values()))))
-    _draw_hints(known, data, plot)
+    if plot is not None:
+        _draw_hints(known, data, plot)
     if json:
         each = [
             {"channel": name} | _hint_facts(one) | {"doubts": [d.text for d in doubts[name]]}
@@ -227,9 +228,7 @@ def _options(found: Sequence[StructureHints]) -> str:
     return f"--structure oe --nb {orders['nb']} --nf {orders['nf']} --nk {nk}{integrator}"
 
 
-def _draw_hints(
-    found: Mapping[str, StructureHints], data: Dataset | Signals, plot: Path | None
-) -> None:
+def _draw_hints(found: Mapping[str, StructureHints], data: Dataset | Signals, plot: Path) -> None:
     drawn: dict[str, Draw] = {}
     for channel, one in found.items():
         end = "".join(f"_{word}" for word in channel.split())

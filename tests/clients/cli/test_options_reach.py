@@ -93,6 +93,8 @@ def _described(value: Any) -> Any:
             return value
     if isinstance(value, msgspec.Struct):
         return _described(msgspec.structs.asdict(value))
+    if isinstance(value, armrig.Dataset):
+        value = value.signals()
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: _described(getattr(value, f.name)) for f in fields(value) if f.repr}
     return type(value).__name__
