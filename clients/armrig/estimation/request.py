@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
+from inspect import Parameter, Signature
 from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
 
 import msgspec
@@ -160,7 +162,27 @@ def flag(name: str) -> str:
 
 
 def estimator(structure: str) -> Callable[..., Fit]:
-    """Return the estimator of a structure."""
-    module = import_module(f"armrig.estimation.{structure}")
-    found: Callable[..., Fit] = getattr(module, structure)
+    """Return the estimator of a structure: the function in the module of its name, or `_of_row`."""
+    name = f"armrig.estimation.{structure}"
+    if find_spec(name) is None:
+        return _of_row(structure)
+    found: Callable[..., Fit] = getattr(import_module(name), structure)
     return found
+
+
+def _of_row(structure: str) -> Callable[..., Fit]:
+    """Return a search for the polynomials that the row of a structure names."""
+    row = STRUCTURES[structure]
+    search = import_module("armrig.estimation.prediction_error").estimated
+
+    def estimate(data: Dataset | Signals, *, nk: Any = 1, **given: Any) -> Fit:
+        orders = {name: given.pop(name) for name in row.orders} | {"nk": nk}
+        fit: Fit = search(data, structure, orders, **given)
+        return fit
+
+    keyword = Parameter.KEYWORD_ONLY
+    names = ("nk", *row.orders, *row.takes)
+    taken = [Parameter("data", Parameter.POSITIONAL_OR_KEYWORD)]
+    taken += [Parameter(name, keyword) for name in names]
+    estimate.__signature__ = Signature(taken)  # type: ignore[attr-defined]
+    return estimate
