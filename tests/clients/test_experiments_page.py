@@ -35,7 +35,7 @@ def test_every_line_of_the_page_prints_the_output_shown_there(
     compared = pages.run(PAGE, capsys, atol=1e-6)
 
     plt.close("all")
-    assert compared == 11
+    assert compared == 13
 
 
 def test_every_command_of_the_page_is_valid(daemon: FakeDaemon, where: str) -> None:

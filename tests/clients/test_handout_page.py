@@ -27,7 +27,7 @@ def test_every_line_of_the_page_prints_the_output_shown_there(
 ) -> None:
     monkeypatch.chdir(recordings)
 
-    assert pages.run(PAGE, capsys, atol=2e-3, commands="armrig identify") == 13
+    assert pages.run(PAGE, capsys, atol=2e-3, commands="armrig identify") == 14
 
 
 def test_the_page_contains_every_assignment() -> None:
