@@ -83,10 +83,11 @@ def main() -> None:
             begin = time.perf_counter()
             fit = armrig.ss(parts[0], order=n, nk=0, noise=False, output_weights=weights)
             _say(label, fit, parts, time.perf_counter() - begin)
-        if signals.ny > 1:  # for one channel, n4sid returns a Fit
+        for label, focus in (("n4sid", "prediction"), ("n4sid, simulation", "simulation")):
             begin = time.perf_counter()
-            own = armrig.n4sid(parts[0], n, nk=0, replicates=0)
-            _say("n4sid", own, parts, time.perf_counter() - begin)
+            own = armrig.n4sid(parts[0], n, nk=0, focus=focus, replicates=0)
+            if signals.ny > 1:  # for one channel, n4sid returns a Fit
+                _say(label, own, parts, time.perf_counter() - begin)
         for label, found in (
             ("Octave's n4sid", _octave(parts[0], n) if shutil.which("octave-cli") else None),
             ("nfoursid", _nfoursid(nfoursid, parts[0], n) if nfoursid else None),

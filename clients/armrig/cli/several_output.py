@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armrig.cli.model_output import RTOL, coefficients, equally_well, root_lines
+from armrig.models.structure_table import named
 from armrig.numerics.quantities import listed
 from armrig.plots.captions import signature
 from armrig.validation.answer import ON_OWN_DATA, simulated_to, tests_sentence
@@ -121,7 +122,7 @@ def model_facts(fit: Fit) -> dict[str, Any]:
     poles = fit.poles()
     return {
         "structure": fit.structure,
-        "orders": fit.specification,
+        "orders": fit.specification or named(fit.orders),
         "shared": fit.shared,
         "inputs": list(fit.inputs),
         "Ts": fit.Ts,

@@ -14,20 +14,19 @@ from armrig.data.signals import Signals
 from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
 from armrig.estimation.multivariable.ends import ranked
 from armrig.estimation.multivariable.whitening import whitening
-from armrig.estimation.n4sid import n4sid
+from armrig.estimation.n4sid import order_of
 from armrig.estimation.orders import require_samples
 from armrig.estimation.state_space_fit import derivatives, inference, influence, matrices
 from armrig.estimation.state_space_gaps import searched
 from armrig.estimation.state_space_problem import (
     Linear,
-    Part,
-    Predictor,
     StateSpaceProblem,
     delays_of,
     parts_of,
     scaled_signals,
     tangent,
 )
+from armrig.estimation.state_space_responses import Part, Predictor
 from armrig.estimation.state_space_starts import moved_modes, starts
 from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
@@ -145,7 +144,7 @@ def ss(
     alpha: 97.5 %
     """
     if order is None:
-        order = n4sid(data, nk=nk).form.realised().A.shape[0]
+        order = order_of(data, nk=nk)
     require_integers(order=(order, 1))
     require_flags(noise=noise)
     delays = delays_of(nk, data)

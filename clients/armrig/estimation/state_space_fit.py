@@ -13,13 +13,13 @@ import numpy as np
 
 from armrig.data.signals import Signals
 from armrig.estimation.state_space_problem import (
-    Predictor,
     StateSpaceProblem,
     basis_of_states,
     stacked,
     whitened,
     without,
 )
+from armrig.estimation.state_space_responses import Predictor
 from armrig.models.matrices import Matrices
 from armrig.numerics.inference import Inference, OutputResiduals, infer
 from armrig.numerics.least_squares import Basis, orthonormal
@@ -108,19 +108,18 @@ def influence(
     at: Predictor,
     V: Array,
     states: Sequence[Basis] | None = None,
-) -> tuple[Array, Sequence[Basis]]:
+) -> tuple[Array, tuple[Basis, ...]]:
     """Return the derivatives of the whitened predictions, and the effects of the initial states.
 
     The effects of the initial states are projected out of the derivatives (ny N, d). They are
     returned as a basis for each experiment; a known basis is an argument.
     """
-    known = [None] * len(problem.parts) if states is None else states
     bases, left = [], []
-    for part, x0, Z in zip(problem.parts, at.x0, known, strict=True):
-        by, free = problem.sensitivities(part, at, x0, V)
-        bases.append(basis_of_states(part, free) if Z is None else Z)
+    for i, part in enumerate(problem.parts):
+        by, free = problem.sensitivities(i, at, V)
+        bases.append(basis_of_states(part, free) if states is None else states[i])
         left.append(without(bases[-1], whitened(part, by)))
-    return stacked(left), bases
+    return stacked(left), tuple(bases)
 
 
 def inference(

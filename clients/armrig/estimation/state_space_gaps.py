@@ -20,28 +20,68 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from armrig.estimation.multivariable.whitening import patterns
-from armrig.estimation.state_space_problem import (
-    Part,
-    Predictor,
-    parts_of,
-    stable_matrix,
-    tangent,
-)
+from armrig.estimation.state_space_problem import parts_of, stable_matrix, tangent
+from armrig.estimation.state_space_responses import Part, Predictor
+from armrig.estimation.subspace import Parts
 from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
 
 _NEGLIGIBLE = 1e-9  # a smaller variance of C x, relative to the variance of e, counts as 0
+_SETTLED_VARIANCE = 1e-4  # likewise, for gains that are not searched
 _STEP = 1e-6  # step of a numerical derivative; the coordinates are scaled
 _STEPS = 3  # steps of the search between two estimates of Lambda
 _MAX_ROUNDS = 30
 _LIKELIHOOD_TOLERANCE = 1e-3  # change of -2 log likelihood at which the search ends
+
+
+def filtered_parts(signals: Parts, A: Array, C: Array, K: Array, Lambda: Array) -> list[Part]:
+    """Return the parts with the gains G(t) of the Kalman filter, and the roots of inv(S(t)).
+
+    P is taken as 0 after a gap as soon as it increases the variance of e by less than 0.01 %.
+    """
+    noise, parts = K @ Lambda, []
+    Q, limit = noise @ K.T, _SETTLED_VARIANCE * np.diag(Lambda)
+    for part in parts_of(signals, Lambda):
+        gains, roots = K * part.rows[:, None, :], part.weights.copy()
+        P: Array | None = None
+        for t, rows in enumerate(part.rows):
+            if P is None and rows.all():
+                continue
+            P = np.zeros(A.shape) if P is None else P
+            o = np.flatnonzero(rows)
+            PC = P @ C[o].T
+            cross = A @ PC + noise[:, o]
+            P = A @ P @ A.T + Q
+            if o.size:
+                inverse = np.linalg.inv(np.linalg.cholesky(C[o] @ PC + Lambda[np.ix_(o, o)]))
+                roots[t][np.ix_(o, o)] = inverse
+                G = cross @ inverse.T
+                gains[t][:, o] = G @ inverse
+                P = P - G @ G.T
+            if (np.einsum("ij,jk,ik->i", C, P, C) <= limit).all():
+                P = None
+        parts.append(replace(part, weights=roots, gains=gains))
+    return parts
+
+
+def scaled_errors(part: Part, e: Array, Lambda: Array) -> Array:
+    """Return the errors (N, ny) of a Kalman filter, scaled to the covariance Lambda of e.
+
+    The weights of the part are the roots of inv(S).
+    """
+    scaled = np.full_like(e, np.nan)
+    white = (part.weights @ np.where(part.rows, e, 0.0)[:, :, None])[:, :, 0]
+    for o, times in patterns(part.rows):
+        at = np.ix_(times, o)
+        scaled[at] = white[at] @ np.linalg.cholesky(Lambda[np.ix_(o, o)]).T
+    return scaled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

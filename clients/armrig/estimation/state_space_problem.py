@@ -24,86 +24,32 @@ from itertools import pairwise
 
 import numpy as np
 from armrig_core.errors import InputError
-from scipy.linalg import solve_discrete_lyapunov
 
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.whitening import whitening
+from armrig.estimation.state_space_responses import (
+    Part,
+    Predictor,
+    entries,
+    held_free_responses,
+    held_responses,
+    offsets,
+    output_normal,
+    state_responses,
+)
 from armrig.numerics.checks import require_integers
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import (
-    free_responses,
     in_observer_form,
     outputs,
     recursion,
     responses,
-    varying_recursion,
 )
 
 _MAX_MODULUS = 1 - 1e-7  # largest modulus of an eigenvalue of Abar in a search
-_EIGENVALUE_TOLERANCE = 1e-10  # singular value of 1 - Abar that shows the eigenvalue 1
 _ORBIT_TOLERANCE = 1e-10  # a smaller relative singular value is a rounding error
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
-    """Scaled signals of one experiment."""
-
-    u: Array
-    """Inputs (N, nu)."""
-    y: Array
-    """Outputs (N, ny), 0 where an output is missing."""
-    rows: Array
-    """Mask (N, ny), False where an output is missing."""
-    weights: Array
-    """Whitening matrices (N, ny, ny)."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Predictor:
-    """Predictor of scaled signals: x(t+1) = Abar x + Bbar u + K y, yhat = C x + D u."""
-
-    Abar: Array
-    """Matrix A - K C (n, n)."""
-    Bbar: Array
-    """Matrix B - K D (n, nu)."""
-    C: Array
-    """Matrix of the outputs (ny, n)."""
-    D: Array
-    """Direct term (ny, nu)."""
-    K: Array
-    """Gain K for complete data (n, ny)."""
-    x0: tuple[Array, ...]
-    """State at the start of each experiment, (n,)."""
-
-    def simulated(self, u: Array, e: Array, x0: Array) -> Array:
-        """Return the outputs (N, ny) for given inputs, errors and initial state."""
-        w = u @ self.Bbar.T + (u @ self.D.T + e) @ self.K.T
-        x = recursion(self.Abar + self.K @ self.C, w, x0)[:-1]
-        return np.asarray(x @ self.C.T + u @ self.D.T + e)
-
-    def impulses(self, length: int) -> Array:
-        """Return the impulse responses from u and e, of `length` samples each, as a vector."""
-        A = self.Abar + self.K @ self.C
-        x = np.hstack([self.Bbar + self.K @ self.D, self.K])
-        found = [self.D.ravel()]
-        for _ in range(length):
-            found.append((self.C @ x).ravel())
-            x = A @ x
-        return np.concatenate(found)
-
-    def balanced(self) -> Predictor:
-        """Return this predictor in the coordinates of `output_normal`."""
-        T, inverse = _balancing(self.Abar, self.C)
-        return Predictor(
-            Abar=T @ self.Abar @ inverse,
-            Bbar=T @ self.Bbar,
-            C=self.C @ inverse,
-            D=self.D,
-            K=T @ self.K,
-            x0=tuple(T @ x for x in self.x0),
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,6 +64,8 @@ class Linear:
     """Direct term (ny, nu); 0 if it is not estimated."""
     x0: tuple[Array, ...]
     """State at the start of each experiment, (n,)."""
+    levels: tuple[Array, ...]
+    """Coefficients of the constant offsets of each experiment; () if none are estimated."""
     rank: int
     """Number of linear parameters that the data determine."""
     basis: Basis
@@ -143,17 +91,20 @@ class StateSpaceProblem:
     noise: bool
     """True if K is estimated; False for an output-error model."""
     level: bool = False
-    """True if a constant is added to the predictions of each output."""
+    """True if constant offsets of the signals are estimated."""
+    gain: Array | None = None
+    """Given K (n, ny), if K is not estimated and not 0."""
 
-    def linear(self, Abar: Array, C: Array) -> Linear:
-        """Return the linear parameters by least squares."""
+    def linear(self, Abar: Array, C: Array, given: tuple[Array, Array] | None = None) -> Linear:
+        """Return the linear parameters by least squares; Bbar and D may be given."""
         n, (ny, _) = self.order, C.shape
         nu = self.parts[0].u.shape[1]
         states, left, raw = [], [], []
         for part in self.parts:
             driven, free = self.responses(part, Abar, C)
-            Z = basis_of_states(part, self.with_offsets(free, Abar, C))
-            both = whitened(part, np.concatenate([driven, part.y.T[None]]))
+            Z = basis_of_states(part, free)
+            left_over = part.y - self._fed(part, Abar, C)
+            both = whitened(part, np.concatenate([driven, left_over.T[None]]))
             states.append(Z)
             raw.append(both)
             left.append(without(Z, both))
@@ -161,16 +112,19 @@ class StateSpaceProblem:
         whole, right = both[:, :-1], both[:, -1]
         basis = orthonormal(whole)
         theta = basis.coefficients(right)
+        if given is not None:
+            theta = np.concatenate([given[0].T.ravel(), given[1].ravel()[: theta.size - n * nu]])
         signals = theta[: n * (nu + ny * self.noise)].reshape(-1, n).T
         D = theta[signals.size :].reshape(ny, nu) if self.direct else np.zeros((ny, nu))
+        first = [
+            Z.coefficients(M[:, -1] - M[:, :-1] @ theta) for Z, M in zip(states, raw, strict=True)
+        ]
         return Linear(
             Bbar=signals[:, :nu],
-            K=signals[:, nu:] if self.noise else np.zeros((n, ny)),
+            K=signals[:, nu:] if self.noise else self._gain(ny),
             D=D,
-            x0=tuple(
-                Z.coefficients(M[:, -1] - M[:, :-1] @ theta)[:n]
-                for Z, M in zip(states, raw, strict=True)
-            ),
+            x0=tuple(x[:n] for x in first),
+            levels=tuple(x[n:] for x in first if self.level),
             rank=basis.rank,
             basis=basis,
             X=whole,
@@ -179,9 +133,33 @@ class StateSpaceProblem:
         )
 
     def responses(self, part: Part, Abar: Array, C: Array) -> tuple[Array, Array]:
-        """Return the outputs (k, ny, N) due to each linear parameter, and to each initial state."""
-        signals = np.hstack([part.u, part.y]) if self.noise else part.u
-        return state_responses(signals, Abar, C, direct=part.u if self.direct else None)
+        """Return the outputs (k, ny, N) due to each linear parameter, and to the initial state.
+
+        With `level` the second outputs also contain those due to constant offsets.
+        """
+        of_D = part.u if self.direct else None
+        if self.gain is None or part.rows.all() or not self.gain.any():
+            signals = np.hstack([part.u, part.y]) if self.noise else part.u
+            driven, free = state_responses(signals, Abar, C, direct=of_D)
+            return driven, self._with_offsets(free, Abar, C)
+        w, at_once = entries(part.u, self.order, of_D, len(C))
+        at = self._bare(Abar, C)
+        driven = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
+        return driven.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
+
+    def _gain(self, ny: int) -> Array:
+        return np.zeros((self.order, ny)) if self.gain is None else self.gain
+
+    def _bare(self, Abar: Array, C: Array) -> Predictor:
+        """Return the predictor with the given gain whose other linear parameters are 0."""
+        nu, ny = self.parts[0].u.shape[1], len(C)
+        zero = np.zeros((self.order, nu)), np.zeros((ny, nu))
+        x0 = (np.zeros(self.order),) * len(self.parts)
+        return Predictor(Abar=Abar, Bbar=zero[0], C=C, D=zero[1], K=self._gain(ny), x0=x0)
+
+    def _fed(self, part: Part, Abar: Array, C: Array) -> Array | float:
+        """Return the part (N, ny) of the predictions that y drives through the given gain."""
+        return 0.0 if self.gain is None else self._bare(Abar, C).predicted(part, 0)
 
     def cost(self, Abar: Array, C: Array) -> float:
         """Return the sum of squared whitened errors."""
@@ -215,42 +193,30 @@ class StateSpaceProblem:
         ]
         return linear, without(linear.basis, stacked(J))
 
-    def sensitivities(
-        self, part: Part, at: Predictor, x0: Array, directions: Array
-    ) -> tuple[Array, Array]:
-        """Return the derivatives (d, ny, N) of yhat, and the responses to the initial state.
+    def sensitivities(self, i: int, at: Predictor, directions: Array) -> tuple[Array, Array]:
+        """Return the derivatives (d, ny, N) of yhat in experiment i, and the other responses.
 
         The derivatives are with respect to (Abar, C) in the given directions, to the entries of
-        Bbar and K signal by signal, and to those of D row by row. With `level` the responses also
-        contain a constant for each output. The error of a missing output is taken as 0.
+        Bbar and K signal by signal, and to those of D row by row. The other responses are those to
+        the initial state and to offsets. The changes of the gains of a Kalman filter after a
+        missing output are neglected.
         """
-        Abar, C, K = at.Abar, at.C, at.K
-        N, (n, ny) = len(part.u), K.shape
+        part, Abar, C, K = self.parts[i], at.Abar, at.C, at.K
         if part.rows.all() or not K.any():
-            x = _states(Abar, C, part.u @ at.Bbar.T + part.y @ K.T, x0)
+            x = _states(Abar, C, part.u @ at.Bbar.T + part.y @ K.T, at.x0[i])
             driven, free = self.responses(part, Abar, C)
-            by = np.concatenate([_moved(Abar, C, x, directions), driven])
-        else:
-            w = part.u @ at.Bbar.T + (part.rows * part.y) @ K.T
-            yhat = held_responses(part, at, w[:, None], (part.u @ at.D.T)[:, None], x0[None])[:, 0]
-            y = np.where(part.rows, part.y, yhat)
-            x = recursion(Abar, part.u @ at.Bbar.T + y @ K.T, x0)[:-1]
-            w, at_once = entries(np.hstack([part.u, y]), n, part.u if self.direct else None, ny)
-            k = directions.shape[1]
-            by_A, by_C = np.split(directions.T, [n * n], axis=1)
-            w = np.concatenate([x @ by_A.reshape(k, n, n).swapaxes(1, 2), w])
-            at_once = np.concatenate([x @ by_C.reshape(k, ny, n).swapaxes(1, 2), at_once])
-            by = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
-            nothing = np.zeros((N, n, n)), np.zeros((N, n, ny))
-            free = held_responses(part, at, *nothing, np.eye(n))
-            by, free = by.transpose(1, 2, 0), free.transpose(1, 2, 0)
-        return by, self.with_offsets(free, Abar, C)
+            return np.concatenate([_moved(Abar, C, x, directions), driven]), free
+        n, ny = K.shape
+        y = np.where(part.rows, part.y, at.predicted(part, i))
+        x = recursion(Abar, part.u @ at.Bbar.T + y @ K.T, at.x0[i])[:-1]
+        w, at_once = entries(np.hstack([part.u, y]), n, part.u if self.direct else None, ny)
+        by_A, by_C = np.split(directions.T, [n * n], axis=1)
+        w = np.concatenate([x @ by_A.reshape(-1, n, n).swapaxes(1, 2), w])
+        at_once = np.concatenate([x @ by_C.reshape(-1, ny, n).swapaxes(1, 2), at_once])
+        by = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
+        return by.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
 
-    def with_offsets(self, free: Array, Abar: Array, C: Array) -> Array:
-        """Return the responses (k, ny, N) to the initial state, and those to constant offsets.
-
-        Without `level` the offsets are left out.
-        """
+    def _with_offsets(self, free: Array, Abar: Array, C: Array) -> Array:
         return np.concatenate([free, offsets(Abar, C, free.shape[2])]) if self.level else free
 
     def minimise(self, Abar: Array, C: Array, *, most: int) -> tuple[Array, Array, Linear, Optimum]:
@@ -296,23 +262,6 @@ class StateSpaceProblem:
         return [slice(a, b) for a, b in pairwise([0, *sizes])]
 
 
-def state_responses(
-    signals: Array, Abar: Array, C: Array, *, direct: Array | None
-) -> tuple[Array, Array]:
-    """Return the outputs (k, ny, N) due to each entry of B and D, and to each initial state.
-
-    The entries of B, for the inputs `signals`, are ordered by signal; those of D by output. D is
-    for the inputs `direct`; None means that there is no D.
-    """
-    (N, m), (ny, n) = signals.shape, C.shape
-    driven = responses(Abar, C, signals).reshape(m * n, ny, N)
-    if direct is not None:
-        at_once = np.zeros((ny, direct.shape[1], ny, N))
-        at_once[range(ny), :, range(ny)] = direct.T
-        driven = np.concatenate([driven, at_once.reshape(-1, ny, N)])
-    return driven, free_responses(Abar, C, N)
-
-
 def _states(Abar: Array, C: Array, w: Array, x0: Array) -> Array:
     """Return the states (N, n); in observer form only the first state, which is the output."""
     if not in_observer_form(Abar, C):
@@ -330,63 +279,6 @@ def _moved(Abar: Array, C: Array, x: Array, directions: Array) -> Array:
     used = np.flatnonzero(by_A.any(axis=(0, 1)))  # in observer form only the first state
     moved = np.tensordot(by_A[:, :, used], responses(Abar, C, x[:, used]), axes=((2, 1), (0, 1)))
     return np.asarray(moved + by_C @ x.T if by_C.any() else moved)
-
-
-def offsets(Abar: Array, C: Array, N: int) -> Array:
-    """Return the responses (k, ny, N) to constant offsets of u and y.
-
-    The responses are a constant for each output, and a ramp if Abar has the eigenvalue 1. For one
-    output the response of this eigenvalue to the initial state replaces the constant.
-    """
-    ny, n = C.shape
-    _, s, V = np.linalg.svd(np.eye(n) - Abar)
-    levels = np.broadcast_to(np.eye(ny)[:, :, None], (ny, ny, N))
-    if s[-1] > _EIGENVALUE_TOLERANCE:
-        return levels
-    ramp = (C @ V[-1])[None, :, None] * np.arange(1.0, N + 1)
-    return ramp if ny == 1 else np.concatenate([levels, ramp])
-
-
-def entries(signals: Array, n: int, direct: Array | None, ny: int) -> tuple[Array, Array]:
-    """Return the arguments w (k, N, n) and at_once (k, N, ny) of `held_responses` for B and D."""
-    N, m = signals.shape
-    w = np.zeros((m, n, N, n))
-    w[:, range(n), :, range(n)] = signals.T
-    w = w.reshape(m * n, N, n)
-    if direct is None:
-        return w, np.zeros((m * n, N, ny))
-    of_D = np.zeros((ny, direct.shape[1], N, ny))
-    of_D[range(ny), :, :, range(ny)] = direct.T
-    of_D = of_D.reshape(-1, N, ny)
-    return (
-        np.concatenate([w, np.zeros((len(of_D), N, n))]),
-        np.concatenate([np.zeros((m * n, N, ny)), of_D]),
-    )
-
-
-def held_responses(
-    part: Part, at: Predictor, w: Array, at_once: Array, x0: Array | None = None
-) -> Array:
-    """Return responses (N, k, ny) of the predictor if the error of a missing output is 0.
-
-    M(t) is the identity without the rows of the missing outputs ::
-
-        x(t+1) = (Abar + K (1 - M(t)) C) x(t) + w(t) + K (1 - M(t)) v(t),    C x(t) + v(t)
-
-    Parameters
-    ----------
-    w : ndarray, shape (N, k, n)
-        Right-hand sides.
-    at_once : ndarray, shape (N, k, ny)
-        Parts v of the outputs that do not depend on the state.
-    x0 : ndarray, shape (k, n), optional
-        Initial states; by default 0.
-    """
-    lost = at.K * ~part.rows[:, None, :]
-    w = w + at_once @ lost.swapaxes(1, 2)
-    x0 = np.zeros(w.shape[1:]) if x0 is None else x0
-    x = varying_recursion(at.Abar + lost @ at.C, w, x0)[:-1]
-    return np.asarray(x @ at.C.T + at_once)
 
 
 def whitened(part: Part, columns: Array) -> Array:
@@ -441,20 +333,6 @@ def reflected_matrix(A: Array, largest: float = 0.995) -> Array:
     inside = np.where(size > 1, 1 / np.maximum(size, 1), size)
     z = z / np.maximum(size, 1e-300) * np.minimum(inside, largest)
     return np.asarray(np.real(V @ np.diag(z) @ np.linalg.inv(V)))
-
-
-def output_normal(A: Array, C: Array) -> tuple[Array, Array]:
-    """Return A and C in coordinates with A^T A + C^T C = 1, which are suitable for a search."""
-    T, inverse = _balancing(A, C)
-    return T @ A @ inverse, C @ inverse
-
-
-def _balancing(A: Array, C: Array) -> tuple[Array, Array]:
-    """Return the change of coordinates that `output_normal` applies, and its inverse."""
-    gramian = solve_discrete_lyapunov(A.T, C.T @ C)
-    values, axes = np.linalg.eigh((gramian + gramian.T) / 2)
-    root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
-    return (axes * root).T, axes / root
 
 
 def directions(Abar: Array, C: Array) -> Array:

@@ -7,11 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.estimation.state_space_problem import (
-    StateSpaceProblem,
-    reflected_matrix,
-    stable_matrix,
-)
+from armrig.estimation.state_space_problem import StateSpaceProblem, reflected_matrix, stable_matrix
 from armrig.estimation.subspace import (
     complete_stretches,
     long_regression,

@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dposv
 
 from armrig.estimation.orders import require_samples
 from armrig.estimation.stability import CIRCLE_ROUNDING
-from armrig.estimation.state_space_problem import state_responses
+from armrig.estimation.state_space_responses import state_responses
 from armrig.estimation.subspace import (
     Parts,
     Projection,
@@ -38,7 +38,7 @@ _MAX_PREDICTOR_MODULUS = 0.999  # of a pole that had to be moved into the unit c
 
 def least_horizon(order: int | None, ny: int) -> int:
     """Return the least horizon for which the noise model of n states is right."""
-    return 3 if order is None else -(-order // ny) + 2
+    return 3 if order is None else -(-int(order) // ny) + 2
 
 
 def usable_windows(signals: Parts, order: int | None, horizon: int | None) -> Windows:
@@ -77,7 +77,7 @@ def longest_horizon(signals: Parts, samples: int, order: int | None) -> int:
     w = windows(signals, past=min(MAX_HORIZON, most), future=1, most=_MAX_WINDOWS)
     enough = 2 * len(w.R) < w.N
     wanted = autoregressive_order(w) if enough else MIN_HORIZON
-    return min(max(wanted, MIN_HORIZON, 2 * least - 2), most)
+    return int(min(max(wanted, MIN_HORIZON, 2 * least - 2), most))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,7 +17,6 @@ from armrig.data.finding import Finding
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.data_faults import level_without_input
 from armrig.estimation.multivariable.plans import integrating_outputs
-from armrig.estimation.n4sid import n4sid
 from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
@@ -159,7 +158,9 @@ def search(
     if validation is None:
         data, validation = estimation_and_validation(data)  # type: ignore[type-var]
     if isinstance(data, Signals):
-        plan = _planned_for_several(data, families, orders, nk, integrator)
+        plan = _planned_for_several(
+            data, families, orders, nk, integrator, simulated=horizon is None
+        )
     else:
         validation = as_dataset(validation)
         plan = _planned(data, validation, families, orders, nk, integrator, offset, horizon)
@@ -247,6 +248,8 @@ def _planned_for_several(
     orders: list[int],
     nk: int | Iterable[int] | None,
     integrator: bool | str | Sequence[str] | None,
+    *,
+    simulated: bool,
 ) -> _Plan:
     """Return the candidates for several signals."""
     if integrator is None:
@@ -265,6 +268,7 @@ def _planned_for_several(
             family=family,
             orders=(*dict.fromkeys(OF_SEVERAL[family].orders, n).items(), ("nk", k)),
             integrating=integrating,
+            simulates=simulated and family == "n4sid",
         )
         for family in names
         for k in delays
@@ -291,8 +295,7 @@ def _with_covariance(ranking: _Ranking, data: Dataset | Signals) -> Iterator[Sco
     """
     for k, scored in enumerate(ranking.usable):
         if k == ranking.chosen and isinstance(data, Signals) and scored.candidate.family == "n4sid":
-            orders = dict(scored.candidate.orders)
-            yield replace(scored, fit=n4sid(data, orders["order"], nk=orders["nk"]))
+            yield replace(scored, fit=scored.candidate.subspace_model(data))
         else:
             yield scored
 

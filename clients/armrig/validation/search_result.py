@@ -70,6 +70,17 @@ class Candidate:
             noise=not data.missing,
         )
 
+    def subspace_model(self, data: Signals, *, replicates: int | None = None) -> Fit:
+        """Return the model that `n4sid` estimates from several signals."""
+        orders = dict(self.orders)
+        return n4sid(
+            data,
+            orders["order"],
+            nk=orders["nk"],
+            focus="simulation" if self.simulates else "prediction",
+            replicates=replicates,
+        )
+
     def estimated(self, data: Dataset | Signals) -> Fit:
         """Return the model estimated from the data.
 
@@ -77,8 +88,8 @@ class Candidate:
         """
         orders = dict(self.orders)
         if isinstance(data, Signals):
-            if self.family == "n4sid":  # without a covariance, which costs a hundred estimates
-                return n4sid(data, orders["order"], nk=orders["nk"], replicates=0)
+            if self.family == "n4sid":  # without replicates, which cost a hundred estimates
+                return self.subspace_model(data, replicates=0)
             return self.request_for(data).estimated(data)
         request = Request(
             structure=cast("OfferedName", self.family),

@@ -12,18 +12,12 @@ import numpy as np
 import pytest
 from armrig import Dataset, Signals
 from armrig.estimation.multivariable.whitening import whitening
-from armrig.estimation.n4sid import completed
 from armrig.estimation.ss import _Criterion, _End, _improved
 from armrig.estimation.state_space_gaps import GapProblem, searched
-from armrig.estimation.state_space_problem import (
-    Part,
-    Predictor,
-    StateSpaceProblem,
-    output_normal,
-    reflected_matrix,
-    tangent,
-)
+from armrig.estimation.state_space_problem import StateSpaceProblem, reflected_matrix, tangent
+from armrig.estimation.state_space_responses import Part, Predictor, output_normal
 from armrig.estimation.subspace import windows
+from armrig.estimation.subspace_estimate import completed, unweighted
 from armrig.estimation.subspace_horizon import Innovations
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.recursion import recursion, varying_recursion
@@ -193,7 +187,7 @@ def test_a_start_value_is_stable() -> None:
 def test_noise_free_data_give_back_the_plant() -> None:
     for fit in (
         armrig.ss(data(scale=0.0), order=3, noise=False),
-        armrig.n4sid(data(scale=1e-7), 3),
+        armrig.n4sid(data(scale=1e-7), 3, replicates=0),
     ):
         np.testing.assert_allclose(nearest(fit.poles().values), POLES, atol=1e-5)
         G = fit.frequency_response([2.0]).G[0]
@@ -271,7 +265,7 @@ def test_missing_outputs_of_an_output_error_model_are_left_out() -> None:
 
 def test_a_subspace_estimate_worse_than_the_mean_is_reported() -> None:
     signals = armrig.example_recording().signals()
-    poor, good = (armrig.n4sid(signals, n) for n in (1, 4))
+    poor, good = (armrig.n4sid(signals, n, replicates=0) for n in (1, 4))
 
     (found,) = (x for x in poor.findings if x.about == "poor_fit")
     assert found.level == "warning"
@@ -282,7 +276,7 @@ def test_a_subspace_estimate_worse_than_the_mean_is_reported() -> None:
 
 def test_a_subspace_estimate_predicts_the_missing_outputs() -> None:
     """theta_1 is far from 0 where it is missing, and K leads its errors to alpha."""
-    fit = armrig.n4sid(armrig.example_recording().signals(), 4)
+    fit = armrig.n4sid(armrig.example_recording().signals(), 4, replicates=0)
 
     assert [found.fit_percent for found in fit.quality] == pytest.approx([99.99, 97.6], abs=0.1)
     # A, C, B and K of four states, and the initial state, are fitted to the two outputs.
@@ -371,13 +365,13 @@ def test_the_search_on_long_data_starts_with_their_first_samples(
 def test_replicates_have_the_missing_samples_of_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replicates are estimated in the same way as the model."""
     seen: list[list[Array]] = []
-    estimated = n4sid._estimated
+    estimated = n4sid.estimated
 
     def watched(signals: Any, options: Any) -> Any:
         seen.append([np.isfinite(y) for _, y in signals])
         return estimated(signals, options)
 
-    monkeypatch.setattr(n4sid, "_estimated", watched)
+    monkeypatch.setattr(n4sid, "estimated", watched)
     whole = data(missing=0.02)[:400]
 
     armrig.n4sid(whole.replaced(starts=(0, 150), step=None), 3, replicates=2, horizon=6)
@@ -422,7 +416,7 @@ def test_the_factor_of_windows_has_their_squares(offset: float, scale: float) ->
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", [1, 2])
 def test_missing_outputs_are_estimated_until_they_settle(seed: int) -> None:
-    whole, gaps = (armrig.n4sid(data(seed, missing=m), 3) for m in (0.0, 0.2))
+    whole, gaps = (armrig.n4sid(data(seed, missing=m), 3, replicates=0) for m in (0.0, 0.2))
     found, expected = (nearest(fit.poles().values) for fit in (gaps, whole))
 
     # Interpolated values alone move the real pole by 0.05.
@@ -436,7 +430,7 @@ def test_a_predictor_does_not_need_the_value_of_a_missing_output() -> None:
     u, y = rng.standard_normal((40, 2)), rng.standard_normal((40, 2))
     y[[0, 5, 6, 7, 31], [0, 1, 1, 0, 1]] = np.nan
     model = Innovations(A=A, C=C, K=K, horizon=5, singular_values=np.ones(3), steady=True)
-    at, (predicted,), _ = completed([(u, y)], model, direct=True, level=False)
+    at, (predicted,), _ = completed(unweighted([(u, y)]), model, direct=True)
 
     x, by_hand = at.x0[0], []
     for now, measured in zip(u, y, strict=True):
@@ -461,18 +455,18 @@ def test_the_matrices_change_at_every_step_of_a_recursion() -> None:
 
 
 def test_the_replicates_have_the_deviations_of_many_runs() -> None:
-    fits = [armrig.n4sid(data(seed=s), 3) for s in range(60)]
+    fits = [armrig.n4sid(data(seed=s), 3, replicates=0) for s in range(60)]
     values = np.array([nearest(f.poles().values) for f in fits])
     spread = np.sqrt(np.var(values.real, axis=0) + np.var(values.imag, axis=0))
 
-    poles = armrig.n4sid(data(seed=7), 3, replicates=100).poles()
+    poles = armrig.n4sid(data(seed=7), 3).poles()
 
     order = [int(np.argmin(np.abs(poles.values - z))) for z in POLES]
     assert np.abs(poles.std[order] / spread - 1).max() < 0.45
 
 
 def test_the_order_is_suggested() -> None:
-    orders = [armrig.n4sid(data(seed=s)).form.A.shape[0] for s in range(5)]
+    orders = [armrig.n4sid(data(seed=s), replicates=0).form.A.shape[0] for s in range(5)]
 
     assert orders.count(3) >= 4
 

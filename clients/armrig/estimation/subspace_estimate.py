@@ -1,0 +1,268 @@
+"""Estimate of all matrices of a state-space model from projections, for signals with gaps, too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from armrig_core.errors import InputError
+
+from armrig.estimation.multivariable.whitening import patterns
+from armrig.estimation.state_space_gaps import filtered_parts, scaled_errors
+from armrig.estimation.state_space_problem import StateSpaceProblem, parts_of
+from armrig.estimation.state_space_responses import (
+    Part,
+    Predictor,
+)
+from armrig.estimation.state_space_starts import interpolated
+from armrig.estimation.subspace import Parts, projection, suggested_order, visible_states
+from armrig.estimation.subspace_horizon import (
+    MIN_HORIZON,
+    Innovations,
+    best_innovations,
+    innovations_at,
+    usable_windows,
+)
+from armrig.models.structure_table import Weights
+from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.least_squares import Basis
+from armrig.numerics.polynomial import (
+    Array,
+)
+from armrig.numerics.stretches import stretches
+
+_MAX_SUGGESTED_ORDER = 10
+MAX_PASSES = 20
+"""Largest number of times that missing outputs are estimated."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SubspaceOptions:
+    """Options of the estimate."""
+
+    direct: bool
+    order: int | None = None
+    weights: Weights = "cva"
+    horizon: int | None = None
+    integrator: bool = False
+    stable: bool = False
+    simulated: bool = False
+    """True if the model is for simulation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SubspaceEstimate:
+    """Estimate of all matrices."""
+
+    model: Innovations
+    """A, C and K."""
+    free: Array
+    """A before the option `stable` reflected its poles."""
+    at: Predictor
+    """Predictor of the scaled signals."""
+    predicted: list[Array]
+    """One-step predictions (N, ny) of each experiment."""
+    states: tuple[Basis, ...]
+    """Effects of the initial states on the predictions of each experiment."""
+    errors: list[Array]
+    """One-step errors (N, ny) of each experiment, NaN where y is missing."""
+    canonical_correlations: Array
+    suggested_order: int
+    parts: tuple[Part, ...] = ()
+    """Signals of each experiment with the gains of a Kalman filter; () if no output is missing."""
+    Lambda: Array | None = None
+    """Covariance of e that the Kalman filter assumes."""
+    settled: bool = True
+    """True if the estimates of the missing outputs did not change in the last pass."""
+
+
+def estimated(signals: Parts, options: SubspaceOptions) -> SubspaceEstimate:
+    """Return the estimate from the windows, in which missing outputs are estimated as well.
+
+    The windows need a value for each missing output. The first value is interpolated. The model's
+    predictions then replace these values, and the model is estimated again, until the values change
+    by less than std(e)/sqrt(N). If they do not settle, the model with the least errors is returned.
+    """
+    known = _bridged(signals, options.horizon or MIN_HORIZON)
+    least = np.inf
+    for _ in range(MAX_PASSES):
+        found = _from_windows(signals, known, options)
+        e = np.vstack(found.errors)
+        before = np.vstack([y for _, y in known])
+        estimated = np.isnan(e) & np.isfinite(before)
+        if not estimated.any():
+            return filtered_estimate(signals, found, options)
+        loss = float(np.nanmean(e**2))
+        if loss < least:
+            least, best = loss, found
+        Lambda = pairwise_covariance(e)
+        known = [
+            (u, np.where(np.isnan(y), np.nan, at + _conditional(x, Lambda)))
+            for (u, y), at, x in zip(known, found.predicted, found.errors, strict=True)
+        ]
+        change = (np.vstack([y for _, y in known]) - before)[estimated]
+        if np.mean(change**2) <= loss / len(e):
+            return filtered_estimate(signals, found, options)
+    return filtered_estimate(signals, replace(best, settled=False), options)
+
+
+def filtered_estimate(
+    signals: Parts,
+    found: SubspaceEstimate,
+    options: SubspaceOptions,
+    given: tuple[Array, Array] | None = None,
+) -> SubspaceEstimate:
+    """Return the estimate with a Kalman filter after each missing output.
+
+    The errors are scaled, so that each error has the variance of an error without missing outputs.
+    """
+    model, e = found.model, np.vstack(found.errors)
+    if np.isfinite(e).all() or not model.K.any():
+        return found
+    Lambda = weights_of(found)
+    parts = filtered_parts(signals, model.A, model.C, model.K, Lambda)
+    at, predicted, bases = completed(parts, model, direct=options.direct, given=given)
+    errors = [
+        scaled_errors(part, y - yhat, Lambda)
+        for part, (_, y), yhat in zip(parts, signals, predicted, strict=True)
+    ]
+    return replace(
+        found,
+        at=at,
+        predicted=predicted,
+        states=bases,
+        errors=errors,
+        parts=tuple(parts),
+        Lambda=Lambda,
+    )
+
+
+def weights_of(found: SubspaceEstimate) -> Array:
+    """Return the covariance of e; the weight of a single output has no effect."""
+    e = np.vstack(found.errors)
+    return np.eye(1) if e.shape[1] == 1 else pairwise_covariance(e)
+
+
+def _bridged(signals: Parts, longest: int) -> list[tuple[Array, Array]]:
+    """Return the signals with outputs interpolated over gaps of at most `longest` samples."""
+    found = []
+    for u, y in signals:
+        filled = interpolated(y)
+        for k, missing in enumerate(np.isnan(y).T):
+            for gap in stretches(missing):
+                if gap.stop - gap.start > longest:
+                    filled[gap, k] = np.nan
+        found.append((u, filled))
+    return found
+
+
+def _conditional(errors: Array, Lambda: Array) -> Array:
+    """Return the errors (N, ny); a missing error is estimated from those of the other outputs."""
+    known = np.isfinite(errors)
+    found = np.where(known, errors, 0.0)
+    for o, times in patterns(known):
+        gain = np.linalg.solve(Lambda[np.ix_(o, o)], Lambda[o])
+        found[times] = found[np.ix_(times, o)] @ gain
+    return found
+
+
+def _from_windows(signals: Parts, known: Parts, options: SubspaceOptions) -> SubspaceEstimate:
+    """Return the estimate from windows of the `known` signals, which have no missing outputs."""
+    w = usable_windows(known, options.order, options.horizon)
+    found = projection(w, options.weights)
+    canonical = found if options.weights == "cva" else projection(w, "cva")
+    states = visible_states(w)
+    most = min(_MAX_SUGGESTED_ORDER, (w.future - 2) * w.ny, states)
+    suggested = suggested_order(w, canonical, most)
+    n = suggested if options.order is None else options.order
+    if n > states:
+        raise InputError(f"order={n}: the data show {states} states; lower the order")
+    integrator, direct = options.integrator, options.direct
+    if options.horizon is None:
+        model = best_innovations(
+            known,
+            w,
+            found,
+            n,
+            options.weights,
+            integrator=integrator,
+            direct=direct,
+            simulated=options.simulated and w.ny > 1,
+        )
+    else:
+        model = innovations_at(w, found, n, integrator=integrator)
+    free = model.A
+    if options.stable:
+        model = model.stabilised()
+    at, predicted, bases = completed(unweighted(signals), model, direct=direct)
+    return SubspaceEstimate(
+        model=model,
+        free=free,
+        at=at,
+        predicted=predicted,
+        states=bases,
+        errors=[y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)],
+        canonical_correlations=canonical.singular_values,
+        suggested_order=suggested,
+    )
+
+
+def completed(
+    parts: Sequence[Part],
+    model: Innovations,
+    *,
+    direct: bool,
+    given: tuple[Array, Array] | None = None,
+) -> tuple[Predictor, list[Array], tuple[Basis, ...]]:
+    """Return the predictor whose B, D and initial states minimise the one-step errors.
+
+    Without the gains of a Kalman filter the error of a missing output is 0. With an
+    integrator, constant offsets of the signals are estimated, too. If B and D are `given`, only the
+    initial states and the offsets are estimated.
+
+    Returns
+    -------
+    Predictor
+    list of ndarray
+        Predictions (N, ny) of each experiment.
+    tuple of Basis
+        Effects of the initial states on the predictions of each experiment.
+
+    Raises
+    ------
+    ValueError
+        u determines fewer coefficients than B and D have.
+    """
+    problem = StateSpaceProblem(
+        parts=tuple(parts),
+        order=len(model.A),
+        direct=direct,
+        noise=False,
+        level=model.integrator,
+        gain=model.K,
+    )
+    found = problem.linear(
+        model.Abar, model.C, None if given is None else (given[0] - model.K @ given[1], given[1])
+    )
+    d = found.X.shape[1]
+    if given is None and found.rank < d:
+        raise InputError(
+            f"u determines only {found.rank} of {d} numerator coefficients; lower the order or "
+            "excite with a richer input"
+        )
+    at = Predictor(
+        Abar=model.Abar,
+        Bbar=found.Bbar,
+        C=model.C,
+        D=found.D,
+        K=model.K,
+        x0=found.x0,
+        levels=found.levels,
+    )
+    return at, [at.predicted(part, i) for i, part in enumerate(parts)], found.states
+
+
+def unweighted(signals: Parts) -> tuple[Part, ...]:
+    """Return the signals of each experiment without weights of the outputs."""
+    return parts_of(signals, np.eye(signals[0][1].shape[1]))
