@@ -390,7 +390,8 @@ def scaled_signals(
 
 def _scale(columns: Array) -> Array:
     """Return the standard deviation of each column, 1 for a constant column."""
-    std = np.nanstd(columns, axis=0)
+    # np.nanstd takes ten times as long.
+    std = np.std(columns, axis=0) if np.isfinite(columns).all() else np.nanstd(columns, axis=0)
     return np.where(std > 0, std, 1.0)
 
 

@@ -173,7 +173,8 @@ def _losses(M: Array, w: Windows, known: Integers) -> Array:
     For one output the determinant is the mean squared error.
     """
     y = np.asarray(np.linalg.qr(M, mode="r"))[:, -w.ny :]
-    return np.array([np.linalg.det(y[k:].T @ y[k:] / w.N) for k in known])
+    sums = np.cumsum((y[:, :, None] * y[:, None, :])[::-1], axis=0)[::-1]
+    return np.asarray(np.linalg.det(sums[known] / w.N))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
