@@ -196,6 +196,8 @@ def ss(
     else:
         Psi, states = influence(problem, predictor, tangent(best.Abar, best.C))
         residuals = problem.residuals(best.Abar, best.C, linear)
+    # With given weights the criterion has the units of the data already.
+    unit = 1.0 if weights else float(np.prod(sy) ** (2 / ny))
     by = derivatives(problem, predictor, tangent(predictor.Abar, predictor.C))
     form, T = matrices(predictor, by, su, sy, delays)
     found = inference(data, problem, Psi, states, residuals, sy)
@@ -211,7 +213,7 @@ def ss(
         starts=tuple(
             Start(
                 name=e.name,
-                loss=float(np.exp(e.criterion / ny)),
+                loss=float(np.exp(e.criterion / ny)) * unit,
                 iterations=e.iterations,
                 converged=e.converged,
             )
