@@ -251,16 +251,8 @@ def completed(
             f"u determines only {found.rank} of {d} numerator coefficients; lower the order or "
             "excite with a richer input"
         )
-    at = Predictor(
-        Abar=model.Abar,
-        Bbar=found.Bbar,
-        C=model.C,
-        D=found.D,
-        K=model.K,
-        x0=found.x0,
-        levels=found.levels,
-    )
-    return at, [at.predicted(part, i) for i, part in enumerate(parts)], found.states
+    predicted = [found.at.predicted(part, i) for i, part in enumerate(parts)]
+    return found.at, predicted, found.states
 
 
 def unweighted(signals: Parts) -> tuple[Part, ...]:

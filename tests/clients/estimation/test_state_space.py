@@ -83,8 +83,8 @@ def test_the_gradient_is_the_slope_of_the_cost(noise: bool, direct: bool, missin
     V = np.eye(Abar.size + c.size)
     h = 1e-6
 
-    by = p.derivatives(Abar, c, linear, V)
-    e = np.concatenate([r.ravel() for r in p.residuals(Abar, c, linear)])
+    by = p.derivatives(linear.at, V)
+    e = np.concatenate([r.ravel() for r in p.residuals(linear.at)])
     assert e.size == 400
     J = np.vstack(
         [
@@ -191,16 +191,14 @@ def test_the_covariance_of_the_noise_is_estimated_along_with_the_gaps() -> None:
 def test_without_a_gap_the_errors_are_those_of_the_constant_gain() -> None:
     whole = problem(noise=True, direct=True, missing=0.0)
     linear = whole.linear(A - K @ C, C)
-    at = Predictor(
-        Abar=A - K @ C, Bbar=linear.Bbar, C=C, D=linear.D, K=linear.K, x0=linear.x0
-    ).balanced()
+    at = linear.at.balanced()
 
     gaps = GapProblem(parts=whole.parts, Lambda=LAMBDA, direct=True)
 
     z, log = gaps.errors([at])
     np.testing.assert_allclose(z[0], linear.e, atol=1e-9)
     np.testing.assert_array_equal(log, 0)
-    for found, e in zip(gaps.residuals(at), whole.residuals(A - K @ C, C, linear), strict=True):
+    for found, e in zip(gaps.residuals(at), whole.residuals(linear.at), strict=True):
         np.testing.assert_allclose(found, e, atol=1e-9)
 
 
