@@ -29,11 +29,10 @@ from armrig.estimation.orders import require_samples
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.estimation.search import (
     Ends,
-    from_starts,
-    reweighted,
     rounding_floor,
     same_minimum,
     searched_minimum,
+    searched_together,
     weighted_by,
 )
 from armrig.estimation.stability import with_stability_warning, with_stable_poles
@@ -206,7 +205,7 @@ def _searched(
         part = _part(data, rows, outputs)
         ends = searched_minimum(problem, part, thorough=options.thorough)
     else:
-        problem, ends = reweighted(problem, from_starts(problem))
+        problem, ends = searched_together(problem)
     theta = ends[0][1].theta
     solution = problem.solve(theta)
     d = problem.linear_size
