@@ -102,20 +102,21 @@ def drawn_model(kind: str, rng: Draw) -> tuple[Dataset, Structure, Vector, str]:
     data = Dataset(u=u, y=clean + v, Ts=float(rng.choice([0.01, 0.1, 1.0])))
     truth = {"OE": F[1:], "ARMAX": C[1:], "BJ": np.concatenate([C[1:], D[1:], F[1:]])}[kind]
     orders = {
-        "OE": Structure(nb=nb, nf=n, nk=nk),
-        "ARMAX": Structure(na=n, nb=nb, nc=nc, nk=nk),
-        "BJ": Structure(nb=nb, nc=nc, nd=nd, nf=n, nk=nk),
+        "OE": Structure(nb=(nb,), nf=(n,), nk=(nk,)),
+        "ARMAX": Structure(na=n, nb=(nb,), nc=nc, nf=(0,), nk=(nk,)),
+        "BJ": Structure(nb=(nb,), nc=nc, nd=nd, nf=(n,), nk=(nk,)),
     }[kind]
     return data, orders, truth, f"{name}, N {N}, {level_db:g} dB"
 
 
 def estimated_model(kind: str, data: Dataset, n: Structure) -> armrig.Fit:
     """Return the estimate of a drawn model."""
+    (nb,), (nf,), (nk,) = n.nb, n.nf, n.nk
     if kind == "OE":
-        return armrig.oe(data, nb=n.nb, nf=n.nf, nk=n.nk)
+        return armrig.oe(data, nb=nb, nf=nf, nk=nk)
     if kind == "ARMAX":
-        return armrig.armax(data, na=n.na, nb=n.nb, nc=n.nc, nk=n.nk)
-    return armrig.bj(data, nb=n.nb, nc=n.nc, nd=n.nd, nf=n.nf, nk=n.nk)
+        return armrig.armax(data, na=n.na, nb=nb, nc=n.nc, nk=nk)
+    return armrig.bj(data, nb=nb, nc=n.nc, nd=n.nd, nf=nf, nk=nk)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,7 +28,7 @@ from armrig.estimation.nonparametric.sampling_time import sampling_time as sampl
 from armrig.estimation.nonparametric.spectral import spa as spa
 from armrig.estimation.nonparametric.step_analysis import step_analysis as step_analysis
 from armrig.estimation.oe import oe as oe
-from armrig.estimation.order_table import select_orders as select_orders
+from armrig.estimation.order_selection import select_orders as select_orders
 from armrig.estimation.pem import pem as pem
 from armrig.estimation.recursive import RarxState as RarxState
 from armrig.estimation.recursive import rarx as rarx

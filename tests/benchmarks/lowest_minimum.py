@@ -12,7 +12,7 @@ import time
 import warnings
 
 import numpy as np
-from armrig.estimation.prediction_error import PredictionErrorProblem
+from armrig.estimation.problem import PolynomialProblem
 from armrig.models.innovations import prepared
 
 from tests.plants import drawn_model, estimated_model
@@ -45,7 +45,7 @@ def main() -> None:
                 continue
             seconds += time.process_time() - begun
             tried += 1
-            problem = PredictionErrorProblem(experiments=(prepared(data, n),), structure=n)
+            problem = PolynomialProblem(experiments=((prepared(data.u, data.y, n),),), rows=(n,))
             least = problem.minimise(truth).cost / fit.N
             excess = fit.loss / least - 1
             if excess > TOLERANCE:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armrig.cli.reading_options import grouped
-from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.estimation.request import DEFAULTS, OPTIONS, Option, Request, flag
 from armrig.models.structure_table import (
     COUNTED,
@@ -31,7 +30,7 @@ Given = dict[str, Any]
 """Values of the estimation's options by name; None or False for options that were not given."""
 _SEARCHED = ("structure", "nk", "integrator", "offset")
 _NOT_SEARCHED = {"stable": "whose models are always stable"}
-_NOT_WITH = {"stable": "; not with --search or several signals"}
+_NOT_WITH = {"stable": "; not with --search"}
 _COUNTED_AS = {"nf": "; an integrator counts as one"}
 _WAY_OUT = {
     "integrator": "{model} finds an integrator by itself",
@@ -128,9 +127,7 @@ def requested(given: Given) -> Request:
     return Request(**(options | {"orders": orders}))
 
 
-def requested_of_several(
-    given: Given, *, integrating: Sequence[str], shared: bool
-) -> SignalsRequest:
+def requested_of_several(given: Given, *, integrating: Sequence[str], shared: bool) -> Request:
     """Return the request for a model of several signals from the options.
 
     Parameters
@@ -157,13 +154,15 @@ def requested_of_several(
                 f"{_typed(name, value)} does not go with {row.title} of several signals, which has "
                 f"{listed([flag(x) for x in (*row.orders, 'nk', *takes) if x != 'noise'])}"
             )
-    return SignalsRequest(
+    return Request(
         structure=structure,
         orders={name: asked.get(name, default) for name, default in row.orders.items()},
         nk=asked.get("nk", 1),
         weights=asked.get("weights"),
-        integrating=tuple(integrating) if asked.get("integrator") else (),
-        shared=shared,
+        offset=asked.get("offset", False),
+        stable=asked.get("stable", False),
+        integrating=tuple(integrating) if asked.get("integrator") else None,
+        shared=shared or None,
     )
 
 

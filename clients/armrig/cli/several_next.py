@@ -16,14 +16,14 @@ from armrig.cli.recorded_data import SignalChoice, from_recording
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Signals
-    from armrig.estimation.multivariable.request import SignalsRequest
+    from armrig.estimation.request import Request
     from armrig.models.fit import Fit
     from armrig.validation.residual_test import ResidualTest
 
 
 def after_identify(
     fit: Fit,
-    request: SignalsRequest,
+    request: Request,
     data: Signals,
     file: Path,
     signals: SignalChoice,
@@ -73,7 +73,7 @@ def _at_operating_point(data: Signals) -> bool:
     return far_from_zero([*outputs, *data.u.T])
 
 
-def better_options(request: SignalsRequest, data: Signals) -> str:
+def better_options(request: Request, data: Signals) -> str:
     """Return the options of `identify` for the next estimation after coloured residuals.
 
     If an output is the rig's angle theta_1 and the request has no integrator, the options request
@@ -87,11 +87,12 @@ def better_options(request: SignalsRequest, data: Signals) -> str:
     return "--search"
 
 
-def options_of(request: SignalsRequest) -> str:
+def options_of(request: Request) -> str:
     """Return the options of `identify` that result in this request."""
     orders = [f"--{name} {n}" for name, n in request.orders.items() if n is not None]
     weights = f"--weights {request.weights}" if request.weights else ""
-    flags = ["--integrator" * bool(request.integrating), "--shared" * request.shared, weights]
+    flags = ["--integrator" * bool(request.integrating), "--shared" * bool(request.shared), weights]
+    flags += [f"--{name}" for name in ("offset", "stable") if getattr(request, name)]
     each = [f"--structure {request.structure}", *orders, f"--nk {request.nk}", *flags]
     return " ".join(x for x in each if x)
 

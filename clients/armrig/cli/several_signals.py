@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from armrig.data.dataset import Signals
-    from armrig.estimation.multivariable.request import SignalsRequest
+    from armrig.estimation.request import Request
     from armrig.models.fit import Fit
     from armrig.validation.comparison import ComparisonTable
     from armrig.validation.search_result import SearchResult
@@ -140,7 +140,7 @@ def _integrating(data: Signals) -> tuple[str, ...]:
     return tuple(name for name in data.outputs if name in INTEGRATING_OUTPUTS)
 
 
-def _request(given: Given, data: Signals, *, shared: bool) -> SignalsRequest:
+def _request(given: Given, data: Signals, *, shared: bool) -> Request:
     """Return the request; a rig's outputs share one denominator, and only theta_1 may integrate."""
     from armrig.models.structure_table import OF_SEVERAL
 

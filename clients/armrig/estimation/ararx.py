@@ -2,53 +2,60 @@
 
 from __future__ import annotations
 
-from armrig.data.argument import takes_recordings
+from collections.abc import Sequence
+from typing import Any
+
+from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset
-from armrig.estimation.prediction_error_fit import searched
+from armrig.data.signals import Signals
+from armrig.estimation.channel_orders import Shared
+from armrig.estimation.prediction_error import estimated
 from armrig.models.fit import Fit
-from armrig.models.structure import Structure
 from armrig.models.structure_table import Initial, Starts
-from armrig.numerics.checks import require_flags, require_integers
 
 
-@takes_recordings
+@takes_data
 def ararx(
-    data: Dataset,
+    data: Dataset | Signals,
     *,
-    na: int,
-    nb: int,
-    nd: int,
-    nk: int = 1,
-    integrator: bool = False,
+    na: Any,
+    nb: Any,
+    nd: Any,
+    nk: Any = 1,
+    integrator: bool | str | Sequence[str] = False,
     offset: bool = False,
     initial: Initial = "estimate",
     stable: bool = False,
     starts: Starts = "many",
+    shared: Shared = "",
 ) -> Fit:
-    """Estimate A, B and D in A(q) y(t) = B(q) u(t) + 1/D(q) e(t).
+    """Estimate A, B and D in A_i(q) y_i(t) = sum of B_ij(q) u_j(t) + 1/D_i(q) e_i(t).
 
     Generalised least squares uses the same structure: D whitens the error of an ARX model.
 
     Parameters
     ----------
-    data : Dataset
-        N samples. After each gap in y, the initial state of the noise model is estimated again.
-    na, nb, nd : int
-        Numbers of coefficients a, b and d: na >= 0, nb >= 1, nd >= 0. An integrator counts as one
-        coefficient a.
-    nk, integrator, offset, initial, stable, starts
+    data : Dataset or Signals
+        N samples. After a missing y the noise is predicted by a Kalman filter, and the search is
+        over A, too.
+    na, nd : int, array_like (ny,) or mapping
+        Numbers of coefficients a and d of each output, >= 0. An integrator counts as one
+        coefficient a, except with a shared denominator.
+    nb, nk, integrator, offset, initial, stable, starts, shared
         As in `armax`.
 
     Returns
     -------
     Fit
         `covariance` is lambda (Psi^T Psi)^-1 for (a, b, d). `covariance_robust` is the estimate of
-        Newey and West.
+        Newey and West. Without a shared denominator each output is estimated
+        separately.
 
     Raises
     ------
     ValueError
-        There are too few samples for the orders, or u does not excite the model.
+        An order has a wrong shape, there are too few samples for the orders, or u does not excite
+        the model.
 
     References
     ----------
@@ -65,17 +72,14 @@ def ararx(
     >>> armrig.arx(data, na=3, nb=3).A.round(1)
     array([ 1. , -1.7,  0.5,  0.2])
     """
-    require_flags(integrator=integrator)
-    require_integers(na=(na, int(integrator)), nb=(nb, 1), nd=(nd, 0), nk=(nk, 0))
-    structure = Structure(
-        na=na - int(integrator),
-        nb=nb,
-        nd=nd,
-        nk=nk,
-        integrator="a" if integrator else "",
+    return estimated(
+        data,
+        "ararx",
+        {"na": na, "nb": nb, "nd": nd, "nk": nk},
+        integrator=integrator,
         offset=offset,
-    )
-    orders = f"na={na}, nb={nb}, nd={nd}, nk={nk}"
-    return searched(
-        data, structure, name="ararx", orders=orders, initial=initial, stable=stable, starts=starts
+        initial=initial,
+        stable=stable,
+        starts=starts,
+        shared=shared,
     )

@@ -2,49 +2,56 @@
 
 from __future__ import annotations
 
-from armrig.data.argument import takes_recordings
+from collections.abc import Sequence
+from typing import Any
+
+from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset
-from armrig.data.several_signals import accepts_signals
-from armrig.estimation.prediction_error_fit import searched
+from armrig.data.signals import Signals
+from armrig.estimation.channel_orders import Shared
+from armrig.estimation.prediction_error import estimated
 from armrig.models.fit import Fit
-from armrig.models.structure import Structure
 from armrig.models.structure_table import Initial, Starts
-from armrig.numerics.checks import require_flags, require_integers
 
 
-@accepts_signals("armrig.estimation.multivariable.armax")
-@takes_recordings
+@takes_data
 def armax(
-    data: Dataset,
+    data: Dataset | Signals,
     *,
-    na: int,
-    nb: int,
-    nc: int,
-    nk: int = 1,
-    integrator: bool = False,
+    na: Any,
+    nb: Any,
+    nc: Any,
+    nk: Any = 1,
+    integrator: bool | str | Sequence[str] = False,
     offset: bool = False,
     initial: Initial = "estimate",
     stable: bool = False,
     starts: Starts = "many",
+    shared: Shared = "",
 ) -> Fit:
-    """Estimate A, B and C in A(q) y(t) = B(q) u(t) + C(q) e(t).
+    """Estimate A, B and C in A_i(q) y_i(t) = sum of B_ij(q) u_j(t) + C_i(q) e_i(t).
 
     Parameters
     ----------
-    data : Dataset
-        N samples. After each gap in y, the initial state of the noise model is estimated again.
-    na, nb, nc : int
-        Numbers of coefficients a, b and c: na >= 0, nb >= 1, nc >= 0. An integrator counts as one
-        coefficient a.
-    nk : int, default 1
+    data : Dataset or Signals
+        N samples. After a missing y the noise is predicted by a Kalman filter, and the search is
+        over A, too.
+    na, nc : int, array_like (ny,) or mapping
+        Numbers of coefficients a and c of each output, >= 0. An integrator counts as one
+        coefficient a, except with a shared denominator.
+    nb : int, array_like (ny, nu) or mapping
+        Number of coefficients b of each output and input; 0 if the input does not affect the
+        output. A mapping has keys such as ("alpha", "u").
+    nk : int, array_like (ny, nu) or mapping, default 1
         Number of samples before u reaches y; 0 means a direct term.
-    integrator : bool, default False
-        Set A = (1 - q^-1) Ã, with one root at exactly 1, so that input *and noise* are integrated.
-        The model then describes the differenced output, with an estimated input offset. For noise
-        that is not integrated, such as sensor noise, use `oe` or `bj` with an integrator.
+    integrator : bool, str or sequence of str, default False
+        For all outputs or the named outputs, set A = (1 - q^-1) Ã, with one root at exactly 1, so
+        that input *and noise* are integrated. The model then describes the differenced output, with
+        an estimated input offset. For noise that is not integrated, such as sensor noise, use `oe`
+        or `bj` with an integrator.
     offset : bool, default False
-        Also estimate an input offset for each experiment. With an integrator the offset is always
-        estimated.
+        Also estimate an input offset for each experiment: a level of A y. With an integrator the
+        offset is always estimated.
     initial : {"estimate", "backcast", "zero", "auto"}
         Treatment of the unknown past (the signals before the first sample) of each experiment. With
         "estimate" or "backcast" the past is estimated by least squares. With "zero" the past is
@@ -58,17 +65,23 @@ def armax(
         has an F) are changed. These pairs are changed only if the first searches end in different
         minima or the noise is strong. "few" needs a tenth to a half of the time of "many", but ends
         in a poorer minimum more often.
+    shared : {"", "denominator"}
+        With "denominator" all outputs have the same A, and the inverse covariance matrix of e
+        weights the outputs. For an output with an integrator, A is multiplied by 1 - q^-1; this
+        root does not count in na.
 
     Returns
     -------
     Fit
         `covariance` is lambda (Psi^T Psi)^-1 for (a, b, c). `covariance_robust` is the estimate of
-        Newey and West.
+        Newey and West. Without a shared denominator each output is estimated
+        separately.
 
     Raises
     ------
     ValueError
-        There are too few samples for the orders, or u does not excite the model.
+        An order has a wrong shape, there are too few samples for the orders, or u does not excite
+        the model.
 
     References
     ----------
@@ -86,17 +99,14 @@ def armax(
     >>> fit.C.round(1)
     array([ 1. , -2.5,  2.1, -0.6])
     """
-    require_flags(integrator=integrator)
-    require_integers(na=(na, int(integrator)), nb=(nb, 1), nc=(nc, 0), nk=(nk, 0))
-    structure = Structure(
-        na=na - int(integrator),
-        nb=nb,
-        nc=nc,
-        nk=nk,
-        integrator="a" if integrator else "",
+    return estimated(
+        data,
+        "armax",
+        {"na": na, "nb": nb, "nc": nc, "nk": nk},
+        integrator=integrator,
         offset=offset,
-    )
-    orders = f"na={na}, nb={nb}, nc={nc}, nk={nk}"
-    return searched(
-        data, structure, name="armax", orders=orders, initial=initial, stable=stable, starts=starts
+        initial=initial,
+        stable=stable,
+        starts=starts,
+        shared=shared,
     )

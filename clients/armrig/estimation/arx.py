@@ -2,59 +2,87 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.data.argument import takes_recordings
+from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset
-from armrig.data.several_signals import accepts_signals
+from armrig.data.finding import EstimateFinding
+from armrig.data.signals import Signals
+from armrig.estimation.channel_orders import (
+    Integers,
+    as_text,
+    by_channel,
+    by_pair,
+    channels_of,
+)
+from armrig.estimation.data_checks import instability, require_informative
 from armrig.estimation.data_faults import NO_OPTION, data_faults, undetermined
+from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
 from armrig.estimation.orders import require_samples
 from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
 from armrig.models.fit import Fit
-from armrig.numerics.checks import require_integers
-from armrig.numerics.inference import infer, least_squares_residuals
-from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.regressors import arx_rows
+from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.inference import OutputResiduals
+from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.polynomial import Array, monic
+from armrig.numerics.regressors import complete, past
+from armrig.numerics.stretches import Mask
+from armrig.numerics.whitening import spread, spread_apart, unspread, whitening
+
+_MAX_ROUNDS = 20
+_SAME_TOLERANCE = 1e-8  # relative change of Lambda at which the iteration ends
 
 
-@accepts_signals("armrig.estimation.multivariable.arx")
-@takes_recordings
-def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -> Fit:
+@takes_data
+def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool = False) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) by least squares.
 
     The method is a QR decomposition of the scaled regressors, not the normal equations. Rows that
     contain a missing y are not used. The first max(na, nb + nk - 1) rows of each experiment are not
     used either.
 
+    With several outputs A and B are matrices of polynomials. The equations of the outputs are
+    seemingly unrelated regressions, weighted by the inverse of Lambda, the covariance of e [2]_.
+    The parameters are estimated for a given Lambda, and Lambda is estimated from the residuals.
+    These two steps are repeated until Lambda hardly changes. If all outputs have the same
+    regressors, the weights have no effect.
+
     Parameters
     ----------
-    data : Dataset
-        N samples, N > na + nb + max(na, nb + nk - 1).
-    na : int
-        Number of a's, >= 0; with 0 the model is a finite impulse response.
-    nb : int
-        Number of b's, >= 1.
-    nk : int, default 1
+    data : Dataset or Signals
+        N samples, N > na + nb + max(na, nb + nk - 1) for one input and one output.
+    na : int, array_like (ny, ny) or mapping
+        Number of a's for each pair of outputs, >= 0: na[i][k] past values of output k affect
+        output i. A mapping has keys such as ("alpha", "theta_1"). With na = 0 the model is a finite
+        impulse response.
+    nb : int, array_like (ny, nu) or mapping
+        Number of b's for each output and input; 0 if the input does not affect the output.
+    nk : int, array_like (ny, nu) or mapping, default 1
         Number of samples before u reaches y; 0 means a direct term.
     stable : bool, default False
         Reflect poles outside the unit circle into the circle, and estimate B again. A finding of
-        the fit reports the reflection.
+        the fit reports the reflection. No output may then affect another output.
 
     Returns
     -------
     Fit
-        `covariance` is lambda (Phi^T Phi)^-1. `covariance_robust` is the estimate of Newey and
-        West.
+        `covariance` is lambda (Phi^T Phi)^-1, or the inverse of the sum of Phi^T inv(Lambda) Phi.
+        `covariance_robust` is the estimate of Newey and West.
 
     Raises
     ------
     ValueError
-        N is too small for the orders, or u does not excite the model.
+        An order has a wrong shape, N is too small for the orders, or u does not excite the model.
 
     References
     ----------
-    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 7.3.
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2 and 7.3.
+    .. [2] A. Zellner, J. American Statistical Association 57 (1962) 348-368.
 
     Examples
     --------
@@ -70,41 +98,196 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     >>> print(f"{fit.fit_percent:.0f} % one step ahead, residuals {fit.white}")
     94 % one step ahead, residuals coloured (p < 0.001, Ljung-Box test)
     """
-    require_integers(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
-    orders = f"na={na}, nb={nb}, nk={nk}"
-    skipped = max(na, nb + nk - 1)
-    require_samples(orders, needed=na + nb + skipped + 1, got=data.N)
-    lags = range(nk, nk + nb)
-    parts = [arx_rows(part.u, part.y, na=na, lags=lags) for part in data.experiments()]
-    usable = np.concatenate([p.usable for p in parts])
-    y = np.concatenate([p.y for p in parts])[usable]
-    require_samples(f"{orders} with the gaps left out", needed=na + nb + 1, got=y.size)
-
-    basis = orthonormal(np.vstack([p.Phi for p in parts])[usable])
-    if basis.rank < na + nb:
-        msg = f"{orders}: the data determine only {basis.rank} of {na + nb} parameters; "
-        msg += undetermined(data)
-        raise InputError(msg)
-    theta = basis.coefficients(y)
-    A = free = np.append(1.0, theta[:na])
-    if stable and (A := stabilised(free)) is not free:
-        Phi = np.vstack([p.Phi for p in parts])[usable]
-        b = orthonormal(Phi[:, na:]).coefficients(y - Phi[:, :na] @ A[1:])
-        theta = np.concatenate([A[1:], b])
-    residuals = [np.where(p.usable, p.y - p.Phi @ theta, np.nan) for p in parts]
-    experiments = least_squares_residuals(residuals, basis.spread(usable), y=data.y)
-    found = infer(experiments, basis.W, score="correlated")
-    fit = Fit.of_channel(
-        structure="arx",
-        A=A,
-        B=np.append(np.zeros(nk), theta[na:]),
-        nk=nk,
-        Ts=data.Ts,
-        findings=(
-            *reflection_warnings(free, A),
-            *data_faults(data, residuals, way_out=NO_OPTION),
-        ),
-        **found.of_one_output(),
-        **data.origin(),
+    if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
+        data = data.dataset()
+    inputs, outputs = channels_of(data)
+    na_ = by_pair("na", na, data, least=0)
+    nb_ = by_channel("nb", nb, data, least=int(len(inputs) == 1))
+    nk_ = by_channel("nk", nk, data, least=0)
+    orders = as_text(na=na_, nb=nb_, nk=nk_)
+    if stable and (na_ - np.diag(na_.diagonal())).any():
+        raise InputError(
+            f"na={na_.tolist()}: with stable=True no output may affect another output; give na 0 "
+            "for each pair of different outputs"
+        )
+    if isinstance(data, Signals):
+        require_informative(data)
+    equations = [_equation(data, i, na_[i], nb_[i], nk_[i]) for i in range(len(outputs))]
+    for i, equation in enumerate(equations):
+        what = orders if len(outputs) == 1 else f"{orders} for {outputs[i]}"
+        skipped = max(na_[i].max(), (nb_[i] + nk_[i])[nb_[i] > 0].max(initial=1) - 1)
+        require_samples(what, needed=equation.size + int(skipped) + 1, got=data.N)
+        what += " with the gaps left out"
+        require_samples(what, needed=equation.size + 1, got=equation.rows)
+    found = _solved(equations)
+    d = sum(equation.size for equation in equations)
+    if found.basis.rank < d:
+        raise InputError(
+            f"{orders}: the data determine only {found.basis.rank} of {d} parameters; "
+            f"{undetermined(data)}"
+        )
+    notes: list[EstimateFinding] = []
+    if stable:
+        found, notes = _with_stable_poles(equations, found, na_.diagonal().tolist())
+    estimates = [*_outputs(data, equations, found, na_, nb_, nk_)]
+    name = "" if isinstance(data, Dataset) else orders
+    fit = fit_of_outputs(
+        data, estimates, found.basis.W, structure="arx", score="correlated", specification=name
     )
-    return with_stability_warning(fit)
+    if isinstance(data, Signals):
+        return replace(fit, findings=(*notes, *instability(fit.form)))
+    residuals = [r.e for r in estimates[0].residuals]
+    faults = data_faults(data, residuals, way_out=NO_OPTION)
+    return with_stability_warning(replace(fit, findings=(*notes, *faults)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Equation:
+    """Regression y = Phi theta + e of one output."""
+
+    Phi: tuple[Array, ...]
+    """Regressors of each experiment, (N, d); 0 in rows that are not usable."""
+    y: tuple[Array, ...]
+    """Output of each experiment, (N,); 0 in rows that are not usable."""
+    usable: tuple[Mask, ...]
+    """Rows of each experiment in which y and all regressors are known, (N,)."""
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return int(self.Phi[0].shape[1])
+
+    @property
+    def rows(self) -> int:
+        """Number of usable rows."""
+        return sum(int(np.count_nonzero(u)) for u in self.usable)
+
+    def residuals(self, theta: Array) -> list[Array]:
+        """Return the residuals of each experiment, NaN in rows that are not usable."""
+        parts = zip(self.Phi, self.y, self.usable, strict=True)
+        return [np.where(u, y - Phi @ theta, np.nan) for Phi, y, u in parts]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Solution:
+    """Least-squares solution for all outputs."""
+
+    theta: tuple[Array, ...]
+    """Parameters of each output."""
+    basis: Basis
+    """Basis of the whitened regressors of all experiments."""
+    weights: tuple[Array, ...]
+    """Whitening matrices of each experiment; empty for one output."""
+
+
+def _equation(
+    data: Dataset | Signals, i: int, na: Integers, nb: Integers, nk: Integers
+) -> _Equation:
+    """Return the regression of output i."""
+    Phi, outputs, usable = [], [], []
+    for part in data.experiments():
+        u, y = part.u.reshape(part.N, -1), part.y.reshape(part.N, -1)
+        columns = [-past(y[:, k], range(1, n + 1)) for k, n in enumerate(na.tolist())]
+        lags = zip(nb.tolist(), nk.tolist(), strict=True)
+        columns += [past(u[:, j], range(k, k + n)) for j, (n, k) in enumerate(lags)]
+        X = np.hstack(columns)
+        known = complete(X, y[:, i])
+        X[~known] = 0.0
+        Phi.append(X)
+        outputs.append(np.where(known, y[:, i], 0.0))
+        usable.append(known)
+    return _Equation(Phi=tuple(Phi), y=tuple(outputs), usable=tuple(usable))
+
+
+def _solved(equations: Sequence[_Equation]) -> _Solution:
+    """Return the parameters; the covariance of several outputs is estimated with them."""
+    if len(equations) == 1:
+        (equation,) = equations
+        usable = np.concatenate(equation.usable)
+        basis = orthonormal(np.vstack(equation.Phi)[usable])
+        alone = basis.coefficients(np.concatenate(equation.y)[usable])
+        return _Solution(theta=(alone,), basis=basis.spread(usable), weights=())
+    ends = np.cumsum([equation.size for equation in equations])[:-1]
+    blocks = [*zip(*(equation.Phi for equation in equations), strict=True)]
+    y = [[v[:, None] for v in of] for of in zip(*(e.y for e in equations), strict=True)]
+    masks = [np.column_stack(of) for of in zip(*(e.usable for e in equations), strict=True)]
+    known = [np.concatenate(e.y)[np.concatenate(e.usable)] for e in equations]
+    Lambda = np.diag([float(np.var(v)) or 1.0 for v in known])
+    for _ in range(_MAX_ROUNDS):
+        G = [whitening(Lambda, mask) for mask in masks]
+        basis = orthonormal(
+            np.vstack([spread_apart(g, of) for g, of in zip(G, blocks, strict=True)])
+        )
+        right = np.concatenate([spread(g, of)[:, 0] for g, of in zip(G, y, strict=True)])
+        theta = tuple(np.split(basis.coefficients(right), ends))
+        pairs = zip(equations, theta, strict=True)
+        e = np.column_stack([np.concatenate(of.residuals(own)) for of, own in pairs])
+        before, Lambda = Lambda, pairwise_covariance(e)
+        if np.abs(Lambda - before).max() <= _SAME_TOLERANCE * np.abs(Lambda).max():
+            break
+    return _Solution(theta=theta, basis=basis, weights=tuple(G))
+
+
+def _with_stable_poles(
+    equations: Sequence[_Equation], found: _Solution, na: list[int]
+) -> tuple[_Solution, list[EstimateFinding]]:
+    """Return the solution with reflected poles and a new B, and the warnings."""
+    free = [monic(theta[:n]) for theta, n in zip(found.theta, na, strict=True)]
+    inside = [stabilised(A) for A in free]
+    notes = [w for A, p in zip(free, inside, strict=True) for w in reflection_warnings(A, p)]
+    if all(A is p for A, p in zip(free, inside, strict=True)):
+        return found, notes
+    rest = [
+        replace(
+            equation,
+            Phi=tuple(Phi[:, n:] for Phi in equation.Phi),
+            y=tuple(
+                y - Phi[:, :n] @ A[1:] for y, Phi in zip(equation.y, equation.Phi, strict=True)
+            ),
+        )
+        for equation, A, n in zip(equations, inside, na, strict=True)
+    ]
+    pairs = zip(inside, _solved(rest).theta, strict=True)
+    return replace(found, theta=tuple(np.concatenate([A[1:], b]) for A, b in pairs)), notes
+
+
+def _outputs(
+    data: Dataset | Signals,
+    equations: Sequence[_Equation],
+    found: _Solution,
+    na: Integers,
+    nb: Integers,
+    nk: Integers,
+) -> Iterator[EstimatedOutput]:
+    """Yield the polynomials and residuals of each output."""
+    parts, (ny, nu), one = list(data.experiments()), nb.shape, np.ones(1)
+    Q = np.split(found.basis.Q, np.cumsum([ny * part.N for part in parts])[:-1])
+    shares = [unspread(G, M) for G, M in zip(found.weights, Q, strict=True)] if ny > 1 else []
+    whole = np.split(np.eye(len(found.basis.W)), np.cumsum([e.size for e in equations])[:-1])
+    for i, (equation, theta) in enumerate(zip(equations, found.theta, strict=True)):
+        each = np.split(theta, np.cumsum([*na[i], *nb[i]])[:-1])
+        delays = nk[i].tolist()
+        yield EstimatedOutput(
+            polynomials={
+                "A": tuple(np.append(float(i == k), each[k]) for k in range(ny)),
+                "B": tuple(
+                    np.append(np.zeros(k), b) for k, b in zip(delays, each[ny:], strict=True)
+                ),
+                "C": one,
+                "D": one,
+                "F": (one,) * nu,
+                "nk": tuple(delays),
+                "integrators": False,
+            },
+            residuals=tuple(
+                OutputResiduals(
+                    e=e,
+                    y=y,
+                    H=shares[k][i] if ny > 1 else Q[k],
+                    Psi=equation.Phi[k] if ny > 1 else None,
+                )
+                for k, (e, y) in enumerate(zip(equation.residuals(theta), equation.y, strict=True))
+            ),
+            parameters=equation.size,
+            J=whole[i],
+        )

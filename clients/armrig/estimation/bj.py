@@ -2,47 +2,51 @@
 
 from __future__ import annotations
 
-from armrig.data.argument import takes_recordings
+from collections.abc import Sequence
+from typing import Any
+
+from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset
-from armrig.data.several_signals import accepts_signals
-from armrig.estimation.prediction_error_fit import searched
+from armrig.data.signals import Signals
+from armrig.estimation.channel_orders import Shared
+from armrig.estimation.prediction_error import estimated
 from armrig.models.fit import Fit
-from armrig.models.structure import Structure
 from armrig.models.structure_table import Initial, Starts
-from armrig.numerics.checks import require_flags, require_integers
 
 
-@accepts_signals("armrig.estimation.multivariable.bj")
-@takes_recordings
+@takes_data
 def bj(
-    data: Dataset,
+    data: Dataset | Signals,
     *,
-    nb: int,
-    nc: int,
-    nd: int,
-    nf: int,
-    nk: int = 1,
-    integrator: bool = False,
+    nb: Any,
+    nc: Any,
+    nd: Any,
+    nf: Any,
+    nk: Any = 1,
+    integrator: bool | str | Sequence[str] = False,
     offset: bool = False,
     initial: Initial = "estimate",
     stable: bool = False,
     starts: Starts = "many",
+    shared: Shared = "",
 ) -> Fit:
-    """Estimate B, F, C and D in y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t).
+    """Estimate B, F, C and D in y_i = sum of B_ij(q)/F_ij(q) u_j + C_i(q)/D_i(q) e_i.
 
     Parameters
     ----------
-    data : Dataset
-        N samples. The output of B/F is simulated through a gap in y. After the gap, the initial
-        state of the noise model is estimated again.
-    nb, nc, nd, nf : int
-        Numbers of coefficients: nb >= 1, nc >= 0, nd >= 0, nf >= 0. An integrator counts as one
-        coefficient f.
-    nk, offset, initial, starts
-        As in `armax`.
-    integrator : bool, default False
-        Set F = (1 - q^-1) F̃, with one root at exactly 1. The noise is added to the integrated
-        output. The level and the input offset of each experiment are estimated too.
+    data : Dataset or Signals
+        N samples. The output of B/F is simulated through a gap in y. After a missing y the noise is
+        predicted by a Kalman filter.
+    nb, nf, nk : int, array_like (ny, nu) or mapping
+        As in `oe`. An integrator counts as one coefficient f, except with a shared denominator.
+    nc, nd : int, array_like (ny,) or mapping
+        Numbers of coefficients of C and D of each output, >= 0.
+    offset, initial, starts, shared
+        As in `oe`.
+    integrator : bool, str or sequence of str, default False
+        For all outputs or the named outputs, set F = (1 - q^-1) F̃, with one root at exactly 1. The
+        noise is added to the integrated output. The level and the input offset of each experiment
+        are estimated too.
     stable : bool, default False
         Reflect poles of D that are outside the unit circle into the circle. Move poles of F that
         are on the circle into the circle. Then estimate B again. During the search all poles of F
@@ -53,11 +57,13 @@ def bj(
     Fit
         `covariance` is lambda (Psi^T Psi)^-1 for (b, c, d, f). `covariance_robust` is the estimate
         of Newey and West. For nc = nd = 0 both covariances equal the covariances of `oe`.
+        Without a shared denominator each output is estimated separately.
 
     Raises
     ------
     ValueError
-        There are too few samples for the orders, or u does not excite the numerator.
+        An order has a wrong shape, there are too few samples for the orders, or u does not excite
+        the numerator.
 
     References
     ----------
@@ -73,18 +79,14 @@ def bj(
     >>> armrig.bj(noisy, nb=3, nc=0, nd=1, nf=3).D.round(1)
     array([ 1. , -0.9])
     """
-    require_flags(integrator=integrator)
-    require_integers(nb=(nb, 1), nc=(nc, 0), nd=(nd, 0), nf=(nf, int(integrator)), nk=(nk, 0))
-    structure = Structure(
-        nb=nb,
-        nc=nc,
-        nd=nd,
-        nf=nf - int(integrator),
-        nk=nk,
-        integrator="f" if integrator else "",
+    return estimated(
+        data,
+        "bj",
+        {"nb": nb, "nc": nc, "nd": nd, "nf": nf, "nk": nk},
+        integrator=integrator,
         offset=offset,
-    )
-    orders = f"nb={nb}, nc={nc}, nd={nd}, nf={nf}, nk={nk}"
-    return searched(
-        data, structure, name="bj", orders=orders, initial=initial, stable=stable, starts=starts
+        initial=initial,
+        stable=stable,
+        starts=starts,
+        shared=shared,
     )

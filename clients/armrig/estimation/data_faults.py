@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding, warning
+from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, hampel, integrating
 from armrig.data.treatment.whitening import whitening
 from armrig.numerics.quantities import percent, plural
@@ -91,8 +92,10 @@ def constant_input(data: Dataset) -> bool:
     return all(np.ptp(part.u) == 0 for part in data.experiments())
 
 
-def undetermined(data: Dataset) -> str:
+def undetermined(data: Dataset | Signals) -> str:
     """Return the cause of undetermined parameters, or a remedy if the cause is unknown."""
+    if isinstance(data, Signals):
+        return "lower the orders or excite with richer inputs"
     if data.trends and constant_input(data):
         return CONSTANT_INPUT
     for name, x in (("u", data.u), (data.output, data.y[data.valid])):

@@ -14,14 +14,14 @@ from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
-from armrig.estimation.data_faults import NO_OPTION, data_faults
-from armrig.estimation.error_process import error_process
-from armrig.estimation.multivariable.data_checks import (
+from armrig.estimation.data_checks import (
     instability,
     origin,
     poor_fits,
     require_informative,
 )
+from armrig.estimation.data_faults import NO_OPTION, data_faults
+from armrig.estimation.error_process import error_process
 from armrig.estimation.stability import REFLECT, reflection_warnings, unstable
 from armrig.estimation.state_space_fit import (
     Derivatives,

@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.linalg.lapack import dtrtrs
 
-from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
-from armrig.data.several_signals import accepts_signals
 from armrig.estimation.orders import require_samples
 from armrig.numerics.checks import require_integers, several
 from armrig.numerics.criteria import (
@@ -262,72 +259,6 @@ class OrderTable:
                 row += f" {self.validation_loss[i]:12.5g}"
             lines.append(row)
         return "\n".join(lines)
-
-
-@accepts_signals("armrig.estimation.multivariable.order_table")
-@takes_recordings
-def select_orders(
-    data: Dataset,
-    na: Iterable[int] = range(1, 11),
-    nb: Iterable[int] = range(1, 11),
-    nk: Iterable[int] = range(6),
-    validation: Dataset | None = None,
-) -> OrderTable:
-    """Return the losses of all ARX structures with these orders.
-
-    One QR decomposition of y and the regressors of the largest structure reduces the data to a
-    triangular matrix R. Each pair (na, nk) then needs only a small QR decomposition of columns of
-    R. The leading triangles of the result belong to the structures nb = 1, 2, …. The loss is the
-    sum of squares in the column of y below row na + nb. Triangular factors R_v of batches of the
-    validation data give the loss on these batches, ``|R_v [-theta; 1]|²``. All structures are
-    compared on the samples at which all regressors of the largest structure are known.
-
-    Parameters
-    ----------
-    data : Dataset
-        N samples. Rows that depend on a missing sample are not used. No row depends on two
-        experiments.
-    na, nb, nk : iterable of int
-        Orders to try, na >= 0, nb >= 1, nk >= 0.
-    validation : Dataset, optional
-        Other data of the same system.
-
-    Returns
-    -------
-    OrderTable
-        Losses, AIC, MDL and FPE of every structure. `best()` returns the orders to use, and
-        `explain()` returns the reasons.
-
-    Raises
-    ------
-    ValueError
-        An order is out of range, there are too few samples, or the two data sets differ in Ts.
-
-    References
-    ----------
-    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 10.1 and 16.4.
-
-    Examples
-    --------
-    >>> import armrig
-    >>> first, second = armrig.example_recording().dataset("alpha").split(2)
-    >>> table = armrig.select_orders(first, range(1, 6), range(1, 6), [1, 2], validation=second)
-    >>> table.best()
-    ArxOrders(na=5, nb=5, nk=1)
-    >>> print(table.explain())
-    - lowest loss on the validation data: na=5, nb=5, nk=1, 4.0...e-05
-    ...
-    - na=5 is the highest that was tried: try higher values
-    - nb=5 is the highest that was tried: try higher values
-    """
-    return order_table(list(data.experiments()), na, nb, nk, _of_validation(data, validation))
-
-
-def _of_validation(data: Dataset, validation: Dataset | None) -> list[Dataset] | None:
-    if validation is None:
-        return None
-    require_same_rate(data.Ts, validation.Ts)
-    return list(validation.experiments())
 
 
 class Experiment(Protocol):

@@ -2,41 +2,47 @@
 
 from __future__ import annotations
 
-from armrig.data.argument import takes_recordings
+from typing import Any
+
+from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset
-from armrig.estimation.prediction_error_fit import searched
+from armrig.data.signals import Signals
+from armrig.estimation.channel_orders import Shared
+from armrig.estimation.prediction_error import estimated
 from armrig.models.fit import Fit
-from armrig.models.structure import Structure
 from armrig.models.structure_table import Initial, Starts
-from armrig.numerics.checks import require_integers
 
 
-@takes_recordings
+@takes_data
 def pem(
-    data: Dataset,
+    data: Dataset | Signals,
     *,
-    nb: int,
-    na: int = 0,
-    nc: int = 0,
-    nd: int = 0,
-    nf: int = 0,
-    nk: int = 1,
+    nb: Any,
+    na: Any = 0,
+    nc: Any = 0,
+    nd: Any = 0,
+    nf: Any = 0,
+    nk: Any = 1,
     offset: bool = False,
     initial: Initial = "estimate",
     stable: bool = False,
     starts: Starts = "many",
+    shared: Shared = "",
 ) -> Fit:
-    """Estimate the polynomials in A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) for given orders.
+    """Estimate the polynomials in A_i y_i = sum of B_ij/F_ij u_j + C_i/D_i e_i for given orders.
 
     Parameters
     ----------
-    data : Dataset
-        N samples. After each gap in y, the initial state of the noise model is estimated again.
-    nb, na, nc, nd, nf : int
-        Numbers of coefficients: nb >= 1, and the others >= 0. Combine A with F, or A with D, only
-        if input and noise are known to share some poles. Otherwise the data hardly distinguish A
-        from F and D.
-    nk, offset, initial, stable, starts
+    data : Dataset or Signals
+        N samples. After a missing y the noise is predicted by a Kalman filter, and the search is
+        over A, too.
+    nb, nf, nk : int, array_like (ny, nu) or mapping
+        As in `oe`.
+    na, nc, nd : int, array_like (ny,) or mapping
+        Numbers of coefficients of A, C and D of each output, >= 0. Combine A with F, or A with D,
+        only if input and noise are known to share some poles. Otherwise the data hardly distinguish
+        A from F and D.
+    offset, initial, stable, starts, shared
         As in `armax`.
 
     Returns
@@ -48,7 +54,8 @@ def pem(
     Raises
     ------
     ValueError
-        There are too few samples for the orders, or u does not excite the model.
+        An order has a wrong shape, there are too few samples for the orders, or u does not excite
+        the model.
 
     References
     ----------
@@ -68,9 +75,13 @@ def pem(
     >>> bool(abs(fit.theta[3]) < 2 * fit.std[3])
     True
     """
-    require_integers(nb=(nb, 1), na=(na, 0), nc=(nc, 0), nd=(nd, 0), nf=(nf, 0), nk=(nk, 0))
-    structure = Structure(na=na, nb=nb, nc=nc, nd=nd, nf=nf, nk=nk, offset=offset)
-    orders = f"na={na}, nb={nb}, nc={nc}, nd={nd}, nf={nf}, nk={nk}"
-    return searched(
-        data, structure, name="pem", orders=orders, initial=initial, stable=stable, starts=starts
+    return estimated(
+        data,
+        "pem",
+        {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "nk": nk},
+        offset=offset,
+        initial=initial,
+        stable=stable,
+        starts=starts,
+        shared=shared,
     )

@@ -1,169 +1,473 @@
-"""Prediction-error problem: residuals and their derivatives for given C, D and F."""
+"""Prediction-error estimate of a structure, from its orders to a model."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, get_args
 
 import numpy as np
+from armrig_core.errors import InputError
+from scipy.linalg import block_diag
 
-from armrig.models.innovations import Errors, Experiment, LinearPart, errors, regression
-from armrig.models.structure import Structure
-from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
-from armrig.numerics.polynomial import Array, drawn_to_edge, monic, outward_normals, stable
+from armrig.data.dataset import Dataset
+from armrig.data.finding import EstimateFinding, warning
+from armrig.data.signals import Signals
+from armrig.estimation.channel_orders import (
+    Shared,
+    as_text,
+    channels_of,
+    checked_orders,
+    integrating_outputs,
+    structures,
+)
+from armrig.estimation.data_checks import instability, require_informative
+from armrig.estimation.data_faults import CONSTANT_INPUT, constant_input, data_faults
+from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
+from armrig.estimation.fit_warnings import curvature, parameter_warnings, search_warnings
+from armrig.estimation.orders import require_samples
+from armrig.estimation.problem import PolynomialProblem, Solution
+from armrig.estimation.search import (
+    Ends,
+    rounding_floor,
+    same_minimum,
+    searched_minimum,
+    searched_together,
+    weighted_by,
+)
+from armrig.estimation.stability import with_stability_warning, with_stable_poles
+from armrig.models.fit import Fit
+from armrig.models.innovations import Errors, prepared
+from armrig.models.quality import Start
+from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
+from armrig.models.structure_table import Initial, Starts
+from armrig.numerics.inference import OutputResiduals, Score
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array
+from armrig.numerics.whitening import unspread
+
+PART_SAMPLES = 3000
+"""Number of samples in the part of long data on which searches start. If the data have at most
+twice this number of samples, searches start on all data."""
+AUTO_LEVEL = 0.05
+"""Level of the F-test for the initial state."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solution:
-    """Least-squares solution for given C, D and F."""
+class _Options:
+    """Options of a search that are the same for all outputs."""
 
-    ab: Array
-    """Coefficients of A and B, (na + nb,)."""
-    parts: tuple[Errors, ...]
-    """Errors of each experiment."""
-    given: tuple[LinearPart, ...]
-    """Linear equation for A, B and the unknown past of each experiment."""
-    e: Array
-    """Residuals of all experiments, (M,); 0 in rows without a residual."""
-    by_ab: Array
-    """Derivatives of the prediction with respect to (a, b), (M, na + nb). Their projection on the
-    effects of the unknown past is subtracted."""
-    by_cdf: Array
-    """Derivatives of the prediction with respect to (c, d, f), (M, nc + nd + nf). Their projection
-    on the effects of the unknown past is subtracted."""
-    J: Array
-    """Derivatives `by_cdf` minus their projection on `by_ab`, (M, nc + nd + nf)."""
-    rank: int
-    """Number of a's and b's that the data determine."""
+    initial: Initial
+    stable: bool
+    thorough: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Estimated:
+    """Estimate of the outputs that share a polynomial, or of one output."""
+
+    outputs: tuple[int, ...]
+    """Index of the output of each row."""
+    problem: PolynomialProblem
+    solution: Solution
+    theta: Array
+    ends: Ends
+    findings: tuple[EstimateFinding, ...]
 
     @property
-    def Psi(self) -> Array:
-        """Derivatives `by_ab` and `by_cdf` side by side, (M, d)."""
-        return np.hstack([self.by_ab, self.by_cdf])
+    def parameters(self) -> int:
+        """Number of estimated coefficients."""
+        return self.problem.linear_size + self.theta.size
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PredictionErrorProblem:
-    """Minimisation of |(D/C) (A y - (B/F) u) - effect of the unknown past|² over the polynomials.
+def estimated(
+    data: Dataset | Signals,
+    name: str,
+    orders: Mapping[str, Any],
+    *,
+    integrator: bool | str | Sequence[str] = False,
+    offset: bool = False,
+    initial: Initial = "estimate",
+    stable: bool = False,
+    starts: Starts = "many",
+    shared: Shared = "",
+) -> Fit:
+    """Return the model at the lowest minimum of the prediction error over all start values.
 
-    The unknown past is the signals before the first sample of each experiment. The errors are
-    linear in A, B and the unknown past, which are therefore projected out. The search is over the
-    coefficients of C, D and F only. This method is variable projection with Kaufman's Jacobian. The
-    gradient from this Jacobian is exact.
-
-    After each gap, pulses with estimated heights represent the unknown past of the noise. The
-    pulses also fit part of the noise itself, so that many gaps bias C. If 3 % of 2000 samples are
-    missing, the bias is 0.7 standard deviations. Therefore the pulses are integrated out with a
-    flat prior. The cost is then |e|² |Z^T Z|^(1/M). The columns of Z are the pulses, and M is the
-    number of errors minus the number of pulses. Z excludes the pulses at the beginning of the data,
-    so that data without gaps are fitted by plain least squares. The factor |Z^T Z|^(1/M) corrects C
-    but not D. If 3 % of 2000 samples are missing, the bias of D remains 0.4 standard deviations.
-
-    References
+    Parameters
     ----------
-    .. [1] G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432.
-    .. [2] L. Kaufman, BIT 15 (1975) 49-57.
+    data : Dataset or Signals
+        One output is estimated after the other, unless the outputs share a denominator.
+    name : str
+        Name of the structure in `structure_table`; its orders are the polynomials that exist.
+    orders : mapping
+        Orders of the structure and nk, as the caller gave them.
+    integrator : bool, str or sequence of str
+        Outputs with one root of F at exactly 1, or of A in a structure without F.
+    initial : {"estimate", "backcast", "zero", "auto"}
+        State at the start of each experiment. "backcast", a name from MATLAB, has the same effect
+        as "estimate": the search estimates the state by least squares at every step.
+    stable : bool, default False
+        Reflect poles outside the unit circle into the circle, and estimate B again.
+    starts : {"many", "few"}
+        Number of additional start values, as in `armax`.
+    shared : {"", "denominator"}
+        With "denominator" all outputs have the same F, or the same A in a structure without F.
+
+    Raises
+    ------
+    ValueError
+        There are too few samples, u does not excite the model, or an option is unknown.
     """
-
-    experiments: tuple[Experiment, ...]
-    """Signals of each experiment."""
-    structure: Structure
-    """Orders of the polynomials and dimension of the unknown past."""
-
-    def polynomials(self, theta: Array) -> tuple[Array, Array, Array]:
-        """Return C, D and F for theta = (c, d, f)."""
-        n = self.structure
-        begin_f = n.nc + n.nd
-        return monic(theta[: n.nc]), monic(theta[n.nc : begin_f]), monic(theta[begin_f:])
-
-    def _linear(self, theta: Array) -> tuple[list[LinearPart], Basis, Array, Array]:
-        C, D, F = self.polynomials(theta)
-        given = [regression(x, self.structure, C=C, D=D, F=F) for x in self.experiments]
-        whole = _stacked([g.unknown.without(np.column_stack([g.X, g.y])) for g in given])
-        return given, orthonormal(whole[:, :-1]), whole[:, :-1], whole[:, -1]
-
-    def solve(self, theta: Array) -> Solution:
-        """Return the least-squares solution for A, B and the unknown past at theta = (c, d, f)."""
-        given, basis, by_ab, y = self._linear(theta)
-        ab = basis.coefficients(y)
-        parts = [
-            errors(x, self.structure, g, **self.named(ab, theta))
-            for x, g in zip(self.experiments, given, strict=True)
-        ]
-        by_cdf = _stacked([p.Psi for p in parts])
-        return Solution(
-            ab=ab,
-            parts=tuple(parts),
-            given=tuple(given),
-            e=basis.without(y),
-            by_ab=by_ab,
-            by_cdf=by_cdf,
-            J=basis.without(by_cdf),
-            rank=basis.rank,
+    for option, value, allowed in (
+        ("initial", initial, get_args(Initial)),
+        ("starts", starts, get_args(Starts)),
+        ("shared", shared, get_args(Shared)),
+    ):
+        if value not in allowed:
+            names = [f'"{x}"' for x in allowed]
+            either = " or ".join(names) if len(names) == 2 else f"one of {', '.join(names)}"
+            raise InputError(f"{option}={value!r} must be {either}")
+    if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
+        data = data.dataset()
+    if initial == "backcast":
+        initial = "estimate"
+    if offset and initial != "estimate":
+        raise InputError(
+            f'offset=True needs initial="estimate", got {initial!r}: a rig at rest has no offset'
         )
+    integrators = integrating_outputs(integrator, data)
+    given = checked_orders(data, name, orders, integrators, shared)
+    rows = structures(given, name, integrators, offset=offset, shared=bool(shared))
+    if isinstance(data, Signals):
+        require_informative(data)
+    elif constant_input(data) and (rows[0].trend or not data.u.any()):
+        raise InputError(CONSTANT_INPUT)
+    options = _Options(initial=initial, stable=stable, thorough=starts == "many")
+    groups = [tuple(range(len(rows)))] if shared else [(i,) for i in range(len(rows))]
+    text = as_text(**given)
+    found = [_chosen(data, text, [rows[i] for i in group], group, options) for group in groups]
+    if isinstance(data, Dataset):
+        return _fit(data, found[0], name)
+    estimates, W = _outputs(data, found)
+    fit = fit_of_outputs(
+        data,
+        estimates,
+        W,
+        structure=name,
+        score=_score(found),
+        specification=text,
+        offset=offset,
+        shared=bool(shared),
+        converged=all(one.ends[0][1].converged for one in found),
+        starts=tuple(start for one in found for start in _starts(data, one)),
+    )
+    notes = [note for one in found for note in one.findings]
+    notes += [*_unfinished(data, found), *instability(fit.form)]
+    return replace(fit, findings=tuple(notes))
 
-    def named(self, ab: Array, theta: Array) -> dict[str, Array]:
-        """Return all polynomials by name, without the factor of an integrator."""
-        n = self.structure
-        C, D, F = self.polynomials(theta)
-        A, B = monic(ab[: n.na]), np.append(np.zeros(n.nk), ab[n.na :])
-        return {"A": A, "B": B, "C": C, "D": D, "F": F}
 
-    def linearise(self, theta: Array) -> tuple[Array, Array]:
-        """Return e and J at theta, scaled so that |e|² is the cost."""
-        solution = self.solve(theta)
-        log_scale, by_c = self._scale(solution.given)
-        if log_scale == 0.0:
-            return solution.e, solution.J
-        J = solution.J.copy()
-        J[:, : by_c.size] -= np.outer(solution.e, by_c)
-        scale = np.exp(log_scale)
-        return scale * solution.e, scale * J
+def _score(found: Sequence[_Estimated]) -> Score:
+    """Return how the influences of the residuals depend on the noise."""
+    white = all(n.white for one in found for n in one.problem.rows)
+    return "exogenous" if white else "correlated"
 
-    def cost(self, theta: Array) -> float:
-        """Return |e|² |Z^T Z|^(1/M) at theta."""
-        given, basis, _, y = self._linear(theta)
-        e = basis.without(y)
-        return float(e @ e) * float(np.exp(2 * self._scale(given)[0]))
 
-    def _scale(self, given: Sequence[LinearPart]) -> tuple[float, Array]:
-        """Return log |Z^T Z| / (2 M) without the first stretch, and d/dc of this number."""
-        volumes = [v() for v in [v for g in given for v in g.unknown.volumes][1:]]
-        none = np.zeros(self.structure.nc)
-        if not volumes:
-            return 0.0, none
-        errors = sum(int(np.count_nonzero(x.rows)) for x in self.experiments)
-        M = errors - sum(Q.shape[1] for g in given for _, Q in g.unknown.noise)
-        log_volume = sum(volume for volume, _ in volumes)
-        return log_volume / (2 * M), sum((by_c for _, by_c in volumes), none) / (2 * M)
+def _chosen(
+    data: Dataset | Signals,
+    orders: str,
+    rows: Sequence[Structure],
+    outputs: tuple[int, ...],
+    options: _Options,
+) -> _Estimated:
+    """Return the estimate; with initial="auto" an F-test chooses the treatment of the state."""
+    if options.initial != "auto":
+        rows = [replace(n, at_rest=options.initial == "zero") for n in rows]
+        return _searched(data, orders, rows, outputs, options)
+    free, at_rest = (
+        _searched(data, orders, [replace(n, at_rest=rest) for n in rows], outputs, options)
+        for rest in (False, True)
+    )
+    return free if _state_matters(free, at_rest) else at_rest
 
-    def admissible(self, theta: Array) -> bool:
-        """Return whether the predictor is stable, that is, whether C and F are stable."""
-        C, _, F = self.polynomials(theta)
-        return stable(C) and stable(F)
 
-    def inside(self, theta: Array, previous: Array) -> Array:
-        """Move the roots of C and F that are outside the unit circle inside; return theta."""
-        C, D, F = self.polynomials(theta)
-        C_0, _, F_0 = self.polynomials(previous)
-        return np.concatenate([drawn_to_edge(C, C_0)[1:], D[1:], drawn_to_edge(F, F_0)[1:]])
-
-    def normals(self, theta: Array) -> Array:
-        """Return the gradient d|z|/dtheta for each root z of C and F on the unit circle."""
-        C, D, F = self.polynomials(theta)
-        by_c, by_f = outward_normals(C), outward_normals(F)
-        rows = np.zeros((len(by_c) + len(by_f), theta.size))
-        rows[: len(by_c), : C.size - 1] = by_c
-        rows[len(by_c) :, C.size + D.size - 2 :] = by_f
-        return rows
-
-    def minimise(self, theta: Array, most: int = MAX_STEPS, known: float = np.nan) -> Optimum:
-        """Return the minimum that a search from theta = (c, d, f) reaches with stable C and F."""
-        return levenberg_marquardt(
-            self.linearise, theta, admissible=self.admissible, most=most, known=known, walls=self
+def _searched(
+    data: Dataset | Signals,
+    orders: str,
+    rows: Sequence[Structure],
+    outputs: tuple[int, ...],
+    options: _Options,
+) -> _Estimated:
+    problem = _problem(data, rows, outputs)
+    measured = sum(int(np.isfinite(_output(data, i)).sum()) for i in outputs)
+    require_samples(orders, needed=_size(problem) + 1 + _nuisance(problem), got=measured)
+    if len(rows) == 1:
+        part = _part(data, rows, outputs)
+        ends = searched_minimum(problem, part, thorough=options.thorough)
+    else:
+        problem, ends = searched_together(problem)
+    theta = ends[0][1].theta
+    solution = problem.solve(theta)
+    d = problem.linear_size
+    if solution.rank < d:
+        no_a = d == sum(sum(n.nb) for n in rows)
+        what = "numerator coefficients" if no_a else "coefficients of A and B"
+        raise InputError(
+            f"{orders}: u determines only {solution.rank} of {d} {what}; "
+            f"lower {'nb' if no_a else 'the orders'} or excite with a richer input"
         )
+    notes: tuple[EstimateFinding, ...] = ()
+    if options.stable:
+        theta, solution, notes = with_stable_poles(problem, solution, theta)
+    return _Estimated(
+        outputs=outputs, problem=problem, solution=solution, theta=theta, ends=ends, findings=notes
+    )
 
 
-def _stacked(blocks: list[Array]) -> Array:
-    return blocks[0] if len(blocks) == 1 else np.vstack(blocks)
+def _problem(
+    data: Dataset | Signals, rows: Sequence[Structure], outputs: tuple[int, ...]
+) -> PolynomialProblem:
+    """Return the problem; the variances of several outputs are their first weights."""
+    experiments = tuple(
+        tuple(prepared(part.u, _output(part, i), n) for i, n in zip(outputs, rows, strict=True))
+        for part in data.experiments()
+    )
+    problem = PolynomialProblem(rows=tuple(rows), experiments=experiments)
+    if len(rows) == 1:
+        return problem
+    return weighted_by(problem, np.diag([float(np.nanvar(_output(data, i))) for i in outputs]))
+
+
+def _output(data: Any, i: int) -> Array:
+    """Return output i (N,), NaN where it is missing."""
+    return np.asarray(data.y.reshape(data.N, -1)[:, i])
+
+
+def _part(
+    data: Dataset | Signals, rows: Sequence[Structure], outputs: tuple[int, ...]
+) -> PolynomialProblem | None:
+    """Return the problem for the part of the data in which u moves most; None for short data."""
+    if data.N <= 2 * PART_SAMPLES:
+        return None
+    u = data.u.reshape(data.N, -1)
+    begins = np.linspace(0, data.N - PART_SAMPLES, 8).astype(int)
+    steps = np.abs(np.diff(u, axis=0, prepend=u[:1]))
+    moves = np.concatenate(
+        [[0.0], np.cumsum((steps / np.maximum(np.std(u, axis=0), 1e-300)).sum(axis=1))]
+    )
+    begin = int(begins[np.argmax(moves[begins + PART_SAMPLES] - moves[begins])])
+    part = data[begin : begin + PART_SAMPLES]
+    problem = _problem(part, [replace(n, at_rest=False) for n in rows], outputs)
+    enough = 2 * (_size(problem) + _nuisance(problem))
+    measured = sum(int(np.isfinite(_output(part, i)).sum()) for i in outputs)
+    return problem if measured > enough else None
+
+
+def _size(problem: PolynomialProblem) -> int:
+    return problem.linear_size + problem.size
+
+
+def _nuisance(problem: PolynomialProblem) -> int:
+    """Return the number of samples that are needed to determine the unknown past."""
+    return sum(
+        sum(n.counts) + n.trend + (0 if n.white else n.forgotten(x.begin))
+        for of in problem.experiments
+        for n, x in zip(problem.rows, of, strict=True)
+    )
+
+
+def _state_matters(free: _Estimated, at_rest: _Estimated) -> bool:
+    """Return whether the initial state is significant, by an F-test."""
+    from scipy.special import fdtrc
+
+    rest = at_rest.problem
+    if len(rest.rows) > 1:
+        rest = replace(rest, weights=free.problem.weights)
+    e, e_rest = free.solution.e, rest.solve(at_rest.theta).e
+    sse, sse_rest = float(e @ e), float(e_rest @ e_rest)
+    degrees, fewer = (_degrees(one) for one in (free, at_rest))
+    p = fewer - degrees
+    if p <= 0 or sse <= 0:
+        return True
+    return bool(fdtrc(p, degrees, max(sse_rest - sse, 0.0) / p / (sse / degrees)) < AUTO_LEVEL)
+
+
+def _degrees(one: _Estimated) -> int:
+    """Return the degrees of freedom of the errors."""
+    errors = sum(int(np.count_nonzero(x.rows)) for of in one.problem.experiments for x in of)
+    return errors - one.parameters - sum(past.rank for past in one.solution.past)
+
+
+def _fit(data: Dataset, one: _Estimated, name: str) -> Fit:
+    """Return the model of one input and one output."""
+    # A search also counts as converged if its cost consists only of rounding errors.
+    problem, solution, theta = one.problem, one.solution, one.theta
+    floor = rounding_floor(problem)
+    ends = [(start, replace(o, converged=o.converged or o.cost <= floor)) for start, o in one.ends]
+    n, best = problem.rows[0], ends[0][1]
+    p = problem.named(solution.ab, theta)
+    [estimate], W = _outputs(data, [one])
+    curved = 0.0
+    if best.cost > floor:
+        variance = float(solution.e @ solution.e) / max(_degrees(one), 1)
+        own = W[problem.linear_size :]
+        curved = curvature(problem, theta, variance * own @ own.T, variance)
+    agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
+    N = sum(int(np.count_nonzero(x.rows)) for (x,) in problem.experiments)
+    starts = tuple(
+        Start(name=start, loss=o.cost / N, iterations=o.iterations, converged=o.converged)
+        for start, o in ends
+    )
+    responses = [
+        _free_response(n, p, part, s)
+        for part, (s,) in zip(data.experiments(), solution.parts, strict=True)
+    ]
+    fit = fit_of_outputs(
+        data,
+        [estimate],
+        W,
+        structure=name,
+        score=_score([one]),
+        rounding=floor,
+        offset=bool(n.trend),
+        converged=best.converged,
+        starts=starts if len(starts) > 1 else (),
+        agreed=agreed,
+        free=tuple(responses),
+        curvature=curved,
+    )
+    findings = (
+        *search_warnings(best, starts, agreed=agreed),
+        *parameter_warnings(W, fit.white, p["C"], curved),
+        *data_faults(
+            data,
+            [r.e for r in estimate.residuals],
+            way_out="" if n.trend else "estimate it, too (option offset)",
+        ),
+        *one.findings,
+    )
+    return with_stability_warning(replace(fit, findings=findings))
+
+
+def with_integrator(n: Structure) -> Array:
+    """Return the derivatives of (a, b, c, d, f of each input) by the estimated coefficients.
+
+    The estimated coefficients are (a, b, c, d, f of each group). For F = (1 - q^-1) F̃ the
+    coefficients are f_k = f̃_k - f̃_(k-1), and f_1 = f̃_1 - 1. Their derivatives are therefore
+    constant. An integrator in A leads to the same equations.
+    """
+    sizes = [n.na, sum(n.nb), n.nc, n.nd, *n.sizes]
+    begins = np.cumsum([0, *sizes])
+    none = np.zeros((0, begins[-1]))  # an input without effect has F = 1
+    of_inputs = {j: k for k, group in enumerate(n.groups, 4) for j in group}
+    blocks = [(k, "abcd"[k]) for k in range(4)]
+    blocks += [(of_inputs.get(j, len(sizes)), "f") for j in range(len(n.nb))]
+    whole = []
+    for k, letter in blocks:
+        block = np.eye(begins[-1])[begins[k] : begins[k + 1]] if k < len(sizes) else none
+        if letter == n.integrator:
+            size = len(block)
+            block = (np.eye(size + 1, size) - np.eye(size + 1, size, k=-1)) @ block
+        whole.append(block)
+    return np.vstack(whole)
+
+
+def _free_response(n: Structure, p: dict[str, Any], part: Dataset, errors: Errors) -> FreeResponse:
+    count = sum(n.counts)
+    transients = tuple(float(v) for v in errors.state[:count])
+    coefficients = [float(v) for v in errors.state[count:]]
+    if n.trend == 0:
+        return FreeResponse(transients=transients)
+    B, F = p["B"][0], p["F"][0]
+    if n.trend == 2:
+        level, slope = coefficients
+        offset = offset_from_ramp(B, F, slope, float(np.mean(part.u)))
+        return FreeResponse(transients=transients, level=level, offset=offset)
+    return FreeResponse(transients=transients, offset=offset_from_ramp(B, F, coefficients[0], 0.0))
+
+
+def _outputs(
+    data: Dataset | Signals, found: Sequence[_Estimated]
+) -> tuple[list[EstimatedOutput], Array]:
+    """Return the polynomials and residuals of each output, and the matrix W of `fit_of_outputs`."""
+    bases = [orthonormal(one.solution.Psi) for one in found]
+    W = block_diag(*(basis.W for basis in bases))
+    alone = W.shape[1] == bases[0].rank and len(found[0].outputs) == 1
+    ny = len(channels_of(data)[1])
+    outputs: dict[int, EstimatedOutput] = {}
+    row = column = 0
+    for one, basis in zip(found, bases, strict=True):
+        problem, solution, k = one.problem, one.solution, len(one.outputs)
+        ends = np.cumsum([k * of[0].y.size for of in problem.experiments])[:-1]
+        shares = np.split(basis.Q, ends)
+        whitened = [unspread(problem.weights[e], Q) if k > 1 else [Q] for e, Q in enumerate(shares)]
+        for r, (i, n) in enumerate(zip(one.outputs, problem.rows, strict=True)):
+            residuals = []
+            for e, part in enumerate(data.experiments()):
+                given, errors = solution.given[e][r], solution.parts[e][r]
+                H, Psi = whitened[e][r], None
+                if not alone:
+                    H = np.zeros((part.N, W.shape[1]))
+                    H[:, column : column + basis.rank] = solution.scales[r] * whitened[e][r]
+                    Psi = given.unknown.without(np.hstack([given.X, errors.Psi]))
+                residuals.append(
+                    OutputResiduals(
+                        e=np.where(problem.experiments[e][r].rows, errors.e, np.nan),
+                        y=_output(part, i),
+                        H=H,
+                        Psi=Psi,
+                        Z=given.unknown.span,
+                    )
+                )
+            common = (n.na or sum(n.sizes)) if k > 1 else 0
+            p = problem.named(solution.ab, one.theta, r)
+            A, F = _with_root(n, p)
+            outputs[i] = EstimatedOutput(
+                polynomials={
+                    "A": tuple(A if j == i else np.zeros(1) for j in range(ny)),
+                    "B": tuple(p["B"]),
+                    "C": p["C"],
+                    "D": p["D"],
+                    "F": tuple(F),
+                    "nk": n.nk,
+                    "integrators": bool(n.integrator),
+                },
+                residuals=tuple(residuals),
+                parameters=n.parameters - common + common / k,
+                J=with_integrator(n) @ np.eye(W.shape[0])[row + problem.columns_of(r)],
+            )
+        row, column = row + one.parameters, column + basis.rank
+    return [outputs[i] for i in range(ny)], W
+
+
+def _with_root(n: Structure, p: dict[str, Any]) -> tuple[Array, list[Array]]:
+    """Return A, and F of each input, with the root of an integrator."""
+    root = np.array([1.0, -1.0])
+    A = np.convolve(root, p["A"]) if n.integrator == "a" else p["A"]
+    return A, [np.convolve(root, F) for F in p["F"]] if n.integrator == "f" else p["F"]
+
+
+def _unfinished(data: Signals, found: Sequence[_Estimated]) -> Iterator[EstimateFinding]:
+    """Yield a warning for each search that did not converge."""
+    for one in found:
+        best = one.ends[0][1]
+        if not best.converged:
+            names = ", ".join(data.outputs[i] for i in one.outputs)
+            text = f"the search of {names} did not converge in {best.iterations} steps"
+            yield warning("not_converged", text, steps=best.iterations)
+
+
+def _starts(data: Signals, one: _Estimated) -> Iterator[Start]:
+    """Yield the result from each start value.
+
+    The loss is the mean square of the errors, which are whitened if the outputs share a polynomial.
+    """
+    names = ", ".join(data.outputs[i] for i in one.outputs)
+    errors = sum(int(np.count_nonzero(x.rows)) for of in one.problem.experiments for x in of)
+    for name, o in one.ends:
+        yield Start(
+            name=f"{names}: {name}",
+            loss=o.cost / errors,
+            iterations=o.iterations,
+            converged=o.converged,
+        )

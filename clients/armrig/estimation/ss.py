@@ -11,11 +11,10 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_signals
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
-from armrig.estimation.multivariable.ends import ranked
-from armrig.estimation.multivariable.whitening import whitening
+from armrig.estimation.data_checks import instability, origin, require_informative
 from armrig.estimation.n4sid import order_of
 from armrig.estimation.orders import require_samples
+from armrig.estimation.search import ranked
 from armrig.estimation.state_space_fit import derivatives, inference, influence, matrices
 from armrig.estimation.state_space_gaps import searched
 from armrig.estimation.state_space_problem import (
@@ -35,6 +34,7 @@ from armrig.numerics.checks import require_flags, require_integers
 from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed
+from armrig.numerics.whitening import whitening
 
 _STEPS = 2  # steps of the search between two estimates of Lambda
 _TRIED_STEPS = 6  # steps between two estimates of Lambda while the start values are tried

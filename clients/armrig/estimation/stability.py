@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from armrig.data.finding import Asks, EstimateFinding, warning
-from armrig.estimation.prediction_error import PredictionErrorProblem, Solution
+from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.models.fit import Fit
-from armrig.models.innovations import errors
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, reflected, roots, without_integrator
+from armrig.numerics.polynomial import Array, monic, reflected, roots, without_integrator
 
 CIRCLE_ROUNDING = 1e-9  # error of the computed modulus of a root on the circle
 _MAX_POLE_STD = 0.1  # standard deviation above which the data do not determine a pole
@@ -49,36 +48,34 @@ def reflection_warnings(before: Array, after: Array) -> Iterator[EstimateFinding
 
 
 def with_stable_poles(
-    problem: PredictionErrorProblem, solution: Solution, theta: Array
+    problem: PolynomialProblem, solution: Solution, theta: Array
 ) -> tuple[Array, Solution, tuple[EstimateFinding, ...]]:
-    """Return theta = (c, d, f), the solution and the warnings, after A, D and F are reflected.
+    """Return theta, the solution and the warnings, after A, D and F are reflected.
 
     C does not change. For given A, C, D and F the errors are linear in B and the unknown past.
     B and the past are therefore estimated again, by least squares.
     """
-    n = problem.structure
-    free = problem.named(solution.ab, theta)
-    A, D, F = inside = [stabilised(free[name]) for name in "ADF"]
-    notes = [
-        w for name, p in zip("ADF", inside, strict=True) for w in reflection_warnings(free[name], p)
-    ]
+    layout, ab, notes = problem.layout, solution.ab.copy(), list[EstimateFinding]()
+    fixed = np.zeros(ab.size, dtype=np.bool_)
+    for i, n in enumerate(problem.rows):
+        at = layout.linear[i][: n.na] if layout.letters[0] != "a" else np.zeros(0, dtype=np.int_)
+        A = stabilised(free := monic(ab[at]))
+        if A is not free:
+            notes += reflection_warnings(free, A)
+            ab[at], fixed[at] = A[1:], True
+    theta = theta.copy()
+    for letter, part in zip(layout.letters, layout.slices, strict=True):
+        if letter in "adf":
+            inside = stabilised(free := monic(theta[part]))
+            notes += reflection_warnings(free, inside)
+            theta[part] = inside[1:]
     if not notes:
         return theta, solution, ()
-    theta = np.concatenate([theta[: n.nc], D[1:], F[1:]])
     solution = problem.solve(theta)
-    if A is not free["A"]:
-        y = solution.e + solution.by_ab @ solution.ab - solution.by_ab[:, : n.na] @ A[1:]
-        basis = orthonormal(solution.by_ab[:, n.na :])
-        ab = np.concatenate([A[1:], basis.coefficients(y)])
-        pairs = zip(problem.experiments, solution.given, strict=True)
-        parts = [errors(x, n, given, **problem.named(ab, theta)) for x, given in pairs]
-        solution = replace(
-            solution,
-            ab=ab,
-            parts=tuple(parts),
-            e=basis.without(y),
-            by_cdf=np.vstack([part.Psi for part in parts]),
-        )
+    if fixed.any():
+        y = solution.e + solution.by_ab @ solution.ab - solution.by_ab[:, fixed] @ ab[fixed]
+        ab[~fixed] = orthonormal(solution.by_ab[:, ~fixed]).coefficients(y)
+        solution = problem.solve(theta, ab)
     return theta, solution, tuple(notes)
 
 

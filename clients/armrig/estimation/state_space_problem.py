@@ -26,7 +26,6 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.whitening import whitening
 from armrig.estimation.state_space_responses import (
     Part,
     Predictor,
@@ -47,6 +46,7 @@ from armrig.numerics.recursion import (
     recursion,
     responses,
 )
+from armrig.numerics.whitening import whitening
 
 _MAX_MODULUS = 1 - 1e-7  # largest modulus of an eigenvalue of Abar in a search
 _ORBIT_TOLERANCE = 1e-10  # a smaller relative singular value is a rounding error

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.estimation.multivariable.whitening import patterns
 from armrig.estimation.state_space_gaps import filtered_parts, scaled_errors
 from armrig.estimation.state_space_problem import StateSpaceProblem, parts_of
 from armrig.estimation.state_space_responses import (
@@ -31,6 +30,7 @@ from armrig.numerics.polynomial import (
     Array,
 )
 from armrig.numerics.stretches import stretches
+from armrig.numerics.whitening import patterns
 
 _MAX_SUGGESTED_ORDER = 10
 MAX_PASSES = 20

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from armrig.estimation.hannan_rissanen import noise_start
 from armrig.estimation.stability import stabilised
+from armrig.estimation.start_values import noise_start
 from armrig.estimation.state_space_problem import StateSpaceProblem, directions
 from armrig.estimation.state_space_responses import Part
 from armrig.estimation.subspace import Parts

@@ -399,7 +399,8 @@ class Fit(Estimate):
 
         One input and one output: ŷ(t) is NaN if past samples that ŷ(t) needs are not known. For a
         model with A or D, but without C, ŷ is NaN at the beginning of an experiment. For a model
-        with C or D, ŷ is NaN during a gap and for at least the next `horizon` - 1 samples.
+        with C or D, ŷ is NaN during a gap. If A has an integrator, ŷ of such a model is also NaN
+        for at least the next `horizon` samples.
 
         Several signals: if a sample of an output is missing, the prediction continues without the
         sample. ŷ of an output is NaN before the first measured sample of this output.

@@ -1,13 +1,14 @@
-"""One-step prediction errors of A y = (B/F) u + (C/D) e for data with an unknown past.
+"""One-step prediction errors of A y = sum of (B_j/F_j) u_j + (C/D) e with an unknown past.
 
 For given C, D and F the prediction errors are linear in A, B and all unknown quantities::
 
-    e = (D/C) (A y - (B u + x) / F - trend) - z/C
+    e = (D/C) (A y - sum of (B_j u_j + x_j) / F_j - trend) - z/C
 
-The pulses x represent the state of B/F at the start of an experiment. The pulses z represent the
-unknown past of the noise model, at the start of an experiment and after each gap in y. No pulses x
-are needed after a gap, because u is known during the gap. The trend is a level, or a level and a
-ramp if F has an integrator.
+The pulses x represent the state of each B/F at the start of an experiment. The pulses z represent
+the unknown past of the noise model. The trend is a level, or a level and a ramp if F has an
+integrator. After a gap in y, the filter D A/C becomes a Kalman filter: `NoiseFilter`. It depends on
+A, so that the errors are then linear in A no more. No pulses x are needed after a gap, because u is
+known during the gap.
 
 References
 ----------
@@ -16,15 +17,14 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache, partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armrig.data.dataset import Dataset
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.noise_filter import NoiseFilter, noise_filter
 from armrig.numerics.polynomial import Array, filtered, lagged
 from armrig.numerics.stretches import Mask, stretches
 
@@ -37,50 +37,70 @@ class Experiment:
     """Signals of one experiment with interpolated y, and a mask of the prediction errors."""
 
     u: Array
-    """Input (N,), summed if F integrates."""
+    """Inputs (N, nu), summed if F integrates."""
     y: Array
     """Output (N,), missing values interpolated; differenced if A integrates."""
+    known: Mask
+    """Rows (N,) in which y is measured."""
     rows: Mask
     """Rows (N,) that have a prediction error."""
-    stretches: tuple[slice, ...]
-    """Slices of the segments that have prediction errors; a segment contains no gap in y."""
+    begin: int
+    """First sample of y."""
+    gaps: bool
+    """True if y has gaps and the structure has a C or a D."""
     whole: bool
     """True if every sample has a prediction error."""
 
 
-def prepared(part: Dataset, structure: Structure) -> Experiment:
+def prepared(u: Array, y: Array, structure: Structure) -> Experiment:
     """Return the signals of one experiment for a structure.
 
-    A gap in y divides the experiment into segments. Without C, the first errors of a segment depend
-    on unknown samples and are not used. With C, these errors are used, and the unknown past is
-    estimated. A segment that is not longer than its unknown past is left out.
+    Without C, the first errors depend on samples before the data and are not used. With C, these
+    errors are used, and the unknown past is estimated. If the measured samples are not more than
+    the unknown past, no error is used. Without C and D, the first errors after each gap are not
+    used either.
+
+    Parameters
+    ----------
+    u : ndarray (N, nu) or (N,)
+        Inputs.
+    y : ndarray (N,)
+        Output, NaN where it is missing.
     """
-    u, y, valid = part.u, part.y, part.valid
+    u = u.reshape(y.size, -1)
     if structure.integrator == "f":
-        u = summed_input(u, centred=not structure.at_rest)
+        u = np.column_stack([summed_input(x, centred=not structure.at_rest) for x in u.T])
     if structure.integrator == "a":
         y = np.diff(y, prepend=0.0 if structure.at_rest else np.nan)
-        valid = np.isfinite(y)
-    if structure.white:
-        rows, used = valid, [slice(0, valid.size)]
-    else:
-        rows = np.zeros_like(valid)
-        used = []
-        for s in stretches(valid):
-            unknown = forgotten(structure, s.start)
-            if s.stop - s.start > unknown:
-                rows[s.start + (0 if structure.nc else unknown) : s.stop] = True
-                used.append(s)
+    known = np.isfinite(y)
+    parts = stretches(known)
+    begin = parts[0].start if parts else 0
+    gaps = len(parts) > 1 and structure.nc + structure.nd > 0
+    rows = known.copy()
+    if gaps or (structure.nc and parts):
+        rows &= np.count_nonzero(known) > structure.forgotten(begin)
+    elif not structure.white:
+        for s in parts:
+            rows[s.start : min(s.start + structure.forgotten(s.start), s.stop)] = False
     return Experiment(
-        u=u, y=_filled(y, valid), rows=rows, stretches=tuple(used), whole=bool(rows.all())
+        u=np.asfortranarray(u),
+        y=_filled(y, known),
+        known=known,
+        rows=rows,
+        begin=begin,
+        gaps=gaps,
+        whole=bool(rows.all()),
     )
 
 
-def forgotten(structure: Structure, start: int) -> int:
-    """Return the number of pulses that represent the past of a segment that begins at `start`."""
-    if start == 0 and structure.at_rest:
-        return 0
-    return max(structure.memory, structure.first - start)
+def completed(x: Experiment, structure: Structure, y: Array) -> Experiment:
+    """Return the experiment with the output y (N,) in place of an output with gaps."""
+    rows = np.arange(y.size) >= x.begin
+    forgotten = 0 if structure.nc else structure.forgotten(x.begin)
+    rows[x.begin : x.begin + forgotten] = False
+    return replace(
+        x, y=y, known=np.arange(y.size) >= x.begin, rows=rows, gaps=False, whole=bool(rows.all())
+    )
 
 
 def summed_input(u: Array, *, centred: bool) -> Array:
@@ -95,46 +115,40 @@ def summed_input(u: Array, *, centred: bool) -> Array:
 class Unknown:
     """Orthonormal basis of the effects of the unknown past on the prediction errors."""
 
-    noise: tuple[tuple[slice, Array], ...]
-    """Rows and basis of z for each segment. The rows end where the impulse response of 1/C has
-    decayed to 0."""
-    state: Basis
-    """Basis of the effects of x and of the trend, minus the projection of these effects on `noise`.
-    Only the first rows are stored; the other rows are 0."""
-    volumes: tuple[Callable[[], tuple[float, Array]], ...]
-    """For each segment, a function that returns log |Z^T Z| and its gradient with respect to the
-    coefficients c of C. The columns of Z are the filtered pulses z. The estimator does not use the
-    function of the first segment of all data."""
+    basis: Basis
+    """Basis of the effects of z, of x and of the trend. Only the first rows are stored; the other
+    rows are 0."""
+    pulses: int
+    """Number of pulses z."""
     N: int
     """Number of samples."""
 
     def without(self, M: Array) -> Array:
         """Return M (N, k) minus its projection on the basis; M is 0 where e is not known."""
         M = np.array(M, order="F")
-        for s, Q in self.noise:
-            M[s] -= Q @ (Q.T @ M[s])
-        Q = self.state.Q
+        Q = self.basis.Q
         if Q.shape[1]:
             M[: Q.shape[0]] -= Q @ (Q.T @ M[: Q.shape[0]])
         return M
 
-    def state_of(self, y: Array) -> Array:
-        """Return x and the trend's coefficients, estimated from y (N,) with z projected out."""
-        return self.state.coefficients(y[: self.state.Q.shape[0]])
+    def along(self, y: Array) -> Array:
+        """Return the coefficients (r,) of the projection of y (N,) on the basis."""
+        return np.asarray(self.basis.Q.T @ y[: self.basis.Q.shape[0]])
+
+    def coefficients(self, y: Array) -> Array:
+        """Return z, x and the trend's coefficients, estimated from y (N,)."""
+        return np.asarray(self.basis.W @ self.along(y))
 
     @property
     def rank(self) -> int:
         """Dimension of the basis."""
-        return self.state.rank + sum(int(Q.shape[1]) for _, Q in self.noise)
+        return self.basis.rank
 
     @property
     def span(self) -> Array:
         """The basis as columns (N, rank)."""
         whole = np.zeros((self.N, self.rank))
-        begin = 0
-        for s, Q in (*self.noise, (slice(0, self.state.Q.shape[0]), self.state.Q)):
-            whole[s, begin : begin + Q.shape[1]] = Q
-            begin += Q.shape[1]
+        whole[: self.basis.Q.shape[0]] = self.basis.Q
         return whole
 
 
@@ -146,68 +160,40 @@ def masked(M: Array, experiment: Experiment) -> Array:
 
 
 def unknown(
-    experiment: Experiment, structure: Structure, *, C: Array, D: Array, F: Array
+    x: Experiment, structure: Structure, *, C: Array, D: Array, F: Sequence[Array]
 ) -> Unknown:
-    """Return the basis of the effects of the unknown past on the prediction errors."""
-    N = experiment.y.size
-    noise, volumes = _noise_bases(experiment, structure, C)
-    k = structure.count
-    W = _pulses(response(D, np.convolve(C, F), N), k, N) if k else np.zeros((0, 0))
-    n = N if structure.trend else W.shape[0]
-    for s, Q in noise:
-        n = max(n, s.start + Q.shape[0]) if s.start < n else n
-    if n > W.shape[0]:
-        W = np.vstack([W, np.zeros((n - W.shape[0], k))])
-    if structure.trend:
-        W = np.hstack([W, *(_noise(D, C, x)[:, None] for x in trend(structure, N).T)])
-    if not experiment.whole:
-        W = np.where(experiment.rows[:n, None], W, 0.0)
-    W = np.array(W, order="F")
-    for s, Q in noise:
-        if s.start < n:
-            W[s] -= Q @ (Q.T @ W[s])
-    return Unknown(noise=noise, state=orthonormal(W), volumes=volumes, N=N)
+    """Return the basis of the effects of the unknown past on the errors of data without a gap."""
+    n, N = structure, x.y.size
+    columns: list[tuple[int, Array]] = []  # first sample, and effect from this sample on
+    pulses = n.forgotten(x.begin) if n.nc else 0
+    if pulses:
+        z = response([1.0], C, N - x.begin)
+        columns += [(x.begin + k, z) for k in range(pulses)]
+    for count, group in zip(n.counts, n.groups, strict=True):
+        if count:
+            h = response(D, np.convolve(C, F[group[0]]), N)
+            columns += [(k, h) for k in range(count)]
+    columns += [(0, _noise(D, C, column)) for column in trend(n, N).T]
+    ends = [begin + h.size for begin, h in columns]
+    W = np.zeros((min(N, max(ends, default=0)), len(columns)), order="F")
+    for j, (begin, h) in enumerate(columns):
+        W[begin : begin + h.size, j] = h[: max(W.shape[0] - begin, 0)]
+    if not x.whole:
+        W = np.where(x.rows[: W.shape[0], None], W, 0.0)
+    return Unknown(basis=orthonormal(W), pulses=pulses, N=N)
 
 
-_Bases = tuple[tuple[slice, Array], ...]
-_Volumes = tuple[Callable[[], tuple[float, Array]], ...]
-
-
-def _noise_bases(experiment: Experiment, structure: Structure, C: Array) -> tuple[_Bases, _Volumes]:
-    """Return the fields `noise` and `volumes` of `Unknown`, for the pulses z filtered by 1/C."""
-    if structure.nc == 0:
-        return (), ()
-    longest = max((s.stop - s.start for s in experiment.stretches), default=1)
-    pulse = response([1.0], C, longest)
-    known: dict[tuple[int, int], tuple[Array, Callable[[], tuple[float, Array]]]] = {}
-    none = 0.0, np.zeros(structure.nc)
-    noise, volumes = [], []
-    for s in experiment.stretches:
-        k = forgotten(structure, s.start)
-        n = min(s.stop - s.start, pulse.size + k - 1)
-        if k == 0:
-            volumes.append(lambda: none)
-            continue
-        if (
-            k,
-            n,
-        ) not in known:  # most stretches are longer than the response and have the same basis
-            Q, R = np.linalg.qr(_pulses(pulse, k, n))
-            known[k, n] = Q, cache(partial(_volume, Q, R, C))
-        Q, volume = known[k, n]
-        noise.append((slice(s.start, s.start + n), Q))
-        volumes.append(volume)
-    return tuple(noise), tuple(volumes)
-
-
-def _volume(Q: Array, R: Array, C: Array) -> tuple[float, Array]:
+def volume(x: Experiment, structure: Structure, C: Array) -> tuple[float, Array]:
     """Return log |Z^T Z|, and its gradient with respect to the coefficients c of C.
 
-    The columns of Z = Q R are pulses that were filtered by 1/C.
-
-    d log |Z^T Z| is 2 trace(Z^+ dZ), and the derivative of 1/C with respect to c_k is -q^-k / C².
+    The columns of Z are the pulses z at the start of an experiment, filtered by 1/C. The logarithm
+    changes by 2 trace(Z^+ dZ), and the derivative of 1/C with respect to c_k is -q^-k / C².
     """
-    n, k = Q.shape
+    k, N = structure.forgotten(x.begin), x.y.size - x.begin
+    if structure.nc == 0 or k == 0 or not x.rows.any():
+        return 0.0, np.zeros(structure.nc)
+    Q, R = np.linalg.qr(_pulses(response([1.0], C, N), k, N))
+    n = Q.shape[0]
     slope = response([1.0], np.convolve(C, C), n)
     slope = np.append(slope, np.zeros(n - slope.size))
     by_c = np.empty(C.size - 1)
@@ -250,87 +236,178 @@ def trend(structure: Structure, N: int) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinearPart:
-    """Linear equation of the errors for given C, D and F: y = X [a, b] + unknown + e."""
+    """Linear equation of the errors for given polynomials: y = X [a, b] + unknown + e."""
 
     X: Array
-    """Derivatives of the prediction with respect to (a, b), (N, na + nb); 0 in rows without a
-    prediction error."""
+    """Derivatives of the prediction with respect to (a, b), (N, na + nb), or to b alone if A is
+    given; 0 in rows without a prediction error."""
     y: Array
-    """Signal D/C y, (N,); 0 where the prediction error e is not known."""
+    """Signal D/C y, or D/C A y if A is given, (N,); 0 where the prediction error is not known."""
     unknown: Unknown
     """Basis of the unknown past."""
+    noise: NoiseFilter | None = None
+    """Filter of data with gaps."""
+
+    @property
+    def log_scale(self) -> float:
+        """Sum of log s(t) over the measured samples, 0 for data without a gap."""
+        return 0.0 if self.noise is None else self.noise.log_scale
 
 
 def regression(
-    experiment: Experiment, structure: Structure, *, C: Array, D: Array, F: Array
+    x: Experiment,
+    structure: Structure,
+    *,
+    C: Array,
+    D: Array,
+    F: Sequence[Array],
+    A: Array | None = None,
 ) -> LinearPart:
-    """Return the linear equation of the errors, for given C, D and F."""
+    """Return the linear equation of the errors, for given C, D and F of each input.
+
+    Parameters
+    ----------
+    A : ndarray (na + 1,), optional
+        The polynomial A, if it is given, too. After gaps in y it must be given.
+    """
     n = structure
-    y = _noise(D, C, experiment.y)
-    u = filtered(D, np.convolve(C, F), experiment.u)
-    X = lagged(u, range(n.nk, n.nk + n.nb))
-    if n.na:
-        X = np.hstack([-lagged(y, range(1, n.na + 1)), X])
+    if x.gaps and n.nc + n.nd:
+        return _regression_with_gaps(x, n, C=C, D=D if A is None else np.convolve(A, D), F=F, d=D)
+    inputs = [
+        lagged(filtered(D, np.convolve(C, F[j]), x.u[:, j]), n.lags(j)) for j in range(len(n.nb))
+    ]
+    y = _noise(D, C, x.y)
+    if n.na and A is None:
+        inputs.insert(0, -lagged(y, range(1, n.na + 1)))
+    elif n.na and A is not None:
+        y = filtered(A, [1.0], y)
+    X = inputs[0] if len(inputs) == 1 else np.hstack(inputs)
+    return LinearPart(X=masked(X, x), y=masked(y, x), unknown=unknown(x, n, C=C, D=D, F=F))
+
+
+def _regression_with_gaps(
+    x: Experiment, n: Structure, *, C: Array, D: Array, F: Sequence[Array], d: Array
+) -> LinearPart:
+    """Return the linear equation of the scaled innovations; D is the product of D and A."""
+    N = x.y.size
+    noise = noise_filter(C, D, x.rows)
+    inputs = [lagged(filtered(d, F[j], x.u[:, j]), n.lags(j)) for j in range(len(n.nb))]
+    pulse = np.append(1.0, np.zeros(N - 1))
+    pulses = n.forgotten(0)
+    past = [lagged(pulse, range(pulses))]
+    for count, group in zip(n.counts, n.groups, strict=True):
+        past.append(lagged(filtered(d, F[group[0]], pulse), range(count)))
+    past += [filtered(d, [1.0], column)[:, None] for column in trend(n, N).T]
+    widths = sum(n.nb)
+    both = noise.responses(np.hstack([*inputs, *past]))
     return LinearPart(
-        X=masked(X, experiment),
-        y=masked(y, experiment),
-        unknown=unknown(experiment, n, C=C, D=D, F=F),
+        X=both[:, :widths],
+        y=noise.innovations(x.y),
+        unknown=Unknown(basis=orthonormal(both[:, widths:]), pulses=pulses, N=N),
+        noise=noise,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Errors:
-    """Prediction errors of one experiment, and their derivatives with respect to c, d and f."""
+    """Prediction errors of one experiment, and their derivatives."""
 
     e: Array
-    """Prediction errors e (N,), 0 where e is not known."""
+    """Prediction errors e (N,), 0 where e is not known. After gaps the errors are scaled to the
+    variance of e."""
     Psi: Array
-    """Derivatives of the prediction with respect to (c, d, f), (N, nc + nd + nf). Their projection
-    on the basis of the unknown past is subtracted."""
+    """Derivatives of the prediction with respect to (c, d, f of each group), or to (a, c, d, f) if
+    A was given, (N, n). Their projection on the basis of the unknown past is not subtracted."""
     driven: Array
-    """Response B/F u from the estimated state, with the trend, (N,)."""
+    """Sum of the responses B/F u from the estimated state, with the trend, (N,)."""
     state: Array
     """Pulses x, then the trend's coefficients."""
+    by_scale: Array
+    """Derivatives of the sum of log s(t) with respect to the same parameters as Psi, (n,)."""
+    y: Array
+    """Output (N,), predicted from its past where it is missing in data with gaps."""
 
 
 def errors(
-    experiment: Experiment,
+    x: Experiment,
     structure: Structure,
     given: LinearPart,
     *,
     A: Array,
-    B: Array,
+    B: Sequence[Array],
     C: Array,
     D: Array,
-    F: Array,
+    F: Sequence[Array],
+    along: Array | None = None,
 ) -> Errors:
     """Return the errors for given polynomials, with the unknown past estimated by least squares.
 
-    With v = A y - w and w = (B u + x)/F the derivatives of the prediction are ::
+    With w_j = (B_j u_j + x_j)/F_j and v = A y - sum of w_j the derivatives of the prediction are ::
 
-        c_k: q^-k e / C,   d_k: -q^-k v / C,   f_k: -(D/C) q^-k w / F
+        a_k: -(D/C) q^-k y,   c_k: q^-k e / C,   d_k: -q^-k v / C,   f_jk: -(D/C) q^-k w_j / F_j
 
     For each polynomial, one signal is filtered and then shifted.
+
+    Parameters
+    ----------
+    along : ndarray (r,), optional
+        Coefficients of the basis of the unknown past, if they are estimated from other outputs,
+        too.
     """
-    n, N = structure, experiment.y.size
-    raw = given.y - given.X @ np.append(A[1:], B[n.nk :])
-    x = given.unknown.state_of(raw)
-    e = given.unknown.without(raw)
-    w = filtered(B, F, experiment.u)
-    if n.count:
-        free = response(x[: n.count], F, N)
-        w[: free.size] += free
-    driven = w + trend(n, N) @ x[n.count :] if n.trend else w
-    Psi = np.zeros((N, n.nc + n.nd + n.nf), order="F")
-    by_c, by_d, by_f = np.split(Psi, [n.nc, n.nc + n.nd], axis=1)
+    n, N = structure, x.y.size
+    b = np.concatenate([p[k:] for p, k in zip(B, n.nk, strict=True)])
+    linear_a = n.na > 0 and given.X.shape[1] > b.size
+    raw = given.y - given.X @ (np.append(A[1:], b) if linear_a else b)
+    past = given.unknown
+    along = past.along(raw) if along is None else along
+    pulses, state = np.split(past.basis.W @ along, [past.pulses])
+    e = raw.copy()
+    e[: past.basis.Q.shape[0]] -= past.basis.Q @ along
+    driven = trend(n, N) @ state[sum(n.counts) :] if n.trend else np.zeros(N)
+    responses, begin = [], 0
+    for count, group in zip(n.counts, n.groups, strict=True):
+        w = filtered(B[group[0]], F[group[0]], x.u[:, group[0]])
+        for j in group[1:]:
+            w += filtered(B[j], F[j], x.u[:, j])
+        if count:
+            free = response(state[begin : begin + count], F[group[0]], N)
+            w[: free.size] += free
+        begin += count
+        driven += w
+        responses.append((w, F[group[0]]))
+    sizes = (0 if linear_a else n.na, n.nc, n.nd, *n.sizes)
+    Psi = np.zeros((N, sum(sizes)), order="F")
+    by_a, by_c, by_d, *by_f = np.split(Psi, np.cumsum(sizes)[:-1], axis=1)
+    by_scale = np.zeros(Psi.shape[1])
+    if given.noise is not None:
+        z = filtered(D, [1.0], driven)
+        z[: pulses.size] += pulses
+        of_noise, of_scale = given.noise.derivatives(x.y, z)
+        by_c[:], by_product = -of_noise[:, : n.nc], -of_noise[:, n.nc :]
+        for columns, factor, at in ((by_a, D, 0), (by_d, A, n.na + n.nc)):
+            T = lagged(np.append(factor, np.zeros(n.na + n.nd)), range(columns.shape[1]))
+            T = T[: n.na + n.nd]
+            columns[:] = by_product @ T
+            by_scale[at : at + columns.shape[1]] = of_scale[n.nc :] @ T
+        by_scale[n.na : n.na + n.nc] = of_scale[: n.nc]
+        by_d += given.noise.responses(lagged(driven, range(1, n.nd + 1)))
+        for columns, (w, p) in zip(by_f, responses, strict=True):
+            moved = lagged(filtered(D, p, w), range(1, columns.shape[1] + 1))
+            columns[:] = -given.noise.responses(moved)
+        y = np.where(x.known, x.y, given.noise.predictions(x.y, z))
+        return Errors(e=e, Psi=Psi, driven=driven, state=state, by_scale=by_scale, y=y)
+    if by_a.size:
+        _shift_into(by_a, -_noise(D, C, x.y))
     if n.nc:
         _shift_into(by_c, filtered([1.0], C, e))
     if n.nd:
-        v = driven - (filtered(A, [1.0], experiment.y) if n.na else experiment.y)
+        v = driven - (filtered(A, [1.0], x.y) if n.na else x.y)
         _shift_into(by_d, filtered([1.0], C, v))
-    if n.nf:
-        _shift_into(by_f, -filtered(D, np.convolve(C, F), w))
-    return Errors(e=e, Psi=given.unknown.without(masked(Psi, experiment)), driven=driven, state=x)
+    for columns, (w, p) in zip(by_f, responses, strict=True):
+        if columns.size:
+            _shift_into(columns, -filtered(D, np.convolve(C, p), w))
+    Psi = masked(Psi, x)
+    return Errors(e=e, Psi=Psi, driven=driven, state=state, by_scale=by_scale, y=x.y)
 
 
 def _shift_into(columns: Array, x: Array) -> None:

@@ -11,10 +11,11 @@ from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.dataset import Dataset, Vector
 from armrig.data.signals import Signals
-from armrig.models.innovations import Unknown, errors, masked, prepared, regression, summed_input
+from armrig.models.innovations import Unknown, errors, prepared, regression, summed_input
 from armrig.models.state_space import predicted as of_outputs
 from armrig.models.structure import Structure, free_columns, transient_count
 from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.noise_filter import NoiseFilter
 from armrig.numerics.polynomial import Array, filtered, impulse, lagged, without_integrator
 from armrig.numerics.regressors import complete, past
 
@@ -86,11 +87,11 @@ def structure_of(model: Fit) -> Structure:
     inside = {"a": 0, "f": 0, model.integrating: 1}
     return Structure(
         na=model.A.size - 1 - inside["a"],
-        nb=model.B.size - model.nk,
+        nb=(model.B.size - model.nk,),
         nc=model.C.size - 1,
         nd=model.D.size - 1,
-        nf=model.F.size - 1 - inside["f"],
-        nk=model.nk,
+        nf=(model.F.size - 1 - inside["f"],),
+        nk=(model.nk,),
         integrator=model.integrating,
         offset=model.offset,
     )
@@ -98,8 +99,10 @@ def structure_of(model: Fit) -> Structure:
 
 def _innovations_predicted(model: Fit, part: Dataset, horizon: int) -> Vector:
     """Return y(t) minus the contribution of the innovations of the last `horizon` samples."""
-    e = prediction_errors(model, part).e
-    ahead = min(horizon, part.N)
+    found = prediction_errors(model, part)
+    e, ahead = found.e, min(horizon, part.N)
+    if found.noise is not None and model.integrating != "a":
+        return np.asarray(part.y - found.noise.ahead(np.nan_to_num(e), ahead))
     h = filtered(model.C, np.convolve(model.A, model.D), impulse([1.0], ahead))
     return np.asarray(part.y - lagged(e, range(ahead)) @ h)
 
@@ -154,12 +157,15 @@ class Residuals:
     """One-step prediction errors of one experiment, and their derivatives."""
 
     e: Vector
-    """Errors (N,), NaN if y or a necessary past sample is missing."""
+    """Errors (N,), NaN if y or a necessary past sample is missing. After a gap the errors of a
+    model with C or D are scaled to the variance of e."""
     Psi: Array
     """Derivatives of the prediction with respect to the free parameters, (N, d); 0 in rows without
     a prediction error. Their projection on the basis of the unknown past is subtracted."""
     unknown: Unknown
     """Basis of the unknown past."""
+    noise: NoiseFilter | None = None
+    """Filter of data with gaps, for a model with C or D."""
 
 
 def prediction_errors(model: Fit, part: Dataset) -> Residuals:
@@ -168,23 +174,25 @@ def prediction_errors(model: Fit, part: Dataset) -> Residuals:
     p = {letter: getattr(model, letter) for letter in "ABCDF"}
     if model.integrating:
         p[model.integrating.upper()] = without_integrator(p[model.integrating.upper()])
-    experiment = prepared(part, structure)
+    experiment = prepared(part.u, part.y, structure)
     with np.errstate(over="ignore", invalid="ignore"):
         C, D, F = p["C"], p["D"], p["F"]
         if not np.isfinite(filtered(np.convolve(D, model.B), np.convolve(C, F), part.u)).all():
             return _none(part.N, model.parameters)
-        given = regression(experiment, structure, C=C, D=D, F=F)
-        known = errors(experiment, structure, given, **p)
+        given = regression(experiment, structure, A=p["A"], C=C, D=D, F=[F])
+        known = errors(experiment, structure, given, A=p["A"], B=[p["B"]], C=C, D=D, F=[F])
+    by_a, others = np.split(known.Psi, [structure.na], axis=1)
     return Residuals(
         e=np.where(experiment.rows, known.e, np.nan),
-        Psi=np.hstack([given.unknown.without(masked(given.X, experiment)), known.Psi]),
+        Psi=given.unknown.without(np.hstack([by_a, given.X, others])),
         unknown=given.unknown,
+        noise=given.noise,
     )
 
 
 def _none(N: int, parameters: int) -> Residuals:
     """Return residuals that are all NaN, for an unstable predictor whose output overflows."""
-    nothing = Unknown(noise=(), volumes=(), state=orthonormal(np.zeros((0, 0))), N=N)
+    nothing = Unknown(basis=orthonormal(np.zeros((0, 0))), pulses=0, N=N)
     return Residuals(e=np.full(N, np.nan), Psi=np.zeros((N, parameters)), unknown=nothing)
 
 

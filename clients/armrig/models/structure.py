@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,32 +15,52 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Structure:
-    """Orders of A y = (B/F) u + (C/D) e, without the factor 1 - q^-1 of an integrator."""
+    """Orders of A y = sum of (B_j/F_j) u_j + (C/D) e, without the factor 1 - q^-1 of an integrator.
 
-    nb: int
-    """Number of coefficients of B."""
-    nk: int
-    """Number of samples before u affects y."""
+    The equation is that of one output with one input or several.
+    """
+
+    nb: tuple[int, ...]
+    """Number of coefficients of B for each input; 0 if the input does not affect the output."""
+    nk: tuple[int, ...]
+    """Number of samples before each input affects y."""
+    nf: tuple[int, ...]
+    """Number of coefficients of F after the leading 1, for each input."""
     na: int = 0
     """Number of coefficients of A after the leading 1."""
     nc: int = 0
     """Number of coefficients of C after the leading 1."""
     nd: int = 0
     """Number of coefficients of D after the leading 1."""
-    nf: int = 0
-    """Number of coefficients of F after the leading 1."""
     integrator: Literal["", "a", "f"] = ""
-    """Polynomial with the additional factor 1 - q^-1."""
+    """Polynomial with the additional factor 1 - q^-1: A or each F."""
+    shared: bool = False
+    """True if all inputs have the same F."""
     offset: bool = False
-    """True if the input offset is estimated. With an integrator the offset is always estimated,
-    unless `at_rest` is True."""
+    """True if a level of the output, the effect of an input offset, is estimated. With an
+    integrator the level is always estimated, unless `at_rest` is True."""
     at_rest: bool = False
     """True if each experiment begins with all signals at zero."""
 
+    def lags(self, j: int) -> range:
+        """Return the lags of input j in B."""
+        return range(self.nk[j], self.nk[j] + self.nb[j])
+
     @property
-    def reach(self) -> int:
-        """Largest lag of u in B."""
-        return self.nk + self.nb - 1
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """Inputs that have the same F, for each F; all inputs without an F are one group."""
+        if len(self.nb) == 1:
+            return ((0,),)
+        used = [j for j, n in enumerate(self.nb) if n]
+        if self.shared:
+            return (tuple(used),)
+        plain = tuple(j for j in used if self.nf[j] == 0)
+        return (*((plain,) if plain else ()), *((j,) for j in used if self.nf[j]))
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Number of coefficients of F after the leading 1, for each group."""
+        return tuple(self.nf[group[0]] for group in self.groups)
 
     @property
     def memory(self) -> int:
@@ -49,20 +69,37 @@ class Structure:
 
     @property
     def first(self) -> int:
-        """Number of first samples that depend on u before the data; 0 with pulses, or at rest."""
-        return 0 if self.at_rest or self.count else self.nd + self.reach
+        """Number of first samples that depend on u before the data and on no pulse of `counts`."""
+        if self.at_rest:
+            return 0
+        pairs = zip(self.groups, self.counts, strict=True)
+        reaches = [self._reach(group) for group, count in pairs if not count]
+        return self.nd + max(reaches) if reaches else 0
 
     @property
-    def count(self) -> int:
-        """Number of pulses that replace the unknown state of B/F at the start of an experiment.
+    def counts(self) -> tuple[int, ...]:
+        """Number of pulses that replace the unknown state of B/F at the start, for each group.
 
         An equation-error model without F needs no pulses, because its output depends on a finite
         number of past u. An output-error model has pulses even without F.
         """
         inside = int(self.integrator == "f")
-        if self.at_rest or (self.nf + inside == 0 and self.memory > 0):
+        return tuple(
+            0
+            if self.at_rest or (nf + inside == 0 and self.memory > 0)
+            else max(self._reach(group), nf + inside) - inside
+            for group, nf in zip(self.groups, self.sizes, strict=True)
+        )
+
+    def _reach(self, group: tuple[int, ...]) -> int:
+        """Return the largest lag of u in the B of a group."""
+        return max(self.nk[j] + self.nb[j] for j in group) - 1
+
+    def forgotten(self, start: int) -> int:
+        """Return the number of pulses that represent the past of y, if y begins at `start`."""
+        if start == 0 and self.at_rest:
             return 0
-        return max(self.reach, self.nf + inside) - inside
+        return max(self.memory, self.first - start)
 
     @property
     def trend(self) -> int:
@@ -77,6 +114,16 @@ class Structure:
     def white(self) -> bool:
         """True if the noise on the output is white, so that past y do not help to predict y."""
         return self.memory == 0
+
+    @property
+    def parameters(self) -> int:
+        """Number of estimated coefficients."""
+        return self.na + sum(self.nb) + self.nc + self.nd + sum(self.sizes)
+
+    @property
+    def output_error(self) -> Structure:
+        """The structure with the same B and F, and with white noise on the output."""
+        return replace(self, na=0, nc=0, nd=0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -98,7 +98,7 @@ _ROWS = (
         equation="A y = B u + e",
         orders={"na": _N, "nb": _N},
         poles="na",
-        takes_several=(),
+        takes_several=("stable",),
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -106,8 +106,8 @@ _ROWS = (
         equation="A y = B u + C e",
         orders={"na": _N, "nb": _N, "nc": _N},
         poles="na",
-        takes=_SEARCHED,
-        takes_several=("integrator", "shared"),
+        takes=(*_SEARCHED, "shared"),
+        takes_several=(*_SEARCHED, "stable", "shared"),
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -115,16 +115,16 @@ _ROWS = (
         equation="y = B/F u + e",
         orders={"nb": _N, "nf": _N},
         poles="nf",
-        takes=_SEARCHED,
-        takes_several=("integrator", "shared"),
+        takes=(*_SEARCHED, "shared"),
+        takes_several=(*_SEARCHED, "stable", "shared"),
     ),
     RegisteredStructure(
         name="bj",
         equation="y = B/F u + C/D e",
         orders={"nb": _N, "nc": 1, "nd": 1, "nf": _N},
         poles="nf",
-        takes=_SEARCHED,
-        takes_several=("integrator",),
+        takes=(*_SEARCHED, "shared"),
+        takes_several=(*_SEARCHED, "stable"),
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -138,7 +138,7 @@ _ROWS = (
         equation="a state space",
         orders={"order": None},
         poles="order",
-        takes=("integrator", "weights", "horizon", "focus"),
+        takes=("integrator", "weights", "horizon", "focus", "replicates", "seed"),
         takes_several=("weights",),
     ),
     RegisteredStructure(
@@ -146,7 +146,8 @@ _ROWS = (
         equation="A y = B u + 1/D e",
         orders={"na": _N, "nb": _N, "nd": 1},
         poles="na",
-        takes=_SEARCHED,
+        takes=(*_SEARCHED, "shared"),
+        takes_several=(*_SEARCHED, "stable"),
         closed_loop=True,
         searched=False,  # IV4 and BJ cover this noise; ARARX would lengthen a search by a quarter
     ),
@@ -155,7 +156,7 @@ _ROWS = (
         equation="A y = B/F u + C/D e",
         orders={"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N},
         poles="nf",
-        takes=("offset", "initial", "starts"),
+        takes=("offset", "initial", "starts", "shared"),
         closed_loop=True,
     ),
 )

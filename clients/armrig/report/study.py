@@ -306,16 +306,13 @@ def _fits(data: Dataset, orders: Orders) -> dict[str, Fit]:
 
 def _joint_fits(data: Signals, orders: Orders) -> dict[str, Fit]:
     """Return the models of all outputs, by their names in the report."""
-    from armrig.estimation.multivariable.arx import arx as arx_of_several
-    from armrig.estimation.multivariable.oe import oe as oe_of_several
-
     of_each = [orders.of(name) for name in data.outputs]
     integrating = [n for n, own in zip(data.outputs, of_each, strict=True) if own.integrator]
     nb, nk = [[own.nb] for own in of_each], orders.nk
     return {
         # A is diagonal: each output depends on its own past only, as in the model of one output.
-        "ARX": arx_of_several(data, na=np.diag([own.na for own in of_each]), nb=nb, nk=nk),
-        "OE": oe_of_several(
+        "ARX": arx(data, na=np.diag([own.na for own in of_each]), nb=nb, nk=nk),
+        "OE": oe(
             data,
             nb=nb,
             nf=orders.nf - bool(integrating),

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from armrig.data.dataset import Dataset
-from armrig.estimation.hannan_rissanen import equation_error, steiglitz_mcbride
-from armrig.estimation.order_table import select_orders
+from armrig.estimation.order_selection import select_orders
 from armrig.estimation.orders import require_samples
-from armrig.estimation.prediction_error import PredictionErrorProblem
-from armrig.models.innovations import prepared
+from armrig.estimation.problem import PolynomialProblem
+from armrig.estimation.start_values import Path, steiglitz_mcbride
+from armrig.models.innovations import prepared, trend
 from armrig.models.structure import Structure
 from armrig.numerics.criteria import mdl
-from armrig.numerics.polynomial import filtered, reduced, reflected
+from armrig.numerics.polynomial import filtered, reduced
 from armrig.numerics.whiteness import autoregression
 
 Vector = NDArray[np.float64]
@@ -80,7 +80,7 @@ class _Fitted:
     """An output-error model of prewhitened data."""
 
     structure: Recommended
-    problem: PredictionErrorProblem
+    problem: PolynomialProblem
     f: Vector
     """Coefficients of F, without the integrator's factor."""
     cost: float
@@ -106,7 +106,7 @@ class _Fitted:
         """Return the residuals of each experiment, NaN if unknown."""
         found = self.problem.solve(self.f)
         pairs = zip(self.problem.experiments, found.parts, strict=True)
-        return [np.where(x.rows, p.e, np.nan) for x, p in pairs]
+        return [np.where(x.rows, p.e, np.nan) for (x,), (p,) in pairs]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,7 +139,7 @@ class _Record:
                 found.append(part[p:].replaced(step=None, u=u, y=y, valid=np.isfinite(y)))
         return replace(self, parts=tuple(found))
 
-    def problem(self, s: Recommended) -> PredictionErrorProblem:
+    def problem(self, s: Recommended) -> PolynomialProblem:
         """Return the estimation problem, with u shifted by its delay.
 
         Without the shift, the unknown samples of u before the start would be estimated, which takes
@@ -147,11 +147,15 @@ class _Record:
         """
         d, cut = max(s.nk - 1, 0), self.latest - 1
         letter: Literal["f", ""] = "f" if s.integrator else ""
-        n = Structure(nb=s.nb, nf=s.nf - s.integrator, nk=s.nk - d, integrator=letter, offset=True)
+        n = Structure(
+            nb=(s.nb,), nf=(s.nf - s.integrator,), nk=(s.nk - d,), integrator=letter, offset=True
+        )
         later = [
             p[cut:].replaced(step=None, u=p.u[cut - d : p.N - d]) for p in self.parts if cut < p.N
         ]
-        return PredictionErrorProblem(experiments=tuple(prepared(p, n) for p in later), structure=n)
+        return PolynomialProblem(
+            experiments=tuple((prepared(p.u, p.y, n),) for p in later), rows=(n,)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -331,11 +335,11 @@ def _exact(record: _Record, s: Recommended, known: dict[int, Vector]) -> _Fitted
     if s.nk > record.latest:
         return None
     problem = record.problem(s)
-    n = problem.structure
-    starts = [F for F in _starts(problem) if F.size == n.nf + 1]
+    nf = problem.size
+    starts = [F for F in _starts(problem) if F.size == nf + 1]
     for more in range(-1, 3):
         if (f := known.get(s.nf + more)) is not None:
-            starts.extend(_of_order(np.append(1.0, f), n.nf))
+            starts.extend(_of_order(np.append(1.0, f), nf))
     priced = sorted(((problem.cost(F[1:]), F[1:]) for F in starts), key=lambda x: x[0])
     ends = [_fitted(problem, s, f) for _, f in priced[:_MAX_SEARCHES]]
     return min((e for e in ends if e), key=lambda e: e.cost, default=None)
@@ -376,25 +380,27 @@ def _fits(
             yield model
 
 
-def _fitted(problem: PredictionErrorProblem, s: Recommended, f: Vector) -> _Fitted | None:
+def _fitted(problem: PolynomialProblem, s: Recommended, f: Vector) -> _Fitted | None:
     """Return the model that a search from f finds; None if there are too few residuals."""
-    N = sum(int(np.count_nonzero(x.rows)) for x in problem.experiments)
+    N = sum(int(np.count_nonzero(x.rows)) for (x,) in problem.experiments)
     if 3 * (s.nb + s.nf) >= N:
         return None
     end = problem.minimise(f, most=_MAX_STEPS)
-    past = sum(g.unknown.rank for g in problem.solve(end.theta).given)
+    past = sum(past.rank for past in problem.solve(end.theta).past)
     if past + s.nb + s.nf >= N:
         return None
     return _Fitted(structure=s, problem=problem, f=end.theta, cost=end.cost, past=past, N=N)
 
 
-def _starts(problem: PredictionErrorProblem) -> list[Vector]:
+def _starts(problem: PolynomialProblem) -> list[Vector]:
     """Return stable start values of F, from equation error and Steiglitz-McBride iterations."""
-    n = problem.structure
-    signals = [(x.u, x.y) for x in problem.experiments]
+    (n,) = problem.rows
+    parts = tuple((x.u, x.y) for (x,) in problem.experiments)
+    trends = tuple(trend(n, y.size) for _, y in parts)
+    path = Path(parts=parts, lags=(n.lags(0),), pulses=n.counts[0], trend=trends)
     try:
-        F = reflected(equation_error(signals, np.ones(1), n)[0])
-        return [F, *steiglitz_mcbride(signals, F, n, iterations=3)]
+        (F,) = steiglitz_mcbride([path], np.ones(1), n.nf[0], iterations=1)
+        return [F, *steiglitz_mcbride([path], F, n.nf[0], iterations=3)]
     except (ValueError, np.linalg.LinAlgError):
         return []
 
@@ -405,7 +411,7 @@ def _begun(
     """Return the best start value f as (cost, nk, f); None if there is no start value."""
     problem = record.problem(Recommended(nb=nf, nf=nf, nk=nk, integrator=integrates))
     starts = _starts(problem)
-    if starts and near.size == problem.structure.nf:
+    if starts and near.size == problem.size:
         starts.append(np.convolve(near, [1.0, -0.3]))
     return min(((problem.cost(F[1:]), nk, F[1:]) for F in starts), key=lambda s: s[0], default=None)
 

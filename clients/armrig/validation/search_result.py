@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
-from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.estimation.n4sid import n4sid
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
@@ -57,11 +56,11 @@ class Candidate:
         """Number of poles of B/F or B/A."""
         return dict(self.orders)[_ROWS[self.family].poles]
 
-    def request_for(self, data: Signals) -> SignalsRequest:
+    def request_for(self, data: Signals) -> Request:
         """Return the request that estimates the model from several signals."""
         orders = dict(self.orders)
         nk, counted = orders.pop("nk"), bool(self.integrating)
-        return SignalsRequest(
+        return Request(
             structure=self.family,
             nk=nk,
             orders={name: n + counted for name, n in orders.items()},

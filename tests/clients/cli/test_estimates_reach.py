@@ -15,8 +15,7 @@ from armrig.cli.identification import _warn_of_integrator
 from armrig.cli.integrators import _check_step
 from armrig.cli.model_structures import requested_of_several
 from armrig.cli.recorded_data import SignalChoice
-from armrig.estimation.multivariable.request import SignalsRequest
-from armrig.estimation.request import DEFAULTS
+from armrig.estimation.request import DEFAULTS, Request
 from armrig.models.structure_table import COUNTED
 from armrig_core.errors import OperationError
 
@@ -65,14 +64,14 @@ def _asked(**options: Any) -> dict[str, Any]:
 
 
 def test_the_options_of_several_signals_reach_their_request() -> None:
-    def of_several(shared: bool = False, **options: Any) -> SignalsRequest:
+    def of_several(shared: bool = False, **options: Any) -> Request:
         integrating = ("theta_1",)
         return requested_of_several(_asked(**options), integrating=integrating, shared=shared)
 
-    assert of_several(structure="n4sid", order=3, nk=2, weights="cva") == SignalsRequest(
+    assert of_several(structure="n4sid", order=3, nk=2, weights="cva") == Request(
         structure="n4sid", orders={"order": 3}, nk=2, weights="cva"
     )
-    assert of_several(True, structure="oe", nb=2, nf=3, integrator=True) == SignalsRequest(
+    assert of_several(True, structure="oe", nb=2, nf=3, integrator=True) == Request(
         structure="oe", orders={"nb": 2, "nf": 3}, integrating=("theta_1",), shared=True
     )
     with pytest.raises(typer.BadParameter, match="--nd 1 does not go with OE of several signals"):

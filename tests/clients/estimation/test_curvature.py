@@ -8,13 +8,12 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig.estimation.prediction_error import PredictionErrorProblem
-from armrig.estimation.prediction_error_fit import (
-    _gap_warnings,
-    _parameter_warnings,
-    _search_warnings,
+from armrig.estimation.fit_warnings import (
     curvature,
+    parameter_warnings,
+    search_warnings,
 )
+from armrig.estimation.problem import PolynomialProblem
 from armrig.models.innovations import prepared
 from armrig.models.quality import Start
 from armrig.models.structure import Structure
@@ -65,7 +64,7 @@ def test_the_end_of_a_search_is_reported_with_its_numbers(converged: bool, agree
         for k, (name, loss) in enumerate([("ARX", 0.5), ("OE", 0.75), ("FIR", 1.25)])
     )
 
-    told = [x.text for x in _search_warnings(best, starts, agreed=agreed)]
+    told = [x.text for x in search_warnings(best, starts, agreed=agreed)]
 
     assert told == [
         *(["the search did not converge in 17 steps"] if not converged else []),
@@ -88,38 +87,14 @@ def test_undetermined_parameters_are_reported(
     C: list[float], rank: int, curved: float, coloured: bool, told: list[str]
 ) -> None:
     """If the residuals are coloured, the standard deviations are not trusted anyway."""
-    basis = SimpleNamespace(W=np.zeros((4, rank)), rank=rank)
-    found: Any = SimpleNamespace(basis=basis, white=SimpleNamespace(coloured=coloured))
+    white: Any = SimpleNamespace(coloured=coloured)
 
-    warnings = list(_parameter_warnings(found, np.array(C), curved))
+    warnings = list(parameter_warnings(np.zeros((4, rank)), white, np.array(C), curved))
 
     assert [x.about for x in warnings] == told
     for x in warnings:
         if x.about == "undetermined":
             assert x.text == f"the data determine only {rank} of 4 parameters: lower the orders"
-
-
-@pytest.mark.parametrize(
-    ("pulses", "N", "gaps"),
-    [
-        ([[2]], 10, None),
-        ([[2, 3], [3]], 599, "2 gaps"),
-        ([[2, 3], [3]], 600, None),
-        ([[2, 3, 1, 1], [4, 2]], 200, "5 gaps"),
-        ([[9, 1]], 99, "1 gap"),
-    ],
-)
-def test_gaps_with_more_pulses_than_a_hundredth_of_the_errors_are_reported(
-    pulses: list[list[int]], N: int, gaps: str | None
-) -> None:
-    """The pulses at the beginning of the data are none of a gap."""
-    unknown: Any = [
-        SimpleNamespace(noise=[(slice(0), np.zeros((9, n))) for n in of]) for of in pulses
-    ]
-
-    told = [x.text.partition(", after")[0] for x in _gap_warnings(unknown, N)]
-
-    assert told == ([f"the data have {gaps}"] if gaps else [])
 
 
 def test_a_linear_regression_is_a_parabola() -> None:
@@ -130,8 +105,8 @@ def test_a_linear_regression_is_a_parabola() -> None:
 def test_the_curvature_is_the_logarithm_of_the_ratio_of_rises() -> None:
     """Both ways along the axis of one pole, two deviations away."""
     data = plant(0.6, std=0.3)
-    n = Structure(nb=1, nf=1, nk=1)
-    problem = PredictionErrorProblem(experiments=(prepared(data, n),), structure=n)
+    n = Structure(nb=(1,), nf=(1,), nk=(1,))
+    problem = PolynomialProblem(experiments=((prepared(data.u, data.y, n),),), rows=(n,))
     f = problem.minimise(np.array([-0.8])).theta
     std, variance = 0.02, 0.1
 
@@ -144,7 +119,7 @@ def test_the_curvature_is_the_logarithm_of_the_ratio_of_rises() -> None:
 def test_a_pole_that_may_be_unstable_is_not_trusted() -> None:
     """Two deviations away no model exists."""
     data = plant(0.6, std=0.3)
-    n = Structure(nb=1, nf=1, nk=1)
-    problem = PredictionErrorProblem(experiments=(prepared(data, n),), structure=n)
+    n = Structure(nb=(1,), nf=(1,), nk=(1,))
+    problem = PolynomialProblem(experiments=((prepared(data.u, data.y, n),),), rows=(n,))
 
     assert curvature(problem, np.array([-0.9]), np.array([[0.01]]), 0.1) > 6

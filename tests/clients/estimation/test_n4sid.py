@@ -11,9 +11,9 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.data.signals import Signals
 from armrig.estimation.armax import armax
-from armrig.estimation.hannan_rissanen import noise_start
 from armrig.estimation.n4sid import _pole_std, n4sid
 from armrig.estimation.oe import oe
+from armrig.estimation.start_values import noise_start
 from armrig.estimation.subspace import Realisation
 from armrig.estimation.subspace_horizon import Innovations, companion
 from armrig.estimation.subspace_simulation import _without_past

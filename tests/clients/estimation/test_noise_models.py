@@ -356,7 +356,7 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
         armax(seen, na=1, nb=1, nc=-1)
     with pytest.raises(ValueError, match=r"nd=-1 must be an integer >= 0"):
         ararx(seen, na=1, nb=1, nd=-1)
-    with pytest.raises(ValueError, match=r"na=0 must be an integer >= 1"):
+    with pytest.raises(ValueError, match=r"na must be at least 1 with an integrator, because"):
         ararx(seen, na=0, nb=1, nd=1, integrator=True)
     with pytest.raises(ValueError, match=r"na=2, nb=2, nd=2, nk=1 needs at least \d+ samples"):
         ararx(seen[:5], na=2, nb=2, nd=2)

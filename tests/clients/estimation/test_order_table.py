@@ -12,7 +12,8 @@ from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.arx import arx
-from armrig.estimation.order_table import OrderTable, select_orders
+from armrig.estimation.order_selection import select_orders
+from armrig.estimation.order_table import OrderTable
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered, lagged
 from numpy.typing import NDArray

@@ -11,7 +11,6 @@ import armrig
 import numpy as np
 import pytest
 from armrig import Dataset, Signals
-from armrig.estimation.multivariable.whitening import whitening
 from armrig.estimation.ss import _Criterion, _End, _improved
 from armrig.estimation.state_space_gaps import (
     GapProblem,
@@ -31,6 +30,7 @@ from armrig.estimation.subspace_estimate import completed, unweighted
 from armrig.estimation.subspace_horizon import Innovations
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.recursion import recursion, varying_recursion
+from armrig.numerics.whitening import whitening
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 

@@ -126,8 +126,8 @@ def test_the_structure_of_a_model_does_not_count_its_integrator() -> None:
     in_f = structure_of(made(B=(0, 0, 1), nk=2, F=(1, -1.5, 0.5), D=(1, 0.2), integrator=True))
     in_a = structure_of(made(A=(1, -1.5, 0.5), C=(1, 0.1, 0.2), integrator=True, offset=True))
 
-    assert (in_f.nb, in_f.nk, in_f.nf, in_f.nd, in_f.integrator) == (1, 2, 1, 1, "f")
-    assert (in_a.na, in_a.nc, in_a.nf, in_a.integrator, in_a.offset) == (1, 2, 0, "a", True)
+    assert (in_f.nb, in_f.nk, in_f.nf, in_f.nd, in_f.integrator) == ((1,), (2,), (1,), 1, "f")
+    assert (in_a.na, in_a.nc, in_a.nf, in_a.integrator, in_a.offset) == (1, 2, (0,), "a", True)
 
 
 def sums(fit: Fit, data: Dataset) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

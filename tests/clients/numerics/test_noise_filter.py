@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.numerics.noise_filter import NoiseFilter
-from armrig.numerics.polynomial import Array, filtered, impulse
+from armrig.numerics.noise_filter import noise_filter
+from armrig.numerics.polynomial import Array, filtered, impulse, lagged
 from scipy.linalg import toeplitz
 
 N = 120
@@ -27,25 +27,51 @@ def test_innovations_equal_those_of_the_covariance_matrix(gaps: str) -> None:
     L = np.tril(toeplitz(filtered(C, D, np.eye(1, N)[0])))
     R = (L @ L.T)[np.ix_(rows, rows)]
 
-    e, _, log_scale = NoiseFilter(C=C, D=D, rows=rows).columns(v[:, None])
+    found = noise_filter(C, D, rows)
+    e = found.innovations(v)
 
     expected = np.linalg.solve(np.linalg.cholesky(R), v[rows])
-    np.testing.assert_allclose(e[rows, 0], expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(e[rows], expected, rtol=1e-9, atol=1e-12)
     assert not e[~rows].any()
-    assert log_scale == pytest.approx(np.linalg.slogdet(R)[1], abs=1e-9)
+    assert found.log_scale == pytest.approx(np.linalg.slogdet(R)[1], abs=1e-9)
+
+
+@pytest.mark.parametrize("gaps", GAPS)
+def test_a_known_input_of_the_noise_changes_no_innovation(gaps: str) -> None:
+    """D v = z + C e has the same innovations as D v = C e, if z is known."""
+    z, e = np.random.default_rng(2).normal(size=(2, N))
+    both, alone = filtered([1.0], D, z) + filtered(C, D, e), filtered(C, D, e)
+    found = noise_filter(C, D, known(gaps))
+
+    difference = found.innovations(both) - found.responses(z[:, None])[:, 0]
+
+    np.testing.assert_allclose(difference, found.innovations(alone), atol=1e-10)
+
+
+@pytest.mark.parametrize("gaps", GAPS)
+def test_pulses_at_the_start_have_the_effect_of_an_unknown_state(gaps: str) -> None:
+    """With its free response, the noise of another past has the same innovations."""
+    rows, e = known(gaps), np.random.default_rng(2).normal(size=N + 50)
+    late = filtered(C, D, e)[50:]
+    found = noise_filter(C, D, rows)
+    pulses = found.responses(lagged(impulse([1.0], N), range(2)))
+
+    left = found.innovations(late) - found.innovations(filtered(C, D, e[50:]))
+
+    x = np.linalg.lstsq(pulses, left, rcond=None)[0]
+    np.testing.assert_allclose(pulses @ x, left, atol=1e-10)
 
 
 @pytest.mark.parametrize("gaps", GAPS)
 def test_derivatives_equal_finite_differences(gaps: str) -> None:
-    v = np.random.default_rng(2).normal(size=N)
-    x0 = np.array([0.7, -0.3])
+    v, z = np.random.default_rng(2).normal(size=(2, N))
     h = 1e-6
 
     def at(c: Array, d: Array) -> tuple[Array, float]:
-        e, past, log_scale = NoiseFilter(C=c, D=d, rows=known(gaps)).columns(v[:, None])
-        return e[:, 0] + past @ x0, log_scale
+        found = noise_filter(c, d, known(gaps))
+        return found.innovations(v) - found.responses(z[:, None])[:, 0], found.log_scale
 
-    J, by_scale = NoiseFilter(C=C, D=D, rows=known(gaps)).derivatives(v, x0)
+    J, by_scale = noise_filter(C, D, known(gaps)).derivatives(v, z)
 
     for k in range(4):
         step = h * np.eye(6)[(1, 2, 4, 5)[k]]
@@ -60,8 +86,9 @@ def test_the_innovations_of_white_noise_equal_the_noise() -> None:
     rows = known("scattered")
     one = np.ones(1)
 
-    e, past, log_scale = NoiseFilter(C=one, D=one, rows=rows).columns(impulse([1.0], N)[:, None])
+    found = noise_filter(one, one, rows)
 
-    assert past.shape == (N, 0)
-    assert log_scale == 0.0
-    np.testing.assert_array_equal(e[:, 0], np.where(rows, impulse([1.0], N), 0.0))
+    assert found.memory == 0
+    assert found.log_scale == 0.0
+    e = found.innovations(impulse([1.0], N))
+    np.testing.assert_array_equal(e, np.where(rows, impulse([1.0], N), 0.0))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from armrig_core.errors import InputError
 
+from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
 from armrig.models.estimate import Form
@@ -17,8 +18,13 @@ from armrig.numerics.least_squares import orthonormal
 _CIRCLE_TOLERANCE = 1e-6
 
 
-def origin(data: Signals) -> dict[str, Any]:
+def origin(data: Dataset | Signals) -> dict[str, Any]:
     """Return names, units, sampling time and history of the data, as fields of a fit."""
+    if isinstance(data, Dataset):
+        names = {"inputs": ("u",), "outputs": (data.output,)}
+        names |= {"input_units": (data.input_unit,), "units": (data.unit,)}
+        common = ("Ts", "source", "history", "digest")
+        return names | {name: getattr(data, name) for name in common}
     return {
         "inputs": data.inputs,
         "outputs": data.outputs,

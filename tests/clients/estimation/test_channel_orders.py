@@ -9,14 +9,22 @@ import armrig
 import numpy as np
 import pytest
 from armrig import Signals
-from armrig.estimation.multivariable import search
-from armrig.estimation.multivariable.armax import _require_complete
-from armrig.estimation.multivariable.order_table import select_orders
-from armrig.estimation.multivariable.orders import as_text, by_channel, by_output, by_pair
-from armrig.estimation.multivariable.plans import integrating_outputs, plans_of
-from armrig.estimation.multivariable.problem import Row, row_data
-from armrig.estimation.multivariable.request import SignalsRequest
-from armrig.estimation.multivariable.start_values import _differenced
+from armrig.estimation import estimated_outputs, prediction_error
+from armrig.estimation.channel_orders import (
+    as_text,
+    by_channel,
+    by_output,
+    by_pair,
+    checked_orders,
+    integrating_outputs,
+)
+from armrig.estimation.channel_orders import (
+    structures as structures_of,
+)
+from armrig.estimation.order_selection import select_orders
+from armrig.estimation.problem import PolynomialProblem
+from armrig.estimation.request import Request
+from armrig.models.structure import Structure
 from armrig.numerics.polynomial import Array, filtered, lagged
 from armrig_core.errors import InputError
 
@@ -81,7 +89,7 @@ def each(a: int, b: int, c: int) -> dict[tuple[str, str], int]:
 def test_an_output_that_does_not_integrate_has_one_root_less(
     structure: Any, orders: Any, options: dict[str, Any], expected: dict[str, Any]
 ) -> None:
-    found = SignalsRequest(structure=structure, orders=orders, **options).arguments(signals())
+    found = Request(structure=structure, orders=orders, **options).arguments(signals())
 
     assert found == {"nk": 1} | expected
     takes = {"nb", "nf", "na", "nc"} & found.keys()
@@ -92,7 +100,7 @@ def test_an_output_that_does_not_integrate_has_one_root_less(
 
 def test_an_order_without_a_free_coefficient_is_refused() -> None:
     of = {"structure": "oe", "integrating": ("b",)}
-    request: Any = SignalsRequest(orders={"nb": 2, "nf": 1}, **of)  # type: ignore[arg-type]
+    request: Any = Request(orders={"nb": 2, "nf": 1}, **of)  # type: ignore[arg-type]
 
     with pytest.raises(InputError) as refused:
         request.arguments(signals())
@@ -101,20 +109,9 @@ def test_an_order_without_a_free_coefficient_is_refused() -> None:
         "nf=1 leaves no coefficient for a, c, because nf also counts the integrator of b; give "
         "nf >= 2"
     )
-    high: Any = SignalsRequest(orders={"nb": 7, "nf": 7}, **of)  # type: ignore[arg-type]
+    high: Any = Request(orders={"nb": 7, "nf": 7}, **of)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="13 parameters from 120 samples; at most 12 parameters"):
         high.arguments(signals())
-
-
-def test_only_an_output_that_integrates_needs_all_its_values() -> None:
-    data = signals()
-    valid = np.ones((120, 3), bool)
-    valid[[5, 9, 70], 1] = False
-    holed = Signals(u=data.u, y=np.nan_to_num(data.y), Ts=0.5, valid=valid, outputs=data.outputs)
-
-    _require_complete(holed, (True, False, True))
-    with pytest.raises(InputError, match=r"^3 values of b are missing, and armax"):
-        _require_complete(holed, (False, True, False))
 
 
 def test_orders_are_given_by_a_number_an_array_or_names() -> None:
@@ -138,8 +135,8 @@ def test_orders_are_given_by_a_number_an_array_or_names() -> None:
     for value, told in (
         ({"b": 2, "a": 1}, "nc: 'c' is not named; name each of 'a', 'b', 'c'"),
         ([1, 2], r"nc needs 3 orders, one for each output, got \[1, 2\]"),
-        (-1, "nc: -1 must be an integer >= 0"),
-        (True, "nc: True must be an integer >= 0"),
+        (-1, "nc=-1 must be an integer >= 0"),
+        (True, "nc=True must be an integer >= 0"),
     ):
         with pytest.raises(InputError, match=f"^{told}"):
             by_output("nc", value, data, least=0)
@@ -158,90 +155,62 @@ def test_integrating_outputs_are_named_or_all() -> None:
     assert found == [(t, t, t), (f, f, f), (f, t, f), (t, f, t), (f, f, f)]
 
 
-def plans(**of: Any) -> Any:
-    """Return the plans of a Box-Jenkins model with unequal orders."""
+def structures(name: str, orders: Any, *, integrators: Any = False, **of: Any) -> Any:
+    """Return the structure of each output."""
     data = signals()
-    orders = {
-        "nb": by_channel("nb", [[2, 0], [1, 3], [1, 1]], data, least=0),
-        "nf": by_channel("nf", of.pop("nf", [[2, 4], [1, 3], [2, 2]]), data, least=0),
-        "nk": by_channel("nk", [[1, 2], [3, 4], [5, 0]], data, least=0),
-        "nc": by_output("nc", [1, 0, 2], data, least=0),
-        "nd": by_output("nd", [0, 3, 1], data, least=0),
-    }
-    fields = {"integrators": (False, True, False), "initial": "estimate", "shared": ""} | of
-    return plans_of(data, orders, **fields)
+    inside = integrating_outputs(integrators, data)
+    given = checked_orders(data, name, orders, inside, "denominator" if of else "")
+    return structures_of(given, name, inside, offset=False, shared=bool(of))
+
+
+BOX_JENKINS = {
+    "nb": [[2, 0], [1, 3], [1, 1]],
+    "nf": [[2, 4], [1, 3], [2, 2]],
+    "nk": [[1, 2], [3, 4], [5, 0]],
+    "nc": [1, 0, 2],
+    "nd": [0, 3, 1],
+}
 
 
 def test_each_output_has_its_own_polynomials() -> None:
     """F of an input without coefficients b is 1, and an integrator is one of the roots of F."""
-    found = plans()
+    found = structures("bj", BOX_JENKINS, integrators="b")
 
-    assert [plan.outputs for plan in found] == [(0,), (1,), (2,)]
-    assert [plan.sizes for plan in found] == [(0, 2, 1), (0, 2, 3), (0, 2, 2, 2, 1)]
-    assert [plan.bounded for plan in found] == [
-        (False, True, True), (False, True, False), (False, True, True, True, False),
-    ]  # fmt: skip
-    rows = [plan.rows[0] for plan in found]
-    assert rows == [
-        Row(nb=(2, 0), nk=(1, 2), f=(1, 0), c=2, d=0),
-        Row(nb=(1, 3), nk=(3, 4), f=(0, 1), c=0, d=2, integrator=True),
-        Row(nb=(1, 1), nk=(5, 0), f=(1, 2), c=3, d=4),
+    assert found == [
+        Structure(nb=(2, 0), nk=(1, 2), nf=(2, 0), nc=1),
+        Structure(nb=(1, 3), nk=(3, 4), nf=(0, 2), nd=3, integrator="f"),
+        Structure(nb=(1, 1), nk=(5, 0), nf=(2, 2), nc=2, nd=1),
     ]
+    assert [n.groups for n in found] == [((0,),), ((0,), (1,)), ((0,), (1,))]
 
 
 def test_all_outputs_may_have_one_denominator() -> None:
     """Its order does not count the integrator."""
-    [plan] = plans(shared="denominator", nf=2, initial="zero")
+    found = structures("bj", BOX_JENKINS | {"nf": 2}, integrators="b", shared=True)
 
-    assert plan.outputs == (0, 1, 2)
-    assert plan.sizes == (0, 2, 1, 3, 2, 1)
-    assert plan.bounded == (False, True, True, False, True, False)
-    assert [(row.f, row.c, row.d) for row in plan.rows] == [
-        ((1, 1), 2, 0), ((1, 1), 0, 3), ((1, 1), 4, 5),
+    assert [(n.nf, n.sizes, n.shared, n.integrator) for n in found] == [
+        ((2, 0), (2,), True, ""),
+        ((2, 2), (2,), True, "f"),
+        ((2, 2), (2,), True, ""),
+    ]
+    rows = tuple(replace(n, at_rest=True) for n in found)
+    p = PolynomialProblem(rows=rows, experiments=())
+    assert "".join(p.letters) == "cffdddccd"
+    assert [p.layout.searched[i].tolist() for i in range(3)] == [
+        [0, 1, 2], [3, 4, 5, 1, 2], [6, 7, 8, 1, 2],
     ]  # fmt: skip
-    assert [row.integrator for row in plan.rows] == [False, True, False]
-    assert all(row.at_rest for row in plan.rows)
 
 
 def test_an_equation_error_has_its_denominator_for_the_noise_too() -> None:
-    found = plans(equation_error=True, nf=[[2, 2], [3, 3], [1, 1]])
+    orders = {"na": [2, 3, 1], "nb": [[2, 0], [1, 3], [1, 1]], "nc": [1, 0, 2], "nk": 1}
 
-    assert [plan.sizes for plan in found] == [(0, 2, 1), (0, 2), (0, 1, 2)]
-    assert [(p.rows[0].f, p.rows[0].c, p.rows[0].d) for p in found] == [
-        ((1, 1), 2, 1), ((1, 1), 0, 1), ((1, 1), 2, 1),
+    found = structures("armax", orders, integrators="b")
+
+    assert [(n.na, n.nf, n.integrator) for n in found] == [
+        (2, (0, 0), ""), (2, (0, 0), "a"), (1, (0, 0), ""),
     ]  # fmt: skip
-    assert [p.rows[0].integrated_noise for p in found] == [False, True, False]
     with pytest.raises(InputError, match=r"^na must be at least 1 with an integrator"):
-        plans(equation_error=True, nf=[[2, 2], [0, 0], [1, 1]])
-
-
-@pytest.mark.parametrize("at_rest", [False, True])
-def test_an_integrating_row_has_the_sums_of_the_inputs(at_rest: bool) -> None:
-    """Their means are subtracted if a ramp is estimated."""
-    u, y = np.random.default_rng(1).standard_normal((2, 30, 2))
-    y[4] = np.nan
-    row = Row(nb=(1, 1), nk=(1, 1), f=(0, 0), integrator=True, at_rest=at_rest)
-
-    x = row_data(u + 2.0, y[:, 1], row)
-
-    level = np.zeros(2) if at_rest else (u + 2.0).mean(axis=0)
-    np.testing.assert_allclose(x.u, np.cumsum(u + 2.0 - level, axis=0), atol=1e-12)
-    assert x.y[4] == 0.0
-    assert np.flatnonzero(~x.rows).tolist() == [4]
-    assert row.trend == (0 if at_rest else 2)
-
-
-def test_the_rate_of_an_integrating_row_runs_through_gaps() -> None:
-    """Missing outputs are interpolated before the differences are taken."""
-    y = np.array([1.0, np.nan, np.nan, 7.0, 8.0, np.nan])
-    row = Row(nb=(1,), nk=(1,), f=(1,), integrator=True)
-    x = row_data(np.array([[1.0], [3.0], [2.0], [0.0], [4.0], [2.0]]), y, row)
-
-    rate = _differenced(x)
-
-    np.testing.assert_allclose(rate.y, [0, 2, 2, 2, 1, 0])
-    np.testing.assert_allclose(rate.u[:, 0], [-1, 1, 0, -2, 2, 0], atol=1e-12)
-    assert rate.rows.all()
+        structures("armax", orders | {"na": [2, 0, 1]}, integrators="b")
 
 
 def _losses(data: Signals, theta: Array | None, delays: tuple[int, int]) -> tuple[Array, float]:
@@ -301,21 +270,21 @@ def test_all_outputs_have_one_score_and_converge_together(
     u, e = rng.standard_normal((2, 120, 2))
     y = np.column_stack([filtered([0, 1.0], [1, -0.5], u[:, 0]), filtered([0, 0.3], [1], u[:, 1])])
     data = Signals(u=u, y=y + 0.1 * e, Ts=1.0, outputs=["a", "b"])
-    scores, one_of = list[str](), search._estimated
+    scores, one_of = list[str](), prediction_error._chosen
 
-    def infer(*of: Any, parameters: Any, score: Any) -> Any:
+    def infer(*of: Any, score: Any, **options: Any) -> Any:
         scores.append(score)
-        return search_infer(*of, parameters=parameters, score=score)
+        return search_infer(*of, score=score, **options)
 
-    def unfinished(data: Signals, plan: Any, orders: str) -> Any:
-        found = one_of(data, plan, orders)
+    def unfinished(*of: Any) -> Any:
+        found = one_of(*of)
         name, end = found.ends[0]
-        end = replace(end, converged=plan.outputs != (1,), iterations=7)
-        return replace(found, ends=((name, end), *found.ends[1:]))
+        end = replace(end, converged=found.outputs != (1,), iterations=7)
+        return replace(found, ends=[(name, end), *found.ends[1:]])
 
-    search_infer = search.infer
-    monkeypatch.setattr(search, "infer", infer)
-    monkeypatch.setattr(search, "_estimated", unfinished)
+    search_infer = estimated_outputs.infer
+    monkeypatch.setattr(estimated_outputs, "infer", infer)
+    monkeypatch.setattr(prediction_error, "_chosen", unfinished)
 
     fit: Any = armrig.bj(data, nb=1, nc=nc, nd=nd, nf=[[1, 0], [0, 1]])
 
@@ -324,8 +293,8 @@ def test_all_outputs_have_one_score_and_converge_together(
     assert [x.text for x in fit.findings] == ["the search of b did not converge in 7 steps"]
 
 
-def test_the_loss_of_a_start_value_is_that_of_its_whitened_errors() -> None:
-    """An output alone is weighted by its variance."""
+def test_the_loss_of_a_start_value_is_that_of_its_errors() -> None:
+    """The errors of an output alone have no weights."""
     rng = np.random.default_rng(3)
     u, e = rng.standard_normal((2, 200, 2))
     y = np.column_stack([filtered([0, 1.0], [1, -0.5], u[:, 0]), filtered([0, 0.3], [1], u[:, 1])])
@@ -337,5 +306,5 @@ def test_the_loss_of_a_start_value_is_that_of_its_whitened_errors() -> None:
 
     for i, name in enumerate("ab"):
         loss = min(s.loss for s in fit.starts if s.name.startswith(f"{name}: "))
-        assert loss * np.nanvar(data.y[:, i]) == pytest.approx(fit.quality[i].loss, rel=1e-6)
+        assert loss == pytest.approx(fit.quality[i].loss, rel=1e-6)
         assert valid[:, i].sum() == fit.quality[i].N

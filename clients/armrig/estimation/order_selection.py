@@ -1,16 +1,18 @@
-"""Orders of ARX models of several signals, with a table for each output."""
+"""Choice of the orders of ARX models, with a table for each output."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from armrig.data.argument import as_dataset, takes_data
+from armrig.data.dataset import Dataset
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.orders import Integers, by_channel
+from armrig.estimation.channel_orders import Integers, by_channel
 from armrig.estimation.order_table import OrderTable, order_table, require_same_rate
 from armrig.numerics.criteria import Criterion
 from armrig.numerics.polynomial import Array
@@ -78,39 +80,92 @@ class _Row:
     """Output (N,), NaN where it is missing."""
 
 
+@takes_data
 def select_orders(
-    data: Signals,
+    data: Dataset | Signals,
     na: Iterable[int] = range(1, 11),
     nb: Iterable[int] = range(1, 11),
     nk: Iterable[int] | Mapping[tuple[str, str], int] = range(6),
-    validation: Signals | None = None,
-) -> OrderTables:
-    """Return the losses of ARX structures for each output, with all inputs.
+    validation: Dataset | Signals | None = None,
+) -> Any:
+    """Return the losses of all ARX structures with these orders.
 
-    All inputs of an output have the same nb, and past values of the other outputs are left out.
-    Otherwise the number of combinations would grow exponentially with the number of channels. For
-    the same reason, all inputs of an output have the same nk, unless the delays are given.
+    One QR decomposition of y and the regressors of the largest structure reduces the data to a
+    triangular matrix R. Each pair (na, nk) then needs only a small QR decomposition of columns of
+    R. The leading triangles of the result belong to the structures nb = 1, 2, …. The loss is the
+    sum of squares in the column of y below row na + nb. Triangular factors R_v of batches of the
+    validation data give the loss on these batches, ``|R_v [-theta; 1]|²``. All structures are
+    compared on the samples at which all regressors of the largest structure are known.
+
+    Several signals have a table for each output, with all inputs. All inputs of an output have the
+    same nb, and past values of the other outputs are left out. Otherwise the number of combinations
+    would grow exponentially with the number of channels. For the same reason, all inputs of an
+    output have the same nk, unless the delays are given.
 
     Parameters
     ----------
-    data : Signals
-        N samples of nu inputs and ny outputs.
+    data : Dataset or Signals
+        N samples. Rows that depend on a missing sample are not used. No row depends on two
+        experiments.
     na, nb : iterable of int
-        Orders to try.
+        Orders to try, na >= 0, nb >= 1.
     nk : iterable of int, or mapping
-        Delays to try. A mapping such as {("alpha", "u"): 2} gives the delay of each channel, for
-        example from `armrig.delay`; a channel that is not named has the delay 1.
-    validation : Signals, optional
+        Delays to try, >= 0. For several signals, a mapping such as {("alpha", "u"): 2} gives the
+        delay of each channel, for example from `armrig.delay`; a channel that is not named has the
+        delay 1.
+    validation : Dataset or Signals, optional
         Other data of the same system.
 
     Returns
     -------
-    OrderTables
-        `OrderTable` of each output; `armrig.arx(data, **tables.best())` estimates the chosen model.
+    OrderTable or OrderTables
+        Losses, AIC, MDL and FPE of every structure. `best()` returns the orders to use, and
+        `explain()` returns the reasons. Several signals have an `OrderTable` for each output;
+        `armrig.arx(data, **tables.best())` estimates the chosen model.
+
+    Raises
+    ------
+    ValueError
+        An order is out of range, there are too few samples, or the two data sets differ in Ts.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 10.1 and 16.4.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> first, second = armrig.example_recording().dataset("alpha").split(2)
+    >>> table = armrig.select_orders(first, range(1, 6), range(1, 6), [1, 2], validation=second)
+    >>> table.best()
+    ArxOrders(na=5, nb=5, nk=1)
+    >>> print(table.explain())
+    - lowest loss on the validation data: na=5, nb=5, nk=1, 4.0...e-05
+    ...
+    - na=5 is the highest that was tried: try higher values
+    - nb=5 is the highest that was tried: try higher values
     """
+    if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
+        data = data.dataset()
+    if isinstance(data, Dataset):
+        other = None if validation is None else as_dataset(validation)
+        if other is not None:
+            require_same_rate(data.Ts, other.Ts)
+        on_other = None if other is None else list(other.experiments())
+        return order_table(list(data.experiments()), na, nb, cast("Iterable[int]", nk), on_other)
+    return _of_outputs(data, [*na], [*nb], nk, cast("Signals | None", validation))
+
+
+def _of_outputs(
+    data: Signals,
+    na: list[int],
+    nb: list[int],
+    nk: Iterable[int] | Mapping[tuple[str, str], int],
+    validation: Signals | None,
+) -> OrderTables:
+    """Return a table for each output."""
     if validation is not None:
         require_same_rate(data.equidistant(), validation.equidistant())
-    nas, nbs = [*na], [*nb]
     given = by_channel("nk", nk, data, least=0) if isinstance(nk, Mapping) else None
     nks = [*nk] if given is None else []
     tables = {}
@@ -119,7 +174,7 @@ def select_orders(
         least = int(delays.min())
         other = None if validation is None else _rows(validation, i, delays - least)
         rows = _rows(data, i, delays - least)
-        tables[output] = order_table(rows, nas, nbs, nks if given is None else [least], other)
+        tables[output] = order_table(rows, na, nb, nks if given is None else [least], other)
     delays_by_output = {} if given is None else dict(zip(data.outputs, given.tolist(), strict=True))
     return OrderTables(
         tables=tables, delays={name: tuple(row) for name, row in delays_by_output.items()}

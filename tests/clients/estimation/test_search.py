@@ -10,17 +10,18 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.estimation import multistart, prediction_error_fit
+from armrig.estimation import prediction_error, search, start_values
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
-from armrig.estimation.hannan_rissanen import (
+from armrig.estimation.problem import PolynomialProblem
+from armrig.estimation.search import searched_minimum
+from armrig.estimation.start_values import (
+    Path,
     armax_start,
     equation_error,
     noise_start,
     steiglitz_mcbride,
 )
-from armrig.estimation.multistart import searched_minimum
-from armrig.estimation.prediction_error import PredictionErrorProblem
 from armrig.excitation import telegraph
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
@@ -31,7 +32,7 @@ from numpy.typing import NDArray
 from tests.plants import drawn_model, estimated_model
 from tests.sampling import sampled
 
-BJ = Structure(nb=4, nc=2, nd=2, nf=4, nk=1)
+BJ = Structure(nb=(4,), nc=2, nd=2, nf=(4,), nk=(1,))
 
 
 def resonant(rng: np.random.Generator, pairs: int, low: float, high: float) -> NDArray[np.float64]:
@@ -53,8 +54,10 @@ def hard(seed: int) -> tuple[Dataset, NDArray[np.float64]]:
     return Dataset(u=u, y=clean + v, Ts=1), np.concatenate([C[1:], D[1:], F[1:]])
 
 
-def problem_of(data: Dataset, structure: Structure) -> PredictionErrorProblem:
-    return PredictionErrorProblem(experiments=(prepared(data, structure),), structure=structure)
+def problem_of(data: Dataset, structure: Structure) -> PolynomialProblem:
+    return PolynomialProblem(
+        experiments=((prepared(data.u, data.y, structure),),), rows=(structure,)
+    )
 
 
 @pytest.mark.exhaustive
@@ -77,29 +80,29 @@ def test_a_minimum_is_uncertain_in_strong_noise_or_a_thorough_search() -> None:
     rng = np.random.default_rng(1)
     u, e = rng.standard_normal((2, 400))
     y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u)
-    few = Structure(nb=2, nf=2, nk=1)
+    few = Structure(nb=(2,), nf=(2,), nk=(1,))
     clear, noisy = (problem_of(Dataset(u=u, y=y + k * e, Ts=1), few) for k in (0.1, 4.0))
-    many = problem_of(Dataset(u=u, y=y + 4.0 * e, Ts=1), replace(few, nb=31, nf=31))
+    many = problem_of(Dataset(u=u, y=y + 4.0 * e, Ts=1), replace(few, nb=(31,), nf=(31,)))
 
     doubtful = [
-        multistart._doubtful(problem, multistart._from_starts(problem), strict=strict)
+        search._doubtful(problem, search.from_starts(problem), strict=strict)
         for problem, strict in ((clear, False), (clear, True), (noisy, False))
     ]
 
     assert doubtful == [False, True, True]
-    assert not multistart._doubtful(many, [], strict=True)
+    assert not search._doubtful(many, [], strict=True)
 
 
 @pytest.mark.exhaustive
 def test_a_search_that_starts_on_a_part_ends_at_the_minimum_of_all_data() -> None:
     rng = np.random.default_rng(2)
-    N = 2 * prediction_error_fit.PART_SAMPLES + 1000
+    N = 2 * prediction_error.PART_SAMPLES + 1000
     u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
     u[: N // 2] = 1.0  # nothing moves in the first half
     e = 0.5 * filtered([1, 0.5], [1, -0.7], rng.standard_normal(N))
     data = Dataset(u=u, y=filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + e, Ts=1)
-    structure = Structure(nb=2, nc=1, nd=1, nf=2, nk=1)
-    whole, part = problem_of(data, structure), prediction_error_fit._part(data, structure)
+    structure = Structure(nb=(2,), nc=1, nd=1, nf=(2,), nk=(1,))
+    whole, part = problem_of(data, structure), prediction_error._part(data, [structure], (0,))
 
     by_part, at_once = searched_minimum(whole, part), searched_minimum(whole)
 
@@ -126,12 +129,12 @@ def test_all_minima_on_a_part_are_continued_on_all_data() -> None:
 def test_the_steps_on_a_part_count_among_those_of_a_start() -> None:
     """The search on the whole begins where the search on the part ended."""
     data, _ = hard(87)
-    structure = Structure(nb=2, nf=2, nk=1)
+    structure = Structure(nb=(2,), nf=(2,), nk=(1,))
     whole = problem_of(data[:400], structure)
     part = problem_of(data[:200], replace(structure, at_rest=False))
 
-    on_part = {name: end.iterations for name, end in multistart._from_starts(part)}
-    through = dict(multistart._through(part, whole))
+    on_part = {name: end.iterations for name, end in search.from_starts(part)}
+    through = dict(search._through(part, whole))
 
     assert through.keys() == on_part.keys()
     assert all(through[name].iterations > on_part[name] for name in on_part)
@@ -150,10 +153,10 @@ def test_the_lowest_of_the_moved_modes_are_searched_to_their_end(
         cost = 50.0 + 3e-6 if theta[0] == 3 else 48.5 + theta[0] - (most > 10) - 2 * (most == 0)
         return Optimum(theta=theta, cost=cost, iterations=most, converged=most == 0)
 
-    monkeypatch.setattr(multistart, "moved_modes", lambda *_, **__: iter(starts))
+    monkeypatch.setattr(search, "moved_modes", lambda *_, **__: iter(starts))
     problem: Any = SimpleNamespace(minimise=minimise)
 
-    lowest = multistart._lowest_beside(problem, best, thorough=True)
+    lowest = search._lowest_beside(problem, best, thorough=True)
 
     assert sorted(asked[10]) == [float(k) for k in range(20)]
     assert asked[40] == [float(k) for k in range(17) if k != 3]
@@ -173,9 +176,9 @@ def test_modes_are_moved_as_long_as_the_cost_falls(monkeypatch: pytest.MonkeyPat
         begun.append(best.cost)
         return end(next(costs))
 
-    monkeypatch.setattr(multistart, "_from_starts", lambda _: [("ARX", end(5.0))])
-    monkeypatch.setattr(multistart, "_doubtful", lambda *_, **__: True)
-    monkeypatch.setattr(multistart, "_lowest_beside", lowest)
+    monkeypatch.setattr(search, "from_starts", lambda _: [("ARX", end(5.0))])
+    monkeypatch.setattr(search, "_doubtful", lambda *_, **__: True)
+    monkeypatch.setattr(search, "_lowest_beside", lowest)
     problem: Any = SimpleNamespace(experiments=())
 
     found = searched_minimum(problem)
@@ -194,11 +197,12 @@ def test_real_roots_of_c_and_d_move_together_inside_the_circle() -> None:
         moved.append(theta)
         return float(-np.abs(roots(np.append(1.0, theta[:3]))).max())
 
-    problem: Any = SimpleNamespace(polynomials=lambda _: (C, D, F), cost=cost)
+    parts = {"c": slice(0, 3), "d": slice(3, 4)}
+    problem: Any = SimpleNamespace(slice_of=lambda letter, _: parts[letter], rows=[0], cost=cost)
 
-    starts = list(multistart._moved_together(problem, np.zeros(5)))
+    starts = list(search._moved_together(problem, np.concatenate([C[1:], D[1:], F[1:]])))
 
-    assert len(moved) == 2 * len(multistart._REAL_ROOTS)
+    assert len(moved) == 2 * len(search._REAL_ROOTS)
     assert len(starts) == 6
     pairs = set()
     for theta in moved:
@@ -208,7 +212,7 @@ def test_real_roots_of_c_and_d_move_together_inside_the_circle() -> None:
         assert theta[4] == 0.4
     assert pairs == {
         (round(float(np.clip(root * share, -0.998, 0.998)), 3), root)
-        for root in multistart._REAL_ROOTS
+        for root in search._REAL_ROOTS
         for share in (0.9, 1 / 0.9)
     }
     assert max(abs(roots(np.append(1.0, starts[0][:3])))) == pytest.approx(0.998)
@@ -219,27 +223,27 @@ def test_modes_are_moved_one_at_a_time() -> None:
     pair, reals = np.array([0.5 + 0.4j, 0.5 - 0.4j]), np.array([0.9, -0.2, 0.4])
     z = np.concatenate([pair, reals])
 
-    kept = [set(np.round(x, 9).tolist()) for x in multistart._without_one_pair(z)]
-    alone = [set(np.round(x, 9).tolist()) for x in multistart._without_one_real(z)]
+    kept = [set(np.round(x, 9).tolist()) for x in search._without_one_pair(z)]
+    alone = [set(np.round(x, 9).tolist()) for x in search._without_one_real(z)]
 
     assert kept == [{0.9, -0.2, 0.4}, {*pair.tolist(), 0.9}]
     assert alone == [{*pair.tolist(), *reals.tolist()} - {x} for x in reals]
-    others = list(multistart.other_pairs(z))
+    others = list(search.other_pairs(z))
     assert len(others) == 2 * 3 * 15
     assert all(
         np.real(np.poly(x)).size == 6 and np.abs(np.poly(x).imag).max() < 1e-12 for x in others
     )
-    assert len(list(multistart.other_real(z))) == 3 * 6
-    assert len(list(multistart._other_reals(z))) == 2 * 15
+    assert len(list(search.other_real(z))) == 3 * 6
+    assert len(list(search._other_reals(z))) == 2 * 15
 
 
 def test_denominators_of_a_start_are_stable_though_the_data_grow() -> None:
     u = np.random.default_rng(2).standard_normal(80)
-    signals = [(u, filtered([0, 1.0], [1, -1.1, 0.05], u))]
-    sizes = Structure(nb=1, nf=2, nk=1)
+    parts = ((u[:, None], filtered([0, 1.0], [1, -1.1, 0.05], u)),)
+    path = Path(parts=parts, lags=(range(1, 2),), pulses=2)
 
-    F, _ = equation_error(signals, np.ones(1), sizes)
-    found = list(steiglitz_mcbride(signals, np.ones(1), sizes, iterations=4))
+    F = equation_error([path], np.ones(1), 2)
+    found = list(steiglitz_mcbride([path], np.ones(1), 2, iterations=4))
 
     assert np.abs(roots(F)).max() > 1.04
     assert all(np.abs(roots(x)).max() < 1 for x in found)
@@ -247,23 +251,22 @@ def test_denominators_of_a_start_are_stable_though_the_data_grow() -> None:
 
 @pytest.mark.parametrize("gaps", [[], [30], [30, 31, 60]])
 def test_a_start_at_rest_reserves_no_samples_for_the_past(gaps: list[int]) -> None:
-    """After a gap the noise model needs its own, at rest or not."""
+    """After a gap the state of the noise is predicted, not estimated."""
     u, y = np.random.default_rng(2).standard_normal((2, 80))
     whole = Dataset(u=u, y=y, Ts=1.0)
     data = whole.replaced(valid=~np.isin(np.arange(80), gaps), step=None)
-    free = Structure(na=2, nb=1, nc=1, nk=1)
+    free = Structure(nf=(0,), na=2, nb=(1,), nc=1, nk=(1,))
 
     needed = {
         at_rest: [
-            prediction_error_fit._nuisance(problem_of(x, replace(free, at_rest=at_rest)))
+            prediction_error._nuisance(problem_of(x, replace(free, at_rest=at_rest)))
             for x in (data, whole)
         ]
         for at_rest in (True, False)
     }
 
-    assert needed[True][1] == 0 < needed[False][1]
-    assert needed[True][0] == needed[False][0] - needed[False][1]
-    assert (needed[True][0] > 0) == bool(gaps)
+    assert needed[True] == [0, 0]
+    assert needed[False] == [2, 2]
 
 
 def test_the_noise_model_of_a_start_is_fitted_to_the_equation_error() -> None:
@@ -273,16 +276,17 @@ def test_the_noise_model_of_a_start_is_fitted_to_the_equation_error() -> None:
     y = filtered([0, 1.0], [1, -0.8], u) + filtered([1, 0.6], [1, -0.8], e)
     valid = np.arange(300) != 200
     data = Dataset(u=u, y=y, Ts=1.0, valid=valid)
-    problem = problem_of(data, Structure(na=1, nb=1, nc=1, nk=1))
+    problem = problem_of(data, Structure(nf=(0,), na=1, nb=(1,), nc=1, nk=(1,)))
 
-    theta = multistart._with_noise(problem, np.ones(1))
+    theta = start_values._with_noise(problem, np.zeros(0))
 
     of_arx = arx(data, na=1, nb=1)
     v = filtered(of_arx.A, [1.0], y) - filtered(of_arx.B, [1.0], u)
     v[[0, 200, 201]] = np.nan
     C, _ = noise_start([v], nc=1, nd=0)
-    np.testing.assert_allclose(theta, C[1:], atol=0.02)
-    assert theta[0] > 0.2
+    assert problem.letters == ("a", "c")
+    np.testing.assert_allclose(theta, [of_arx.A[1], C[1]], atol=0.02)
+    assert theta[1] > 0.2
 
 
 @pytest.mark.parametrize("nk", [1, 3])
@@ -292,17 +296,20 @@ def test_the_long_model_of_a_start_has_the_past_inputs(nk: int) -> None:
     u, e = rng.standard_normal((2, 4000))
     A, C = [1, -1.5, 0.7], [1, -0.7, 0.3]
     y = filtered([0] * nk + [1.0, 0.5], A, u) + filtered(C, A, 0.5 * e)
-    problem = problem_of(Dataset(u=u, y=y, Ts=1.0), Structure(na=2, nb=2, nc=2, nk=nk))
+    problem = problem_of(
+        Dataset(u=u, y=y, Ts=1.0), Structure(nf=(0,), na=2, nb=(2,), nc=2, nk=(nk,))
+    )
 
-    start = armax_start(problem.experiments, na=2, nb=2, nc=2, nk=nk)
+    found = armax_start([x for (x,) in problem.experiments], problem.rows[0])
 
-    np.testing.assert_allclose(start, C, atol=0.06)
+    for start, p in zip(found, (A, C), strict=True):
+        np.testing.assert_allclose(start, p, atol=0.06)
 
 
 @pytest.mark.parametrize("begin", [0, 3, 7])
 def test_a_search_starts_on_the_part_in_which_the_input_moves_most(begin: int) -> None:
     """The part is one of eight, evenly spaced."""
-    N, size = 7000, prediction_error_fit.PART_SAMPLES
+    N, size = 7000, prediction_error.PART_SAMPLES
     at = int(np.linspace(0, N - size, 8).astype(int)[begin])
     u = 1e-3 * np.random.default_rng(1).standard_normal(N)
     u[at + 5 : at + size - 5] += np.arange(size - 10) % 2
@@ -310,13 +317,13 @@ def test_a_search_starts_on_the_part_in_which_the_input_moves_most(begin: int) -
     y = np.arange(float(N))
     data = Dataset(u=u, y=y, Ts=1.0)
 
-    part = prediction_error_fit._part(data, Structure(nb=1, nf=1, nk=1, at_rest=True))
+    part = prediction_error._part(data, [Structure(nb=(1,), nf=(1,), nk=(1,), at_rest=True)], (0,))
 
     assert part is not None
-    [x] = part.experiments
+    [[x]] = part.experiments
     np.testing.assert_array_equal(x.y, y[at : at + size])
-    assert not part.structure.at_rest
-    assert prediction_error_fit._part(data[: 2 * size], part.structure) is None
+    assert not part.rows[0].at_rest
+    assert prediction_error._part(data[: 2 * size], part.rows, (0,)) is None
 
 
 @pytest.mark.parametrize(
@@ -326,13 +333,16 @@ def test_the_state_at_the_start_matters_from_the_5_per_cent_point_of_f_on(
     F: float, free: int, matters: bool
 ) -> None:
     """With 2 and 90 degrees of freedom it is 3.10; a state that costs nothing is kept."""
-    sse, rest = 90.0, 90.0 + 2 * F
-    of_free, at_rest = (
-        SimpleNamespace(loss=x / N, N=N, noise_variance=x / degrees)
-        for x, degrees, N in ((sse, free, 120), (rest, 92, 120))
-    )
 
-    assert prediction_error_fit._state_matters(of_free, at_rest) is matters  # type: ignore[arg-type]
+    def estimated(sse: float, degrees: int) -> Any:
+        solution = SimpleNamespace(e=np.array([np.sqrt(sse)]), past=[SimpleNamespace(rank=2)])
+        errors = SimpleNamespace(rows=np.ones(degrees + 6, bool))
+        problem = SimpleNamespace(experiments=[[errors]], rows=[0], solve=lambda _: solution)
+        return SimpleNamespace(problem=problem, solution=solution, theta=np.zeros(0), parameters=4)
+
+    of_free, at_rest = estimated(90.0, free), estimated(90.0 + 2 * F, 92)
+
+    assert prediction_error._state_matters(of_free, at_rest) is matters
 
 
 @pytest.mark.exhaustive

@@ -1,0 +1,67 @@
+"""Model from the estimates of its outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armrig.data.dataset import Dataset
+from armrig.data.signals import Signals
+from armrig.estimation.data_checks import origin
+from armrig.models.fit import Fit
+from armrig.models.polynomials import Polynomials
+from armrig.numerics.inference import OutputResiduals, Score, infer
+from armrig.numerics.polynomial import Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimatedOutput:
+    """Polynomials and residuals of one output."""
+
+    polynomials: dict[str, Any]
+    """Fields A, B, C, D, F, nk and integrators of a row of `Polynomials`."""
+    residuals: tuple[OutputResiduals, ...]
+    """Residuals of each experiment."""
+    parameters: float
+    """Number of coefficients; a coefficient shared by k outputs counts 1/k."""
+    J: Array
+    """Derivatives of the coefficients of this output with respect to all estimated coefficients."""
+
+
+def fit_of_outputs(
+    data: Dataset | Signals,
+    estimates: Sequence[EstimatedOutput],
+    W: Array,
+    *,
+    structure: str,
+    score: Score,
+    rounding: float = 0.0,
+    **fields: Any,
+) -> Fit:
+    """Return the model with its covariance, loss and tests of whiteness.
+
+    Parameters
+    ----------
+    W : ndarray (d, r)
+        Matrix that transforms the influences of the residuals to the d estimated coefficients.
+    **fields
+        Other fields of the `Fit`.
+    """
+    names = estimates[0].polynomials
+    found = infer(
+        [*zip(*(one.residuals for one in estimates), strict=True)],
+        W,
+        parameters=[one.parameters for one in estimates],
+        score=score,
+        rounding=rounding,
+    )
+    return Fit(
+        structure=structure,
+        form=Polynomials(**{x: tuple(one.polynomials[x] for one in estimates) for x in names}),
+        **found.transformed(np.vstack([one.J for one in estimates])).fields(),
+        **origin(data),
+        **fields,
+    )

@@ -1,1 +1,0 @@
-"""Estimators for several inputs and outputs."""

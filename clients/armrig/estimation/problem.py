@@ -1,0 +1,446 @@
+"""Prediction-error problem: residuals and their derivatives for given C, D and F."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from armrig.models.innovations import (
+    Errors,
+    Experiment,
+    LinearPart,
+    Unknown,
+    errors,
+    regression,
+    volume,
+)
+from armrig.models.structure import Structure
+from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
+from armrig.numerics.polynomial import (
+    Array,
+    drawn_to_edge,
+    monic,
+    outward_normals,
+    stable,
+)
+from armrig.numerics.whitening import spread, spread_apart
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """Places of the coefficients of all rows in the linear parameters and in theta."""
+
+    letters: tuple[str, ...]
+    """Letter of each searched polynomial, in the order of theta."""
+    slices: tuple[slice, ...]
+    """Slice of theta with the coefficients of each polynomial."""
+    polynomials: tuple[tuple[int, ...], ...]
+    """Polynomials of each row: (a), c, d, and f of each group; (a) if A is searched."""
+    searched: tuple[Any, ...]
+    """Indices into theta of the searched coefficients of each row."""
+    linear: tuple[Any, ...]
+    """Indices into the linear parameters of the coefficients (a), b of each row."""
+
+
+@lru_cache
+def _layout(rows: tuple[Structure, ...], searches_a: bool) -> Layout:
+    letters: list[str] = []
+    sizes: list[int] = []
+    shared: dict[str, int] = {}
+    polynomials, linear = [], []
+    common = rows[0].na if len(rows) > 1 and not searches_a else 0
+    begin = common
+
+    def added(letter: str, size: int) -> int:
+        if len(rows) > 1 and letter in shared:
+            return shared[letter]
+        letters.append(letter)
+        sizes.append(size)
+        if letter in "af":
+            shared[letter] = len(letters) - 1
+        return len(letters) - 1
+
+    for n in rows:
+        own = [added("a", n.na)] if searches_a else []
+        own += [added("c", n.nc), added("d", n.nd), *(added("f", size) for size in n.sizes)]
+        polynomials.append(tuple(own))
+        a = 0 if searches_a else n.na
+        if common:
+            linear.append(np.r_[:common, begin : begin + sum(n.nb)])
+            begin += sum(n.nb)
+        else:
+            linear.append(np.arange(begin, begin + a + sum(n.nb)))
+            begin += a + sum(n.nb)
+    slices = [slice(a, b) for a, b in pairwise(np.cumsum([0, *sizes]).tolist())]
+    return Layout(
+        letters=tuple(letters),
+        slices=tuple(slices),
+        polynomials=tuple(polynomials),
+        searched=tuple(np.concatenate([np.r_[slices[k]] for k in own]) for own in polynomials),
+        linear=tuple(linear),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solution:
+    """Least-squares solution for given C, D and F."""
+
+    ab: Array
+    """Linear parameters: coefficients of A and B of each row; of B alone if A is searched."""
+    parts: tuple[tuple[Errors, ...], ...]
+    """Errors of each experiment and row."""
+    given: tuple[tuple[LinearPart, ...], ...]
+    """Linear equation of each experiment and row."""
+    past: tuple[Unknown, ...]
+    """Basis of the unknown past of each experiment, whitened if there are several rows."""
+    scales: tuple[float, ...]
+    """Factor of the errors of each row before they are whitened; 1 for one row."""
+    e: Array
+    """Residuals of all experiments, (M,); 0 in rows without a residual."""
+    by_ab: Array
+    """Derivatives of the prediction with respect to `ab`, (M, n). Their projection on the effects
+    of the unknown past is subtracted."""
+    by_theta: Array
+    """Derivatives of the prediction with respect to theta, (M, n). Their projection on the effects
+    of the unknown past is subtracted."""
+    J: Array
+    """Derivatives `by_theta` minus their projection on `by_ab`."""
+    rank: int
+    """Number of linear parameters that the data determine."""
+
+    @property
+    def Psi(self) -> Array:
+        """Derivatives `by_ab` and `by_theta` side by side, (M, d)."""
+        return np.hstack([self.by_ab, self.by_theta])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PolynomialProblem:
+    """Minimisation of |(D/C) (A y - (B/F) u) - effect of the unknown past|² over the polynomials.
+
+    A problem has one row, the equation of one output. If outputs share the polynomial A or F, the
+    problem has the rows of all these outputs, weighted by the inverse covariance of their noise.
+
+    The unknown past is the signals before the first sample of each experiment. The errors are
+    linear in A, B and the unknown past, which are therefore projected out. The search is over the
+    coefficients of C, D and F only. This method is variable projection with Kaufman's Jacobian. The
+    gradient from this Jacobian is exact. In data with gaps and a noise model, the search is over A,
+    too.
+
+    After a missing sample the error has a larger variance, s(t) times the variance of e. The cost
+    is then the sum of e(t)²/s(t), times the geometric mean of s(t). In the second and each further
+    experiment the pulses z are integrated out with a flat prior, which multiplies the cost by
+    |Z^T Z|^(1/M). The columns of Z are the pulses, and M is the number of errors minus the number
+    of pulses.
+
+    References
+    ----------
+    .. [1] G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432.
+    .. [2] L. Kaufman, BIT 15 (1975) 49-57.
+    .. [3] L. Ljung, *System Identification*, 2nd ed., 1999, sections 3.2, 7.2 and 10.2.
+    """
+
+    rows: tuple[Structure, ...]
+    """Orders of the polynomials of each output."""
+    experiments: tuple[tuple[Experiment, ...], ...]
+    """Signals of each experiment and row."""
+    weights: tuple[Array, ...] = ()
+    """Whitening matrices of each experiment, (N, ny, ny), from `whitening`; empty for one row."""
+    layout: Layout = field(init=False)
+    """Places of the coefficients."""
+
+    def __post_init__(self) -> None:
+        """Find the places of the coefficients."""
+        gaps = any(x.gaps for of in self.experiments for x in of)
+        layout = _layout(self.rows, gaps and any(n.na for n in self.rows))
+        object.__setattr__(self, "layout", layout)  # a field of a frozen dataclass
+
+    @property
+    def size(self) -> int:
+        """Number of searched coefficients."""
+        return int(self.layout.slices[-1].stop)
+
+    @property
+    def linear_size(self) -> int:
+        """Number of linear parameters."""
+        return 1 + max(int(columns.max(initial=-1)) for columns in self.layout.linear)
+
+    @property
+    def letters(self) -> tuple[str, ...]:
+        """Letter of each searched coefficient."""
+        pairs = zip(self.layout.letters, self.layout.slices, strict=True)
+        return tuple(letter for letter, part in pairs for _ in range(part.start, part.stop))
+
+    def columns_of(self, i: int) -> Array:
+        """Return the columns of (a, b, c, d, f of each group) of row i in `Solution.Psi`."""
+        n = self.rows[i]
+        linear, searched = self.layout.linear[i], self.linear_size + self.layout.searched[i]
+        if self.layout.letters[0] == "a":
+            return np.concatenate([searched[: n.na], linear, searched[n.na :]])
+        return np.concatenate([linear, searched])
+
+    def slice_of(self, letter: str, i: int) -> slice:
+        """Return the slice of theta with the coefficients of C, D or a searched A of row i."""
+        for k in self.layout.polynomials[i]:
+            if self.layout.letters[k] == letter:
+                return self.layout.slices[k]
+        return slice(0, 0)
+
+    def polynomials(self, theta: Array) -> list[Array]:
+        """Return the searched polynomials, such as C, D and F of one row."""
+        return [monic(theta[part]) for part in self.layout.slices]
+
+    def named(self, ab: Array, theta: Array, i: int = 0) -> dict[str, Any]:
+        """Return the polynomials of row i by name, without the factor of an integrator.
+
+        B and F are lists with a polynomial for each input.
+        """
+        n, layout = self.rows[i], self.layout
+        found = self._of_row(theta, i)
+        own = ab[layout.linear[i]]
+        b = own[own.size - sum(n.nb) :]
+        if "A" not in found:
+            found["A"] = monic(own[: n.na])
+        ends = np.cumsum(n.nb)[:-1]
+        found["B"] = [
+            np.append(np.zeros(k), p) for k, p in zip(n.nk, np.split(b, ends), strict=True)
+        ]
+        return found
+
+    def _of_row(self, theta: Array, i: int) -> dict[str, Any]:
+        """Return the searched polynomials of row i by name."""
+        n, layout = self.rows[i], self.layout
+        own = [monic(theta[layout.slices[k]]) for k in layout.polynomials[i]]
+        found: dict[str, Any] = {"A": own.pop(0)} if layout.letters[0] == "a" else {}
+        C, D, *of_groups = own
+        F = [np.ones(1)] * len(n.nb)
+        for group, p in zip(n.groups, of_groups, strict=True):
+            for j in group:
+                F[j] = p
+        return found | {"C": C, "D": D, "F": F}
+
+    def solve(self, theta: Array, ab: Array | None = None) -> Solution:
+        """Return the least-squares solution for A, B and the unknown past at theta.
+
+        If the linear parameters `ab` are given, only the unknown past is estimated.
+        """
+        return self._solved(theta, self._equations(theta), ab=ab)
+
+    def linearise(self, theta: Array) -> tuple[Array, Array]:
+        """Return e and J at theta, scaled so that |e|² is the cost."""
+        equations = self._equations(theta)
+        found = self._solved(theta, equations, scaled=True)
+        if equations.scale == 1.0:
+            return found.e, found.J
+        return equations.scale * found.e, equations.scale * found.J
+
+    def cost(self, theta: Array) -> float:
+        """Return the sum of squared errors at theta, scaled as the class describes."""
+        equations = self._equations(theta)
+        basis, _, y = equations.projected()
+        e = basis.without(y)
+        return float(e @ e) * equations.scale**2
+
+    def _equations(self, theta: Array) -> _Equations:
+        known = [self._of_row(theta, i) for i in range(len(self.rows))]
+        given = [
+            [regression(x, n, **p) for x, n, p in zip(of, self.rows, known, strict=True)]
+            for of in self.experiments
+        ]
+        logs, by_theta = self._log_scales(given, [p["C"] for p in known])
+        if len(self.rows) == 1:
+            joined = [of[0] for of in given]
+            scale = float(np.exp(logs[0])) if logs[0] else 1.0
+            return _Equations(
+                given=given, joined=joined, volumes=by_theta, scales=[1.0], scale=scale
+            )
+        scales = np.exp(logs).tolist()
+        joined = [self._joined(of, G, scales) for of, G in zip(given, self.weights, strict=True)]
+        return _Equations(given=given, joined=joined, volumes=by_theta, scales=scales, scale=1.0)
+
+    def _log_scales(
+        self, given: list[list[LinearPart]], C: list[Array]
+    ) -> tuple[list[float], list[Array]]:
+        """Return half the mean logarithm of the variances of e, for each row.
+
+        Then return the derivatives of the share of the pulses with respect to c.
+        """
+        logs, by_c = [], []
+        for i, n in enumerate(self.rows):
+            volumes = [volume(of[i], n, C[i]) for of in self.experiments[1:] if n.nc]
+            log = sum(v for v, _ in volumes)
+            log += sum(of[i].log_scale for of in given)
+            errors = self._errors(i, given)
+            logs.append(log / (2 * errors))
+            by_c.append(sum((by for _, by in volumes), np.zeros(n.nc)) / (2 * errors))
+        return logs, by_c
+
+    def _errors(self, i: int, given: Sequence[Sequence[LinearPart]]) -> int:
+        """Return the number of errors of row i minus the number of pulses z."""
+        errors = sum(int(np.count_nonzero(of[i].rows)) for of in self.experiments)
+        return max(errors - sum(of[i].unknown.pulses for of in given), 1)
+
+    def _joined(self, of: list[LinearPart], G: Array, scales: list[float]) -> LinearPart:
+        """Return one whitened equation for the errors of all rows."""
+        linear = self.layout.linear
+        d = self.linear_size
+        blocks, spans = [], [scale * g.unknown.span for g, scale in zip(of, scales, strict=True)]
+        for g, scale, columns in zip(of, scales, linear, strict=True):
+            block = np.zeros((g.y.size, d + 1))
+            block[:, columns], block[:, d] = scale * g.X, scale * g.y
+            blocks.append(block)
+        whole = spread(G, blocks)
+        past = Unknown(basis=orthonormal(spread_apart(G, spans)), pulses=0, N=whole.shape[0])
+        return LinearPart(X=whole[:, :-1], y=whole[:, -1], unknown=past)
+
+    def _solved(
+        self,
+        theta: Array,
+        equations: _Equations,
+        *,
+        ab: Array | None = None,
+        scaled: bool = False,
+    ) -> Solution:
+        basis, by_ab, y = equations.projected()
+        e = basis.without(y) if ab is None else y - by_ab @ ab
+        ab = basis.coefficients(y) if ab is None else ab
+        parts = self._parts(theta, equations, ab)
+        by_theta = self._by_theta(parts, equations, theta.size, scaled=scaled)
+        return Solution(
+            ab=ab,
+            parts=tuple(parts),
+            given=tuple(tuple(of) for of in equations.given),
+            past=tuple(g.unknown for g in equations.joined),
+            scales=tuple(equations.scales),
+            e=e,
+            by_ab=by_ab,
+            by_theta=by_theta,
+            J=basis.without(by_theta),
+            rank=basis.rank,
+        )
+
+    def _parts(self, theta: Array, equations: _Equations, ab: Array) -> list[tuple[Errors, ...]]:
+        named = [self.named(ab, theta, i) for i in range(len(self.rows))]
+        if len(self.rows) == 1:
+            pairs = zip(self.experiments, equations.given, strict=True)
+            return [(errors(x, self.rows[0], g, **named[0]),) for (x,), (g,) in pairs]
+        found = []
+        for k, (of, given) in enumerate(zip(self.experiments, equations.given, strict=True)):
+            joined = equations.joined[k]
+            raw = joined.y - joined.X @ ab
+            ends = np.cumsum([g.unknown.rank for g in given])[:-1]
+            spans = np.split(joined.unknown.coefficients(raw), ends)
+            found.append(
+                tuple(
+                    errors(x, n, g, **p, along=along)
+                    for x, n, g, p, along in zip(of, self.rows, given, named, spans, strict=True)
+                )
+            )
+        return found
+
+    def _by_theta(
+        self,
+        parts: list[tuple[Errors, ...]],
+        equations: _Equations,
+        size: int,
+        *,
+        scaled: bool,
+    ) -> Array:
+        """Return the derivatives of the prediction, or of the scaled prediction, by theta."""
+        changes = self._scale_changes(parts, equations) if scaled and equations.scaled else None
+        found = []
+        for k, of in enumerate(parts):
+            blocks = [p.Psi for p in of]
+            if changes is not None:
+                blocks = [
+                    block - np.outer(p.e, change) if change.any() else block
+                    for block, p, change in zip(blocks, of, changes, strict=True)
+                ]
+            if len(of) > 1:
+                whole = [np.zeros((block.shape[0], size)) for block in blocks]
+                for i, block in enumerate(blocks):
+                    whole[i][:, self.layout.searched[i]] = equations.scales[i] * block
+                blocks = [spread(self.weights[k], whole)]
+            found.append(equations.joined[k].unknown.without(blocks[0]))
+        return found[0] if len(found) == 1 else np.vstack(found)
+
+    def _scale_changes(self, parts: list[tuple[Errors, ...]], equations: _Equations) -> list[Array]:
+        """Return the derivatives of `_log_scales` by the searched coefficients of each row."""
+        changes = []
+        for i, n in enumerate(self.rows):
+            total = np.sum([of[i].by_scale for of in parts], axis=0) / (
+                2 * self._errors(i, equations.given)
+            )
+            begin = n.na if self.layout.letters[0] == "a" else 0
+            total[begin : begin + n.nc] += equations.volumes[i]
+            changes.append(total)
+        return changes
+
+    def minimise(self, theta: Array, most: int = MAX_STEPS, known: float = np.nan) -> Optimum:
+        """Return the minimum that a search from theta reaches with stable C and F."""
+        return levenberg_marquardt(
+            self.linearise, theta, admissible=self.admissible, most=most, known=known, walls=self
+        )
+
+    def _bounded(self) -> list[slice]:
+        """Return the slices of theta with the polynomials that must be stable: each C and F."""
+        pairs = zip(self.layout.letters, self.layout.slices, strict=True)
+        return [part for letter, part in pairs if letter in "cf" and part.stop > part.start]
+
+    def admissible(self, theta: Array) -> bool:
+        """Return whether the predictor is stable, that is, whether each C and F is stable."""
+        return all(stable(monic(theta[part])) for part in self._bounded())
+
+    def inside(self, theta: Array, previous: Array) -> Array:
+        """Move the roots of C and F that are outside the unit circle inside; return theta."""
+        theta = theta.copy()
+        for part in self._bounded():
+            theta[part] = drawn_to_edge(monic(theta[part]), monic(previous[part]))[1:]
+        return theta
+
+    def normals(self, theta: Array) -> Array:
+        """Return the gradient d|z|/dtheta for each root z of C and F on the unit circle."""
+        found = [np.zeros((0, theta.size))]
+        for part in self._bounded():
+            rows = outward_normals(monic(theta[part]))
+            if len(rows):
+                whole = np.zeros((len(rows), theta.size))
+                whole[:, part] = rows
+                found.append(whole)
+        return np.vstack(found)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Equations:
+    """Linear equations of all errors for given polynomials."""
+
+    given: list[list[LinearPart]]
+    """Equation of each experiment and row."""
+    joined: list[LinearPart]
+    """Equation of each experiment, whitened if there are several rows."""
+    volumes: list[Array]
+    """Derivatives of the share of the pulses in the scale of each row, by c."""
+    scales: list[float]
+    """Scale of each row in `joined`."""
+    scale: float
+    """Scale of all errors."""
+
+    @property
+    def scaled(self) -> bool:
+        """True if a scale is not 1: after gaps, or with several experiments and a C."""
+        return self.scale != 1.0 or any(scale != 1.0 for scale in self.scales)
+
+    def projected(self) -> tuple[Basis, Array, Array]:
+        """Return a basis of the derivatives by the linear parameters, these derivatives, and y.
+
+        The projection on the effects of the unknown past is subtracted from all of them.
+        """
+        blocks = [g.unknown.without(np.column_stack([g.X, g.y])) for g in self.joined]
+        whole = blocks[0] if len(blocks) == 1 else np.vstack(blocks)
+        return orthonormal(whole[:, :-1]), whole[:, :-1], whole[:, -1]

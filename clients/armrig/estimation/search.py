@@ -1,0 +1,478 @@
+"""Search from several start values, and from additional start values if the minimum is in doubt.
+
+In an additional start value one mode of C, D or F is moved to another frequency or damping. If the
+noise is strong, the prediction error has several minima of nearly equal cost. In each minimum a
+weak mode fits the noise at a different frequency. If the noise and the input are slow, a real root
+may also fit the noise. Therefore the search moves each mode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from itertools import combinations, product
+from typing import TypeVar
+
+import numpy as np
+
+from armrig.estimation.problem import PolynomialProblem
+from armrig.estimation.start_values import filtered_denominators, start_values
+from armrig.models.innovations import completed
+from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.levenberg_marquardt import Optimum
+from armrig.numerics.polynomial import Array, filtered, monic, reduced, roots
+from armrig.numerics.whitening import whitening
+
+Ends = list[tuple[str, Optimum]]
+"""Name of each start value, and the minimum reached by the search from this start value."""
+End = TypeVar("End")
+
+SAME_COST_TOLERANCE = 1e-6  # relative difference in cost up to which two searches agree
+ROUNDING_SHARE = 1e-18  # share of |y|² below which |e|² is rounding noise
+_MIN_NOISE_SHARE = 0.2  # if noise is a larger share of the output's variance, a mode may fit noise
+_MAX_ROUNDS = 6
+_MAX_MOVED_COEFFICIENTS = 30  # coefficients of C, D and F; with 60 a round takes a minute
+_STAGES = ((10, 16), (40, 1))  # (steps of each search, number of searches that continue)
+_RETURN_TOLERANCE = 1e-7  # relative difference in cost up to which two minima are the same
+_PAIR_ANGLES = np.linspace(0.1, 3.0, 15)  # angles of a moved pair, in rad per sample
+_REAL_ROOTS = (0.99, 0.95, 0.8, 0.3, -0.3, -0.8)
+_MAX_REAL_ROOT = 0.998
+_REAL_TOLERANCE = 1e-9
+_PAIR_RADII = (0.98, 0.85, 0.6)
+_STARTS_PER_KIND = 6
+_ADDED_ROOTS = (0.5, -0.5)  # roots added to F for a model of higher order
+_MAX_LARGER_STEPS = 60  # steps of the search for the model of higher order
+_FIRST_STEPS = 10  # steps of the search for the model that completes data with gaps
+_MAX_REWEIGHTINGS = 10
+_SAME_TOLERANCE = 1e-6  # relative change of Lambda at which the iteration from a start ends
+_END_TOLERANCE = 1e-10  # relative change of Lambda at which the last iteration ends
+_MAX_MOVES = 3  # largest number of rounds in which a mode of several outputs is moved
+_MOVED_STARTS = 3  # start values with a moved mode in each of these rounds
+_LEAST_COST = 1e-300  # so that a cost of 0 has a logarithm
+
+
+def searched_minimum(
+    problem: PolynomialProblem,
+    part: PolynomialProblem | None = None,
+    *,
+    thorough: bool = True,
+) -> Ends:
+    """Return the minimum reached from each start value, best first.
+
+    If the minimum is in doubt, the search moves each mode of the best model and starts again, as
+    long as the cost decreases. The minimum is always in doubt if the searches end in different
+    minima. In a thorough search without `part`, the minimum is also in doubt if the cost is larger
+    than rounding errors explain. In any other search, the minimum is also in doubt if an F has at
+    least two roots and the noise is strong. If C, D and F have more than 30 coefficients, no mode
+    is moved, because a single mode then has little meaning.
+
+    Parameters
+    ----------
+    part : PolynomialProblem, optional
+        Problem for a part of long data. All searches start on this part. From each minimum on the
+        part, one search continues on all data.
+    thorough : bool
+        True: move complex pairs and real roots of C, D and F. False: move only complex pairs of F.
+    """
+    ends = from_starts(problem) if part is None else _through(part, problem)
+    if not (thorough or _largest_order(problem) >= 2):
+        return ends
+    doubtful = _doubtful(problem, ends, strict=thorough and part is None)
+    for _ in range(_MAX_ROUNDS if doubtful else 0):
+        best = ends[0][1]
+        lowest = _lowest_without_gaps(problem, best, thorough=thorough)
+        if same_minimum(problem, lowest.cost, best.cost):
+            break
+        ends.insert(0, ("mode at another frequency", lowest))
+    return ends
+
+
+def _lowest_without_gaps(problem: PolynomialProblem, best: Optimum, *, thorough: bool) -> Optimum:
+    """Return the minimum from the best moved mode; the modes are moved in data without a gap.
+
+    The missing outputs are then those that the best model predicts. The many searches from moved
+    modes are faster without gaps, and A is not searched.
+    """
+    if not _gaps(problem):
+        return _lowest_beside(problem, best, thorough=thorough)
+    whole = _completed(problem, best.theta)
+    begin = whole.minimise(_adopted(whole, problem, best.theta))
+    lowest = _lowest_beside(whole, begin, thorough=thorough)
+    if same_minimum(whole, lowest.cost, begin.cost):
+        return best
+    found = problem.minimise(_adopted(problem, whole, lowest.theta), known=best.cost)
+    return found if found.cost < best.cost else best
+
+
+def _gaps(problem: PolynomialProblem) -> bool:
+    return any(x.gaps for of in problem.experiments for x in of)
+
+
+def _completed(problem: PolynomialProblem, theta: Array) -> PolynomialProblem:
+    """Return the problem with predictions of the missing outputs of a noise model."""
+    experiments = tuple(
+        tuple(
+            completed(x, n, p.y) if x.gaps else x
+            for x, n, p in zip(of, problem.rows, parts, strict=True)
+        )
+        for of, parts in zip(problem.experiments, problem.solve(theta).parts, strict=True)
+    )
+    return replace(problem, experiments=experiments)
+
+
+def _largest_order(problem: PolynomialProblem) -> int:
+    """Return the largest number of roots of an F."""
+    return max((size for n in problem.rows for size in n.sizes), default=0)
+
+
+def _lowest_beside(problem: PolynomialProblem, best: Optimum, *, thorough: bool) -> Optimum:
+    """Return the lowest minimum reached from a moved mode, or `best` if no minimum is lower.
+
+    After ten steps only the 16 searches with the least cost continue. A search that returned to the
+    minimum `best` does not continue.
+    """
+    starts = list(moved_modes(problem, best.theta, all_kinds=thorough))
+    for steps, kept in _STAGES:
+        near = [problem.minimise(start, most=steps, known=best.cost) for start in starts]
+        near = [end for end in near if abs(end.cost - best.cost) > _RETURN_TOLERANCE * best.cost]
+        near.sort(key=lambda end: end.cost)
+        starts = [end.theta for end in near[:kept]]
+    lowest = min(near, key=lambda end: end.cost, default=best)
+    if lowest.cost >= best.cost:
+        return best
+    return lowest if lowest.converged else problem.minimise(lowest.theta)
+
+
+def from_starts(problem: PolynomialProblem) -> Ends:
+    """Return the minimum reached from each start value, best first.
+
+    The first search is from the start value of least cost.
+    """
+    starts = sorted(start_values(problem), key=lambda start: problem.cost(start[1]))
+    ends: Ends = []
+    for name, theta in starts:
+        known = min((end.cost for _, end in ends), default=float("nan"))
+        ends.append((name, problem.minimise(theta, known=known)))
+    return sorted(ends, key=lambda end: end[1].cost)
+
+
+def _through(part: PolynomialProblem, problem: PolynomialProblem) -> Ends:
+    """Continue from the minima on a part of the data, and return the minima on all data.
+
+    The best minimum is the first.
+    """
+    ends: Ends = []
+    previous: tuple[float, Optimum] | None = None
+    for name, on_part in from_starts(part):
+        if previous is not None and same_minimum(part, previous[0], on_part.cost):
+            end = previous[1]
+        else:
+            known = min((end.cost for _, end in ends), default=float("nan"))
+            end = problem.minimise(_adopted(problem, part, on_part.theta), known=known)
+        previous = on_part.cost, end
+        steps = on_part.iterations + end.iterations
+        ends.append((name, replace(end, iterations=steps)))
+    return sorted(ends, key=lambda end: end[1].cost)
+
+
+def _adopted(problem: PolynomialProblem, part: PolynomialProblem, theta: Array) -> Array:
+    """Return the parameters of a problem from the parameters `theta` of the problem `part`.
+
+    Only one of the two problems may have gaps, and A is searched only in a problem with gaps.
+    """
+    if problem.size <= theta.size:
+        return theta[theta.size - problem.size :]
+    return np.append(part.named(part.solve(theta).ab, theta)["A"][1:], theta)
+
+
+def rounding_floor(problem: PolynomialProblem) -> float:
+    """Return the cost below which the residuals are rounding errors."""
+    return ROUNDING_SHARE * sum(
+        float(np.sum(x.y[x.rows] ** 2)) for of in problem.experiments for x in of
+    )
+
+
+def same_minimum(problem: PolynomialProblem, lower: float, higher: float) -> bool:
+    """Return whether two costs belong to the same minimum."""
+    return higher <= lower * (1 + SAME_COST_TOLERANCE) + rounding_floor(problem)
+
+
+def _doubtful(problem: PolynomialProblem, ends: Ends, *, strict: bool) -> bool:
+    if not 0 < problem.size <= _MAX_MOVED_COEFFICIENTS:
+        return False
+    if not same_minimum(problem, ends[0][1].cost, ends[-1][1].cost):
+        return True
+    if strict:
+        return ends[0][1].cost > rounding_floor(problem)
+    if _largest_order(problem) < 2:
+        return False
+    parts = problem.solve(ends[0][1].theta).parts
+    noise = variance = 0.0
+    for of, found in zip(problem.experiments, parts, strict=True):
+        for x, p in zip(of, found, strict=True):
+            y = x.y[x.rows]
+            noise += float(np.sum((y - p.driven[x.rows]) ** 2))
+            variance += float(np.sum((y - y.mean()) ** 2)) if y.size else 0.0
+    return noise > _MIN_NOISE_SHARE * variance
+
+
+def moved_modes(
+    problem: PolynomialProblem, theta: Array, *, all_kinds: bool = True
+) -> Iterator[Array]:
+    """Yield start values with one moved mode of C, D or F, up to six for each kind of move.
+
+    A complex pair, or the two smallest real roots, is replaced by another complex pair or by two
+    other real roots. A real root is replaced by another real root. For each polynomial and each
+    kind of move, the start values of least cost are returned.
+
+    Parameters
+    ----------
+    all_kinds : bool
+        True: move all modes. False: move only pairs of F, to other frequencies.
+    """
+    kinds = (other_pairs, _other_reals, other_real) if all_kinds else (other_pairs,)
+    for k, letter in enumerate(problem.layout.letters):
+        for kind in kinds if all_kinds or letter == "f" else ():
+            yield from _cheapest(problem, _with_mode(problem, theta, k, kind))
+    if all_kinds:
+        yield from _moved_together(problem, theta)
+        yield from _with_white_noise(problem, theta)
+        yield from _through_a_higher_order(problem, theta)
+
+
+def _with_mode(
+    problem: PolynomialProblem, theta: Array, k: int, kind: Callable[[Array], Iterator[Array]]
+) -> Iterator[Array]:
+    """Yield theta with one moved mode of polynomial k."""
+    part = problem.layout.slices[k]
+    for z in kind(roots(monic(theta[part]))):
+        start = theta.copy()
+        start[part] = np.real(np.poly(z))[1:]
+        yield start
+
+
+def _cheapest(
+    problem: PolynomialProblem, starts: Iterable[Array], most: int = _STARTS_PER_KIND
+) -> list[Array]:
+    """Return the start values of least cost."""
+    priced = sorted(((problem.cost(start), start) for start in starts), key=lambda of: of[0])
+    return [start for _, start in priced[:most]]
+
+
+def _moved_together(problem: PolynomialProblem, theta: Array) -> Iterator[Array]:
+    """Yield start values in which real roots of C and D move to nearly equal values."""
+    for i in range(len(problem.rows)):
+        of_c, of_d = problem.slice_of("c", i), problem.slice_of("d", i)
+        C, D = roots(monic(theta[of_c])), roots(monic(theta[of_d]))
+        starts = []
+        for z, w in product(_without_one_real(C), _without_one_real(D)):
+            for root, share in product(_REAL_ROOTS, (0.9, 1 / 0.9)):
+                near = np.clip(root * share, -_MAX_REAL_ROOT, _MAX_REAL_ROOT)
+                start = theta.copy()
+                start[of_c] = np.real(np.poly(np.append(z, near)))[1:]
+                start[of_d] = np.real(np.poly(np.append(w, root)))[1:]
+                starts.append(start)
+        yield from _cheapest(problem, starts)
+
+
+def _with_white_noise(problem: PolynomialProblem, theta: Array) -> Iterator[Array]:
+    """Yield start values in which F is estimated again, from signals filtered by D/C."""
+    at = np.array(problem.letters) == "f"
+    if not at.any() or at.all():
+        return
+    noise = [
+        [monic(theta[problem.slice_of(letter, i)]) for letter in "dc"]
+        for i in range(len(problem.rows))
+    ]
+    signals = [
+        [
+            (np.column_stack([filtered(D, C, u) for u in x.u.T]), filtered(D, C, x.y))
+            for x, (D, C) in zip(of, noise, strict=True)
+        ]
+        for of in problem.experiments
+    ]
+    output_error = replace(problem, rows=tuple(n.output_error for n in problem.rows))
+    for f in filtered_denominators(output_error, signals):
+        start = theta.copy()
+        start[at] = f
+        yield start
+
+
+def _through_a_higher_order(problem: PolynomialProblem, theta: Array) -> Iterator[Array]:
+    """Yield start values from an output-error model of higher order, with one mode removed.
+
+    The larger model has one more b and one more f. During the search for the larger model, a mode
+    can move past a frequency at which the cost of the smaller model has a maximum.
+    """
+    n = problem.rows[0]
+    if len(problem.rows) > 1 or len(n.groups) > 1 or not any(n.sizes) or not n.white:
+        return
+    nb, nf = (
+        tuple(k + 1 if of else 0 for k, of in zip(x, n.nb, strict=True)) for x in (n.nb, n.nf)
+    )
+    larger = replace(problem, rows=(replace(n, nb=nb, nf=nf),))
+    starts: list[Array] = []
+    for root in _ADDED_ROOTS:
+        F = np.convolve(np.append(1.0, theta), [1.0, -root])
+        found = larger.minimise(F[1:], most=_MAX_LARGER_STEPS).theta
+        starts.extend(lower[1:] for lower in reduced(np.append(1.0, found)))
+    yield from _cheapest(problem, starts)
+
+
+def other_pairs(z: Array) -> Iterator[Array]:
+    """Yield the roots z with one pair replaced by another complex pair."""
+    for kept in _without_one_pair(z):
+        for radius, angle in product(_PAIR_RADII, _PAIR_ANGLES):
+            yield np.concatenate([kept, radius * np.exp(1j * np.array([angle, -angle]))])
+
+
+def _other_reals(z: Array) -> Iterator[Array]:
+    for kept in _without_one_pair(z):
+        for pair in combinations(_REAL_ROOTS, 2):
+            yield np.concatenate([kept, pair])
+
+
+def other_real(z: Array) -> Iterator[Array]:
+    """Yield the roots z with one real root replaced by another real root."""
+    for kept in _without_one_real(z):
+        for root in _REAL_ROOTS:
+            yield np.append(kept, root)
+
+
+def _without_one_real(z: Array) -> Iterator[Array]:
+    for i in np.flatnonzero(np.abs(z.imag) <= _REAL_TOLERANCE):
+        yield np.delete(z, i)
+
+
+def _without_one_pair(z: Array) -> Iterator[Array]:
+    """Yield the roots with one complex pair removed, for each complex pair.
+
+    Then yield the roots with the two smallest real roots removed, if there are two.
+    """
+    rest = np.arange(z.size)
+    for i in np.flatnonzero(z.imag > _REAL_TOLERANCE):
+        partner = int(np.argmin(np.abs(z - np.conj(z[i]))))
+        yield z[(rest != i) & (rest != partner)]
+    real = np.flatnonzero(np.abs(z.imag) <= _REAL_TOLERANCE)
+    if real.size >= 2:
+        smallest = real[np.argsort(np.abs(z[real]))[:2]]
+        yield z[~np.isin(rest, smallest)]
+
+
+def searched_together(problem: PolynomialProblem) -> tuple[PolynomialProblem, Ends]:
+    """Return the problem of several outputs with an estimated Lambda, and its minima, best first.
+
+    Data with gaps are completed by the predictions of a first model. After the search in these
+    data, one search continues in the data with gaps.
+    """
+    if not _gaps(problem):
+        return _reweighted(problem, from_starts(problem))
+    _, start = min(start_values(problem), key=lambda start: problem.cost(start[1]))
+    whole = _completed(problem, problem.minimise(start, most=_FIRST_STEPS).theta)
+    whole, ends = _reweighted(whole, from_starts(whole))
+    name, best = ends[0]
+    begin = replace(best, theta=_adopted(problem, whole, best.theta))
+    Lambda = noise_covariance(whole, best.theta)
+    _, problem, end = _iterated(weighted_by(problem, Lambda), begin, _END_TOLERANCE)
+    return problem, [(name, end), *ends[1:]]
+
+
+def _reweighted(problem: PolynomialProblem, ends: Ends) -> tuple[PolynomialProblem, Ends]:
+    """Return the problem of the best minimum, and the minima with an estimated Lambda.
+
+    Starting from each minimum in `ends`, Lambda is estimated and a search with this Lambda is run,
+    in turn. The best minimum has the least det Lambda. Then one mode of a denominator is moved, as
+    long as a move leads to a better minimum. The best minimum need not be the first of `ends`,
+    because the searches for `ends` used the variances of the outputs as Lambda. With these
+    variances, an output that integrates has little weight.
+    """
+    found = [(name, *_iterated(problem, end, _SAME_TOLERANCE)) for name, end in ends]
+    found = ranked(found, lambda one: one[1])
+    for _ in range(_MAX_MOVES):
+        best = found[0]
+        moved = [
+            ("moved mode", *_iterated(best[2], best[2].minimise(theta), _SAME_TOLERANCE))
+            for theta in _moved_most(best[2], best[3].theta)
+        ]
+        found = ranked([*found, *moved], lambda one: one[1])
+        if found[0] is best:
+            break
+    name, _, weighted, end = found[0]
+    _, weighted, end = _iterated(weighted, end, _END_TOLERANCE)
+    return weighted, [(name, end), *((other, end) for other, _, _, end in found[1:])]
+
+
+def _moved_most(problem: PolynomialProblem, theta: Array) -> list[Array]:
+    """Move one mode in many ways; return the start values of least cost.
+
+    The modes are those of the denominators. If A is not searched, they are those of C and D.
+    """
+    letters = problem.layout.letters
+    moved = "af" if set(problem.letters) & set("af") else "cd"
+    starts = [
+        start
+        for k, letter in enumerate(letters)
+        if letter in moved
+        for kind in (other_real, other_pairs)
+        for start in _with_mode(problem, theta, k, kind)
+    ]
+    return _cheapest(problem, starts, _MOVED_STARTS)
+
+
+def _iterated(
+    problem: PolynomialProblem, end: Optimum, tolerance: float
+) -> tuple[float, PolynomialProblem, Optimum]:
+    """Return log det Lambda, the problem with the last weights, and its minimum.
+
+    The function starts at the minimum `end`. It estimates Lambda and searches with this Lambda, in
+    turn, until Lambda hardly changes.
+    """
+    Lambda = noise_covariance(problem, end.theta)
+    for _ in range(_MAX_REWEIGHTINGS):
+        problem = weighted_by(problem, Lambda)
+        end = problem.minimise(end.theta)
+        before, Lambda = Lambda, noise_covariance(problem, end.theta)
+        std = np.sqrt(np.diag(Lambda))
+        if (np.abs(Lambda - before) <= tolerance * np.outer(std, std)).all():
+            break
+    return float(np.linalg.slogdet(Lambda)[1]), problem, end
+
+
+def weighted_by(problem: PolynomialProblem, Lambda: Array) -> PolynomialProblem:
+    """Return the problem of several rows with the weights inv(Lambda)."""
+    masks = [np.column_stack([x.rows for x in of]) for of in problem.experiments]
+    return replace(problem, weights=tuple(whitening(Lambda, m) for m in masks))
+
+
+def noise_covariance(problem: PolynomialProblem, theta: Array) -> Array:
+    """Return the covariance of the errors at theta."""
+    e = [
+        np.column_stack([np.where(x.rows, p.e, np.nan) for x, p in zip(of, parts, strict=True)])
+        for of, parts in zip(problem.experiments, problem.solve(theta).parts, strict=True)
+    ]
+    return pairwise_covariance(np.vstack(e))
+
+
+def ranked(ends: Iterable[End], criterion: Callable[[End], float]) -> list[End]:
+    """Return the results of searches, best first; results at the same minimum keep their order.
+
+    At the same minimum only rounding errors, which differ from processor to processor, decide which
+    cost is lower.
+
+    Parameters
+    ----------
+    criterion : callable
+        Function that returns the logarithm of the cost of a result.
+    """
+    found = list(ends)
+    values = np.array([criterion(end) for end in found])
+    values[np.isnan(values)] = np.inf
+    higher = values > values.min()
+    steps = np.zeros(values.size)
+    steps[higher] = np.rint((values[higher] - values.min()) / SAME_COST_TOLERANCE)
+    return [found[i] for i in np.argsort(steps, kind="stable")]
+
+
+def log_cost(cost: float) -> float:
+    """Return the logarithm of a sum of squares."""
+    return float(np.log(max(cost, _LEAST_COST)))

@@ -1,0 +1,399 @@
+"""Start values for a search: output-error models and noise models from linear regressions.
+
+An ARX model of high order gives the contribution of each input to the output, without most of the
+noise. Steiglitz and McBride's iteration then fits B/F to the contributions, and to the output
+itself. Channels with the same F are fitted together.
+
+References
+----------
+.. [1] E. J. Hannan, J. Rissanen, Biometrika 69 (1982) 81-94.
+.. [2] K. Steiglitz, L. E. McBride, IEEE Trans. Automatic Control 10 (1965) 461-464.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from armrig.estimation.problem import PolynomialProblem
+from armrig.models.innovations import Experiment, trend
+from armrig.models.structure import Structure, free_columns
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array, filtered, lagged, reflected
+from armrig.numerics.regressors import complete, past
+from armrig.numerics.whiteness import autoregression
+
+_PASSES = 3
+_MAX_START_ROOT = 0.98  # largest modulus of a root in a start value; the search may exceed it
+_HIGH_ORDER = 12
+_MAX_OE_STEPS = 12  # steps of the search for an output-error start value; it need not converge
+
+Signals = Sequence[Sequence[tuple[Array, Array]]]
+"""Inputs (N, nu) and output (N,) of each experiment and row; no sample is missing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Path:
+    """Signals of one equation F y = sum of B_j u_j, the effect of a pulse train, and a trend."""
+
+    parts: tuple[tuple[Array, Array], ...]
+    """Inputs (N, k) and output (N,) of each experiment."""
+    lags: tuple[range, ...]
+    """Lags of each input."""
+    pulses: int = 0
+    """Number of first samples with a free pulse, in each experiment."""
+    trend: tuple[Array, ...] = ()
+    """Columns of the trend of each experiment, (N, m); empty without a trend."""
+
+
+def start_values(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
+    """Yield named start values theta with stable C and F.
+
+    F is estimated by output-error models. C and D are then estimated from the residual noise. The
+    last start value is the fitted output-error model. With strong noise this start value alone is
+    not sufficient, because a Box-Jenkins search from it ends in a poor minimum.
+    """
+    if not any(any(n.sizes) for n in problem.rows):
+        yield from _without_denominator(problem)
+        return
+    output_error = replace(problem, rows=tuple(n.output_error for n in problem.rows))
+    found = []
+    for name, f in denominators(output_error):
+        found.append(f)
+        yield name, _with_noise(problem, f)
+    if not all(n.white for n in problem.rows):
+        f = output_error.minimise(min(found, key=output_error.cost), most=_MAX_OE_STEPS).theta
+        yield "OE", _with_noise(problem, f)
+
+
+def denominators(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
+    """Yield named start values of each F in an output-error problem; each F is stable.
+
+    Missing samples of y are interpolated for these start values, but not in the search itself.
+    """
+    smooth, measured = paths(problem, [[(x.u, x.y) for x in of] for of in problem.experiments])
+    sizes = _sizes(problem)
+    yield (
+        "ARX",
+        _first(
+            steiglitz_mcbride(p, np.ones(1), n, iterations=1)
+            for p, n in zip(measured, sizes, strict=True)
+        ),
+    )
+    first = [
+        [*steiglitz_mcbride(p, np.ones(1), n, iterations=5)][-1]
+        for p, n in zip(smooth, sizes, strict=True)
+    ]
+    more = [
+        steiglitz_mcbride(p, F, n, iterations=5)
+        for p, F, n in zip(measured, first, sizes, strict=True)
+    ]
+    candidates = [np.concatenate([F[1:] for F in first]), *_together(more)]
+    yield "high-order ARX, Steiglitz-McBride", min(candidates, key=problem.cost)
+
+
+def filtered_denominators(problem: PolynomialProblem, signals: Signals) -> Iterator[Array]:
+    """Yield start values of each F in an output-error problem, from other signals."""
+    for of_groups in paths(problem, signals):
+        yield from _together(
+            [
+                steiglitz_mcbride(p, np.ones(1), n, iterations=5)
+                for p, n in zip(of_groups, _sizes(problem), strict=True)
+            ]
+        )
+
+
+def _sizes(problem: PolynomialProblem) -> list[int]:
+    """Return the number of coefficients of each F of an output-error problem."""
+    return [part.stop - part.start for part in problem.layout.slices if part.stop > part.start]
+
+
+def _first(iterations: Iterator[Iterator[Array]]) -> Array:
+    return np.concatenate([next(of)[1:] for of in iterations])
+
+
+def _together(iterations: Sequence[Iterator[Array]]) -> Iterator[Array]:
+    """Yield the coefficients of all polynomials after each iteration, until all have ended."""
+    last = [np.ones(1)] * len(iterations)
+    while True:
+        moved = [next(of, None) for of in iterations]
+        if all(F is None for F in moved):
+            return
+        last = [F if new is None else new for F, new in zip(last, moved, strict=True)]
+        yield np.concatenate([F[1:] for F in last])
+
+
+def paths(
+    problem: PolynomialProblem, signals: Signals
+) -> tuple[list[list[Path]], list[list[Path]]]:
+    """Return the equations of each F, without most of the noise and as measured.
+
+    Without the noise, the output of an equation is the contribution of one input. As measured, the
+    output is y, minus the contributions of the inputs with another F.
+    """
+    layout = problem.layout
+    used = [k for k, part in enumerate(layout.slices) if part.stop > part.start]
+    smooth: dict[int, list[Path]] = {k: [] for k in used}
+    measured: dict[int, list[Path]] = {k: [] for k in used}
+    for i, n in enumerate(problem.rows):
+        parts = [of[i] for of in signals]
+        shares = contributions(parts, n)
+        trends = tuple(trend(n, y.size) for _, y in parts) if n.trend else ()
+        slots = layout.polynomials[i][-len(n.groups) :]
+        for k, group, count in zip(slots, n.groups, n.counts, strict=True):
+            if k not in used:
+                continue
+            inputs = [j for j in group if n.nb[j]]
+            others = [j for other in n.groups if other != group for j in other]
+            whole = Path(
+                parts=tuple(
+                    (u[:, inputs], y if s is None else y - s[:, others].sum(axis=1))
+                    for (u, y), s in zip(parts, shares, strict=True)
+                ),
+                lags=tuple(n.lags(j) for j in inputs),
+                pulses=count,
+                trend=trends,
+            )
+            measured[k].append(whole)
+            if shares[0] is None:
+                smooth[k].append(whole)
+                continue
+            smooth[k] += [
+                Path(
+                    parts=tuple(
+                        (u[:, [j]], s[:, j])
+                        for (u, _), s in zip(parts, shares, strict=True)
+                        if s is not None
+                    ),
+                    lags=(n.lags(j),),
+                )
+                for j in inputs
+            ]
+    return [*smooth.values()], [*measured.values()]
+
+
+def contributions(parts: Sequence[tuple[Array, Array]], n: Structure) -> list[Array | None]:
+    """Return each input's contribution to y, (N, nu), simulated by a high-order ARX model.
+
+    The simulation begins at rest. The bias of the model decreases with its order. The contributions
+    are therefore without most of the noise and without the free response. They are None if the data
+    are too short.
+    """
+    nu = len(n.nb)
+    order = max(*n.nf, *n.nb)
+    most = min(_HIGH_ORDER + order, *(y.size // (2 * (nu + 1)) for _, y in parts))
+    if most < order:
+        return [None] * len(parts)
+    blocks = []
+    for u, y in parts:
+        inputs = [lagged(u[:, j], range(k, k + most)) for j, k in enumerate(n.nk)]
+        block = np.column_stack([-lagged(y, range(1, most + 1)), *inputs, trend(n, y.size), y])
+        blocks.append(block[most + max(n.nk) :])
+    stacked = np.vstack(blocks)
+    # The high order may exceed the rank of the data; dependent columns have coefficient 0.
+    theta = orthonormal(stacked[:, :-1]).coefficients(stacked[:, -1])
+    A = reflected(np.append(1.0, theta[:most]))
+    B = [
+        np.append(np.zeros(k), theta[most * (j + 1) : most * (j + 2)]) if n.nb[j] else np.zeros(1)
+        for j, k in enumerate(n.nk)
+    ]
+    return [np.column_stack([filtered(b, A, u[:, j]) for j, b in enumerate(B)]) for u, _ in parts]
+
+
+def equation_error(equations: Sequence[Path], F: Array, n: int) -> Array:
+    """Return F (n + 1,) that minimises |F y_F - sum of B_j u_jF| over all equations.
+
+    The signals y_F and u_F are y and u filtered by 1/F, where F is the argument. If the argument F
+    is 1, the result is an ARX model. Each equation has its own B.
+    """
+    blocks = []
+    for equation in equations:
+        rest = []
+        for k, (u, y) in enumerate(equation.parts):
+            y_F = filtered([1.0], F, y)
+            inputs = [
+                lagged(filtered([1.0], F, x), lags)
+                for x, lags in zip(u.T, equation.lags, strict=True)
+            ]
+            block = np.column_stack([-lagged(y_F, range(1, n + 1)), y_F, *inputs])
+            past = free_columns(F, y.size, count=equation.pulses, drift=False)
+            free = np.hstack([past, *equation.trend[k : k + 1]])
+            rest.append(orthonormal(free).without(block) if free.size else block)
+        whole = rest[0] if len(rest) == 1 else np.vstack(rest)
+        blocks.append(orthonormal(whole[:, n + 1 :]).without(whole[:, : n + 1]))
+    stacked = np.vstack(blocks)
+    return np.append(1.0, orthonormal(stacked[:, :n]).coefficients(stacked[:, n]))
+
+
+def steiglitz_mcbride(
+    equations: Sequence[Path], F: Array, n: int, *, iterations: int
+) -> Iterator[Array]:
+    """Yield a stable F (n + 1,) after each iteration, until F changes by less than 0.1 %."""
+    for _ in range(iterations):
+        previous = F
+        F = reflected(equation_error(equations, F, n))
+        yield F
+        if F.size == previous.size and np.linalg.norm(F - previous) < 1e-3 * np.linalg.norm(F):
+            return
+
+
+def _without_denominator(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
+    rows = problem.rows
+    if all(n.nc + n.nd == 0 for n in rows) and problem.layout.letters[0] != "a":
+        yield "least squares", np.zeros(problem.size)
+        return
+    if all(n.na and n.nc and not n.nd for n in rows):
+        theta = np.zeros(problem.size)
+        for i, n in enumerate(rows):
+            A, C = armax_start([of[i] for of in problem.experiments], n)
+            for letter, p in (("a", A), ("c", C)):
+                part = problem.slice_of(letter, i)
+                theta[part] = p[1 : 1 + part.stop - part.start]
+        yield "Hannan-Rissanen", theta
+    yield "ARX" if any(n.na for n in rows) else "FIR", _with_noise(problem, np.zeros(0))
+    if len(rows) > 1 and rows[0].na:
+        yield from _from_output_error(problem)
+
+
+def _from_output_error(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
+    """Yield start values with C and D of the noise A (y - (B/A) u), for output-error models B/A.
+
+    An A that several outputs share has more minima than an A of one output.
+    """
+    rows = [
+        replace(n.output_error, nf=(n.na,) * len(n.nb), shared=True, integrator="", offset=True)
+        for n in problem.rows
+    ]
+    output_error = replace(problem, rows=tuple(rows))
+    for name, f in denominators(output_error):
+        end = output_error.minimise(f, most=_MAX_OE_STEPS).theta
+        for kind, a in (("", f), ("OE, ", end)):
+            theta, A = np.zeros(problem.size), np.append(1.0, a)
+            if "a" in problem.letters:
+                theta[np.array(problem.letters) == "a"] = a
+            parts = output_error.solve(a).parts
+            for i, n in enumerate(problem.rows):
+                v = []
+                for of, found in zip(problem.experiments, parts, strict=True):
+                    y = np.where(of[i].known, of[i].y, np.nan)
+                    v.append(np.convolve(y - found[i].driven, A)[: y.size])
+                C, D = noise_start(v, nc=n.nc, nd=n.nd)
+                theta[problem.slice_of("c", i)], theta[problem.slice_of("d", i)] = C[1:], D[1:]
+            yield kind + name, theta
+
+
+def _with_noise(problem: PolynomialProblem, f: Array) -> Array:
+    """Return theta for given F; C and D are fitted to the noise A y - (B/F) u."""
+    theta = np.zeros(problem.size)
+    letters = np.array(problem.letters)
+    theta[letters == "f"] = f
+    if (letters == "f").all():
+        return theta
+    if "a" in letters:
+        theta[letters == "a"] = _equation_errors(problem, theta)
+    solution = problem.solve(theta)
+    for i, n in enumerate(problem.rows):
+        A = problem.named(solution.ab, theta, i)["A"]
+        v = []
+        for of, parts in zip(problem.experiments, solution.parts, strict=True):
+            x = of[i]
+            y = np.where(x.known, x.y, np.nan) if x.gaps else x.y
+            noise = np.convolve(y, A)[: y.size] - parts[i].driven
+            noise[~x.rows] = np.nan
+            v.append(noise)
+        C, D = noise_start(v, nc=n.nc, nd=n.nd)
+        theta[problem.slice_of("c", i)], theta[problem.slice_of("d", i)] = C[1:], D[1:]
+    return theta
+
+
+def _equation_errors(problem: PolynomialProblem, theta: Array) -> Array:
+    """Return the coefficients of A for given F by least squares, without the missing samples."""
+    blocks = []
+    for i, n in enumerate(problem.rows):
+        F = problem.named(np.zeros(problem.linear_size), theta, i)["F"]
+        for of in problem.experiments:
+            x = of[i]
+            y = np.where(x.known, x.y, np.nan)
+            inputs = [past(filtered([1.0], F[j], x.u[:, j]), n.lags(j)) for j in range(len(n.nb))]
+            block = np.column_stack([-past(y, range(1, n.na + 1)), y, *inputs, trend(n, y.size)])
+            block = block[complete(block)]  # the rows without an unknown value
+            blocks.append(orthonormal(block[:, n.na + 1 :]).without(block[:, : n.na + 1]))
+    whole = np.vstack(blocks)
+    return orthonormal(whole[:, :-1]).coefficients(whole[:, -1])
+
+
+def armax_start(experiments: Sequence[Experiment], n: Structure) -> tuple[Array, Array]:
+    """Return start values of A and C in A y = B u + C e, with stable C."""
+    y = [np.where(x.known, x.y, np.nan) for x in experiments]
+    order = _long_order(y, n.parameters)
+    long = [_regressors(x, v, n, order) for x, v in zip(experiments, y, strict=True)]
+    theta = _solved(long, y)
+    e = [v - Phi @ theta for Phi, v in zip(long, y, strict=True)]
+    Phis = [_regressors(x, v, n, 0) for x, v in zip(experiments, y, strict=True)]
+    C = np.ones(1)
+    for _ in range(_PASSES):
+        blocks = [
+            np.hstack([Phi, past(i, range(1, n.nc + 1))]) for Phi, i in zip(Phis, e, strict=True)
+        ]
+        theta = _solved(blocks, y)
+        C = reflected(np.append(1.0, theta[n.na + sum(n.nb) :]), _MAX_START_ROOT)
+        left = [v - Phi @ theta[: Phi.shape[1]] for Phi, v in zip(Phis, y, strict=True)]
+        e = [_innovations(np.ones(1), C, v) for v in left]
+    return np.append(1.0, theta[: n.na]), C
+
+
+def _regressors(x: Experiment, y: Array, n: Structure, order: int) -> Array:
+    """Return the regressors of A y = B u + e, with `order` coefficients of A and B if it is not 0.
+
+    An unknown value is NaN.
+    """
+    lags = [range(n.nk[j], n.nk[j] + (order or n.nb[j])) for j in range(len(n.nb)) if n.nb[j]]
+    used = [j for j in range(len(n.nb)) if n.nb[j]]
+    inputs = [past(x.u[:, j], own) for j, own in zip(used, lags, strict=True)]
+    return np.hstack([-past(y, range(1, (order or n.na) + 1)), *inputs])
+
+
+def noise_start(v: Sequence[Array], *, nc: int, nd: int) -> tuple[Array, Array]:
+    """Return stable C and D in D v = C e; a missing sample of the signals v is NaN."""
+    if nc + nd == 0:
+        return np.ones(1), np.ones(1)
+    e = _long_innovations(v) if nc else [np.full(x.size, np.nan) for x in v]
+    C, D = np.ones(1), np.ones(1)
+    for _ in range(_PASSES if nc else 1):
+        columns = [
+            np.hstack([-past(x, range(1, nd + 1)), past(i, range(1, nc + 1))])
+            for x, i in zip(v, e, strict=True)
+        ]
+        theta = _solved(columns, v)
+        D = reflected(np.append(1.0, theta[:nd]), _MAX_START_ROOT)
+        C = reflected(np.append(1.0, theta[nd:]), _MAX_START_ROOT)
+        e = [_innovations(D, C, x) for x in v]
+    return C, D
+
+
+def _long_order(v: Sequence[Array], parameters: int) -> int:
+    """Return the order of the long autoregression; the order grows slowly with N."""
+    N = sum(x.size for x in v)
+    return int(max(1, min(2 * parameters + 10 * np.log10(max(N, 10)) - 10, N // 10, N // 4)))
+
+
+def _long_innovations(v: Sequence[Array]) -> list[Array]:
+    """Return the errors of a long autoregression, by Yule and Walker's equations."""
+    D, _ = autoregression(v)
+    return [_innovations(D, np.ones(1), x) for x in v]
+
+
+def _innovations(D: Array, C: Array, x: Array) -> Array:
+    """Return D/C x from a zero state; a NaN in x counts as 0 and remains NaN in the result."""
+    e = filtered(D, C, np.nan_to_num(x))
+    e[~np.isfinite(x)] = np.nan
+    return e
+
+
+def _solved(blocks: Sequence[Array], y: Sequence[Array]) -> Array:
+    """Return the least-squares coefficients over the rows in which all columns are known."""
+    M, right = np.vstack(blocks), np.concatenate(y)
+    rows = complete(M, right)
+    return orthonormal(M[rows]).coefficients(right[rows])
