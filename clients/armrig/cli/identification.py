@@ -338,12 +338,11 @@ def _print_all(found: _Found, validate: Path | None) -> None:
 
 def _print_json(found: _Found, data: Dataset | Signals) -> None:
     from armrig.cli import model_output
-    from armrig.validation.advice.advice import advice
 
     facts = model_output.model_facts(found.fit) | source_facts(data)
     facts["advice"] = [
         {"about": f.about, "level": f.level, "text": f.text}
-        for f in (*found.doubts, *advice(found.fit).findings)
+        for f in (*found.doubts, *model_output.advice_on(found.fit))
     ]
     if found.search is not None:
         facts["search"] = _search_facts(found.search)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import isnan
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice.advice import advice
 from armrig.validation.answer import DYNAMICS, FEEDBACK, LEVEL, NOISE, OF_DATA, UNTESTED
 from armrig.validation.comparison import Comparison
+from armrig.validation.feedback_and_delay.by_channel import ByChannel
 from armrig.validation.residual_figure import BAND_99_PERCENT
 from armrig.validation.residual_test import ResidualTest
 
@@ -118,7 +120,7 @@ def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
     """Return lines with doubts about the data, warnings from the estimation, and advice."""
     about = {f.about for f in doubts}
     # The first sentence of the output already reports the residuals.
-    advised = [f for f in advice(fit).findings if f.level != "good"]
+    advised = [f for f in advice_on(fit) if f.level != "good"]
     advised = [f for f in advised if f.about not in {"residuals", *about}]
     if "integrator" in about or any(f.about == "level" for f in fit.findings):
         # This finding already explains the pole and the zero at 1.
@@ -130,9 +132,21 @@ def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
     return lines or ["nothing to act on"]
 
 
+def advice_on(fit: Fit) -> tuple[Finding, ...]:
+    """Return the findings about a model; those about several signals name their channel."""
+    found = advice(fit)
+    if not isinstance(found, ByChannel):
+        return found.findings
+    return tuple(
+        replace(f, text=f"{input} to {output}: {f.text}")
+        for (output, input), of_channel in found.results.items()
+        for f in of_channel.findings
+    )
+
+
 def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> set[str]:
     """Return the names of the findings to act on."""
-    found = {f.about for f in (*doubts, *advice(fit).findings) if f.level != "good"}
+    found = {f.about for f in (*doubts, *advice_on(fit)) if f.level != "good"}
     asked = {f.about if f.about in OF_DATA else f.asks for f in fit.findings}
     return found | (asked - {""})
 

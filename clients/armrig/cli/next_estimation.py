@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 CHECK = ""
 """Result of `options_after` if the next command must be `armrig check`, which tests the data."""
+_REJECTED = {"residuals", "search", "feedback"}
+"""Findings after which a model of several signals is estimated again."""
 _LOWER = {"order", "poles"}
 _CHECKED = {"feedback", "delay", "unstable"}
 
@@ -60,7 +62,7 @@ def after_identify(
     if one:
         options = options_after(fit, request, about, searched=searched, detrended=signals.detrend)
     else:
-        accepted = not (about or (tests is not None and tests.rejects))
+        accepted = not (about & _REJECTED or (tests is not None and tests.rejects))
         options = options_of(request)
         if not (searched or accepted):
             options = _better_options(request, data, about)

@@ -199,8 +199,10 @@ def n4sid(
     found = estimated(scaled, options)
     if focus == "simulation":
         found = for_simulation(scaled, found, options)
-    one = data.ny == 1
-    parts = parts_of(scaled, weights_of(found) if found.Lambda is None else found.Lambda)
+    one, Lambda = data.ny == 1, found.Lambda
+    parts = found.parts
+    if not one:
+        parts = parts_of(scaled, weights_of(found) if Lambda is None else Lambda)
     problem = StateSpaceProblem(
         parts=parts,
         order=len(found.model.A),
@@ -208,7 +210,7 @@ def n4sid(
         noise=True,
         level=integrator,
     )
-    sensitive = replace(problem, parts=found.parts or parts)
+    sensitive = problem if Lambda is None else replace(problem, parts=found.parts)
     V = directions(found.at.Abar, found.at.C)
     by = derivatives(problem, found.at, V)
     Psi, states = influence(sensitive, found.at, V, found.states if one else None)

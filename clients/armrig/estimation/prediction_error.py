@@ -29,11 +29,10 @@ from armrig.estimation.orders import require_samples
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.estimation.search import (
     Ends,
-    from_starts,
-    reweighted,
     rounding_floor,
     same_minimum,
     searched_minimum,
+    searched_together,
     weighted_by,
 )
 from armrig.estimation.stability import with_stability_warning, with_stable_poles
@@ -206,7 +205,7 @@ def _searched(
         part = _part(data, rows, outputs)
         ends = searched_minimum(problem, part, thorough=options.thorough)
     else:
-        problem, ends = reweighted(problem, from_starts(problem))
+        problem, ends = searched_together(problem)
     theta = ends[0][1].theta
     solution = problem.solve(theta)
     d = problem.linear_size
@@ -359,14 +358,16 @@ def with_integrator(n: Structure) -> Array:
     """
     sizes = [n.na, sum(n.nb), n.nc, n.nd, *n.sizes]
     begins = np.cumsum([0, *sizes])
+    none = np.zeros((0, begins[-1]))  # an input without effect has F = 1
     of_inputs = {j: k for k, group in enumerate(n.groups, 4) for j in group}
     blocks = [(k, "abcd"[k]) for k in range(4)]
-    blocks += [(of_inputs[j], "f") for j in range(len(n.nb)) if j in of_inputs]
+    blocks += [(of_inputs.get(j, len(sizes)), "f") for j in range(len(n.nb))]
     whole = []
     for k, letter in blocks:
-        block = np.eye(begins[-1])[begins[k] : begins[k + 1]]
+        block = np.eye(begins[-1])[begins[k] : begins[k + 1]] if k < len(sizes) else none
         if letter == n.integrator:
-            block = (np.eye(sizes[k] + 1, sizes[k]) - np.eye(sizes[k] + 1, sizes[k], k=-1)) @ block
+            size = len(block)
+            block = (np.eye(size + 1, size) - np.eye(size + 1, size, k=-1)) @ block
         whole.append(block)
     return np.vstack(whole)
 

@@ -42,6 +42,7 @@ _PAIR_RADII = (0.98, 0.85, 0.6)
 _STARTS_PER_KIND = 6
 _ADDED_ROOTS = (0.5, -0.5)  # roots added to F for a model of higher order
 _MAX_LARGER_STEPS = 60  # steps of the search for the model of higher order
+_FIRST_STEPS = 10  # steps of the search for the model that completes data with gaps
 _MAX_REWEIGHTINGS = 10
 _SAME_TOLERANCE = 1e-6  # relative change of Lambda at which the iteration from a start ends
 _END_TOLERANCE = 1e-10  # relative change of Lambda at which the last iteration ends
@@ -92,7 +93,7 @@ def _lowest_without_gaps(problem: PolynomialProblem, best: Optimum, *, thorough:
     The missing outputs are then those that the best model predicts. The many searches from moved
     modes are faster without gaps, and A is not searched.
     """
-    if not any(x.gaps for of in problem.experiments for x in of):
+    if not _gaps(problem):
         return _lowest_beside(problem, best, thorough=thorough)
     whole = _completed(problem, best.theta)
     begin = whole.minimise(_adopted(whole, problem, best.theta))
@@ -101,6 +102,10 @@ def _lowest_without_gaps(problem: PolynomialProblem, best: Optimum, *, thorough:
         return best
     found = problem.minimise(_adopted(problem, whole, lowest.theta), known=best.cost)
     return found if found.cost < best.cost else best
+
+
+def _gaps(problem: PolynomialProblem) -> bool:
+    return any(x.gaps for of in problem.experiments for x in of)
 
 
 def _completed(problem: PolynomialProblem, theta: Array) -> PolynomialProblem:
@@ -354,7 +359,25 @@ def _without_one_pair(z: Array) -> Iterator[Array]:
         yield z[~np.isin(rest, smallest)]
 
 
-def reweighted(problem: PolynomialProblem, ends: Ends) -> tuple[PolynomialProblem, Ends]:
+def searched_together(problem: PolynomialProblem) -> tuple[PolynomialProblem, Ends]:
+    """Return the problem of several outputs with an estimated Lambda, and its minima, best first.
+
+    Data with gaps are completed by the predictions of a first model. After the search in these
+    data, one search continues in the data with gaps.
+    """
+    if not _gaps(problem):
+        return _reweighted(problem, from_starts(problem))
+    _, start = min(start_values(problem), key=lambda start: problem.cost(start[1]))
+    whole = _completed(problem, problem.minimise(start, most=_FIRST_STEPS).theta)
+    whole, ends = _reweighted(whole, from_starts(whole))
+    name, best = ends[0]
+    begin = replace(best, theta=_adopted(problem, whole, best.theta))
+    Lambda = noise_covariance(whole, best.theta)
+    _, problem, end = _iterated(weighted_by(problem, Lambda), begin, _END_TOLERANCE)
+    return problem, [(name, end), *ends[1:]]
+
+
+def _reweighted(problem: PolynomialProblem, ends: Ends) -> tuple[PolynomialProblem, Ends]:
     """Return the problem of the best minimum, and the minima with an estimated Lambda.
 
     Starting from each minimum in `ends`, Lambda is estimated and a search with this Lambda is run,

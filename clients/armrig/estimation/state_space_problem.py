@@ -56,16 +56,8 @@ _ORBIT_TOLERANCE = 1e-10  # a smaller relative singular value is a rounding erro
 class Linear:
     """Linear part of the predictor for given Abar and C."""
 
-    Bbar: Array
-    """Matrix of the inputs (n, nu)."""
-    K: Array
-    """Gain (n, ny); 0 for an output-error model."""
-    D: Array
-    """Direct term (ny, nu); 0 if it is not estimated."""
-    x0: tuple[Array, ...]
-    """State at the start of each experiment, (n,)."""
-    levels: tuple[Array, ...]
-    """Coefficients of the constant offsets of each experiment; () if none are estimated."""
+    at: Predictor
+    """Predictor with these parameters; what is not estimated is 0, or given."""
     rank: int
     """Number of linear parameters that the data determine."""
     basis: Basis
@@ -119,12 +111,17 @@ class StateSpaceProblem:
         first = [
             Z.coefficients(M[:, -1] - M[:, :-1] @ theta) for Z, M in zip(states, raw, strict=True)
         ]
-        return Linear(
+        at = Predictor(
+            Abar=Abar,
             Bbar=signals[:, :nu],
-            K=signals[:, nu:] if self.noise else self._gain(ny),
+            C=C,
             D=D,
+            K=signals[:, nu:] if self.noise else self._gain(ny),
             x0=tuple(x[:n] for x in first),
             levels=tuple(x[n:] for x in first if self.level),
+        )
+        return Linear(
+            at=at,
             rank=basis.rank,
             basis=basis,
             X=whole,
@@ -166,7 +163,7 @@ class StateSpaceProblem:
         e = self.linear(Abar, C).e
         return float(e @ e)
 
-    def derivatives(self, Abar: Array, C: Array, linear: Linear, directions: Array) -> list[Array]:
+    def derivatives(self, at: Predictor, directions: Array) -> list[Array]:
         """Return the derivatives of yhat in given directions, (k, ny, N) for each experiment.
 
         Parameters
@@ -174,11 +171,10 @@ class StateSpaceProblem:
         directions : ndarray, shape (n (n + ny), k)
             Changes of Abar, then of C, each row by row.
         """
-        found = []
-        for part, x0 in zip(self.parts, linear.x0, strict=True):
-            x = _states(Abar, C, part.u @ linear.Bbar.T + part.y @ linear.K.T, x0)
-            found.append(_moved(Abar, C, x, directions))
-        return found
+        return [
+            _moved(at, _states(at, part.u @ at.Bbar.T + part.y @ at.K.T, x0), directions)
+            for part, x0 in zip(self.parts, at.x0, strict=True)
+        ]
 
     def linearised(self, Abar: Array, C: Array, directions: Array) -> tuple[Linear, Array]:
         """Return the linear part, and the derivatives of the whitened predictions.
@@ -186,7 +182,7 @@ class StateSpaceProblem:
         The effects of the linear parameters and initial states are projected out.
         """
         linear = self.linear(Abar, C)
-        by = self.derivatives(Abar, C, linear, directions)
+        by = self.derivatives(linear.at, directions)
         J = [
             without(Z, whitened(part, d))
             for part, d, Z in zip(self.parts, by, linear.states, strict=True)
@@ -203,9 +199,9 @@ class StateSpaceProblem:
         """
         part, Abar, C, K = self.parts[i], at.Abar, at.C, at.K
         if part.rows.all() or not K.any():
-            x = _states(Abar, C, part.u @ at.Bbar.T + part.y @ K.T, at.x0[i])
+            x = _states(at, part.u @ at.Bbar.T + part.y @ K.T, at.x0[i])
             driven, free = self.responses(part, Abar, C)
-            return np.concatenate([_moved(Abar, C, x, directions), driven]), free
+            return np.concatenate([_moved(at, x, directions), driven]), free
         n, ny = K.shape
         y = np.where(part.rows, part.y, at.predicted(part, i))
         x = recursion(Abar, part.u @ at.Bbar.T + y @ K.T, at.x0[i])[:-1]
@@ -247,14 +243,12 @@ class StateSpaceProblem:
         linear = last.get(found.theta.tobytes()) or self.linear(Abar, C)
         return Abar, C, linear, found
 
-    def residuals(self, Abar: Array, C: Array, linear: Linear) -> list[Array]:
+    def residuals(self, at: Predictor) -> list[Array]:
         """Return e (N, ny) of each experiment, NaN where an output is missing."""
-        found = []
-        for part, x0 in zip(self.parts, linear.x0, strict=True):
-            x = recursion(Abar, part.u @ linear.Bbar.T + part.y @ linear.K.T, x0)[:-1]
-            e = part.y - x @ C.T - part.u @ linear.D.T
-            found.append(np.where(part.rows, e, np.nan))
-        return found
+        return [
+            np.where(part.rows, part.y - at.predicted(part, i), np.nan)
+            for i, part in enumerate(self.parts)
+        ]
 
     def edges(self) -> list[slice]:
         """Return the slice of the stacked whitened rows that belongs to each experiment."""
@@ -262,22 +256,24 @@ class StateSpaceProblem:
         return [slice(a, b) for a, b in pairwise([0, *sizes])]
 
 
-def _states(Abar: Array, C: Array, w: Array, x0: Array) -> Array:
+def _states(at: Predictor, w: Array, x0: Array) -> Array:
     """Return the states (N, n); in observer form only the first state, which is the output."""
-    if not in_observer_form(Abar, C):
-        return recursion(Abar, w, x0)[:-1]
+    if not in_observer_form(at.Abar, at.C):
+        return recursion(at.Abar, w, x0)[:-1]
     x = np.zeros(w.shape)
-    x[:, :1] = outputs(Abar, C, w, x0)
+    x[:, :1] = outputs(at.Abar, at.C, w, x0)
     return x
 
 
-def _moved(Abar: Array, C: Array, x: Array, directions: Array) -> Array:
+def _moved(at: Predictor, x: Array, directions: Array) -> Array:
     """Return the derivatives (k, ny, N) of yhat in directions of Abar and C, for the states x."""
-    n, ny = len(Abar), len(C)
+    n, ny = at.K.shape
     by_A, by_C = np.split(directions.T, [n * n], axis=1)
     by_A, by_C = by_A.reshape(-1, n, n), by_C.reshape(-1, ny, n)
     used = np.flatnonzero(by_A.any(axis=(0, 1)))  # in observer form only the first state
-    moved = np.tensordot(by_A[:, :, used], responses(Abar, C, x[:, used]), axes=((2, 1), (0, 1)))
+    moved = np.tensordot(
+        by_A[:, :, used], responses(at.Abar, at.C, x[:, used]), axes=((2, 1), (0, 1))
+    )
     return np.asarray(moved + by_C @ x.T if by_C.any() else moved)
 
 
@@ -390,7 +386,8 @@ def scaled_signals(
 
 def _scale(columns: Array) -> Array:
     """Return the standard deviation of each column, 1 for a constant column."""
-    std = np.nanstd(columns, axis=0)
+    # np.nanstd takes ten times as long.
+    std = np.std(columns, axis=0) if np.isfinite(columns).all() else np.nanstd(columns, axis=0)
     return np.where(std > 0, std, 1.0)
 
 

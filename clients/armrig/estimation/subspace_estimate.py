@@ -69,8 +69,8 @@ class SubspaceEstimate:
     """One-step errors (N, ny) of each experiment, NaN where y is missing."""
     canonical_correlations: Array
     suggested_order: int
-    parts: tuple[Part, ...] = ()
-    """Signals of each experiment with the gains of a Kalman filter; () if no output is missing."""
+    parts: tuple[Part, ...]
+    """Signals of each experiment; with the gains of a Kalman filter if an output is missing."""
     Lambda: Array | None = None
     """Covariance of e that the Kalman filter assumes."""
     settled: bool = True
@@ -149,6 +149,9 @@ def _bridged(signals: Parts, longest: int) -> list[tuple[Array, Array]]:
     found = []
     for u, y in signals:
         filled = interpolated(y)
+        if filled is y:
+            found.append((u, y))
+            continue
         for k, missing in enumerate(np.isnan(y).T):
             for gap in stretches(missing):
                 if gap.stop - gap.start > longest:
@@ -195,7 +198,8 @@ def _from_windows(signals: Parts, known: Parts, options: SubspaceOptions) -> Sub
     free = model.A
     if options.stable:
         model = model.stabilised()
-    at, predicted, bases = completed(unweighted(signals), model, direct=direct)
+    parts = unweighted(signals)
+    at, predicted, bases = completed(parts, model, direct=direct)
     return SubspaceEstimate(
         model=model,
         free=free,
@@ -205,6 +209,7 @@ def _from_windows(signals: Parts, known: Parts, options: SubspaceOptions) -> Sub
         errors=[y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)],
         canonical_correlations=canonical.singular_values,
         suggested_order=suggested,
+        parts=parts,
     )
 
 
@@ -251,16 +256,8 @@ def completed(
             f"u determines only {found.rank} of {d} numerator coefficients; lower the order or "
             "excite with a richer input"
         )
-    at = Predictor(
-        Abar=model.Abar,
-        Bbar=found.Bbar,
-        C=model.C,
-        D=found.D,
-        K=model.K,
-        x0=found.x0,
-        levels=found.levels,
-    )
-    return at, [at.predicted(part, i) for i, part in enumerate(parts)], found.states
+    predicted = [found.at.predicted(part, i) for i, part in enumerate(parts)]
+    return found.at, predicted, found.states
 
 
 def unweighted(signals: Parts) -> tuple[Part, ...]:

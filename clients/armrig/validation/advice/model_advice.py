@@ -26,13 +26,11 @@ _Pair = tuple[complex, complex, float]
 
 
 def examine_model(fit: Fit) -> Iterator[Finding]:
-    """Yield the findings of a model; for several signals, on the search and the residuals only."""
+    """Yield the findings of a model."""
     yield _about_search(fit)
     white = not fit.trusts_robust
     text = whiteness_sentence(fit, *_DEVIATIONS) + ("" if white else f"; {COLOURED}")
     yield finding("residuals", text, good=white)
-    if (fit.ny, fit.nu) != (1, 1):
-        return
     apart, at_one = _overlaps(fit)
     yield _about_overlap(fit, apart)
     yield from _about_pair_at_one(fit, at_one)
