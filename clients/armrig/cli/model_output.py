@@ -134,9 +134,9 @@ def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
 
 def advice_on(fit: Fit) -> tuple[Finding, ...]:
     """Return the findings about a model; those about several signals name their channel."""
-    found = advice(fit)
+    found: Any = advice(fit)
     if not isinstance(found, ByChannel):
-        return found.findings
+        return tuple(found.findings)
     return tuple(
         replace(f, text=f"{input} to {output}: {f.text}")
         for (output, input), of_channel in found.results.items()

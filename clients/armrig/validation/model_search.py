@@ -255,8 +255,10 @@ def _planned_for_several(
         integrator = [name for name in data.outputs if able and name in INTEGRATING_OUTPUTS]
     marks = zip(data.outputs, integrating_outputs(integrator, data), strict=True)
     integrating = tuple(output for output, integrates in marks if integrates)
-    able = [name for name, row in OFFERED.items() if row.searched_of_several]
-    names: list[OfferedName] = several_of("families", able if families is None else families, able)
+    tried = [name for name, row in OFFERED.items() if row.searched_of_several]
+    names: list[OfferedName] = several_of(
+        "families", tried if families is None else families, tried
+    )
     if integrating:
         names = ["oe"]
     delays = several("nk", nk) if isinstance(nk, Iterable) else [1 if nk is None else nk]
