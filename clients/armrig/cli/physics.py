@@ -9,6 +9,7 @@ import typer
 from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1, ChannelName
 
+from armrig.cli.channels import names, recorded_outputs
 from armrig.cli.chosen_recording import File, recording_path
 from armrig.cli.comparison import print_comparison, row_facts
 from armrig.cli.figures import Plot, check_plot, write_plot
@@ -37,8 +38,13 @@ if TYPE_CHECKING:
 
 GreySignal = Annotated[ChannelName, typer.Option("--signal", help="Output to fit.")]
 GreySignals = Annotated[
-    Literal[ChannelName, "theta_1,alpha"],
-    typer.Option("--signal", help="Output to fit, or both outputs together."),
+    list[str] | None,
+    typer.Option(
+        "--signal",
+        metavar="NAME",
+        help="Output to fit, theta_1 or alpha; repeatable, for both outputs together.",
+        show_default="theta_1",
+    ),
 ]
 Free = Annotated[
     list[str] | None,
@@ -83,7 +89,7 @@ def greybox(
     free: Free = None,
     friction: Friction = None,
     given: Given = None,
-    signal: GreySignals = THETA_1,
+    signal: GreySignals = None,
     part: SignalChoice,
     json: Json = False,
     verbose: Verbose = False,
@@ -101,9 +107,10 @@ def greybox(
     fixed = parameters(given)
     [recording] = part.recordings(file)
     model = _rig(recording, model)
-    shown: ChannelName = THETA_1 if signal == "theta_1,alpha" else signal
+    outputs = recorded_outputs(names("--signal", ",".join(signal or ())) or (THETA_1,))
+    shown = THETA_1 if THETA_1 in outputs else outputs[0]
     data = recording.dataset(shown)
-    signals: Any = data if shown == signal else recording.signals()
+    signals: Any = data if len(outputs) == 1 else recording.signals(outputs)
     with spinner("estimating"):
         fit = estimate(
             signals, _model(model), tuple(free or ("J_1",)), fixed, shown, friction=friction

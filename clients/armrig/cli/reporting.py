@@ -65,12 +65,12 @@ Files = Annotated[
 ]
 Pdf = Annotated[Path, typer.Option("-o", "--output", metavar="PDF", help="PDF to write.")]
 Outputs = Annotated[
-    str | None,
+    list[str] | None,
     typer.Option(
         "--signal",
-        metavar="NAMES",
-        help="Output of the models: theta_1, alpha, or theta_1,alpha for models of both outputs. "
-        "The orders apply to theta_1; na, nb and nf of a model of alpha are one less.",
+        metavar="NAME",
+        help="Output of the models, theta_1 or alpha; repeatable, for models of both outputs. The "
+        "orders apply to theta_1; na, nb and nf of a model of alpha are one less.",
         show_default="theta_1",
     ),
 ]
@@ -146,7 +146,7 @@ def report(
             "source": source,
             "answers": answers,
             "set": given,
-            "signal": signal,
+            "signal": ",".join(signal or ()),
         },
     )
     check_output(output, files, suffix=".pdf")
@@ -172,7 +172,7 @@ def report(
                 omega=omega,
             )
         else:
-            outputs = recorded_outputs(names("--signal", signal) or (THETA_1,))
+            outputs = recorded_outputs(names("--signal", ",".join(signal or ())) or (THETA_1,))
             recordings = _report_study(
                 files, output, calibration, source, orders=orders, outputs=outputs
             )
