@@ -236,7 +236,7 @@ def _draw_hints(found: Mapping[str, StructureHints], data: Dataset | Signals, pl
         if not channel:
             drawn["spectra"] = partial(data.plot, "spectrum")
         drawn[f"structure{end}"] = of_channel(partial(_plot, one), channel)
-    write_plot(plot, height=5.0 if "" in found else 2.7, **drawn)
+    write_plot(plot, height=5.0 if "" in found else 4.0, **drawn)
 
 
 def _plot(one: Any, ax: Axes) -> None:
