@@ -248,12 +248,10 @@ def _found(
 
 def _doubts(fit: Fit, data: Dataset | Signals, integrator: bool | None) -> tuple[Finding, ...]:
     from armrig.cli.spinner import spinner
-    from armrig.validation.advice.data_advice import doubts_of_channels, examine_fit_of
+    from armrig.validation.advice.data_advice import examine_fit_of
 
     with spinner("testing the data"):
-        if (fit.ny, fit.nu) == (1, 1):
-            return tuple(examine_fit_of(data.signals().dataset(), fit, integrator))
-        return tuple(doubts_of_channels(data.signals()))
+        return tuple(examine_fit_of(data, fit, integrator))
 
 
 def _searched(

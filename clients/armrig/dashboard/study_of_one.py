@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, Literal
 
 import numpy as np
 from armrig_core.telemetry import ALPHA, THETA_1, ChannelName
 from numpy.typing import NDArray
 
 from armrig.dashboard.bins import rate
+from armrig.data.dataset import Dataset, Signals
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.recordings.loading import load
@@ -25,6 +27,9 @@ from armrig.validation.comparison import compare
 from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
 
+BOTH: Final = "theta_1,alpha"
+"""Choice of both angles as outputs of a model."""
+ModelOutput = Literal[ChannelName, "theta_1,alpha"]
 _POINTS = 4000  # of a curve: four for each pixel, so that extremes keep their times
 _MOST_GAPS = _MOST_NOTES = 100
 _KEPT = 2  # number of recordings kept: the recording on the page, and its validation recording
@@ -93,8 +98,10 @@ def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[n
     return [*found[part, 1:].T, rate(found[:0], found)[part]]
 
 
-def identified(path: Path, validation: Path | None, output: ChannelName) -> dict[str, Any]:
+def identified(path: Path, validation: Path | None, output: ModelOutput) -> dict[str, Any]:
     """Estimate an OE model with the orders that the data suggest, and validate the model.
+
+    The outputs of a model of both angles share one denominator.
 
     Parameters
     ----------
@@ -108,39 +115,57 @@ def identified(path: Path, validation: Path | None, output: ChannelName) -> dict
         The data determine no model; the message contains the reason.
     """
     recording = _loaded(path)
-    data = recording.dataset(output)
+    data = _data(recording, output)
     if validation is None:
         estimation, other = data.split(2)
     else:
-        estimation, other = data, _loaded(validation).dataset(output)
-    hints = structure_hints(estimation)
+        estimation, other = data, _data(_loaded(validation), output)
+    columns = estimation.signals()
+    hints = {name: structure_hints(columns.dataset(name)) for name in columns.outputs}
+    integrating = tuple(name for name, found in hints.items() if found.integrator)
+    one = len(hints) == 1
     fit = Request(
         structure="oe",
-        orders={"nb": hints.nb, "nf": hints.nf},
-        nk=hints.nk,
-        integrator=hints.integrator,
+        orders={order: max(getattr(h, order) for h in hints.values()) for order in ("nb", "nf")},
+        nk=min(found.nk for found in hints.values()),
+        integrator=bool(integrating) if one else integrating,
         stable=True,
+        shared=None if one else True,
     ).estimated(estimation)
     table = compare(other, fit)
     tests = residuals(fit, other)
     return {
         "model": fit.label,
         "answer": answer(fit, table, tests, tuple(examine_fit_of(estimation, fit))),
-        "simulated": [
-            output,
-            _drawn(recording.t, np.degrees(compare(data, fit)[0].y)),
-        ],
+        "simulated": {
+            row.output: _drawn(recording.t, np.degrees(row.y)) for row in compare(data, fit)
+        },
         "judged": "the second half of the recording" if validation is None else validation.name,
         "texts": [
             ("model", repr(fit)),
-            ("why these orders", hints.explain()),
+            ("why these orders", _of_each({name: h.explain() for name, h in hints.items()})),
             ("comparison with validation data", repr(table)),
             ("residuals", repr(tests)),
-            ("poles, zeros and characteristics", str(fit.summary())),
+            (
+                "poles, zeros and characteristics",
+                _of_each({name: str(fit[name].summary()) for name in fit.outputs}),
+            ),
             ("advice", advice(fit).explain()),
         ],
         "figures": _figures(fit, table, tests),
     }
+
+
+def _data(recording: Recording, output: ModelOutput) -> Dataset | Signals:
+    """Return the data of one output or of both angles."""
+    return recording.signals() if output == BOTH else recording.dataset(output)
+
+
+def _of_each(texts: Mapping[str, str]) -> str:
+    """Return the texts of all outputs; each of several texts begins with the name of its output."""
+    if len(texts) == 1:
+        return next(iter(texts.values()))
+    return "\n".join(f"{name}:\n{text}" for name, text in texts.items())
 
 
 def report(path: Path, validation: Path | None) -> bytes:
@@ -177,16 +202,23 @@ def _figures(fit: Fit, table: Any, tests: Any) -> list[tuple[str, str]]:
 
     import matplotlib as mpl
 
-    from armrig.models.figures import plot_bode
+    from armrig.models.figures import plot_bode, plot_fit
     from armrig.models.pole_zero_figure import plot_poles_zeros
     from armrig.plots.layout import figure_of
 
     mpl.use("svg")
     made = []
+    one = (fit.ny, fit.nu) == (1, 1)
+    bode = (lambda: figure_of(plot_bode(fit))) if one else (lambda: plot_fit(fit))
+    channels = [channel for _, _, channel in fit.channels()]
+    names = None if one else list(fit.outputs)
     for title, draw in (
         ("Simulated against measured", table.plot),
-        ("Frequency response with 95 % bands", lambda: figure_of(plot_bode(fit))),
-        ("Poles and zeros with 95 % regions", lambda: figure_of(plot_poles_zeros(fit))),
+        ("Frequency response with 95 % bands", bode),
+        (
+            "Poles and zeros with 95 % regions",
+            lambda: figure_of(plot_poles_zeros(*channels, labels=names)),
+        ),
         ("Residuals on these data", tests.plot),
     ):
         drawn = StringIO()

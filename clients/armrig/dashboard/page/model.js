@@ -3,14 +3,14 @@
 import { ask, askJson, byId, make, notice } from "./elements.js";
 import { save } from "./picture.js";
 
-// `simulated` is called with the model's name, its output signal, and its simulated curve.
+// `simulated` is called with the model's name, and its simulated curves by signal.
 export async function identify(file, output, simulated) {
   const where = byId("model"); // element of this recording; the next recording has another element
   try {
     const found = await askJson("identify", { file, output });
     if (!where.isConnected) return;
     showModel(where, found);
-    await simulated(found.model, ...found.simulated);
+    await simulated(found.model, found.simulated);
   } catch (error) {
     // The data are plotted above, whether a model fits or not.
     where.replaceChildren(make("p", { className: "bad-text", role: "alert", textContent: `no model: ${error.message}` }));

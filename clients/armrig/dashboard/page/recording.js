@@ -23,7 +23,7 @@ let seen = null; // [from, to] in s while zoomed
 let charts = [];
 let others = []; // other recordings for a comparison, as {file, text}
 let own = {}; // curves of this recording by signal, [x, least, largest]
-let over = null; // source drawn over this recording: {name, file} or {name, signal, curve}
+let over = null; // source drawn over this recording: {name, file} or {name, curves}
 let overCurves = {}; // its curves by signal
 let isDifference = false; // the charts show the second source minus the first
 let request = 0; // number of the newest request for curves; older answers are ignored
@@ -82,7 +82,7 @@ const rank = (found) => {
 const pairs = (rows) => rows.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", { textContent: value })]);
 
 function buttons() {
-  const output = make("select", { id: "output" }, make("option", { value: "theta_1", textContent: "θ₁" }), make("option", { value: "alpha", textContent: "α" }));
+  const output = make("select", { id: "output" }, make("option", { value: "theta_1", textContent: "θ₁" }), make("option", { value: "alpha", textContent: "α" }), make("option", { value: "theta_1,alpha", textContent: "θ₁ and α" }));
   output.setAttribute("aria-label", "Output of the model");
   return make(
     "p",
@@ -148,7 +148,7 @@ async function zoom(range) {
   const [found, other] = await Promise.all([curvesOf(chosen, part), over?.file ? curvesOf(over.file, part) : null]);
   if (mine !== request) return;
   [seen, own] = [range, found];
-  overCurves = over?.file ? other : over ? { [over.signal]: over.curve } : {};
+  overCurves = over?.file ? other : over?.curves || {};
   draw();
 }
 
@@ -159,9 +159,9 @@ async function lay(what) {
   await zoom(seen);
 }
 
-async function layModel(model, signal, curve) {
+async function layModel(model, curves) {
   byId("compared").value = "";
-  await lay({ name: model, signal, curve });
+  await lay({ name: model, curves });
 }
 
 function draw() {

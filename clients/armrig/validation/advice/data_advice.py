@@ -129,9 +129,18 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
     yield from _about_delay(known)
 
 
-def examine_fit_of(data: Dataset, fit: Fit, integrator: bool | None = None) -> Iterator[Finding]:
-    """Yield the findings on excitation, integrator, feedback and delay that concern the model."""
-    yield from compared_with(data, fit, tested(data, fit.integrator or integrator))
+def examine_fit_of(
+    data: Dataset | Signals, fit: Fit, integrator: bool | None = None
+) -> Iterator[Finding]:
+    """Yield the findings on excitation, integrator, feedback and delay that concern the model.
+
+    The findings of several signals are those on the excitation and feedback of each channel.
+    """
+    if (fit.ny, fit.nu) == (1, 1):
+        one = data.signals().dataset()
+        yield from compared_with(one, fit, tested(one, fit.integrator or integrator))
+    else:
+        yield from doubts_of_channels(data.signals())
 
 
 def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
