@@ -191,7 +191,8 @@ def ss(
         residuals = problem.residuals(predictor)
     # With given weights the criterion has the units of the data already.
     unit = 1.0 if weights else float(np.prod(sy) ** (2 / ny))
-    by = derivatives(problem, predictor, tangent(predictor.Abar, predictor.C))
+    V = tangent(predictor.Abar, predictor.C)
+    by = derivatives(problem, predictor, V, fixed_predictor=gaps)
     form, T = matrices(predictor, by, su, sy, delays)
     found = inference(data, problem, Psi, states, residuals, sy)
     fields = found.fields()

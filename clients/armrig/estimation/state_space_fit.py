@@ -1,7 +1,8 @@
 """Matrices, covariance and quality of a state-space model, from its predictor of scaled signals.
 
 The parameters of the predictor are Abar and C, along some directions, then the entries of Bbar and
-K signal by signal, then those of D row by row.
+K signal by signal, then those of D row by row. A and B are fixed while K changes: the derivatives
+with respect to K are then responses to e, which differ more from the others than responses to y.
 """
 
 from __future__ import annotations
@@ -70,8 +71,13 @@ class Derivatives:
         return Derivatives(**{x: np.tensordot(N.T, getattr(self, x), axes=1) for x in names})
 
 
-def derivatives(problem: StateSpaceProblem, at: Predictor, V: Array) -> Derivatives:
-    """Return the derivatives of the matrices for the directions V of Abar and C."""
+def derivatives(
+    problem: StateSpaceProblem, at: Predictor, V: Array, *, fixed_predictor: bool = False
+) -> Derivatives:
+    """Return the derivatives of the matrices for the directions V of Abar and C.
+
+    A and B do not change with the entries of K, or with `fixed_predictor` Abar and Bbar.
+    """
     (n, ny), nu, m = at.K.shape, at.Bbar.shape[1], V.shape[1]
     of_K = n * ny * problem.noise
     d = m + n * nu + of_K + ny * nu * problem.direct
@@ -82,6 +88,8 @@ def derivatives(problem: StateSpaceProblem, at: Predictor, V: Array) -> Derivati
     K[m + n * nu :][:of_K] = np.eye(of_K).reshape(-1, ny, n).swapaxes(1, 2)
     if problem.direct:
         D[m + n * nu + of_K :] = np.eye(ny * nu).reshape(-1, ny, nu)
+    if not fixed_predictor:
+        Abar, Bbar = Abar - K @ at.C, Bbar - K @ at.D
     return Derivatives(
         Abar=Abar, A=Abar + K @ at.C + at.K @ C, B=Bbar + K @ at.D + at.K @ D, C=C, D=D, K=K
     )

@@ -193,19 +193,21 @@ class StateSpaceProblem:
         """Return the derivatives (d, ny, N) of yhat in experiment i, and the other responses.
 
         The derivatives are with respect to (Abar, C) in the given directions, to the entries of
-        Bbar and K signal by signal, and to those of D row by row. The other responses are those to
-        the initial state and to offsets. The changes of the gains of a Kalman filter after a
-        missing output are neglected.
+        Bbar, and of K with fixed A and B, signal by signal, and to those of D row by row. The
+        other responses are those to the initial state and to offsets. The changes of the gains of a
+        Kalman filter after a missing output are neglected.
         """
-        part, Abar, C, K = self.parts[i], at.Abar, at.C, at.K
+        part, K, of_D = self.parts[i], at.K, self.parts[i].u if self.direct else None
+        yhat = at.predicted(part, i)
+        y = np.where(part.rows, part.y, yhat) if K.any() else part.y
+        signals = np.hstack([part.u, np.where(part.rows, part.y - yhat, 0.0)][: 1 + self.noise])
+        x = _states(at, part.u @ at.Bbar.T + y @ K.T, at.x0[i])
         if part.rows.all() or not K.any():
-            x = _states(at, part.u @ at.Bbar.T + part.y @ K.T, at.x0[i])
-            driven, free = self.responses(part, Abar, C)
+            driven, free = state_responses(signals, at.Abar, at.C, direct=of_D)
+            free = self._with_offsets(free, at.Abar, at.C)
             return np.concatenate([_moved(at, x, directions), driven]), free
         n, ny = K.shape
-        y = np.where(part.rows, part.y, at.predicted(part, i))
-        x = recursion(Abar, part.u @ at.Bbar.T + y @ K.T, at.x0[i])[:-1]
-        w, at_once = entries(np.hstack([part.u, y]), n, part.u if self.direct else None, ny)
+        w, at_once = entries(signals, n, of_D, ny)
         by_A, by_C = np.split(directions.T, [n * n], axis=1)
         w = np.concatenate([x @ by_A.reshape(-1, n, n).swapaxes(1, 2), w])
         at_once = np.concatenate([x @ by_C.reshape(-1, ny, n).swapaxes(1, 2), at_once])

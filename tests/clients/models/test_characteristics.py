@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import armrig
@@ -13,7 +14,7 @@ from armrig.numerics.polynomial import filtered
 from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices
 
-from tests.clients.models.made_fits import changed, made
+from tests.clients.models.made_fits import made
 from tests.sampling import sampled
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def test_a_first_order_system_has_its_textbook_figures() -> None:
     """Gain 2, time constant 0.1 s, bandwidth 10 rad/s, neither resonance nor overshoot."""
     Ts, tau = 1e-3, 0.1
     pole = np.exp(-Ts / tau)
-    fit = changed(_any_fit(), B=np.array([0.0, 2 * (1 - pole)]), F=np.array([1.0, -pole]), Ts=Ts)
+    fit = made(B=(0.0, 2 * (1 - pole)), F=(1.0, -pole), Ts=Ts)
 
     t = model_characteristics(fit)
 
@@ -52,8 +53,7 @@ def test_a_first_order_system_has_its_textbook_figures() -> None:
 
 def test_only_the_deviations_of_real_poles_are_sampled() -> None:
     F = np.real(np.poly([0.97 * np.exp(1j), 0.97 * np.exp(-1j), 0.9, 0.86]))
-    P = 1e-6 * np.eye(5)
-    fit = changed(_any_fit(), F=F, covariance=P, covariance_robust=P)
+    fit = made(F=F.tolist(), std=[1e-3] * 5)
 
     t = model_characteristics(fit)
 
@@ -79,20 +79,14 @@ def test_a_deviation_is_the_scatter_of_draws(plant: HandoutPlant, seed: int) -> 
 def _moved(fit: armrig.Fit, theta: np.ndarray) -> armrig.Fit:
     """Return a claim with other coefficients, b1 … b4 f1 … f4."""
     none = np.zeros((8, 8))
-    B, F = np.append(0, theta[:4]), np.append(1, theta[4:])
-    return changed(fit, B=B, F=F, covariance=none, covariance_robust=none)
-
-
-def _any_fit() -> armrig.Fit:
-    return made(F=(1.0, -0.5), structure="oe", Ts=1.0)
+    form = fit.form.replaced(theta)
+    return replace(fit, form=form, covariance=none, covariance_robust=none)
 
 
 def test_a_resonance_is_the_peak_of_the_gain_to_rounding() -> None:
     """The peak of 1/|F|² for a pair of poles r exp(±iφ) has a closed form."""
     r, phi, Ts = 0.95, 0.4, 0.01
-    F = np.array([1.0, -2 * r * np.cos(phi), r**2])
-    P = np.zeros((3, 3))
-    fit = changed(_any_fit(), F=F, Ts=Ts, covariance=P, covariance_robust=P)
+    fit = made(F=(1.0, -2 * r * np.cos(phi), r**2), Ts=Ts)
     peak = np.arccos((1 + r**2) / (2 * r) * np.cos(phi)) / Ts
 
     assert model_characteristics(fit).resonance == pytest.approx(peak, rel=1e-11)
@@ -108,8 +102,7 @@ def test_the_times_of_a_model_equal_the_step_analysis_at_any_Ts(Ts: float) -> No
     u = np.repeat([0.0, 1.0], 200)
     data = armrig.Dataset(u=u, y=filtered(B, F, u), Ts=Ts, output="theta_1", unit="rad")
     fit = armrig.oe(data, nb=2, nf=2, integrator=True, starts="few")
-    B_late = np.array([0.0, 0.0, 0.0, 1 - pole])
-    late = changed(_any_fit(), B=B_late, nk=3, F=np.array([1.0, -pole]), Ts=Ts)
+    late = made(B=(0.0, 0.0, 0.0, 1 - pole), nk=3, F=(1.0, -pole), Ts=Ts)
 
     of_data, of_late = armrig.step_analysis(data), model_characteristics(late)
     for t in (model_characteristics(fit), of_late):

@@ -55,11 +55,8 @@ def test_a_frequency_beyond_nyquist_is_refused(fit: Fit) -> None:
 def test_the_response_of_an_integrator_is_accurate_near_zero_frequency() -> None:
     """G tends to b / (F̃(1) i omega Ts), so no coefficients cancel."""
     rest = np.array([1, -1.3, 0.47])
-    fit = Fit.of_channel(
-        structure="oe", A=np.ones(1), B=np.array([0, 0.3]), F=np.convolve([1, -1], rest),
-        nk=1, integrator=True, Ts=0.01, covariance=np.eye(4), covariance_robust=np.eye(4),
-        noise_variance=1.0, loss=1.0, N=100, fit_percent=0.0, whiteness=0.5,
-    )  # fmt: skip
+    F = np.convolve([1, -1], rest)
+    fit = Fit.of_channel(B=[0, 0.3], F=F, nk=1, integrator=True, Ts=0.01)
     omega = np.array([1e-9, 1e-8])
 
     G = fit.frequency_response(omega).G
