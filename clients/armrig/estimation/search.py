@@ -430,13 +430,16 @@ def _iterated(
     """
     Lambda = noise_covariance(problem, end.theta)
     most = _MAX_STEPS_WITH_GAPS if _gaps(problem) else MAX_STEPS
+    steps = end.iterations
     for _ in range(_MAX_REWEIGHTINGS):
         problem = weighted_by(problem, Lambda)
         end = problem.minimise(end.theta, most=most)
+        steps += end.iterations
         before, Lambda = Lambda, noise_covariance(problem, end.theta)
         std = np.sqrt(np.diag(Lambda))
         if (np.abs(Lambda - before) <= tolerance * np.outer(std, std)).all():
             break
+    end = replace(end, iterations=steps)
     return float(np.linalg.slogdet(Lambda)[1]), problem, end
 
 
