@@ -19,7 +19,7 @@ from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.start_values import filtered_denominators, start_values
 from armrig.models.innovations import completed
 from armrig.numerics.covariance import pairwise_covariance
-from armrig.numerics.levenberg_marquardt import Optimum
+from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum
 from armrig.numerics.polynomial import Array, filtered, monic, reduced, roots
 from armrig.numerics.whitening import whitening
 
@@ -43,6 +43,7 @@ _STARTS_PER_KIND = 6
 _ADDED_ROOTS = (0.5, -0.5)  # roots added to F for a model of higher order
 _MAX_LARGER_STEPS = 60  # steps of the search for the model of higher order
 _FIRST_STEPS = 10  # steps of the search for the model that completes data with gaps
+_MAX_STEPS_WITH_GAPS = 30  # steps between two estimates of Lambda, each of which takes long
 _MAX_REWEIGHTINGS = 10
 _SAME_TOLERANCE = 1e-6  # relative change of Lambda at which the iteration from a start ends
 _END_TOLERANCE = 1e-10  # relative change of Lambda at which the last iteration ends
@@ -428,13 +429,17 @@ def _iterated(
     turn, until Lambda hardly changes.
     """
     Lambda = noise_covariance(problem, end.theta)
+    most = _MAX_STEPS_WITH_GAPS if _gaps(problem) else MAX_STEPS
+    steps = end.iterations
     for _ in range(_MAX_REWEIGHTINGS):
         problem = weighted_by(problem, Lambda)
-        end = problem.minimise(end.theta)
+        end = problem.minimise(end.theta, most=most)
+        steps += end.iterations
         before, Lambda = Lambda, noise_covariance(problem, end.theta)
         std = np.sqrt(np.diag(Lambda))
         if (np.abs(Lambda - before) <= tolerance * np.outer(std, std)).all():
             break
+    end = replace(end, iterations=steps)
     return float(np.linalg.slogdet(Lambda)[1]), problem, end
 
 
