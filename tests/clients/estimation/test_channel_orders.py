@@ -52,37 +52,36 @@ def each(a: int, b: int, c: int) -> dict[tuple[str, str], int]:
         (
             "oe",
             {"nb": 3, "nf": 2},
-            {"integrating": ("b",)},
-            {"nb": each(2, 3, 2), "nf": each(1, 2, 1), "integrator": ("b",), "shared": ""},
+            {"integrator": ("b",)},
+            {"nb": each(2, 3, 2), "nf": each(1, 2, 1), "integrator": ("b",)},
         ),
         (
             "oe",
             {"nb": 3, "nf": 2},
-            {"integrating": ("a", "c"), "shared": True},
+            {"integrator": ("a", "c"), "shared": True},
             {"nb": each(3, 2, 3), "nf": 1, "integrator": ("a", "c"), "shared": "denominator"},
         ),
         (
             "armax",
             {"na": 3, "nb": 2, "nc": 1},
-            {"integrating": ("a",), "nk": 2},
+            {"integrator": ("a",), "nk": 2},
             {
                 "na": {"a": 3, "b": 2, "c": 2},
                 "nb": each(2, 1, 1),
                 "nc": 1,
                 "nk": 2,
                 "integrator": ("a",),
-                "shared": "",
             },
         ),
         (
             "oe",
             {"nb": 1, "nf": 1},
-            {"integrating": tuple("abc")},
-            {"nb": each(1, 1, 1), "nf": each(1, 1, 1), "integrator": tuple("abc"), "shared": ""},
+            {"integrator": tuple("abc")},
+            {"nb": each(1, 1, 1), "nf": each(1, 1, 1), "integrator": tuple("abc")},
         ),
-        ("ss", {"order": None}, {}, {"noise": True}),
+        ("ss", {"order": None}, {}, {"order": None}),
         ("ss", {"order": 4}, {"noise": False}, {"order": 4, "noise": False}),
-        ("n4sid", {"order": 4}, {}, {"order": 4, "weights": "cva"}),
+        ("n4sid", {"order": 4}, {"integrator": ("a",)}, {"order": 4, "integrator": True}),
         ("n4sid", {"order": 4}, {"weights": "moesp"}, {"order": 4, "weights": "moesp"}),
     ],
 )
@@ -99,7 +98,7 @@ def test_an_output_that_does_not_integrate_has_one_root_less(
 
 
 def test_an_order_without_a_free_coefficient_is_refused() -> None:
-    of = {"structure": "oe", "integrating": ("b",)}
+    of = {"structure": "oe", "integrator": ("b",)}
     request: Any = Request(orders={"nb": 2, "nf": 1}, **of)  # type: ignore[arg-type]
 
     with pytest.raises(InputError) as refused:
@@ -110,8 +109,8 @@ def test_an_order_without_a_free_coefficient_is_refused() -> None:
         "nf >= 2"
     )
     high: Any = Request(orders={"nb": 7, "nf": 7}, **of)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="13 parameters from 120 samples; at most 12 parameters"):
-        high.arguments(signals())
+    with pytest.raises(InputError, match="13 parameters from 117 samples; at most 11 parameters"):
+        high.check(signals())
 
 
 def test_orders_are_given_by_a_number_an_array_or_names() -> None:
