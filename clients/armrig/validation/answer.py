@@ -29,7 +29,7 @@ DYNAMICS = "look at the orders or the delay"
 FEEDBACK = "look at the experiment, or the delay is too large"
 LEVEL = f"a p below {WHITE_LEVEL:g} rejects"
 _MORE_TESTS = f"{LEVEL.capitalize()}; --validate F2 tests the residuals against the input, too."
-ON_OWN_DATA = " on its estimation data"
+_ON_OWN_DATA = " on its estimation data"
 UNTESTED = "too few samples or residuals for the test"
 
 
@@ -67,8 +67,8 @@ def simulation(rows: Sequence[Comparison]) -> str:
 
     The text is the end of a sentence whose subject is the model.
     """
-    texts = [f"{row.output} to {simulated_to(row).removesuffix(ON_OWN_DATA)}" for row in rows]
-    return listed(texts) + ON_OWN_DATA * rows[0].on_estimation_data
+    texts = [f"{row.output} to {_errors(row)}" for row in rows]
+    return listed(texts) + _ON_OWN_DATA * rows[0].on_estimation_data
 
 
 def closest(table: ComparisonTable) -> str:
@@ -87,10 +87,13 @@ def closest(table: ComparisonTable) -> str:
 
 def simulated_to(row: Comparison) -> str:
     """Return the fit of a simulation as text, such as 99.9 % (rms 0.0035 rad, velocity 83.6 %)."""
+    return _errors(row) + _ON_OWN_DATA * row.on_estimation_data
+
+
+def _errors(row: Comparison) -> str:
     velocity = row.velocity_fit_percent
     said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {row.unit}".rstrip()
-    said += f", velocity {velocity:.2f} %)" if velocity is not None else ")"
-    return said + ON_OWN_DATA * row.on_estimation_data
+    return said + (f", velocity {velocity:.2f} %)" if velocity is not None else ")")
 
 
 def tests_sentence(tests: ResidualTest) -> str:
