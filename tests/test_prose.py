@@ -43,7 +43,6 @@ ALLOWED = {
     (_USAGE, "No such command '(.+?)'"): _OTHERS,
     ("clients/armrig/models/markup.py", "thin +"): _TYPST,
     ("clients/armrig/models/markup.py", "thin ="): _TYPST,
-    ("clients/armrig/models/model_file.py", "armrig model"): _OWN,
     ("clients/armrig/physics/grey_box/fit.py", "inverse dynamics"): _OWN,
     ("clients/armrig/recordings/verification.py", "not checked"): _OWN,
     ("clients/armrig/recordings/verification.py", "held in a gap"): _OWN,
