@@ -147,8 +147,9 @@ def test_the_page_leads_to_a_rig_behind_a_router(
 
     assert done.returncode == 0, done.stderr
     assert "rig          2, armrig" in done.stdout
-    assert "router at tls/127.0.0.1:" in lab.processes[-1].said
-    assert ": 2 rigs, 1 may drive and 1 may watch" in lab.processes[-1].said
+    router_log = lab.processes[-1]
+    wait_for(lambda: ": 2 rigs, 1 may drive and 1 may watch" in router_log.said)
+    assert "router at tls/127.0.0.1:" in router_log.said
 
 
 def _at_router(text: str, port: int) -> str:

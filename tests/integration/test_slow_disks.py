@@ -66,27 +66,15 @@ def test_a_run_on_a_slow_disk_is_complete(bench: Bench, served: Serve) -> None:
 
 
 @pytest.mark.exhaustive
-def test_a_disk_that_stops_for_good_is_reported_and_the_next_run_begins(
+def test_a_disk_that_stops_for_good_is_reported_and_the_next_run_begins_and_ends_by_sigterm(
     bench: Bench, served: Serve
 ) -> None:
     daemon = served(DEAD_C)
     with bench.rig() as rig:
-        for _ in range(2):
-            rig.arm("a test", Ts=0.005)
-            with pytest.raises(RunEndedError, match="up to 100 of 100 samples are lost"):
-                rig.run(np.full(100, 1.0))
-            wait_for(lambda: rig.status().phase == "safe")
-
-    assert daemon.end() == 1
-    assert daemon.said.count("the disk did not answer for 3") == 2
-    assert all(not armrig.load(p).truncated for p in bench.recordings.glob("*.active"))
-
-
-@pytest.mark.exhaustive
-def test_sigterm_reports_what_an_unresponsive_disk_may_have_lost(
-    bench: Bench, served: Serve
-) -> None:
-    daemon = served(DEAD_C)
+        rig.arm("a test", Ts=0.005)
+        with pytest.raises(RunEndedError, match="up to 100 of 100 samples are lost"):
+            rig.run(np.full(100, 1.0))
+        wait_for(lambda: rig.status().phase == "safe")
     with driven(bench, samples=3000):
         begun_s = time.monotonic()
         daemon.popen.terminate()
@@ -94,4 +82,6 @@ def test_sigterm_reports_what_an_unresponsive_disk_may_have_lost(
 
     assert code == 1
     assert time.monotonic() - begun_s < ENDS_S
+    assert daemon.said.count("the disk did not answer for 3") == 2
     assert "samples are lost; `armrig recover` the others" in daemon.said
+    assert all(not armrig.load(p).truncated for p in bench.recordings.glob("*.active"))

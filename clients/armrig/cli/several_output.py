@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armrig.cli.model_output import RTOL, coefficients, equally_well, root_lines
-from armrig.numerics.quantities import listed, p_relation
-from armrig.numerics.whiteness import WHITE_LEVEL
+from armrig.models.structure_table import named
+from armrig.numerics.quantities import listed
 from armrig.plots.captions import signature
 from armrig.validation.answer import ON_OWN_DATA, simulated_to, tests_sentence
 from armrig.validation.comparison import misfit_line
@@ -54,7 +54,7 @@ def validated(
         f"Simulated on {file}, {table[0].name} fits {simulated(table.models[0])}.\n"
         f"{tests_sentence(tests)}."
     )
-    yield from _pair_lines(tests, verbose=verbose)
+    yield from tests.pair_lines(every=verbose)
 
 
 def closest(table: ComparisonTable) -> str:
@@ -104,25 +104,7 @@ def validation_lines(
     yield f"  {tables[0].note}"
     for name, white in zip(tests.outputs, tests.white_by_output, strict=True):
         yield f"  residuals of {name}: {white}"
-    yield from _pair_lines(tests, verbose=verbose)
-
-
-def _pair_lines(tests: ResidualTest, *, verbose: bool) -> Iterator[str]:
-    """Yield the tests of each pair, with Bonferroni's correction for the number of pairs.
-
-    If dynamics are missing, the test of feedback is not valid.
-    """
-    missing = tests.missing_dynamics < WHITE_LEVEL
-    for p, good, bad, valid in (
-        (tests.missing_dynamics_by_pair, "no dynamics missing", "dynamics missing", True),
-        (tests.feedback_by_pair, "no feedback", "feedback, or a delay too large", not missing),
-    ):
-        for (i, j), value in np.ndenumerate(p):
-            rejected = value < WHITE_LEVEL / p.size
-            if valid and (rejected or verbose):
-                pair = f"{tests.inputs[j]} to {tests.outputs[i]}"
-                said = f"(p {p_relation(float(value))})" if value >= 0 else "not tested"
-                yield f"  {pair}: {bad if rejected else good} {said}"
+    yield from tests.pair_lines(every=verbose)
 
 
 def lines(fit: Fit, *, verbose: bool) -> Iterator[str]:
@@ -140,7 +122,7 @@ def model_facts(fit: Fit) -> dict[str, Any]:
     poles = fit.poles()
     return {
         "structure": fit.structure,
-        "orders": fit.specification,
+        "orders": fit.specification or named(fit.orders),
         "shared": fit.shared,
         "inputs": list(fit.inputs),
         "Ts": fit.Ts,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from itertools import pairwise
 from numbers import Integral
@@ -95,15 +96,15 @@ class Experiments:
             raise InputError(f"data[{part.start}:{part.stop}] is empty: there are {self.N} samples")
         if (a, b) == (0, self.N):
             return self  # the data are immutable
-        data, t = self.signals(), self.t
-        which = [k for k, (s, e) in enumerate(pairwise((*data.starts, self.N))) if e > a and s < b]
-        starts = [max(a, data.starts[k]) for k in which]
-        firsts = tuple(start - a for start in starts)
+        data = self.signals()
+        which = range(bisect_right(data.starts, a) - 1, bisect_left(data.starts, b))
+        firsts = [max(a, data.starts[k]) for k in which]
+        starts = tuple(first - a for first in firsts)
         Ts, times = data.Ts, None
-        if Ts is None:
-            Ts, times = sampling(None, t[a:b], firsts, b - a)
-        end = t[b - 1] - t[0] + (data.Ts or 0.0)
-        step = took(f"took samples {a} to {b - 1} of {self.N}", t[a] - t[0], end)
+        if data.times is not None:
+            Ts, times = sampling(None, data.times[a:b], starts, b - a)
+        begin, end = self._seconds(0, a), self._seconds(0, b - 1) + (data.Ts or 0.0)
+        step = took(f"took samples {a} to {b - 1} of {self.N}", begin, end)
         return self._like(
             unchecked(
                 data,
@@ -112,15 +113,22 @@ class Experiments:
                 valid=data.valid[a:b],
                 Ts=Ts,
                 times=times,
-                starts=firsts,
+                starts=starts,
                 trends=tuple(
-                    data.trends[k].later(t[start] - t[data.starts[k]])
-                    for k, start in zip(which, starts, strict=True)
+                    data.trends[k].later(self._seconds(data.starts[k], first))
+                    for k, first in zip(which, firsts, strict=True)
                     if data.trends
                 ),
                 history=(*data.history, step),
             )
         )
+
+    def _seconds(self, a: int, b: int) -> float:
+        """Return the time from sample a to sample b."""
+        data = self.signals()
+        if data.times is not None:
+            return float(data.times[b] - data.times[a])
+        return data.equidistant() * (b - a)
 
     def split(self, k: int) -> tuple[Self, ...]:
         """Return k consecutive parts, whose lengths differ by at most one sample.

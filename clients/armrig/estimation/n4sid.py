@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -199,8 +199,10 @@ def n4sid(
     found = estimated(scaled, options)
     if focus == "simulation":
         found = for_simulation(scaled, found, options)
-    one = data.ny == 1
-    parts = parts_of(scaled, weights_of(found) if found.Lambda is None else found.Lambda)
+    one, Lambda = data.ny == 1, found.Lambda
+    parts = found.parts
+    if not one:
+        parts = parts_of(scaled, weights_of(found) if Lambda is None else Lambda)
     problem = StateSpaceProblem(
         parts=parts,
         order=len(found.model.A),
@@ -208,7 +210,7 @@ def n4sid(
         noise=True,
         level=integrator,
     )
-    sensitive = replace(problem, parts=found.parts or parts)
+    sensitive = problem if Lambda is None else replace(problem, parts=found.parts)
     V = directions(found.at.Abar, found.at.C)
     by = derivatives(problem, found.at, V)
     Psi, states = influence(sensitive, found.at, V, found.states if one else None)
@@ -228,7 +230,7 @@ def n4sid(
     if data.nu == data.ny == 1:
         scale = float(su[0]), float(sy[0])
         return _one_channel(data.dataset(), found, by, delays[0], options, inferred, notes, scale)
-    return _several(data, found, by, delays, inferred, notes, (su, sy))
+    return _several(data, found, by, delays, options, inferred, notes, (su, sy))
 
 
 def order_of(data: Signals, nk: int | Sequence[int] = 1) -> int:
@@ -316,12 +318,7 @@ def _one_channel(
         offset=integrator,
         Ts=data.Ts,
         **inferred.of_one_output(),
-        weights=options.weights,
-        horizon=found.model.horizon,
-        singular_values=found.model.singular_values * (sy if options.weights != "cva" else 1.0),
-        canonical_correlations=found.canonical_correlations,
-        suggested_order=found.suggested_order,
-        converged=found.settled,
+        **_projected(found, options, sy),
         findings=(
             *notes,
             *_warnings(data, A, inferred.covariance, integrator=integrator),
@@ -332,11 +329,31 @@ def _one_channel(
     )
 
 
+def _projected(
+    found: SubspaceEstimate, options: SubspaceOptions, scale: float = 1.0
+) -> dict[str, Any]:
+    """Return the results of the projection as fields of a fit.
+
+    Except for the weights "cva", the singular values have the unit of y; `scale` is y's standard
+    deviation, or 1 for several outputs, whose signals have the variance 1.
+    """
+    return {
+        "weights": options.weights,
+        "horizon": found.model.horizon,
+        "singular_values": found.model.singular_values
+        * (scale if options.weights != "cva" else 1.0),
+        "canonical_correlations": found.canonical_correlations,
+        "suggested_order": found.suggested_order,
+        "converged": found.settled,
+    }
+
+
 def _several(
     data: Signals,
     found: SubspaceEstimate,
     by: Derivatives,
     delays: tuple[int, ...],
+    options: SubspaceOptions,
     inferred: Inference,
     notes: Sequence[EstimateFinding],
     scales: tuple[Array, Array],
@@ -348,7 +365,7 @@ def _several(
         structure="n4sid",
         specification=f"order={len(form.A)}, nk={nk}",
         form=form,
-        converged=found.settled,
+        **_projected(found, options),
         findings=(*notes, *instability(form), *poor_fits(data, inferred.quality)),
         **inferred.transformed(T).fields(),
         **origin(data),

@@ -25,7 +25,7 @@ from armrig.estimation.state_space_problem import (
     scaled_signals,
     tangent,
 )
-from armrig.estimation.state_space_responses import Part, Predictor
+from armrig.estimation.state_space_responses import Part
 from armrig.estimation.state_space_starts import moved_modes, starts
 from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
@@ -72,7 +72,7 @@ class _Criterion:
         self, problem: StateSpaceProblem, Abar: Array, C: Array, linear: Linear
     ) -> tuple[Array, float]:
         """Return the weighting Lambda of the next round, and the logarithm of the criterion."""
-        e = np.vstack(problem.residuals(Abar, C, linear))
+        e = np.vstack(problem.residuals(linear.at))
         if self.given is None:
             Lambda = pairwise_covariance(e)
             return Lambda, float(np.linalg.slogdet(Lambda)[1])
@@ -175,14 +175,7 @@ def ss(
             f"order={n}: the data determine only {linear.rank} of {linear.X.shape[1]} entries of "
             "B, D and K; lower the order or excite with richer inputs"
         )
-    predictor = Predictor(
-        Abar=best.Abar,
-        Bbar=linear.Bbar,
-        C=best.C,
-        D=linear.D,
-        K=linear.K,
-        x0=linear.x0,
-    )
+    predictor = linear.at
     if gaps:
         measured = [
             (u, np.where(part.valid[part.N - len(y) :], y, np.nan))
@@ -195,8 +188,11 @@ def ss(
         residuals = end.problem.residuals(predictor)
     else:
         Psi, states = influence(problem, predictor, tangent(best.Abar, best.C))
-        residuals = problem.residuals(best.Abar, best.C, linear)
-    by = derivatives(problem, predictor, tangent(predictor.Abar, predictor.C))
+        residuals = problem.residuals(predictor)
+    # With given weights the criterion has the units of the data already.
+    unit = 1.0 if weights else float(np.prod(sy) ** (2 / ny))
+    V = tangent(predictor.Abar, predictor.C)
+    by = derivatives(problem, predictor, V, fixed_predictor=gaps)
     form, T = matrices(predictor, by, su, sy, delays)
     found = inference(data, problem, Psi, states, residuals, sy)
     fields = found.fields()
@@ -211,7 +207,7 @@ def ss(
         starts=tuple(
             Start(
                 name=e.name,
-                loss=float(np.exp(e.criterion / ny)),
+                loss=float(np.exp(e.criterion / ny)) * unit,
                 iterations=e.iterations,
                 converged=e.converged,
             )

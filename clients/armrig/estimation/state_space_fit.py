@@ -1,7 +1,8 @@
 """Matrices, covariance and quality of a state-space model, from its predictor of scaled signals.
 
 The parameters of the predictor are Abar and C, along some directions, then the entries of Bbar and
-K signal by signal, then those of D row by row.
+K signal by signal, then those of D row by row. A and B are fixed while K changes: the derivatives
+with respect to K are then responses to e, which differ more from the others than responses to y.
 """
 
 from __future__ import annotations
@@ -70,8 +71,13 @@ class Derivatives:
         return Derivatives(**{x: np.tensordot(N.T, getattr(self, x), axes=1) for x in names})
 
 
-def derivatives(problem: StateSpaceProblem, at: Predictor, V: Array) -> Derivatives:
-    """Return the derivatives of the matrices for the directions V of Abar and C."""
+def derivatives(
+    problem: StateSpaceProblem, at: Predictor, V: Array, *, fixed_predictor: bool = False
+) -> Derivatives:
+    """Return the derivatives of the matrices for the directions V of Abar and C.
+
+    A and B do not change with the entries of K, or with `fixed_predictor` Abar and Bbar.
+    """
     (n, ny), nu, m = at.K.shape, at.Bbar.shape[1], V.shape[1]
     of_K = n * ny * problem.noise
     d = m + n * nu + of_K + ny * nu * problem.direct
@@ -82,6 +88,8 @@ def derivatives(problem: StateSpaceProblem, at: Predictor, V: Array) -> Derivati
     K[m + n * nu :][:of_K] = np.eye(of_K).reshape(-1, ny, n).swapaxes(1, 2)
     if problem.direct:
         D[m + n * nu + of_K :] = np.eye(ny * nu).reshape(-1, ny, nu)
+    if not fixed_predictor:
+        Abar, Bbar = Abar - K @ at.C, Bbar - K @ at.D
     return Derivatives(
         Abar=Abar, A=Abar + K @ at.C + at.K @ C, B=Bbar + K @ at.D + at.K @ D, C=C, D=D, K=K
     )
@@ -114,11 +122,10 @@ def influence(
     The effects of the initial states are projected out of the derivatives (ny N, d). They are
     returned as a basis for each experiment; a known basis is an argument.
     """
-    known = [None] * len(problem.parts) if states is None else states
     bases, left = [], []
-    for part, x0, Z in zip(problem.parts, at.x0, known, strict=True):
-        by, free = problem.sensitivities(part, at, x0, V)
-        bases.append(basis_of_states(part, free) if Z is None else Z)
+    for i, part in enumerate(problem.parts):
+        by, free = problem.sensitivities(i, at, V)
+        bases.append(basis_of_states(part, free) if states is None else states[i])
         left.append(without(bases[-1], whitened(part, by)))
     return stacked(left), tuple(bases)
 

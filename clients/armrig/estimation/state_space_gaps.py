@@ -19,7 +19,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,32 +41,48 @@ _MAX_ROUNDS = 30
 _LIKELIHOOD_TOLERANCE = 1e-3  # change of -2 log likelihood at which the search ends
 
 
+def kalman_steps(
+    rows: Array, A: Array, C: Array, K: Array, Lambda: Array, settled: float
+) -> Iterator[tuple[int, Array, Array, Array]]:
+    """Yield t, o, the root of S(t) and G(t) root(S(t)) of m filters while P is not 0.
+
+    P is taken as 0 as soon as it increases the variances of e by less than the share `settled`.
+
+    Parameters
+    ----------
+    A, C, K : ndarray, shapes (m, n, n), (m, ny, n), (m, n, ny)
+        Matrices of each filter.
+    """
+    noise = K @ Lambda
+    Q, P = noise @ K.swapaxes(1, 2), np.zeros(A.shape)
+    known = True
+    for t, measured in enumerate(rows):
+        if known and measured.all():
+            continue
+        o = np.flatnonzero(measured)
+        PC = P @ C[:, o].swapaxes(1, 2)
+        root = np.linalg.cholesky(C[:, o] @ PC + Lambda[np.ix_(o, o)])
+        G = (A @ PC + noise[:, :, o]) @ np.linalg.inv(root).swapaxes(1, 2)
+        P = A @ P @ A.swapaxes(1, 2) + Q - G @ G.swapaxes(1, 2)
+        spread = np.einsum("mij,mjk,mik->i", C, P, C)
+        known = bool((np.abs(spread) <= settled * np.diag(Lambda)).all())
+        P = np.zeros(A.shape) if known else P
+        yield t, o, root, G
+
+
 def filtered_parts(signals: Parts, A: Array, C: Array, K: Array, Lambda: Array) -> list[Part]:
     """Return the parts with the gains G(t) of the Kalman filter, and the roots of inv(S(t)).
 
     P is taken as 0 after a gap as soon as it increases the variance of e by less than 0.01 %.
     """
-    noise, parts = K @ Lambda, []
-    Q, limit = noise @ K.T, _SETTLED_VARIANCE * np.diag(Lambda)
+    parts = []
     for part in parts_of(signals, Lambda):
         gains, roots = K * part.rows[:, None, :], part.weights.copy()
-        P: Array | None = None
-        for t, rows in enumerate(part.rows):
-            if P is None and rows.all():
-                continue
-            P = np.zeros(A.shape) if P is None else P
-            o = np.flatnonzero(rows)
-            PC = P @ C[o].T
-            cross = A @ PC + noise[:, o]
-            P = A @ P @ A.T + Q
-            if o.size:
-                inverse = np.linalg.inv(np.linalg.cholesky(C[o] @ PC + Lambda[np.ix_(o, o)]))
-                roots[t][np.ix_(o, o)] = inverse
-                G = cross @ inverse.T
-                gains[t][:, o] = G @ inverse
-                P = P - G @ G.T
-            if (np.einsum("ij,jk,ik->i", C, P, C) <= limit).all():
-                P = None
+        steps = kalman_steps(part.rows, A[None], C[None], K[None], Lambda, _SETTLED_VARIANCE)
+        for t, o, root, G in steps:
+            inverse = np.linalg.inv(root[0])
+            roots[t][np.ix_(o, o)] = inverse
+            gains[t][:, o] = G[0] @ inverse
         parts.append(replace(part, weights=roots, gains=gains))
     return parts
 
@@ -76,12 +92,17 @@ def scaled_errors(part: Part, e: Array, Lambda: Array) -> Array:
 
     The weights of the part are the roots of inv(S).
     """
-    scaled = np.full_like(e, np.nan)
-    white = (part.weights @ np.where(part.rows, e, 0.0)[:, :, None])[:, :, 0]
-    for o, times in patterns(part.rows):
+    white = part.weights @ np.where(part.rows, e, 0.0)[:, :, None]
+    return rescaled(part.rows, white[:, :, 0], Lambda)
+
+
+def rescaled(rows: Array, white: Array, Lambda: Array) -> Array:
+    """Return whitened errors (N, ny) with the covariance Lambda; NaN where y is missing."""
+    e = np.full(white.shape, np.nan)
+    for o, times in patterns(rows):
         at = np.ix_(times, o)
-        scaled[at] = white[at] @ np.linalg.cholesky(Lambda[np.ix_(o, o)]).T
-    return scaled
+        e[at] = white[at] @ np.linalg.cholesky(Lambda[np.ix_(o, o)]).T
+    return e
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,41 +142,23 @@ class GapProblem:
         B = np.array([p.Bbar for p in predictors]) + K @ D
         driven = np.einsum("mij,tj->tmi", B, part.u)
         direct = np.einsum("mij,tj->tmi", D, part.u)
-        noise = K @ self.Lambda
-        Q = noise @ K.swapaxes(1, 2)
-        root = part.weights
+        steps = kalman_steps(part.rows, A, C, K, self.Lambda, _NEGLIGIBLE)
+        step = next(steps, None)
         z = np.zeros((part.y.shape[0], *x.shape[:1], part.y.shape[1]))
         logs = np.zeros(len(predictors))
-        P: Array | None = None
-        for t, rows in enumerate(part.rows):
-            predicted = (C @ x[:, :, None])[:, :, 0] + direct[t]
-            x, before = (A @ x[:, :, None])[:, :, 0] + driven[t], x
-            if rows.all() and P is None:
-                nu = part.y[t] - predicted
-                z[t] = nu @ root[t].T
+        for t, own in enumerate(part.weights):
+            nu = part.y[t] - (C @ x[:, :, None])[:, :, 0] - direct[t]
+            x = (A @ x[:, :, None])[:, :, 0] + driven[t]
+            if step is None or step[0] > t:
+                z[t] = nu @ own.T
                 x = x + (K @ nu[:, :, None])[:, :, 0]
                 continue
-            o = np.flatnonzero(rows)
-            if P is None:
-                P = np.zeros((len(predictors), before.shape[1], before.shape[1]))
-            PC = P @ C[:, o].swapaxes(1, 2)
-            S = C[:, o] @ PC + self.Lambda[np.ix_(o, o)]
-            cross = A @ PC + noise[:, :, o]
-            P = A @ P @ A.swapaxes(1, 2) + Q
-            if o.size:
-                nu = part.y[t, o] - predicted[:, o]
-                L = np.linalg.cholesky(S)
-                inverse = np.linalg.inv(L)
-                z[t][:, o] = (inverse @ nu[:, :, None])[:, :, 0]
-                diagonal = np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
-                own = root[t][np.ix_(o, o)]
-                logs += 2 * (diagonal + np.log(np.diag(own)).sum())
-                G = cross @ inverse.swapaxes(1, 2)
-                x = x + (G @ z[t][:, o, None])[:, :, 0]
-                P = P - G @ G.swapaxes(1, 2)
-            spread = np.einsum("mij,mjk,mik->i", C, P, C)
-            if (np.abs(spread) <= _NEGLIGIBLE * np.diag(self.Lambda)).all():
-                P = None
+            _, o, root, G = step
+            z[t][:, o] = np.linalg.solve(root, nu[:, o, None])[:, :, 0]
+            diagonal = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+            logs += 2 * (diagonal + np.log(np.diag(own)[o]).sum())
+            x = x + (G @ z[t][:, o, None])[:, :, 0]
+            step = next(steps, None)
         return z, logs
 
     def moved(self, at: Predictor, V: Array, t: Array) -> Predictor:
@@ -213,16 +216,11 @@ class GapProblem:
         An error is scaled by the root of Lambda_oo inv(S), so that its covariance is Lambda_oo.
         """
         z, _ = self.errors([at])
-        found, first = [], 0
-        for part in self.parts:
-            own = z[0, first : first + part.y.size].reshape(part.y.shape[1], -1).T
-            first += part.y.size
-            e = np.full_like(part.y, np.nan)
-            for o, times in patterns(part.rows):
-                root = np.linalg.cholesky(self.Lambda[np.ix_(o, o)])
-                e[np.ix_(times, o)] = own[np.ix_(times, o)] @ root.T
-            found.append(e)
-        return found
+        edges = np.cumsum([part.y.size for part in self.parts])[:-1]
+        return [
+            rescaled(part.rows, white.reshape(part.y.shape[1], -1).T, self.Lambda)
+            for part, white in zip(self.parts, np.split(z[0], edges), strict=True)
+        ]
 
     def influence(self, at: Predictor) -> tuple[Array, tuple[Basis, ...]]:
         """Return the derivatives of the whitened predictions, and the effects of initial states.

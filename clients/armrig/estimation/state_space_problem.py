@@ -56,14 +56,8 @@ _ORBIT_TOLERANCE = 1e-10  # a smaller relative singular value is a rounding erro
 class Linear:
     """Linear part of the predictor for given Abar and C."""
 
-    Bbar: Array
-    """Matrix of the inputs (n, nu)."""
-    K: Array
-    """Gain (n, ny); 0 for an output-error model."""
-    D: Array
-    """Direct term (ny, nu); 0 if it is not estimated."""
-    x0: tuple[Array, ...]
-    """State at the start of each experiment, (n,)."""
+    at: Predictor
+    """Predictor with these parameters; what is not estimated is 0, or given."""
     rank: int
     """Number of linear parameters that the data determine."""
     basis: Basis
@@ -89,17 +83,20 @@ class StateSpaceProblem:
     noise: bool
     """True if K is estimated; False for an output-error model."""
     level: bool = False
-    """True if a constant is added to the predictions of each output."""
+    """True if constant offsets of the signals are estimated."""
+    gain: Array | None = None
+    """Given K (n, ny), if K is not estimated and not 0."""
 
-    def linear(self, Abar: Array, C: Array) -> Linear:
-        """Return the linear parameters by least squares."""
+    def linear(self, Abar: Array, C: Array, given: tuple[Array, Array] | None = None) -> Linear:
+        """Return the linear parameters by least squares; Bbar and D may be given."""
         n, (ny, _) = self.order, C.shape
         nu = self.parts[0].u.shape[1]
         states, left, raw = [], [], []
         for part in self.parts:
             driven, free = self.responses(part, Abar, C)
-            Z = basis_of_states(part, self.with_offsets(free, Abar, C))
-            both = whitened(part, np.concatenate([driven, part.y.T[None]]))
+            Z = basis_of_states(part, free)
+            left_over = part.y - self._fed(part, Abar, C)
+            both = whitened(part, np.concatenate([driven, left_over.T[None]]))
             states.append(Z)
             raw.append(both)
             left.append(without(Z, both))
@@ -107,16 +104,24 @@ class StateSpaceProblem:
         whole, right = both[:, :-1], both[:, -1]
         basis = orthonormal(whole)
         theta = basis.coefficients(right)
+        if given is not None:
+            theta = np.concatenate([given[0].T.ravel(), given[1].ravel()[: theta.size - n * nu]])
         signals = theta[: n * (nu + ny * self.noise)].reshape(-1, n).T
         D = theta[signals.size :].reshape(ny, nu) if self.direct else np.zeros((ny, nu))
-        return Linear(
+        first = [
+            Z.coefficients(M[:, -1] - M[:, :-1] @ theta) for Z, M in zip(states, raw, strict=True)
+        ]
+        at = Predictor(
+            Abar=Abar,
             Bbar=signals[:, :nu],
-            K=signals[:, nu:] if self.noise else np.zeros((n, ny)),
+            C=C,
             D=D,
-            x0=tuple(
-                Z.coefficients(M[:, -1] - M[:, :-1] @ theta)[:n]
-                for Z, M in zip(states, raw, strict=True)
-            ),
+            K=signals[:, nu:] if self.noise else self._gain(ny),
+            x0=tuple(x[:n] for x in first),
+            levels=tuple(x[n:] for x in first if self.level),
+        )
+        return Linear(
+            at=at,
             rank=basis.rank,
             basis=basis,
             X=whole,
@@ -125,16 +130,40 @@ class StateSpaceProblem:
         )
 
     def responses(self, part: Part, Abar: Array, C: Array) -> tuple[Array, Array]:
-        """Return the outputs (k, ny, N) due to each linear parameter, and to each initial state."""
-        signals = np.hstack([part.u, part.y]) if self.noise else part.u
-        return state_responses(signals, Abar, C, direct=part.u if self.direct else None)
+        """Return the outputs (k, ny, N) due to each linear parameter, and to the initial state.
+
+        With `level` the second outputs also contain those due to constant offsets.
+        """
+        of_D = part.u if self.direct else None
+        if self.gain is None or part.rows.all() or not self.gain.any():
+            signals = np.hstack([part.u, part.y]) if self.noise else part.u
+            driven, free = state_responses(signals, Abar, C, direct=of_D)
+            return driven, self._with_offsets(free, Abar, C)
+        w, at_once = entries(part.u, self.order, of_D, len(C))
+        at = self._bare(Abar, C)
+        driven = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
+        return driven.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
+
+    def _gain(self, ny: int) -> Array:
+        return np.zeros((self.order, ny)) if self.gain is None else self.gain
+
+    def _bare(self, Abar: Array, C: Array) -> Predictor:
+        """Return the predictor with the given gain whose other linear parameters are 0."""
+        nu, ny = self.parts[0].u.shape[1], len(C)
+        zero = np.zeros((self.order, nu)), np.zeros((ny, nu))
+        x0 = (np.zeros(self.order),) * len(self.parts)
+        return Predictor(Abar=Abar, Bbar=zero[0], C=C, D=zero[1], K=self._gain(ny), x0=x0)
+
+    def _fed(self, part: Part, Abar: Array, C: Array) -> Array | float:
+        """Return the part (N, ny) of the predictions that y drives through the given gain."""
+        return 0.0 if self.gain is None else self._bare(Abar, C).predicted(part, 0)
 
     def cost(self, Abar: Array, C: Array) -> float:
         """Return the sum of squared whitened errors."""
         e = self.linear(Abar, C).e
         return float(e @ e)
 
-    def derivatives(self, Abar: Array, C: Array, linear: Linear, directions: Array) -> list[Array]:
+    def derivatives(self, at: Predictor, directions: Array) -> list[Array]:
         """Return the derivatives of yhat in given directions, (k, ny, N) for each experiment.
 
         Parameters
@@ -142,11 +171,10 @@ class StateSpaceProblem:
         directions : ndarray, shape (n (n + ny), k)
             Changes of Abar, then of C, each row by row.
         """
-        found = []
-        for part, x0 in zip(self.parts, linear.x0, strict=True):
-            x = _states(Abar, C, part.u @ linear.Bbar.T + part.y @ linear.K.T, x0)
-            found.append(_moved(Abar, C, x, directions))
-        return found
+        return [
+            _moved(at, _states(at, part.u @ at.Bbar.T + part.y @ at.K.T, x0), directions)
+            for part, x0 in zip(self.parts, at.x0, strict=True)
+        ]
 
     def linearised(self, Abar: Array, C: Array, directions: Array) -> tuple[Linear, Array]:
         """Return the linear part, and the derivatives of the whitened predictions.
@@ -154,48 +182,39 @@ class StateSpaceProblem:
         The effects of the linear parameters and initial states are projected out.
         """
         linear = self.linear(Abar, C)
-        by = self.derivatives(Abar, C, linear, directions)
+        by = self.derivatives(linear.at, directions)
         J = [
             without(Z, whitened(part, d))
             for part, d, Z in zip(self.parts, by, linear.states, strict=True)
         ]
         return linear, without(linear.basis, stacked(J))
 
-    def sensitivities(
-        self, part: Part, at: Predictor, x0: Array, directions: Array
-    ) -> tuple[Array, Array]:
-        """Return the derivatives (d, ny, N) of yhat, and the responses to the initial state.
+    def sensitivities(self, i: int, at: Predictor, directions: Array) -> tuple[Array, Array]:
+        """Return the derivatives (d, ny, N) of yhat in experiment i, and the other responses.
 
         The derivatives are with respect to (Abar, C) in the given directions, to the entries of
-        Bbar and K signal by signal, and to those of D row by row. With `level` the responses also
-        contain a constant for each output. The changes of the gains of a Kalman filter after a
-        missing output are neglected.
+        Bbar, and of K with fixed A and B, signal by signal, and to those of D row by row. The
+        other responses are those to the initial state and to offsets. The changes of the gains of a
+        Kalman filter after a missing output are neglected.
         """
-        Abar, C, K = at.Abar, at.C, at.K
-        n, ny = K.shape
+        part, K, of_D = self.parts[i], at.K, self.parts[i].u if self.direct else None
+        yhat = at.predicted(part, i)
+        y = np.where(part.rows, part.y, yhat) if K.any() else part.y
+        signals = np.hstack([part.u, np.where(part.rows, part.y - yhat, 0.0)][: 1 + self.noise])
+        x = _states(at, part.u @ at.Bbar.T + y @ K.T, at.x0[i])
         if part.rows.all() or not K.any():
-            x = _states(Abar, C, part.u @ at.Bbar.T + part.y @ K.T, x0)
-            driven, free = self.responses(part, Abar, C)
-            by = np.concatenate([_moved(Abar, C, x, directions), driven])
-        else:
-            w = part.u @ at.Bbar.T + (part.gains_of(K) @ part.y[:, :, None])[:, :, 0]
-            yhat = held_responses(part, at, w[:, None], (part.u @ at.D.T)[:, None], x0[None])[:, 0]
-            y = np.where(part.rows, part.y, yhat)
-            x = recursion(Abar, part.u @ at.Bbar.T + y @ K.T, x0)[:-1]
-            w, at_once = entries(np.hstack([part.u, y]), n, part.u if self.direct else None, ny)
-            k = directions.shape[1]
-            by_A, by_C = np.split(directions.T, [n * n], axis=1)
-            w = np.concatenate([x @ by_A.reshape(k, n, n).swapaxes(1, 2), w])
-            at_once = np.concatenate([x @ by_C.reshape(k, ny, n).swapaxes(1, 2), at_once])
-            by = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
-            return by.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
-        return by, self.with_offsets(free, Abar, C)
+            driven, free = state_responses(signals, at.Abar, at.C, direct=of_D)
+            free = self._with_offsets(free, at.Abar, at.C)
+            return np.concatenate([_moved(at, x, directions), driven]), free
+        n, ny = K.shape
+        w, at_once = entries(signals, n, of_D, ny)
+        by_A, by_C = np.split(directions.T, [n * n], axis=1)
+        w = np.concatenate([x @ by_A.reshape(-1, n, n).swapaxes(1, 2), w])
+        at_once = np.concatenate([x @ by_C.reshape(-1, ny, n).swapaxes(1, 2), at_once])
+        by = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
+        return by.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
 
-    def with_offsets(self, free: Array, Abar: Array, C: Array) -> Array:
-        """Return the responses (k, ny, N) to the initial state, and those to constant offsets.
-
-        Without `level` the offsets are left out.
-        """
+    def _with_offsets(self, free: Array, Abar: Array, C: Array) -> Array:
         return np.concatenate([free, offsets(Abar, C, free.shape[2])]) if self.level else free
 
     def minimise(self, Abar: Array, C: Array, *, most: int) -> tuple[Array, Array, Linear, Optimum]:
@@ -226,14 +245,12 @@ class StateSpaceProblem:
         linear = last.get(found.theta.tobytes()) or self.linear(Abar, C)
         return Abar, C, linear, found
 
-    def residuals(self, Abar: Array, C: Array, linear: Linear) -> list[Array]:
+    def residuals(self, at: Predictor) -> list[Array]:
         """Return e (N, ny) of each experiment, NaN where an output is missing."""
-        found = []
-        for part, x0 in zip(self.parts, linear.x0, strict=True):
-            x = recursion(Abar, part.u @ linear.Bbar.T + part.y @ linear.K.T, x0)[:-1]
-            e = part.y - x @ C.T - part.u @ linear.D.T
-            found.append(np.where(part.rows, e, np.nan))
-        return found
+        return [
+            np.where(part.rows, part.y - at.predicted(part, i), np.nan)
+            for i, part in enumerate(self.parts)
+        ]
 
     def edges(self) -> list[slice]:
         """Return the slice of the stacked whitened rows that belongs to each experiment."""
@@ -241,22 +258,24 @@ class StateSpaceProblem:
         return [slice(a, b) for a, b in pairwise([0, *sizes])]
 
 
-def _states(Abar: Array, C: Array, w: Array, x0: Array) -> Array:
+def _states(at: Predictor, w: Array, x0: Array) -> Array:
     """Return the states (N, n); in observer form only the first state, which is the output."""
-    if not in_observer_form(Abar, C):
-        return recursion(Abar, w, x0)[:-1]
+    if not in_observer_form(at.Abar, at.C):
+        return recursion(at.Abar, w, x0)[:-1]
     x = np.zeros(w.shape)
-    x[:, :1] = outputs(Abar, C, w, x0)
+    x[:, :1] = outputs(at.Abar, at.C, w, x0)
     return x
 
 
-def _moved(Abar: Array, C: Array, x: Array, directions: Array) -> Array:
+def _moved(at: Predictor, x: Array, directions: Array) -> Array:
     """Return the derivatives (k, ny, N) of yhat in directions of Abar and C, for the states x."""
-    n, ny = len(Abar), len(C)
+    n, ny = at.K.shape
     by_A, by_C = np.split(directions.T, [n * n], axis=1)
     by_A, by_C = by_A.reshape(-1, n, n), by_C.reshape(-1, ny, n)
     used = np.flatnonzero(by_A.any(axis=(0, 1)))  # in observer form only the first state
-    moved = np.tensordot(by_A[:, :, used], responses(Abar, C, x[:, used]), axes=((2, 1), (0, 1)))
+    moved = np.tensordot(
+        by_A[:, :, used], responses(at.Abar, at.C, x[:, used]), axes=((2, 1), (0, 1))
+    )
     return np.asarray(moved + by_C @ x.T if by_C.any() else moved)
 
 
@@ -369,7 +388,8 @@ def scaled_signals(
 
 def _scale(columns: Array) -> Array:
     """Return the standard deviation of each column, 1 for a constant column."""
-    std = np.nanstd(columns, axis=0)
+    # np.nanstd takes ten times as long.
+    std = np.std(columns, axis=0) if np.isfinite(columns).all() else np.nanstd(columns, axis=0)
     return np.where(std > 0, std, 1.0)
 
 

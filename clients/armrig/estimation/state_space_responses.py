@@ -15,6 +15,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import (
     free_responses,
+    outputs,
     recursion,
     responses,
     varying_recursion,
@@ -65,6 +66,20 @@ class Predictor:
     """Gain K for complete data (n, ny)."""
     x0: tuple[Array, ...]
     """State at the start of each experiment, (n,)."""
+    levels: tuple[Array, ...] = ()
+    """Coefficients of the `offsets` of each experiment; () without offsets."""
+
+    def predicted(self, part: Part, i: int) -> Array:
+        """Return yhat (N, ny) of experiment i; the error of a missing output is 0."""
+        w, v, N = part.u @ self.Bbar.T, part.u @ self.D.T, len(part.u)
+        if part.rows.all() or not self.K.any():
+            if self.levels:
+                v = v + np.tensordot(self.levels[i], offsets(self.Abar, self.C, N), axes=1).T
+            fed = w + part.y @ self.K.T
+            return np.asarray(outputs(self.Abar, self.C, fed, self.x0[i]) + v)
+        v = v + self.levels[i] if self.levels else v
+        w = w + (part.gains_of(self.K) @ part.y[:, :, None])[:, :, 0]
+        return held_responses(part, self, w[:, None], v[:, None], self.x0[i][None])[:, 0]
 
     @property
     def B(self) -> Array:

@@ -80,8 +80,8 @@ def moved_modes(
     minimum.
     """
     z, V = np.linalg.eig(Abar)
-    linear = problem.linear(Abar, C)
-    inputs = np.linalg.norm(np.linalg.solve(V, np.hstack([linear.Bbar, linear.K])), axis=1)
+    at = problem.linear(Abar, C).at
+    inputs = np.linalg.norm(np.linalg.solve(V, np.hstack([at.Bbar, at.K])), axis=1)
     strength = np.linalg.norm(C @ V, axis=0) * inputs / (1 - np.abs(z))
     real = [int(i) for i in np.argsort(z.real) if z[i].imag == 0]
     modes = [(int(i), int(np.argmin(np.abs(z - z[i].conj())))) for i in np.flatnonzero(z.imag > 0)]

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +61,16 @@ class Windows:
 
     def columns(self, *names: str) -> Integers:
         """Return the indices in R of the columns "uf", "up", "yp" or "yf", oldest samples first."""
-        f, p = self.future, self.past
-        widths = {"uf": f * self.nu, "up": p * self.nu, "yp": p * self.ny, "yf": f * self.ny}
-        begins = dict(zip(widths, np.cumsum([0, *widths.values()]).tolist(), strict=False))
-        return np.concatenate([begins[name] + np.arange(widths[name]) for name in names])
+        return _columns(self.future, self.past, self.nu, self.ny, names)
+
+
+@cache
+def _columns(f: int, p: int, nu: int, ny: int, names: tuple[str, ...]) -> Integers:
+    widths = {"uf": f * nu, "up": p * nu, "yp": p * ny, "yf": f * ny}
+    begins = dict(zip(widths, np.cumsum([0, *widths.values()]).tolist(), strict=False))
+    found = np.concatenate([begins[name] + np.arange(widths[name]) for name in names])
+    found.flags.writeable = False
+    return found
 
 
 def windows(parts: Parts, *, past: int, future: int, most: int | None = None) -> Windows:
@@ -173,7 +180,8 @@ def _losses(M: Array, w: Windows, known: Integers) -> Array:
     For one output the determinant is the mean squared error.
     """
     y = np.asarray(np.linalg.qr(M, mode="r"))[:, -w.ny :]
-    return np.array([np.linalg.det(y[k:].T @ y[k:] / w.N) for k in known])
+    sums = np.cumsum((y[:, :, None] * y[:, None, :])[::-1], axis=0)[::-1]
+    return np.asarray(np.linalg.det(sums[known] / w.N))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

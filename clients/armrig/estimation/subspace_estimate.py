@@ -9,21 +9,10 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.estimation.state_space_gaps import filtered_parts, scaled_errors
-from armrig.estimation.state_space_problem import (
-    basis_of_states,
-    parts_of,
-    stacked,
-    whitened,
-    without,
-)
+from armrig.estimation.state_space_problem import StateSpaceProblem, parts_of
 from armrig.estimation.state_space_responses import (
     Part,
     Predictor,
-    entries,
-    held_free_responses,
-    held_responses,
-    offsets,
-    state_responses,
 )
 from armrig.estimation.state_space_starts import interpolated
 from armrig.estimation.subspace import Parts, projection, suggested_order, visible_states
@@ -36,11 +25,10 @@ from armrig.estimation.subspace_horizon import (
 )
 from armrig.models.structure_table import Weights
 from armrig.numerics.covariance import pairwise_covariance
-from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.least_squares import Basis
 from armrig.numerics.polynomial import (
     Array,
 )
-from armrig.numerics.recursion import outputs
 from armrig.numerics.stretches import stretches
 from armrig.numerics.whitening import patterns
 
@@ -75,14 +63,14 @@ class SubspaceEstimate:
     """Predictor of the scaled signals."""
     predicted: list[Array]
     """One-step predictions (N, ny) of each experiment."""
-    states: list[Basis]
+    states: tuple[Basis, ...]
     """Effects of the initial states on the predictions of each experiment."""
     errors: list[Array]
     """One-step errors (N, ny) of each experiment, NaN where y is missing."""
     canonical_correlations: Array
     suggested_order: int
-    parts: tuple[Part, ...] = ()
-    """Signals of each experiment with the gains of a Kalman filter; () if no output is missing."""
+    parts: tuple[Part, ...]
+    """Signals of each experiment; with the gains of a Kalman filter if an output is missing."""
     Lambda: Array | None = None
     """Covariance of e that the Kalman filter assumes."""
     settled: bool = True
@@ -161,6 +149,9 @@ def _bridged(signals: Parts, longest: int) -> list[tuple[Array, Array]]:
     found = []
     for u, y in signals:
         filled = interpolated(y)
+        if filled is y:
+            found.append((u, y))
+            continue
         for k, missing in enumerate(np.isnan(y).T):
             for gap in stretches(missing):
                 if gap.stop - gap.start > longest:
@@ -207,7 +198,8 @@ def _from_windows(signals: Parts, known: Parts, options: SubspaceOptions) -> Sub
     free = model.A
     if options.stable:
         model = model.stabilised()
-    at, predicted, bases = completed(unweighted(signals), model, direct=direct)
+    parts = unweighted(signals)
+    at, predicted, bases = completed(parts, model, direct=direct)
     return SubspaceEstimate(
         model=model,
         free=free,
@@ -217,6 +209,7 @@ def _from_windows(signals: Parts, known: Parts, options: SubspaceOptions) -> Sub
         errors=[y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)],
         canonical_correlations=canonical.singular_values,
         suggested_order=suggested,
+        parts=parts,
     )
 
 
@@ -226,7 +219,7 @@ def completed(
     *,
     direct: bool,
     given: tuple[Array, Array] | None = None,
-) -> tuple[Predictor, list[Array], list[Basis]]:
+) -> tuple[Predictor, list[Array], tuple[Basis, ...]]:
     """Return the predictor whose B, D and initial states minimise the one-step errors.
 
     Without the gains of a Kalman filter the error of a missing output is 0. With an
@@ -238,7 +231,7 @@ def completed(
     Predictor
     list of ndarray
         Predictions (N, ny) of each experiment.
-    list of Basis
+    tuple of Basis
         Effects of the initial states on the predictions of each experiment.
 
     Raises
@@ -246,58 +239,27 @@ def completed(
     ValueError
         u determines fewer coefficients than B and D have.
     """
-    (n, ny), nu = model.K.shape, parts[0].u.shape[1]
-    zero = np.zeros((n, nu)), np.zeros((ny, nu))
-    at = Predictor(Abar=model.Abar, Bbar=zero[0], C=model.C, D=zero[1], K=model.K, x0=())
-    states, blocks, left = [], [], []
-    for part in parts:
-        fed, driven, free = _responses(part, at, direct=direct, level=model.integrator)
-        columns = np.concatenate([driven, (part.y - fed).T[None]])
-        blocks.append((fed, driven, free, whitened(part, columns)))
-        states.append(basis_of_states(part, free))
-        left.append(without(states[-1], blocks[-1][-1]))
-    M = stacked(left)
-    basis = orthonormal(M[:, :-1])
-    if given is None and basis.rank < M.shape[1] - 1:
+    problem = StateSpaceProblem(
+        parts=tuple(parts),
+        order=len(model.A),
+        direct=direct,
+        noise=False,
+        level=model.integrator,
+        gain=model.K,
+    )
+    found = problem.linear(
+        model.Abar, model.C, None if given is None else (given[0] - model.K @ given[1], given[1])
+    )
+    d = found.X.shape[1]
+    if given is None and found.rank < d:
         raise InputError(
-            f"u determines only {basis.rank} of {M.shape[1] - 1} numerator coefficients; lower the "
-            "order or excite with a richer input"
+            f"u determines only {found.rank} of {d} numerator coefficients; lower the order or "
+            "excite with a richer input"
         )
-    theta = basis.coefficients(M[:, -1])
-    if given is not None:
-        B, D = given
-        theta = np.concatenate([(B - at.K @ D).T.ravel(), D.ravel() if direct else []])
-    first, predicted = [], []
-    for Z, (fed, driven, free, raw) in zip(states, blocks, strict=True):
-        x0 = Z.coefficients(raw[:, -1] - raw[:, :-1] @ theta)
-        first.append(x0[:n])
-        of_both = np.tensordot(theta, driven, axes=1) + np.tensordot(x0, free, axes=1)
-        predicted.append(fed + of_both.T)
-    Bbar = theta[: n * nu].reshape(nu, n).T
-    D = theta[n * nu :].reshape(ny, nu) if direct else zero[1]
-    return replace(at, Bbar=Bbar, D=D, x0=tuple(first)), predicted, states
+    predicted = [found.at.predicted(part, i) for i, part in enumerate(parts)]
+    return found.at, predicted, found.states
 
 
 def unweighted(signals: Parts) -> tuple[Part, ...]:
     """Return the signals of each experiment without weights of the outputs."""
     return parts_of(signals, np.eye(signals[0][1].shape[1]))
-
-
-def _responses(
-    part: Part, at: Predictor, *, direct: bool, level: bool
-) -> tuple[Array, Array, Array]:
-    """Return the predictions (N, ny) that y drives, and the responses to B and D, and to x(0).
-
-    With `level` the last responses also contain those to constant offsets.
-    """
-    (n, ny), u = at.K.shape, part.u
-    N, of_D = len(u), u if direct else None
-    if part.rows.all() or not at.K.any():
-        fed = outputs(at.Abar, at.C, part.y @ at.K.T, np.zeros(n))
-        driven, free = state_responses(u, at.Abar, at.C, direct=of_D)
-        return fed, driven, np.concatenate([free, offsets(at.Abar, at.C, N)]) if level else free
-    w, at_once = entries(u, n, of_D, ny)
-    driven = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
-    w = (part.gains_of(at.K) @ part.y[:, :, None]).swapaxes(1, 2)
-    fed = held_responses(part, at, w, np.zeros((N, 1, ny)))[:, 0]
-    return fed, driven.transpose(1, 2, 0), held_free_responses(part, at, level=level)

@@ -71,7 +71,7 @@ def for_simulation(
         )
         errors = [y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)]
         fit = replace(found, model=candidate, at=predictor, predicted=predicted, errors=errors)
-        fits.append(replace(fit, free=candidate.A, states=states, parts=(), Lambda=None))
+        fits.append(replace(fit, free=candidate.A, states=states, parts=parts, Lambda=None))
     losses = [np.linalg.slogdet(pairwise_covariance(np.vstack(fit.errors)))[1] for fit in fits]
     best = fits[int(np.argmin(losses))]
     return filtered_estimate(signals, best, options, given=(best.at.B, best.at.D))

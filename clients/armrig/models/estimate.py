@@ -109,6 +109,7 @@ class Estimate:
         if isinstance(self.form, Matrices) and self.ny == self.nu == 1:
             form, J = self.form.channel(0, 0)
             object.__setattr__(self, "form", form)
+            object.__setattr__(self, "specification", "")
             for name in ("covariance", "covariance_robust"):
                 object.__setattr__(self, name, J @ getattr(self, name) @ J.T)
         freeze(self, ("covariance", "covariance_robust", "noise_covariance"))

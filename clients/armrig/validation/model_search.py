@@ -108,7 +108,7 @@ def search(
     integrator : bool, str or sequence of str, optional
         If True, structures with this option have a pole at exactly 1. The default is True for
         theta_1. For any other output, a test decides whether the output integrates. For several
-        signals: the outputs with a pole at 1, by default theta_1.
+        signals: the outputs with a pole at 1, by default theta_1 if "oe" is tried.
     offset : bool, optional
         If True, the offset of the input is estimated in structures with this option. The default is
         True if y has a constant part that u does not explain. This part must exceed 2 standard
@@ -158,6 +158,11 @@ def search(
     if validation is None:
         data, validation = estimation_and_validation(data)  # type: ignore[type-var]
     if isinstance(data, Signals):
+        if offset is not None:
+            raise InputError(
+                "offset= is for one input and one output; for several signals, remove the means "
+                "with detrend"
+            )
         plan = _planned_for_several(
             data, families, orders, nk, integrator, simulated=horizon is None
         )
@@ -253,7 +258,8 @@ def _planned_for_several(
 ) -> _Plan:
     """Return the candidates for several signals."""
     if integrator is None:
-        integrator = [name for name in data.outputs if name in INTEGRATING_OUTPUTS]
+        able = families is None or "oe" in families
+        integrator = [name for name in data.outputs if able and name in INTEGRATING_OUTPUTS]
     marks = zip(data.outputs, integrating_outputs(integrator, data), strict=True)
     integrating = tuple(output for output, integrates in marks if integrates)
     names: list[CommandName] = several_of(

@@ -197,22 +197,27 @@ class ResidualTest:
             f"  {_verdict(*_DYNAMICS, self.missing_dynamics)}",
             f"  {_NOT_VALID if not_valid else _verdict(*_FEEDBACK, self.feedback)}",
         ]
-        if several:
-            lines += self._of_each(with_feedback=not not_valid)
-        return "\n".join([*lines, *self._warnings()])
-
-    def _of_each(self, *, with_feedback: bool) -> Iterator[str]:
-        """Yield the whiteness of each output, and each pair that a test rejects."""
         if len(self.outputs) > 1:
-            for name, white in zip(self.outputs, self.white_by_output, strict=True):
-                yield f"  {name}: {white}"
-        of_pairs = [(self.missing_dynamics_by_pair, _DYNAMICS[1])]
-        if with_feedback:
-            of_pairs.append((self.feedback_by_pair, _FEEDBACK[1]))
-        for p, what in of_pairs:
-            for i, j in zip(*np.nonzero(p < WHITE_LEVEL / p.size), strict=True):
-                pair = f"{self.inputs[j]} to {self.outputs[i]}"
-                yield f"  {pair}: {what} (p {p_relation(float(p[i, j]))})"
+            each = zip(self.outputs, self.white_by_output, strict=True)
+            lines += [f"  {name}: {white}" for name, white in each]
+        return "\n".join([*lines, *(self.pair_lines() if several else ()), *self._warnings()])
+
+    def pair_lines(self, *, every: bool = False) -> Iterator[str]:
+        """Yield a line for each test that rejects a pair of an output and an input.
+
+        Bonferroni's correction accounts for the number of pairs. If dynamics are missing, the test
+        of feedback is not valid. If `every` is True, all valid tests have a line.
+        """
+        tests = [(self.missing_dynamics_by_pair, _DYNAMICS)]
+        if not self.missing_dynamics < WHITE_LEVEL:
+            tests.append((self.feedback_by_pair, _FEEDBACK))
+        for p, (good, bad, _) in tests:
+            for (i, j), value in np.ndenumerate(p):
+                rejected = value < WHITE_LEVEL / p.size
+                if rejected or every:
+                    said = f"(p {p_relation(float(value))})" if value >= 0 else "not tested"
+                    pair = f"{self.inputs[j]} to {self.outputs[i]}"
+                    yield f"  {pair}: {bad if rejected else good} {said}"
 
     def _warnings(self) -> list[str]:
         return [f"  {finding.text}" for finding in self.findings]

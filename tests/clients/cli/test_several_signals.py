@@ -13,6 +13,7 @@ from armrig.cli.recorded_data import SignalChoice
 from armrig.cli.several_next import after_compare, after_validate
 from armrig.data.dataset import Signals
 from armrig.validation.comparison import Comparison, ComparisonTable
+from armrig.validation.residual_test import ResidualTest
 
 from tests.clients.models.made_fits import made
 
@@ -27,9 +28,9 @@ def _tests(**changes: Any) -> Any:
 
 
 def test_a_pair_fails_its_test_at_the_level_of_all_pairs_together() -> None:
-    brief = list(several_output._pair_lines(_tests(), verbose=False))
-    every = list(several_output._pair_lines(_tests(), verbose=True))
-    missing = list(several_output._pair_lines(_tests(missing_dynamics=0.009), verbose=True))
+    brief = list(ResidualTest.pair_lines(_tests()))
+    every = list(ResidualTest.pair_lines(_tests(), every=True))
+    missing = list(ResidualTest.pair_lines(_tests(missing_dynamics=0.009), every=True))
 
     assert brief == [
         "  w to y: dynamics missing (p < 0.001)",

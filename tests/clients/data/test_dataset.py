@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import armrig
 import numpy as np
@@ -296,16 +296,3 @@ def test_orders_by_position_are_refused_with_their_names(recording: Any) -> None
         call(recording, [4, 4, 1])
     with pytest.raises(TypeError, match=r"arx\(data, na=4, nb=4, nk=1\)"):
         call(recording, 4, 4, 1)
-
-
-@pytest.mark.parametrize("kind", ["time", "spectrum", "values"])
-def test_data_are_drawn_with_their_unit(
-    kind: Literal["time", "spectrum", "values"],
-) -> None:
-    n = np.arange(200)
-    part = Dataset(u=n % 3, y=np.cos(n), Ts=0.01, valid=n % 70 > 3, output="theta_1", unit="rad")
-
-    ax = merge([part, part]).plot(kind, ax=Figure().add_subplot()).axes[0]
-
-    texts = [ax.get_xlabel(), ax.get_ylabel(), *(text.get_text() for text in ax.texts)]
-    assert "rad" in "".join(texts)

@@ -296,15 +296,17 @@ def test_an_input_is_drawn_as_it_runs_between_samples_and_experiments_are_marked
 
 
 @SHAPES
-@pytest.mark.parametrize("kind", ["spectrum", "values"])
-def test_each_channel_has_a_panel(kind: Any, shape: tuple[int, int]) -> None:
+@pytest.mark.parametrize("kind", ["time", "spectrum", "values"])
+def test_each_channel_is_drawn_in_a_panel_with_its_unit(kind: Any, shape: tuple[int, int]) -> None:
     signals = driven(missing=0.1, shape=shape)
 
     panels = signals.plot(kind, ax=Figure().add_subplot()).axes
 
-    said = [panel.get_ylabel() + panel.get_xlabel() for panel in panels]
-    for name, text in zip((*signals.outputs, *signals.inputs), said, strict=True):
+    names, units = (*signals.outputs, *signals.inputs), (*signals.units, *signals.input_units)
+    for panel, name, unit in zip(panels, names, units, strict=True):
+        text = panel.get_ylabel() + panel.get_xlabel()
         assert name in text
+        assert unit in text
 
 
 def test_a_part_knows_its_time_and_its_merge_its_channels() -> None:

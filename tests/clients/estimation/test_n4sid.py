@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
+from armrig.data.signals import Signals
 from armrig.estimation.armax import armax
 from armrig.estimation.n4sid import _pole_std, n4sid
 from armrig.estimation.oe import oe
@@ -247,6 +248,19 @@ def test_the_order_is_suggested_by_the_states_errors(seed: int) -> None:
     assert (np.diff(fit.canonical_correlations) <= 0).all()
     assert 0 <= fit.canonical_correlations[-1] <= fit.canonical_correlations[0] <= 1
     assert "<- order" in fit.explain()
+
+
+def test_a_model_of_two_outputs_has_the_correlations_of_its_projection() -> None:
+    """The second output is the first one a sample later: a third state."""
+    data = _data(0, 3000)
+    late = np.append(0.0, data.y[:-1]) + 0.1 * np.random.default_rng(0).standard_normal(data.N)
+
+    fit = n4sid(Signals(u=data.u, y=np.column_stack([data.y, late]), Ts=1.0), replicates=0)
+
+    assert fit.order == fit.suggested_order == 3
+    assert fit.canonical_correlations[2] > 0.5 > fit.canonical_correlations[3]
+    assert fit.singular_values.size > fit.horizon > 3
+    assert "   3   0.5" in fit.explain()
 
 
 def test_a_saved_subspace_model_is_loaded_unchanged(tmp_path: Path) -> None:

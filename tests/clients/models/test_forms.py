@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from armrig.data.finding import warning
 from armrig.data.signals import Signals
 from armrig.models.polynomials import Polynomials
 from armrig.models.state_space import StateSpace, predicted
@@ -87,18 +88,20 @@ def test_a_state_space_of_one_channel_becomes_polynomials_with_its_responses() -
     form = of_one_output(1)
     d = form.theta.size
     P = np.diag(np.square(0.001 * np.arange(1, d + 1)))
-    of = {"inputs": ("u",), "outputs": ("y",), "input_units": ("V",), "units": ("rad",)}
+    of: dict[str, Any] = {"inputs": ("u",), "outputs": ("y",), "input_units": ("V",)}
+    of |= {"units": ("rad",), "structure": "ss", "specification": "order=2, nk=1"}
     quality = fit_of_form(apart()).quality[:1]
 
     fit = fit_of_form(
-        form, structure="ss", specification="", **of, covariance=P, covariance_robust=4 * P,
+        form, **of, covariance=P, covariance_robust=4 * P,
         noise_covariance=np.eye(1), quality=quality,
     )  # fmt: skip
 
-    assert fit.heading == "SS(order=2, nk=1)"
+    assert (fit.heading, fit.label) == ("SS(order=2, nk=1)", "SS[2 1]")
     assert fit.names == ("a1", "a2", "b1", "b2", "c1", "c2")
     _, J = form.channel(0, 0)
     np.testing.assert_allclose(fit.covariance, J @ P @ J.T)
+    np.testing.assert_allclose(fit.covariance_robust, 4 * fit.covariance)
     np.testing.assert_allclose(np.sort(fit.poles().values), np.sort(np.linalg.eigvals(form.A)))
     u = np.random.default_rng(0).standard_normal(50)
     np.testing.assert_allclose(fit.simulate(u), form.realised().simulated(u[:, None])[:, 0])
@@ -184,6 +187,8 @@ def test_a_channel_has_the_signals_and_numbers_of_its_output_and_input() -> None
         assert channel.structure == "bj"
     assert [(i, j) for i, j, _ in fit.channels()] == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 2)]
     assert fit_of_form(joined())["b", "u"].structure == "channel"
+    integrating = fit_of_form(apart((True, False)))
+    assert [integrating[name, "u"].offset for name in "ab"] == [True, False]
     for channel, said in (
         (("b", "v"), "does not affect this output"),
         (("c", "u"), "output 'c': there is no such output; the model has a, b"),
@@ -214,6 +219,25 @@ def test_the_joint_response_contains_the_response_of_each_channel() -> None:
     assert not G.G[:, 1, 1].any()
     assert (fit.ny, fit.nu) == (2, 3)
     assert fit.std_robust == pytest.approx(2 * fit.std)
+
+
+def test_the_text_of_several_signals_has_a_line_for_each_output_and_the_poles() -> None:
+    fit = fit_of_form(apart(), findings=(warning("x", "doubtful"),), converged=False)
+
+    first, a, b, noise, poles, doubt = repr(fit).splitlines()
+
+    assert first == "BJ(nb=2, nf=2, nk=1): u [V], v [A], w to 2 outputs, Ts 0.1 s, 18 parameters"
+    assert a == (
+        "  a [rad]  fit  80.50 % one step ahead, loss 0.05, N 90, residuals white (p 0.500, "
+        "portmanteau)"
+    )
+    assert b.startswith(
+        "  b [m]    fit  -3.25 % one step ahead, loss 0.1, N 95, residuals coloured"
+    )
+    assert noise == "  correlation of the noise: a and b -0.50"
+    assert poles.startswith("  poles: 0.5000 (std ")
+    assert "0.3000 ± 0.3317i (std " in poles
+    assert doubt == "  warning: doubtful"
 
 
 def test_poles_of_equal_denominators_count_once() -> None:

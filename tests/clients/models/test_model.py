@@ -33,6 +33,7 @@ def test_a_model_that_was_not_estimated_has_no_deviations_and_no_loss() -> None:
 
     assert (model.label, model.heading) == ("model", "model(nb=1, nf=2, nk=1)")
     assert repr(model).splitlines()[0] == "model(nb=1, nf=2, nk=1): u to y, Ts 0.1 s"
+    assert "±" not in repr(model)
     assert not model.trusts_robust
     assert not model.poles().covariance.any()
     assert not model.step_response(9).std.any()

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.numerics.recursion import free_responses, recursion, responses
+from armrig.numerics.recursion import (
+    free_responses,
+    in_observer_form,
+    outputs,
+    recursion,
+    responses,
+)
 from numpy.typing import NDArray
 
 
@@ -58,3 +64,21 @@ def test_the_response_is_computed_for_each_signal_and_state(
                 expected.append(C @ x)
                 x = Phi @ x + unit * value
             np.testing.assert_allclose(found[j, k], np.transpose(expected), atol=1e-12)
+
+
+@pytest.mark.parametrize("N", [1, 3, 101])
+def test_the_observer_form_has_the_responses_of_the_recursion(N: int) -> None:
+    rng = np.random.default_rng(N)
+    Phi, C = np.eye(3, k=1), np.eye(1, 3)
+    Phi[:, 0] = [1.5, -0.9, 0.2]
+    signals, w, x0 = rng.normal(size=(N, 2)), rng.normal(size=(N, 3)), rng.normal(size=3)
+
+    assert in_observer_form(Phi, C)
+    assert not in_observer_form(Phi.T, C)
+    driven = responses(Phi, C, signals)
+    for j, k in np.ndindex(2, 3):
+        expected = recursion(Phi, signals[:, j, None] * np.eye(3)[k], np.zeros(3))[:-1] @ C.T
+        np.testing.assert_allclose(driven[j, k, 0], expected[:, 0], atol=1e-12)
+    free = recursion(Phi, np.zeros((N, 3, 3)), np.eye(3))[:-1] @ C.T
+    np.testing.assert_allclose(free_responses(Phi, C, N)[:, 0], free[:, :, 0].T, atol=1e-12)
+    np.testing.assert_allclose(outputs(Phi, C, w, x0), recursion(Phi, w, x0)[:-1] @ C.T, atol=1e-12)

@@ -14,7 +14,13 @@ from armrig.validation.advice.advice import Advice
 from armrig.validation.advice.data_advice import examine_fit_of
 from armrig.validation.advice.model_advice import _about_integrator, _about_poles
 
-from tests.clients.validation.plants import of_second_order, switched, under_control
+from tests.clients.validation.plants import (
+    oe_of_two_outputs,
+    of_second_order,
+    switched,
+    two_outputs,
+    under_control,
+)
 from tests.sampling import sampled
 
 if TYPE_CHECKING:
@@ -194,3 +200,13 @@ def test_a_name_with_a_colon_is_complete_in_the_text() -> None:
 
     [text] = [f.text for f in found.findings if f.about == "integrator"]
     assert text.startswith("lift: left behaves as an integrating output")
+
+
+def test_each_channel_of_several_signals_has_advice() -> None:
+    of_data: Any = armrig.advice(two_outputs(0))
+    of_fit: Any = armrig.advice(oe_of_two_outputs(0))
+
+    assert [*of_data] == [*of_fit] == [(y, u) for y in ("y1", "y2") for u in ("u1", "u2")]
+    assert "u depends on y1" in of_data["y1", "u1"].warnings[0]
+    assert of_fit["y1", "u2"].of == "OE[1 1 2] of y1"
+    assert [f.text for f in of_fit["y1", "u2"].findings if f.about == "search"] == ["one minimum"]

@@ -365,3 +365,20 @@ def test_a_search_needs_every_input_to_change_in_both_parts() -> None:
 
     with pytest.raises(InputError, match="u moves in one part of the data only"):
         armrig.search(rests, families=["oe"], orders=[1])
+
+
+def test_an_option_of_one_signal_is_refused_for_several() -> None:
+    with pytest.raises(InputError, match="offset= is for one input and one output; for several"):
+        search(two_outputs(0), offset=True)
+
+
+def test_theta_1_integrates_if_a_structure_can_have_a_fixed_pole() -> None:
+    data = two_outputs(0, cross=0.0).replaced(step=None, outputs=("theta_1", "alpha"))
+    cases: list[Any] = [None, ("ss",), ("ss", "oe")]
+
+    tried = [
+        {j.candidate.family for j in (*found.ranked, *found.failed)}
+        for found in (search(data, families=families, orders=(1,)) for families in cases)
+    ]
+
+    assert tried == [{"oe"}, {"ss"}, {"oe"}]

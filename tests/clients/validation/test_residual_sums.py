@@ -29,6 +29,8 @@ from tests.plants import chassis_and_arm
 from tests.sampling import sampled
 
 L = 6
+NK = [[1, 2], [1, 1]]
+"""Delays of the channels of `two_outputs`."""
 
 
 def data(seed: int, N: int, B: list[float] | None = None) -> Dataset:
@@ -148,12 +150,27 @@ def joint(test: Any) -> list[float]:
     return [test.white.p_value, test.missing_dynamics, test.feedback]
 
 
+@pytest.mark.parametrize(
+    ("outputs", "inputs", "orders"),
+    [
+        (["y1"], ["u1"], {"nb": 2, "nf": 2}),
+        (["y1"], ["u1", "u2"], {"nb": [[2, 1]], "nf": [[2, 1]], "nk": [[1, 2]]}),
+        (["y1", "y2"], ["u1", "u2"], {"nb": [[2, 1], [1, 1]], "nf": [[2, 1], [1, 1]], "nk": NK}),
+    ],
+    ids=["1x1", "1x2", "2x2"],
+)
 @pytest.mark.parametrize("missing", sampled([0.0, 0.2]))
-def test_the_tests_of_a_true_model_pass(missing: float) -> None:
+def test_the_tests_of_a_true_model_pass(
+    outputs: list[str], inputs: list[str], orders: dict[str, Any], missing: float
+) -> None:
     p = []
     for seed in range(4):
-        fit = oe_of_two_outputs(seed, missing)
-        for data in (two_outputs(seed, missing=missing), two_outputs(seed + 100, missing=missing)):
+        first, other = (
+            two_outputs(k, missing=missing, cross=0.5 * ("u2" in inputs)).channels(outputs, inputs)
+            for k in (seed, seed + 100)
+        )
+        fit = armrig.oe(first, **orders)
+        for data in (first, other):
             p += joint(armrig.residuals(fit, data))
 
     assert min(p) > 0.0005

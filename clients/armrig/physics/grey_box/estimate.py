@@ -121,8 +121,8 @@ def greybox(
     Raises
     ------
     ValueError
-        A name is unknown or given twice, there are several inputs, the model lacks an output or a
-        state, there are too few samples, or the data do not determine the parameters.
+        A name is unknown or given twice, or the model lacks an output or a state. The data have
+        several inputs or too few samples, or do not determine the parameters.
 
     References
     ----------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
@@ -10,6 +10,7 @@ from armrig.data.finding import Finding
 from armrig.models.fit import Fit
 from armrig.validation.advice.data_advice import examine_data
 from armrig.validation.advice.model_advice import examine_model
+from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -41,6 +42,7 @@ class Advice:
         return f"advice on {self.of}: {said}\n{self.explain()}"
 
 
+@each_channel()
 def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     """Examine data or a model, and return the findings with their remedies.
 
@@ -52,13 +54,15 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
 
     Parameters
     ----------
-    data_or_fit : Dataset, Recording or Fit
-        Data or model to examine.
+    data_or_fit : Dataset, Signals, Recording or Fit
+        Data or model to examine. Each channel of several signals is examined separately; in the
+        data of a channel, the other inputs are part of the noise.
 
     Returns
     -------
     Advice
-        Its fields are .findings and .warnings; its repr prints the findings.
+        Its fields are .findings and .warnings; its repr prints the findings. For several signals,
+        the result is `ByChannel`: `found["alpha", "u"]` is the advice on one channel.
 
     Raises
     ------
@@ -83,4 +87,10 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
         data = as_dataset(data_or_fit)
         return Advice(of=f"{data.N} samples of {data.output}", findings=tuple(examine_data(data)))
     fit = data_or_fit
+    if (fit.ny, fit.nu) != (1, 1):
+        each = {
+            (fit.outputs[i], fit.inputs[j]): advice(replace(one, starts=fit.starts))
+            for i, j, one in fit.channels()
+        }
+        return ByChannel(results=each, refused={})  # type: ignore[return-value]
     return Advice(of=f"{fit.label} of {fit.output}", findings=tuple(examine_model(fit)))

@@ -41,8 +41,11 @@ def without_other_inputs(data: Signals, output: str, input: str) -> tuple[Datase
     kept = slice(n + j * (n + 1), n + (j + 1) * (n + 1))
     theta[kept] = 0.0
     w = np.concatenate([block[:, -1] - block[:, :-1] @ theta for block in blocks])
-    y, valid = np.nan_to_num(w), np.isfinite(w)
-    return own.replaced(step=None, y=y, valid=valid, output="", unit=""), {"integrator": False}
+    # Not the output's own name, which can imply an integrator or a smooth onset.
+    alone = own.replaced(
+        step=None, y=np.nan_to_num(w), valid=np.isfinite(w), output=f"filtered {output}"
+    )
+    return alone, {"integrator": False}
 
 
 def _best_blocks(parts: list[Signals], output: str) -> list[Array]:
