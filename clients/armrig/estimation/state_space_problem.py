@@ -192,10 +192,10 @@ class StateSpaceProblem:
     def sensitivities(self, i: int, at: Predictor, directions: Array) -> tuple[Array, Array]:
         """Return the derivatives (d, ny, N) of yhat in experiment i, and the other responses.
 
-        The derivatives are with respect to (Abar, C) in the given directions, to the entries of
-        Bbar, and of K with fixed A and B, signal by signal, and to those of D row by row. The
-        other responses are those to the initial state and to offsets. The changes of the gains of a
-        Kalman filter after a missing output are neglected.
+        The derivatives are with respect to (Abar, C) in the given directions, then to the entries
+        of Bbar, and of K with fixed A and B, signal by signal. The last ones are those of D, row by
+        row. The other responses are those to the initial state and to offsets. The changes of the
+        gains of a Kalman filter after a missing output are neglected.
         """
         part, K, of_D = self.parts[i], at.K, self.parts[i].u if self.direct else None
         yhat = at.predicted(part, i)
