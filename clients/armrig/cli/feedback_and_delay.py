@@ -23,6 +23,7 @@ from armrig.cli.options import (
     say_answer,
 )
 from armrig.cli.recorded_data import (
+    Channel,
     SignalChoice,
     each_channel,
     from_recording,
@@ -85,7 +86,7 @@ def check(
         say(line)
     for channel, found in tests.items():
         if channel:
-            say(channel, bold=True)
+            say(" to ".join(channel), bold=True)
         for which, number, one in zip(("open loop", "delay"), ("3.7", "3.8"), found, strict=True):
             where = f"{which} (handout {number})" if of_rig else which
             if isinstance(one, str):
@@ -110,44 +111,41 @@ def _say_next(file: Path, signals: SignalChoice, *, of_rig: bool) -> None:
         say_next("check")
 
 
-def _tested(test: Callable[[Any], Any], data: Dataset | Signals) -> dict[str, Any]:
+def _tested(test: Callable[[Any], Any], data: Dataset | Signals) -> dict[Channel, Any]:
     """Return the result of a test for each channel, or the reason why there is no result."""
     columns = data.signals()
     if (columns.ny, columns.nu) == (1, 1):
         try:
-            return {"": test(data)}
+            return {(): test(data)}
         except ValueError as err:
-            return {"": str(err)}
+            return {(): str(err)}
     found = test(columns)
-    return {
-        f"{input} to {output}": one
-        for (output, input), one in {**found.results, **found.refused}.items()
-    }
+    every = {**found.results, **found.refused}
+    return {(input, output): one for (output, input), one in every.items()}
 
 
-def _drawn(tests: Mapping[str, tuple[Any, Any]]) -> dict[str, Draw]:
+def _drawn(tests: Mapping[Channel, tuple[Any, Any]]) -> dict[str, Draw]:
     """Return the functions that draw the results, by their names."""
-    return {
-        "_".join([which, *channel.split()]): of_channel(partial(_draw, one), channel)
-        for channel, found in tests.items()
-        for which, one in zip(("open_loop", "delay"), found, strict=True)
-        if not isinstance(one, str)
-    }
+    drawn: dict[str, Draw] = {}
+    for channel, found in tests.items():
+        for which, one in zip(("open_loop", "delay"), found, strict=True):
+            if not isinstance(one, str):
+                drawn |= of_channel(which, partial(_draw, one), channel)
+    return drawn
 
 
 def _draw(found: OpenLoop | Delay, ax: Axes) -> None:
     found.plot(ax=ax)
 
 
-def _facts(tests: Mapping[str, tuple[Any, Any]]) -> dict[str, Any]:
+def _facts(tests: Mapping[Channel, tuple[Any, Any]]) -> dict[str, Any]:
     """Return the results as JSON fields; several channels have a list."""
     each = [
-        {"channel": channel, "open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
+        dict(zip(("input", "output"), channel, strict=False))
+        | {"open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
         for channel, (loop, late) in tests.items()
     ]
-    if len(each) > 1:
-        return {"channels": each}
-    return {name: each[0][name] for name in ("open_loop", "delay")}
+    return each[0] if len(each) == 1 else {"channels": each}
 
 
 def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:

@@ -159,14 +159,15 @@ def _drawn(subjects: Sequence[Draw], height: float, width: float) -> Figure:
     return figure
 
 
-def of_channel(draw: Draw, channel: str) -> Draw:
-    """Return a function that draws a subject and writes the name of its channel, if it has one."""
+def of_channel(subject: str, draw: Draw, channel: Sequence[str]) -> dict[str, Draw]:
+    """Return a subject's name and function; the panels of a channel show the channel's name."""
+    name = " to ".join(channel)
 
     def drawing(*, ax: Axes) -> None:
         draw(ax=ax)
-        ax.text(0.99, 0.95, channel, transform=ax.transAxes, ha="right", va="top")
+        ax.text(0.99, 0.95, name, transform=ax.transAxes, ha="right", va="top")
 
-    return drawing if channel else draw
+    return {"_".join([subject, *name.split()]): drawing if channel else draw}
 
 
 def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:

@@ -33,6 +33,7 @@ from armrig.cli.options import (
     say_more,
 )
 from armrig.cli.recorded_data import (
+    Channel,
     SignalChoice,
     each_channel,
     from_recording,
@@ -180,8 +181,8 @@ def hints(
 
     check_plot(plot, [file])
     data = signals.of(file)
-    found: dict[str, StructureHints | str] = {}
-    doubts: dict[str, list[Finding]] = {}
+    found: dict[Channel, StructureHints | str] = {}
+    doubts: dict[Channel, list[Finding]] = {}
     with spinner("estimating without a structure"):
         for channel, of_channel in each_channel(data):
             doubts[channel] = data_doubts(of_channel)
@@ -196,19 +197,20 @@ def hints(
         _draw_hints(known, data, plot)
     if json:
         each = [
-            {"channel": name} | _hint_facts(one) | {"doubts": [d.text for d in doubts[name]]}
-            for name, one in found.items()
+            dict(zip(("input", "output"), channel, strict=False))
+            | _hint_facts(one)
+            | {"doubts": [d.text for d in doubts[channel]]}
+            for channel, one in found.items()
         ]
-        facts = {"channels": each} if len(each) > 1 else {k: each[0][k] for k in [*each[0]][1:]}
-        print_json(source_facts(data) | facts)
+        print_json(source_facts(data) | (each[0] if len(each) == 1 else {"channels": each}))
         return
     if signals.shape == (1, 1):
-        _, taken = signals.choice(data, known[""].integrator)
+        _, taken = signals.choice(data, known[()].integrator)
         if taken:
             say("\n".join(taken))
     for channel, one in found.items():
         if channel:
-            say(channel, bold=True)
+            say(" to ".join(channel), bold=True)
         text = f"not known: {one}" if isinstance(one, str) else repr(one)
         say_answer("\n".join([text, *(f"! {d.about}: {d.text}" for d in doubts[channel])]))
     if any(d.about == "feedback" for of_channel in doubts.values() for d in of_channel):
@@ -228,15 +230,16 @@ def _options(found: Sequence[StructureHints]) -> str:
     return f"--structure oe --nb {orders['nb']} --nf {orders['nf']} --nk {nk}{integrator}"
 
 
-def _draw_hints(found: Mapping[str, StructureHints], data: Dataset | Signals, plot: Path) -> None:
+def _draw_hints(
+    found: Mapping[Channel, StructureHints], data: Dataset | Signals, plot: Path
+) -> None:
     drawn: dict[str, Draw] = {}
     for channel, one in found.items():
-        end = "".join(f"_{word}" for word in channel.split())
-        drawn[f"impulse{end}"] = of_channel(partial(_plot, one.response), channel)
+        drawn |= of_channel("impulse", partial(_plot, one.response), channel)
         if not channel:
             drawn["spectra"] = partial(data.plot, "spectrum")
-        drawn[f"structure{end}"] = of_channel(partial(_plot, one), channel)
-    write_plot(plot, height=5.0 if "" in found else 4.0, **drawn)
+        drawn |= of_channel("structure", partial(_plot, one), channel)
+    write_plot(plot, height=5.0 if () in found else 4.0, **drawn)
 
 
 def _plot(one: Any, ax: Axes) -> None:

@@ -304,13 +304,17 @@ def between(data: Dataset | Signals, start: float | None, stop: float | None) ->
     return data[first:end]
 
 
-def each_channel(data: Dataset | Signals) -> Iterator[tuple[str, Dataset]]:
-    """Yield the data of each input and output with a name; a single channel has the name ""."""
+Channel = tuple[str, ...]
+"""Names of an input and an output; empty if there is only one channel."""
+
+
+def each_channel(data: Dataset | Signals) -> Iterator[tuple[Channel, Dataset]]:
+    """Yield the names and the data of each pair of an input and an output."""
     columns = data.signals()
     for output in columns.outputs:
         for input in columns.inputs:
             one = columns.ny == columns.nu == 1
-            yield "" if one else f"{input} to {output}", columns.dataset(output, input)
+            yield () if one else (input, output), columns.dataset(output, input)
 
 
 def from_recording(data: Dataset | Signals) -> bool:
