@@ -261,17 +261,6 @@ def test_a_pair_must_be_chosen() -> None:
         signals.dataset("fan", "valve")
 
 
-def test_an_option_of_one_pair_is_refused_with_the_options_of_several() -> None:
-    call: Any = armrig.oe
-    said = "^offset= is for one output and one input; for several signals oe takes nb, nf, nk, "
-    with pytest.raises(InputTypeError, match=said):
-        call(driven(), nb=1, nf=1, offset=True)
-    with pytest.raises(InputTypeError, match=r"^stable= is for .* arx takes na, nb, nk$"):
-        armrig.arx(data=driven(), na=1, nb=1, stable=True)
-    alone = driven().channels("level", "heater")
-    assert armrig.arx(data=alone, na=1, nb=1, stable=True).names == ("a1", "b1")
-
-
 def test_the_repr_of_signals_lists_channels_units_and_history() -> None:
     assert repr(driven(missing=0.1)[:300]) == (
         "<Signals: 300 samples at 0.1 s; outputs temperature [K], flow [l/s], level [m]; inputs "
