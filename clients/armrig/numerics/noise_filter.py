@@ -219,12 +219,24 @@ def _after_gaps(c: Array, d: Array, powers: Array, W: Array, parts: list[slice])
         found.append(P)
         n = part.stop - part.start
         if n < powers.shape[1]:
-            P = np.linalg.solve(np.eye(r) + P @ W[:, n], P)
+            P = _updated(P, W[:, n], powers[:, :n, 0])
             P = powers[:, n] @ P @ powers[:, n].transpose(0, 2, 1)
         else:
             P = np.zeros_like(P)
         stop = part.stop
     return np.stack(found, axis=1)
+
+
+def _updated(P: Array, W: Array, w: Array) -> Array:
+    """Return (inv(P) + W)^-1, (m, r, r), for the sum W of w_i w_i^T; w is (m, n, r)."""
+    try:
+        return np.linalg.solve(np.eye(P.shape[1]) + P @ W, P)
+    except np.linalg.LinAlgError:  # P is so large that the 1 is lost: one sample after the other
+        for now in w.transpose(1, 0, 2):
+            a = np.einsum("mij,mj->mi", P, now)
+            s = 1 + np.einsum("mi,mi->m", a, now)
+            P = P - a[:, :, None] * a[:, None, :] / s[:, None, None]
+        return P
 
 
 def _through(Phi: Array, noise: Array, n: int) -> tuple[Array, Array]:

@@ -92,3 +92,15 @@ def test_the_innovations_of_white_noise_equal_the_noise() -> None:
     assert found.log_scale == 0.0
     e = found.innovations(impulse([1.0], N))
     np.testing.assert_array_equal(e, np.where(rows, impulse([1.0], N), 0.0))
+
+
+def test_the_filter_of_an_extremely_unstable_D_is_finite_after_gaps() -> None:
+    """A search may try such a D."""
+    unstable = np.array([1.0, -400.0, 3.0, 2.0])
+    rows = np.ones(N, dtype=np.bool_)
+    rows[[*range(10, 22), *range(30, 40)]] = False
+
+    found = noise_filter(np.array([1.0, 0.5, 0.2]), unstable, rows)
+
+    assert np.isfinite(found.at.gain).all()
+    assert np.isfinite(found.at.s).all()
