@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Signals
 
 T = TypeVar("T", bound="Experiments")
 

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from armrig.data.argument import takes_data
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.estimation.channel_orders import Shared
 from armrig.estimation.prediction_error import estimated
 from armrig.models.fit import Fit

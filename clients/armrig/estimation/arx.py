@@ -10,9 +10,8 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_data
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding
-from armrig.data.signals import Signals
 from armrig.estimation.channel_orders import (
     Integers,
     as_text,

@@ -14,8 +14,7 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.models.structure import Structure
 from armrig.models.structure_table import STRUCTURES
 

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding, warning
-from armrig.data.signals import Signals
 from armrig.models.estimate import Form
 from armrig.numerics.inference import OutputQuality
 from armrig.numerics.least_squares import orthonormal

@@ -15,9 +15,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding, warning
-from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, hampel, integrating
 from armrig.data.treatment.whitening import whitening
 from armrig.numerics.quantities import percent, plural

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.estimation.data_checks import origin
 from armrig.models.fit import Fit
 from armrig.models.polynomials import Polynomials

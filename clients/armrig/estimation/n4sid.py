@@ -10,9 +10,8 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_signals
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding, warning
-from armrig.data.signals import Signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
 from armrig.estimation.data_checks import (
     instability,

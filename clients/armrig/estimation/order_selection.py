@@ -10,8 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from armrig.data.argument import as_dataset, takes_data
-from armrig.data.dataset import Dataset
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.estimation.channel_orders import Integers, by_channel
 from armrig.estimation.order_table import OrderTable, order_table, require_same_rate
 from armrig.numerics.criteria import Criterion

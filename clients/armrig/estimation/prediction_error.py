@@ -10,9 +10,8 @@ import numpy as np
 from armrig_core.errors import InputError
 from scipy.linalg import block_diag
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding, warning
-from armrig.data.signals import Signals
 from armrig.estimation.channel_orders import (
     Shared,
     as_text,

@@ -9,8 +9,8 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_signals
+from armrig.data.dataset import Signals
 from armrig.data.finding import EstimateFinding, warning
-from armrig.data.signals import Signals
 from armrig.estimation.data_checks import instability, origin, require_informative
 from armrig.estimation.n4sid import order_of
 from armrig.estimation.orders import require_samples

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.data.signals import Signals
+from armrig.data.dataset import Signals
 from armrig.estimation.state_space_problem import (
     StateSpaceProblem,
     basis_of_states,

@@ -25,7 +25,7 @@ from itertools import pairwise
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.data.signals import Signals
+from armrig.data.dataset import Signals
 from armrig.estimation.state_space_responses import (
     Part,
     Predictor,

@@ -21,8 +21,7 @@ from armrig.numerics.quantities import plural
 from armrig.numerics.whiteness import Whiteness
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Dataset, Signals
 
 Form = Polynomials | Matrices
 

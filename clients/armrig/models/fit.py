@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     import control
     from matplotlib.figure import Figure
 
-    from armrig.data.dataset import Dataset
-    from armrig.data.signals import Signals
+    from armrig.data.dataset import Dataset, Signals
     from armrig.models.summary import Summary
 
 _ONE = np.ones(1)

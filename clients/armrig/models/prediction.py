@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 
-from armrig.data.dataset import Dataset, Vector
-from armrig.data.signals import Signals
+from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.models.innovations import Unknown, errors, prepared, regression, summed_input
 from armrig.models.state_space import predicted as of_outputs
 from armrig.models.structure import Structure, free_columns, transient_count

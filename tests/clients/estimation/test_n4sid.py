@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
-from armrig.data.signals import Signals
 from armrig.estimation.armax import armax
 from armrig.estimation.n4sid import _pole_std, n4sid
 from armrig.estimation.oe import oe

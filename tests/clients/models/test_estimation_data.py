@@ -7,9 +7,8 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding
-from armrig.data.signals import Signals
 from armrig.models.fit import Fit
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from armrig.data.dataset import Signals
 from armrig.data.finding import warning
-from armrig.data.signals import Signals
 from armrig.models.polynomials import Polynomials
 from armrig.models.state_space import StateSpace, predicted
 from armrig.numerics.polynomial import Array, filtered

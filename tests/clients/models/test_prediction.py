@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
-from armrig.data.signals import Signals
 from armrig.models.fit import Fit
 from armrig.models.prediction import prediction_errors, structure_of
 from armrig.numerics.polynomial import Array, filtered
