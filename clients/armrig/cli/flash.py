@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from armrig_core.firmware_image import FirmwareImage
     from armrig_protocol.messages import HelloReply
 
-    from armrig.lab.flash.avrdude import Board
+    from armrig.lab.avrdude import Board
 
 Port = Annotated[
     str | None,
@@ -80,8 +80,8 @@ def flash(
     from armrig_core.firmware_image import read_image, shipped_image
 
     from armrig.cli.spinner import spinner
-    from armrig.lab.flash import avrdude
-    from armrig.lab.flash.avrdude import chosen, held, plugged_in
+    from armrig.lab import avrdude
+    from armrig.lab.avrdude import chosen, held, plugged_in
 
     if fuse is not None:
         _say_fuse(fuse, port, json=json)
@@ -115,7 +115,7 @@ def flash(
 
 
 def _program() -> str:
-    from armrig.lab.flash import avrdude
+    from armrig.lab import avrdude
 
     program = avrdude.find()
     if program is None:
@@ -125,7 +125,7 @@ def _program() -> str:
 
 def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
     """Print the brown-out level, and how to correct it."""
-    from armrig.lab.flash import avrdude
+    from armrig.lab import avrdude
 
     value = avrdude.fuse(_program(), programmer, port)
     level = avrdude.BROWN_OUT.get(value & 7, "reserved")
@@ -143,7 +143,7 @@ def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
 
 
 def _check_size(firmware: FirmwareImage) -> None:
-    from armrig.lab.flash.avrdude import CHIP, FLASH_BYTES
+    from armrig.lab.avrdude import CHIP, FLASH_BYTES
 
     size = len(firmware.data)
     if size > FLASH_BYTES:
@@ -182,8 +182,8 @@ def _written(
     from armrig_protocol.messages import State
 
     from armrig.cli.spinner import spinner
-    from armrig.lab.flash import avrdude
-    from armrig.lab.flash.avrdude import greeting
+    from armrig.lab import avrdude
+    from armrig.lab.avrdude import greeting
 
     with spinner("flash:") as moved:
         avrdude.write(call, moved)

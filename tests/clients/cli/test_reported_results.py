@@ -377,7 +377,7 @@ def test_an_error_of_the_system_names_the_file_and_what_to_do(
 
 def test_a_firmware_of_the_size_of_the_flash_is_accepted() -> None:
     from armrig.cli.flash import _check_size
-    from armrig.lab.flash.avrdude import FLASH_BYTES
+    from armrig.lab.avrdude import FLASH_BYTES
 
     full: Any = SimpleNamespace(data=bytes(FLASH_BYTES), path="a.hex")
     more: Any = SimpleNamespace(data=bytes(FLASH_BYTES + 1), path="a.hex")

@@ -22,8 +22,8 @@ from typing import Any
 import pytest
 from armrig.cli import flash as command
 from armrig.cli import main
-from armrig.lab.flash import avrdude
-from armrig.lab.flash.avrdude import Board, chosen
+from armrig.lab import avrdude
+from armrig.lab.avrdude import Board, chosen
 from armrig_core.errors import OperationError
 from armrig_core.firmware_image import read_image, shipped_image
 from armrig_daemon.emulator.device import Device
