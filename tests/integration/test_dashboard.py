@@ -9,7 +9,7 @@ from contextlib import ExitStack, suppress
 from math import isclose
 
 import pytest
-from armrig.dashboard.connections import MOST
+from armrig.dashboard.guard import MOST_CONNECTIONS
 
 from tests.integration.driving import hold
 from tests.integration.processes import WITHIN_S, Bench, wait_for
@@ -145,7 +145,7 @@ def test_a_thousand_connections_prevent_no_stop(page: Client, served: Bench) -> 
         ]
         assert page.ask("/api/stop", {}) == (200, {"stopped": True})
         wait_for(lambda: served.volts() == 0.0)
-        assert sum(map(_is_open, opened)) <= MOST
+        assert sum(map(_is_open, opened)) <= MOST_CONNECTIONS
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ def test_a_thousand_connections_prevent_no_stop(page: Client, served: Bench) -> 
 def test_unfinished_requests_prevent_no_stop(page: Client, served: Bench, asked: str) -> None:
     begin(page, served)
     with ExitStack() as links:
-        for _ in range(MOST + 10):
+        for _ in range(MOST_CONNECTIONS + 10):
             link = links.enter_context(socket.socket())
             link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             link.connect((page.host, page.port))

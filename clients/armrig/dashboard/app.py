@@ -18,12 +18,11 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
-from armrig.dashboard.connections import Connections
 from armrig.dashboard.driver import BusyDriverError, Driver
 from armrig.dashboard.experiments import Experiment, plan_of, previewed
 from armrig.dashboard.feed import Feed
-from armrig.dashboard.stream import Stream
-from armrig.dashboard.viewers import TooManyViewersError, Viewer
+from armrig.dashboard.guard import Connections
+from armrig.dashboard.stream import Stream, TooManyViewersError, Viewer
 from armrig.rig.session import RigError
 
 _Owner = Annotated[str, Meta(min_length=1, max_length=80)]

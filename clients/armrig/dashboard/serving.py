@@ -23,15 +23,13 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from armrig.dashboard.app import RigRoutes, application, value
-from armrig.dashboard.connections import Connections
 from armrig.dashboard.driver import Driver
 from armrig.dashboard.feed import Feed
-from armrig.dashboard.guard import Guard, Pass
+from armrig.dashboard.guard import Connections, Guard, Pass
 from armrig.dashboard.recording_routes import RecordingRoutes
 from armrig.dashboard.share import PORT as SHARED_PORT
 from armrig.dashboard.share import Certificate, certificate
-from armrig.dashboard.stream import Stream
-from armrig.dashboard.viewers import Viewers
+from armrig.dashboard.stream import Stream, Viewers
 from armrig.rig.client import Rig
 from armrig.rig.remote_source import RemoteSource
 from armrig.rig.session import RigError, open_session

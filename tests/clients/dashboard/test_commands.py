@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 from armrig.dashboard.app import RigRoutes, application
-from armrig.dashboard.connections import Connections
 from armrig.dashboard.driver import RunState
 from armrig.dashboard.experiments import Experiment, plan_of
 from armrig.dashboard.feed import Feed
+from armrig.dashboard.guard import Connections
 from armrig.dashboard.stream import Stream
 from armrig.rig.collection import Plan
 from armrig.rig.session import RigError

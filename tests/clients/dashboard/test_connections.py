@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import uvicorn
-from armrig.dashboard.connections import MOST, Address, BoundedProtocol, Connections
+from armrig.dashboard.guard import MOST_CONNECTIONS, Address, BoundedProtocol, Connections
 from armrig.dashboard.serving import QUIET
 from uvicorn.server import ServerState
 
@@ -21,7 +21,7 @@ class Table:
     def __init__(self) -> None:
         self.all = Connections()
         self.closed: list[str] = []
-        for k in range(MOST - 3):
+        for k in range(MOST_CONNECTIONS - 3):
             self.add(chr(1000 + k), is_asked=True)
 
     def add(self, name: str, *, is_asked: bool = False, is_unread: bool = False) -> None:
@@ -74,7 +74,7 @@ def test_a_closed_connection_frees_its_place_and_the_end_closes_all(table: Table
 
     assert table.closed[0] == "a"
     assert table.closed[-2:] == ["c", "d"]
-    assert len(table.closed) == MOST
+    assert len(table.closed) == MOST_CONNECTIONS
 
 
 def test_a_connection_is_busy_from_its_request_to_the_end_of_its_response() -> None:

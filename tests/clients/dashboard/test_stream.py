@@ -14,8 +14,18 @@ import pytest
 from armrig.dashboard.bins import COLUMNS, Rows
 from armrig.dashboard.driver import Driver, RunState
 from armrig.dashboard.feed import LATE_US, Feed
-from armrig.dashboard.stream import OPEN_S, History, Stream, encoded, event, status_facts
-from armrig.dashboard.viewers import MOST_VIEWERS, TooManyViewersError, Viewer, Viewers
+from armrig.dashboard.stream import (
+    MOST_VIEWERS,
+    OPEN_S,
+    History,
+    Stream,
+    TooManyViewersError,
+    Viewer,
+    Viewers,
+    encoded,
+    event,
+    status_facts,
+)
 from armrig_core.emulated import EMULATOR_UID
 from armrig_daemon.decisions.faults import REMEDIES, Id
 from msgspec.structs import replace

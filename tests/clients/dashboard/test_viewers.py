@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from armrig.dashboard.viewers import MOST_VIEWERS, TooManyViewersError, Viewer, Viewers
+from armrig.dashboard.stream import MOST_VIEWERS, TooManyViewersError, Viewer, Viewers
 
 
 def test_the_number_of_viewers_is_limited() -> None:
