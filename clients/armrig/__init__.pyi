@@ -69,14 +69,14 @@ from armrig.physics.systems import chassis as chassis
 from armrig.physics.systems import rehearse as rehearse
 from armrig.recordings.catalogue import Catalogue as Catalogue
 from armrig.recordings.catalogue import catalogue as catalogue
-from armrig.recordings.example import example_recording as example_recording
 from armrig.recordings.jitter import sampling_statistics as sampling_statistics
+from armrig.recordings.loading import example_recording as example_recording
 from armrig.recordings.loading import load as load
 from armrig.recordings.recording import Recording as Recording
 from armrig.recordings.usability import data_verdict as data_verdict
 from armrig.rig.client import Rig as Rig
-from armrig.rig.live_gaps import LiveGap as LiveGap
 from armrig.rig.session import RigError as RigError
+from armrig.rig.telemetry_stream import LiveGap as LiveGap
 from armrig.rig.telemetry_stream import stream as stream
 from armrig.validation.advice.advice import advice as advice
 from armrig.validation.comparison import compare as compare

@@ -6,7 +6,8 @@ from math import erf, radians, sqrt, tau
 from struct import pack
 
 import numpy as np
-from armrig.recordings.calibration import Estimate, Readings, estimate
+from armrig.recordings.calibration import Estimate, estimate
+from armrig.recordings.calibration_readings import Readings
 from armrig_core.arm import ArmParameters
 from armrig_core.calibration import Calibration
 from armrig_core.telemetry import decode_sample

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import tau
 
 import numpy as np
-from armrig.recordings.calibration import Readings
+from armrig.recordings.calibration_readings import Readings
 
 D, LOW, HIGH = 68_000.0, 900.0, 64_000.0
 

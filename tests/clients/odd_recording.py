@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from armrig.excitation import telegraph
-from armrig.recordings.calibration import Readings
+from armrig.recordings.calibration_readings import Readings
 from armrig_core import protobuf
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Driver, Made, Potentiometer

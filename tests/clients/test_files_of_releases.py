@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from armrig.cli.replay import replay
 from armrig.models.model_writing import model_text
-from armrig.recordings.calibration import decompressed, estimate
+from armrig.recordings.calibration import estimate
+from armrig.recordings.calibration_readings import decompressed
 from armrig.recordings.container import read
 from armrig.recordings.verification import verify
 from armrig_core.calibration_file import raw_path, read_calibration

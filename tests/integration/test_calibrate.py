@@ -15,8 +15,10 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli.replay import replay
-from armrig.recordings.calibration import decompressed, estimate
+from armrig.recordings.calibration import estimate
+from armrig.recordings.calibration_readings import decompressed
 from armrig.recordings.container import read
+from armrig.recordings.usability import doubts_of_calibration
 from armrig_core.calibration_file import raw_path, read_calibration
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW
 from msgspec.structs import replace
@@ -94,7 +96,7 @@ def test_a_rig_is_calibrated_and_its_next_recording_carries_it(bench: Bench) -> 
         assert rec.calibration == replace(written, made=replace(written.made, file=file))
         shown = rec.theta_1[rec.valid]
         assert shown[-1] > shown[0] + 0.5, "a voltage turns towards positive angles"
-        assert armrig.recordings.calibration.remarks(rec.calibration, rec.manifest) == []
+        assert doubts_of_calibration(rec.calibration, rec.manifest) == []
         assert replay(rec.path).difference == ""
         content = read(rec.path)
         assert content is not None

@@ -303,7 +303,7 @@ def _write(
     from armrig_core.calibration import Made
     from armrig_core.calibration_file import raw_path, toml_of
 
-    from armrig.recordings.calibration import compressed
+    from armrig.recordings.calibration_readings import compressed
 
     first = recordings["rest"].manifest
     uids = {str(r.manifest.device.get("uid", "")) for r in recordings.values()}

@@ -112,7 +112,7 @@ def check_turns(levels: Sequence[float], level_seconds: float) -> None:
     """Refuse voltages outside the rig's range, and times too short for a steady speed."""
     from armrig_core.volts import U_MAX_V
 
-    from armrig.recordings.calibration.rotation import LEAST_S, SETTLE_S
+    from armrig.recordings.calibration_turns import LEAST_S, SETTLE_S
 
     for u in levels:
         if not 0 < u <= U_MAX_V:

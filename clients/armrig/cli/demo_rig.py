@@ -14,11 +14,11 @@ from rich.console import Console
 
 from armrig.cli.demo_plan import RIG, Experiment, Ts
 from armrig.rig.client import Rig
+from armrig.rig.collection import bar, timing_note
 from armrig.rig.local_daemon import running
-from armrig.rig.progress import bar, timing_note
 from armrig.rig.replies import BusyError, RefusedError, RunEndedError
 from armrig.rig.session import RigError
-from armrig.rig.status_rows import scheduling_sentences
+from armrig.rig.status import scheduling_sentences
 
 MAX_ENDED_RUNS = 3
 """If stalls have ended this number of runs, the demonstration continues in virtual time."""

@@ -122,7 +122,7 @@ def ls(
 
 def _list_rigs(connect: str | None, *, json: bool) -> None:
     """List the rigs that are alive."""
-    from armrig.rig.live_rigs import live_rigs
+    from armrig.rig.status import live_rigs
 
     where, found = live_rigs(connect)
     if json:

@@ -13,7 +13,7 @@ from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import From, Json, To, echo, print_json, tell
 
 if TYPE_CHECKING:
-    from armrig.recordings.published import PublishedRun
+    from armrig.rig.playback import PublishedRun
 
 Speed = Annotated[
     float,
@@ -55,9 +55,8 @@ def play(
 
     from armrig_core.topics import check_rig_id, played_id
 
-    from armrig.recordings.published import published
-    from armrig.rig.collection import play as played
-    from armrig.rig.collection import rest, staged
+    from armrig.rig.playback import play as played
+    from armrig.rig.playback import published, rest, staged
     from armrig.rig.session import own_endpoint
 
     if not 0 < speed < inf:

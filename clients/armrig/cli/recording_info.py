@@ -57,9 +57,8 @@ def info(
 
 def _recording_facts(rec: Recording) -> dict[str, Any]:
     """Return the contents of a recording as JSON fields."""
-    from armrig.recordings.calibration.staleness import remarks
     from armrig.recordings.jitter import disturbances, sampling_statistics
-    from armrig.recordings.usability import data_verdict
+    from armrig.recordings.usability import data_verdict, doubts_of_calibration
 
     return {
         "sha256": rec.sha256,
@@ -75,7 +74,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
         "sampling": sampling_statistics(rec),
         "causes": disturbances(rec),
         "calibration": rec.calibration,
-        "remarks": remarks(rec.calibration, rec.manifest),
+        "remarks": doubts_of_calibration(rec.calibration, rec.manifest),
         "verdict": data_verdict(rec).facts(),
         "gaps": rec.gaps,
         "events": rec.events,
@@ -85,10 +84,9 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
 
 def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
     """Yield the rows of `armrig info`: the name of a quantity and its value as text."""
-    from armrig.recordings.calibration.staleness import calibrated, remarks
     from armrig.recordings.daemon_reports import gap_lines
     from armrig.recordings.jitter import disturbances, sampling_statistics
-    from armrig.recordings.usability import data_verdict
+    from armrig.recordings.usability import calibration_date, data_verdict, doubts_of_calibration
 
     manifest, timing = rec.manifest, sampling_statistics(rec)
     details = ", ".join(f"{k} {v}" for k, v in manifest.details.items())
@@ -109,8 +107,8 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
     yield "outcome", _outcome(rec)
     if rec.recovered is not None:
         yield "recovered", _recovered(rec.recovered)
-    yield "calibrated", calibrated(rec.calibration)
-    for text in remarks(rec.calibration, manifest):
+    yield "calibrated", calibration_date(rec.calibration)
+    for text in doubts_of_calibration(rec.calibration, manifest):
         yield "remark", text
     yield "jitter", _jitter(timing.jitter)
     if verbose:

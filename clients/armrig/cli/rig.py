@@ -35,7 +35,7 @@ By = Annotated[
 
 def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
     """Show the state of the daemon and the rig."""
-    from armrig.rig.status_rows import status_rows
+    from armrig.rig.status import status_rows
 
     with _opened(rig, connect) as opened:
         report = opened.status()
@@ -67,7 +67,7 @@ def watch(
     """
     from itertools import islice
 
-    from armrig.rig.live_gaps import LiveGap
+    from armrig.rig.telemetry_stream import LiveGap
 
     with _opened(rig, connect) as opened:
         samples = islice(opened.stream("sample"), count)
@@ -233,7 +233,7 @@ def _watch_in_lines(samples: Any) -> None:
 def _sample_line(sample: Any) -> str:
     from math import degrees
 
-    from armrig.rig.live_gaps import LiveGap
+    from armrig.rig.telemetry_stream import LiveGap
 
     if isinstance(sample, LiveGap):
         return f"{sample.k_first:>10} {sample.count} missing: {sample.reason}"

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from armrig.dashboard.bins import COLUMNS, Rows, binned, coarser, needed_before, rate, signals
 from armrig.estimation.recursive import rarx_start, rarx_step
 from armrig.recordings.daemon_reports import is_note
-from armrig.rig.live_gaps import MOST_TOLD, gaps_between
+from armrig.rig.telemetry_stream import MOST_TOLD, gaps_between
 
 HISTORY_S = 300.0
 """Length of the history that a new viewer receives, in s."""

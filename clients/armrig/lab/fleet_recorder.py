@@ -15,7 +15,6 @@ from pathlib import Path
 import zenoh
 from armrig_core.codes import COMPLETE
 
-from armrig.rig.live_rigs import ids_alive
 from armrig.rig.remote_recording import (
     DiskError,
     Ended,
@@ -25,6 +24,7 @@ from armrig.rig.remote_recording import (
     Tell,
     recorder_ended,
 )
+from armrig.rig.status import ids_alive
 
 _LOOK_INTERVAL_S = 1.0
 _BEGIN_INTERVAL_S = 0.2

@@ -35,7 +35,7 @@ from armrig.plots.layout import SKY as SKY
 from armrig.plots.layout import VERMILION as VERMILION
 from armrig.plots.layout import finish as finish
 from armrig.plots.layout import letter as letter
-from armrig.recordings.calibration.figures import plot_calibration as plot_calibration
+from armrig.recordings.figures import plot_calibration as plot_calibration
 from armrig.recordings.figures import plot_timing as plot_timing
 from armrig.validation.feedback_and_delay.figures import plot_delay as plot_delay
 from armrig.validation.feedback_and_delay.figures import plot_open_loop as plot_open_loop

@@ -45,6 +45,8 @@ _BEGINNING = Part(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with sa
 _REPORT_DELAY_NS = 1_000_000_000  # largest time between a sample and a report about it
 _MAX_TIME = 1e15  # in s or in samples: later than any sample, and still exact as an integer
 _ROUNDING_SAMPLES = 1e-6  # in samples: 0.3 / 0.1 is not exactly 3
+# A telegraph signal, recorded by `armrig demo --virtual` of armrig 0.1.0.
+_EXAMPLE = Path(__file__).with_name("example.mcap")
 
 
 def load(
@@ -121,6 +123,29 @@ def load(
         asked_s = found.manifest.samples * found.manifest.Ts
         raise FileError(f"{msg}; its run has {asked_s:g} s" if asked_s > 0 else msg)
     return recording
+
+
+def example_recording() -> Recording:
+    """Return a recording of the emulated rig, for trying armrig without a rig.
+
+    The recording contains 3000 samples, one every 10 ms. The motor voltage is a telegraph signal
+    of 0.5 V and 4.5 V. `armrig demo --virtual` records the same experiment.
+
+    Returns
+    -------
+    Recording
+        30 s of `u` in V, `theta_1` and `alpha` in rad.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> recording = armrig.example_recording()
+    >>> recording.N, recording.Ts
+    (3000, 0.01)
+    >>> armrig.oe(recording.dataset(), nb=4, nf=4, integrator=True).label
+    'OE[4 4 1]'
+    """
+    return load(_EXAMPLE)
 
 
 def files_of(path: Path) -> list[Path]:

@@ -17,9 +17,9 @@ from armrig.numerics.quantities import (
     percent,
 )
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.recordings.calibration.staleness import remarks
 from armrig.recordings.jitter import angle_of_jitter, fastest_rate
 from armrig.recordings.recording import Recording
+from armrig.recordings.usability import doubts_of_calibration
 from armrig.report.study import AssessedFit, Study, each_output
 
 MIN_BIASED_RMS_RATIO = 3.0
@@ -95,7 +95,7 @@ def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
     """
     of: dict[str, list[str]] = {}
     for r in recordings:
-        for sentence in remarks(r.calibration, r.manifest):
+        for sentence in doubts_of_calibration(r.calibration, r.manifest):
             of.setdefault(sentence, []).append(r.path.name)
     return [
         sentence

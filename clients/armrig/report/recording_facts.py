@@ -11,9 +11,9 @@ from armrig_core.telemetry import ALPHA
 from armrig.data.dataset import Dataset
 from armrig.data.figures import without_ramp
 from armrig.numerics.quantities import NBSP, microseconds, milliseconds, number, percent
-from armrig.recordings.calibration.staleness import calibrated
 from armrig.recordings.jitter import Disturbances, SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
+from armrig.recordings.usability import calibration_date
 from armrig.report.study import STAIRCASE, STEP, Study, each_output, kind_of
 
 _MAX_NOTES = 20  # of one recording in a report
@@ -59,7 +59,7 @@ def facts(study: Study) -> list[list[str]]:
     row("samples at Ts", lambda r: f"{r.N} at {milliseconds(r.Ts)}")
     row("length", lambda r: f"{r.N * r.Ts:.1f} s")
     row("input", _input_range)
-    row("calibrated", lambda r: calibrated(r.calibration))
+    row("calibrated", lambda r: calibration_date(r.calibration))
     row("missing samples", lambda r: str(r.missing))
     row("in the dead band, or just after", lambda r: str(r.hidden))
     row("outcome", _outcome)
@@ -165,7 +165,7 @@ def data_text(study: Study) -> str:
 def _units(study: Study) -> str:
     """Return a text on how the scales of angle and voltage in the models were determined."""
     calibrations = {
-        calibrated(r.calibration): r.calibration
+        calibration_date(r.calibration): r.calibration
         for r in (study.recording_of(d.source) for d in (study.estimation, study.validation))
     }
     measured = [c for c in calibrations.values() if c and c.made]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -12,22 +11,21 @@ from math import floor, isclose, isfinite
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import zenoh
-from armrig_core import protobuf
+import numpy as np
 from armrig_core.commands import MOST_SAMPLES, LastRun, RunAccepted, StatusReport
 from armrig_core.errors import ParameterError
-from armrig_core.group_socket import group_may_open
-from armrig_core.owned_session import owned_session
 from armrig_core.predicted_motion import Rehearsal, sentence
 from armrig_core.recording_file.part_names import part_paths
-from armrig_core.topics import STREAMS, alive_key, schema_key, stream_key
+from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBar
 
+from armrig.numerics.quantities import number
 from armrig.recordings.loading import load
-from armrig.recordings.published import Published, PublishedRun
 from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig.rig.client import Rig
-from armrig.rig.progress import bar, timing_note
 from armrig.rig.replies import Progress, RunEndedError, refusal_sentence, reset_command
 from armrig.rig.session import (
     LostLinkError,
@@ -50,10 +48,8 @@ DEAD_MAN_S = (0.5, 60.0)
 """Shortest and longest dead-man time that the daemon allows, in s."""
 _FINISH_TIMEOUT_S = 2.0  # until a stopped run is complete on the disk
 _POLL_INTERVAL_S = 0.05
-_MAX_RECEIVED_BYTES = 1 << 16  # a listener sends its subscriptions only
-_MAX_SLEEP_S = 1.0  # longer pauses are divided: time.sleep refuses very long ones
-_LISTENER_INTERVAL_S = 0.05
-Publish = Callable[[str, bytes], None]
+_TIMING_WINDOW_NS = 1_000_000_000
+_Arrived = Callable[[], list[Any]]
 
 
 class InterruptedRunError(KeyboardInterrupt):
@@ -138,6 +134,76 @@ def number_of_samples(seconds: float, Ts: float) -> int:
         most = f"must be at most {MOST_SAMPLES * Ts:g} s at Ts = {Ts:g} s ({MOST_SAMPLES} samples)"
         raise ParameterError("seconds", f"{seconds:g}", most)
     return N
+
+
+@contextmanager
+def bar(
+    name: str, console: Console | None = None, *, note: Callable[[], str] = str
+) -> Iterator[Progress]:
+    """Show a progress bar on standard error, and yield the function that updates the bar.
+
+    The function has two arguments: the amount of work done so far, and the total amount of work.
+
+    At each update, the text that `note` returns is shown after the bar.
+    """
+    columns = (
+        TextColumn("{task.description:12}", markup=False),
+        BarColumn(30),
+        TaskProgressColumn(),
+        TimeRemainingColumn(compact=True),
+        TextColumn("{task.fields[note]}", markup=False),
+    )
+    with ProgressBar(*columns, console=console or Console(stderr=True)) as shown:
+        task = shown.add_task(name, total=None, note="")
+        yield lambda done, total: shown.update(task, completed=done, total=total, note=note())
+
+
+class TimingNote:
+    """Text on the timing of a run so far, computed from the rig's streams."""
+
+    def __init__(self, N: int, samples: _Arrived, gaps: _Arrived, reports: _Arrived) -> None:
+        """Store the run's length in samples.
+
+        The other arguments are functions that return the new messages of their stream.
+        """
+        self._N = N
+        self._samples, self._gaps, self._reports = samples, gaps, reports
+        self._late: NDArray[np.int64] = np.zeros((0, 2), np.int64)
+        self._k_first: int | None = None
+        self._missing = 0
+        self._queue = ""
+
+    def __call__(self) -> str:
+        """Return text: lateness in the last second, number of missing samples, queue depth."""
+        arrived = [s for s in self._samples() if s.flags & Flag.RUN]
+        if arrived and self._k_first is None:
+            self._k_first = arrived[0].k
+        if self._k_first is None:
+            return ""
+        late = [(s.t_sched_ns, s.t_host_ns - s.t_sched_ns) for s in arrived]
+        self._late = np.concatenate([self._late, np.array(late, np.int64).reshape(-1, 2)])
+        self._late = self._late[self._late[:, 0] > self._late[-1, 0] - _TIMING_WINDOW_NS]
+        # As in the recording: samples missing before and after the run do not count.
+        end = self._k_first + self._N
+        for gap in self._gaps():
+            first = max(gap.k_first, self._k_first)
+            self._missing += max(0, min(gap.k_first + gap.count, end) - first)
+        for report in self._reports():
+            queue = report.queue_depth
+            self._queue = f", queue {queue.p50:.0f}" if queue.n else ""
+        p99_us = float(np.percentile(self._late[:, 1], 99)) / 1e3
+        return f"host late p99 {number(p99_us)} µs, missing {self._missing}{self._queue}"
+
+
+@contextmanager
+def timing_note(rig: Rig, N: int) -> Iterator[TimingNote]:
+    """Yield a `TimingNote` for a run of N samples, and receive the rig's streams in the block."""
+    with (
+        rig.arrivals("sample") as samples,
+        rig.arrivals("gap") as gaps,
+        rig.arrivals("timing") as reports,
+    ):
+        yield TimingNote(N, samples, gaps, reports)
 
 
 @contextmanager
@@ -322,94 +388,3 @@ def _interrupted_sentence(rig: Rig, before: LastRun | None) -> str:
             time.sleep(_POLL_INTERVAL_S)
     except RigError:
         return f"{stopped}, but its daemon does not answer: look at the rig"
-
-
-class Stage:
-    """Session that publishes the messages of a recording; `staged` creates this session."""
-
-    def __init__(self, session: zenoh.Session, rig: str) -> None:
-        self._session = session
-        self._publishers = {
-            stream: session.declare_publisher(
-                stream_key(rig, stream),
-                encoding=f"application/protobuf;{protobuf.OF_STREAM[stream]}",
-                congestion_control=zenoh.CongestionControl.DROP,
-            )
-            for stream in STREAMS
-        }
-        self._served = {
-            schema_key(rig, name): protobuf.descriptor_set(name)
-            for name in protobuf.OF_STREAM.values()
-        }
-        # Other queries get no answer: a client that got a status would take this session for a rig.
-        session.declare_queryable(schema_key(rig, "**"), self._serve_schema)
-        self._alive = session.liveliness().declare_token(alive_key(rig))
-
-    def wait_for_listener(self) -> None:
-        """Wait until a client listens to the samples."""
-        while not self._is_heard():
-            time.sleep(_LISTENER_INTERVAL_S)
-
-    def _is_heard(self) -> bool:
-        status: Any = self._publishers["sample"].matching_status
-        return bool(getattr(status, "matching", status))  # an object, but a bool in the stubs
-
-    def publish(self, stream: str, data: bytes) -> None:
-        """Publish a message; zenoh drops it if a subscriber is too slow."""
-        self._publishers[stream].put(data)
-
-    def _serve_schema(self, query: zenoh.Query) -> None:
-        with query:
-            for key, data in self._served.items():
-                if query.key_expr.intersects(zenoh.KeyExpr(key)):
-                    query.reply(key, data)
-
-
-@contextmanager
-def staged(where: str, rig: str) -> Iterator[Stage]:
-    """Yield a session that listens at an endpoint; clients cannot publish or answer queries there.
-
-    Raises
-    ------
-    RigError
-        The endpoint is not valid, is in use, or cannot be created.
-    """
-    config = owned_session(where, most_received=_MAX_RECEIVED_BYTES)
-    try:
-        with group_may_open():
-            session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
-    except zenoh.ZError as err:
-        raise RigError(
-            f"no session can listen at {where}: {rig} is played there already, or {where} is not a "
-            "zenoh endpoint, such as tcp/127.0.0.1:7447; choose another endpoint with --listen"
-        ) from err
-    with session:
-        yield Stage(session, rig)
-
-
-def play(run: PublishedRun, publish: Publish, *, speed: float) -> Iterator[Published]:
-    """Publish the messages of a run when they are due; yield each message after its publication.
-
-    Parameters
-    ----------
-    publish : callable
-        Called with the stream and the bytes of each message.
-    speed : float
-        Speed of the playback relative to the recording: 2 plays the run in half its time.
-    """
-    began_s, first_t = time.monotonic(), None
-    for message in run.messages():
-        first_t = message.t if first_t is None else first_t
-        _sleep_until(began_s + (message.t - first_t) / speed)
-        publish(message.stream, message.data)
-        yield message
-
-
-def rest(run: PublishedRun, *, speed: float) -> None:
-    """Wait for one sampling time, divided by `speed`, before the next playback of a run."""
-    _sleep_until(time.monotonic() + run.manifest.Ts / speed)
-
-
-def _sleep_until(due_s: float) -> None:
-    while (left_s := due_s - time.monotonic()) > 0:
-        time.sleep(min(left_s, _MAX_SLEEP_S))

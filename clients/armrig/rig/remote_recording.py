@@ -28,10 +28,9 @@ from google.protobuf.message import DecodeError
 
 from armrig.recordings.grid import MISSING_LIMIT, TS_LEAST_S, TS_LIMIT_S
 from armrig.recordings.recording_summary import REMOTE
-from armrig.rig.live_gaps import LiveGap, Newest, gaps_between, told_gaps
 from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import RigError, service_has_stopped, stopped_sentence
-from armrig.rig.telemetry_stream import decoded
+from armrig.rig.telemetry_stream import LiveGap, Newest, decoded, gaps_between, told_gaps
 
 STARTED_ANEW = "the daemon was restarted, and its counts begin again"
 MOST_ROWS = 1 << 23

@@ -1,20 +1,25 @@
-"""Live messages of a rig."""
+"""Live messages of a rig, and gaps between them, reported by the daemon or detected here."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
 from functools import partial
+from math import nan
 from pathlib import Path
-from typing import Any
+from threading import Lock
+from typing import Any, Generic, TypeVar
 
 import zenoh
 from armrig_core import protobuf, telemetry, topics
+from armrig_core.codes import GapCode
 from armrig_core.errors import InputError
+from armrig_core.telemetry import Sample
 from google.protobuf.message import DecodeError
 
-from armrig.rig.live_gaps import Newest, gaps_between, told_gaps
 from armrig.rig.session import (
     MOST_RECEIVED,
     NoReplyError,
@@ -30,6 +35,12 @@ _LOOK_TIMEOUT_S = 1.0
 _LISTEN_INTERVAL_S = 0.002
 _RING_MESSAGES = 10_000  # a slower listener misses the oldest messages
 _RING_BYTES = MOST_RECEIVED  # of all messages; one message may be this long
+MOST_TOLD, MOST_TOLD_BYTES = 10_000, 1 << 20
+"""Largest number and largest total size, in B, of stored gaps.
+
+A gap is stored until a later sample arrives.
+"""
+_T = TypeVar("_T")
 
 
 def stream(
@@ -90,7 +101,7 @@ def listen(session: zenoh.Session, key: str, where: str) -> Iterator[Any]:
     rig, name = _stream_of(key)
     # The gaps first: who hears a sample also hears the gaps after it.
     with _reported_gaps(session, rig, name) as gaps_since, arrivals(session, key) as messages_since:
-        before: telemetry.Sample | None = None
+        before: Sample | None = None
         reported = told_gaps()
         for messages in _until_gone(session, rig, where, messages_since):
             # The daemon publishes a gap first, then the sample that follows the gap.
@@ -171,7 +182,7 @@ def decoded(name: str, payload: bytes) -> Any:
         return sample
     # A sample of another version, with more or fewer fields.
     message = protobuf.decoded(protobuf.SAMPLE, payload)
-    return telemetry.Sample._make(getattr(message, field) for field in telemetry.Sample._fields)
+    return Sample._make(getattr(message, field) for field in Sample._fields)
 
 
 def _read(rig: str, name: str, payload: bytes) -> Any:
@@ -205,3 +216,135 @@ def _stream_of(key: str) -> tuple[str, str]:
             f"key {key!r}: a stream is rig/<id>/ and one of {', '.join(topics.STREAMS)}"
         )
     return topics.check_rig_id(parts[1]), parts[2]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveGap:
+    """Gap in a live stream: consecutive samples that the listener did not receive.
+
+    Examples
+    --------
+    A listener that receives the samples 502 and 505 missed the two samples between them.
+
+    >>> import armrig
+    >>> from armrig.rig.telemetry_stream import gaps_between
+    >>> from armrig_core.telemetry import Sample
+    >>> rows = armrig.example_recording().samples[[0, 3]]
+    >>> (gap,) = gaps_between(*(Sample._make(row.tolist()) for row in rows), [])
+    >>> gap.k_first, gap.count, gap.reason
+    (503, 2, 'the listener, or the way to it, did not keep up')
+    """
+
+    k_first: int
+    """Index of the first missing sample, as in `Sample.k`."""
+    count: int
+    """Number of missing samples."""
+    t_from_ns: int
+    """Beginning of the gap, in ns of the host's monotonic clock."""
+    t_to_ns: int
+    """End of the gap, in ns of the host's monotonic clock."""
+    u_held_v: float
+    """Voltage that the motor kept during the gap, in V; NaN if the listener cannot know it."""
+    reason: str
+    """Reason for the gap."""
+    published: bool
+    """True if the daemon published the samples, but this listener missed them."""
+    code: str
+    """Code of the reason: an `armrig_core.codes.GapCode`."""
+
+
+def told_gaps() -> Newest[Any]:
+    """Return a bounded store for the gaps that a daemon reports (`armrig.v1.Gap`)."""
+    return Newest(MOST_TOLD, MOST_TOLD_BYTES)
+
+
+def gaps_between(before: Sample, after: Sample, told: Iterable[Any]) -> Iterator[LiveGap]:
+    """Yield the gaps between two consecutively received samples, in order.
+
+    Parameters
+    ----------
+    before, after : Sample
+        Two consecutively received samples. If `k` does not increase, the daemon was restarted, and
+        no sample is missing.
+    told : iterable of armrig.v1.Gap
+        Gaps that the daemon reported, in any order.
+    """
+    k, end = before.k + 1, after.k
+    for gap in sorted(told, key=lambda gap: int(gap.k_first)):
+        first, after_last = max(gap.k_first, k), min(gap.k_first + gap.count, end)
+        if first >= after_last:
+            continue
+        if first > k:
+            yield _missed(before, after, k, first)
+        yield LiveGap(
+            k_first=first,
+            count=after_last - first,
+            t_from_ns=gap.t_from_ns,
+            t_to_ns=gap.t_to_ns,
+            u_held_v=gap.u_held_v,
+            reason=gap.reason,
+            published=False,
+            code=gap.code or GapCode.UNKNOWN,
+        )
+        k = after_last
+    if k < end:
+        yield _missed(before, after, k, end)
+
+
+def _missed(before: Sample, after: Sample, first: int, end: int) -> LiveGap:
+    return LiveGap(
+        k_first=first,
+        count=end - first,
+        t_from_ns=before.t_host_ns,
+        t_to_ns=after.t_host_ns,
+        u_held_v=nan,
+        reason=GapCode.LISTENER_LATE.sentence,
+        published=True,
+        code=GapCode.LISTENER_LATE,
+    )
+
+
+class Newest(Generic[_T]):
+    """Bounded store that drops the oldest values.
+
+    One thread may add values while another thread takes values.
+    """
+
+    def __init__(self, most: int, most_bytes: int) -> None:
+        """Create a store of at most `most` values with a total size of at most `most_bytes`."""
+        self._most, self._most_bytes = most, most_bytes
+        self._kept: deque[tuple[_T, int]] = deque()
+        self._size = 0
+        self._lock = Lock()
+
+    def __len__(self) -> int:
+        """Return the number of kept values."""
+        return len(self._kept)
+
+    def __iter__(self) -> Iterator[_T]:
+        """Iterate over the kept values, oldest first; do not add a value during the iteration."""
+        return (value for value, _ in self._kept)
+
+    def add(self, value: _T, size: int) -> None:
+        """Add a value of `size` B; if a limit is exceeded, drop the oldest values."""
+        with self._lock:
+            self._kept.append((value, size))
+            self._size += size
+            while len(self._kept) > self._most or self._size > self._most_bytes:
+                self._forget_oldest()
+
+    def take(self) -> list[_T]:
+        """Remove all values, and return them in order, the oldest first."""
+        with self._lock:
+            kept, self._kept, self._size = self._kept, deque(), 0
+        return [value for value, _ in kept]
+
+    def forget_while(self, is_over: Callable[[_T], bool]) -> None:
+        """Remove the oldest values; stop before the first value for which `is_over` is False."""
+        with self._lock:
+            while self._kept and is_over(self._kept[0][0]):
+                self._forget_oldest()
+
+    def _forget_oldest(self) -> None:
+        _, size = self._kept.popleft()
+        self._size -= size

@@ -17,7 +17,7 @@ import armrig
 import pytest
 from armrig.cli import main
 from armrig.cli.options import folded, tell
-from armrig.rig import live_rigs
+from armrig.rig import status
 from armrig_core import telemetry
 
 from tests.clients.fake_daemon import FakeDaemon
@@ -109,7 +109,7 @@ def test_ctrl_c_during_the_start_of_a_recorder_ends_it(
     for name in ("open_connection", "open_endpoint"):
         monkeypatch.setattr(f"armrig.rig.session.{name}", connected)
     # A module that the command loads would keep the function; this one is loaded already.
-    monkeypatch.setattr(live_rigs, "open_endpoint", connected)
+    monkeypatch.setattr(status, "open_endpoint", connected)
 
     assert (
         main(["record", "--from", "tcp/nowhere:1", "-o", str(tmp_path / "a.mcap"), *which]) == 130

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig.rig import live_rigs
-from armrig.rig.live_rigs import LiveRig
+from armrig.rig import status
+from armrig.rig.status import LiveRig
 from armrig_core.manifest import Outcome
 
 from tests.clients.fake_daemon import status_report
@@ -37,7 +37,7 @@ def test_a_rig_is_listed_with_the_reason_of_its_fault_or_its_silence(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     rig = LiveRig(rig="7", endpoint="unix:x", status=status_report(**why))
-    monkeypatch.setattr(live_rigs, "live_rigs", lambda _: ("unix:x", [rig]))
+    monkeypatch.setattr(status, "live_rigs", lambda _: ("unix:x", [rig]))
 
     assert main(["ls", "--live"]) == 0
 

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from armrig.cli import main, record
 from armrig.cli.rig import _WATCH_HEADING, _sample_line
-from armrig.rig.live_gaps import LiveGap
 from armrig.rig.replies import RefusedError
+from armrig.rig.telemetry_stream import LiveGap
 from armrig_core.codes import COMPLETE, RefusalCode
 from armrig_core.commands import StatusReport
 

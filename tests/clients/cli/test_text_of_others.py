@@ -12,7 +12,7 @@ import pytest
 from armrig.cli import main
 from armrig.cli.options import tell
 from armrig.cli.spinner import spinner
-from armrig.rig.progress import bar
+from armrig.rig.collection import bar
 from armrig_core.manifest import Outcome
 from rich.console import Console
 

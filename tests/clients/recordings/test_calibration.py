@@ -9,22 +9,25 @@ from math import degrees, erf, sqrt, tau
 import msgspec
 import numpy as np
 import pytest
-from armrig.recordings.calibration import (
+from armrig.recordings.calibration import estimate, sign_by_hand
+from armrig.recordings.calibration_readings import (
     Readings,
     compressed,
     decompressed,
-    estimate,
-    remarks,
-)
-from armrig.recordings.calibration.estimate import sign_by_hand
-from armrig.recordings.calibration.motor import TerminalVoltage, speeds, terminal_voltage
-from armrig.recordings.calibration.readings import (
     mean_reading,
     noise_before_rounding,
     rounding_variance,
     spread,
 )
-from armrig.recordings.calibration.rotation import Turning, _bracketed, turning
+from armrig.recordings.calibration_turns import (
+    TerminalVoltage,
+    Turning,
+    _bracketed,
+    speeds,
+    terminal_voltage,
+    turning,
+)
+from armrig.recordings.usability import doubts_of_calibration
 from armrig_core.calibration import Calibration, Figure, Made, Potentiometer
 from armrig_core.errors import InputError
 from hypothesis import given, settings
@@ -433,7 +436,7 @@ def test_the_samples_are_compressed_without_loss() -> None:
 def test_a_calibration_that_is_missing_or_stale_is_reported(
     calibration: Calibration | None, changes: dict[str, object], said: str
 ) -> None:
-    found = remarks(calibration, manifest(**changes))
+    found = doubts_of_calibration(calibration, manifest(**changes))
 
     assert len(found) == bool(said)
     assert re.search(said, " ".join(found))

@@ -22,7 +22,6 @@ from armrig.recordings.jitter import (
 )
 from armrig.recordings.loading import load
 from armrig.recordings.overview import Overview, overview
-from armrig.recordings.published import published
 from armrig.recordings.recording import Recording
 from armrig.recordings.recording_summary import summary_of
 from armrig.recordings.verification import (
@@ -32,6 +31,7 @@ from armrig.recordings.verification import (
     check_input,
     check_timing,
 )
+from armrig.rig.playback import published
 from armrig_core import protobuf
 from armrig_core.codes import OutcomeCode
 from armrig_core.manifest import Outcome

@@ -9,8 +9,8 @@ import pytest
 from armrig.cli import main
 from armrig.cli.replay import replay
 from armrig.recordings.loading import load
-from armrig.recordings.published import published
 from armrig.recordings.verification import verify
+from armrig.rig.playback import published
 from armrig_core.codes import COMPLETE
 from armrig_core.errors import FileError
 from armrig_core.manifest import RUN, Outcome, manifest_of

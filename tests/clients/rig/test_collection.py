@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import zenoh
 from armrig.rig.client import Rig
-from armrig.rig.collection import Plan, _interrupted_sentence, collect
-from armrig.rig.progress import TimingNote
+from armrig.rig.collection import Plan, TimingNote, _interrupted_sentence, collect
 from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError
 from armrig_core.codes import OutcomeCode

@@ -14,9 +14,8 @@ import pytest
 import zenoh
 from armrig.cli import main
 from armrig.rig import telemetry_stream
-from armrig.rig.live_gaps import LiveGap, Newest, gaps_between
 from armrig.rig.session import open_session
-from armrig.rig.telemetry_stream import arrivals, stream
+from armrig.rig.telemetry_stream import LiveGap, Newest, arrivals, gaps_between, stream
 from armrig_core import telemetry
 from armrig_core.codes import GapCode
 from hypothesis import example, given, settings

@@ -8,9 +8,9 @@ from typing import Any
 
 import msgspec
 import pytest
-from armrig.rig import live_rigs as module
-from armrig.rig.live_rigs import ids_alive, live_rigs
+from armrig.rig import status
 from armrig.rig.session import Connection, NoReplyError
+from armrig.rig.status import ids_alive, live_rigs
 from armrig_core.topics import alive_key
 
 from tests.clients.fake_daemon import FakeDaemon
@@ -54,7 +54,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
     def has(**names: Any) -> None:
         for name, value in names.items():
-            monkeypatch.setattr(module, name, value)
+            monkeypatch.setattr(status, name, value)
 
     return has
 

@@ -14,14 +14,11 @@ from typing import Any
 import pytest
 import zenoh
 from armrig.cli import main
-from armrig.recordings import published as publishing
-from armrig.recordings.published import published
-from armrig.rig import collection as playing
+from armrig.rig import playback
 from armrig.rig.client import Rig
-from armrig.rig.collection import play, staged
-from armrig.rig.live_gaps import LiveGap
+from armrig.rig.playback import play, published, staged
 from armrig.rig.session import NoReplyError, RigError, open_session
-from armrig.rig.telemetry_stream import stream
+from armrig.rig.telemetry_stream import LiveGap, stream
 from armrig_core import telemetry
 from armrig_core.topics import check_own_id
 from armrig_daemon.config import Rig as RigTable
@@ -55,7 +52,7 @@ def run(tmp_path: Path) -> Path:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> FakeClock:
     clock = FakeClock()
-    monkeypatch.setattr(playing, "time", clock)
+    monkeypatch.setattr(playback, "time", clock)
     return clock
 
 
@@ -63,15 +60,15 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> FakeClock:
 def nobody_listens(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fail where a listener is waited for, and not for ever: none comes."""
 
-    def wait(stage: playing.Stage) -> None:
+    def wait(stage: playback.Stage) -> None:
         pytest.fail("play waits for a listener, and --wait was not given")
 
-    monkeypatch.setattr(playing.Stage, "wait_for_listener", wait)
+    monkeypatch.setattr(playback.Stage, "wait_for_listener", wait)
 
 
 def test_samples_are_taken_in_pieces(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = list(published(run).messages())
-    monkeypatch.setattr(publishing, "_BLOCK_SAMPLES", 7)
+    monkeypatch.setattr(playback, "_BLOCK_SAMPLES", 7)
 
     assert list(published(run).messages()) == whole
 
@@ -233,7 +230,7 @@ def test_the_repetition_of_a_run_begins_after_its_last_sample(
 ) -> None:
     one = published(written(tmp_path, recorded([sample(0)])))
 
-    playing.rest(one, speed=0.5)
+    playback.rest(one, speed=0.5)
 
     assert sum(clock.slept) == pytest.approx(0.02)
 

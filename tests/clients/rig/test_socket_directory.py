@@ -13,8 +13,8 @@ import pytest
 from armrig.cli import main
 from armrig.rig import session, silent_daemon
 from armrig.rig.client import Rig
-from armrig.rig.live_rigs import live_rigs
 from armrig.rig.session import NoReplyError, RigError
+from armrig.rig.status import live_rigs
 from armrig_core.endpoint import endpoint
 from armrig_core.topics import PLAYED
 

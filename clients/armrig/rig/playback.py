@@ -1,24 +1,37 @@
-"""Messages that the daemon published during a recorded run."""
+"""Playback of a recorded run: the daemon's messages, and a session that publishes them again."""
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import zenoh
+from armrig_core import protobuf
 from armrig_core.errors import FileError
+from armrig_core.group_socket import group_may_open
 from armrig_core.manifest import Manifest
+from armrig_core.owned_session import owned_session
 from armrig_core.telemetry import Sample, encode_sample
+from armrig_core.topics import STREAMS, alive_key, schema_key, stream_key
 from numpy.typing import NDArray
 
 from armrig.recordings.container import Content
 from armrig.recordings.daemon_reports import Clock
 from armrig.recordings.loading import EVERYTHING, clock_of, files_of, origin_of, run_content
+from armrig.rig.session import RigError
 
 _BLOCK_SAMPLES = 4096  # samples converted to Python numbers in one step
+_MAX_RECEIVED_BYTES = 1 << 16  # a listener sends its subscriptions only
+_MAX_SLEEP_S = 1.0  # longer pauses are divided: time.sleep refuses very long ones
+_LISTENER_INTERVAL_S = 0.05
+Publish = Callable[[str, bytes], None]
 
 
 class Published(NamedTuple):
@@ -128,3 +141,94 @@ def _host_ns(stream: str, message: Any, content: Content, clock: Clock) -> int:
     if after == content.samples.size:
         return int(message.t_to_ns)
     return min(int(message.t_to_ns), int(content.samples["t_host_ns"][after]))
+
+
+class Stage:
+    """Session that publishes the messages of a recording; `staged` creates this session."""
+
+    def __init__(self, session: zenoh.Session, rig: str) -> None:
+        self._session = session
+        self._publishers = {
+            stream: session.declare_publisher(
+                stream_key(rig, stream),
+                encoding=f"application/protobuf;{protobuf.OF_STREAM[stream]}",
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            for stream in STREAMS
+        }
+        self._served = {
+            schema_key(rig, name): protobuf.descriptor_set(name)
+            for name in protobuf.OF_STREAM.values()
+        }
+        # Other queries get no answer: a client that got a status would take this session for a rig.
+        session.declare_queryable(schema_key(rig, "**"), self._serve_schema)
+        self._alive = session.liveliness().declare_token(alive_key(rig))
+
+    def wait_for_listener(self) -> None:
+        """Wait until a client listens to the samples."""
+        while not self._is_heard():
+            time.sleep(_LISTENER_INTERVAL_S)
+
+    def _is_heard(self) -> bool:
+        status: Any = self._publishers["sample"].matching_status
+        return bool(getattr(status, "matching", status))  # an object, but a bool in the stubs
+
+    def publish(self, stream: str, data: bytes) -> None:
+        """Publish a message; zenoh drops it if a subscriber is too slow."""
+        self._publishers[stream].put(data)
+
+    def _serve_schema(self, query: zenoh.Query) -> None:
+        with query:
+            for key, data in self._served.items():
+                if query.key_expr.intersects(zenoh.KeyExpr(key)):
+                    query.reply(key, data)
+
+
+@contextmanager
+def staged(where: str, rig: str) -> Iterator[Stage]:
+    """Yield a session that listens at an endpoint; clients cannot publish or answer queries there.
+
+    Raises
+    ------
+    RigError
+        The endpoint is not valid, is in use, or cannot be created.
+    """
+    config = owned_session(where, most_received=_MAX_RECEIVED_BYTES)
+    try:
+        with group_may_open():
+            session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+    except zenoh.ZError as err:
+        raise RigError(
+            f"no session can listen at {where}: {rig} is played there already, or {where} is not a "
+            "zenoh endpoint, such as tcp/127.0.0.1:7447; choose another endpoint with --listen"
+        ) from err
+    with session:
+        yield Stage(session, rig)
+
+
+def play(run: PublishedRun, publish: Publish, *, speed: float) -> Iterator[Published]:
+    """Publish the messages of a run when they are due; yield each message after its publication.
+
+    Parameters
+    ----------
+    publish : callable
+        Called with the stream and the bytes of each message.
+    speed : float
+        Speed of the playback relative to the recording: 2 plays the run in half its time.
+    """
+    began_s, first_t = time.monotonic(), None
+    for message in run.messages():
+        first_t = message.t if first_t is None else first_t
+        _sleep_until(began_s + (message.t - first_t) / speed)
+        publish(message.stream, message.data)
+        yield message
+
+
+def rest(run: PublishedRun, *, speed: float) -> None:
+    """Wait for one sampling time, divided by `speed`, before the next playback of a run."""
+    _sleep_until(time.monotonic() + run.manifest.Ts / speed)
+
+
+def _sleep_until(due_s: float) -> None:
+    while (left_s := due_s - time.monotonic()) > 0:
+        time.sleep(min(left_s, _MAX_SLEEP_S))

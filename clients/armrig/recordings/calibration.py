@@ -15,14 +15,7 @@ from armrig_core.volts import U_MAX_V
 from msgspec.structs import replace
 
 from armrig.numerics.quantities import plural
-from armrig.recordings.calibration.motor import (
-    IDEAL_DRIVER,
-    Speeds,
-    TerminalVoltage,
-    speeds,
-    terminal_voltage,
-)
-from armrig.recordings.calibration.readings import (
+from armrig.recordings.calibration_readings import (
     Readings,
     at_rail,
     mean_reading,
@@ -32,7 +25,15 @@ from armrig.recordings.calibration.readings import (
     rounding_variance,
     spread,
 )
-from armrig.recordings.calibration.rotation import Turning, turning
+from armrig.recordings.calibration_turns import (
+    IDEAL_DRIVER,
+    Speeds,
+    TerminalVoltage,
+    Turning,
+    speeds,
+    terminal_voltage,
+    turning,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,7 +98,7 @@ class Estimate:
     def plot(self, turns: Recording | Readings, *, ax: Axes | None = None) -> Drawing:
         """Return a figure of the turns: see `armrig.plots.plot_calibration`."""
         from armrig.plots.layout import figure_of
-        from armrig.recordings.calibration.figures import plot_calibration
+        from armrig.recordings.figures import plot_calibration
 
         return figure_of(plot_calibration(self, turns, ax=ax))
 
