@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 from collections.abc import Iterator
+from contextlib import ExitStack
 from importlib import import_module
 from inspect import getattr_static, isclass, isfunction
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import armrig
 import armrig_core
 import pytest
+from armrig.rig.local_daemon import running
 
 ROOTS = [Path(package.__path__[0]).parent for package in (armrig, armrig_core)]
 MODULES = [
@@ -20,17 +22,23 @@ MODULES = [
     for path in sorted((root / name).rglob("*.py"))
     if ">>> " in path.read_text(encoding="utf-8")
 ]
-LIVE = "running(["
-"""Code of an example that starts an emulated rig: it needs real time, two seconds each."""
+STARTS_RIG = "running(["
+"""Code of an example that starts its own emulated rig."""
+LIVE = (STARTS_RIG, 'armrig.Rig("1")', 'armrig.stream("rig/1/')
+"""Code of an example with a rig: it needs real time, two seconds each."""
 MODELS = "armrig.models."
 """Examples that estimate the same few models, one each, which other tests do, too."""
 
 
 def marks(example: doctest.DocTest) -> list[pytest.MarkDecorator]:
     """Return the marks of an example."""
-    if LIVE in example.docstring:
+    if _is_live(example):
         return [pytest.mark.real_time, pytest.mark.exhaustive]
     return [pytest.mark.exhaustive] if example.name.startswith(MODELS) else []
+
+
+def _is_live(example: doctest.DocTest) -> bool:
+    return any(code in example.docstring for code in LIVE)
 
 
 EXAMPLES = [
@@ -62,7 +70,10 @@ def test_an_example_prints_its_output(
         example.globs = {}
     report: list[str] = []
 
-    found = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(example, out=report.append)
+    with ExitStack() as rig_runs:
+        if _is_live(example) and STARTS_RIG not in example.docstring:
+            rig_runs.enter_context(running(["--emulate"], rig="1", log=tmp_path / "log"))
+        found = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(example, out=report.append)
 
     assert found.attempted
     assert not found.failed, "".join(report)

@@ -111,10 +111,10 @@ def brief(checks: Sequence[HostCheck]) -> str:
 
 def _daemon(host: Host) -> list[HostCheck]:
     if host.silent:
-        return [_note("daemon", "does not answer", host.silent)]
+        return _note("daemon", "does not answer", host.silent)
     if host.daemon is None:
         return []
-    return [_good("daemon", f"rig {host.daemon.rig} at {host.daemon.endpoint}")]
+    return _good("daemon", f"rig {host.daemon.rig} at {host.daemon.endpoint}")
 
 
 def _refused(daemon: StatusReport, what: str) -> str:
@@ -135,21 +135,19 @@ def _fifo(host: Host) -> list[HostCheck]:
         fifo = host.daemon.host.get("fifo")
         if not fifo:
             way = _refused(host.daemon, "SCHED_FIFO") or "[timing] priority is 0"
-            return [_bad("SCHED_FIFO", "the daemon has none", _BUSY_COSTS, way)]
+            return _bad("SCHED_FIFO", "the daemon has none", _BUSY_COSTS, way)
         if way := _refused(host.daemon, "priority"):
             costs = "programs with a higher priority delay ticks"
-            return [_note("SCHED_FIFO", f"the daemon has priority {fifo}", costs, way)]
-        return [_good("SCHED_FIFO", f"the daemon has priority {fifo}")]
+            return _note("SCHED_FIFO", f"the daemon has priority {fifo}", costs, way)
+        return _good("SCHED_FIFO", f"the daemon has priority {fifo}")
     if host.granted.fifo:
-        return [_good("SCHED_FIFO", f"allowed at priority {PRIORITY}")]
-    return [
-        _bad(
-            "SCHED_FIFO",
-            f"not allowed at priority {PRIORITY}",
-            _BUSY_COSTS,
-            f"`@dialout - rtprio 95` in {_LIMITS}; or LimitRTPRIO=95 in systemd's unit",
-        )
-    ]
+        return _good("SCHED_FIFO", f"allowed at priority {PRIORITY}")
+    return _bad(
+        "SCHED_FIFO",
+        f"not allowed at priority {PRIORITY}",
+        _BUSY_COSTS,
+        f"`@dialout - rtprio 95` in {_LIMITS}; or LimitRTPRIO=95 in systemd's unit",
+    )
 
 
 def _memory_lock(host: Host) -> list[HostCheck]:
@@ -157,35 +155,31 @@ def _memory_lock(host: Host) -> list[HostCheck]:
         return []
     if host.daemon is not None:
         if way := _refused(host.daemon, "mlockall"):
-            return [_bad("mlockall", "refused to the daemon", _PAGE_COSTS, way)]
-        return [_good("mlockall", "the daemon has it")]
+            return _bad("mlockall", "refused to the daemon", _PAGE_COSTS, way)
+        return _good("mlockall", "the daemon has it")
     if host.granted.memory_lock:
-        return [_good("mlockall", "allowed")]
-    return [
-        _bad(
-            "mlockall",
-            "not allowed",
-            _PAGE_COSTS,
-            f"`@dialout - memlock unlimited` in {_LIMITS}; or LimitMEMLOCK=infinity in the unit",
-        )
-    ]
+        return _good("mlockall", "allowed")
+    return _bad(
+        "mlockall",
+        "not allowed",
+        _PAGE_COSTS,
+        f"`@dialout - memlock unlimited` in {_LIMITS}; or LimitMEMLOCK=infinity in the unit",
+    )
 
 
 def _governor(host: Host) -> list[HostCheck]:
     found = governors(host.root)
     if not found:
-        return [_good("governor", "the kernel scales no frequency")]
+        return _good("governor", "the kernel scales no frequency")
     named = ", ".join(found)
     if found == ["performance"]:
-        return [_good("governor", named)]
-    return [
-        _bad(
-            "governor",
-            named,
-            "a processor is slow after idle time: each tick is tens of µs late",
-            "`cpupower frequency-set -g performance`",
-        )
-    ]
+        return _good("governor", named)
+    return _bad(
+        "governor",
+        named,
+        "a processor is slow after idle time: each tick is tens of µs late",
+        "`cpupower frequency-set -g performance`",
+    )
 
 
 def _idle(host: Host) -> list[HostCheck]:
@@ -195,20 +189,18 @@ def _idle(host: Host) -> list[HostCheck]:
         if latency.isdigit() and text(state / "disable") != "1" and int(latency) > deepest:
             deepest, name = int(latency), text(state / "name")
     if deepest <= MAX_IDLE_WAKE_US:
-        return [_good("idle states", f"waking takes at most {deepest} µs")]
+        return _good("idle states", f"waking takes at most {deepest} µs")
     if host.silent:
         costs = "a loop that can write /dev/cpu_dma_latency keeps the processors awake"
-        return [_note("idle states", f"{name} takes {deepest} µs to wake from", costs)]
+        return _note("idle states", f"{name} takes {deepest} µs to wake from", costs)
     if _holds_idle_off(host):
-        return [_good("idle states", f"the loop prevents {name}, {deepest} µs to wake from")]
-    return [
-        _bad(
-            "idle states",
-            f"{name} takes {deepest} µs to wake from",
-            f"each tick is up to {deepest} µs late: /dev/cpu_dma_latency is not writable",
-            f"the udev rule for cpu_dma_latency, or `cpupower idle-set -D {MAX_IDLE_WAKE_US}`",
-        )
-    ]
+        return _good("idle states", f"the loop prevents {name}, {deepest} µs to wake from")
+    return _bad(
+        "idle states",
+        f"{name} takes {deepest} µs to wake from",
+        f"each tick is up to {deepest} µs late: /dev/cpu_dma_latency is not writable",
+        f"the udev rule for cpu_dma_latency, or `cpupower idle-set -D {MAX_IDLE_WAKE_US}`",
+    )
 
 
 def _holds_idle_off(host: Host) -> bool:
@@ -221,93 +213,79 @@ def _holds_idle_off(host: Host) -> bool:
 def _dma_latency(host: Host) -> list[HostCheck]:
     device = host.root / "dev/cpu_dma_latency"
     if not device.exists():
-        return [
-            _note(
-                "cpu_dma_latency",
-                "not there",
-                "without this file the loop cannot prevent idle states",
-            )
-        ]
+        return _note(
+            "cpu_dma_latency", "not there", "without this file the loop cannot prevent idle states"
+        )
     if host.silent:
         return []
     if _holds_idle_off(host):
-        return [_good("cpu_dma_latency", "the daemon holds it" if host.daemon else "writable")]
+        return _good("cpu_dma_latency", "the daemon holds it" if host.daemon else "writable")
     if host.daemon is not None:
         way = _refused(host.daemon, "/dev/cpu_dma_latency")
-        return [_note("cpu_dma_latency", "not writable by the daemon", _DEEP_COSTS, way)]
-    return [
-        _note(
-            "cpu_dma_latency",
-            "not writable",
-            _DEEP_COSTS,
-            'udev rule `KERNEL=="cpu_dma_latency", GROUP="dialout", MODE="0660"`',
-        )
-    ]
+        return _note("cpu_dma_latency", "not writable by the daemon", _DEEP_COSTS, way)
+    return _note(
+        "cpu_dma_latency",
+        "not writable",
+        _DEEP_COSTS,
+        'udev rule `KERNEL=="cpu_dma_latency", GROUP="dialout", MODE="0660"`',
+    )
 
 
 def _timer_slack(host: Host) -> list[HostCheck]:
     slack = text(host.root / "proc/self/timerslack_ns")
     if not slack.isdigit():
-        return [_note("timer slack", "not reported by this kernel")]
-    return [_good("timer slack", f"{int(slack) / 1000:g} µs here; the loop sets its own to 1 ns")]
+        return _note("timer slack", "not reported by this kernel")
+    return _good("timer slack", f"{int(slack) / 1000:g} µs here; the loop sets its own to 1 ns")
 
 
 def _swap(host: Host) -> list[HostCheck]:
     rows = [row.split() for row in text(host.root / "proc/swaps").splitlines()[1:]]
     used_kb = sum(int(row[3]) for row in rows if len(row) > 3 and row[3].isdigit())
     if not used_kb:
-        return [_good("swap", "exists, but is not used" if rows else "none")]
-    return [
-        _bad(
-            "swap",
-            f"{used_kb / 1024:.0f} MB in use",
-            "memory that is not locked, such as the service's, waits for the disk",
-            "end programs, then `swapoff -a`",
-        )
-    ]
+        return _good("swap", "exists, but is not used" if rows else "none")
+    return _bad(
+        "swap",
+        f"{used_kb / 1024:.0f} MB in use",
+        "memory that is not locked, such as the service's, waits for the disk",
+        "end programs, then `swapoff -a`",
+    )
 
 
 def _preemption(host: Host) -> list[HostCheck]:
     model = preemption(host.root)
     if model == "PREEMPT_RT":
-        return [_good("preemption", model)]
+        return _good("preemption", model)
     if model in ("none", "voluntary"):
-        return [
-            _bad(
-                "preemption",
-                model,
-                "a long call of the kernel delays a tick by up to milliseconds",
-                "`preempt=full` on the kernel's command line, or Debian's linux-image-rt-amd64",
-            )
-        ]
-    return [
-        _note(
+        return _bad(
             "preemption",
             model,
-            "the worst case has no bound",
-            "Debian's linux-image-rt-amd64, if p99.9 matters",
+            "a long call of the kernel delays a tick by up to milliseconds",
+            "`preempt=full` on the kernel's command line, or Debian's linux-image-rt-amd64",
         )
-    ]
+    return _note(
+        "preemption",
+        model,
+        "the worst case has no bound",
+        "Debian's linux-image-rt-amd64, if p99.9 matters",
+    )
 
 
 def _ftdi(host: Host) -> list[HostCheck]:
     files = sorted((host.root / "sys/bus/usb-serial/devices").glob("*/latency_timer"))
-    checks = []
+    checks: list[HostCheck] = []
     for file in files:
         ms, port = text(file), file.parent.name
         if not ms.isdigit() or int(ms) <= 1:
-            checks.append(_good("FTDI latency timer", f"{port} {ms or '?'} ms"))
+            checks += _good("FTDI latency timer", f"{port} {ms or '?'} ms")
             continue
-        checks.append(
-            _bad(
-                "FTDI latency timer",
-                f"{port} {ms} ms",
-                f"an answer may wait {ms} ms in the adapter",
-                f"`echo 1 > /{file.relative_to(host.root)}`, or `setserial /dev/{port} low_latency`"
-                " (armrigd sets it, too)",
-            )
+        checks += _bad(
+            "FTDI latency timer",
+            f"{port} {ms} ms",
+            f"an answer may wait {ms} ms in the adapter",
+            f"`echo 1 > /{file.relative_to(host.root)}`, or `setserial /dev/{port} low_latency`"
+            " (armrigd sets it, too)",
         )
-    return checks or [_good("FTDI latency timer", "no such port here")]
+    return checks or _good("FTDI latency timer", "no such port here")
 
 
 def _kernel_workers(host: Host) -> list[HostCheck]:
@@ -318,38 +296,34 @@ def _kernel_workers(host: Host) -> list[HostCheck]:
             total += 1
             ordinary += int(fields.split()[_PRIORITY_FIELD]) >= 0
     if not total:
-        return [_note("kernel workers", "not visible from here")]
+        return _note("kernel workers", "not visible from here")
     if not ordinary:
-        return [_good("kernel workers", "real-time priority")]
-    return [
-        _note(
-            "kernel workers",
-            f"{ordinary} of {total} have ordinary priority",
-            "they transfer a serial port's bytes: under load, answers are late and runs stop",
-            f"`for p in $(pgrep kworker/u); do sudo chrt -f -p {PRIORITY - 1} $p; done`, at each "
-            "start (docs/timing.md)",
-        )
-    ]
+        return _good("kernel workers", "real-time priority")
+    return _note(
+        "kernel workers",
+        f"{ordinary} of {total} have ordinary priority",
+        "they transfer a serial port's bytes: under load, answers are late and runs stop",
+        f"`for p in $(pgrep kworker/u); do sudo chrt -f -p {PRIORITY - 1} $p; done`, at each "
+        "start (docs/timing.md)",
+    )
 
 
 def _throttling(host: Host) -> list[HostCheck]:
     kernel = host.root / "proc/sys/kernel"
     runtime, period = text(kernel / "sched_rt_runtime_us"), text(kernel / "sched_rt_period_us")
     if not re.fullmatch(r"-?\d+", runtime):
-        return [_note("RT throttling", "not reported by this kernel")]
+        return _note("RT throttling", "not reported by this kernel")
     if int(runtime) < 0:
-        return [_good("RT throttling", "off")]
+        return _good("RT throttling", "off")
     share = int(runtime) / int(period) if period.isdigit() and int(period) else 0.0
     if share >= 0.9:
-        return [_good("RT throttling", f"above {share:.0%} of a processor; the loop uses less")]
-    return [
-        _bad(
-            "RT throttling",
-            f"real-time programs may use {share:.0%} of a processor",
-            "above this share the loop is stopped until the period ends",
-            "`sysctl kernel.sched_rt_runtime_us=950000`",
-        )
-    ]
+        return _good("RT throttling", f"above {share:.0%} of a processor; the loop uses less")
+    return _bad(
+        "RT throttling",
+        f"real-time programs may use {share:.0%} of a processor",
+        "above this share the loop is stopped until the period ends",
+        "`sysctl kernel.sched_rt_runtime_us=950000`",
+    )
 
 
 def _virtual(host: Host) -> list[HostCheck]:
@@ -358,38 +332,32 @@ def _virtual(host: Host) -> list[HostCheck]:
     total = sum(ticks)
     steal = ticks[7] / total if len(ticks) == 8 and total else 0.0
     if steal > MAX_STEAL_SHARE:
-        return [
-            _bad(
-                "virtual machine",
-                f"{steal:.1%} of the time since the start was used by the physical host",
-                "ticks are late by whole time slices",
-                "run the daemon on real hardware, or give this machine processors of its own",
-            )
-        ]
+        return _bad(
+            "virtual machine",
+            f"{steal:.1%} of the time since the start was used by the physical host",
+            "ticks are late by whole time slices",
+            "run the daemon on real hardware, or give this machine processors of its own",
+        )
     if virtual(host.root):
-        return [
-            _note(
-                "virtual machine",
-                f"yes; {steal:.1%} of the time since the start was used by the physical host",
-                "each wake-up passes through the physical host, so the worst case has no bound",
-                "run the daemon on real hardware",
-            )
-        ]
-    return [_good("virtual machine", "no")]
+        return _note(
+            "virtual machine",
+            f"yes; {steal:.1%} of the time since the start was used by the physical host",
+            "each wake-up passes through the physical host, so the worst case has no bound",
+            "run the daemon on real hardware",
+        )
+    return _good("virtual machine", "no")
 
 
 def _load(host: Host) -> list[HostCheck]:
     mean, cpus = load(host.root), host.granted.cpus
     if not mean > cpus:  # NaN is not reported
-        return [_good("load", f"{mean:g} on {cpus} processors")]
-    return [
-        _bad(
-            "load",
-            f"{mean:g} on {cpus} processors",
-            "service and subscribers wait for a processor; without FIFO the loop waits, too",
-            "end other programs (`top` names them)",
-        )
-    ]
+        return _good("load", f"{mean:g} on {cpus} processors")
+    return _bad(
+        "load",
+        f"{mean:g} on {cpus} processors",
+        "service and subscribers wait for a processor; without FIFO the loop waits, too",
+        "end other programs (`top` names them)",
+    )
 
 
 def _serial_group(host: Host) -> list[HostCheck]:
@@ -397,29 +365,25 @@ def _serial_group(host: Host) -> list[HostCheck]:
         return []  # only the daemon's user must open the port
     ours = sorted(host.granted.groups & {"dialout", "uucp"})
     if ours or host.granted.is_root:
-        return [_good("serial ports", f"member of {', '.join(ours)}" if ours else "root")]
-    return [
-        _bad(
-            "serial ports",
-            "this user is not in dialout",
-            "the rig's port cannot be opened",
-            "`usermod -aG dialout $USER`, then log in again",
-        )
-    ]
+        return _good("serial ports", f"member of {', '.join(ours)}" if ours else "root")
+    return _bad(
+        "serial ports",
+        "this user is not in dialout",
+        "the rig's port cannot be opened",
+        "`usermod -aG dialout $USER`, then log in again",
+    )
 
 
 def _disk(host: Host) -> list[HostCheck]:
     free, where = host.granted.free_bytes, host.granted.recordings
     if free >= MIN_FREE_BYTES:
-        return [_good("disk", f"{free / 2**30:.1f} GiB free in {where}")]
-    return [
-        _bad(
-            "disk",
-            f"{free / 2**20:.0f} MiB free in {where}",
-            "a full disk ends the recording",
-            "make room, or set [recording] directory",
-        )
-    ]
+        return _good("disk", f"{free / 2**30:.1f} GiB free in {where}")
+    return _bad(
+        "disk",
+        f"{free / 2**20:.0f} MiB free in {where}",
+        "a full disk ends the recording",
+        "make room, or set [recording] directory",
+    )
 
 
 _CHECKS: tuple[Callable[[Host], list[HostCheck]], ...] = (
@@ -442,13 +406,13 @@ _CHECKS: tuple[Callable[[Host], list[HostCheck]], ...] = (
 )
 
 
-def _good(name: str, found: str) -> HostCheck:
-    return HostCheck(name=name, level="good", found=found)
+def _good(name: str, found: str) -> list[HostCheck]:
+    return [HostCheck(name=name, level="good", found=found)]
 
 
-def _note(name: str, found: str, costs: str = "", mend: str = "") -> HostCheck:
-    return HostCheck(name=name, level="note", found=found, costs=costs, mend=mend)
+def _note(name: str, found: str, costs: str = "", mend: str = "") -> list[HostCheck]:
+    return [HostCheck(name=name, level="note", found=found, costs=costs, mend=mend)]
 
 
-def _bad(name: str, found: str, costs: str, mend: str) -> HostCheck:
-    return HostCheck(name=name, level="bad", found=found, costs=costs, mend=mend)
+def _bad(name: str, found: str, costs: str, mend: str) -> list[HostCheck]:
+    return [HostCheck(name=name, level="bad", found=found, costs=costs, mend=mend)]

@@ -83,7 +83,8 @@ class Rig:
 
     Examples
     --------
-    The example starts an emulated rig. If `armrig lab` already runs, use only the inner block.
+    The example starts an emulated rig. The examples of the methods need a running rig, such as the
+    emulated rig of `armrig lab`.
 
     >>> import armrig
     >>> from pathlib import Path
@@ -142,9 +143,7 @@ class Rig:
         Examples
         --------
         >>> import armrig
-        >>> from pathlib import Path
-        >>> from armrig.rig.local_daemon import running
-        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student")
         ...     status = rig.status()
         >>> status.phase, status.owner, status.u_max
@@ -181,9 +180,7 @@ class Rig:
         Examples
         --------
         >>> import armrig
-        >>> from pathlib import Path
-        >>> from armrig.rig.local_daemon import running
-        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student", Ts=0.005)
         >>> granted.Ts, granted.u_min, granted.u_max
         (0.005, 0.0, 5.0)
@@ -259,10 +256,8 @@ class Rig:
         Examples
         --------
         >>> import armrig
-        >>> from pathlib import Path
-        >>> from armrig.rig.local_daemon import running
         >>> u = armrig.telegraph(50, 0.1, seed=1)
-        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student", Ts=0.01)
         ...     path = rig.run(u, experiment="blackbox", details={"seed": 1})
         >>> rig.last_run.outcome, rig.last_run.samples
@@ -385,9 +380,7 @@ class Rig:
         Examples
         --------
         >>> import armrig
-        >>> from pathlib import Path
-        >>> from armrig.rig.local_daemon import running
-        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student")
         ...     for sample in rig.stream():
         ...         rig.set(2.0)  # again within granted.period_s
@@ -418,9 +411,7 @@ class Rig:
         Examples
         --------
         >>> import armrig
-        >>> from pathlib import Path
-        >>> from armrig.rig.local_daemon import running
-        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student")
         ...     rig.stop()
         ...     status = rig.status()
@@ -469,9 +460,7 @@ class Rig:
         Examples
         --------
         >>> import armrig
-        >>> from pathlib import Path
-        >>> from armrig.rig.local_daemon import running
-        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student")
         ...     path = rig.run(armrig.step(50), accepted=lambda run: rig.note("the lamp is on"))
         >>> [note.text for note in armrig.load(path).notes]
@@ -496,9 +485,7 @@ class Rig:
         Examples
         --------
         >>> import armrig
-        >>> from pathlib import Path
-        >>> from armrig.rig.local_daemon import running
-        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        >>> with armrig.Rig("1") as rig:
         ...     was_in_fault = rig.reset()
         >>> was_in_fault
         False
@@ -529,11 +516,9 @@ class Rig:
         --------
         The daemon accepts the file of `armrig calibrate`, and refuses a file without measurements.
 
-        >>> import armrig
-        >>> from pathlib import Path
-        >>> from armrig.rig.local_daemon import running
-        >>> _ = Path("mine.toml").write_text("alpha = {zero_counts = 32800.0}")
-        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        >>> import armrig, pathlib
+        >>> _ = pathlib.Path("mine.toml").write_text("alpha = {zero_counts = 32800.0}")
+        >>> with armrig.Rig("1") as rig:
         ...     try:
         ...         rig.calibrate("mine.toml")
         ...     except armrig.RigError as err:
@@ -550,9 +535,7 @@ class Rig:
         Examples
         --------
         >>> import armrig
-        >>> from pathlib import Path
-        >>> from armrig.rig.local_daemon import running
-        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student")
         ...     rig.disarm()
         ...     status = rig.status()
@@ -569,9 +552,7 @@ class Rig:
         Examples
         --------
         >>> import armrig
-        >>> from pathlib import Path
-        >>> from armrig.rig.local_daemon import running
-        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        >>> with armrig.Rig("1") as rig:
         ...     samples = rig.stream()
         ...     first, second = next(samples), next(samples)
         >>> second.k - first.k
@@ -587,9 +568,7 @@ class Rig:
         Examples
         --------
         >>> import armrig, time
-        >>> from pathlib import Path
-        >>> from armrig.rig.local_daemon import running
-        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        >>> with armrig.Rig("1") as rig:
         ...     with rig.arrivals("sample") as new_samples:
         ...         time.sleep(0.5)
         ...         samples = new_samples()

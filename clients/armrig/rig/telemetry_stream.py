@@ -80,13 +80,12 @@ def stream(
 
     Examples
     --------
+    The example needs a running rig, such as the emulated rig of `armrig lab`.
+
     >>> import armrig
-    >>> from pathlib import Path
-    >>> from armrig.rig.local_daemon import running
-    >>> with running(["--emulate"], rig="1", log=Path("log")):
-    ...     for sample in armrig.stream("rig/1/sample"):
-    ...         if not isinstance(sample, armrig.LiveGap):
-    ...             break
+    >>> for sample in armrig.stream("rig/1/sample"):
+    ...     if not isinstance(sample, armrig.LiveGap):
+    ...         break
     >>> sample.u_applied_v
     0.0
     """
