@@ -6,7 +6,6 @@ import ipaddress
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -58,34 +57,23 @@ def certificate(address: str) -> Iterator[Certificate]:
     """
     imported("cryptography", "share")
     from cryptography import x509
-    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec
 
+    from armrig.lab.pki import builder, pem_of, pem_of_key, subject_name
+
     key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "armrig dashboard")])
-    now = datetime.now(UTC)
+    name, host = subject_name("armrig dashboard"), x509.IPAddress(ipaddress.ip_address(address))
     made = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - timedelta(hours=1))  # a phone's clock may be late
-        .not_valid_after(now + timedelta(days=_DAYS))
-        .add_extension(
-            x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address(address))]),
-            critical=False,
-        )
+        builder(name, name, key.public_key(), _DAYS)
+        .add_extension(x509.SubjectAlternativeName([host]), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .sign(key, hashes.SHA256())
     )
-    pem = serialization.Encoding.PEM
     with TemporaryDirectory(prefix="armrig-share-") as folder:  # other users cannot read it
         files = Path(folder) / "certificate.pem", Path(folder) / "key.pem"
-        files[0].write_bytes(made.public_bytes(pem))
-        files[1].write_bytes(
-            key.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-        )
+        files[0].write_bytes(pem_of(made))
+        files[1].write_bytes(pem_of_key(key))
         yield Certificate(*files, made.fingerprint(hashes.SHA256()).hex(":").upper())
 
 

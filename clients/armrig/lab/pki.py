@@ -23,6 +23,16 @@ from armrig_core.credential import RIG_PREFIX, ROUTER, check_name, rig_name
 from armrig_core.errors import InputError
 from armrig_core.topics import check_rig_id
 
+try:
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+except ModuleNotFoundError as err:
+    raise InputError(
+        "certificates need the package cryptography: pip install 'armrig[pki]'"
+    ) from err
+
 Role = Literal["operators", "observers"]
 RIG_DAYS = 365
 AUTHORITY_DAYS = 3650
@@ -49,23 +59,22 @@ def make_authority(directory: Path, *, days: int = AUTHORITY_DAYS, force: bool =
     InputError
         An authority exists already; a new authority would invalidate the existing certificates.
     """
-    x509, ec, _, hashes = _library()
     if not force and (directory / _KEY).exists():
         raise InputError(
             f"{directory / _KEY}: there is an authority already; --force makes another, and all "
             "certificates of the first become invalid"
         )
     key = ec.generate_private_key(ec.SECP256R1())
-    name = _name("armrig authority")
+    name = subject_name("armrig authority")
     certificate = (
-        _builder(name, name, key.public_key(), days)
+        builder(name, name, key.public_key(), days)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(_key_usage(signs_certificates=True), critical=True)
         .sign(key, hashes.SHA256())
     )
     directory.mkdir(mode=0o755, parents=True, exist_ok=True)
-    _write(directory / _KEY, _pem_of_key(key), 0o600)
-    _write(directory / _CERTIFICATE, _pem_of(certificate), 0o644)
+    _write(directory / _KEY, pem_of_key(key), 0o600)
+    _write(directory / _CERTIFICATE, pem_of(certificate), 0o644)
     if not (directory / ACCESS_LIST).exists():
         _write(directory / ACCESS_LIST, AccessList().toml().encode(), 0o644)
     return directory / _CERTIFICATE
@@ -133,7 +142,6 @@ def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
     InputError
         The name has no credential, or was revoked.
     """
-    x509, *_ = _library()
     path = directory / f"{check_name(name)}.pem"
     if not path.exists():
         raise InputError(
@@ -144,7 +152,7 @@ def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
         return issue_to_person(directory, name, role, days=days, force=True)  # type: ignore[arg-type]
     if role == "revoked" or not (name.startswith(RIG_PREFIX) or name == ROUTER):
         raise InputError(f"{name!r} was revoked, or is not on the access list: nothing is renewed")
-    hosts: list[Any] = []
+    hosts: list[x509.GeneralName] = []
     with suppress(x509.ExtensionNotFound):
         old = _read_certificates(path)[0].extensions
         hosts = list(old.get_extension_for_class(x509.SubjectAlternativeName).value)
@@ -202,26 +210,25 @@ def _put_on_list(directory: Path, name: str, role: str) -> None:
 
 
 def _issue(
-    directory: Path, name: str, role: str, hosts: list[Any], days: int, *, force: bool
+    directory: Path, name: str, role: str, hosts: list[x509.GeneralName], days: int, *, force: bool
 ) -> Issued:
-    x509, ec, serialization, hashes = _library()
     path = directory / f"{name}.pem"
     if path.exists() and not force:
         raise InputError(
             f"{path}: exists already; `armrig pki renew {name}` or --force makes a new key"
         )
     try:
-        signing = serialization.load_pem_private_key((directory / _KEY).read_bytes(), None)
+        signing: Any = serialization.load_pem_private_key((directory / _KEY).read_bytes(), None)
         authority = _read_certificates(directory / _CERTIFICATE)[0]
     except FileNotFoundError as err:
         raise InputError(
             f"{err.filename}: there is no authority here; `armrig pki ca` makes one"
         ) from err
     key = ec.generate_private_key(ec.SECP256R1())
-    serves, connects = x509.ExtendedKeyUsageOID.SERVER_AUTH, x509.ExtendedKeyUsageOID.CLIENT_AUTH
+    serves, connects = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
     purposes = ([serves] if hosts else []) + ([connects] if role != ROUTER else [])
-    builder = (
-        _builder(_name(name), authority.subject, key.public_key(), days)
+    unsigned = (
+        builder(subject_name(name), authority.subject, key.public_key(), days)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_key_usage(signs_certificates=False), critical=True)
         .add_extension(x509.ExtendedKeyUsage(purposes), critical=False)
@@ -230,28 +237,17 @@ def _issue(
         )
     )
     if hosts:
-        builder = builder.add_extension(x509.SubjectAlternativeName(hosts), critical=False)
-    certificate = builder.sign(signing, hashes.SHA256())
-    text = _pem_of_key(key) + _pem_of(certificate) + _pem_of(authority)
+        unsigned = unsigned.add_extension(x509.SubjectAlternativeName(hosts), critical=False)
+    certificate = unsigned.sign(signing, hashes.SHA256())
+    text = pem_of_key(key) + pem_of(certificate) + pem_of(authority)
     _write(path, text, 0o600)
     return Issued(name, role, certificate.not_valid_after_utc, path)
 
 
-def _library() -> Any:
-    """Import and return the necessary modules of `cryptography`, which the extra `pki` installs."""
-    try:
-        from cryptography import x509
-        from cryptography.hazmat.primitives import hashes, serialization
-        from cryptography.hazmat.primitives.asymmetric import ec
-    except ModuleNotFoundError as err:
-        raise InputError(
-            "certificates need the package cryptography: pip install 'armrig[pki]'"
-        ) from err
-    return x509, ec, serialization, hashes
-
-
-def _builder(subject: Any, issuer: Any, public_key: Any, days: int) -> Any:
-    x509, *_ = _library()
+def builder(
+    subject: x509.Name, issuer: x509.Name, public_key: ec.EllipticCurvePublicKey, days: int
+) -> x509.CertificateBuilder:
+    """Return the builder of a certificate that is valid from now on for a number of days."""
     now = datetime.now(UTC)
     return (
         x509.CertificateBuilder()
@@ -265,13 +261,12 @@ def _builder(subject: Any, issuer: Any, public_key: Any, days: int) -> Any:
     )
 
 
-def _name(common_name: str) -> Any:
-    x509, *_ = _library()
-    return x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, common_name)])
+def subject_name(common_name: str) -> x509.Name:
+    """Return the subject of a certificate."""
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
 
 
-def _key_usage(*, signs_certificates: bool) -> Any:
-    x509, *_ = _library()
+def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
     return x509.KeyUsage(
         digital_signature=not signs_certificates,
         key_cert_sign=signs_certificates,
@@ -285,8 +280,7 @@ def _key_usage(*, signs_certificates: bool) -> Any:
     )
 
 
-def _host(host: str) -> Any:
-    x509, *_ = _library()
+def _host(host: str) -> x509.GeneralName:
     with suppress(ValueError):
         return x509.IPAddress(ipaddress.ip_address(host))
     if len(host) > 253 or not _HOST.fullmatch(host):
@@ -294,30 +288,26 @@ def _host(host: str) -> Any:
     return x509.DNSName(host)
 
 
-def _pem_of_key(key: Any) -> bytes:
-    _, _, serialization, _ = _library()
-    text: bytes = key.private_bytes(
+def pem_of_key(key: ec.EllipticCurvePrivateKey) -> bytes:
+    """Return a private key as text, without a password."""
+    return key.private_bytes(
         serialization.Encoding.PEM,
         serialization.PrivateFormat.PKCS8,
         serialization.NoEncryption(),
     )
-    return text
 
 
-def _pem_of(certificate: Any) -> bytes:
-    _, _, serialization, _ = _library()
-    text: bytes = certificate.public_bytes(serialization.Encoding.PEM)
-    return text
+def pem_of(certificate: x509.Certificate) -> bytes:
+    """Return a certificate as text."""
+    return certificate.public_bytes(serialization.Encoding.PEM)
 
 
-def _read_certificates(path: Path) -> list[Any]:
-    x509, *_ = _library()
+def _read_certificates(path: Path) -> list[x509.Certificate]:
     data = path.read_bytes()
     try:
-        found: list[Any] = x509.load_pem_x509_certificates(data)
+        return x509.load_pem_x509_certificates(data)
     except ValueError as err:
         raise InputError(f"{path}: contains no certificate") from err
-    return found
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
