@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
-from importlib.resources import files
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
@@ -39,33 +39,7 @@ _TYPES = {
     "svg": "image/svg+xml",
     "LICENSE": "text/plain; charset=utf-8",
 }
-_NAMES = (
-    "dashboard.css",
-    "main.js",
-    "stream.js",
-    "live_plots.js",
-    "live_keys.js",
-    "live_saving.js",
-    "live_signals.js",
-    "time_axis.js",
-    "picture.js",
-    "arm.js",
-    "replay.js",
-    "compared.js",
-    "rows.js",
-    "chart.js",
-    "status.js",
-    "control.js",
-    "recordings.js",
-    "recording.js",
-    "model.js",
-    "elements.js",
-    "note.js",
-    "icon.svg",
-    "vendor/uPlot.iife.min.js",
-    "vendor/uPlot.min.css",
-    "vendor/uPlot.LICENSE",
-)
+_PAGE = Path(__file__).parent / "page"
 
 
 class _Stopped(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -258,8 +232,9 @@ class PageFile(NamedTuple):
 
     def read(self) -> bytes:
         """Return the bytes of the file."""
-        return files("armrig.dashboard").joinpath("page", *self.name.split("/")).read_bytes()
+        return (_PAGE / self.name).read_bytes()
 
 
-PAGE_FILES = {"/": PageFile("index.html")} | {f"/{name}": PageFile(name) for name in _NAMES}
+_FOUND = sorted(str(path.relative_to(_PAGE)) for path in _PAGE.rglob("*") if path.is_file())
+PAGE_FILES = {"/" if name == "index.html" else f"/{name}": PageFile(name) for name in _FOUND}
 """Files of the page by path; the server delivers no other file."""

@@ -79,15 +79,9 @@ def binned(found: NDArray[np.float64], slope: NDArray[np.float64]) -> Rows:
     """Return a row for each bin of samples; a wrap of theta_1 divides its bin into two rows."""
     if not found.shape[0]:
         return np.zeros((0, COLUMNS))
-    bins = np.floor(found[:, 1] / WIDTH_S + 1e-6)
-    first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | _wraps(found[:, 3]))
     values = np.column_stack([found[:, 2], found[:, 3], slope, found[:, 4]])
-    rows = np.empty((first.size, COLUMNS))
-    rows[:, 0] = found[first, 1]
-    # fmin and fmax ignore NaN, unless all values are NaN.
-    rows[:, 1::2] = np.fmin.reduceat(values, first)
-    rows[:, 2::2] = np.fmax.reduceat(values, first)
-    return rows
+    each = np.column_stack([found[:, 1], np.repeat(values, 2, axis=1)])
+    return coarser(each, WIDTH_S)
 
 
 def coarser(rows: Rows, width_s: float) -> Rows:
@@ -98,6 +92,7 @@ def coarser(rows: Rows, width_s: float) -> Rows:
     first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | _wraps(rows[:, 3]))
     made = np.empty((first.size, COLUMNS))
     made[:, 0] = rows[first, 0]
+    # fmin and fmax ignore NaN, unless all values are NaN.
     made[:, 1::2] = np.fmin.reduceat(rows[:, 1::2], first)
     made[:, 2::2] = np.fmax.reduceat(rows[:, 2::2], first)
     return made

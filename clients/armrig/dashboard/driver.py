@@ -85,10 +85,7 @@ class Driver:
     def start(self, plan: Plan, *, asked_s: float) -> None:
         """Start a run in a thread; the attribute `run` contains the state of the run.
 
-        Parameters
-        ----------
-        asked_s : float
-            Time of the request, from `time.monotonic`; a stop after this time prevents the run.
+        A stop after the time of the request, `asked_s` of `time.monotonic`, prevents the run.
 
         Raises
         ------

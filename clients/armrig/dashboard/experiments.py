@@ -152,6 +152,9 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
             f"u[{k}] = {u[k]:g} V is outside {status.u_min:g} … {status.u_max:g} V, the range of "
             f"rig {status.rig}"
         )
+    if plan.without_arm and not status.arm_removed:
+        text = "this experiment needs the chassis alone, but the rig has its arm: the experiment "
+        notes.append(f"{text}will be refused")
     alone = status.arm_removed or plan.without_arm
     found = rehearse(u, Ts, arm_removed=alone)
     t, shown = _drawn(u, Ts)
@@ -166,7 +169,7 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
         revolutions=found.revolutions,
         alpha_deg=degrees(found.alpha_rad),
         deviations=_deviations(u, Ts, alone=alone),
-        notes=[*notes, *_cautions(status, plan)],
+        notes=notes,
     )
 
 
@@ -198,14 +201,3 @@ def _deviations(u: NDArray[np.float64], Ts: float, *, alone: bool) -> list[str]:
         f"{name} to ± {number(100 * std / value)} %" if std < value else f"nothing of {name}"
         for name, value, std in zip(found.names, found.theta, found.std, strict=True)
     ]
-
-
-def _cautions(status: StatusReport, plan: Plan) -> list[str]:
-    """Return warnings that the page shows before the motor turns."""
-    cautions = []
-    if plan.without_arm and not status.arm_removed:
-        cautions.append(
-            "this experiment needs the chassis alone, but the rig has its arm: the experiment will "
-            "be refused"
-        )
-    return cautions

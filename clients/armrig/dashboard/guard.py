@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-import json
 import socket
 import time
 from collections.abc import Collection, Mapping
 from itertools import chain
 from typing import Any
 
+from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
@@ -77,16 +77,10 @@ class Guard:
     ) -> None:
         """Guard an application.
 
-        Parameters
-        ----------
-        origins : collection of str
-            Addresses of the page, such as http://127.0.0.1:8807. A request with another Host is
-            refused. Otherwise a foreign page could make its own name an alias of this machine (DNS
-            rebinding).
-        token : str
-            Token that each request below /api/ must contain in `Authorization: Bearer`.
-        once : Pass, optional
-            Code that the request for the token must contain instead of the token.
+        The origins are addresses of the page, such as http://127.0.0.1:8807. A request with another
+        Host is refused. Otherwise a foreign page could make its own name an alias of this machine
+        (DNS rebinding). Each request below /api/ must contain the token in `Authorization: Bearer`;
+        the request for the token contains the code `once` instead.
         """
         self._app = app
         self._origins = frozenset(origins)
@@ -112,7 +106,9 @@ class Guard:
             if scope["method"] == "POST":
                 receive = _replayed(await _body(scope, receive), receive)
         except Refusal as why:
-            await _refuse(with_headers, why)
+            # The rest of the body is not read.
+            answer = JSONResponse({"error": str(why)}, why.status, {"connection": "close"})
+            await answer(scope, receive, with_headers)
             return
         await self._app(scope, receive, with_headers)
 
@@ -194,17 +190,6 @@ def _replayed(body: bytes, receive: Receive) -> Receive:
         return waiting.pop() if waiting else await receive()
 
     return next_message
-
-
-async def _refuse(send: Send, why: Refusal) -> None:
-    body = json.dumps({"error": str(why)}).encode()
-    headers = [
-        (b"content-type", b"application/json"),
-        (b"content-length", str(len(body)).encode()),
-        (b"connection", b"close"),  # the rest of the body is not read
-    ]
-    await send({"type": "http.response.start", "status": why.status, "headers": headers})
-    await send({"type": "http.response.body", "body": body})
 
 
 class Connections:

@@ -232,7 +232,9 @@ class ServerThread:
 
     def __init__(self, server: Server, stream: Stream) -> None:
         self._server, self._stream = server, stream
-        self._thread = threading.Thread(target=self._run, name="server", daemon=True)
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._serve()), name="server", daemon=True
+        )
 
     def begin(self) -> None:
         """Start the thread, and wait until the server listens."""
@@ -251,9 +253,6 @@ class ServerThread:
         """End the thread, and wait for its end."""
         self._server.should_exit = True
         self._thread.join(_ENDS_S + 5.0)
-
-    def _run(self) -> None:
-        asyncio.run(self._serve())
 
     async def _serve(self) -> None:
         filling = asyncio.create_task(self._stream.fill())

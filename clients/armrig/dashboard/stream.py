@@ -21,7 +21,7 @@ from msgspec.structs import replace
 
 from armrig.dashboard.bins import Rows, as_lists
 from armrig.dashboard.driver import Driver
-from armrig.dashboard.feed import LATE_US, Feed, News, Timing
+from armrig.dashboard.feed import LATE_US, Feed, News
 from armrig.rig.status import status_rows
 
 MOST_VIEWERS = 64
@@ -39,6 +39,10 @@ _STALE_S = 0.3
 """If no sample arrives for this time, in s, plus two sampling times, the data are stale."""
 _RATE_PER_VOLT = degrees(ArmParameters().torque_per_volt / ArmParameters().damping)
 """Steady rate of theta_1 at 1 V with the handout's parameters, in °/s."""
+_STATUS_FIELDS = (
+    *("rig", "phase", "fault", "reason", "remedy", "line", "owner", "Ts", "u_min", "u_max"),
+)
+"""Fields of the daemon's status that the page receives as they are."""
 _EMULATOR = "continue the emulator if its process is stopped, or start `armrig lab` again"
 _OF_EMULATED = {
     "link": _EMULATOR,
@@ -200,9 +204,9 @@ class Stream:
             viewer.offer(message)
 
     def _timing(self) -> bytes:
-        facts = timing_facts(self._feed.timing())
-        facts |= {"viewers": sum(map(len, self._audience)), "model": self._feed.model_lines()}
-        return event("timing", facts)
+        viewers = sum(map(len, self._audience))
+        facts = {"viewers": viewers, "model": self._feed.model_lines()}
+        return event("timing", msgspec.to_builtins(self._feed.timing()) | facts)
 
     def _send_changed(self) -> None:
         for name, value in (
@@ -229,9 +233,8 @@ class History:
         """Return the encoded history; its rows are read after this call."""
         if self._next is None:
             self._next = asyncio.create_task(self._encoded())
-        return await asyncio.shield(
-            self._next
-        )  # a viewer that leaves does not cancel the task for the other viewers
+        # A viewer that leaves does not cancel the task for the other viewers.
+        return await asyncio.shield(self._next)
 
     async def _encoded(self) -> list[bytes]:
         await asyncio.sleep(self._began_s + PAUSE_S - time.monotonic())
@@ -263,17 +266,6 @@ def live_facts(news: News, status: StatusReport | None) -> dict[str, Any]:
     }
 
 
-def timing_facts(timing: Timing) -> dict[str, Any]:
-    """Return the timing of the rig for the page."""
-    return {
-        "late": timing.late,
-        "missing": timing.missing,
-        "unheard": timing.unheard,
-        "last_gap": timing.last_gap,
-        "report": timing.report,
-    }
-
-
 def status_facts(feed: Feed) -> dict[str, Any]:
     """Return the status of the rig for the page, with the rows of `armrig status`."""
     status: StatusReport | None = feed.status
@@ -283,16 +275,7 @@ def status_facts(feed: Feed) -> dict[str, Any]:
     return {
         "trouble": feed.trouble,
         "rows": status_rows(status),
-        "rig": status.rig,
-        "phase": status.phase,
-        "fault": status.fault,
-        "reason": status.reason,
-        "remedy": status.remedy,
-        "line": status.line,
-        "owner": status.owner,
-        "Ts": status.Ts,
-        "u_min": status.u_min,
-        "u_max": status.u_max,
+        **{name: getattr(status, name) for name in _STATUS_FIELDS},
         "rate_max": round(status.u_max * _RATE_PER_VOLT, 1),
         "arm_removed": status.arm_removed,
         "last_run": _run_facts(status.last_run),

@@ -101,13 +101,8 @@ def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[n
 def identified(path: Path, validation: Path | None, output: ModelOutput) -> dict[str, Any]:
     """Estimate an OE model with the orders that the data suggest, and validate the model.
 
-    The outputs of a model of both angles share one denominator.
-
-    Parameters
-    ----------
-    validation : Path, optional
-        Recording for validation. Without a validation recording, the first half of the recording is
-        for estimation and the second half for validation.
+    The outputs of a model of both angles share one denominator. Without a recording for validation,
+    the first half of the recording is for estimation and the second half for validation.
 
     Raises
     ------
@@ -157,7 +152,6 @@ def identified(path: Path, validation: Path | None, output: ModelOutput) -> dict
 
 
 def _data(recording: Recording, output: ModelOutput) -> Dataset | Signals:
-    """Return the data of one output or of both angles."""
     return recording.signals() if output == BOTH else recording.dataset(output)
 
 
