@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from math import tau
 
 import numpy as np
@@ -23,6 +24,19 @@ def made_turns(
     counts = np.where(place > HIGH, 0.0, np.clip(read, 0, 65472))
     u = np.repeat(np.arange(1.0, 1 + len(omega)), 1200)
     return Readings(t=t, u=u, theta_1=counts, alpha=np.full(t.size, 32768.0))
+
+
+def stored_readings(data: bytes) -> dict[str, Readings]:
+    """Return the readings of each recording, by its name, from the samples of a calibration."""
+    found: dict[str, list[list[float]]] = {}
+    for line in gzip.decompress(data).decode().splitlines()[1:]:
+        name, *fields = line.split(",")
+        found.setdefault(name, []).append([float(field) for field in fields])
+    tables = {name: np.array(rows).T for name, rows in found.items()}
+    return {
+        name: Readings(t=t_us * 1e-6, u=u, theta_1=theta_1, alpha=alpha)
+        for name, (t_us, u, theta_1, alpha) in tables.items()
+    }
 
 
 def still(counts: float = 20_000.0, noise: float = 30.0, N: int = 300) -> Readings:

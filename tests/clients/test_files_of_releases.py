@@ -13,7 +13,6 @@ import pytest
 from armrig.cli.replay import replay
 from armrig.models.model_writing import model_text
 from armrig.recordings.calibration import estimate
-from armrig.recordings.calibration_readings import decompressed
 from armrig.recordings.container import read
 from armrig.recordings.verification import verify
 from armrig_core.calibration_file import raw_path, read_calibration
@@ -23,6 +22,7 @@ from armrig_core.manifest import CALIBRATION_RAW
 from armrig_core.volts import applied_code, volts_of
 from msgspec.structs import replace
 
+from tests.clients.made_turns import stored_readings
 from tests.data.files_of_today import PACINGS, answers, facts
 
 DATA = Path(__file__).parents[1] / "data"
@@ -94,7 +94,7 @@ def test_a_calibration_is_estimated_again_from_its_samples(folder: Path) -> None
     calibration = read_calibration(path)
 
     assert calibration.made is not None
-    samples = decompressed(raw_path(path).read_bytes())
+    samples = stored_readings(raw_path(path).read_bytes())
     found = estimate(**samples, meter=[(METER_V, 2.5)]).figures()
     assert found.keys() == calibration.made.figures.keys()
     for name, figure in calibration.made.figures.items():

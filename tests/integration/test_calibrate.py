@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 from armrig.cli.replay import replay
 from armrig.recordings.calibration import estimate
-from armrig.recordings.calibration_readings import decompressed
 from armrig.recordings.container import read
 from armrig.recordings.usability import doubts_of_calibration
 from armrig_core.calibration_file import raw_path, read_calibration
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW
 from msgspec.structs import replace
 
+from tests.clients.made_turns import stored_readings
 from tests.integration.processes import WITHIN_S, Bench, wait_for
 
 UNKNOWN = """
@@ -105,7 +105,7 @@ def test_a_rig_is_calibrated_and_its_next_recording_carries_it(bench: Bench) -> 
         attached = hashlib.sha256(content.attachments[CALIBRATION]).hexdigest()
         assert rec.manifest.calibration_sha256 == attached
     assert at_once.manifest.calibration_sha256 == status.calibration_sha256
-    again = estimate(**decompressed(samples), meter=[(2.5, 2.5)])
+    again = estimate(**stored_readings(samples), meter=[(2.5, 2.5)])
     assert again.figures()["theta_1_rad_per_count"].value == pytest.approx(scale["value"])
 
 

@@ -59,15 +59,9 @@ class FleetRecorder:
     ) -> None:
         """Prepare a recorder; no recording begins yet.
 
-        Parameters
-        ----------
-        endpoint : str
-            Endpoint of the router; each recording contains this endpoint.
-        path_of : callable
-            Function that returns the path of a rig's first file.
-        tell, tell_error : callable
-            Functions that are called with a message for the user, by one thread at a time.
-            `tell_error` is called if the recording of a rig ended early.
+        Each recording contains the router's endpoint. `path_of` returns the path of a rig's first
+        file. One thread at a time calls `tell` with a message for the user, and `tell_error` if the
+        recording of a rig ended early.
         """
         self._session, self._endpoint = session, endpoint
         self._path_of, self._tell_person, self._tell_error = path_of, tell, tell_error
@@ -81,11 +75,8 @@ class FleetRecorder:
     ) -> list[RigRecorded]:
         """Record until `ended` is set or `seconds` have passed; return the result of each rig.
 
-        Parameters
-        ----------
-        rigs : collection of str, optional
-            Ids of the rigs; None for all rigs, also those that appear later. With ids, the function
-            also returns when the recordings of all these rigs have ended early.
+        Without ids, all rigs are recorded, also those that appear later. With ids, the function
+        also returns when the recordings of all these rigs have ended early.
         """
         until = float("inf") if seconds is None else time.monotonic() + seconds
         try:

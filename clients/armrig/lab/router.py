@@ -41,16 +41,10 @@ _HELD_US = 100_000  # a link to a rig then carries long commands at 0.7 MB/s or 
 
 
 def router_config(endpoint: str, credential: Credential, people: AccessList) -> dict[str, Any]:
-    """Return zenoh's configuration of a router; the router does not answer discovery messages.
+    """Return zenoh's configuration of a router that listens on `endpoint`.
 
-    Parameters
-    ----------
-    endpoint : str
-        Address on which the router listens.
-    credential : Credential
-        Credential with which the router identifies itself to rigs and people.
-    people : AccessList
-        Access list: the rigs, and the rights of people.
+    The router identifies itself to rigs and people by its credential. The access list contains the
+    rigs, and the rights of people. The router does not answer discovery messages.
     """
     way = transport(access_control.MOST_MESSAGE_BYTES, held_us=_HELD_US)
     way["link"]["tls"] = credential.tls("listen")
@@ -69,14 +63,8 @@ def router_config(endpoint: str, credential: Credential, people: AccessList) -> 
 def open_router(endpoint: str, certificate: Path, names: Path) -> tuple[zenoh.Session, AccessList]:
     """Open a router, and return its session and access list; the caller must close the session.
 
-    Parameters
-    ----------
-    endpoint : str
-        Address on which the router listens, such as tls/0.0.0.0:7447.
-    certificate : Path
-        Credential of the router, as written by `armrig pki router`.
-    names : Path
-        Path of the access list.
+    The endpoint is an address such as tls/0.0.0.0:7447. `armrig pki router` writes the file
+    `certificate`. `names` is the file of the access list.
 
     Raises
     ------

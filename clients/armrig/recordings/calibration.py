@@ -125,15 +125,10 @@ class Estimate:
         return {name: figure for name, figure in found.items() if figure is not None}
 
     def calibration(self, base: Calibration, made: Made) -> Calibration:
-        """Return the calibration; `base` supplies the values that were not measured.
+        """Return the calibration; the measured values are added to its origin, `made`.
 
-        Parameters
-        ----------
-        base : Calibration
-            Calibration that contains the values that were not measured, such as the current
-            calibration. The angle of one count of alpha always comes from `base`, except its sign.
-        made : Made
-            Origin of the calibration. The method adds the measured values.
+        The values that were not measured come from `base`, such as the current calibration. The
+        angle of one count of alpha always comes from `base`, except its sign.
         """
         size, alpha = self.rad_per_count, base.alpha
         scale = base.theta_1.rad_per_count if size is None else size.value
@@ -286,16 +281,8 @@ def sign_of_lag(readings: Readings, noise: float, step: float) -> int:
     """Return the sign of alpha's rad per count; 0 if no deflection of the arm was seen.
 
     When the motor accelerates the chassis from rest towards positive angles, the arm lags. alpha is
-    therefore negative at first.
-
-    Parameters
-    ----------
-    readings : Readings
-        Run that begins at 0 V and at rest.
-    noise : float
-        Standard deviation of alpha's readings at rest, in counts.
-    step : float
-        Step of the converter, in counts.
+    therefore negative at first. The run must begin at 0 V and at rest. `noise` is the standard
+    deviation of alpha's readings at rest, and `step` the step of the converter, both in counts.
     """
     driven = np.flatnonzero(readings.u > 0)
     if not driven.size or driven[0] == 0:
@@ -309,14 +296,9 @@ def sign_of_lag(readings: Readings, noise: float, step: float) -> int:
 def sign_by_hand(readings: Readings, rest: Figure, rad_per_count: float) -> int:
     """Return the sign of alpha's rad per count; 0 if the arm was deflected by less than `HAND_RAD`.
 
-    Parameters
-    ----------
-    readings : Readings
-        Run in which the arm is deflected by hand towards positive alpha, then held or released.
-    rest : Figure
-        Reading of the arm at rest, in counts.
-    rad_per_count : float
-        Approximate angle of a count of alpha, in rad; its sign is ignored.
+    In the run, a hand deflects the arm towards positive alpha, then holds or releases it. `rest` is
+    the reading of the arm at rest, in counts. The sign of the approximate `rad_per_count` is
+    ignored.
     """
     deflection = (readings.alpha - rest.value) * abs(rad_per_count)
     # If a hand holds the arm, one quartile is far from 0. A released arm swings to both sides.

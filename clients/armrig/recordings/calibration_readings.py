@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import gzip
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from io import BytesIO, StringIO
+from io import StringIO
 from math import pi, sqrt
 from typing import TYPE_CHECKING
 
@@ -24,7 +23,6 @@ Vector = NDArray[np.float64]
 MOST_ROWS = 50_000
 """Largest number of rows of the gzipped CSV; with this number, it has less than 1 MiB."""
 _HEADING = "recording,t_device_us,u_v,theta_1_counts,alpha_counts"
-_MAX_UNPACKED_BYTES = 8 << 20
 RAIL_COUNTS = 64
 """Width of each rail, in counts: 1/1024 of the converter's range (PROTOCOL.md, section 7)."""
 FULL_COUNTS = 65536
@@ -66,8 +64,9 @@ def readings_of(source: Recording | Readings) -> Readings:
     samples = source.samples
     if not samples.size:
         raise InputError(f"{source.path}: contains no samples: record again")
+    t_us = samples["t_device_us"].astype(np.int64)
     return Readings(
-        t=_seconds(samples["t_device_us"].astype(np.int64)),
+        t=np.asarray((t_us - t_us[0]) * 1e-6, dtype=np.float64),
         u=samples["u_applied_v"].astype(np.float64),
         theta_1=samples["theta_1_counts"].astype(np.float64),
         alpha=samples["alpha_counts"].astype(np.float64),
@@ -99,41 +98,6 @@ def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
     return gzip.compress(out.getvalue().encode(), mtime=0)
 
 
-def decompressed(data: bytes) -> dict[str, Readings]:
-    """Return the readings of each recording, by its name, from the result of `compressed`.
-
-    Raises
-    ------
-    InputError
-        The data are damaged, or do not begin with the heading that `compressed` writes.
-    """
-    try:
-        with gzip.open(BytesIO(data)) as packed:
-            text = packed.read(_MAX_UNPACKED_BYTES).decode()
-        heading, *lines = text.splitlines()
-        if heading != _HEADING:
-            raise InputError(f"begins with {heading[:80]!r}")
-        rows: dict[str, list[list[float]]] = {}
-        for line in lines:
-            name, *fields = line.split(",")
-            t_us, u, theta_1, alpha = (float(field) for field in fields)
-            rows.setdefault(name, []).append([t_us * 1e-6, u, theta_1, alpha])
-    except (OSError, EOFError, ValueError, zlib.error) as err:
-        raise InputError(
-            f"not the samples of a calibration: {err}; the first line must be {_HEADING}"
-        ) from err
-    return {name: _readings(np.array(table)) for name, table in rows.items()}
-
-
-def _readings(table: Vector) -> Readings:
-    t, u, theta_1, alpha = table.T
-    return Readings(t=t, u=u, theta_1=theta_1, alpha=alpha)
-
-
-def _seconds(t_us: NDArray[np.int64]) -> Vector:
-    return np.asarray((t_us - t_us[0]) * 1e-6, dtype=np.float64)
-
-
 def resolution(*counts: Vector) -> int:
     """Return the converter's step in counts, the greatest common divisor of the readings."""
     return max(1, int(np.gcd.reduce(np.concatenate(counts).astype(np.int64))))
@@ -149,12 +113,7 @@ def rounding_variance(step: float, noise: float) -> float:
         step² / (2 pi²) · sum over k >= 1 of exp(-(2 pi k sigma / step)²) / k²
 
     Without noise, this variance is step² / 12. With a noise of half a step or more, this variance
-    is almost 0.
-
-    Parameters
-    ----------
-    step, noise : float
-        Step of the converter, and standard deviation of the noise before rounding, both in counts.
+    is almost 0. The step of the converter and the deviation `noise` are in counts.
 
     References
     ----------

@@ -84,12 +84,8 @@ def turning(readings: Readings, step: float) -> Turning:
     the track begins near 0 counts, a reading of 0 may be on the track or in the dead band. The
     track begins at 0 counts or above, and ends at full scale or below.
 
-    Parameters
-    ----------
-    readings : Readings
-        Run of N samples with one voltage or more, each held for longer than `SETTLE_S` + `LEAST_S`.
-    step : float
-        Step of the converter, in counts.
+    In the run, each voltage must be held for longer than `SETTLE_S` + `LEAST_S`. `step` is the step
+    of the converter, in counts.
 
     Raises
     ------
@@ -297,14 +293,8 @@ def terminal_voltage(
     """Return the line through the readings of a meter; None without readings.
 
     One reading determines the gain of a line through 0. Two or more readings also determine the
-    offset.
-
-    Parameters
-    ----------
-    meter : sequence of (float, float)
-        Pairs of a code's voltage and the meter's reading at the motor's terminals, both in V.
-    meter_std_v : float
-        Standard deviation of a reading, in V.
+    offset. A reading is a pair: the voltage of a code, and the voltage at the motor's terminals,
+    both in V. `meter_std_v` is the standard deviation of a reading, in V.
 
     Raises
     ------

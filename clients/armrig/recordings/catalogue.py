@@ -12,13 +12,13 @@ import os
 import re
 import stat
 import tempfile
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from time import localtime, strftime, time_ns
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
@@ -66,6 +66,8 @@ COLUMNS: dict[str, Any] = {
     "bytes": np.int64,
 }
 """Columns of the table and their types; `facts_of` returns the values of a row."""
+_PROPERTIES = {"experiment": "kind", "validation": "is_validation", "bytes": "size"}
+"""Property of a summary, for the columns that have another name."""
 SIZE_LIMIT = 128 << 20
 """Largest index that is read or written, in B; 10 000 recordings take about 4 MB."""
 SETTLED_NS = 2_000_000_000
@@ -128,7 +130,10 @@ class Catalogue:
         >>> columns["samples"], columns["Ts"]
         (array([3000]), array([0.01]))
         """
-        return columns(self.recordings)
+        rows = [facts_of(summary) for summary in self.recordings]
+        for row in rows:
+            row["started"] = _utc(row["started"])
+        return {name: np.array([r[name] for r in rows], kind) for name, kind in COLUMNS.items()}
 
     def to_pandas(self) -> DataFrame:
         """Return the table as a pandas.DataFrame.
@@ -220,7 +225,7 @@ def catalogue(folder: str | Path) -> Catalogue:
     ['64ad4518']
     """
     folder = Path(folder)
-    looked_ns, files = now_ns(), found_files(folder)
+    looked_ns, files = time_ns(), found_files(folder)
     before = read_index(folder) if len(files) >= WORTH_KEEPING else {}
     rows: list[RecordingSummary] = []
     left_out: list[LeftOut] = []
@@ -257,37 +262,12 @@ def _said_by(path: Path) -> tuple[RecordingSummary | str, bool]:
         return str(err), isinstance(err, ForeignError)
 
 
-def columns(recordings: Sequence[RecordingSummary]) -> dict[str, NDArray[Any]]:
-    """Return the facts about N recordings as columns by name, each (N,)."""
-    rows = [facts_of(summary) for summary in recordings]
-    for row in rows:
-        row["started"] = _utc(row["started"])
-    return {name: np.array([r[name] for r in rows], kind) for name, kind in COLUMNS.items()}
-
-
 def facts_of(summary: RecordingSummary) -> dict[str, Any]:
     """Return the facts of a recording by name, as `--json` prints them."""
+    known = {"recording": shown_path(summary.path), "validation_of": summary.validation_of or None}
     return {
-        "recording": shown_path(summary.path),
-        "run_id": summary.run_id,
-        "rig": summary.rig,
-        "started": summary.started,
-        "experiment": summary.kind,
-        "name": summary.name,
-        "validation": summary.is_validation,
-        "validation_of": summary.validation_of or None,
-        "seconds": summary.seconds,
-        "Ts": summary.Ts,
-        "samples": summary.samples,
-        "missing": summary.missing,
-        "outcome": summary.outcome,
-        "outcome_code": summary.outcome_code,
-        "part": summary.part,
-        "pacing": summary.pacing,
-        "device": summary.device,
-        "calibration_sha256": summary.calibration_sha256,
-        "armrig": summary.armrig,
-        "bytes": summary.size,
+        name: known[name] if name in known else getattr(summary, _PROPERTIES.get(name, name))
+        for name in COLUMNS
     }
 
 
@@ -329,11 +309,6 @@ def state_of(found: os.stat_result) -> str:
 def is_settled(found: os.stat_result, looked_ns: int) -> bool:
     """Return True if each change of the file after `looked_ns` gives it other time stamps."""
     return max(found.st_mtime_ns, found.st_ctime_ns) < looked_ns - SETTLED_NS
-
-
-def now_ns() -> int:
-    """Return the current time in ns, on the clock of the files' time stamps."""
-    return time.time_ns()
 
 
 def read_index(folder: Path) -> dict[str, Known]:
@@ -451,6 +426,6 @@ def _age(file: FoundFile) -> tuple[str, float, str]:
 
 def _local_stamp(changed: float) -> str:
     try:
-        return time.strftime(_STAMP, time.localtime(changed))
+        return strftime(_STAMP, localtime(changed))
     except (ValueError, OverflowError, OSError):  # a year outside the calendar
         return ""

@@ -137,12 +137,8 @@ def turns_unknown(valid: Mask, present: Mask, Ts: float) -> Indices:
     turn. Samples in the dead band arrived, and do not count as missing. If the sampling time
     exceeds `HALF_TURN_S`, the indices of all valid samples except the first are returned.
 
-    Parameters
-    ----------
-    valid, present : (N,) bool
-        Masks of the samples that show an angle, and of the samples that arrived.
-    Ts : float
-        Sampling time, in s.
+    `valid` (N,) is the mask of the samples that show an angle, `present` (N,) of those that
+    arrived; Ts is in s.
     """
     if present.all() and Ts <= HALF_TURN_S:
         return np.zeros(0, np.intp)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from itertools import groupby
 from math import floor
-from operator import attrgetter
 from typing import Any
 
 from armrig_core import protobuf
@@ -82,8 +81,6 @@ class Distribution:
 
 
 _ABSENT_COUNT = protobuf.ABSENT["fixed64"]
-_DISTRIBUTION = tuple(f.name for f in fields(Distribution))
-_distribution_values = attrgetter(*_DISTRIBUTION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,8 +137,33 @@ class Clock:
         return (host_ns - self.zero_ns) / 1e9
 
 
-def gap_of(message: Any, clock: Clock) -> Gap:
-    """Return the gap in a protobuf message."""
+def reports_of(messages: Mapping[str, list[Any]], clock: Clock) -> dict[str, Any]:
+    """Return the fields of a `Recording` for the daemon's protobuf messages, by stream.
+
+    Notes of people are not events of the daemon: `disturbances` searches the events.
+    """
+    logs = messages.get("event", [])
+    return {
+        "gaps": tuple(_gap(message, clock) for message in messages.get("gap", [])),
+        "events": tuple(_event(message, clock) for message in logs if not is_note(message)),
+        "notes": tuple(
+            Note(t=clock.seconds(note.t_host_ns), text=note.message, owner=note.owner)
+            for note in filter(is_note, logs)
+        ),
+        "timing": tuple(_timing(message, clock) for message in messages.get("timing", [])),
+        "clock": tuple(
+            DeviceClock(t=clock.seconds(message.t_host_ns), **_copied(message, DeviceClock, "t"))
+            for message in messages.get("clock", [])
+        ),
+    }
+
+
+def is_note(message: Any) -> bool:
+    """Return True if the `name` of a log record shows that a person wrote the record."""
+    return bool(message.name == protobuf.NOTE)
+
+
+def _gap(message: Any, clock: Clock) -> Gap:
     return Gap(
         k_first=message.k_first,
         count=message.count,
@@ -152,8 +174,7 @@ def gap_of(message: Any, clock: Clock) -> Gap:
     )
 
 
-def event_of(message: Any, clock: Clock) -> Event:
-    """Return the event in a protobuf message."""
+def _event(message: Any, clock: Clock) -> Event:
     stamp = message.timestamp
     real_ns = stamp.seconds * 1_000_000_000 + stamp.nanos
     level = _LEVELS[message.level] if 0 <= message.level < len(_LEVELS) else str(message.level)
@@ -165,18 +186,7 @@ def event_of(message: Any, clock: Clock) -> Event:
     )
 
 
-def is_note(message: Any) -> bool:
-    """Return True if the `name` of a log record shows that a person wrote the record."""
-    return bool(message.name == protobuf.NOTE)
-
-
-def note_of(message: Any, clock: Clock) -> Note:
-    """Return the note in a protobuf message."""
-    return Note(t=clock.seconds(message.t_host_ns), text=message.message, owner=message.owner)
-
-
-def timing_of(message: Any, clock: Clock) -> Timing:
-    """Return the timing in a protobuf message."""
+def _timing(message: Any, clock: Clock) -> Timing:
     return Timing(
         t=clock.seconds(message.t_host_ns),
         wake_lateness_us=_distribution(message.wake_lateness_us),
@@ -190,19 +200,13 @@ def timing_of(message: Any, clock: Clock) -> Timing:
 
 
 def _distribution(message: Any) -> Distribution:
-    return Distribution(**dict(zip(_DISTRIBUTION, _distribution_values(message), strict=True)))
+    return Distribution(**_copied(message, Distribution))
 
 
-def device_clock_of(message: Any, clock: Clock) -> DeviceClock:
-    """Return the comparison of the clocks in a protobuf message."""
-    return DeviceClock(
-        t=clock.seconds(message.t_host_ns),
-        offset_ns=message.offset_ns,
-        offset_std_ns=message.offset_std_ns,
-        drift_ppm=message.drift_ppm,
-        drift_std_ppm=message.drift_std_ppm,
-        bound_ns=message.bound_ns,
-    )
+def _copied(message: Any, kind: type, *others: str) -> dict[str, Any]:
+    """Return the values of the fields of `kind` that are not in `others`."""
+    names = (field.name for field in fields(kind))
+    return {name: getattr(message, name) for name in names if name not in others}
 
 
 def gap_lines(gaps: Iterable[Gap]) -> list[str]:

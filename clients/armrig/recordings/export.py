@@ -36,12 +36,8 @@ _END_NS = 2**32 * _NS  # end of Foxglove's timestamps
 def columns(recording: Recording, *, raw: bool = False) -> dict[str, NDArray[Any]]:
     """Return the columns, each (N,): k, t, u, theta_1, alpha, valid, valid_alpha and present.
 
-    Columns of further channels follow alpha, and their masks follow valid_alpha.
-
-    Parameters
-    ----------
-    raw : bool
-        Add columns of the recorded readings and times, with 0 for a missing sample.
+    Columns of further channels follow alpha, and their masks follow valid_alpha. `raw` adds columns
+    of the recorded readings and times, with 0 for a missing sample.
     """
     channels = [(c, recording.channel(c.name)) for c in telemetry.CHANNELS]
     found: dict[str, NDArray[Any]] = {

@@ -38,13 +38,9 @@ class Grid:
     def filled(self, gaps: Iterable[tuple[int, int, float]]) -> NDArray[np.float64]:
         """Return for each row the value of the gap that contains it, (N,); NaN outside all gaps.
 
-        Parts of gaps outside the grid are ignored. If gaps overlap, the last gap in `gaps` counts.
-        Each row is written once, even if several gaps contain it.
-
-        Parameters
-        ----------
-        gaps : iterable of (int, int, float)
-            First index, number of samples and value of each gap.
+        Each gap has a first index, a number of samples and a value. Parts of gaps outside the grid
+        are ignored. If gaps overlap, the last gap in `gaps` counts. Each row is written once, even
+        if several gaps contain it.
         """
         values = np.full(self.N, np.nan)
         # Tuples (first row, -i, end row, value) of the gaps i, sorted.
@@ -84,12 +80,8 @@ def grid(
     the grid ends with the last sample or gap record. In an older recording, whose manifest has no
     `k_first`, the grid reaches from `k[0]` to `k[-1]`.
 
-    Parameters
-    ----------
-    gaps : iterable of (int, int)
-        Index of the first missing sample, and number of missing samples, of each gap record.
-    between : (int, int)
-        Range of indices to which the grid is limited: first index, and index after the last.
+    Each gap record has the index of the first missing sample, and the number of missing samples.
+    The grid is limited to the indices `between`: the first index, and the index after the last.
 
     Raises
     ------

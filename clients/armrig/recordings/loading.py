@@ -24,16 +24,7 @@ from numpy.typing import NDArray
 from armrig.data.files.suffixes import OTHER_DATA, RECORDING
 from armrig.recordings.channels import channels_of
 from armrig.recordings.container import Content, Part, read
-from armrig.recordings.daemon_reports import (
-    Clock,
-    Gap,
-    device_clock_of,
-    event_of,
-    gap_of,
-    is_note,
-    note_of,
-    timing_of,
-)
+from armrig.recordings.daemon_reports import Clock, Gap, reports_of
 from armrig.recordings.grid import Grid, check_sampling_time, grid
 from armrig.recordings.recording import Recording, Vector
 from armrig.recordings.recording_names import named_path
@@ -313,20 +304,12 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
     origin = rows.k_first if origin < 0 else origin
     clock = clock_of(content, manifest, origin)
     samples, before = content.samples[rows.taken], content.samples[: rows.taken.start]
-    gaps = tuple(gap_of(message, clock) for message in messages.get("gap", []))
+    reports = reports_of(messages, clock)
+    gaps = reports["gaps"]
     saved = f"; saved: {samples.size} samples, {content.read} of {content.size} B, "
     saved += f"{rows.N * manifest.Ts:g} s of {max(manifest.samples, 0) * manifest.Ts:g} s"
     t = np.arange(rows.k_first - origin, rows.k_first - origin + rows.N, dtype=np.float64)
     t *= manifest.Ts
-    logs = messages.get("event", [])
-    reports: dict[str, Any] = {
-        "gaps": gaps,
-        # Notes of people are not events of the daemon: `disturbances` searches the events.
-        "events": tuple(event_of(message, clock) for message in logs if not is_note(message)),
-        "notes": tuple(note_of(message, clock) for message in logs if is_note(message)),
-        "timing": tuple(timing_of(message, clock) for message in messages.get("timing", [])),
-        "clock": tuple(device_clock_of(message, clock) for message in messages.get("clock", [])),
-    }
     if between != EVERYTHING:
         first, end = rows.k_first, rows.k_first + rows.N
         reports = {name: _within(found, t, manifest.Ts) for name, found in reports.items()}

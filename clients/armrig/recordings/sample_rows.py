@@ -77,11 +77,7 @@ class SampleRows:
     def settle(self, share: float = 1.0) -> None:
         """Release the chunk; if many rows are collected, convert them as `pack` does.
 
-        Parameters
-        ----------
-        share : float
-            Share of the file's chunks that was read, in (0, 1]. The memory for all samples is
-            estimated from this share.
+        The memory for all samples is estimated from the share of the file's chunks that was read.
         """
         self._share = share
         self._copy()
@@ -178,17 +174,11 @@ def _copy_fields(data: bytes, samples: NDArray[np.void]) -> None:
 
 
 def _layout() -> tuple[list[tuple[int, int, int, int]], list[int], NDArray[np.uint8]]:
-    """Return the layout of a message record with one sample.
+    """Return the layout of a message record (opcode, length, head, message) with one sample.
 
-    The parts of the record are opcode, length, head and message.
-
-    Returns
-    -------
-    blocks : list of (int, int, int, int)
-        Blocks of consecutive fields of one size. Each tuple contains the number of fields, their
-        size, and the place of the first field in the row and in a sample.
-    places, tags : list of int, array of uint8
-        Places of the tag bytes before the fields, and values of these bytes.
+    For each block of consecutive fields of one size: the number of fields, their size, and the
+    place of the first field in the row and in a sample. Then the places of the tag bytes before the
+    fields, and the values of these bytes.
     """
     at, place = len(_HEAD), 0
     blocks: list[tuple[int, int, int, int]] = []

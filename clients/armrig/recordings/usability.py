@@ -16,19 +16,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
 from armrig.data.treatment.whitening import whitening
 from armrig.numerics.quantities import listed
-from armrig.recordings.findings import (
-    TOO_FEW,
-    check_angle,
-    check_arm,
-    check_input,
-    check_run,
-    check_samples,
-    check_signal,
-    check_step,
-    check_timing,
-    check_turns,
-    converter_step,
-)
+from armrig.recordings import findings
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
@@ -137,24 +125,24 @@ def data_verdict(recording: Recording) -> DataVerdict:
     """
     came = recording.samples.size
     known = np.count_nonzero(recording.valid & np.isfinite(recording.u))
-    seen = recording.dataset() if known >= TOO_FEW else None
+    seen = recording.dataset() if known >= findings.TOO_FEW else None
     step = _step(recording)
     noise = max(_noise(seen), step / 12**0.5) if seen else float("nan")
     signal = _signal(seen, noise) if seen else float("nan")
-    findings = [
-        *check_run(recording),
-        *check_samples(recording),
-        *check_input(recording),
-        *check_angle(recording),
-        *check_step(recording),
-        *check_arm(recording),
-        *(check_signal(signal, noise, step) if seen else ()),
-        *(check_timing(recording, seen, noise) if seen else ()),
-        *check_turns(recording),
+    found = [
+        *findings.check_run(recording),
+        *findings.check_samples(recording),
+        *findings.check_input(recording),
+        *findings.check_angle(recording),
+        *findings.check_step(recording),
+        *findings.check_arm(recording),
+        *(findings.check_signal(signal, noise, step) if seen else ()),
+        *(findings.check_timing(recording, seen, noise) if seen else ()),
+        *findings.check_turns(recording),
     ]
     return DataVerdict(
         recording=recording.sha256,
-        findings=tuple(findings),
+        findings=tuple(found),
         signal_rad=signal,
         noise_rad=noise,
         step_rad=step,
@@ -168,7 +156,7 @@ def _step(r: Recording) -> float:
     from armrig_core.calibration import Potentiometer
 
     pot = r.calibration.theta_1 if r.calibration else Potentiometer()
-    return abs(pot.rad_per_count) * converter_step(r)
+    return abs(pot.rad_per_count) * findings.converter_step(r)
 
 
 def _signal(data: Dataset, noise: float) -> float:
@@ -259,16 +247,9 @@ def different_calibrations(recordings: Sequence[Recording]) -> list[str]:
 
 
 def doubts_of_calibration(calibration: Calibration | None, manifest: Manifest) -> list[str]:
-    """Return a list with a sentence for each doubt about a recording's calibration.
+    """Return a list with a sentence for each doubt about the calibration that reads a recording.
 
     A calibration that was made after the recording is never stale.
-
-    Parameters
-    ----------
-    calibration : Calibration or None
-        Calibration with which the recording is read.
-    manifest : Manifest
-        Manifest of the recording.
     """
     if calibration is None:
         return ["The recording has no calibration: the daemon computed its angles."]

@@ -82,20 +82,7 @@ class Verification:
 def verify(path: str | Path) -> Verification:
     """Check that the samples of a recording agree with the other data in the recording.
 
-    Parameters
-    ----------
-    path : str or Path
-        Path as for `load`.
-
-    Returns
-    -------
-    Verification
-        `passed`, and the checks.
-
-    Raises
-    ------
-    FileError, OSError
-        The recording cannot be loaded.
+    The path is a path as for `load`. Raises the errors of `load`.
     """
     return verify_recording(load(path))
 
@@ -347,11 +334,6 @@ def rows(found: Verification) -> Iterator[tuple[str, str]]:
 
 def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
     """Read the attachment at `place` block by block, and return its voltages, (n,) in V.
-
-    Parameters
-    ----------
-    most : int
-        Largest allowed number of voltages.
 
     Raises
     ------

@@ -59,6 +59,9 @@ _TIMEOUT = b"Timeout"  # an error of zenoh; the daemon's own errors are JSON
 class Rig:
     """Client of one rig's daemon; use it in a `with` block.
 
+    If the daemon temporarily refuses `status`, `arm`, `note`, `reset` or `calibrate`, the client
+    repeats the command for up to 2.5 s.
+
     Parameters
     ----------
     rig : str, default "1"
@@ -138,7 +141,7 @@ class Rig:
             self._session = None
 
     def status(self) -> commands.StatusReport:
-        """Return the daemon's status; if the daemon is busy, repeat the query for up to 2.5 s.
+        """Return the daemon's status.
 
         Examples
         --------
@@ -153,8 +156,6 @@ class Rig:
 
     def arm(self, owner: str, Ts: float | None = None) -> commands.LeaseGranted:
         """Take the lease of the rig; the motor stays at 0 V.
-
-        If the daemon refuses the command temporarily, the client repeats it for up to 2.5 s.
 
         Parameters
         ----------
@@ -432,8 +433,6 @@ class Rig:
     def note(self, text: str, owner: str = "") -> bool:
         """Write a note into the current run's recording; no lease is needed.
 
-        If the daemon refuses the note temporarily, the client repeats it for up to 2.5 s.
-
         Parameters
         ----------
         text : str
@@ -496,8 +495,7 @@ class Rig:
         """Make the daemon use a calibration from a TOML file until the daemon ends.
 
         The daemon accepts a calibration only in the phase `safe`, and applies it from the next
-        sample on. If the daemon refuses the command temporarily, the client repeats it for up to
-        2.5 s.
+        sample on.
 
         Parameters
         ----------

@@ -224,12 +224,8 @@ def collect(
 ) -> Collected:
     """Arm the rig, play a plan's input, and record.
 
-    When the run begins, `tell` gets the motion that the daemon predicts for this input.
-
-    Parameters
-    ----------
-    way_out : str, optional
-        Text with the remedy for a fault; by default the command that resets this rig.
+    When the run begins, `tell` gets the motion that the daemon predicts for this input. `way_out`
+    is the remedy for a fault; by default the command that resets this rig.
 
     Raises
     ------

@@ -24,19 +24,8 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
     """Run `armrigd run` until the block ends; the end of the block sets the motor to 0 V.
 
     If this process is killed or the calling thread ends, the kernel sends a signal to the daemon.
-    After this signal the daemon also sets the motor to 0 V and ends.
-
-    Parameters
-    ----------
-    rig : str
-        Id of the rig; the block begins after the rig's first answer.
-    log : Path
-        File for all output of the daemon.
-
-    Yields
-    ------
-    Popen
-        Process of the daemon, after its first answer.
+    After this signal the daemon also sets the motor to 0 V and ends. The block begins after the
+    first answer of the rig with the id `rig`. The file `log` gets all output of the daemon.
 
     Raises
     ------

@@ -68,9 +68,8 @@ class PublishedRun:
     def seconds(self) -> float:
         """Time from the first message to the last, in s."""
         ends = [self.others[0].t, self.others[-1].t] if self.others else []
-        ends += [self._t(int(row["t_host_ns"])) for row in self.samples[[0, -1]]] * (
-            self.samples.size > 0
-        )
+        if self.samples.size:
+            ends += [self.clock.seconds(int(t)) for t in self.samples["t_host_ns"][[0, -1]]]
         return max(ends) - min(ends) if ends else 0.0
 
     def messages(self) -> Iterator[Published]:
@@ -81,19 +80,14 @@ class PublishedRun:
         for begin in range(0, self.samples.size, _BLOCK_SAMPLES):
             for row in self.samples[begin : begin + _BLOCK_SAMPLES].tolist():
                 sample = Sample._make(row)
-                yield Published(self._t(sample.t_host_ns), "sample", encode_sample(sample))
-
-    def _t(self, host_ns: int) -> float:
-        return self.clock.seconds(host_ns)
+                t = self.clock.seconds(sample.t_host_ns)
+                yield Published(t, "sample", encode_sample(sample))
 
 
 def published(path: Path, start: float | None = None, stop: float | None = None) -> PublishedRun:
     """Return the messages of a recorded run, from a file or from the parts of the run.
 
-    Parameters
-    ----------
-    start, stop : float, optional
-        Range of messages, start <= t < stop, in s from the run's first sample.
+    The range is start <= t < stop, in s from the run's first sample.
 
     Raises
     ------
@@ -209,12 +203,7 @@ def staged(where: str, rig: str) -> Iterator[Stage]:
 def play(run: PublishedRun, publish: Publish, *, speed: float) -> Iterator[Published]:
     """Publish the messages of a run when they are due; yield each message after its publication.
 
-    Parameters
-    ----------
-    publish : callable
-        Called with the stream and the bytes of each message.
-    speed : float
-        Speed of the playback relative to the recording: 2 plays the run in half its time.
+    `speed` is relative to the recording: 2 plays the run in half its time.
     """
     began_s, first_t = time.monotonic(), None
     for message in run.messages():

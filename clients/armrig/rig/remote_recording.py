@@ -263,14 +263,8 @@ def _gap(gap: LiveGap) -> bytes:
 def remote_manifest(rig: str, endpoint: str, state: Any, clock_offset_ns: int) -> Manifest:
     """Return the manifest of a recording that begins at the time of the call.
 
-    Parameters
-    ----------
-    state : armrig.v1.State
-        Newest state that the daemon published. If the state's description of the device is valid
-        in a manifest, the manifest contains this description.
-    clock_offset_ns : int
-        Real-time clock minus monotonic clock, in ns, on the host whose daemon publishes the
-        samples.
+    `state` is the newest state that the daemon published (armrig.v1.State). If its description of
+    the device is valid in a manifest, the manifest contains this description.
     """
     uname = platform.uname()
     manifest = Manifest(
@@ -317,11 +311,7 @@ class RemoteMessage(NamedTuple):
 def remote_message(stream: str, data: bytes, clock_offset_ns: int) -> RemoteMessage:
     """Decode a received message, and check its values.
 
-    Parameters
-    ----------
-    clock_offset_ns : int
-        Real-time clock minus monotonic clock, in ns, on the host whose daemon published the
-        message.
+    The clock offset is the real-time clock minus the monotonic clock, in ns, on the daemon's host.
 
     Raises
     ------

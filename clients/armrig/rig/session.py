@@ -175,17 +175,9 @@ def open_session(
 def open_connection(
     connect: str | None, *, rig: str, certificate: str | Path | None = None
 ) -> Connection:
-    """Connect to a daemon as a client of its endpoint.
+    """Connect to a daemon as a client of its endpoint; the arguments are those of `armrig.Rig`.
 
-    Parameters
-    ----------
-    connect : str, optional
-        Endpoint; by default the endpoint in `[client]`. If there is no endpoint, the sockets of
-        this user's daemon and of this machine's service are tried. The directories of the sockets
-        must be writable for their owners only.
-    certificate : str or Path, optional
-        Credential of the client, for an endpoint tls/HOST:PORT; by default the credential in
-        `[client]`.
+    The directories of local sockets must be writable for their owners only.
 
     Raises
     ------
@@ -395,16 +387,9 @@ def no_daemon(rig: str, where: str, what: str) -> RigError:
 
 
 def why_not_connected(host: str, port: int, credential: Credential, path: Path) -> str:
-    """Try a TLS handshake, and return the fault with its remedy; "" if the handshake succeeds.
+    """Try a TLS handshake with a daemon, and return the fault with its remedy; "" without a fault.
 
-    Parameters
-    ----------
-    host, port
-        Address of the rig's daemon.
-    credential : Credential
-        Credential of the client.
-    path : Path
-        File of the credential.
+    `path` is the file of the client's credential.
     """
     line = _connected(host, port)
     if isinstance(line, str):

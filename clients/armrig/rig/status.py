@@ -45,11 +45,8 @@ class LiveRig:
 def live_rigs(connect: str | None) -> tuple[str, list[LiveRig]]:
     """Return the searched endpoint, or "this machine", and the rigs found there, sorted by id.
 
-    Parameters
-    ----------
-    connect : str, optional
-        Endpoint of a router or a daemon; by default the endpoint in `[client]`. If there is no
-        endpoint, all daemons of this machine are queried.
+    The endpoint, of a router or a daemon, is by default the endpoint in `[client]`. If there is no
+    endpoint, all daemons of this machine are queried.
 
     Raises
     ------

@@ -260,13 +260,8 @@ def told_gaps() -> Newest[Any]:
 def gaps_between(before: Sample, after: Sample, told: Iterable[Any]) -> Iterator[LiveGap]:
     """Yield the gaps between two consecutively received samples, in order.
 
-    Parameters
-    ----------
-    before, after : Sample
-        Two consecutively received samples. If `k` does not increase, the daemon was restarted, and
-        no sample is missing.
-    told : iterable of armrig.v1.Gap
-        Gaps that the daemon reported, in any order.
+    If `k` does not increase, the daemon was restarted, and no sample is missing. `told` are the
+    gaps that the daemon reported (armrig.v1.Gap), in any order.
     """
     k, end = before.k + 1, after.k
     for gap in sorted(told, key=lambda gap: int(gap.k_first)):

@@ -37,7 +37,7 @@ from tests.clients.made_recordings import manifest, recorded, sample, written
 
 OLD = 1_700_000_000  # s: files that were changed then are settled
 
-NOW_NS = catalogue_module.now_ns
+NOW_NS = catalogue_module.time_ns
 
 
 def made(folder: Path, number: int, *, experiment: str = "step", samples: int = 3) -> Path:
@@ -75,7 +75,7 @@ def opened(
     worth_keeping, ahead_s = getattr(request, "param", (1, 60))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(catalogue_module, "WORTH_KEEPING", worth_keeping)
-    monkeypatch.setattr(catalogue_module, "now_ns", lambda: NOW_NS() + ahead_s * 10**9)
+    monkeypatch.setattr(catalogue_module, "time_ns", lambda: NOW_NS() + ahead_s * 10**9)
     names: list[str] = []
 
     def counted(path: Path) -> RecordingSummary:
