@@ -7,32 +7,21 @@ from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
+import msgspec
 import numpy as np
 from armrig_core.bounded import read_text
 from armrig_core.errors import FileError
 
-from armrig.data.finding import EstimateFinding
 from armrig.data.step import Step
-from armrig.models.estimate import Form
 from armrig.models.fit import Fit
-from armrig.models.matrices import Matrices
-from armrig.models.model_writing import FORMAT, VERSION
-from armrig.models.polynomials import Polynomials
-from armrig.models.quality import Start
-from armrig.models.structure import FreeResponse
-from armrig.numerics.inference import OutputQuality
-from armrig.numerics.whiteness import Whiteness
+from armrig.models.model_writing import FORMAT, FORMS, VERSION
 
 FORMAT_OF_SEVERAL = "armrig-multivariable-model"
 """Format of models of several signals before version 2; its version is 1."""
 MAX_BYTES = 1 << 26
 """Largest size of a file, in bytes. The file of a model with 1000 parameters is smaller."""
-_COVARIANCES = ("covariance", "covariance_robust", "noise_covariance")
-_ARRAYS = (*_COVARIANCES, "singular_values", "canonical_correlations")
-_TUPLES = ("inputs", "outputs", "input_units", "units")
-_NUMBERS = ("Ts", "curvature")
 
 
 def load_fit(path: str | PathLike[str]) -> Fit:
@@ -85,7 +74,7 @@ def fit_of(text: str, path: str) -> Fit:
                 f"{path} is no model file; `armrig identify --save` and fit.save(path) write "
                 "model files"
             )
-        if not 1 <= content.get("version", 0) <= known[content["format"]]:
+        if content.get("version") not in range(1, known[content["format"]] + 1):
             raise FileError(
                 f"{path} has format version {content.get('version')!r}, this armrig reads "
                 f"{VERSION}; it was written by armrig {content.get('armrig')}"
@@ -93,18 +82,26 @@ def fit_of(text: str, path: str) -> Fit:
         fit = _restored(_renewed(content))
         d = fit.theta.size
         if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
-            raise FileError(
-                f"{path} is a damaged model: it has {d} parameters, and covariances of another "
-                "size; save it again"
-            )
+            raise _damaged(path, f"it has {d} parameters, and covariances of another size")
         repr(fit), fit.poles()  # using a damaged model raises an error
     except FileError:
         raise
+    except json.JSONDecodeError as err:
+        raise _damaged(path, f"line {err.lineno} is not JSON: {err.msg}") from err
+    except KeyError as err:
+        raise _damaged(path, f"{err.args[0]} is missing") from err
+    except msgspec.ValidationError as err:
+        raise _damaged(path, str(err)) from err
     except Exception as err:
-        raise FileError(
-            f"{path} is a damaged model: {type(err).__name__}: {err}; save it again"
-        ) from err
+        raise _damaged(path, f"its fields do not match each other: {err}") from err
     return fit
+
+
+def _damaged(path: str, fault: str) -> FileError:
+    return FileError(
+        f"{path} is a damaged model: {fault}; save the model again with fit.save(path), or "
+        "estimate it again with `armrig identify --save`"
+    )
 
 
 def _renewed(content: dict[str, Any]) -> dict[str, Any]:
@@ -133,62 +130,36 @@ def _renewed_quality(old: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _restored(content: dict[str, Any]) -> Fit:
+    form = content["form"]
+    kind = form.get("kind") if isinstance(form, dict) else form
+    if kind not in FORMS:
+        raise msgspec.ValidationError(f"form: Expected the kind {' or '.join(FORMS)}, got {kind!r}")
+    hints = get_type_hints(Fit) | {"form": FORMS[kind]}
     # Fields that a file of an earlier release lacks keep their defaults.
     needed = {f.name for f in fields(Fit) if f.default is f.default_factory is MISSING}
-    values = {f.name: content[f.name] for f in fields(Fit) if f.name in {*content, *needed}}
-    values |= {name: _array(values[name]) for name in _ARRAYS if name in values}
-    values |= {name: tuple(values[name]) for name in _TUPLES if name in values}
-    values |= {name: float(values[name]) for name in _NUMBERS if name in values}
-    values["output_weights"] = tuple(map(float, values.get("output_weights", ())))
-    values["form"] = _form(content["form"])
-    values["quality"] = tuple(
-        OutputQuality(
-            loss=float(q["loss"]),
-            N=q["N"],
-            fit_percent=float(q["fit_percent"]),
-            white=Whiteness(p_value=float(q["white"]["p_value"]), test=q["white"]["test"]),
-        )
-        for q in content["quality"]
-    )
-    values["starts"] = tuple(
-        Start(**(start | {"loss": float(start["loss"])})) for start in content["starts"]
-    )
-    values["free"] = tuple(
-        FreeResponse(
-            transients=tuple(float(x) for x in free["transients"]),
-            level=float(free["level"]),
-            offset=float(free["offset"]),
-        )
-        for free in content.get("free", ())
-    )
-    steps = zip(content["history"], content["treatment"], strict=True)
+    needed |= {"starts", "history", "findings"}
+    values = {
+        f.name: _value(f.name, content[f.name], hints[f.name])
+        for f in fields(Fit)
+        if f.name in {*content, *needed}
+    }
+    steps = zip(values["history"], content["treatment"], strict=True)
     values["history"] = tuple(Step(text, code) for text, code in steps)
-    values["findings"] = tuple(
-        EstimateFinding(**(f | {"numbers": {k: float(x) for k, x in f["numbers"].items()}}))
-        for f in content["findings"]
-    )
     return Fit(**values)
 
 
-def _form(content: dict[str, Any]) -> Form:
-    if content["kind"] == "matrices":
-        matrices = {name: _array(content[name]) for name in "ABCDK"}
-        return Matrices(**matrices, nk=tuple(content["nk"]))
-    rows = {name: tuple(tuple(map(_array, row)) for row in content[name]) for name in "ABF"}
-    return Polynomials(
-        A=rows["A"],
-        B=rows["B"],
-        C=tuple(map(_array, content["C"])),
-        D=tuple(map(_array, content["D"])),
-        F=rows["F"],
-        nk=tuple(tuple(row) for row in content["nk"]),
-        integrators=tuple(content["integrators"]),
-    )
+def _value(name: str, content: Any, kind: Any) -> Any:
+    """Return a field of a model from its JSON, in which "nan", "inf" and "-inf" are numbers."""
+    try:
+        return msgspec.convert(content, kind, strict=False, dec_hook=_array)
+    except msgspec.ValidationError as err:
+        raise msgspec.ValidationError(f"{name}: {err}") from err
 
 
-def _array(values: Any) -> Any:
-    return np.array(_numbers(values), dtype=np.float64)
+def _array(_: type[Any], content: Any) -> Any:
+    """Return nested lists of numbers as an array."""
+    return np.array(_numbers(content), dtype=np.float64)
 
 
-def _numbers(values: Any) -> Any:
-    return [_numbers(v) for v in values] if isinstance(values, list) else float(values)
+def _numbers(content: Any) -> Any:
+    return [_numbers(x) for x in content] if isinstance(content, list) else float(content)

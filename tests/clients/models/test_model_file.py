@@ -145,14 +145,16 @@ def test_the_keys_of_a_model_file_equal_the_stored_keys(fit: Fit, tmp_path: Path
     [
         ({"format": "other"}, "is no model file"),
         ({"version": 3, "armrig": "9.9"}, "format version 3, this armrig reads 2.* armrig 9.9"),
-        ({"form": {"kind": "polynomials"}}, "is a damaged model"),
-        ({"form": {"kind": "matrices"}}, "is a damaged model"),
-        ({"form": None}, "is a damaged model"),
-        ({"covariance": "x"}, "is a damaged model"),
-        ({"covariance": [[1.0]]}, "damaged model: it has .* parameters, and covariances of"),
-        ({"covariance_robust": [[1.0]]}, "damaged model: it has .* parameters, and covariances of"),
-        ({"quality": [{}]}, "is a damaged model"),
-        ({"starts": [{}]}, "is a damaged model"),
+        ({"version": "2"}, "format version '2', this armrig reads 2"),
+        ({"form": {"kind": "polynomials"}}, "form: Object missing required field `A`"),
+        ({"form": {"kind": "matrices"}}, "form: Object missing required field `A`"),
+        ({"form": None}, "form: Expected the kind matrices or polynomials, got None"),
+        ({"covariance": "x"}, "covariance: could not convert string to float: 'x'"),
+        ({"covariance": [[1.0]]}, "it has .* parameters, and covariances of another size"),
+        ({"covariance_robust": [[1.0]]}, "it has .* parameters, and covariances of another size"),
+        ({"Ts": None}, "Ts: Expected `float`, got `null`"),
+        ({"quality": [{}]}, r"quality: Object missing required field `loss` - at `\$\[0\]`"),
+        ({"starts": [{}]}, r"starts: Object missing required field `name` - at `\$\[0\]`"),
     ],
 )
 def test_a_damaged_model_file_is_refused(
@@ -168,10 +170,19 @@ def test_a_damaged_model_file_is_refused(
             load_fit(path)
 
 
+def test_a_model_file_without_a_key_is_refused(fit: Fit) -> None:
+    content = json.loads(model_text(fit))
+    for key in ("form", "covariance", "noise_covariance", "Ts", "starts", "findings", "treatment"):
+        lacking = {name: value for name, value in content.items() if name != key}
+
+        with pytest.raises(FileError, match=f"is a damaged model: {key} is missing; save the"):
+            fit_of(json.dumps(lacking), "m.json")
+
+
 def test_a_file_needs_the_quality_of_each_of_several_outputs() -> None:
     content = json.loads(model_text(fit_of_form(apart())))
 
-    with pytest.raises(FileError, match=r"m\.json is a damaged model"):
+    with pytest.raises(FileError, match="damaged model: its fields do not match each other"):
         fit_of(json.dumps(content | {"quality": content["quality"][:1]}), "m.json")
 
 
