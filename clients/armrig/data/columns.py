@@ -11,6 +11,7 @@ import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.numerics.checks import real_copy
 from armrig.numerics.stretches import Mask
 
 Vector = NDArray[np.float64]
@@ -28,12 +29,12 @@ def columns(name: str, values: Any) -> Matrix:
     """Return a column-major copy (N, n) of the values, with NaN for masked values."""
     if getattr(values, "ndim", 1) == 2 and is_pandas(values):
         values = np.column_stack([plain(name, values.iloc[:, j]) for j in range(values.shape[1])])
-    given = np.ma.asanyarray(plain(name, values))
+    given = np.asanyarray(plain(name, values))
     if given.dtype.kind not in "buif":
         raise InputError(
             f"{name} is an array of {given.dtype}; give real numbers, a column for each channel"
         )
-    taken = np.array(np.ma.filled(given.astype(np.float64), np.nan), order="F")
+    taken = real_copy(given)
     if taken.ndim == 1:
         taken = taken[:, None]
     if taken.ndim != 2 or 0 in taken.shape:
@@ -84,7 +85,7 @@ def validity(valid: Any, shape: tuple[int, ...]) -> Mask:
         return np.ones(shape, dtype=np.bool_)
     if is_pandas(valid):
         valid = valid.to_numpy(dtype=np.bool_, na_value=False)
-    given = np.array(np.ma.filled(np.ma.asanyarray(valid), False), dtype=np.bool_)
+    given = np.array(np.ma.filled(valid, False), dtype=np.bool_)
     if given.ndim == 1 < len(shape):
         given = given[:, None]
     if given.shape != shape:

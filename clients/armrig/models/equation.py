@@ -130,12 +130,12 @@ def letters(model: Fit) -> list[str]:
 
 
 def _polynomial(model: Fit, letter: str, std: Vector | None) -> str:
-    part = model.slice_of(letter.lower())
     first = model.nk if letter == "B" else 1
+    own = std if std is None else std[model.slice_of(letter.lower())]
     text = "" if letter == "B" else "1"
-    for k, value in enumerate(model.theta[part]):
+    for k, value in enumerate(model.polynomial(letter)[first:]):
         sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
-        deviation = "" if std is None else f" (±{std[part][k]:.2g})"
+        deviation = "" if own is None else f" (±{own[k]:.2g})"
         power = f" q^-{first + k}" if first + k else ""
         text += f"{sign}{abs(value):.5g}{deviation}{power}"
     return text

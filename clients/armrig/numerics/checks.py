@@ -75,11 +75,19 @@ def column(name: str, values: ArrayLike) -> NDArray[np.float64]:
             f"{name} is complex ({given.dtype}), but must be real; give {name}.real, or the "
             "magnitude if the magnitude was measured"
         )
-    taken = np.array(np.ma.filled(given.astype(np.float64), np.nan))
+    taken = real_copy(given)
     if taken.ndim != 1 or taken.size == 0:
         raise InputError(
             f"{name} has shape {taken.shape}, but must be (N,), N >= 1; {_way_out(name, taken)}"
         )
+    return taken
+
+
+def real_copy(given: NDArray[Any]) -> NDArray[np.float64]:
+    """Return a column-major copy of real numbers, with NaN for masked values."""
+    taken = np.array(given, dtype=np.float64, order="F")
+    if isinstance(given, np.ma.MaskedArray):
+        taken[np.ma.getmaskarray(given)] = np.nan
     return taken
 
 
