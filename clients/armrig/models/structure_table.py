@@ -9,7 +9,7 @@ NAME is the function NAME in `armrig.estimation.NAME`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
 OfferedName = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "ararx", "ss"]
@@ -37,7 +37,7 @@ COUNTED = {
 """Name of the items that an order counts, for each order except nk."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class RegisteredStructure:
     """Specification of one structure."""
 
@@ -48,10 +48,9 @@ class RegisteredStructure:
     orders: Mapping[str, int | None]
     """Default orders of models of the arm by name, without nk; None if the data decide the
     order."""
-    poles: str
-    """Name of the order that is the number of poles from u to y."""
     takes: tuple[str, ...] = ()
     """Arguments of the estimator in addition to the orders and nk."""
+    _: KW_ONLY
     several: bool = True
     """True if the estimator takes several inputs and outputs."""
     closed_loop: bool = False
@@ -60,6 +59,11 @@ class RegisteredStructure:
     """True if a search with one input and one output includes this structure by default."""
     searched_of_several: bool = False
     """True if a search with several signals tries this structure."""
+
+    @property
+    def poles(self) -> str:
+        """Name of the order that is the number of poles from u to y."""
+        return next(name for name in ("order", "nf", "na") if name in self.orders)
 
     @property
     def title(self) -> str:
@@ -86,92 +90,39 @@ def with_article(title: str) -> str:
 
 
 _N = ARM_POLES
+_ARX = {"na": _N, "nb": _N}
+_ARARX = _ARX | {"nd": 1}
+_OE = {"nb": _N, "nf": _N}
+_BJ = {"nb": _N, "nc": 1, "nd": 1, "nf": _N}
+_PEM = {"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N}
+_STATE_SPACE = {"order": None}
 _SEARCHED = ("integrator", "offset", "initial", "stable", "starts", "shared")
+_OF_N4SID = ("integrator", "weights", "horizon", "focus", "stable", "replicates", "seed")
+_row = RegisteredStructure
 _ROWS = (
-    RegisteredStructure(
-        name="arx",
-        equation="A y = B u + e",
-        orders={"na": _N, "nb": _N},
-        poles="na",
-        takes=("stable",),
+    _row("arx", "A y = B u + e", _ARX, ("stable",), closed_loop=True),
+    _row("armax", "A y = B u + C e", _ARX | {"nc": _N}, _SEARCHED, closed_loop=True),
+    _row("oe", "y = B/F u + e", _OE, _SEARCHED, searched_of_several=True),
+    _row("bj", "y = B/F u + C/D e", _BJ, _SEARCHED, closed_loop=True),
+    _row("iv4", "A y = B u + v, v of any colour", _ARX, ("stable",), several=False),
+    _row("n4sid", "a state space", _STATE_SPACE, _OF_N4SID, searched_of_several=True),
+    # IV4 and BJ cover this noise; ARARX would lengthen a search by a quarter.
+    _row("ararx", "A y = B u + 1/D e", _ARARX, _SEARCHED, closed_loop=True, searched=False),
+    # The searches of one channel were tested without ss.
+    _row(
+        "ss",
+        "a state space of least prediction errors",
+        _STATE_SPACE,
+        ("noise", "output_weights"),
         closed_loop=True,
-    ),
-    RegisteredStructure(
-        name="armax",
-        equation="A y = B u + C e",
-        orders={"na": _N, "nb": _N, "nc": _N},
-        poles="na",
-        takes=_SEARCHED,
-        closed_loop=True,
-    ),
-    RegisteredStructure(
-        name="oe",
-        equation="y = B/F u + e",
-        orders={"nb": _N, "nf": _N},
-        poles="nf",
-        takes=_SEARCHED,
+        searched=False,
         searched_of_several=True,
     ),
-    RegisteredStructure(
-        name="bj",
-        equation="y = B/F u + C/D e",
-        orders={"nb": _N, "nc": 1, "nd": 1, "nf": _N},
-        poles="nf",
-        takes=_SEARCHED,
-        closed_loop=True,
-    ),
-    RegisteredStructure(
-        name="iv4",
-        equation="A y = B u + v, v of any colour",
-        orders={"na": _N, "nb": _N},
-        poles="na",
-        takes=("stable",),
-        several=False,
-    ),
-    RegisteredStructure(
-        name="n4sid",
-        equation="a state space",
-        orders={"order": None},
-        poles="order",
-        takes=("integrator", "weights", "horizon", "focus", "stable", "replicates", "seed"),
-        searched_of_several=True,
-    ),
-    RegisteredStructure(
-        name="ararx",
-        equation="A y = B u + 1/D e",
-        orders={"na": _N, "nb": _N, "nd": 1},
-        poles="na",
-        takes=_SEARCHED,
-        closed_loop=True,
-        searched=False,  # IV4 and BJ cover this noise; ARARX would lengthen a search by a quarter
-    ),
-    RegisteredStructure(
-        name="ss",
-        equation="a state space of least prediction errors",
-        orders={"order": None},
-        poles="order",
-        takes=("noise", "output_weights"),
-        closed_loop=True,
-        searched=False,  # the searches of one channel were tested without it
-        searched_of_several=True,
-    ),
-    RegisteredStructure(
-        name="pem",
-        equation="A y = B/F u + C/D e",
-        orders={"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N},
-        poles="nf",
-        takes=("offset", "initial", "stable", "starts", "shared"),
-        closed_loop=True,
-    ),
+    _row("pem", "A y = B/F u + C/D e", _PEM, _SEARCHED[1:], closed_loop=True),
 )
 STRUCTURES: dict[str, RegisteredStructure] = {row.name: row for row in _ROWS}
 """Specifications of all structures by name."""
-CHANNEL = RegisteredStructure(
-    name="channel",
-    equation="y = B/F u + v",
-    orders={"nb": None, "nf": None},
-    poles="nf",
-)
+CHANNEL = _row("channel", "y = B/F u + v", {"nb": None, "nf": None})
 """Specification of one channel of a model with several inputs or outputs. The noise of a channel
 depends on several e, so the channel has no C and no D."""
 DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | {CHANNEL.name: CHANNEL}
