@@ -1466,7 +1466,7 @@ def summary() -> Variants:
 @variants
 def uncertainty() -> Variants:
     from armrig.models import uncertainty as u
-    from armrig.models.parameter_draws import drawn
+    from armrig.models.uncertainty import drawn
 
     d = data()
     few = d["odd"][:60]

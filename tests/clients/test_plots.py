@@ -20,7 +20,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
-from armrig.models.parameter_draws import drawn
+from armrig.models.uncertainty import drawn
 from armrig.numerics.polynomial import filtered
 from armrig.plots.captions import in_mathtext, named, named_by_run, signature, symbol
 from armrig.plots.layout import (

@@ -170,7 +170,7 @@ def test_armrig_prints_a_message_of_the_page_and_its_remedy_helps(
 
 
 def test_every_kind_of_file_of_the_page_is_read() -> None:
-    from armrig.data.files.suffixes import DATA
+    from armrig.data.files import DATA
 
     table = PAGE.read_text(encoding="utf-8").partition("## What is read")[2].splitlines()
     kinds = "".join(line for line in table if line.startswith("| `"))

@@ -9,7 +9,7 @@ import typer
 from armrig_core.recording_file.part_names import part_paths
 
 from armrig.cli.options import inform
-from armrig.data.files.suffixes import OTHER_DATA, RECORDING
+from armrig.data.files import OTHER_DATA, RECORDING
 
 _NAMES = "@last or @NAME"
 

@@ -36,7 +36,7 @@ from armrig.cli.reading_options import (
     data_options,
     grouped,
 )
-from armrig.data.files.suffixes import OTHER_DATA
+from armrig.data.files import OTHER_DATA
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals

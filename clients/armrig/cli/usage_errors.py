@@ -10,7 +10,7 @@ from typing import Any
 
 from armrig_core.recording_file.part_names import PART, part_number
 
-from armrig.data.files.suffixes import DATA, RECORDING
+from armrig.data.files import DATA, RECORDING
 from armrig.models.structure_table import OFFERED_NAMES
 
 _ELSEWHERE: dict[str, str] = {

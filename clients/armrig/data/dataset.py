@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from armrig_core.calls import checked_call
@@ -30,10 +30,11 @@ from armrig.data.columns import (
     validity,
 )
 from armrig.data.columns import Vector as Vector
-from armrig.data.experiments import Experiments, unchecked
-from armrig.data.trend import Trend
+from armrig.data.experiments import Experiments, Trend, unchecked
 from armrig.numerics.checks import column
 from armrig.numerics.stretches import Mask
+
+T = TypeVar("T")
 
 _MAX_SHOWN = 12  # names in a message
 
@@ -339,6 +340,11 @@ class Signals(Experiments):
         return self._described(f"outputs {outputs}; inputs {inputs}", "values missing")
 
 
+def _column(of: Callable[[Signals], T], doc: str) -> T:
+    """Return a property of a Dataset that is computed from its Signals."""
+    return cast("T", property(lambda data: of(data.signals()), doc=doc))
+
+
 class Dataset(Experiments):
     """N equidistant samples of u and y, from one or several experiments.
 
@@ -440,61 +446,20 @@ class Dataset(Experiments):
         names = ("u", "y", "Ts", "valid", "starts", "output", "unit", "input_unit")
         return {name: getattr(self, name) for name in (*names, "source", "history", "trends")}
 
-    @property
-    def u(self) -> Vector:
-        """Input (N,), in `input_unit`."""
-        return self._columns.u[:, 0]
-
-    @property
-    def y(self) -> Vector:
-        """Output (N,), in `unit`; NaN where it is missing."""
-        return self._columns.y[:, 0]
-
-    @property
-    def valid(self) -> Mask:
-        """Mask (N,), False where y is missing."""
-        return self._columns.valid[:, 0]
-
-    @property
-    def Ts(self) -> float:
-        """Sampling time, in s."""
-        return self._columns.equidistant()
-
-    @property
-    def starts(self) -> tuple[int, ...]:
-        """Index of the first sample of each experiment."""
-        return self._columns.starts
-
-    @property
-    def output(self) -> str:
-        """Name of y."""
-        return self._columns.outputs[0]
-
-    @property
-    def unit(self) -> str:
-        """Unit of y."""
-        return self._columns.units[0]
-
-    @property
-    def input_unit(self) -> str:
-        """Unit of u."""
-        return self._columns.input_units[0]
-
-    @property
-    def source(self) -> str:
-        """Hash of the recording or data file; "" for data without a file."""
-        return self._columns.source
-
-    @property
-    def history(self) -> tuple[str, ...]:
-        """Steps of the treatment, first to last, one sentence for each."""
-        return self._columns.history
-
-    @property
-    def trends(self) -> tuple[Trend, ...]:
-        """Trend removed from each experiment; () if there is no trend that can be restored."""
-        number = np.ndarray.item
-        return tuple(trend.each(number, number) for trend in self._columns.trends)
+    u = _column(lambda data: data.u[:, 0], "Input (N,), in `input_unit`.")
+    y = _column(lambda data: data.y[:, 0], "Output (N,), in `unit`; NaN where it is missing.")
+    valid = _column(lambda data: data.valid[:, 0], "Mask (N,), False where y is missing.")
+    Ts = _column(Signals.equidistant, "Sampling time, in s.")
+    starts = _column(lambda data: data.starts, "Index of the first sample of each experiment.")
+    output = _column(lambda data: data.outputs[0], "Name of y.")
+    unit = _column(lambda data: data.units[0], "Unit of y.")
+    input_unit = _column(lambda data: data.input_units[0], "Unit of u.")
+    source = _column(lambda data: data.source, 'Hash of the recording or data file, or "".')
+    history = _column(lambda data: data.history, "Steps of the treatment, a sentence for each.")
+    trends = _column(
+        lambda data: tuple(t.each(np.ndarray.item, np.ndarray.item) for t in data.trends),
+        "Trend removed from each experiment; () if there is no trend that can be restored.",
+    )
 
     def origin(self) -> dict[str, Any]:
         """Return the facts about the data that a `Fit` stores, such as units and history.

@@ -1,10 +1,11 @@
-"""Samples of one or several experiments, the common base of Signals and Dataset."""
+"""Samples of one or several experiments, the common base of Signals and Dataset, and trends."""
 
 from __future__ import annotations
 
 import hashlib
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
@@ -12,16 +13,71 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 
-from armrig.data.columns import sampling
+from armrig.data.columns import Vector, sampling
 from armrig.data.step import took
 from armrig.numerics.checks import require_integers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
     from armrig.data.dataset import Signals
+
+Levels = float | Vector
+"""One number, or an array with a number for each column."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trend:
+    """Level and slope of u and of y; a slope is 0 if only the mean was removed.
+
+    In the trends of a Dataset the fields are numbers. In the trends of Signals they are arrays with
+    a number for each column of u and of y.
+    """
+
+    u_level: Levels = 0.0
+    """Value of u's line at the experiment's first sample, in u's unit."""
+    u_slope: Levels = 0.0
+    """Slope of u, in u's unit per s."""
+    y_level: Levels = 0.0
+    """Value of y's line at the experiment's first sample, in y's unit."""
+    y_slope: Levels = 0.0
+    """Slope of y, in y's unit per s."""
+
+    def u(self, t: Vector) -> Vector:
+        """Return the lines of u at times t (n,), in s from the experiment's first sample."""
+        return np.asarray(self.u_level + np.multiply.outer(t, self.u_slope))
+
+    def y(self, t: Vector) -> Vector:
+        """Return the lines of y at times t (n,), in s from the experiment's first sample."""
+        return np.asarray(self.y_level + np.multiply.outer(t, self.y_slope))
+
+    def later(self, seconds: float) -> Trend:
+        """Return the same lines for data that begin `seconds` later; only the levels change."""
+        return replace(
+            self,
+            u_level=self.u_level + self.u_slope * seconds,
+            y_level=self.y_level + self.y_slope * seconds,
+        )
+
+    def each(self, of_u: Callable[[Any], Any], of_y: Callable[[Any], Any]) -> Trend:
+        """Return the results of `of_u` for the fields of u, and of `of_y` for the fields of y."""
+        of = {"u": of_u, "y": of_y}
+        return Trend(**{f.name: of[f.name[0]](getattr(self, f.name)) for f in _FIELDS})
+
+    def __add__(self, other: Trend) -> Trend:
+        """Return the sum of two trends that were removed one after the other."""
+        return Trend(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in _FIELDS})
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether all levels and slopes are equal."""
+        return isinstance(other, Trend) and all(
+            np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in _FIELDS
+        )
+
+
+_FIELDS = fields(Trend)
+
 
 T = TypeVar("T", bound="Experiments")
 
@@ -55,7 +111,7 @@ class Experiments:
         return int(valid.size - np.count_nonzero(valid))
 
     @property
-    def t(self) -> NDArray[np.float64]:
+    def t(self) -> Vector:
         """Time (N,) in s; equidistant times begin at 0, as if the experiments were consecutive."""
         data = self.signals()
         if data.times is not None:

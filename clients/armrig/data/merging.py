@@ -10,8 +10,8 @@ from armrig_core.calls import checked_call
 from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.experiments import Trend
 from armrig.data.step import Step, codes_of, in_merged
-from armrig.data.trend import Trend
 
 _MAX_LISTED_LENGTHS = 8  # of merged parts, in a history
 _SAME = ("Ts", "outputs", "inputs", "units", "input_units", "intersample")

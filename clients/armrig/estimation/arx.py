@@ -25,13 +25,18 @@ from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
 from armrig.estimation.orders import require_samples
 from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
 from armrig.models.fit import Fit
-from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.covariance import (
+    pairwise_covariance,
+    spread,
+    spread_apart,
+    unspread,
+    whitening,
+)
 from armrig.numerics.inference import OutputResiduals
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array, monic
 from armrig.numerics.regressors import complete, past
 from armrig.numerics.stretches import Mask
-from armrig.numerics.whitening import spread, spread_apart, unspread, whitening
 
 _MAX_ROUNDS = 20
 _SAME_TOLERANCE = 1e-8  # relative change of Lambda at which the iteration ends

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.treatment import INTEGRATING_OUTPUTS, hampel, integrating
-from armrig.data.treatment.whitening import whitening
 from armrig.numerics.quantities import percent, plural
+from armrig.numerics.regressors import whitening
 from armrig.numerics.whiteness import WHITE_LEVEL, joined, ljung_box
 
 Vector = NDArray[np.float64]

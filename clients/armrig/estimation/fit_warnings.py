@@ -8,7 +8,7 @@ import numpy as np
 
 from armrig.data.finding import EstimateFinding, warning
 from armrig.estimation.problem import PolynomialProblem
-from armrig.models.quality import MAX_TRUSTED_CURVATURE, Start
+from armrig.models.estimate import MAX_TRUSTED_CURVATURE, Start
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, roots
 from armrig.numerics.whiteness import Whiteness

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -106,7 +107,6 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
         test="ljung-box",
         prewhitening=L.size - 1,
     )
-    white = found.quality[0].white
     sse = sum(float(np.nansum(v**2)) for v in _left(whole, theta))
     fit = Fit.of_channel(
         structure="iv4",
@@ -115,13 +115,9 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
         nk=nk,
         covariance=found.covariance,
         covariance_robust=found.covariance_robust,
-        noise_variance=sse / (N - na - nb),
-        loss=sse / N,
-        N=N,
+        noise_covariance=np.array([[sse / (N - na - nb)]]),
+        quality=(replace(found.quality[0], loss=sse / N, N=N, fit_percent=fit_percent(y, sse)),),
         Ts=data.Ts,
-        fit_percent=fit_percent(y, sse),
-        whiteness=white.p_value,
-        whiteness_test=white.test,
         findings=(*reflection_warnings(free, A), *data_faults(data, e, way_out=NO_OPTION)),
         **data.origin(),
     )

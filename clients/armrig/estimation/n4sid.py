@@ -316,7 +316,7 @@ def _one_channel(
         integrator=integrator,
         offset=integrator,
         Ts=data.Ts,
-        **inferred.of_one_output(),
+        **inferred.fields(),
         **_projected(found, options, sy),
         findings=(
             *notes,

@@ -35,15 +35,15 @@ from armrig.estimation.search import (
     weighted_by,
 )
 from armrig.estimation.stability import with_stability_warning, with_stable_poles
+from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.innovations import Errors, prepared
-from armrig.models.quality import Start
 from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
 from armrig.models.structure_table import Initial, Starts
+from armrig.numerics.covariance import unspread
 from armrig.numerics.inference import OutputResiduals, Score
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
-from armrig.numerics.whitening import unspread
 
 PART_SAMPLES = 3000
 """Number of samples in the part of long data on which searches start. If the data have at most

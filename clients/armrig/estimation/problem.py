@@ -20,6 +20,7 @@ from armrig.models.innovations import (
     volume,
 )
 from armrig.models.structure import Structure
+from armrig.numerics.covariance import spread, spread_apart
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import (
@@ -29,7 +30,6 @@ from armrig.numerics.polynomial import (
     outward_normals,
     stable,
 )
-from armrig.numerics.whitening import spread, spread_apart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,10 +18,9 @@ import numpy as np
 from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.start_values import filtered_denominators, start_values
 from armrig.models.innovations import completed
-from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.covariance import pairwise_covariance, whitening
 from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum
 from armrig.numerics.polynomial import Array, filtered, monic, reduced, roots
-from armrig.numerics.whitening import whitening
 
 Ends = list[tuple[str, Optimum]]
 """Name of each start value, and the minimum reached by the search from this start value."""

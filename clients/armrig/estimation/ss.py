@@ -27,14 +27,13 @@ from armrig.estimation.state_space_problem import (
 )
 from armrig.estimation.state_space_responses import Part
 from armrig.estimation.state_space_starts import moved_modes, starts
+from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
-from armrig.models.quality import Start
 from armrig.numerics.checks import require_flags, require_integers
-from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.covariance import pairwise_covariance, whitening
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed
-from armrig.numerics.whitening import whitening
 
 _STEPS = 2  # steps of the search between two estimates of Lambda
 _TRIED_STEPS = 6  # steps between two estimates of Lambda while the start values are tried

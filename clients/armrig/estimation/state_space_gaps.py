@@ -27,11 +27,10 @@ import numpy as np
 from armrig.estimation.state_space_problem import parts_of, stable_matrix, tangent
 from armrig.estimation.state_space_responses import Part, Predictor
 from armrig.estimation.subspace import Parts
-from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.covariance import pairwise_covariance, patterns
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
-from armrig.numerics.whitening import patterns
 
 _NEGLIGIBLE = 1e-9  # a smaller variance of C x, relative to the variance of e, counts as 0
 _SETTLED_VARIANCE = 1e-4  # likewise, for gains that are not searched

@@ -37,6 +37,7 @@ from armrig.estimation.state_space_responses import (
     state_responses,
 )
 from armrig.numerics.checks import require_integers
+from armrig.numerics.covariance import whitening
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
@@ -46,7 +47,6 @@ from armrig.numerics.recursion import (
     recursion,
     responses,
 )
-from armrig.numerics.whitening import whitening
 
 _MAX_MODULUS = 1 - 1e-7  # largest modulus of an eigenvalue of Abar in a search
 _ORBIT_TOLERANCE = 1e-10  # a smaller relative singular value is a rounding error

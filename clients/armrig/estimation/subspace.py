@@ -30,8 +30,13 @@ from scipy.linalg.lapack import dggev
 
 from armrig.models.structure_table import Weights
 from armrig.numerics.criteria import aic, mdl
-from armrig.numerics.gram import cholesky_factor, gram_of_windows
-from armrig.numerics.least_squares import least_squares, triangle, without_span
+from armrig.numerics.least_squares import (
+    cholesky_factor,
+    gram_of_windows,
+    least_squares,
+    triangle,
+    without_span,
+)
 from armrig.numerics.polynomial import Array, lagged
 from armrig.numerics.stretches import stretches
 

@@ -24,13 +24,12 @@ from armrig.estimation.subspace_horizon import (
     usable_windows,
 )
 from armrig.models.structure_table import Weights
-from armrig.numerics.covariance import pairwise_covariance
+from armrig.numerics.covariance import pairwise_covariance, patterns
 from armrig.numerics.least_squares import Basis
 from armrig.numerics.polynomial import (
     Array,
 )
 from armrig.numerics.stretches import stretches
-from armrig.numerics.whitening import patterns
 
 _MAX_SUGGESTED_ORDER = 10
 MAX_PASSES = 20

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.models.linearised import root_derivatives
-from armrig.models.parameter_draws import Draws, directions, drawn
-from armrig.models.uncertainty import pole_regions
+from armrig.models.responses import root_derivatives
+from armrig.models.state_space import Complex, Vector
+from armrig.models.uncertainty import Draws, directions, drawn, pole_regions
 from armrig.numerics.confidence_regions import MIN_DRAWS, Band, band, linearised_band, sampled_band
 from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
 from armrig.numerics.step_times import mean_lag, rise_time, slowest_time
@@ -20,10 +20,6 @@ from armrig.numerics.whiteness import joint_p_value
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
-
-
-Vector = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 SCALARS = (
     "gain",
@@ -235,20 +231,13 @@ def _without_one(F: Vector) -> Vector:
 
 
 def _polynomials(model: Fit, theta: Vector) -> tuple[Vector, Vector]:
-    """Return B and the denominator A F for the coefficients theta."""
     a, b, f = (theta[model.slice_of(letter)] for letter in "abf")
     B = np.concatenate([np.zeros(model.nk), b])
     return B, np.convolve(np.append(1.0, a), np.append(1.0, f))
 
 
 def _length(modulus: Vector) -> int:
-    """Return the number of samples in which a step response settles to 0.1 %, at most 2000.
-
-    Parameters
-    ----------
-    modulus : ndarray, shape (n,)
-        Moduli of the poles.
-    """
+    """Return the number of samples in which a step response settles to 0.1 %, at most 2000."""
     slowest = float(modulus.max(initial=0.0))
     if not 0 < slowest < 1:
         return _MAX_STEP_SAMPLES

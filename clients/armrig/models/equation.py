@@ -1,10 +1,11 @@
-"""Texts about a model: equation, and for an estimated model also quality and warnings."""
+"""Texts about a model: equation, quality and warnings; as plain text, LaTeX, Typst and HTML."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import isnan
-from typing import TYPE_CHECKING
+from html import escape
+from math import isfinite, isnan
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
-    from armrig.models.state_space import Vector
 
 
 def described(fit: Fit) -> str:
@@ -23,7 +23,7 @@ def described(fit: Fit) -> str:
     if (fit.ny, fit.nu) != (1, 1):
         lines = list(outputs_and_poles(fit))
     else:
-        lines = [heading(fit), *equations(fit, fit.std if fit.quality else None)]
+        lines = [heading(fit), *equations(fit, with_std=bool(fit.quality))]
         lines += [
             f"  fit {q.fit_percent:.2f} % one step ahead on estimation data, "
             f"loss {q.loss:.4g}, FPE {fit.fpe:.4g}, AIC {fit.aic:.5g}\n"
@@ -99,10 +99,11 @@ def input_and_output(model: Fit) -> str:
     return f"{u} to {y}, Ts {model.Ts:g} s"
 
 
-def equations(model: Fit, std: Vector | None = None) -> list[str]:
-    """Return lines with the equation and the polynomials, with standard deviations if given."""
+def equations(model: Fit, *, with_std: bool = False) -> list[str]:
+    """Return lines with the equation and the polynomials."""
+    notation = _PLAIN if with_std else _PLAIN._replace(term="{value}{power}")
     lines = [f"  {form(model)}"]
-    lines += [f"  {letter}(q) = {_polynomial(model, letter, std)}" for letter in letters(model)]
+    lines += [f"  {x}(q) = {_polynomial(model, x, notation)}" for x in letters(model)]
     if model.integrator:
         lines.append(f"  {model.integrating.upper()} has the factor 1 - q^-1 by construction")
     return lines
@@ -129,18 +130,6 @@ def letters(model: Fit) -> list[str]:
     return [name for name in "ABCDF" if name == "B" or model.polynomial(name.lower()).size > 1]
 
 
-def _polynomial(model: Fit, letter: str, std: Vector | None) -> str:
-    first = model.nk if letter == "B" else 1
-    own = std if std is None else std[model.slice_of(letter.lower())]
-    text = "" if letter == "B" else "1"
-    for k, value in enumerate(model.polynomial(letter)[first:]):
-        sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
-        deviation = "" if own is None else f" (±{own[k]:.2g})"
-        power = f" q^-{first + k}" if first + k else ""
-        text += f"{sign}{abs(value):.5g}{deviation}{power}"
-    return text
-
-
 def _with_unit(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
@@ -164,3 +153,98 @@ def whiteness_sentence(fit: Fit, std: str = "std", robust: str = "std_robust") -
         return f"{said}: trust {robust}, not {std}"
     of_what = "" if fit.trusts_coefficients else " of the responses, not of the coefficients"
     return f"{said}: trust {std}{of_what}"
+
+
+def latex(fit: Fit) -> str:
+    r"""Return the equation as an `aligned` block, each coefficient with its standard deviation."""
+    equation = form(fit).replace(") e(t)", r")\,e(t)").replace("1/D(q)", r"\frac{1}{D(q)}")
+    for ratio in ("B(q)/F(q)", "C(q)/D(q)"):
+        equation = equation.replace(ratio, rf"\frac{{{ratio[:4]}}}{{{ratio[5:]}}}")
+    equation = equation.replace(") y(t)", r")\,y(t)").replace(" u(t)", r"\,u(t)")
+    rows = [equation.replace(" = ", " &= ")]
+    rows += [rf"{letter}(q) &= {_polynomial(fit, letter, _LATEX)}" for letter in letters(fit)]
+    body = " \\\\\n".join(rows)
+    return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
+
+
+def typst(fit: Fit) -> str:
+    """Return the equation as a block of Typst mathematics, with the content of `latex`."""
+    rows = [typst_form(fit).replace(" = ", " &= ")]
+    rows += [f"{letter}(q) &= {_polynomial(fit, letter, _TYPST)}" for letter in letters(fit)]
+    return "$ " + " \\\n  ".join(rows) + " $"
+
+
+def typst_form(model: Fit) -> str:
+    """Return the equation in Typst mathematics, with the letters of the polynomials."""
+    return form(model).replace(") ", ") thin ").replace("thin =", "=").replace("thin +", "+")
+
+
+class _Notation(NamedTuple):
+    """Templates of a coefficient."""
+
+    term: str
+    """Template of value, standard deviation and power."""
+    power: str
+    """Template of a power of q."""
+    times_ten: str
+    """Template of mantissa and exponent."""
+    unknown: str = "?"
+    """Text of a number that is not finite; "" for Python's text."""
+
+
+_PLAIN = _Notation("{value} (±{std}){power}", " q^-{lag}", "{mantissa}e{exponent:+03d}", "")
+_LATEX = _Notation(
+    r"({value} \pm {std}){power}", r"\,q^{{-{lag}}}", r"{mantissa} \cdot 10^{{{exponent}}}"
+)
+_TYPST = _Notation(
+    "({value} plus.minus {std}){power}", " thin q^(-{lag})", "{mantissa} dot 10^({exponent})"
+)
+
+
+def _polynomial(fit: Fit, letter: str, notation: _Notation) -> str:
+    first = fit.nk if letter == "B" else 1
+    values, deviations = fit.polynomial(letter)[first:], fit.std[fit.slice_of(letter.lower())]
+    text = "" if letter == "B" else "1"
+    for k, (value, std) in enumerate(zip(values, deviations, strict=True)):
+        sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
+        term = notation.term.format(
+            value=_number(abs(value), 5, notation),
+            std=_number(std, 2, notation),
+            power=notation.power.format(lag=first + k) if first + k else "",
+        )
+        text += f"{sign}{term}"
+    return text
+
+
+def _number(x: float, digits: int, notation: _Notation) -> str:
+    text = f"{x:.{digits}g}"
+    if not isfinite(x):
+        return notation.unknown or text
+    mantissa, _, exponent = text.partition("e")
+    if not exponent:
+        return mantissa
+    return notation.times_ten.format(mantissa=mantissa, exponent=int(exponent))
+
+
+def html(fit: Fit) -> str:
+    """Return equation, coefficients and quality as HTML; MathJax renders the equation.
+
+    A model of several signals, and a model that was not estimated, are preformatted text.
+    """
+    if (fit.ny, fit.nu) != (1, 1) or not fit.quality:
+        return f"<pre>{escape(repr(fit))}</pre>"
+    rows = "".join(
+        f"<tr><td>{name}</td><td>{value:.5g}</td><td>{std:.2g}</td><td>{robust:.2g}</td></tr>"
+        for name, value, std, robust in zip(
+            fit.names, fit.theta, fit.std, fit.std_robust, strict=True
+        )
+    )
+    said = "".join(f"<li>{escape(warning)}</li>" for warning in fit.warnings)
+    return (
+        f"<p><b>{fit.heading}</b>, Ts {fit.Ts:g} s, N {fit.N}</p>"
+        f"$$\n{latex(fit)}\n$$"
+        "<table><tr><th>coefficient</th><th>estimate</th><th>std</th><th>std_robust</th></tr>"
+        f"{rows}</table>"
+        f"<p>Fit {fit.fit_percent:.2f} % one step ahead on estimation data, loss {fit.loss:.4g}; "
+        f"{escape(whiteness_sentence(fit))}.</p>" + (f"<ul>{said}</ul>" if said else "")
+    )

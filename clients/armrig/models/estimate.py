@@ -11,7 +11,6 @@ from armrig_core.errors import InputError
 from armrig.data.finding import EstimateFinding
 from armrig.models.matrices import Matrices
 from armrig.models.polynomials import Polynomials
-from armrig.models.quality import MAX_TRUSTED_CURVATURE, Start
 from armrig.models.state_space import Matrix, Vector, freeze
 from armrig.models.structure import FreeResponse
 from armrig.models.structure_table import DESCRIBED, named
@@ -22,6 +21,25 @@ from armrig.numerics.whiteness import Whiteness
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
+
+MAX_TRUSTED_CURVATURE = 0.5
+"""Largest `Fit.curvature` at which the coefficients' standard deviations are reliable. Up to this
+limit the 95 % intervals contain 95 % of the true values (docs/benchmarks.md)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """One start value of the search, and its result."""
+
+    name: str
+    """Method that found the start value."""
+    loss: float
+    """Mean squared residual at the minimum that the search reached."""
+    iterations: int
+    """Number of steps of the search."""
+    converged: bool
+    """True if the change of the loss and the scaled gradient are within the tolerance."""
+
 
 Form = Polynomials | Matrices
 

@@ -17,10 +17,9 @@ from armrig.models.labels import (
     sources_of,
     with_method,
 )
-from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.pole_zero_figure import plot_poles_zeros
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
-from armrig.models.uncertainty import frequency_bands, step_band
+from armrig.models.uncertainty import Draws, drawn, frequency_bands, step_band
 from armrig.numerics.confidence_regions import HALF_WIDTH, Band
 from armrig.plots.captions import NAMES, legend, sign
 from armrig.plots.layout import (
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from armrig.models.fit import Fit
-
+    from armrig.models.spectral_estimate import SpectralEstimate
 
 _AMBIGUOUS_TURN_DEG = 150.0  # a sudden phase change by more than this may have either sign
 _TURN_STEPS = 4  # number of frequencies over which a phase change is sudden
@@ -296,3 +295,6 @@ def _limited(ax: Axes, y: NDArray[np.float64]) -> None:
     span = high - low or 1.0
     bottom, top = ax.get_ylim()
     ax.set_ylim(max(bottom, low - span), min(top, high + span))
+
+
+Vector = NDArray[np.float64]

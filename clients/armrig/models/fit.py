@@ -11,20 +11,21 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
 from armrig.models.estimate import Estimate
-from armrig.models.linearised import (
+from armrig.models.polynomials import Polynomials
+from armrig.models.responses import (
+    FrequencyResponse,
+    NoiseSpectrum,
+    Roots,
+    StepResponse,
     frequencies,
     polynomial_roots,
     ratio,
     sensitivity,
     standard_deviations,
 )
-from armrig.models.polynomials import Polynomials
-from armrig.models.responses import FrequencyResponse, NoiseSpectrum, Roots, StepResponse
 from armrig.models.state_space import Matrix, Vector
 from armrig.numerics.checks import column, require_integers
-from armrig.numerics.inference import OutputQuality
 from armrig.numerics.polynomial import filtered
-from armrig.numerics.whiteness import Whiteness
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -91,30 +92,17 @@ class Fit(Estimate):
         output: str = "y",
         input_unit: str = "",
         unit: str = "",
-        covariance: ArrayLike | None = None,
-        covariance_robust: ArrayLike | None = None,
-        noise_variance: float = 0.0,
-        loss: float | None = None,
-        N: int = 0,
-        fit_percent: float = float("nan"),
-        whiteness: float = float("nan"),
-        whiteness_test: str = "",
         **fields: Any,
     ) -> Fit:
-        """Return a model of one input and one output from its polynomials and its quality.
+        """Return a model of one input and one output from its polynomials.
 
         Parameters
         ----------
         A, B, C, D, F : array_like
             Coefficients in q^-1; B begins with nk zeros, the others with 1.
-        covariance, covariance_robust : array_like, shape (d, d), optional
-            Covariance of theta; 0 for a model that was not estimated.
-        noise_variance : float
-            Variance of e, in the squared unit of y.
-        loss : float, optional
-            Mean squared residual, in the squared unit of y; None if the model was not estimated.
         **fields
-            Other fields of `Fit`, such as Ts, findings and history.
+            Other fields of `Fit`, such as Ts, covariance, quality and history. The default of the
+            covariances is 0, for a model that was not estimated.
 
         Examples
         --------
@@ -123,12 +111,8 @@ class Fit(Estimate):
         array([0.5+0.j])
         """
         form = Polynomials.of_channel(A=A, B=B, C=C, D=D, F=F, nk=nk, integrator=integrator)
-        P, robust = (
-            np.zeros((form.theta.size,) * 2) if x is None else np.asarray(x)
-            for x in (covariance, covariance_robust)
-        )
-        white = Whiteness(p_value=whiteness, test=whiteness_test)
-        quality = OutputQuality(loss=loss or 0.0, N=N, fit_percent=fit_percent, white=white)
+        unknown = np.zeros((form.theta.size,) * 2)
+        covariances = {"covariance": unknown, "covariance_robust": unknown}
         return cls(
             structure=structure,
             form=form,
@@ -136,11 +120,7 @@ class Fit(Estimate):
             outputs=(output,),
             input_units=(input_unit,),
             units=(unit,),
-            covariance=P,
-            covariance_robust=robust,
-            noise_covariance=np.array([[noise_variance]]),
-            quality=() if loss is None else (quality,),
-            **fields,
+            **covariances | {"noise_covariance": np.zeros((1, 1))} | fields,
         )
 
     def __getitem__(self, channel: tuple[str, str] | str) -> Fit:
@@ -591,7 +571,7 @@ class Fit(Estimate):
         B(q) &= -(0.0016... \pm 0.00016)\,q^{-1}
         \end{aligned}
         """
-        from armrig.models.markup import latex
+        from armrig.models.equation import latex
 
         return latex(self)
 
@@ -607,13 +587,13 @@ class Fit(Estimate):
           A(q) &= 1 - (0.97... plus.minus 0.003...) thin q^(-1) \
           B(q) &= -(0.0016... plus.minus 0.00016) thin q^(-1) $
         """
-        from armrig.models.markup import typst
+        from armrig.models.equation import typst
 
         return typst(self)
 
     def _repr_html_(self) -> str:
         """Return the model as HTML for a notebook."""
-        from armrig.models.markup import html
+        from armrig.models.equation import html
 
         return html(self)
 

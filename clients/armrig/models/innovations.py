@@ -53,19 +53,12 @@ class Experiment:
 
 
 def prepared(u: Array, y: Array, structure: Structure) -> Experiment:
-    """Return the signals of one experiment for a structure.
+    """Return the signals of one experiment for a structure, from u (N, nu) or (N,) and y (N,).
 
-    Without C, the first errors depend on samples before the data and are not used. With C, these
-    errors are used, and the unknown past is estimated. If the measured samples are not more than
-    the unknown past, no error is used. Without C and D, the first errors after each gap are not
-    used either.
-
-    Parameters
-    ----------
-    u : ndarray (N, nu) or (N,)
-        Inputs.
-    y : ndarray (N,)
-        Output, NaN where it is missing.
+    A missing y is NaN. Without C, the first errors depend on samples before the data and are not
+    used. With C, these errors are used, and the unknown past is estimated. If the measured samples
+    are not more than the unknown past, no error is used. Without C and D, the first errors after
+    each gap are not used either.
     """
     u = u.reshape(y.size, -1)
     if structure.integrator == "f":
@@ -265,10 +258,7 @@ def regression(
 ) -> LinearPart:
     """Return the linear equation of the errors, for given C, D and F of each input.
 
-    Parameters
-    ----------
-    A : ndarray (na + 1,), optional
-        The polynomial A, if it is given, too. After gaps in y it must be given.
+    A may be given, too; after gaps in y it must be given.
     """
     n = structure
     if x.gaps and n.nc + n.nd:
@@ -346,13 +336,8 @@ def errors(
 
         a_k: -(D/C) q^-k y,   c_k: q^-k e / C,   d_k: -q^-k v / C,   f_jk: -(D/C) q^-k w_j / F_j
 
-    For each polynomial, one signal is filtered and then shifted.
-
-    Parameters
-    ----------
-    along : ndarray (r,), optional
-        Coefficients of the basis of the unknown past, if they are estimated from other outputs,
-        too.
+    For each polynomial, one signal is filtered and then shifted. `along` (r,) are the coefficients
+    of the basis of the unknown past, if they are estimated from other outputs, too.
     """
     n, N = structure, x.y.size
     b = np.concatenate([p[k:] for p, k in zip(B, n.nk, strict=True)])

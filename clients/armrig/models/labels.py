@@ -9,7 +9,7 @@ from armrig.models.estimate import Estimate
 from armrig.numerics.confidence_regions import Band
 
 if TYPE_CHECKING:
-    from armrig.models.parameter_draws import Draws
+    from armrig.models.uncertainty import Draws
 
 Labels = Sequence[str] | None
 

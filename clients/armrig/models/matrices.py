@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.models.polynomials import Matrix, Polynomials, Vector, circle, coefficients
-from armrig.models.state_space import StateSpace
+from armrig.models.polynomials import Polynomials, circle, coefficients
+from armrig.models.state_space import Matrix, StateSpace, Vector
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,8 +9,7 @@ import numpy as np
 
 from armrig.models.characteristics import overlapping
 from armrig.models.labels import Labels, labels_of, left_out, sources_of
-from armrig.models.parameter_draws import Draws, drawn
-from armrig.models.uncertainty import pole_regions, zero_regions
+from armrig.models.uncertainty import Draws, drawn, pole_regions, zero_regions
 from armrig.numerics.confidence_regions import HighestDensityRegion, Region
 from armrig.plots.captions import legend, sign
 from armrig.plots.layout import GREY, INK, axes, finish, pens

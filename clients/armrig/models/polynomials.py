@@ -15,14 +15,11 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from armrig.models.state_space import StateSpace, frozen
+from armrig.models.state_space import Complex, Matrix, StateSpace, Vector, frozen
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Row = tuple[Vector, ...]
 
 _ONE = np.ones(1)

@@ -1,15 +1,18 @@
-"""Simulation, prediction, residuals and sensitivities of a model on measured data."""
+"""Simulation, prediction and residuals of a model on measured data, and checks of these data."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from numbers import Integral
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.dataset import Dataset, Signals, Vector
+from armrig.data.finding import OWN_DATA, EstimateFinding, warning
+from armrig.data.step import span_of
 from armrig.models.innovations import Unknown, errors, prepared, regression, summed_input
 from armrig.models.state_space import predicted as of_outputs
 from armrig.models.structure import Structure, free_columns, transient_count
@@ -256,3 +259,45 @@ def _require_same_Ts(model: Fit, Ts: float) -> None:
             f"the model has Ts={model.Ts:g} s and the data have Ts={Ts:g} s; "
             "identify and validate at the same rate"
         )
+
+
+def findings_on_own_data(
+    models: Iterable[tuple[str, Any]], data: Dataset | Signals
+) -> Iterator[EstimateFinding]:
+    """Yield warnings about models whose estimation data are these data or overlap these data.
+
+    The models are given with their names. A model without estimation data, such as the physical
+    model, has no finding.
+    """
+    named = list(models)
+    same = [name for name, model in named if model.estimated_from(data)]
+    if same:
+        yield warning("own data", OWN_DATA)
+    for name, model in named:
+        if name not in same and (both := _overlap(model, data)) is not None:
+            start, stop = both
+            yield warning(
+                "overlap",
+                f"{name} was also estimated from {start:g} to {stop:g} s of the same file, which "
+                "gives too good results: validate on other data",
+                start=start,
+                stop=stop,
+            )
+
+
+def _overlap(model: Any, data: Dataset | Signals) -> tuple[float, float] | None:
+    """Return start and end, in s, of the overlap of a model's estimation data with these data.
+
+    The times are relative to the first sample of the file. The result is None if there is no
+    overlap. The result is also None if the data are from different files, or if one of the data
+    sets contains several merged parts.
+    """
+    source = getattr(model, "source", "")
+    if not source or source != data.source or data.Ts is None:
+        return None
+    ours, theirs = span_of(getattr(model, "history", ())), span_of(data.history)
+    if ours is None or theirs is None:
+        return None
+    start = max(ours[0], theirs[0])
+    stop = min(ours[1], theirs[1], theirs[0] + data.N * data.Ts)
+    return (start, stop) if stop - start > 0.5 * data.Ts else None

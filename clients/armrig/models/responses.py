@@ -1,16 +1,26 @@
-"""Properties of a model with their uncertainty: roots, frequency response, step response."""
+"""Roots and responses of one channel, with standard deviations by linearisation."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from armrig_core.errors import InputError
+from numpy.typing import ArrayLike, NDArray
 
-Vector = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from armrig.models.state_space import Complex, Matrix, Vector
+from armrig.numerics.polynomial import (
+    by_denominator,
+    by_numerator,
+    evaluate,
+    roots,
+    without_integrator,
+)
+
+if TYPE_CHECKING:
+    from armrig.models.fit import Fit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -100,3 +110,110 @@ class StepResponse:
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Return the output as a plain array."""
         return np.array(self.y, dtype=dtype)
+
+
+def polynomial_roots(model: Fit, letter: str) -> Roots:
+    """Return the roots of one polynomial; for "b" without the zeros at 0 and at infinity."""
+    z, dz = root_derivatives(model, letter)
+    if z.size == 0:
+        return Roots(values=z, covariance=np.zeros((0, 2, 2)))
+    both = np.stack([dz.real, dz.imag], axis=1)
+    part = model.slice_of(letter)
+    moved = both @ _factor(model.trusted_covariance[part, part])
+    return Roots(values=z, covariance=moved @ moved.transpose(0, 2, 1))
+
+
+def root_derivatives(model: Fit, letter: str) -> tuple[Complex, Complex]:
+    """Return the roots of one polynomial, and their derivatives (n, k) by its k parameters.
+
+    If p_k changes by dp_k, a root z of p(z) = sum p_k z^(n-k) changes by dz = -z^(n-k) / p'(z)
+    dp_k. A root that is 1 by construction does not change.
+    """
+    first = int(letter != "b")
+    p = model.polynomial(letter)[0 if first else model.nk :]
+    z = roots(p).astype(np.complex128)
+    if z.size == 0:
+        return z, np.zeros((0, p.size - first), dtype=np.complex128)
+    powers = p.size - 1 - np.arange(first, p.size)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if letter == model.integrating:
+            fixed = np.argmin(np.abs(z - 1))
+            z[fixed] = 1.0
+        dz = -(z[:, None] ** powers) / np.polyval(np.polyder(p), z)[:, None]
+    if letter == model.integrating:
+        dz[fixed] = 0.0
+    return z, dz
+
+
+def frequencies(model: Fit, omega: ArrayLike) -> Vector:
+    """Return omega (n,) in rad/s; refuse a frequency outside 0 to pi/Ts."""
+    omega_ = np.atleast_1d(np.asarray(omega, dtype=np.float64))
+    nyquist = np.pi / model.Ts
+    if omega_.size and not (omega_.min() >= 0 and omega_.max() <= nyquist * (1 + 1e-9)):
+        raise InputError(
+            f"omega from {omega_.min():g} to {omega_.max():g} rad/s is outside 0 to "
+            f"{nyquist:g} rad/s (pi/Ts); a sampled model has no response above pi/Ts"
+        )
+    return omega_
+
+
+def ratio(model: Fit, omega: Vector, above: str, below: str) -> tuple[Complex, Complex]:
+    """Return a ratio R of polynomials at omega (n,), and the gradients of ln R (n, d)."""
+    x = np.exp(-1j * omega * model.Ts)
+    numerator, denominator = np.ones_like(x), np.ones_like(x)
+    dlnR = np.zeros((x.size, model.theta.size), dtype=np.complex128)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for letter in above:
+            value = _evaluated(model, letter, x)
+            numerator *= value
+            dlnR[:, model.slice_of(letter)] = _slope(model, letter, x) / value[:, None]
+        for letter in below:
+            value = _evaluated(model, letter, x)
+            denominator *= value
+            dlnR[:, model.slice_of(letter)] = -_slope(model, letter, x) / value[:, None]
+        # Divide only once, at the end: the ratio of two infinite complex numbers is NaN.
+        R = numerator / denominator
+    return R, dlnR
+
+
+def _evaluated(model: Fit, letter: str, x: Complex) -> Complex:
+    """Return a polynomial at x = q^-1, (n,)."""
+    p = model.polynomial(letter)
+    if letter == model.integrating:  # exact at omega = 0, unlike a sum of coefficients
+        return np.asarray((1 - x) * evaluate(without_integrator(p), x))
+    return np.asarray(evaluate(p, x))
+
+
+def _slope(model: Fit, letter: str, x: Complex) -> Complex:
+    """Return the derivatives of a polynomial at x with respect to its parameters, (n, k)."""
+    part = model.slice_of(letter)
+    lags = (model.nk if letter == "b" else 1) + np.arange(part.stop - part.start)
+    return np.asarray(x[:, None] ** lags)
+
+
+def sensitivity(model: Fit, u: Vector) -> Matrix:
+    """Return the derivatives of simulate(u) with respect to theta, (N, d)."""
+    y = model.simulate(u)
+    J = np.zeros((y.size, model.theta.size))
+    J[:, model.slice_of("a")] = by_denominator(y, model.A, model.A.size - 1)
+    lags = range(model.nk, model.B.size)
+    J[:, model.slice_of("b")] = by_numerator(u, model.denominator, lags)
+    J[:, model.slice_of("f")] = by_denominator(y, model.F, model.F.size - 1)
+    return J
+
+
+def standard_deviations(J: Matrix, covariance: Matrix) -> Vector:
+    """Return the standard deviations of J theta, (n,)."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J, covariance, J), 0.0)))
+
+
+def _factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a factor L of the covariance C = L L'; NaN if C is not known.
+
+    A variance from J L L' J' is never negative. If roots nearly coincide, a variance from J C J'
+    can be negative by rounding.
+    """
+    if not np.isfinite(covariance).all():
+        return np.full_like(covariance, np.nan)
+    variances, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes * np.sqrt(np.maximum(variances, 0.0)))

@@ -65,13 +65,6 @@ class StateSpace:
             K=np.zeros((n, self.C.shape[0])),
         )
 
-    def frequency_response(self, z: Complex) -> Complex:
-        """Return C (z - A)^-1 B + D at each z, (n, ny, nu)."""
-        inverse = np.linalg.solve(
-            z[:, None, None] * np.eye(self.order) - self.A, self.B.astype(np.complex128)
-        )
-        return np.asarray(self.C @ inverse + self.D)
-
     def simulated(self, u: Array) -> Array:
         """Return the output (N, ny) for the input u (N, nu), from rest and without noise."""
         x = recursion(self.A, u @ self.B.T, np.zeros(self.order))[:-1]
@@ -104,16 +97,9 @@ def predicted(
 
     The initial state and a ramp of each integrating output are estimated by least squares. With
     `offset`, the level of each other output is estimated, too. The ramp or the level represents the
-    offset of the input.
-    The innovation of a missing output is taken as 0. If
-    the model is unstable, ŷ may be infinite. The predictions of an output are NaN before its first
-    measured sample.
-
-    Parameters
-    ----------
-    noise_std : ndarray (ny,)
-        Standard deviation of e for each output; the errors of the output are divided by this
-        number.
+    offset of the input. The errors are divided by `noise_std` (ny,), the standard deviations of e.
+    The innovation of a missing output is taken as 0. If the model is unstable, ŷ may be infinite.
+    The predictions of an output are NaN before its first measured sample.
     """
     if horizon is None:
         system = system.deterministic

@@ -13,8 +13,7 @@ from armrig.models.characteristics import (
     model_characteristics,
     overlapping,
 )
-from armrig.models.parameter_draws import Draws, drawn
-from armrig.models.uncertainty import pole_regions, zero_regions
+from armrig.models.uncertainty import Draws, drawn, pole_regions, zero_regions
 from armrig.numerics.confidence_regions import HALF_WIDTH, Region
 from armrig.numerics.quantities import minus, with_range
 

@@ -125,12 +125,8 @@ def band(
     The linearisation is poor if, for any value, an edge computed from draws differs from the
     linearised edge by more than a quarter of 1.96 std. All ranges are then computed from draws.
 
-    Parameters
-    ----------
-    samples : array (m, n) or None
-        Values for draws of theta; with None the ranges are linearised.
-    least : float, optional
-        Lower limit of the values, such as 0 for a magnitude.
+    `samples` (m, n) are the values for draws of theta; with None the ranges are linearised. `least`
+    is a lower limit of the values, such as 0 for a magnitude.
     """
     linear = linearised_band(value, std, least=least)
     if samples is None:
@@ -150,12 +146,8 @@ def regions(
 ) -> list[Region]:
     """Return the 95 % region of each root (n,) of one polynomial.
 
-    Parameters
-    ----------
-    covariances : array (n, 2, 2)
-        Linearised covariances of real and imaginary part.
-    draws : array (m, n) or None
-        Roots of draws of the polynomial, in any order; with None the regions are linearised.
+    The linearised covariances (n, 2, 2) are those of real and imaginary part. `draws` (m, n) are
+    the roots of draws of the polynomial, in any order; with None the regions are linearised.
     """
     of_roots = [None] * centres.size if draws is None else root_draws(centres, draws)
     return [

@@ -1,8 +1,11 @@
-"""Covariance of the score for the sandwich form, which is also valid for coloured residuals.
+"""Covariance of the noise of several outputs, and covariance of the score for the sandwich form.
 
 The covariance of an estimate is W W^T M W W^T. Here W W^T = (Psi^T Psi)^-1, and M is the covariance
 of the score Psi^T e. For white residuals the sandwich form tends to the classic form,
 lambda (Psi^T Psi)^-1.
+
+There is one Psi (N_i, d) and one e (N_i,) for each experiment, in `blocks` and `residuals`. If y is
+missing, the row of Psi is 0 and e is NaN.
 """
 
 from __future__ import annotations
@@ -42,13 +45,6 @@ def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arra
     backwards in time. For white residuals the order is 0, and the sandwich form equals the classic
     form.
 
-    Parameters
-    ----------
-    blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment, zero in the rows in which y is missing.
-    residuals : sequence of ndarray (N_i,)
-        Residuals of each experiment, NaN if y is missing.
-
     References
     ----------
     .. [1] T. Söderström, P. Stoica, *System Identification*, 1989, section 7.5 and C7.7.
@@ -56,7 +52,10 @@ def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arra
        estimation", Handbook of Statistics 15, 1997 (the autoregressive estimate).
     """
     # Lists, not generators: a generator inside the comprehension would use only the last Psi.
-    whole = [[Psi[a:b] for a, b in _backwards(Psi.shape[0])] for Psi in blocks]
+    whole = [
+        [Psi[max(b - _FILTER_ROWS, 0) : b] for b in range(len(Psi), 0, -_FILTER_ROWS)]
+        for Psi in blocks
+    ]
     return exogenous_score_in_blocks(whole, residuals, blocks[0].shape[1])
 
 
@@ -81,16 +80,9 @@ def exogenous_score_in_blocks(
 def joint_exogenous_score(H: Sequence[Sequence[Array]], e: Sequence[Sequence[Array]]) -> Array:
     """Return the covariance of the sum of H_i(t) e_i(t) over t and outputs i.
 
-    The residuals of each output are autoregressive, and the errors of the autoregressions are
-    correlated at the same instant. H must not depend on the noise. For one output the result is
-    `exogenous_score`.
-
-    Parameters
-    ----------
-    H : sequence of sequence of ndarray (N_i, d)
-        H of each experiment and output, zero in the rows in which y is missing.
-    e : sequence of sequence of ndarray (N_i,)
-        Residuals of each experiment and output, NaN if y is missing.
+    H and e have one array for each experiment and output. The residuals of each output are
+    autoregressive, and the errors of the autoregressions are correlated at the same instant. H must
+    not depend on the noise. For one output the result is `exogenous_score`.
     """
     from scipy.signal import lfilter
 
@@ -122,25 +114,12 @@ def joint_exogenous_score(H: Sequence[Sequence[Array]], e: Sequence[Sequence[Arr
     return total
 
 
-def _backwards(N: int) -> Iterator[tuple[int, int]]:
-    """Yield the first row and the end of each block of rows, the last block first."""
-    for end in range(N, 0, -_FILTER_ROWS):
-        yield max(end - _FILTER_ROWS, 0), end
-
-
 def correlated_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
     """Return M by Newey and West's method, for a Psi that depends on past noise (ARX).
 
     The Bartlett weights are 1 - k/(L + 1) up to the lag L = floor(4 (N/100)^(2/9)). The estimate is
     computed from all sums of L + 1 successive scores. M is the total of s s^T over all these sums
     s, divided by L + 1. The incomplete sums at both ends of the data are included.
-
-    Parameters
-    ----------
-    blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment, zero in the rows in which y is missing.
-    residuals : sequence of ndarray (N_i,)
-        Residuals of each experiment, NaN if y is missing.
 
     References
     ----------
@@ -165,3 +144,59 @@ def _sums_of_scores(Psi: Array, e: Array, L: int, begin: int, end: int) -> Array
     np.multiply(Psi[a:b].T, np.nan_to_num(e[a:b]), out=scores[:, a - first : b - first])
     upto = np.cumsum(scores, axis=1)
     return np.asarray(upto[:, L + 1 :] - upto[:, : -L - 1])
+
+
+def whitening(noise_covariance: Array, rows: Array) -> Array:
+    """Return matrices G (N, ny, ny) so that G(t) e(t) is white with the identity as covariance.
+
+    `rows` (N, ny) is False where an output is missing. G(t) is the inverse Cholesky factor of the
+    covariance of the outputs measured at t, and 0 in the rows and columns of missing outputs.
+    """
+    N, ny = rows.shape
+    if rows.all():
+        whole = np.linalg.inv(np.linalg.cholesky(noise_covariance))
+        return np.broadcast_to(whole, (N, ny, ny))
+    G = np.zeros((N, ny, ny))
+    for measured, times in patterns(rows):
+        L = np.linalg.cholesky(noise_covariance[np.ix_(measured, measured)])
+        whole = np.zeros((ny, ny))
+        whole[np.ix_(measured, measured)] = np.linalg.inv(L)
+        G[times] = whole
+    return G
+
+
+def patterns(rows: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield the outputs of each set that is measured at some instants, and these instants.
+
+    `rows` (N, ny) is False where an output is missing. Instants without an output are left out.
+    """
+    bits = np.arange(rows.shape[1])
+    codes = rows @ (1 << bits)
+    for code in np.unique(codes[codes > 0]):
+        yield np.flatnonzero(code >> bits & 1), np.flatnonzero(codes == code)
+
+
+def spread(G: Array, blocks: Sequence[Array]) -> Array:
+    """Return the whitened rows (ny N, k) of all outputs; each output has one block (N, k)."""
+    ny = len(blocks)
+    return np.vstack(
+        [np.sum([G[:, i, j, None] * blocks[j] for j in range(ny)], axis=0) for i in range(ny)]
+    )
+
+
+def spread_apart(G: Array, blocks: Sequence[Array]) -> Array:
+    """Return the whitened rows (ny N, sum of k_i); each output has its own columns (N, k_i)."""
+    ny = len(blocks)
+    return np.vstack(
+        [np.hstack([G[:, i, j, None] * blocks[j] for j in range(ny)]) for i in range(ny)]
+    )
+
+
+def unspread(G: Array, M: Array) -> list[Array]:
+    """Return the product G^T M as one block (N, k) for each output; M is (ny N, k)."""
+    ny = G.shape[1]
+    parts = np.split(M, ny)
+    return [
+        np.asarray(np.sum([G[:, i, j, None] * parts[i] for i in range(ny)], axis=0))
+        for j in range(ny)
+    ]

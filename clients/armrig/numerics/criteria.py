@@ -66,18 +66,10 @@ def standard_error(means: Array) -> Array:
 def simplest_as_good(excess: Array, std: Array, parameters: ArrayLike) -> int:
     """Return the index of the model with fewest parameters among the models as good as the best.
 
-    A model is as good as the best if its excess over the least loss is at most the standard error
-    of the excess. If several of these models have the fewest parameters, the model with the least
-    excess is chosen.
-
-    Parameters
-    ----------
-    excess : ndarray (n,)
-        Loss of each model minus the least loss; NaN if a model has no loss.
-    std : ndarray (n,)
-        Standard error of `excess`; 0 for the model of least loss.
-    parameters : array_like (n,)
-        Number of parameters of each model.
+    `excess` (n,) is the loss of each model minus the least loss, or NaN if a model has no loss. A
+    model is as good as the best if its excess is at most `std` (n,), the standard error of the
+    excess, which is 0 for the model of least loss. If several of these models have the fewest
+    parameters, the model with the least excess is chosen.
     """
     d = np.asarray(parameters)
     as_good = np.flatnonzero(excess <= std).tolist()

@@ -104,20 +104,6 @@ class Inference:
         names = ("covariance", "covariance_robust", "noise_covariance", "quality")
         return {name: getattr(self, name) for name in names}
 
-    def of_one_output(self) -> dict[str, Any]:
-        """Return covariances, loss and whiteness test of one output, by the names of a `Fit`."""
-        (quality,) = self.quality
-        return {
-            "covariance": self.covariance,
-            "covariance_robust": self.covariance_robust,
-            "noise_variance": self.noise_variance,
-            "loss": quality.loss,
-            "N": quality.N,
-            "fit_percent": quality.fit_percent,
-            "whiteness": quality.white.p_value,
-            "whiteness_test": quality.white.test,
-        }
-
     def transformed(self, J: Array) -> Inference:
         """Return the inference for the parameters J theta, with a given matrix J."""
         return replace(
@@ -136,16 +122,8 @@ def least_squares_residuals(
 ) -> list[list[OutputResiduals]]:
     """Return the residuals of one output that was fitted by least squares, for `infer`.
 
-    Parameters
-    ----------
-    residuals : sequence of ndarray (N_i,)
-        Residuals of each experiment, NaN if they are not known.
-    basis : Basis
-        Basis of the derivatives of the prediction in all experiments, 0 in rows without a residual.
-    spans : sequence of ndarray (N_i, q_i), optional
-        Orthonormal basis of the responses to the unknown state in each experiment.
-    y : ndarray (sum of N_i,), optional
-        Measured output, for `fit_percent`.
+    The basis is that of the derivatives of the prediction in all experiments. `residuals`, `spans`
+    and y are e, Z and y of `OutputResiduals`; y is one array for all experiments.
     """
     edges = np.cumsum([e.size for e in residuals])[:-1]
     none = [None] * len(residuals)
@@ -225,7 +203,6 @@ def infer(
 
 
 def _degrees(parts: Sequence[OutputResiduals], N: int, parameters: float) -> float:
-    """Return the degrees of freedom of one output's residuals."""
     unknown = sum(r.Z.shape[1] for r in parts if r.Z is not None)
     if N - unknown - parameters < 1:
         raise InputError(

@@ -84,14 +84,9 @@ class NoiseFilter:
     def ahead(self, e: Array, horizon: int) -> Array:
         """Return the errors of the predictions of v from v up to t - horizon, (N,).
 
-        The error is the sum of psi_j(t) nu(t - j) for j < horizon. nu is the innovation without the
-        scale, 0 at a missing sample; psi_0 is 1, and psi_j(t) is row 1 of Phi^(j - 1) times the
-        gain at t - j.
-
-        Parameters
-        ----------
-        e : ndarray (N,)
-            Scaled innovations, 0 at a missing sample.
+        e (N,) are the scaled innovations, 0 at a missing sample. The error is the sum of psi_j(t)
+        nu(t - j) for j < horizon. nu is the innovation without the scale; psi_0 is 1, and psi_j(t)
+        is row 1 of Phi^(j - 1) times the gain at t - j.
         """
         nu = np.sqrt(self.at.s) * e
         total, r = nu.copy(), self.memory

@@ -114,13 +114,8 @@ def with_roots_inside(z: Array, radius: float = 0.999) -> Array:
 def reduced(p: ArrayLike) -> Iterator[Array]:
     """Yield the monic polynomials of order n - 1 whose modes are nearest to the modes of p.
 
-    Each polynomial either omits one real root of p, or has one real root in place of a complex
-    pair. The modulus of this real root is the modulus of the pair.
-
-    Parameters
-    ----------
-    p : array_like, shape (n + 1,)
-        Real coefficients, n >= 1.
+    p (n + 1,) is real, n >= 1. Each polynomial either omits one real root of p, or has one real
+    root in place of a complex pair. The modulus of this real root is the modulus of the pair.
     """
     z = roots(p)
     for i in np.flatnonzero(z.imag >= 0):

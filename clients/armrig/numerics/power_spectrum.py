@@ -19,18 +19,12 @@ _MIN_SEGMENT_SAMPLES, _MAX_SEGMENT_SAMPLES = 16, 4096
 def power_spectrum(signals: Iterable[Vector], Ts: float) -> tuple[Vector, Vector]:
     """Return omega (n,) in rad/s and the one-sided power density (n,), in unit² per rad/s.
 
-    The method is Welch's average of Hann-windowed segments that overlap by half. The mean of each
-    segment is removed. The integral of the density over omega is the mean variance of a segment.
+    There is one signal for each experiment; a missing sample is NaN. Ts is in s. The method is
+    Welch's average of Hann-windowed segments that overlap by half. The mean of each segment is
+    removed. The integral of the density over omega is the mean variance of a segment.
     The length of a segment is an eighth of the samples, between 16 and 4096, and at most the
     longest stretch without a missing sample. Stretches that are shorter than a segment are not
     used.
-
-    Parameters
-    ----------
-    signals : iterable of ndarray (N_i,)
-        Signal of each experiment; a missing sample is NaN.
-    Ts : float
-        Sampling time in s.
 
     Raises
     ------

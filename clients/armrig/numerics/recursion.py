@@ -16,25 +16,15 @@ _MAX_CONDITION = 1e5  # largest condition number of the eigenvectors for a sum o
 def recursion(Phi: Array, w: Array, x0: Array) -> Array:
     """Return x(0) … x(N) of x(k+1) = Phi x(k) + w(k), for one right-hand side or several.
 
+    Phi is (n, n). For w (N, n), N >= 0, and x0 (n,) the result is (N + 1, n). For m independent
+    right-hand sides w (N, m, n) and x0 (m, n) the result is (N + 1, m, n). If Phi is very unstable,
+    the states overflow to inf and NaN without a warning.
+
     The N steps are divided into blocks of about sqrt(N) steps. All blocks are computed in parallel
     from the state zero. The contribution of the actual first state of each block is added
     afterwards. The method needs about 2 sqrt(N) operations on whole arrays instead of N small
     operations. Unlike a transfer function, the recursion loses no digits if poles are close
     together, such as the poles of the arm near 1 at 1 kHz. The method needs no eigenvectors.
-
-    Parameters
-    ----------
-    Phi : ndarray, shape (n, n)
-        Transition matrix.
-    w : ndarray, shape (N, n) or (N, m, n)
-        Right-hand sides w(k), N >= 0; the m right-hand sides are independent.
-    x0 : ndarray, shape (n,) or (m, n)
-        Initial state x(0).
-
-    Returns
-    -------
-    ndarray, shape (N + 1, n) or (N + 1, m, n)
-        States. If Phi is very unstable, the states overflow to inf and NaN without a warning.
     """
     N, n = w.shape[0], Phi.shape[0]
     shape = (N + 1, *w.shape[1:])
@@ -64,22 +54,10 @@ def recursion(Phi: Array, w: Array, x0: Array) -> Array:
 
 
 def varying_recursion(Phi: Array, w: Array, x0: Array) -> Array:
-    """Return x(0) … x(N) of x(k+1) = Phi(k) x(k) + w(k) for several right-hand sides.
+    """Return x(0) … x(N), (N + 1, m, n), of x(k+1) = Phi(k) x(k) + w(k).
 
-    The blocks are those of `recursion`; each block has its own products of Phi.
-
-    Parameters
-    ----------
-    Phi : ndarray, shape (N, n, n)
-        Transition matrices.
-    w : ndarray, shape (N, m, n)
-        Right-hand sides w(k), N >= 1; the m right-hand sides are independent.
-    x0 : ndarray, shape (m, n)
-        Initial states x(0).
-
-    Returns
-    -------
-    ndarray, shape (N + 1, m, n)
+    Phi is (N, n, n). The m right-hand sides w (N, m, n), N >= 1, and the initial states x0 (m, n)
+    are independent. The blocks are those of `recursion`; each block has its own products of Phi.
     """
     N, m, n = w.shape
     length = isqrt(N) + 1
@@ -156,17 +134,9 @@ def free_responses(Phi: Array, C: Array, N: int) -> Array:
 def responses(Phi: Array, C: Array, signals: Array) -> Array:
     """Return C (q - Phi)^-1 e_k s for each signal s and unit vector e_k, (m, n, ny, N).
 
-    For each mode, each signal is filtered by a first-order filter. If the eigenvectors are nearly
-    dependent, `recursion` is used instead, which takes several times as long.
-
-    Parameters
-    ----------
-    Phi : ndarray, shape (n, n)
-        Real transition matrix.
-    C : ndarray, shape (ny, n)
-        Output matrix.
-    signals : ndarray, shape (N, m)
-        Signals s.
+    Phi is (n, n) and real, C is (ny, n), and `signals` is (N, m). For each mode, each signal is
+    filtered by a first-order filter. If the eigenvectors are nearly dependent, `recursion` is used
+    instead, which takes several times as long.
     """
     (N, m), (ny, n) = signals.shape, C.shape
     if in_observer_form(Phi, C):

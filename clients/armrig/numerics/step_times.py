@@ -23,15 +23,10 @@ _MIN_LINE_SAMPLES = 4  # least number of samples for a line, with two degrees of
 def rise_time(y: Vector, Ts: float, *, integrated: bool = False, share: float = SHARE) -> float:
     """Return the first time at which a response reaches a share of its final value, in s, or NaN.
 
-    The function interpolates by a cubic spline. With linear interpolation the time would be late by
-    up to Ts²/8 y''/y'.
-
-    Parameters
-    ----------
-    y : ndarray, shape (N,)
-        Response divided by its final value. It begins at the last sample before the input acts.
-    integrated : bool
-        True if `y` is the integral of the response, such as an angle instead of its rate.
+    y (N,) is the response divided by its final value, from the last sample before the input acts.
+    If `integrated` is True, y is the integral of the response, such as an angle instead of its
+    rate. The function interpolates by a cubic spline. With linear interpolation the time would be
+    late by up to Ts²/8 y''/y'.
     """
     from scipy.interpolate import CubicSpline, PPoly
 
@@ -85,10 +80,7 @@ def mean_lag(B: Vector, F: Vector) -> float:
 def slowest_time(decay: ArrayLike) -> float:
     """Return 1/min |Re s| of poles, in s; NaN if there is no pole or a real part is not negative.
 
-    Parameters
-    ----------
-    decay : array_like, shape (n,)
-        Re s of the poles without the integrator, in 1/s.
+    `decay` (n,) is Re s of the poles without the integrator, in 1/s.
     """
     slowest = float(np.max(np.asarray(decay, dtype=np.float64), initial=-np.inf))
     return -1 / slowest if np.isfinite(slowest) and slowest < 0 else float("nan")
@@ -99,16 +91,10 @@ def lag_of_angle(
 ) -> tuple[float, float]:
     """Return the time by which an angle lags its final ramp, and its standard deviation, in s.
 
-    Parameters
-    ----------
-    t, y : ndarray, shape (n,)
-        Samples of the last third of the ramp. t is 0 at the step. y is the angle minus the line
-        that was fitted before the step. A missing sample is NaN.
-    before : (int, float)
-        Number of samples to which the line before the step was fitted, and their duration in s.
-    rounding : float
-        Quantisation step of the converter, in the unit of y. The mean of the quantisation error
-        need not be zero.
+    t and y (n,) are the last third of the ramp. t is 0 at the step, and y is the angle minus the
+    line that was fitted before the step, or NaN. `before` is the number of samples of this line and
+    their duration in s. `rounding` is the quantisation step of the converter, in the unit of y; the
+    mean of the quantisation error need not be zero.
     """
     known = np.isfinite(y)
     t, y, n = t[known], y[known], int(np.count_nonzero(known))
@@ -127,13 +113,9 @@ def lag_of_angle(
 def area_above(t: Vector, y: Vector, std: float, gain_std: float) -> tuple[float, float]:
     """Return the area between a response and its final value 1, and the standard deviation, in s.
 
-    Parameters
-    ----------
-    t, y : ndarray, shape (n,)
-        Response divided by its final value, from the step until the response has settled; NaN if
-        missing.
-    std, gain_std : float
-        Standard deviations of a sample and of the final value, both divided by the final value.
+    y (n,) is the response at the times t, divided by its final value, from the step until the
+    response has settled; NaN if missing. `std` and `gain_std` are the standard deviations of a
+    sample and of the final value, both divided by the final value.
     """
     known = np.isfinite(y)
     t, y = t[known], y[known]

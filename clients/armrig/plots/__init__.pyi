@@ -13,7 +13,7 @@ from armrig.models.figures import plot_bode as plot_bode
 from armrig.models.figures import plot_fit as plot_fit
 from armrig.models.figures import plot_step as plot_step
 from armrig.models.pole_zero_figure import plot_poles_zeros as plot_poles_zeros
-from armrig.models.spectral_figure import plot_spectral as plot_spectral
+from armrig.models.spectral_estimate import plot_spectral as plot_spectral
 from armrig.physics.figures import plot_physical_step as plot_physical_step
 from armrig.physics.figures import plot_rig as plot_rig
 from armrig.physics.figures import plot_sensitivities as plot_sensitivities

@@ -21,7 +21,7 @@ from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.part_names import part_number, part_paths
 from numpy.typing import NDArray
 
-from armrig.data.files.suffixes import OTHER_DATA, RECORDING
+from armrig.data.files import OTHER_DATA, RECORDING
 from armrig.recordings.channels import channels_of
 from armrig.recordings.container import Content, Part, read
 from armrig.recordings.daemon_reports import Clock, Gap, reports_of

@@ -38,7 +38,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Metadata, MetadataIndex
 
-from armrig.data.files.suffixes import RECORDING
+from armrig.data.files import RECORDING
 from armrig.recordings.grid import check_sampling_time
 
 VALIDATION_OF = "validation_of"

@@ -14,8 +14,8 @@ from armrig_core.manifest import Manifest
 
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
-from armrig.data.treatment.whitening import whitening
 from armrig.numerics.quantities import listed
+from armrig.numerics.regressors import whitening
 from armrig.recordings import findings
 
 if TYPE_CHECKING:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from itertools import zip_longest
 from math import isfinite
 
-from armrig.models.equation import letters
+from armrig.models.equation import letters, typst_form
 from armrig.models.fit import Fit
-from armrig.models.markup import typst_form
 from armrig.numerics.quantities import (
     NBSP,
     error,

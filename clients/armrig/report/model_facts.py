@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from armrig.models.equation import letters, whiteness_sentence
+from armrig.models.equation import letters, typst_form, whiteness_sentence
 from armrig.models.fit import Fit
-from armrig.models.markup import typst_form
 from armrig.numerics.quantities import fixed, listed, number, p_value, percent, places, power
 from armrig.recordings.findings import alpha_moves
 from armrig.report.recording_facts import run_name

@@ -16,8 +16,8 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
-from armrig.models.estimation_data import findings_on_own_data
 from armrig.models.fit import Fit
+from armrig.models.prediction import findings_on_own_data
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.quantities import plural
 from armrig.validation.model_differences import explanation, table

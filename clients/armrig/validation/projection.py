@@ -12,9 +12,9 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.models.fit import Fit
 from armrig.models.prediction import prediction_errors
 from armrig.models.state_space import ErrorResponses, error_responses
+from armrig.numerics.covariance import whitening
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
-from armrig.numerics.whitening import whitening
 
 _STEP = 1e-3  # step of a parameter for a difference quotient, in standard deviations
 _MIN_VARIANCE_SHARE = 1e-12  # share of the largest variance below which a variance counts as 0

@@ -11,10 +11,9 @@ from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset, Signals
-from armrig.models.estimation_data import findings_on_own_data
 from armrig.models.fit import Fit
 from armrig.models.polynomials import Polynomials
-from armrig.models.prediction import require_same_signals
+from armrig.models.prediction import findings_on_own_data, require_same_signals
 from armrig.numerics.covariance import joint_exogenous_score
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import default_lags, joined, joint_p_value, ljung_box

@@ -12,10 +12,10 @@ import pandas as pd
 import pytest
 from armrig.data.argument import as_dataset
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.experiments import Trend
 from armrig.data.figures import plot_values, without_ramp
 from armrig.data.merging import merge
 from armrig.data.step import span_of
-from armrig.data.trend import Trend
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.data.experiments import Trend
 from armrig.data.merging import merge
 from armrig.data.treatment import prefilter, resample, retrend
-from armrig.data.trend import Trend
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered

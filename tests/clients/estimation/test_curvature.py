@@ -14,8 +14,8 @@ from armrig.estimation.fit_warnings import (
     search_warnings,
 )
 from armrig.estimation.problem import PolynomialProblem
+from armrig.models.estimate import Start
 from armrig.models.innovations import prepared
-from armrig.models.quality import Start
 from armrig.models.structure import Structure
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import filtered

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.estimation.subspace import windows
-from armrig.numerics.gram import cholesky_factor, gram_of_windows
+from armrig.numerics.least_squares import cholesky_factor, gram_of_windows
 from armrig.numerics.polynomial import Array, filtered
 from numpy.lib.stride_tricks import sliding_window_view
 

@@ -9,8 +9,8 @@ import pytest
 from armrig.estimation.problem import PolynomialProblem
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
+from armrig.numerics.covariance import whitening
 from armrig.numerics.polynomial import filtered
-from armrig.numerics.whitening import whitening
 from numpy.typing import NDArray
 
 N = 120

@@ -28,9 +28,9 @@ from armrig.estimation.state_space_responses import Part, Predictor, output_norm
 from armrig.estimation.subspace import windows
 from armrig.estimation.subspace_estimate import completed, unweighted
 from armrig.estimation.subspace_horizon import Innovations
+from armrig.numerics.covariance import whitening
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.recursion import recursion, varying_recursion
-from armrig.numerics.whitening import whitening
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 

@@ -32,37 +32,45 @@ def made(
     """Return a fit with these polynomials; the robust deviations are twice the ordinary ones."""
     d = len(A) + len(B) + len(C) + len(D) + len(F) - 4 - nk
     covariance = np.diag(np.square(std)) if len(std) else np.zeros((d, d))
-    values: dict[str, Any] = {
+    values: dict[str, Any] = _QUALITY | {
         "structure": "pem",
         "covariance": covariance,
         "covariance_robust": 4 * covariance,
-        "noise_variance": 0.04,
-        "loss": 0.03,
-        "N": 100,
         "Ts": 0.1,
-        "fit_percent": 91.234,
-        "whiteness": 0.5,
-        "whiteness_test": "portmanteau test",
         "output": "alpha",
         "unit": "rad",
         "input_unit": "V",
     }
     polynomials = {"A": A, "B": B, "C": C, "D": D, "F": F}
     arrays = {letter: np.array(p, dtype=float) for letter, p in polynomials.items()}
-    return Fit.of_channel(**(values | arrays | {"nk": nk} | fields))
+    return _of_channel(values | arrays | {"nk": nk} | fields)
+
+
+_QUALITY: dict[str, Any] = {"noise_variance": 0.04, "loss": 0.03, "N": 100, "fit_percent": 91.234}
+_QUALITY |= {"whiteness": 0.5, "whiteness_test": "portmanteau test"}
+
+
+def _of_channel(values: dict[str, Any]) -> Fit:
+    """Return a model; the names of its quality are those of the properties of `Fit`."""
+    given = {name: values.pop(name) for name in _QUALITY if name in values}
+    if given:
+        white = Whiteness(p_value=given.pop("whiteness"), test=given.pop("whiteness_test"))
+        values["noise_covariance"] = np.array([[given.pop("noise_variance")]])
+        values["quality"] = (OutputQuality(**given, white=white),)
+    return Fit.of_channel(**values)
 
 
 def changed(fit: Fit, **fields: Any) -> Fit:
     """Return a model of one output and input with other polynomials, quality or other fields."""
     names = ("A", "B", "C", "D", "F", "nk", "integrator", "output", "unit", "input_unit")
     if fit.quality:
-        names += ("loss", "N", "fit_percent", "whiteness", "whiteness_test", "noise_variance")
+        names += tuple(_QUALITY)
     known = {name: getattr(fit, name) for name in names}
     left_out = {"form", "quality", "noise_covariance", "inputs", "outputs", "input_units", "units"}
     if not fit.quality:
         left_out |= {"covariance", "covariance_robust"}
     known |= {f.name: getattr(fit, f.name) for f in dataclass_fields(Fit) if f.name not in left_out}
-    return Fit.of_channel(**(known | fields))
+    return _of_channel(known | fields)
 
 
 def made_estimate(omega: NDArray[np.float64], G: Any, **fields: Any) -> SpectralEstimate:

@@ -15,10 +15,10 @@ from armrig.data.finding import warning
 from armrig.data.merging import merge
 from armrig.data.step import MEAN, Step, codes_of
 from armrig.estimation.bj import bj
+from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.model_file import fit_of, load_fit
 from armrig.models.model_writing import model_text
-from armrig.models.quality import Start
 from armrig.models.structure import FreeResponse
 from armrig.numerics.polynomial import filtered
 from armrig.validation.residuals import residuals

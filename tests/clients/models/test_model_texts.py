@@ -11,10 +11,10 @@ import typst
 from armrig.models import characteristics
 from armrig.models.characteristics import model_characteristics
 from armrig.models.equation import form, input_and_output, whiteness_sentence
+from armrig.models.estimate import Start
 from armrig.models.labels import gain_unit, labels_of, left_out, sources_of
-from armrig.models.parameter_draws import Draws
-from armrig.models.quality import Start
 from armrig.models.summary import summary
+from armrig.models.uncertainty import Draws
 
 from tests.clients.models.made_fits import made
 

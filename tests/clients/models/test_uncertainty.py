@@ -9,11 +9,14 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.oe import oe
 from armrig.models.fit import Fit
-from armrig.models.parameter_draws import Draws, directions, drawn, roots_of
 from armrig.models.uncertainty import (
+    Draws,
+    directions,
+    drawn,
     frequency_bands,
     frequency_responses,
     pole_regions,
+    roots_of,
     step_band,
     step_responses,
     zero_regions,

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.data.trend import Trend
+from armrig.data.experiments import Trend
 from armrig.numerics.quantities import NBSP
 from armrig.physics.physical_model import physical_model
 from armrig.recordings.daemon_reports import Note

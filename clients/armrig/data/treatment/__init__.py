@@ -4,27 +4,14 @@ No step fills a gap: a missing sample stays missing. A result that depends on a 
 missing, too. Each experiment is treated separately.
 """
 
-from armrig.data.treatment.detrending import detrend, retrend
-from armrig.data.treatment.drift import Drift, drift
-from armrig.data.treatment.filtering import prefilter, resample
-from armrig.data.treatment.integrating import (
-    INTEGRATING_OUTPUTS,
-    IntegratingOutputWarning,
-    difference,
-    integrating,
-)
-from armrig.data.treatment.wrong_samples import hampel
-
-__all__ = [
-    "INTEGRATING_OUTPUTS",
-    "Drift",
-    "IntegratingOutputWarning",
-    "detrend",
-    "difference",
-    "drift",
-    "hampel",
-    "integrating",
-    "prefilter",
-    "resample",
-    "retrend",
-]
+from armrig.data.treatment.detrending import Drift as Drift
+from armrig.data.treatment.detrending import detrend as detrend
+from armrig.data.treatment.detrending import drift as drift
+from armrig.data.treatment.detrending import retrend as retrend
+from armrig.data.treatment.filtering import prefilter as prefilter
+from armrig.data.treatment.filtering import resample as resample
+from armrig.data.treatment.integrating import INTEGRATING_OUTPUTS as INTEGRATING_OUTPUTS
+from armrig.data.treatment.integrating import IntegratingOutputWarning as IntegratingOutputWarning
+from armrig.data.treatment.integrating import difference as difference
+from armrig.data.treatment.integrating import integrating as integrating
+from armrig.data.treatment.wrong_samples import hampel as hampel

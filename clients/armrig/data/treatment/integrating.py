@@ -12,8 +12,8 @@ from armrig_core.telemetry import THETA_1
 from armrig.data.argument import treats_signals
 from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.experiments import Trend
 from armrig.data.finding import Finding, warning
-from armrig.data.trend import Trend
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import complete, past
 from armrig.numerics.stretches import Mask, pieces

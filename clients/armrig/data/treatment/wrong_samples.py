@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from armrig.data.argument import treats_signals
 from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset, Signals
-from armrig.data.treatment.whitening import Whitening, whitening
 from armrig.numerics.checks import require_integers, require_numbers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
+from armrig.numerics.regressors import Whitening, whitening
 from armrig.numerics.stretches import Mask, pieces
 
 Indices = NDArray[np.intp]
