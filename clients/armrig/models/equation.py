@@ -91,10 +91,7 @@ def input_and_output(model: Fit) -> str:
     """Return a line with the signals and the sampling time."""
     u, y = (
         listed([_with_unit(name, unit) for name, unit in zip(names, units, strict=True)])
-        for names, units in (
-            (model.inputs, model.input_units),
-            (model.outputs, model.units),
-        )
+        for names, units in ((model.inputs, model.input_units), (model.outputs, model.units))
     )
     return f"{u} to {y}, Ts {model.Ts:g} s"
 

@@ -9,14 +9,7 @@ from armrig_core.telemetry import THETA_1, VELOCITY
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.models.characteristics import integrates
-from armrig.models.labels import (
-    Labels,
-    gain_unit,
-    labels_of,
-    left_out,
-    sources_of,
-    with_method,
-)
+from armrig.models.labels import Labels, gain_unit, labels_of, left_out, sources_of, with_method
 from armrig.models.pole_zero_figure import plot_poles_zeros
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.models.uncertainty import Draws, drawn, frequency_bands, step_band
@@ -50,10 +43,7 @@ _MAX_DOTS = 40  # largest number of dots of a spectral estimate
 
 
 def plot_bode(
-    *models: Any,
-    omega: ArrayLike | None = None,
-    labels: Labels = None,
-    ax: Axes | None = None,
+    *models: Any, omega: ArrayLike | None = None, labels: Labels = None, ax: Axes | None = None
 ) -> Axes:
     """Plot magnitude and phase, with 95 % bands for estimated models.
 
@@ -169,12 +159,7 @@ def plot_fit(model: Fit) -> Figure:
 
 
 def _curve(
-    ax: Axes,
-    below: Axes,
-    model: Any,
-    name: str,
-    omega: NDArray[np.float64],
-    pen: dict[str, Any],
+    ax: Axes, below: Axes, model: Any, name: str, omega: NDArray[np.float64], pen: dict[str, Any]
 ) -> tuple[NDArray[np.float64], Draws | None]:
     """Draw one model; return its magnitude in dB, and the parameter draws for its bands."""
     x, G, bands, draws = _response(model, omega)

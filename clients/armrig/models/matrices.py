@@ -124,9 +124,5 @@ class Matrices:
             begin += d
         extra = ((0, 0), (0, sum(delays)))
         return StateSpace(
-            A=A,
-            B=B,
-            C=np.pad(self.C, extra),
-            D=self.D,
-            K=np.pad(self.K, extra[::-1]),
+            A=A, B=B, C=np.pad(self.C, extra), D=self.D, K=np.pad(self.K, extra[::-1])
         )

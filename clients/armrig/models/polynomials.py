@@ -199,9 +199,7 @@ class Polynomials:
         paths = [k for k in range(ny) if self.B[k][j].size > self.nk[k][j]]
         nk = min(self.nk[k][j] + int(k != i) for k in paths)
         form = Polynomials.of_channel(
-            B=np.append(np.zeros(nk), B[nk : last + 1]),
-            F=np.append(1.0, F[1 : degree + 1]),
-            nk=nk,
+            B=np.append(np.zeros(nk), B[nk : last + 1]), F=np.append(1.0, F[1 : degree + 1]), nk=nk
         )
         return form, np.vstack([dB[nk : last + 1], dF[1 : degree + 1]])
 

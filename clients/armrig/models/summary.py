@@ -153,10 +153,7 @@ def bounds(region: Region) -> tuple[tuple[float, float], tuple[float, float]]:
         return region.interval, (0.0, 0.0)
     widths = HALF_WIDTH * np.sqrt(np.maximum(np.diag(region.covariance), 0.0))
     height = abs(z.imag)
-    return (
-        (z.real - widths[0], z.real + widths[0]),
-        (height - widths[1], height + widths[1]),
-    )
+    return ((z.real - widths[0], z.real + widths[0]), (height - widths[1], height + widths[1]))
 
 
 def _root(region: Region) -> str:

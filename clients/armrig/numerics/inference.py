@@ -24,11 +24,7 @@ from typing import Any, Literal
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.numerics.covariance import (
-    correlated_score,
-    joint_exogenous_score,
-    pairwise_covariance,
-)
+from armrig.numerics.covariance import correlated_score, joint_exogenous_score, pairwise_covariance
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.least_squares import Basis
 from armrig.numerics.polynomial import Array

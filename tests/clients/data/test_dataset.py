@@ -72,10 +72,7 @@ def test_a_masked_value_is_missing() -> None:
         ({"Ts": 0.0}, "Ts=0.0 must be finite and > 0"),
         ({"u": [[1.0, 2.0, 3.0]]}, r"u has shape \(1, 3\).*ravel"),
         ({"starts": (1,)}, "must begin with 0"),
-        (
-            {"y": np.array([0, 1j, 2])},
-            r"y is complex \(complex128\), but must be real",
-        ),
+        ({"y": np.array([0, 1j, 2])}, r"y is complex \(complex128\), but must be real"),
         ({"u": [0.0, 1.0 + 0j, 2.0]}, "u is complex"),
         (
             {"u": np.ma.masked_equal([0.0, 1.0, 2.0], 1.0)},

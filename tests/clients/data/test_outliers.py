@@ -57,8 +57,7 @@ def test_outliers_are_found_and_their_neighbours_are_not(noise: str, seed: int) 
 
 
 @pytest.mark.parametrize(
-    ("where", "size"),
-    [*((FIVE, size) for size in (1.0, 1e2, 1e4, 1e6)), ([700], 30.0)],
+    ("where", "size"), [*((FIVE, size) for size in (1.0, 1e2, 1e4, 1e6)), ([700], 30.0)]
 )
 def test_outliers_of_any_size_do_not_mark_a_correct_sample(where: list[int], size: float) -> None:
     """A model fitted to samples a million times too large would describe only these.

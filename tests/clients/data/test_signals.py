@@ -365,10 +365,7 @@ def test_a_missing_input_ends_an_experiment_and_a_missing_output_does_not(tmp_pa
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        (
-            {"inputs": ["u1", "2"], "outputs": ["t"]},
-            "input and input are both column 2; give --i",
-        ),
+        ({"inputs": ["u1", "2"], "outputs": ["t"]}, "input and input are both column 2; give --i"),
         (
             {"inputs": ["t"], "outputs": ["u1", "u1"]},
             "signal and signal are both column 2; give --s",

@@ -182,11 +182,7 @@ def with_all_polynomials() -> Polynomials:
     return replace(apart(), A=vectors([(1, -0.4), (0,)], [(0,), (1, 0.2, 0.1)]))
 
 
-FORMS: dict[str, Any] = {
-    "apart": apart,
-    "joined": joined,
-    "matrices": matrices,
-}
+FORMS: dict[str, Any] = {"apart": apart, "joined": joined, "matrices": matrices}
 MORE = FORMS | {"A of each output": with_all_polynomials}
 OF_ONE_OUTPUT: dict[str, Any] = {
     "2 inputs": lambda: of_one_output(2),

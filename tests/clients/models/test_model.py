@@ -62,9 +62,7 @@ def test_the_physical_model_of_alpha_is_that_of_the_arm() -> None:
     assert np.all(np.abs(np.roots(physics.F)) < 1)
 
 
-def test_a_pole_has_a_deviation_with_an_ill_conditioned_covariance(
-    fit: armrig.Fit,
-) -> None:
+def test_a_pole_has_a_deviation_with_an_ill_conditioned_covariance(fit: armrig.Fit) -> None:
     """J C J' is rounded below 0 if a direction that moves no pole has a large variance."""
     poles = np.array([0.95 + 0.025j, 0.95 - 0.025j, 0.99 + 0.008j, 0.99 - 0.008j])
     F = np.poly(poles).real

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.models.spectral_estimate import (
-    high_band,
-    high_slope,
-    log_slope,
-    low_slope,
-    phase_delay,
-)
+from armrig.models.spectral_estimate import high_band, high_slope, log_slope, low_slope, phase_delay
 from matplotlib.figure import Figure
 
 from tests.clients.models.made_fits import made_estimate

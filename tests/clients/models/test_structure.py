@@ -6,11 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.models.structure import (
-    Structure,
-    free_columns,
-    offset_from_ramp,
-)
+from armrig.models.structure import Structure, free_columns, offset_from_ramp
 from armrig.models.structure_table import with_article
 from armrig.numerics.polynomial import filtered
 

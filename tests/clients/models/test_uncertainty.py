@@ -21,9 +21,7 @@ from armrig.models.uncertainty import (
     step_responses,
     zero_regions,
 )
-from armrig.numerics.confidence_regions import (
-    linearised_region,
-)
+from armrig.numerics.confidence_regions import linearised_region
 from armrig.numerics.polynomial import filtered
 
 from tests.clients.models.made_fits import changed, made

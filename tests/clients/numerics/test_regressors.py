@@ -11,10 +11,7 @@ NAN = np.nan
 
 
 @given(
-    st.integers(0, 3),
-    st.integers(1, 3),
-    st.integers(0, 4),
-    st.sets(st.integers(0, 19), max_size=5),
+    st.integers(0, 3), st.integers(1, 3), st.integers(0, 4), st.sets(st.integers(0, 19), max_size=5)
 )
 def test_a_row_is_usable_if_all_its_lagged_samples_were_measured(
     na: int, nb: int, nk: int, missing: set[int]

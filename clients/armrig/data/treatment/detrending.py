@@ -155,10 +155,7 @@ def retrend(data: Data, y: ArrayLike | None = None) -> Data | Vector:
         u_trend[rows], y_trend[rows] = trend.u(t), trend.y(t)
     if y is None:
         return data.replaced(
-            u=data.u + u_trend,
-            y=data.y + y_trend,
-            trends=(),
-            step="restored the trend of u and y",
+            u=data.u + u_trend, y=data.y + y_trend, trends=(), step="restored the trend of u and y"
         )
     given = columns("y", y)
     if given.shape[0] != data.N:

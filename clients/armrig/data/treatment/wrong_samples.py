@@ -102,11 +102,7 @@ def _gross(y: Vector) -> Mask:
 
 
 def _searched(
-    parts: Sequence[tuple[Array, Vector]],
-    n: int,
-    limit: float,
-    wrong: list[Mask],
-    most: int,
+    parts: Sequence[tuple[Array, Vector]], n: int, limit: float, wrong: list[Mask], most: int
 ) -> list[_Found]:
     """Mark outliers in addition to `wrong`; return the masks, and y with model values at outliers.
 

@@ -229,10 +229,7 @@ def test_the_times_have_the_unit_of_their_header(header: str, Ts: float, tmp_pat
     [
         ("t,u,y\n0,1,2\n0,1,2\n0,1,2\n", "line 3: the times in column t do not increase"),
         ("t,u,y\n2,1,2\n1,1,2\n0,1,2\n", "line 3: the times in column t do not increase"),
-        (
-            "t,u,y\n0,1,2\n,1,2\n2,1,2\n",
-            "line 3: the times in column t have no value here; add it",
-        ),
+        ("t,u,y\n0,1,2\n,1,2\n2,1,2\n", "line 3: the times in column t have no value here; add it"),
         (
             "t,u,y\n0,1,2\n",
             "the times in column t: a sampling time needs at least 2 times, got 1; give Ts",
