@@ -1523,9 +1523,7 @@ def report() -> Variants:
 
 @variants
 def batch() -> Variants:
-    from armrig.report.batch.items import items_in
-    from armrig.report.batch.rows import row_of
-    from armrig.report.batch.tasks import Identify, Validate, Verify
+    from armrig.report.batch.tasks import Identify, Validate, Verify, items_in, row_of
 
     lab = folder() / "batch"
     lab.mkdir(exist_ok=True)
@@ -1550,7 +1548,7 @@ def batch() -> Variants:
 
 def validations() -> list[int]:
     """Return the number of the recording that validates each of a folder, of several the newest."""
-    from armrig.report.batch.items import items_in
+    from armrig.report.batch.tasks import items_in
 
     from tests.clients import made_recordings as made
 

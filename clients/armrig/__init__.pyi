@@ -44,9 +44,11 @@ from armrig.excitation import step as step
 from armrig.excitation import telegraph as telegraph
 from armrig.excitation import white_noise as white_noise
 from armrig.excitation.experiment_design import PlannedModel as PlannedModel
-from armrig.excitation.experiment_design import predicted_parameter_std as predicted_parameter_std
 from armrig.excitation.experiment_design import predicted_std as predicted_std
 from armrig.excitation.input_description import describe_input as describe_input
+from armrig.excitation.physical_experiment_design import (
+    predicted_parameter_std as predicted_parameter_std,
+)
 from armrig.models.fit import Fit as Fit
 from armrig.models.model_file import load_fit as load_fit
 from armrig.physics.grey_box.estimate import greybox as greybox
@@ -55,17 +57,17 @@ from armrig.physics.grey_box.inverse_dynamics import inverse_dynamics as inverse
 from armrig.physics.grey_box.split_study import agreement as agreement
 from armrig.physics.grey_box.split_study import split_study as split_study
 from armrig.physics.integrators.accuracy import convergence as convergence
+from armrig.physics.integrators.accuracy import recommend_step as recommend_step
 from armrig.physics.integrators.accuracy import sinusoid as sinusoid
-from armrig.physics.integrators.linear_system import exact as exact
 from armrig.physics.integrators.stability import stability_limit as stability_limit
-from armrig.physics.integrators.step_choice import recommend_step as recommend_step
+from armrig.physics.integrators.stepping import exact as exact
 from armrig.physics.integrators.stepping import integrate as integrate
-from armrig.physics.physical_model import physical_model as physical_model
 from armrig.physics.step_response import characteristics as characteristics
 from armrig.physics.step_response import step_sensitivities as step_sensitivities
 from armrig.physics.systems import ArmParameters as ArmParameters
 from armrig.physics.systems import arm as arm
 from armrig.physics.systems import chassis as chassis
+from armrig.physics.systems import physical_model as physical_model
 from armrig.physics.systems import rehearse as rehearse
 from armrig.recordings.catalogue import Catalogue as Catalogue
 from armrig.recordings.catalogue import catalogue as catalogue

@@ -19,8 +19,7 @@ from armrig.estimation.nonparametric.step_analysis import StepAnalysis
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.physics.integrators.accuracy import convergence, sinusoid
-from armrig.physics.physical_model import physical_model
-from armrig.physics.systems import beside_the_handout
+from armrig.physics.systems import beside_the_handout, physical_model
 from armrig.recordings.calibration import estimate
 from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording

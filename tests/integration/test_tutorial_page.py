@@ -22,7 +22,7 @@ import pytest
 from armrig.cli import main
 from armrig.cli.chosen_recording import recording_path
 from armrig.recordings.usability import all_doubts
-from armrig.report.handout import MOST_PAGES
+from armrig.report.document import MOST_PAGES
 
 from tests.clients import pages
 

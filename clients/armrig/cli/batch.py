@@ -259,7 +259,7 @@ def _say(done: Batch, *, json: bool) -> None:
 
 def _failed(row: dict[str, Any]) -> str:
     """Return the failed checks of a recording and their results."""
-    from armrig.report.batch.rows import CHECKS
+    from armrig.report.batch.tasks import CHECKS
 
     failed = (about for about in CHECKS if row[f"{about}_result"] == "failed")
     return "; ".join(f"{about} failed: {row[f'{about}_found']}" for about in failed)

@@ -204,7 +204,7 @@ def _same(a: Fit, b: Fit) -> bool:
 
 def _with_physics(compared: _Compared, changed: dict[str, ArmParameters]) -> _Compared:
     """Return the comparison, with the physical models after the other models."""
-    from armrig.physics.physical_model import physical_model
+    from armrig.physics.systems import physical_model
 
     data = compared.data.signals().dataset() if changed else None
     more = [(name, physical_model(p, data)) for name, p in changed.items() if data is not None]

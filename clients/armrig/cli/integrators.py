@@ -17,8 +17,7 @@ from armrig.cli.options import Json, Verbose, print_json, say, say_more
 from armrig.cli.parameters import AMPLITUDE_V, OMEGA, Amplitude, Omega
 
 if TYPE_CHECKING:
-    from armrig.physics.integrators.accuracy import Sinusoid
-    from armrig.physics.integrators.step_choice import Recommendation
+    from armrig.physics.integrators.accuracy import Recommendation, Sinusoid
 
 Methods = Annotated[
     list[str] | None,
@@ -135,7 +134,7 @@ def _solved(
 
 
 def _recommended(problem: Sinusoid, methods: Sequence[str], tolerance: float) -> Recommendation:
-    from armrig.physics.integrators.step_choice import recommend_step
+    from armrig.physics.integrators.accuracy import recommend_step
 
     return recommend_step(
         problem.A,

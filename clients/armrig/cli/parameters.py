@@ -116,7 +116,7 @@ def _values(given: list[str] | None) -> dict[str, float]:
         except ValueError:
             value = None
         if name in names and value is None and _WITH_UNIT.match(number):
-            from armrig.physics.grey_box.parameters import UNITS
+            from armrig.physics.grey_box.sampled_model import UNITS
 
             unit = f", in {UNITS[name]}" if UNITS[name] else ""
             msg = f"--set {text}: give the number alone{unit}, such as "

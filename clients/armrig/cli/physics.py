@@ -131,7 +131,7 @@ def greybox(
 
 
 def _grey_facts(fit: GreyFit) -> dict[str, Any]:
-    from armrig.physics.grey_box.parameters import UNITS
+    from armrig.physics.grey_box.sampled_model import UNITS
 
     parameters = {
         name: {
@@ -258,7 +258,7 @@ def simulate(
         return
     from armrig.cli.spinner import spinner
     from armrig.models.model_file import load_fit
-    from armrig.physics.physical_model import physical_model
+    from armrig.physics.systems import physical_model
     from armrig.validation.comparison import compare
     from armrig.validation.figures import plot_compare
 

@@ -242,7 +242,7 @@ def _write_questions(path: Path) -> None:
 def _typeset_source(folder: Path, output: Path) -> None:
     """Typeset the source that a folder contains."""
     from armrig.cli.spinner import spinner
-    from armrig.report.handout import TEMPLATE, check_length
+    from armrig.report.document import TEMPLATE, check_length
     from armrig.report.typesetting import compiled
 
     sources = sorted(folder.glob("*.typ"))
@@ -299,7 +299,7 @@ def _report_handout(
     from armrig.cli.spinner import estimating, spinner
     from armrig.recordings.usability import different_calibrations
     from armrig.report.answers import Answers, read_answers
-    from armrig.report.handout import handout_report
+    from armrig.report.document import handout_report
     from armrig.report.handout_study import handout_study
 
     said = Answers() if answers is None else read_answers(answers)

@@ -17,7 +17,6 @@ from armrig_core.rehearsal import rehearse
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from armrig.excitation.experiment_design import predicted_parameter_std
 from armrig.excitation.from_file import from_text
 from armrig.excitation.named_signals import (
     check_step_time,
@@ -26,6 +25,7 @@ from armrig.excitation.named_signals import (
     step_at,
     up_and_down,
 )
+from armrig.excitation.physical_experiment_design import predicted_parameter_std
 from armrig.numerics.quantities import number
 from armrig.physics.systems import arm, chassis
 from armrig.rig.collection import Plan, planned_input

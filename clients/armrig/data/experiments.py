@@ -310,7 +310,7 @@ class Experiments:
 
     def _repr_html_(self) -> str:
         """Return text and figure as HTML for a notebook."""
-        from armrig.plots.notebook import html
+        from armrig.plots.layout import html
 
         shown: Any = self
         return html(shown)

@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.recursion import recursion
 from armrig.numerics.step_times import rise_time, slowest_time
-from armrig.physics.grey_box.parameters import NAMES, SIGNED
 from armrig.physics.grey_box.response import sensitivity
-from armrig.physics.grey_box.sampled_model import Model, Physics, Sampled
+from armrig.physics.grey_box.sampled_model import NAMES, SIGNED, Model, Physics, Sampled
 from armrig.physics.systems import arm
 
 Vector = NDArray[np.float64]

@@ -8,7 +8,7 @@ from armrig.estimation.nonparametric.figures import plot_impulse as plot_impulse
 from armrig.estimation.nonparametric.figures import plot_sampling_time as plot_sampling_time
 from armrig.estimation.nonparametric.figures import plot_step_analysis as plot_step_analysis
 from armrig.estimation.nonparametric.figures import plot_structure as plot_structure
-from armrig.excitation.figures import plot_input as plot_input
+from armrig.excitation.input_description import plot_input as plot_input
 from armrig.models.figures import plot_bode as plot_bode
 from armrig.models.figures import plot_fit as plot_fit
 from armrig.models.figures import plot_step as plot_step

@@ -1,14 +1,18 @@
-"""Layout of a figure: axes, panels below or to the right of them, the style, and the file."""
+"""Layout of a figure: axes, panels, the style, the file, and the display in a notebook."""
 
 from __future__ import annotations
 
+import sys
+from base64 import b64encode
+from collections.abc import Sequence
+from html import escape
+from io import BytesIO
 from itertools import cycle
 from math import tau
 from string import ascii_lowercase
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from armrig.numerics.stretches import stretches
-from armrig.plots.notebook import show_once
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,6 +63,14 @@ def high_axes(n: int) -> Axes:
     ax = axes(None)
     ax.figure.figure.set_size_inches(_WIDTH, max(_LEAST_HEIGHT, _PANEL_HEIGHT * n))
     return ax
+
+
+def stacked(size: tuple[float, float], heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
+    """Return a new pyplot figure of `size` in inches, and its panels from top to bottom."""
+    from matplotlib import pyplot as plt
+
+    figure = plt.figure(figsize=size, layout="constrained")
+    return figure, figure.subplots(len(heights), 1, height_ratios=heights).tolist()
 
 
 def figure_of(ax: Axes) -> Figure:
@@ -284,3 +296,49 @@ def bare_minor(*shown: Axis) -> None:
 
     for axis in shown:
         axis.set_minor_formatter(NullFormatter())
+
+
+class Plotted(Protocol):
+    """A result that has a figure."""
+
+    def plot(self) -> Figure:
+        """Return the figure."""
+
+
+def html(result: Plotted) -> str:
+    """Return a result's text and figure as HTML, for a notebook's `_repr_html_`."""
+    from matplotlib import pyplot as plt
+
+    figure = result.plot()
+    data = b64encode(png(figure)).decode()
+    plt.close(figure)
+    words = escape(repr(result))
+    return f'<pre>{words}</pre><img alt="{words}" src="data:image/png;base64,{data}">'
+
+
+def png(figure: Figure) -> bytes:
+    """Return a figure as PNG with 100 dpi, for a screen."""
+    out = BytesIO()
+    figure.savefig(out, format="png", dpi=100)
+    return out.getvalue()
+
+
+def show_once(figure: Figure) -> None:
+    """Make a notebook show a pyplot figure only once.
+
+    A notebook shows a cell's result and, at the cell's end, all open pyplot figures. IPython calls
+    the method `_ipython_display_` of a cell's result. This function gives the figure such a method,
+    which shows the figure and then closes the figure in pyplot.
+    """
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    if pyplot is None or "inline" not in pyplot.get_backend():
+        return
+
+    def display() -> None:
+        from IPython.display import Image  # type: ignore[import-not-found]
+        from IPython.display import display as show
+
+        show(Image(png(figure)))
+        pyplot.close(figure)
+
+    figure._ipython_display_ = display  # type: ignore[attr-defined]

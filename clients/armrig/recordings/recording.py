@@ -321,7 +321,7 @@ class Recording:
 
     def _repr_html_(self) -> str:
         """Return text and figure as HTML for a notebook."""
-        from armrig.plots.notebook import html
+        from armrig.plots.layout import html
 
         return html(self)
 

@@ -1,4 +1,4 @@
-"""Results for the handout's assignments, as far as the recordings allow."""
+"""Results for the handout's assignments, as far as the recordings allow, and a section's form."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_ana
 from armrig.physics.grey_box.estimate import greybox
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.split_study import SplitStudy, split_study
-from armrig.physics.integrators.accuracy import Sinusoid, sinusoid
-from armrig.physics.integrators.step_choice import Recommendation, recommend_step
+from armrig.physics.integrators.accuracy import Recommendation, Sinusoid, recommend_step, sinusoid
 from armrig.physics.systems import HANDOUT, chassis
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import ended_early
@@ -145,3 +144,35 @@ def _doubled(p: ArmParameters) -> dict[str, ArmParameters]:
 def _first(recordings: Sequence[Recording], kind: str) -> Dataset | None:
     """Return the data of the first recording of a kind."""
     return next((r.dataset() for r in recordings if kind_of(r) == kind), None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """Table of texts, with a heading for each column."""
+
+    caption: str
+    """Caption of the table, with the quantities in it."""
+    header: tuple[str, ...]
+    """A heading for each column."""
+    rows: tuple[tuple[str, ...], ...]
+    """Rows of the table; each row has a text for each column."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """Section on one assignment: text, tables and figure, or a reason for no answer."""
+
+    number: str
+    """Number of the assignment in the handout, such as 3.5."""
+    answer: tuple[str, ...] = ()
+    """Paragraphs; the first contains the numbers. As in Typst, "$" encloses a formula."""
+    tables: tuple[Table, ...] = ()
+    """Tables after the paragraphs."""
+    figure: str = ""
+    """Name of the figure; "" for no figure."""
+    caption: str = ""
+    """Caption of the figure."""
+    fill: str = ""
+    """Command that makes the missing recording; "" if there is an answer."""
+    lack: str = ""
+    """Reason why there is no answer; "" if there is an answer."""

@@ -24,10 +24,9 @@ from armrig.numerics.quantities import (
     scaled,
     with_std,
 )
-from armrig.report.handout_study import HandoutStudy
+from armrig.report.handout_study import HandoutStudy, Section, Table
 from armrig.report.model_facts import arm_at_rest
 from armrig.report.recording_facts import without_turns
-from armrig.report.section import Section, Table
 from armrig.report.study import Study
 
 _STEP = "armrig collect step"

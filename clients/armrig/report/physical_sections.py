@@ -14,8 +14,7 @@ from armrig.numerics.quantities import NBSP, listed, minus, number, power
 from armrig.physics.integrators.methods import method_named
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.step_response import Characteristics, characteristics, step_response
-from armrig.report.handout_study import METHODS, HandoutStudy
-from armrig.report.section import Section, Table
+from armrig.report.handout_study import METHODS, HandoutStudy, Section, Table
 
 
 def physical_sections(study: HandoutStudy) -> list[Section]:

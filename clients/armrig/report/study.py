@@ -19,7 +19,7 @@ from armrig.estimation.oe import oe
 from armrig.estimation.orders import require_sensible
 from armrig.models.fit import Fit
 from armrig.models.structure_table import ARM_POLES
-from armrig.physics.physical_model import physical_model
+from armrig.physics.systems import physical_model
 from armrig.recordings.jitter import (
     Disturbances,
     SamplingStatistics,

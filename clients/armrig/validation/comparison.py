@@ -150,7 +150,7 @@ class ComparisonTable:
 
     def _repr_html_(self) -> str:
         """Return text and figure as HTML for a notebook."""
-        from armrig.plots.notebook import html
+        from armrig.plots.layout import html
 
         return html(self)
 

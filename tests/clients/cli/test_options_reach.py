@@ -48,7 +48,7 @@ WORK = {
     f"report {FILE} --handout": "armrig.report.handout_study.handout_study",
     f"greybox {FILE}": "armrig.physics.grey_box.estimate.greybox",
     f"split {FILE}": "armrig.physics.grey_box.estimate.greybox",
-    "integrate": "armrig.physics.integrators.step_choice.recommend_step",
+    "integrate": "armrig.physics.integrators.accuracy.recommend_step",
     f"identify {FILE} --search": "armrig.validation.model_search.search",
     f"check {FILE}": "armrig.validation.feedback_and_delay.open_loop.open_loop",
     f"validate {FILE} --model m.json": "armrig.validation.residuals.residuals",

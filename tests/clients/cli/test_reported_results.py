@@ -19,7 +19,7 @@ from armrig.cli import demo, main
 from armrig.cli.demo_plan import experiments, write_config
 from armrig.lab.fleet_recorder import RigRecorded
 from armrig.report.batch.batch import Batch
-from armrig.report.batch.rows import CHECKS
+from armrig.report.batch.tasks import CHECKS
 from armrig_core.errors import InputError
 from armrig_daemon.config import load
 from rich.console import Console

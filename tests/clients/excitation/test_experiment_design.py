@@ -12,7 +12,8 @@ from armrig.estimation.armax import armax
 from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.excitation import step, telegraph
-from armrig.excitation.experiment_design import PlannedModel, predicted_parameter_std, predicted_std
+from armrig.excitation.experiment_design import PlannedModel, predicted_std
+from armrig.excitation.physical_experiment_design import predicted_parameter_std
 from armrig.numerics.polynomial import filtered
 from armrig.physics.systems import ArmParameters, arm, chassis
 from hypothesis import given, settings

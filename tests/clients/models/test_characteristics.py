@@ -11,7 +11,7 @@ import pytest
 from armrig.models import characteristics
 from armrig.models.characteristics import SCALARS, model_characteristics, overlapping
 from armrig.numerics.polynomial import filtered
-from armrig.physics.physical_model import physical_model
+from armrig.physics.systems import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices
 
 from tests.clients.models.made_fits import made

@@ -9,7 +9,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.models.fit import Fit
-from armrig.physics.physical_model import physical_model
+from armrig.physics.systems import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.errors import InputError
 from numpy.typing import NDArray

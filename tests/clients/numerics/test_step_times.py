@@ -17,8 +17,8 @@ from armrig.numerics.step_times import (
     rise_time,
     slowest_time,
 )
-from armrig.physics.physical_model import physical_model
 from armrig.physics.step_response import step_response
+from armrig.physics.systems import physical_model
 from armrig_core.arm import ArmParameters
 from hypothesis import given
 from hypothesis import strategies as st

@@ -14,8 +14,7 @@ from armrig.data.merging import merge
 from armrig.physics.grey_box.estimate import minimised, worse_with_friction
 from armrig.physics.grey_box.fit import below_zero
 from armrig.physics.grey_box.least_squares_problem import GreyBox
-from armrig.physics.grey_box.parameters import Friction, free_names
-from armrig.physics.grey_box.sampled_model import Physics
+from armrig.physics.grey_box.sampled_model import Friction, Physics, free_names
 from armrig.physics.systems import ArmParameters, arm, chassis
 from armrig_core.errors import InputError
 

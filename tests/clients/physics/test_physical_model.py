@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.physics.physical_model import transfer
-from armrig.physics.systems import ArmParameters
+from armrig.physics.systems import ArmParameters, transfer
 from armrig_core.arm import chassis_matrices
 
 

@@ -15,7 +15,7 @@ from armrig.report.answers import (
     questions_toml,
     read_answers,
 )
-from armrig.report.handout import handout_report
+from armrig.report.document import handout_report
 from armrig.report.handout_study import handout_study
 from armrig_core.errors import FileError
 

@@ -15,7 +15,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.experiments import Trend
 from armrig.numerics.quantities import NBSP
-from armrig.physics.physical_model import physical_model
+from armrig.physics.systems import physical_model
 from armrig.recordings.daemon_reports import Note
 from armrig.recordings.loading import load
 from armrig.report.conclusions import conclusions

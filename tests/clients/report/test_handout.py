@@ -25,13 +25,12 @@ from armrig.numerics.whiteness import Whiteness
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.report.answers import QUESTIONS, Answers, Student
-from armrig.report.handout import MOST_PAGES, TEMPLATE, check_length, handout_report
-from armrig.report.handout_study import HandoutStudy, handout_study
+from armrig.report.document import MOST_PAGES, TEMPLATE, check_length, handout_report
+from armrig.report.handout_study import HandoutStudy, Section, handout_study
 from armrig.report.identification_sections import identification_sections
 from armrig.report.model_facts import physics
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.recording_facts import run_name
-from armrig.report.section import Section
 from armrig.report.study import Assessed, best_first
 from armrig.report.typesetting import compiled, typeset
 from armrig_core.arm import ArmParameters

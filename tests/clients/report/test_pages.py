@@ -16,9 +16,8 @@ import typst
 from armrig.excitation import telegraph
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from armrig.report.document import content, report
+from armrig.report.document import content, handout_report, report
 from armrig.report.figures import MIN_SIZE, STYLE, save, write_figures
-from armrig.report.handout import handout_report
 from armrig.report.handout_study import handout_study
 from armrig.report.study import Study, best_first, study
 from matplotlib.axes import Axes

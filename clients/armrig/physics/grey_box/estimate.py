@@ -33,16 +33,17 @@ from armrig.physics.grey_box.least_squares_problem import (
     Linearised,
     bipolar,
 )
-from armrig.physics.grey_box.parameters import (
+from armrig.physics.grey_box.sampled_model import (
     COULOMB,
     NAMES,
     SIGNED,
     Friction,
+    Model,
+    Physics,
     checked_fixed_std,
     free_names,
     require_output,
 )
-from armrig.physics.grey_box.sampled_model import Model, Physics
 from armrig.physics.systems import arm, chassis
 
 Vector = NDArray[np.float64]

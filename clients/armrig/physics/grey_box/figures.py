@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armrig.data.figures import without_ramp
 from armrig.numerics.quantities import listed, plural, raised, scaled
 from armrig.physics.grey_box.least_squares_problem import GreyBox
-from armrig.physics.grey_box.parameters import COULOMB, UNITS
+from armrig.physics.grey_box.sampled_model import COULOMB, UNITS
 from armrig.plots.captions import in_mathtext, legend, sign, symbol
 from armrig.plots.layout import (
     BLUE,

@@ -15,9 +15,8 @@ from armrig.data.dataset import Dataset
 from armrig.numerics.checks import column
 from armrig.numerics.inference import OutputQuality
 from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.physics.grey_box.parameters import COULOMB, SIGNED, UNITS
 from armrig.physics.grey_box.response import linear_parts
-from armrig.physics.grey_box.sampled_model import Physics
+from armrig.physics.grey_box.sampled_model import COULOMB, SIGNED, UNITS, Physics
 
 if TYPE_CHECKING:
     import control

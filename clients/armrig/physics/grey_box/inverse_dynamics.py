@@ -31,14 +31,14 @@ from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.physics.grey_box.fit import GreyFit, below_zero, named_std
 from armrig.physics.grey_box.least_squares_problem import bipolar
-from armrig.physics.grey_box.parameters import (
+from armrig.physics.grey_box.sampled_model import (
     COULOMB,
     Friction,
+    Physics,
     checked_fixed_std,
     free_names,
     require_output,
 )
-from armrig.physics.grey_box.sampled_model import Physics
 from armrig.physics.grey_box.smoothing import (
     MIN_WIDTH,
     SMOOTHED_NOISE,

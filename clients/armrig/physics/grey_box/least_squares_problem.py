@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Signals
 from armrig.numerics.least_squares import orthonormal
-from armrig.physics.grey_box.parameters import SIGNED
 from armrig.physics.grey_box.response import linear_parts, sensitivity, with_friction
-from armrig.physics.grey_box.sampled_model import Physics
+from armrig.physics.grey_box.sampled_model import SIGNED, Physics
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -1,24 +1,27 @@
-"""Error of an integration method against the step, for a sinusoidal input."""
+"""Error of an integration method against the step, and the recommended step of each method."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, inf, sin
+from math import ceil, inf, isfinite, sin
 
 import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.physics.integrators.linear_system import exact, require_positive, system
 from armrig.physics.integrators.methods import METHODS, method_named
 from armrig.physics.integrators.stability import stability_limit
-from armrig.physics.integrators.stepping import integrate
+from armrig.physics.integrators.stepping import exact, integrate, require_positive, system
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 _MAX_COMPARED_INSTANTS = 2000  # at which a long solution is compared with the exact solution
+_START_SHARE = 0.25  # first step as a share of the largest; smaller steps have an error ~ h^p
+_AIMED_SHARE = 0.97  # error that a trial aims at, as a share of the tolerance
+_MAX_TRIALS = 8
+_MAX_STEPS = 2_000_000  # of a solution that verifies a step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,3 +176,185 @@ def all_methods(methods: Sequence[str] | None) -> tuple[str, ...]:
     for name in chosen:
         method_named(name)
     return chosen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Advice:
+    """Recommended step of one method."""
+
+    method: str
+    """Name of the method, as for `integrate`."""
+    h: float
+    """Step in s."""
+    limit: float
+    """Largest absolutely stable step, in s."""
+    error: float
+    """Largest error of a state over the span with the step h, divided by its largest value."""
+    verified: bool
+    """True if the error was measured; False if it was estimated from the order of the method."""
+    steps: int
+    """Number of steps in the span."""
+    work: int
+    """Number of products with A and of solved systems of equations over the span."""
+    reason: str
+    """Text with the reason for this step."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Recommendation:
+    """Recommended steps of several methods for one tolerance."""
+
+    tolerance: float
+    """Largest allowed error, as a share of each state's largest value."""
+    span: float
+    """Duration, in s."""
+    rows: tuple[Advice, ...]
+    """Advice for each method, the cheapest first."""
+
+    def explain(self) -> str:
+        """Return a text with the step of each method and its reason."""
+        head = f"For an error of at most {self.tolerance:g} over {self.span:.3g} s:"
+        return "\n".join([head, *(f"- {METHODS[r.method].name}: {r.reason}" for r in self.rows)])
+
+    def __repr__(self) -> str:
+        """Return a table of the methods, the cheapest first."""
+        head = f"{'method':14} {'h [s]':>10} {'limit [s]':>10} {'h/limit':>8} "
+        lines = [head + f"{'error':>9} {'steps':>8} {'work':>8}"]
+        for r in self.rows:
+            share = f"{r.h / r.limit:8.3f}" if isfinite(r.limit) else f"{'-':>8}"
+            lines.append(
+                f"{r.method:14} {r.h:10.3g} {r.limit:10.4g} {share} "
+                f"{r.error:9.2g} {r.steps:8d} {r.work:8d}"
+            )
+        return "\n".join(lines)
+
+
+def recommend_step(
+    A: ArrayLike,
+    B: ArrayLike,
+    *,
+    omega: float,
+    tolerance: float = 1e-3,
+    amplitude: float = 1.0,
+    x0: ArrayLike | None = None,
+    span: float | None = None,
+    methods: Sequence[str] | None = None,
+) -> Recommendation:
+    """Return for each method the largest stable step with an error within the tolerance.
+
+    The step is computed from the order p of the method, because the error falls as h^p. If the span
+    has at most 2 000 000 of these steps, the error is then measured by comparison with the exact
+    solution for u = amplitude sin(omega t).
+
+    Parameters
+    ----------
+    A, B, amplitude, omega, x0
+        As for `armrig.exact`; x0 is 0 by default.
+    tolerance : float, default 1e-3
+        Largest allowed error over the span, relative to the largest value of each state; 1e-8 to
+        0.5.
+    span : float, optional
+        Duration in s; by default three periods of the input.
+    methods : sequence of str, optional
+        Names of methods; by default all.
+
+    Raises
+    ------
+    ValueError
+        A number is not allowed, `methods` is empty or has an unknown name, or no step of a method
+        is stable.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> system = armrig.arm(armrig.ArmParameters())
+    >>> found = armrig.recommend_step(system.A, system.B, omega=5.0, tolerance=0.01)
+    >>> for row in found.rows:
+    ...     print(f"{row.method}: {1000 * row.h:.1f} ms")
+    trapezoidal: 12.0 ms
+    ab2: 5.6 ms
+    heun: 8.1 ms
+    midpoint: 8.0 ms
+    forward_euler: 0.5 ms
+    """
+    require_positive(tolerance=tolerance)
+    if not 1e-8 <= tolerance <= 0.5:
+        raise InputError(
+            f"tolerance={tolerance!r} must be from 1e-8 (near the rounding errors) to 0.5"
+        )
+    problem = sinusoid(A, B, amplitude=amplitude, omega=omega, x0=x0, span=span)
+    rows = sorted(
+        (_advice(problem, m, tolerance) for m in all_methods(methods)), key=lambda r: r.work
+    )
+    return Recommendation(tolerance=tolerance, span=problem.span, rows=tuple(rows))
+
+
+def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
+    limit = stability_limit(problem.A, method)
+    if limit == 0:
+        raise InputError(
+            f"{method} is not stable on this system at any step; "
+            "use another method, or a system whose motion does not grow"
+        )
+    largest = min(limit, problem.span / 10)
+    h, error, verified = _step_for(problem, method, tolerance, largest)
+    steps = max(1, ceil(problem.span / h - 1e-9))
+    return Advice(
+        method=method,
+        h=h,
+        limit=limit,
+        error=error,
+        verified=verified,
+        steps=steps,
+        work=steps * METHODS[method].work,
+        reason=_reason(method, h, limit, error, tolerance)
+        + ("" if verified else " The error follows from the order; it was not verified."),
+    )
+
+
+def _step_for(
+    problem: Sinusoid, method: str, tolerance: float, largest: float
+) -> tuple[float, float, bool]:
+    """Return the largest step within the tolerance, its error, and True for a measured error."""
+    order = METHODS[method].order
+    best, best_error = 0.0, inf
+    h = _START_SHARE * largest
+    for _ in range(_MAX_TRIALS):
+        if problem.span / h > _MAX_STEPS:
+            return h, _AIMED_SHARE * tolerance, False
+        error = problem.error(h, method)
+        if best < h and error <= tolerance:
+            best, best_error = h, error
+        if 0.9 * tolerance <= error <= tolerance:
+            break
+        change = (
+            0.25 if error == inf else (_AIMED_SHARE * tolerance / max(error, 1e-300)) ** (1 / order)
+        )
+        h = min(h * change, largest)
+    while best == 0:  # no step of the trials was within the tolerance
+        h /= 2
+        error = problem.error(h, method)
+        if error <= tolerance:
+            best, best_error = h, error
+    return best, best_error, True
+
+
+def _reason(method: str, h: float, limit: float, error: float, tolerance: float) -> str:
+    order = METHODS[method].order
+    halved = f"the method has order {order}, so half the step has "
+    halved += f"a {'half' if order == 1 else 'quarter'} of the error"
+    if limit == inf:
+        return (
+            f"h = {h:.3g} s gives an error of {error:.2g}. No step is unstable, so accuracy alone "
+            f"decides; {halved}."
+        )
+    share = h / limit
+    if share > 0.9 and error < 0.9 * tolerance:
+        return (
+            f"h = {h:.3g} s, {100 * share:.0f} % of the limit {limit:.4g} s. Stability decides: "
+            f"the error of {error:.2g} would allow a larger step."
+        )
+    return (
+        f"h = {h:.3g} s gives an error of {error:.2g}. Accuracy decides: the step is "
+        f"{100 * share:.2g} % of the limit {limit:.4g} s; {halved}."
+    )

@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 
 from armrig.numerics.quantities import number
 from armrig.physics.integrators.accuracy import Convergence, Sinusoid, all_methods
-from armrig.physics.integrators.linear_system import system
 from armrig.physics.integrators.methods import METHODS, amplification
 from armrig.physics.integrators.stability import stability_limit
-from armrig.physics.integrators.stepping import integrate
+from armrig.physics.integrators.stepping import integrate, system
 from armrig.plots.captions import legend
 from armrig.plots.layout import BLUE, GREY, INK, MISSING, VERMILION, axes, finish, panels, pens
 

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import matrix_balance
 
 from armrig.numerics.polynomial import Array
-from armrig.physics.integrators.linear_system import system
 from armrig.physics.integrators.methods import Method, amplification, method_named
+from armrig.physics.integrators.stepping import system
 
 _EPS = float(np.finfo(np.float64).eps)
 _CIRCLE_TOLERANCE = 1e-10  # largest |zeta| - 1 of a root that counts as on the circle

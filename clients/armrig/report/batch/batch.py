@@ -26,10 +26,21 @@ from armrig_core.errors import InputError, OperationError
 
 from armrig.data.optional_packages import imported
 from armrig.recordings.recording_summary import shown_path
-from armrig.report.batch.items import Item, items_in
 from armrig.report.batch.progress import OTHER, SUFFIX, Progress, still_right
-from armrig.report.batch.rows import Kind, Row, columns_of, row_of
-from armrig.report.batch.tasks import Report, Task, Validate, digest, name_of, sha256
+from armrig.report.batch.tasks import (
+    Item,
+    Kind,
+    Report,
+    Row,
+    Task,
+    Validate,
+    columns_of,
+    digest,
+    items_in,
+    name_of,
+    row_of,
+    sha256,
+)
 
 Count = Callable[[int, int, str], None]
 """Callback that reports the progress.

@@ -11,8 +11,7 @@ import msgspec
 from armrig_core.errors import OperationError
 from armrig_core.recording_file.file_lock import lock
 
-from armrig.report.batch.items import Item
-from armrig.report.batch.rows import Row
+from armrig.report.batch.tasks import Item, Row
 
 OTHER = (
     "contains results of another folder, task or selection, or of other options or versions; "

@@ -1,13 +1,33 @@
-"""Tasks of a batch. A task is a plain value, because it is sent to other processes."""
+"""Tasks of a batch, the runs that the tasks process, and the rows of their results."""
 
 from __future__ import annotations
 
 import hashlib
+import warnings
+from collections.abc import Collection
+from functools import lru_cache
+from math import isfinite
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
 
 import msgspec
+import numpy as np
+from armrig_core.errors import ArmrigError
+from armrig_core.recording_file.part_names import PART, part_number
 from armrig_core.telemetry import THETA_1, OutputName
 
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import detrend
 from armrig.estimation.request import Request
+from armrig.models.fit import Fit
+from armrig.recordings.catalogue import Catalogue, catalogue, found_files
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording
+from armrig.recordings.recording_summary import shown_path
+from armrig.recordings.usability import doubts, doubts_of_estimation, doubts_of_pair
+
+_LATEST_NS = (1 << 63) - 1
+"""Latest time that a table can contain, in ns since 1970; this time is in the year 2262."""
 
 
 class Identify(Request, frozen=True, kw_only=True, tag="identify"):
@@ -62,3 +82,334 @@ def digest(task: Task) -> str:
 def sha256(text: str) -> str:
     """Return the SHA-256 of a text, in hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+class Item(NamedTuple):
+    """A run, which was recorded in a single file or in several parts."""
+
+    name: str
+    """Name of the file in its folder, or the common name of a run's parts.
+
+    Bytes of a file's name that are not UTF-8 are escaped.
+    """
+    path: str
+    bytes: int
+    modified_ns: int
+    """Time of the last change of the file, or of the run's newest part, in ns."""
+    validation: str
+    """Path of the recording that validates this run's model; "" without such a recording."""
+
+
+def items_in(
+    folder: Path, *, rigs: Collection[str] = (), kinds: Collection[str] = ()
+) -> list[Item]:
+    """Return the runs in a folder, sorted by name.
+
+    Parameters
+    ----------
+    rigs, kinds : collection of str
+        Rigs and kinds of experiment of the returned runs; empty for all. An unreadable file is
+        included only if `rigs` and `kinds` are both empty.
+
+    Raises
+    ------
+    OSError
+        The folder does not exist or cannot be read.
+    """
+    known = catalogue(folder)
+    chosen = {
+        s.file
+        for s in known.recordings
+        if s.rig in (rigs or (s.rig,)) and s.kind in (kinds or (s.kind,))
+    }
+    validations = _validations(known)
+    runs: dict[str, list[tuple[str, int, int]]] = {}
+    for name, state in found_files(folder):
+        if name in chosen or not (rigs or kinds):
+            runs.setdefault(_run(name), []).append((name, state.st_size, state.st_mtime_ns))
+    return [
+        Item(
+            name=shown_path(Path(run)),
+            path=str(folder / run),
+            bytes=sum(size for _, size, _ in files),
+            modified_ns=min(max(modified for _, _, modified in files), _LATEST_NS),
+            validation=next((validations[n] for n, _, _ in files if n in validations), ""),
+        )
+        for run, files in sorted(runs.items())
+    ]
+
+
+def _run(name: str) -> str:
+    """Return the name of the run to which a file belongs, from the name of the file."""
+    return name.rpartition(PART)[0] + ".mcap" if part_number(Path(name)) else name
+
+
+def _validations(known: Catalogue) -> dict[str, str]:
+    """Return the paths of validation recordings, by the names of the files that they validate."""
+    of_run = {s.run_id: s.file for s in known.recordings if not s.is_validation}
+    return {
+        of_run[s.validation_of]: str(s.path.with_name(_run(s.file)))
+        for s in reversed(known.recordings)  # the newest validation of a run is used
+        if s.is_validation and s.validation_of in of_run
+    }
+
+
+Row = dict[str, Any]
+Kind = str
+"""Type of a column: "text", "truth" (a Boolean), "count", "number"; of lists "texts", "numbers"."""
+
+OF_THE_FILE: dict[str, Kind] = {
+    "recording": "text",
+    "bytes": "count",
+    "modified_ns": "count",
+}
+"""Columns that are known without opening the file. Their values change if the file changes."""
+OF_THE_RUN: dict[str, Kind] = {
+    "sha256": "text",
+    "rig": "text",
+    "device": "text",
+    "run_id": "text",
+    "experiment": "text",
+    "started": "text",
+    "Ts": "number",
+    "samples": "count",
+    "missing": "count",
+    "calibration_sha256": "text",
+    "recorded_by": "text",
+    "damage": "text",
+}
+OF_THE_RESULT: dict[str, Kind] = {"problem": "text", "doubts": "texts"}
+"""Columns of every task; `problem` is the reason for a missing result, or ""."""
+CHECKS = ("file", "samples", "envelope", "input", "timing", "configuration", "clock")
+"""Checks of `armrig verify`; the table has two columns for each check: result and finding."""
+OF_THE_TASK: dict[str, dict[str, Kind]] = {
+    "identify": {
+        "structure": "text",
+        "nk": "count",
+        "integrator": "truth",
+        "output": "text",
+        "N": "count",
+        "fit_percent": "number",
+        "noise_variance": "number",
+        "loss": "number",
+        "fpe": "number",
+        "p_white": "number",
+        "converged": "truth",
+        "names": "texts",
+        "parameters": "numbers",
+        "std": "numbers",
+        "std_robust": "numbers",
+        "warnings": "texts",
+        "model": "text",
+    },
+    "validate": {
+        "model_of": "text",
+        "output": "text",
+        "on_estimation_data": "truth",
+        "fit_percent": "number",
+        "rms_error": "number",
+        "velocity_fit_percent": "number",
+        "p_white": "number",
+        "p_no_dynamics_missing": "number",
+        "p_no_feedback": "number",
+    },
+    "verify": {"passed": "truth"}
+    | {f"{check}_{column}": "text" for check in CHECKS for column in ("result", "found")},
+    "report": {
+        "report": "text",
+        "report_sha256": "text",
+        "validated_by": "text",
+        "best": "text",
+        "rms_error": "number",
+    },
+}
+
+
+def row_of(task: Task, item: Item) -> Row:
+    """Return the row of a recording; if there is no result, `problem` contains the reason.
+
+    The function raises no exception, so that a damaged recording does not stop the batch.
+    """
+    row: Row = dict.fromkeys(columns_of(task))
+    row |= {
+        "recording": item.name,
+        "bytes": item.bytes,
+        "modified_ns": item.modified_ns,
+        "problem": "",
+        "doubts": [],
+    }
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            # A search may overflow in an intermediate step; its result reports a failure.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            recording = load(item.path)
+            row |= _of_the_run(recording)
+            row |= _result(task, recording, item)
+    except OSError as err:
+        said = ": ".join(str(part) for part in (err.filename, err.strerror) if part)
+        row["problem"] = _in_a_line(said or str(err))
+    except ArmrigError as err:
+        row["problem"] = _in_a_line(str(err) or type(err).__name__)
+    except Exception as err:
+        row["problem"] = _in_a_line(f"{type(err).__name__}: {err}")
+    if row["problem"] and row["damage"]:
+        row["problem"] = f"{row['damage']}; {row['problem']}"
+    return {name: _plain(value) for name, value in row.items()}
+
+
+def _of_the_run(r: Recording) -> Row:
+    m = r.manifest
+    return {
+        "sha256": r.sha256,
+        "rig": m.rig,
+        "device": str(m.device.get("uid", "")),
+        "run_id": m.run_id,
+        "experiment": m.experiment,
+        "started": m.started,
+        "Ts": r.Ts,
+        "samples": int(r.samples.size),
+        "missing": r.missing,
+        "calibration_sha256": m.calibration_sha256,
+        "recorded_by": f"armrig {m.armrig}",
+        "damage": r.damage,
+        "doubts": doubts(r),
+    }
+
+
+def _result(task: Task, recording: Recording, item: Item) -> Row:
+    match task:
+        case Identify():
+            return _identified(task, recording)
+        case Validate():
+            return _validated(task, recording)
+        case Verify():
+            return _verified(recording)
+        case Report():
+            return _reported(task, recording, item)
+
+
+def _identified(task: Identify, recording: Recording) -> Row:
+    from armrig.models.model_writing import model_text
+
+    data = _treated(recording.dataset(task.signal), wanted=task.detrend)
+    task.check(data)
+    fit = task.estimated(data)
+    return {
+        "structure": fit.structure,
+        "nk": task.nk,
+        "integrator": fit.integrator,
+        "output": fit.output,
+        "N": fit.N,
+        "fit_percent": fit.fit_percent,
+        "noise_variance": fit.noise_variance,
+        "loss": fit.loss,
+        "fpe": fit.fpe,
+        "p_white": fit.whiteness,
+        "converged": fit.converged,
+        "names": list(fit.names),
+        "parameters": fit.theta.tolist(),
+        "std": fit.std.tolist(),
+        "std_robust": fit.std_robust.tolist(),
+        "warnings": list(fit.warnings),
+        "model": model_text(fit),
+        "doubts": [*doubts(recording), *doubts_of_estimation(recording)],
+    }
+
+
+def _validated(task: Validate, recording: Recording) -> Row:
+    from armrig.validation.comparison import compare
+    from armrig.validation.residuals import residuals
+
+    fit = _model(task.model)
+    data = _treated(recording.dataset(_output(fit)), wanted=task.detrend)
+    row = compare(data, fit)[0]
+    tests = residuals(fit, data)
+    return {
+        "model_of": fit.source,
+        "output": fit.output,
+        "on_estimation_data": row.on_estimation_data,
+        "fit_percent": row.fit_percent,
+        "rms_error": row.rms_error,
+        "velocity_fit_percent": row.velocity_fit_percent,
+        "p_white": tests.whiteness,
+        "p_no_dynamics_missing": tests.missing_dynamics,
+        "p_no_feedback": tests.feedback,
+        "doubts": [*doubts(recording), *doubts_of_estimation(recording)],
+    }
+
+
+def _verified(recording: Recording) -> Row:
+    from armrig.recordings.verification import verify_recording
+
+    found = verify_recording(recording)
+    row: Row = {"passed": found.passed}
+    for check in found.checks:
+        row |= {f"{check.about}_result": check.result, f"{check.about}_found": check.text}
+    return row
+
+
+def _reported(task: Report, recording: Recording, item: Item) -> Row:
+    from armrig.report.document import report
+    from armrig.report.study import Orders, study
+
+    Path(task.folder).mkdir(parents=True, exist_ok=True)
+    validations = [load(item.validation)] if item.validation else []
+    orders = Orders(na=task.na, nb=task.nb, nf=task.nf, nk=task.nk)
+    done = study([recording, *validations], orders=orders)
+    path = report(done, Path(task.folder, item.name).with_suffix(".pdf"))
+    found = doubts(recording)
+    for other in validations:
+        found += doubts_of_pair(recording, other)
+    return {
+        "report": path.name,
+        "report_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "validated_by": Path(item.validation).name,
+        "best": done.best.name,
+        "rms_error": done.best.comparison.rms_error,
+        "doubts": found,
+    }
+
+
+def _treated(data: Dataset, *, wanted: bool) -> Dataset:
+    return detrend(data) if wanted else data
+
+
+@lru_cache(maxsize=1)
+def _model(text: str) -> Fit:
+    from armrig.models.model_file import fit_of
+
+    return fit_of(text, "the model")
+
+
+def _output(fit: Fit) -> OutputName:
+    """Return the output of a model.
+
+    If the output is not an `OutputName`, the result is theta_1, and `compare` then refuses the
+    model.
+    """
+    outputs: tuple[OutputName, ...] = get_args(OutputName)
+    return next((output for output in outputs if fit.output == output), THETA_1)
+
+
+def _in_a_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as a type that JSON can contain.
+
+    A number that is not finite is returned as None, which is an empty cell of the table. Bytes of a
+    path that are not UTF-8 are escaped.
+    """
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def columns_of(task: Task) -> dict[str, Kind]:
+    """Return the types of the columns of a task's table by name, in the order of the columns."""
+    return {**OF_THE_FILE, **OF_THE_RUN, **OF_THE_RESULT, **OF_THE_TASK[name_of(task)]}

@@ -7,10 +7,9 @@ from math import inf
 import numpy as np
 import pytest
 from armrig.physics.integrators.accuracy import growth
-from armrig.physics.integrators.linear_system import system
 from armrig.physics.integrators.methods import METHODS, amplification
 from armrig.physics.integrators.stability import _positive_roots, stability_limit
-from armrig.physics.integrators.stepping import integrate
+from armrig.physics.integrators.stepping import integrate, system
 from armrig_core.arm import ArmParameters, arm_matrices
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.physics.integrators.accuracy import sinusoid
+from armrig.physics.integrators.accuracy import recommend_step, sinusoid
 from armrig.physics.integrators.methods import METHODS
-from armrig.physics.integrators.step_choice import recommend_step
 from armrig_core.arm import ArmParameters, arm_matrices
 
 A, B, _ = arm_matrices(ArmParameters())

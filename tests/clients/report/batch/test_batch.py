@@ -26,24 +26,23 @@ from armrig.models.model_writing import model_text
 from armrig.recordings.verification import verify
 from armrig.report.batch import workers
 from armrig.report.batch.batch import batch, header_of, results
-from armrig.report.batch.items import Item, items_in
 from armrig.report.batch.progress import SUFFIX, Progress, still_right
-from armrig.report.batch.rows import (
+from armrig.report.batch.tasks import (
     OF_THE_FILE,
     OF_THE_RESULT,
     OF_THE_RUN,
     OF_THE_TASK,
-    columns_of,
-    row_of,
-)
-from armrig.report.batch.tasks import (
     Identify,
+    Item,
     Report,
     Task,
     Validate,
     Verify,
+    columns_of,
     digest,
+    items_in,
     name_of,
+    row_of,
 )
 from armrig.report.study import Orders
 from armrig_core.errors import FileError, OperationError
@@ -681,6 +680,6 @@ def test_each_problem_is_reported_in_one_line(
     def refused(_: object) -> None:
         raise err
 
-    monkeypatch.setattr("armrig.report.batch.rows.load", refused)
+    monkeypatch.setattr("armrig.report.batch.tasks.load", refused)
 
     assert row_of(Verify(), items_in(folder)[0])["problem"] == problem

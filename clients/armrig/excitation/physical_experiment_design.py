@@ -13,12 +13,12 @@ from armrig_core.telemetry import THETA_1
 from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset, Vector
-from armrig.excitation.experiment_design.predicted_std import PredictedStd, inverted, planned_data
+from armrig.excitation.experiment_design import PredictedStd, inverted, planned_data
 from armrig.models.structure import free_columns
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered
-from armrig.physics.physical_model import transfer
+from armrig.physics.systems import transfer
 
 _LOG_STEP = 1e-4  # change of a parameter's logarithm: truncation error 1e-9, smaller rounding error
 
