@@ -68,16 +68,14 @@ def test_sensitivities_through_stops_and_starts(name: str) -> None:
     physics = Physics(model=chassis, fixed=P, output="theta_1")
 
     def y(x: float) -> Vector:
-        return with_friction(physics.sampled(moved(name, x), (), Ts), U, np.zeros(2), 0.1, 1).y
+        return with_friction(physics.sampled(moved(name, x), (), Ts), U, np.zeros(2), 0.1, 1)[0]
 
     sampled = physics.sampled(moved(name, 0.0), (name,), Ts)
-    answer = with_friction(sampled, U, np.zeros(2), 0.1, 1)
+    ours, slopes = with_friction(sampled, U, np.zeros(2), 0.1, 1)
 
     differences = (y(1e-6) - y(-1e-6)) / 2e-6
-    assert np.any(np.abs(np.diff(answer.y)) < 1e-12)  # it does stop
-    np.testing.assert_allclose(
-        answer.by_parameters[:, 0], differences, atol=1e-5 * np.abs(differences).max()
-    )
+    assert np.any(np.abs(np.diff(ours)) < 1e-12)  # it does stop
+    np.testing.assert_allclose(slopes[:, 0], differences, atol=1e-5 * np.abs(differences).max())
 
 
 def test_the_response_with_friction_equals_that_of_the_emulator() -> None:
@@ -86,7 +84,7 @@ def test_the_response_with_friction_equals_that_of_the_emulator() -> None:
     V = 0.02 / P.torque_per_volt
 
     sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
-    ours = with_friction(sampled, u, np.zeros(2), V, 1).y
+    ours = with_friction(sampled, u, np.zeros(2), V, 1)[0]
 
     assert np.abs(ours - rubbing(u, P, 0.02)).max() < 2e-3
     assert np.abs(ours - rubbing(u, replace(P, b_1=0.0), 0.0)).max() > 0.5
@@ -96,7 +94,7 @@ def test_zero_friction_gives_the_linear_response() -> None:
     sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
 
     np.testing.assert_allclose(
-        with_friction(sampled, U, np.zeros(2), 0.0, 1).y, linear_parts(sampled, U)[0], atol=1e-11
+        with_friction(sampled, U, np.zeros(2), 0.0, 1)[0], linear_parts(sampled, U)[0], atol=1e-11
     )
 
 
@@ -117,12 +115,14 @@ def test_a_direct_term_acts_without_delay_on_the_input_less_its_offset() -> None
     direct, x0 = replace(plain, D=0.7), np.zeros(2)
 
     (y, free), (y_plain, free_plain) = (linear_parts(model, U) for model in (direct, plain))
-    rubs, rubs_plain = (with_friction(model, U, x0, 0.1, 1) for model in (direct, plain))
+    (rubs, slopes), (rubs_plain, slopes_plain) = (
+        with_friction(model, U, x0, 0.1, 1) for model in (direct, plain)
+    )
 
-    for ours, without in ((y, y_plain), (rubs.y, rubs_plain.y)):
+    for ours, without in ((y, y_plain), (rubs, rubs_plain)):
         np.testing.assert_allclose(ours - without, 0.7 * U, atol=1e-12)
     np.testing.assert_allclose(free - free_plain, np.tile([0, 0, -0.7], (U.size, 1)), atol=1e-12)
-    np.testing.assert_allclose(rubs.by_offset - rubs_plain.by_offset, -0.7, atol=1e-12)
+    np.testing.assert_allclose(slopes[:, -1] - slopes_plain[:, -1], -0.7, atol=1e-12)
 
 
 def test_the_friction_derivatives_equal_finite_differences() -> None:

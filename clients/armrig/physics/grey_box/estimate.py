@@ -22,6 +22,7 @@ from armrig.numerics.stretches import Mask
 from armrig.physics.grey_box.fit import (
     GreyFit,
     below_zero,
+    carried,
     determined,
     named_influence,
     named_std,
@@ -262,7 +263,11 @@ def _fit(
     values = plain.values(best.theta[: len(plain.names)])
     if COULOMB in names:
         values[COULOMB] = float(best.theta[len(plain.names)])
-    _require_seen(names, np.linalg.norm(at.Psi, axis=0) > _MIN_SEEN_SHARE * at.size)
+    seen = np.linalg.norm(at.Psi, axis=0) > _MIN_SEEN_SHARE * at.size
+    if lost := [name for name, there in zip(names, seen, strict=True) if not there]:
+        raise InputError(
+            f"the data do not determine {', '.join(lost)}: hold it fixed, or excite the rig more"
+        )
     rounding = ROUNDING_SHARE * float(np.nansum((data.y / plain.std) ** 2))
     converged = best.converged or best.cost <= rounding
     basis = determined(at.Psi)
@@ -270,8 +275,13 @@ def _fit(
     held = tuple(x for x in NAMES if x not in names)
     influence = -basis.W @ (basis.Q.T @ problem.at(best.theta, held).Psi)
     scale_held = scales(held, {x: getattr(physics.fixed, x) for x in held})
-    std_held = np.array([fixed_std.get(x, 0.0) for x in held]) / scale_held
-    noise, whole, robust = _covariances(found, influence, std_held, scales(names, values))
+    # The uncertainty of the fixed parameters is added in coordinates.
+    added = carried(influence, np.array([fixed_std.get(x, 0.0) for x in held]) / scale_held)
+    scale = scales(names, values)
+    noise, whole, robust = (
+        part * np.outer(scale, scale)
+        for part in (found.covariance, found.covariance + added, found.covariance_robust + added)
+    )
     std = named_std(names, whole)
     has_friction = bool({"b_1", COULOMB} & {*names})
     quality, steps = found.quality[i], [quantum(data.dataset(name)) for name in data.outputs]
@@ -286,7 +296,7 @@ def _fit(
         covariance_robust=robust,
         condition=float(np.linalg.cond(at.Psi / np.linalg.norm(at.Psi, axis=0))),
         influence=named_influence(names, held, influence),
-        fixed=physics.parameters({k: v for k, v in values.items() if k != COULOMB}),
+        fixed=physics.parameters(values),
         fixed_std=fixed_std,
         initial=tuple(tuple(x[:-1].tolist()) for x in at.free),
         offset=tuple(float(x[-1]) for x in at.free),
@@ -341,28 +351,6 @@ def _spread(rows: Matrix, known: Mask) -> Matrix:
     whole = np.zeros((known.size, rows.shape[1]))
     whole[known] = rows
     return whole
-
-
-def _covariances(
-    found: Inference, influence: Matrix, std_held: Vector, scale: Vector
-) -> Iterator[Matrix]:
-    """Yield the covariance due to noise alone, then the classic and the robust covariance.
-
-    The classic and the robust covariance contain the uncertainty of the fixed parameters.
-    `influence` and `std_held` refer to coordinates; `scale` converts coordinates to parameters.
-    """
-    carried = influence @ np.diag(std_held)
-    added = carried @ carried.T
-    for part in (found.covariance, found.covariance + added, found.covariance_robust + added):
-        yield part * np.outer(scale, scale)
-
-
-def _require_seen(names: tuple[str, ...], seen: NDArray[np.bool_]) -> None:
-    lost = [name for name, there in zip(names, seen, strict=True) if not there]
-    if lost:
-        raise InputError(
-            f"the data do not determine {', '.join(lost)}: hold it fixed, or excite the rig more"
-        )
 
 
 def at_bound(names: Sequence[str], moved: NDArray[np.float64]) -> Iterator[str]:

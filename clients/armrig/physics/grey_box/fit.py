@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from armrig.data.dataset import Dataset
-
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -217,10 +215,7 @@ class GreyFit:
         >>> print(f"{theta_1[-1]:.1f} rad after {100 * fit.Ts:.0f} s at 2 V")
         3.5 rad after 1 s at 2 V
         """
-        model = self.physics.sampled(
-            {k: v for k, v in self.values.items() if k != COULOMB}, (), self.Ts
-        )
-        return linear_parts(model, column("u", u))[0]
+        return linear_parts(self.physics.sampled(self.values, (), self.Ts), column("u", u))[0]
 
     def plot(self, data: Dataset, *, ax: Axes | None = None) -> Figure:
         """Return a figure of measured and simulated output with the error below.
@@ -314,6 +309,12 @@ def determined(Psi: Matrix) -> Basis:
 def scales(names: Sequence[str], values: dict[str, float]) -> Vector:
     """Return the derivative of each parameter with respect to its coordinate."""
     return np.array([1.0 if x in SIGNED | {COULOMB} else values[x] for x in names])
+
+
+def carried(by_held: Matrix, std: ArrayLike) -> Matrix:
+    """Return the covariance that the standard deviations of the fixed parameters cause."""
+    moved = by_held * np.asarray(std)
+    return np.asarray(moved @ moved.T)
 
 
 def named_std(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:

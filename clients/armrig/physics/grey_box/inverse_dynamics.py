@@ -29,7 +29,7 @@ from armrig.numerics.inference import Inference, infer, least_squares_residuals
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.physics.grey_box.fit import GreyFit, below_zero, named_std
+from armrig.physics.grey_box.fit import GreyFit, below_zero, carried, named_std
 from armrig.physics.grey_box.least_squares_problem import bipolar
 from armrig.physics.grey_box.sampled_model import (
     COULOMB,
@@ -55,10 +55,6 @@ Matrix = NDArray[np.float64]
 
 _WIDTHS_PER_ROW = 1.5  # distance of the rows, in standard deviations of the kernel
 _HELD_NAMES = ("N", "R_m", "K_m")
-_COLOURED_TEXT = (
-    "the residuals are more than smoothed noise (p {p}): the model lacks a property of the rig "
-    "(friction?), or the noise is not white"
-)
 _MIN_ROWS_PER_UNKNOWN = 10  # with fewer rows the standard deviations are too small
 _WIDTH_RATIO = 2**0.5  # between successive widths
 _MIN_KERNELS = 6  # least length of the longest experiment, in lengths of the kernel
@@ -140,8 +136,10 @@ def inverse_dynamics(
     names = free_names(("J_1",), friction)
     given = checked_fixed_std(fixed_std or {}, names)
     tried = _tried(data, p, names, width)
-    chosen = _best(tried)
-    s, solution, values, slope = chosen.s, chosen.solution, chosen.values, chosen.slope
+    least = np.min([one.std for one in tried], axis=0)
+    # The least sum of (std² + bias²) / (least std over all widths)² over the parameters.
+    chosen = min(tried, key=lambda one: float(np.sum((one.std**2 + one.bias**2) / least**2)))
+    solution, values, slope = chosen.solution, chosen.values, chosen.slope
     drift = solution.beta[-1] / solution.beta[0] if _offset_is_free(data, names) else 0.0
     found = solution.inference.transformed(slope)
     physics, held = Physics(model=chassis, fixed=p, output=THETA_1), _held(names)
@@ -149,9 +147,9 @@ def inverse_dynamics(
     # Wide kernels leave few values, for which the sandwich form may be too small.
     raised = chosen.std / np.sqrt(np.diag(found.covariance_robust))
     noise = found.covariance_robust * np.outer(raised, raised)
-    covariance = noise + _carried(by_held, [given.get(k, 0.0) for k in held])
+    covariance = noise + carried(by_held, [given.get(k, 0.0) for k in held])
     std = named_std(names, covariance)
-    white = _whiteness(solution.residuals, values, p, s, data.Ts)
+    white = smoothed_noise_p_value(solution.residuals, chosen.h, _every(chosen.s, data.Ts))
     shares = by_held[0] * [getattr(p, k) for k in held] / values["J_1"]
     return GreyFit(
         method="inverse dynamics",
@@ -164,7 +162,7 @@ def inverse_dynamics(
         covariance_robust=covariance,
         condition=solution.condition,
         influence={"J_1": dict(zip(held, shares.tolist(), strict=True))},
-        fixed=physics.parameters({k: v for k, v in values.items() if k != COULOMB}),
+        fixed=physics.parameters(values),
         fixed_std=given,
         initial=(),
         offset=(float(-drift / p.torque_per_volt),) * len(data.starts),
@@ -177,9 +175,9 @@ def inverse_dynamics(
         N=found.quality[0].N,
         Ts=data.Ts,
         physics=physics,
-        width=s,
+        width=chosen.s,
         bias=dict(zip(names, chosen.bias.tolist(), strict=True)),
-        warnings=(*below_zero(values, std), *_noise_warnings(white), *_of_bias(chosen)),
+        warnings=(*below_zero(values, std), *_warnings(white, chosen)),
         **data.origin(),
     )
 
@@ -196,21 +194,14 @@ class _Tried:
     """Estimates by name."""
     slope: Matrix
     """Derivatives of the values with respect to the coefficients."""
+    h: Vector
+    """Kernel through which the white noise of the angle enters the residuals."""
     noise: float
     """Variance of the white noise on the angle, from the residuals of the narrowest width."""
     bias: Vector
     """Bias of each value due to the noise of the velocity."""
     std: Vector
     """Standard deviations due to the noise: the larger of the sandwich and the white-noise form."""
-
-
-def _best(tried: Sequence[_Tried]) -> _Tried:
-    """Return the estimate with the least sum of (std² + bias²) / (least std²) over the parameters.
-
-    The least std of a parameter is the least over all widths.
-    """
-    least = np.min([one.std for one in tried], axis=0)
-    return min(tried, key=lambda one: float(np.sum((one.std**2 + one.bias**2) / least**2)))
 
 
 def _tried(
@@ -258,6 +249,7 @@ def _at(
     values, slope = _parameters(solution.beta, names)
     k = kernels(s, data.Ts)
     braking = p.damping - p.b_1 + values.get("b_1", p.b_1)
+    # The noise of the angle enters the residual through theta_1'' + (d + b_1)/J_1 theta_1'.
     h = k.second + braking / values["J_1"] * k.first
     own = solution.inference.noise_variance / float(h @ h)
     known = own if noise is None else noise
@@ -272,6 +264,7 @@ def _at(
         solution=solution,
         values=values,
         slope=slope,
+        h=h,
         noise=known,
         bias=slope @ beta_bias,
         std=np.sqrt(np.maximum(np.diag(robust), white)),
@@ -292,23 +285,18 @@ def _meat(blocks: Sequence[Matrix], h: Vector, m: int) -> Matrix:
     return total
 
 
-def _of_bias(chosen: _Tried) -> Iterator[str]:
-    """Yield a warning if the bias of J_1 exceeds its standard deviation."""
+def _warnings(p_value: float, chosen: _Tried) -> Iterator[str]:
+    """Yield warnings of coloured residuals, and of a bias of J_1 above its standard deviation."""
+    if p_value < WHITE_LEVEL:
+        yield (
+            f"the residuals are more than smoothed noise (p {p_relation(p_value)}): the model "
+            "lacks a property of the rig (friction?), or the noise is not white"
+        )
     if abs(chosen.bias[0]) > chosen.std[0]:
         yield (
             f"the noise of the velocity shifts J_1 by {chosen.bias[0]:+.2g}, more than its "
             "standard deviation: give a larger width, or compare with greybox"
         )
-
-
-def _carried(by_held: NDArray[np.float64], std: list[float]) -> NDArray[np.float64]:
-    """Return the covariance caused by the standard deviations of the fixed parameters."""
-    carried = by_held * std
-    return np.asarray(carried @ carried.T)
-
-
-def _noise_warnings(p_value: float) -> list[str]:
-    return [_COLOURED_TEXT.format(p=p_relation(p_value))] if p_value < WHITE_LEVEL else []
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -367,7 +355,10 @@ def _solved(balance: _TorqueBalance, s: float) -> _Solution:
             "the data do not distinguish torque, friction and offset: excite the rig more"
         )
     beta, e = basis.coefficients(target), basis.without(target)
-    residuals, blocks = _by_experiment(balance, e, kept)
+    e_of_rows = np.full(kept.size, np.nan)
+    e_of_rows[kept] = e
+    edges = np.cumsum(balance.sizes)[:-1]
+    residuals = np.split(e_of_rows, edges)
     bread = basis.W @ basis.W.T
     return _Solution(
         beta=beta,
@@ -381,21 +372,7 @@ def _solved(balance: _TorqueBalance, s: float) -> _Solution:
             test=None,
         ),
         residuals=residuals,
-        blocks=blocks,
-    )
-
-
-def _whiteness(
-    residuals: list[Vector], values: dict[str, float], p: ArmParameters, s: float, Ts: float
-) -> float:
-    """Return the p value of the hypothesis that residuals are smoothed white noise of the angle.
-
-    The noise of the angle enters the residual through theta_1'' + (d + b_1)/J_1 theta_1'.
-    """
-    k = kernels(s, Ts)
-    braking = p.damping - p.b_1 + values.get("b_1", p.b_1)
-    return smoothed_noise_p_value(
-        residuals, k.second + braking / values["J_1"] * k.first, _every(s, Ts)
+        blocks=np.split(np.where(kept[:, None], balance.X, 0.0), edges),
     )
 
 
@@ -450,16 +427,6 @@ def _torque_balance(
         by_velocity=by_velocity,
         sizes=tuple(t.size for t in targets),
     )
-
-
-def _by_experiment(
-    balance: _TorqueBalance, e: Vector, kept: NDArray[np.bool_]
-) -> tuple[list[Vector], list[Matrix]]:
-    residual = np.full(kept.size, np.nan)
-    residual[kept] = e
-    X = np.where(kept[:, None], balance.X, 0.0)
-    edges = np.cumsum(balance.sizes)[:-1]
-    return list(np.split(residual, edges)), list(np.split(X, edges))
 
 
 def _parameters(beta: Vector, names: tuple[str, ...]) -> tuple[dict[str, float], Matrix]:

@@ -211,15 +211,15 @@ class GreyBoxWithFriction:
             x = z[own:][part]
             known = data.valid[:, 0]
             u = data.u[:, 0] - x[n] if x.size > n else data.u[:, 0]
-            answer = with_friction(model, u, x[:n], V, self.speed)
+            y, slopes = with_friction(model, u, x[:n], V, self.speed)
+            by_friction = slopes[:, -2]
             J = np.zeros((data.N, first + z.size - own))
-            J[:, : len(by)] = answer.by_parameters
             for j, name in enumerate(by):
-                J[:, j] += answer.by_friction * V * _VOLTAGE_POWERS.get(name, 0.0)
-            J[:, len(by)] = answer.by_friction / per_volt
-            by_free = np.column_stack([answer.by_initial, answer.by_offset])
+                J[:, j] = slopes[:, j] + by_friction * V * _VOLTAGE_POWERS.get(name, 0.0)
+            J[:, len(by)] = by_friction / per_volt
+            by_free = np.delete(slopes[:, len(by) :], n, axis=1)
             J[:, first + part.start : first + part.stop] = by_free[:, : x.size]
-            residuals.append((data.y[:, 0] - answer.y)[known])
+            residuals.append((data.y[:, 0] - y)[known])
             blocks.append(J[known])
             rows.append((begin, begin + residuals[-1].size))
             begin += residuals[-1].size

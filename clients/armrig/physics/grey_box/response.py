@@ -20,26 +20,10 @@ from numpy.typing import NDArray
 
 from armrig.numerics.recursion import recursion
 from armrig.numerics.stretches import constant
-from armrig.physics.grey_box.sampled_model import Derivative, Sampled
+from armrig.physics.grey_box.sampled_model import Sampled
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Response:
-    """Response of a model at given parameters in one experiment, with derivatives."""
-
-    y: Vector
-    """Output (N,)."""
-    by_parameters: Matrix
-    """Derivatives with respect to the coordinates, (N, d)."""
-    by_initial: Matrix
-    """Derivatives with respect to the initial state, (N, n)."""
-    by_friction: Vector
-    """Derivative with respect to the voltage V of the Coulomb friction, (N,)."""
-    by_offset: Vector
-    """Derivative with respect to an input offset u0, (N,); u0 is subtracted from u."""
 
 
 def linear_parts(model: Sampled, u: Vector) -> tuple[Vector, Matrix]:
@@ -77,8 +61,13 @@ def sensitivity(model: Sampled, u: Vector, x0: Vector, u0: float) -> Matrix:
     return np.asarray(S)
 
 
-def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> Response:
-    """Return the response with Coulomb friction of V volts, and all derivatives.
+def with_friction(
+    model: Sampled, u: Vector, x0: Vector, V: float, speed: int
+) -> tuple[Vector, Matrix]:
+    """Return the output (N,) with Coulomb friction of V volts, and derivatives (N, d + n + 2).
+
+    The derivatives are with respect to the d coordinates, the initial state, V and the input offset
+    u0, which is subtracted from u.
 
     Slip and stick alternate. In an interval of slip or stick, the model is linear. The intervals
     are found step by step, and each interval is then differentiated as a whole. A step with a
@@ -111,16 +100,10 @@ def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -
     for j, by in enumerate(model.by):
         y[:, j] += x @ by.C + by.D * u
     y[:, -1] -= model.D
-    return Response(
-        y=x @ model.C + model.D * u,
-        by_parameters=y[:, :d],
-        by_initial=y[:, d : d + n],
-        by_friction=y[:, -2],
-        by_offset=y[:, -1],
-    )
+    return x @ model.C + model.D * u, y
 
 
-def _held(model: Sampled, by: Derivative, x: Matrix, u: Vector, speed: int) -> Matrix:
+def _held(model: Sampled, by: Sampled, x: Matrix, u: Vector, speed: int) -> Matrix:
     """Return the derivative of Gamma / (e' Gamma) times e' (Phi x + Gamma u), for each step."""
     g = model.Gamma[speed]
     change = by.Gamma / g - model.Gamma * by.Gamma[speed] / g**2

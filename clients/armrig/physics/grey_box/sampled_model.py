@@ -84,7 +84,7 @@ def checked_fixed_std(fixed_std: Mapping[str, float], names: tuple[str, ...]) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sampled:
-    """Model x(k+1) = Phi x(k) + Gamma u(k), y(k) = C x(k) + D u(k) with derivatives."""
+    """Matrices of x(k+1) = Phi x(k) + Gamma u(k), y(k) = C x(k) + D u(k), or their derivatives."""
 
     Phi: Matrix
     """Transition matrix (n, n)."""
@@ -94,22 +94,9 @@ class Sampled:
     """Output vector (n,)."""
     D: float
     """Direct term."""
-    by: tuple[Derivative, ...]
-    """Derivatives with respect to each of the d coordinates, see `Physics.sampled`."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Derivative:
-    """Derivatives of the matrices of a sampled model with respect to one coordinate."""
-
-    Phi: Matrix
-    """Derivative of Phi, (n, n)."""
-    Gamma: Matrix
-    """Derivative of Gamma, (n,)."""
-    C: Matrix
-    """Derivative of C, (n,)."""
-    D: float
-    """Derivative of D."""
+    by: tuple[Sampled, ...] = ()
+    """Derivatives of the matrices with respect to each of the d coordinates, see `Physics.sampled`.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,9 +134,10 @@ class Physics:
             )
 
     def parameters(self, values: dict[str, float]) -> ArmParameters:
-        """Return all parameters; a friction below 0 becomes 0."""
+        """Return all parameters of the linear model; a viscous friction below 0 becomes 0."""
+        linear = {k: v for k, v in values.items() if k != COULOMB}
         return replace(
-            self.fixed, **{k: max(v, 0.0) if k in SIGNED else v for k, v in values.items()}
+            self.fixed, **{k: max(v, 0.0) if k in SIGNED else v for k, v in linear.items()}
         )
 
     def sampled(self, values: dict[str, float], by: Sequence[str], Ts: float) -> Sampled:
@@ -171,7 +159,7 @@ class Physics:
         for name in by:
             dM = self._derivative(values, name)
             d = expm_frechet(block, _hold(dM, Ts), compute_expm=False)
-            derivatives.append(Derivative(Phi=d[:n, :n], Gamma=d[:n, n], C=dM[n, :n], D=dM[n, n]))
+            derivatives.append(Sampled(Phi=d[:n, :n], Gamma=d[:n, n], C=dM[n, :n], D=dM[n, n]))
         return Sampled(
             Phi=both[:n, :n], Gamma=both[:n, n], C=M[n, :n], D=float(M[n, n]), by=tuple(derivatives)
         )

@@ -149,25 +149,6 @@ def convergence(problem: Sinusoid, method: str, h: ArrayLike | None = None) -> C
     return Convergence(method=method, h=steps, error=error, limit=limit)
 
 
-def growth(A: ArrayLike, method: str, h: float, *, n: int = 20_000) -> float:
-    """Return the growth of the free motion over the second half of n steps; > 1 is unstable.
-
-    The initial state excites all modes equally. The largest |x(k+1) - x(k)| is computed in two
-    intervals of n/10 steps: just before the middle, and at the end. The growth is the value at the
-    end divided by the value at the middle. Constant modes (eigenvalues at 0) cause no differences.
-    """
-    A_, *_ = system(A, np.zeros(np.shape(A)[0]))
-    size = A_.shape[0]
-    x0 = np.real(np.linalg.eig(A_)[1].sum(axis=1))
-    _, x = integrate(A_, np.zeros(size), lambda t: 0.0, x0, h, n, method)
-    with np.errstate(over="ignore", invalid="ignore"):
-        speed = np.linalg.norm(np.diff(x, axis=0), axis=1)
-    middle, last = (float(speed[k - n // 10 : k].max()) for k in (n // 2, n))
-    if not np.isfinite(last):
-        return inf
-    return last / middle if middle > 0 else 0.0
-
-
 def all_methods(methods: Sequence[str] | None) -> tuple[str, ...]:
     """Return the names of the given methods, or of all methods for None."""
     chosen = tuple(METHODS) if methods is None else tuple(methods)

@@ -43,8 +43,6 @@ class Multistep:
     """Method of the first k - 1 steps, "" for k = 1."""
     work: int
     """Number of products with A and of solved systems with I - beta_k h A, per step."""
-    region: str
-    """Description of the region of absolute stability."""
 
     @property
     def stability_polynomial(self) -> Array:
@@ -69,18 +67,11 @@ class RungeKutta:
     """Times of the stages as shares of the step, 0 to 1."""
     order: int
     """Order p: the global error falls as h^p."""
-    region: str
-    """Description of the region of absolute stability."""
 
     @property
     def work(self) -> int:
         """Number of products with A per step, one for each stage."""
         return len(self.b)
-
-    @property
-    def start(self) -> str:
-        """Method of the first steps: always "", because a one-step method needs no other method."""
-        return ""
 
     @property
     def stability_polynomial(self) -> Array:
@@ -105,7 +96,6 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType(
             beta=(1.0, 0.0),
             order=1,
             work=1,
-            region="inside the circle of radius 1 about -1",
         ),
         "ab2": Multistep(
             name="AB(2)",
@@ -114,7 +104,6 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType(
             order=2,
             start="heun",
             work=1,
-            region="a drop shape, -1 to 0 on the real axis, half as long as forward Euler's circle",
         ),
         "trapezoidal": Multistep(
             name="trapezoidal rule",
@@ -122,7 +111,6 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType(
             beta=(0.5, 0.5),
             order=2,
             work=2,
-            region="exactly the left half plane (A-stable)",
         ),
         "heun": RungeKutta(
             name="Heun, RK(2)",
@@ -130,7 +118,6 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType(
             b=(0.5, 0.5),
             c=(0.0, 1.0),
             order=2,
-            region="|1 + z + z²/2| <= 1, from -2 to 0 on the real axis",
         ),
         "midpoint": RungeKutta(
             name="midpoint, RK(2)",
@@ -138,7 +125,6 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType(
             b=(0.0, 1.0),
             c=(0.0, 0.5),
             order=2,
-            region="|1 + z + z²/2| <= 1, from -2 to 0 on the real axis",
         ),
     }
 )
