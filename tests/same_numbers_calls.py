@@ -1508,7 +1508,7 @@ def report() -> Variants:
     yield "study", found
     yield "half", study(read[1:2]).estimated
     for name in ("timing", "data", "velocity", "compare"):
-        yield f"{name}-figure", getattr(figures, f"_{name}_figure")(found)
+        yield f"{name}-figure", figures.drawn(*figures.of_study(found)[name])
     table = model_facts.model_table(found.best, found.reference)
     yield "model", [numbers_in(table[part]) for part in ("rows",)]
     yield "residuals", numbers_in(row[1:] for row in model_facts.residual_rows(found))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,8 @@ from armrig.physics.systems import beside_the_handout, physical_model
 from armrig.recordings.calibration import estimate
 from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
-from armrig.report.figures import (
-    _velocity_figure,
-    write_figures,
-    write_handout_figures,
-)
+from armrig.report.figures import drawn as figure_of_panels
+from armrig.report.figures import plot_velocity, write_figures
 from armrig.report.handout_study import handout_study
 from armrig.report.study import Study, study
 from armrig.validation.search_result import SearchResult
@@ -132,7 +130,7 @@ def handout(e: Examples, folder: Path) -> None:
     whole = handout_study([e.step, e.first, e.second])
     data = chassis()
     grey, split = armrig.greybox(data), armrig.split_study(data, (1, 2, 4))
-    write_handout_figures(replace(whole, chassis=data, grey=grey, split=split), folder)
+    write_figures(replace(whole, chassis=data, grey=grey, split=split), folder)
 
 
 def punctual(recording: Recording) -> Recording:
@@ -162,8 +160,8 @@ def ax() -> Axes:
 
 FIGURES: dict[str, Callable[[Examples], Any]] = {
     "report": lambda e: saved(lambda to: write_figures(e.study, to)),
-    "report, detail of alpha": lambda e: _velocity_figure(
-        study([e.first, e.second], outputs=("alpha",))
+    "report, detail of alpha": lambda e: figure_of_panels(
+        2.0, [partial(plot_velocity, study([e.first, e.second], outputs=("alpha",)))]
     ),
     "handout": lambda e: saved(lambda to: handout(e, to)),
     "armrig info": lambda e: saved(lambda to: _plot_timing(e.first, to / "a.svg")),

@@ -175,7 +175,7 @@ def _same(was: str, now: Listed) -> bool:
 
 
 def test_every_figure_has_an_example() -> None:
-    sources = map(inspect.getsource, (figure_examples, figures, figures))
+    sources = map(inspect.getsource, (figure_examples, figures))
     drawn = set(re.findall(r"\bplot_\w+", "".join(sources)))
 
     assert {name for name in plots.__all__ if name.startswith("plot_")} <= drawn

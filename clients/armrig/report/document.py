@@ -18,11 +18,12 @@ from armrig.data.dataset import Dataset
 from armrig.models.characteristics import integrates
 from armrig.numerics.quantities import error, milliseconds, percent
 from armrig.recordings.figures import varying_times
+from armrig.recordings.recording import Recording
 from armrig.recordings.usability import different_calibrations, early_ends, emulation
 from armrig.report.answers import QUESTIONS, Answers
 from armrig.report.conclusions import abstract, calibration_sentences, conclusions
-from armrig.report.figures import DETAIL_S, suffix, write_figures, write_handout_figures
-from armrig.report.handout_study import HandoutStudy, Section
+from armrig.report.figures import DETAIL_S, suffix, write_figures
+from armrig.report.handout_study import HandoutStudy
 from armrig.report.identification_sections import identification_sections
 from armrig.report.model_facts import (
     estimations,
@@ -85,16 +86,8 @@ def report(
     OSError
         The PDF cannot be written.
     """
-    output, study = Path(output), best_first(study)
-    with source_folder(source) as root:
-        drawn = write_figures(study, root)
-        made = recorded(study.recordings)
-        pdf, _ = typeset(root, "report.typ", content(study, remarks), made)
-        if figures is not None:
-            for path in drawn:
-                shutil.copyfile(path, figures / path.name)
-    output.write_bytes(pdf)
-    return output
+    study = best_first(study)
+    return _written(study, output, "report.typ", content(study, remarks), source, figures)
 
 
 def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
@@ -106,7 +99,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
     return {
         "title": "Black-box identification of the rig",
         "subtitle": f"rig {manifest.rig}, recorded {manifest.started[:16].replace('T', ' ')}",
-        "version": version("armrig"),
+        **_of_recordings(study.recordings),
         "date": f"{recorded(study.recordings):%Y-%m-%d}",
         "summary": abstract(study),
         "recordings": [
@@ -114,8 +107,6 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
             for r in study.recordings
         ],
         "facts": facts(study),
-        "notes": notes(study.recordings),
-        "warnings": different_calibrations(study.recordings),
         "remarks": [*emulation(study.recordings), *remarks, *truncated],
         "chain": shared_facts(study),
         "timing": [*timing_rows(study.timing), *disturbance_rows(study.disturbances)],
@@ -276,38 +267,41 @@ def handout_report(
     OSError
         The PDF cannot be written.
     """
+    values = _handout_content(study, answers or Answers())
+    return _written(study, output, TEMPLATE, values, source)
+
+
+def _written(
+    study: Study | HandoutStudy,
+    output: str | Path,
+    template: str,
+    values: dict[str, Any],
+    source: Path | None,
+    figures: Path | None = None,
+) -> Path:
+    """Draw the figures, typeset a template with values, write the PDF, and return its path."""
     output = Path(output)
-    sections = [
-        *physical_sections(study),
-        *identification_sections(study),
-        *numerical_sections(study),
-    ]
     with source_folder(source) as root:
-        figures = write_handout_figures(study, root)
-        values = _values(study, sections, figures, answers or Answers())
-        pdf, places = typeset(root, TEMPLATE, values, recorded(study.recordings))
-    check_length(places)
+        drawn = write_figures(study, root)
+        pdf, places = typeset(root, template, values, recorded(study.recordings))
+        if figures is not None:
+            for path in drawn:
+                shutil.copyfile(path, figures / path.name)
+    if template == TEMPLATE:
+        check_length(places)
     output.write_bytes(pdf)
     return output
 
 
-def _values(
-    study: HandoutStudy,
-    sections: Sequence[Section],
-    figures: frozenset[str],
-    answers: Answers,
-) -> dict[str, Any]:
+def _handout_content(study: HandoutStudy, answers: Answers) -> dict[str, Any]:
     """Return the values for the template handout.typ, with all numbers as text."""
+    sections = physical_sections(study) | identification_sections(study) | numerical_sections(study)
     return {
-        "version": version("armrig"),
         "sections": [
-            asdict(s)
-            | asdict(QUESTIONS[s.number])
-            | {
-                "figure": s.figure if s.figure in figures else "",
-                "reasons": _paragraphs(answers.reasons.get(s.number, "")),
-            }
-            for s in sections
+            {"number": number, "reasons": _paragraphs(answers.reasons.get(number, ""))}
+            | asdict(section)
+            | asdict(QUESTIONS[number])
+            for number, section in sections.items()
         ],
         "students": [asdict(student) for student in answers.students],
         "recordings": [
@@ -321,13 +315,21 @@ def _values(
             )
             for r in study.recordings
         ],
-        "notes": notes(study.recordings),
-        "warnings": different_calibrations(study.recordings),
+        **_of_recordings(study.recordings),
         "remarks": [
             *emulation(study.recordings),
             *early_ends(study.recordings),
             *calibration_sentences(study.recordings),
         ],
+    }
+
+
+def _of_recordings(recordings: Sequence[Recording]) -> dict[str, Any]:
+    """Return the values that both templates use."""
+    return {
+        "version": version("armrig"),
+        "notes": notes(recordings),
+        "warnings": different_calibrations(recordings),
     }
 
 

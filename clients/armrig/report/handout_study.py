@@ -162,8 +162,6 @@ class Table:
 class Section:
     """Section on one assignment: text, tables and figure, or a reason for no answer."""
 
-    number: str
-    """Number of the assignment in the handout, such as 3.5."""
     answer: tuple[str, ...] = ()
     """Paragraphs; the first contains the numbers. As in Typst, "$" encloses a formula."""
     tables: tuple[Table, ...] = ()

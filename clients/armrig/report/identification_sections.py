@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import zip_longest
 from math import isfinite
+from typing import Any
 
+from armrig.estimation.nonparametric.sampling_time import SamplingTime
 from armrig.models.equation import letters, typst_form
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import (
@@ -24,43 +27,50 @@ from armrig.numerics.quantities import (
     scaled,
     with_std,
 )
+from armrig.physics.grey_box.fit import GreyFit
+from armrig.physics.grey_box.split_study import SplitStudy
 from armrig.report.handout_study import HandoutStudy, Section, Table
 from armrig.report.model_facts import arm_at_rest
 from armrig.report.recording_facts import without_turns
 from armrig.report.study import Study
+from armrig.validation.feedback_and_delay.delay_result import Delay
+from armrig.validation.feedback_and_delay.open_loop import OpenLoop
+from armrig.validation.structure_hints import StructureHints
 
 _STEP = "armrig collect step"
 _BLACKBOX = "armrig collect blackbox --validation"
 _GREYBOX = "armrig collect greybox"
 
 
-def identification_sections(study: HandoutStudy) -> list[Section]:
-    """Return sections 3.1 to 3.8; a section without a result contains the reason."""
-    return [
-        _sampling(study),
-        _hints(study),
-        _black_box(study),
-        _comparison(study),
-        _grey_box(study),
-        _split(study),
-        _loop(study),
-        _delay(study),
-    ]
+def identification_sections(study: HandoutStudy) -> dict[str, Section]:
+    """Return sections 3.1 to 3.8 by number; a section without a result contains the reason."""
+    made: dict[str, tuple[str, str, Callable[[HandoutStudy, Any], Section]]] = {
+        "3.1": ("sampling", _STEP, _sampling),
+        "3.2": ("hints", _BLACKBOX, _hints),
+        "3.3": ("black", _BLACKBOX, _black_box),
+        "3.4": ("black", _BLACKBOX, _comparison),
+        "3.5": ("grey", _GREYBOX, _grey_box),
+        "3.6": ("split", _GREYBOX, _split),
+        "3.7": ("loop", _BLACKBOX, _loop),
+        "3.8": ("delay", _BLACKBOX, _delay),
+    }
+    return {number_: _section(study, *row) for number_, row in made.items()}
 
 
-def _lacking(study: HandoutStudy, number_: str, name: str, command: str) -> Section:
-    """Return a section without a result: the reason, and the command that makes a recording."""
+def _section(
+    study: HandoutStudy, name: str, command: str, answer: Callable[[HandoutStudy, Any], Section]
+) -> Section:
+    """Return the answer from a result, or the command that makes the missing recording."""
+    if (found := getattr(study, name)) is not None:
+        return answer(study, found)
     refused = study.refused.get(name, "")
     lack = f"No result: {refused}." if refused else "No recording for this assignment yet."
     if command == _GREYBOX:
         lack += " Remove the rotating part before recording (handout, figure 6)."
-    return Section(number=number_, lack=lack, fill=command)
+    return Section(lack=lack, fill=command)
 
 
-def _sampling(study: HandoutStudy) -> Section:
-    found = study.sampling
-    if found is None:
-        return _lacking(study, "3.1", "sampling", _STEP)
+def _sampling(study: HandoutStudy, found: SamplingTime) -> Section:
     low, high = found.Ts_transient
     measured = f"the time to 63 % is {milliseconds(round(found.tau, 5))}"
     if study.step is not None:
@@ -70,7 +80,6 @@ def _sampling(study: HandoutStudy) -> Section:
     other = f" The models below use {used}." if used not in ("", milliseconds(found.Ts)) else ""
     how = "a step response" if found.from_step else "an impulse response (no step was recorded)"
     return Section(
-        number="3.1",
         answer=(
             f"The recommended sampling time is {milliseconds(found.Ts)}. From {how}, {measured}. "
             f"$omega_s = 20 slash tau$ then gives {number(1e3 * found.Ts_step)} ms. The spectrum "
@@ -85,10 +94,7 @@ def _sampling(study: HandoutStudy) -> Section:
     )
 
 
-def _hints(study: HandoutStudy) -> Section:
-    found = study.hints
-    if found is None:
-        return _lacking(study, "3.2", "hints", _BLACKBOX)
+def _hints(_: HandoutStudy, found: StructureHints) -> Section:
     integrator = "one of them an integrator, " if found.integrator else ""
     apart = found.integrator and found.integrator_shown
     shown = ", ".join(f"{v:.2g}" for v in found.singular_values[:5])
@@ -101,7 +107,6 @@ def _hints(study: HandoutStudy) -> Section:
         slope = f"At low frequency $abs(G)$ falls by {minus(f'{-found.low_slope:.1f}')} dB per "
         slope += "decade (an integrator: 20 dB). "
     return Section(
-        number="3.2",
         answer=(
             f"{plural(found.nf, 'pole')}, {integrator}nb = {found.nb} and nk = {found.nk}. The "
             "structure is output error, because the noise arises in the potentiometer.",
@@ -115,10 +120,7 @@ def _hints(study: HandoutStudy) -> Section:
     )
 
 
-def _black_box(study: HandoutStudy) -> Section:
-    black = study.black
-    if black is None:
-        return _lacking(study, "3.3", "black", _BLACKBOX)
+def _black_box(study: HandoutStudy, black: Study) -> Section:
     best = black.best
     halves = " (the second half of the recording)" if black.halves else ""
     nb, nf = (best.fit.orders.get(name) for name in ("nb", "nf"))
@@ -130,7 +132,6 @@ def _black_box(study: HandoutStudy) -> Section:
         )
         other += "orders."
     return Section(
-        number="3.3",
         answer=(
             f"The {best.name} model simulates the validation data{halves} with an rms error of "
             f"{error(best.comparison.rms_error, black.validation.unit)}. It is estimated from "
@@ -210,10 +211,7 @@ _CHARACTERISTICS = (
 """Characteristics of a model, with their headings and scales in a table."""
 
 
-def _comparison(study: HandoutStudy) -> Section:
-    black = study.black
-    if black is None:
-        return _lacking(study, "3.4", "black", _BLACKBOX)
+def _comparison(_: HandoutStudy, black: Study) -> Section:
     rows = []
     for m in black.models:
         c, found = m.comparison, m.comparison.characteristics
@@ -240,7 +238,6 @@ def _comparison(study: HandoutStudy) -> Section:
     )
     are = "is closest" if len(closest) == 1 else "are equally close"
     return Section(
-        number="3.4",
         answer=(
             f"On the validation data {listed(closest)} {are}, with an rms error of "
             f"{off[best.name]}. {_difference(black)}",
@@ -276,17 +273,13 @@ def _difference(black: Study) -> str:
     )
 
 
-def _grey_box(study: HandoutStudy) -> Section:
-    found = study.grey
-    if found is None:
-        return _lacking(study, "3.5", "grey", _GREYBOX)
+def _grey_box(study: HandoutStudy, found: GreyFit) -> Section:
     J, std = found.values["J_1"], found.std["J_1"]
     handout = study.parameters.J_1
     influence = found.influence.get("J_1", {})
     moved = ", ".join(f"{n} {minus(f'{x:+.2f}')}{NBSP}%" for n, x in influence.items())
     fixed_ones = f" An increase of a fixed parameter by 1 % changes $J$: {moved}." if moved else ""
     return Section(
-        number="3.5",
         answer=(
             f"$J$ = {scaled(J, std, 'kg m²')} (one standard deviation), "
             f"{minus(f'{100 * (J / handout - 1):+.2f}')} % from the handout's $J_1$. The chassis "
@@ -300,10 +293,7 @@ def _grey_box(study: HandoutStudy) -> Section:
     )
 
 
-def _split(study: HandoutStudy) -> Section:
-    found = study.split
-    if found is None:
-        return _lacking(study, "3.6", "split", _GREYBOX)
+def _split(_: HandoutStudy, found: SplitStudy) -> Section:
     rows = tuple(
         (
             plural(s.k, "part"),
@@ -321,7 +311,6 @@ def _split(study: HandoutStudy) -> Section:
         crosses = f"; the {last.k} parts scatter by {scatter} kg{NBSP}m², 95 % interval {low} to "
         crosses += f"{high} (χ² with {last.k - 1} degrees of freedom)"
     return Section(
-        number="3.6",
         answer=(
             f"If the data are divided into {plural(last.k, 'part')}, the variance of $J$ grows by "
             f"a factor of {found.std_growth**2:.2f}. "
@@ -337,16 +326,12 @@ def _split(study: HandoutStudy) -> Section:
     )
 
 
-def _loop(study: HandoutStudy) -> Section:
-    found = study.loop
-    if found is None:
-        return _lacking(study, "3.7", "loop", _BLACKBOX)
+def _loop(_: HandoutStudy, found: OpenLoop) -> Section:
     if found.sims is None:
-        return Section(number="3.7", lack=found.explain(), fill=_BLACKBOX)
+        return Section(lack=found.explain(), fill=_BLACKBOX)
     s = found.sims
     verdict = "the data show FEEDBACK" if found.feedback else "nothing speaks against open loop"
     return Section(
-        number="3.7",
         answer=(
             f"p {p_relation(found.p_value)} in Sims' F-test ($F$ = {s.F:.3g} with {s.q} and "
             f"{s.degrees} degrees of freedom): {verdict}.",
@@ -361,10 +346,7 @@ def _loop(study: HandoutStudy) -> Section:
     )
 
 
-def _delay(study: HandoutStudy) -> Section:
-    found = study.delay
-    if found is None:
-        return _lacking(study, "3.8", "delay", _BLACKBOX)
+def _delay(_: HandoutStudy, found: Delay) -> Section:
     samples = "no delay: $u$ acts one sample later, as with every zero-order hold"
     if found.delay > 0:
         samples = f"a delay of {plural(found.delay, 'sample')} in addition to the zero-order hold"
@@ -373,7 +355,6 @@ def _delay(study: HandoutStudy) -> Section:
     sizes = ", ".join(f"{minus(f'{g[k] / std[k]:+.1f}')} σ at lag {k}" for k in lags if std[k] > 0)
     ps = listed([f"p {p_relation(p)} up to lag {k}" for k, p in found.p_values.items()])
     return Section(
-        number="3.8",
         answer=(
             f"{found.nk_range}, {samples}.",
             f"Joint tests of the first coefficients of $u$ in an ARX model: {ps}. The impulse "

@@ -11,23 +11,23 @@ from armrig_core.arm import ArmParameters, arm_matrices
 from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, listed, minus, number, power
+from armrig.physics.integrators.accuracy import Sinusoid
 from armrig.physics.integrators.methods import method_named
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.step_response import Characteristics, characteristics, step_response
 from armrig.report.handout_study import METHODS, HandoutStudy, Section, Table
 
 
-def physical_sections(study: HandoutStudy) -> list[Section]:
-    """Return sections 2.1 to 2.3."""
+def physical_sections(study: HandoutStudy) -> dict[str, Section]:
+    """Return sections 2.1 to 2.3 by number."""
     p = study.parameters
-    found = characteristics(p)
-    return [_model(p), _step(found), _other_parameters(study.cases)]
+    step = _step(characteristics(p))
+    return {"2.1": _model(p), "2.2": step, "2.3": _other_parameters(study.cases)}
 
 
 def _model(p: ArmParameters) -> Section:
     A, B, _ = arm_matrices(p)
     return Section(
-        number="2.1",
         answer=(
             "With the states $x = (theta_1, alpha, dot(theta)_1, dot(alpha))$ and the motor's "
             "voltage $u$ the rig is linear, with $k = N K_m$:",
@@ -70,7 +70,6 @@ def _step(found: Characteristics) -> Section:
     w = max(found.poles, key=lambda z: z.imag)
     settled = float(step_response(found.parameters, np.linspace(0.0, 2.0, 2001))[-1])
     return Section(
-        number="2.2",
         answer=(
             f"After a step of 1 V the simulated speed settles at {settled:.4f} rad/s. The steady "
             f"speed is $1 slash (N K_m)$ = {found.steady_speed:.4f} rad/(s{NBSP}V). The slope at "
@@ -115,7 +114,6 @@ def _other_parameters(cases: dict[str, ArmParameters]) -> Section:
         ),
     )
     return Section(
-        number="2.3",
         answer=(
             f"{effects[0].upper()}{effects[1:]}.",
             "Without friction the steady speed is $1 slash (N K_m)$, independent of inertias, "
@@ -161,28 +159,30 @@ _METHOD_TEXTS = {
 }
 
 
-def numerical_sections(study: HandoutStudy) -> list[Section]:
-    """Return sections 4.1 to 4.4."""
-    return [_integrator(study, number, name) for number, name in METHODS.items()]
+def numerical_sections(study: HandoutStudy) -> dict[str, Section]:
+    """Return sections 4.1 to 4.4 by number."""
+    return {number_: _integrator(study, number_, name) for number_, name in METHODS.items()}
 
 
 def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
     problem = study.problem
     limit = stability_limit(problem.A, name)
     (advice,) = (row for row in study.steps.rows if row.method == name)
-    bounded = isfinite(limit)
-    edge = f"The largest stable step is {1e3 * limit:.3f} ms" if bounded else "Every step is stable"
+    h, steps, edge = advice.h, study.steps, "Every step is stable"
+    tried = {h, 2 * h, 4 * h}
+    if isfinite(limit):
+        edge = f"The largest stable step is {1e3 * limit:.3f} ms"
+        tried |= {0.98 * limit, 1.1 * limit}
     first = number_ == "4.1"
     return Section(
-        number=number_,
         answer=(
-            f"{edge}. A step of {number(1e3 * advice.h)} ms keeps the error of each state below "
-            f"{100 * study.steps.tolerance:g} % of its largest value. The error is computed for "
+            f"{edge}. A step of {number(1e3 * h)} ms keeps the error of each state below "
+            f"{100 * steps.tolerance:g} % of its largest value. The error is computed for "
             f"{advice.steps} steps over {problem.span:.3g} s with "
             f"$u = {problem.amplitude:g} sin({problem.omega:g} t)$ V, against the exact solution.",
             _METHOD_TEXTS[name],
         ),
-        tables=(_errors(study, name, _steps(advice.h, limit), limit),),
+        tables=(_errors(problem, name, sorted(tried), limit),),
         figure="integrators" if first else "solution" if number_ == "4.4" else "",
         caption="(a) Regions of stability, and the arm's hλ at forward Euler's limit; (b) "
         "error against step, with the observed orders."
@@ -191,24 +191,12 @@ def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
     )
 
 
-def _steps(h: float, limit: float) -> Sequence[float]:
-    edges = (0.98 * limit, 1.1 * limit) if isfinite(limit) else ()
-    return sorted({h, 2 * h, 4 * h, *edges})
-
-
-def _marked(h: float, limit: float) -> str:
-    """Return a step size in ms as text, with a mark if the method is unstable at this step size."""
-    return f"{number(1e3 * h)}{'' if h <= limit else ' (unstable)'}"
-
-
-def _errors(study: HandoutStudy, name: str, steps: Sequence[float], limit: float) -> Table:
-    """Return a table of the largest relative error at each step size.
-
-    Errors are relative to the largest values of the states.
-    """
-    errors = [study.problem.error(h, name) for h in steps]
+def _errors(problem: Sinusoid, name: str, steps: Sequence[float], limit: float) -> Table:
+    """Return a table of the largest error at each step, relative to the states' largest values."""
+    errors = [problem.error(h, name) for h in steps]
+    marks = [f"{number(1e3 * h)}{'' if h <= limit else ' (unstable)'}" for h in steps]
     return Table(
         caption=f"Largest error of a state, over its largest value: {method_named(name).name}.",
-        header=("h [ms]", *(_marked(h, limit) for h in steps)),
+        header=("h [ms]", *marks),
         rows=(("largest error", *(power(e) if isfinite(e) else "overflow" for e in errors)),),
     )

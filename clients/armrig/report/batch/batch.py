@@ -28,7 +28,6 @@ from armrig.data.optional_packages import imported
 from armrig.recordings.recording_summary import shown_path
 from armrig.report.batch.progress import OTHER, SUFFIX, Progress, still_right
 from armrig.report.batch.tasks import (
-    Item,
     Kind,
     Report,
     Row,
@@ -36,6 +35,7 @@ from armrig.report.batch.tasks import (
     Validate,
     columns_of,
     digest,
+    empty_row,
     items_in,
     name_of,
     row_of,
@@ -114,7 +114,7 @@ def batch(
         The existing table belongs to another task; the disk is full; all workers are lost; pyarrow
         is not installed; or a file cannot be read or written.
     """
-    check_writable()
+    imported("pyarrow.parquet", "parquet")  # a missing package is reported before the work
     items = items_in(folder, rigs=rigs, kinds=kinds)
     if not items:
         raise InputError(
@@ -132,19 +132,15 @@ def batch(
         left, done_before = [item for item in items if item.name not in rows], len(rows)
         came = results(partial(row_of, task), left, open_executor, at_once=at_once)
         for item, row in came:
-            rows[item.name] = row if isinstance(row, dict) else _problem(task, item, row)
+            if isinstance(row, Exception):
+                row = empty_row(task, item, problem=" ".join(str(row).split()))
+            rows[item.name] = row
             progress.add(rows[item.name])
             count(len(rows) - done_before, len(left), item.name)
         write_table(table, task, header, rows.values())
         progress.remove()
     ordered = tuple(rows[item.name] for item in items)
     return Batch(table=table, rows=ordered, done_before=done_before)
-
-
-def _problem(task: Task, item: Item, error: Exception) -> Row:
-    row: Row = dict.fromkeys(columns_of(task))
-    known = {"recording": item.name, "bytes": item.bytes, "modified_ns": item.modified_ns}
-    return row | known | {"problem": " ".join(str(error).split()), "doubts": []}
 
 
 def results(
@@ -247,17 +243,6 @@ def header_of(
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
     }
-
-
-def check_writable() -> None:
-    """Check before the batch that Parquet files can be written.
-
-    Raises
-    ------
-    ImportError
-        pyarrow is not installed.
-    """
-    imported("pyarrow.parquet", "parquet")
 
 
 def read_rows(path: Path, header: dict[str, str]) -> list[Row]:

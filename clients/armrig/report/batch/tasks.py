@@ -16,7 +16,6 @@ from armrig_core.errors import ArmrigError
 from armrig_core.recording_file.part_names import PART, part_number
 from armrig_core.telemetry import THETA_1, OutputName
 
-from armrig.data.dataset import Dataset
 from armrig.data.treatment import detrend
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
@@ -230,14 +229,7 @@ def row_of(task: Task, item: Item) -> Row:
 
     The function raises no exception, so that a damaged recording does not stop the batch.
     """
-    row: Row = dict.fromkeys(columns_of(task))
-    row |= {
-        "recording": item.name,
-        "bytes": item.bytes,
-        "modified_ns": item.modified_ns,
-        "problem": "",
-        "doubts": [],
-    }
+    row = empty_row(task, item)
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
             # A search may overflow in an intermediate step; its result reports a failure.
@@ -255,6 +247,12 @@ def row_of(task: Task, item: Item) -> Row:
     if row["problem"] and row["damage"]:
         row["problem"] = f"{row['damage']}; {row['problem']}"
     return {name: _plain(value) for name, value in row.items()}
+
+
+def empty_row(task: Task, item: Item, problem: str = "") -> Row:
+    """Return the row of an item without a result."""
+    known = {"recording": item.name, "bytes": item.bytes, "modified_ns": item.modified_ns}
+    return dict.fromkeys(columns_of(task)) | known | {"problem": problem, "doubts": []}
 
 
 def _of_the_run(r: Recording) -> Row:
@@ -291,29 +289,22 @@ def _result(task: Task, recording: Recording, item: Item) -> Row:
 def _identified(task: Identify, recording: Recording) -> Row:
     from armrig.models.model_writing import model_text
 
-    data = _treated(recording.dataset(task.signal), wanted=task.detrend)
+    data = recording.dataset(task.signal)
+    data = detrend(data) if task.detrend else data
     task.check(data)
     fit = task.estimated(data)
-    return {
-        "structure": fit.structure,
+    return _attributes(fit, "identify") | {
         "nk": task.nk,
-        "integrator": fit.integrator,
-        "output": fit.output,
-        "N": fit.N,
-        "fit_percent": fit.fit_percent,
-        "noise_variance": fit.noise_variance,
-        "loss": fit.loss,
-        "fpe": fit.fpe,
         "p_white": fit.whiteness,
-        "converged": fit.converged,
-        "names": list(fit.names),
-        "parameters": fit.theta.tolist(),
-        "std": fit.std.tolist(),
-        "std_robust": fit.std_robust.tolist(),
-        "warnings": list(fit.warnings),
+        "parameters": fit.theta,
         "model": model_text(fit),
         "doubts": [*doubts(recording), *doubts_of_estimation(recording)],
     }
+
+
+def _attributes(result: object, task: str) -> Row:
+    """Return the columns of a task that are attributes of a result with the same names."""
+    return {name: getattr(result, name) for name in OF_THE_TASK[task] if hasattr(result, name)}
 
 
 def _validated(task: Validate, recording: Recording) -> Row:
@@ -321,16 +312,12 @@ def _validated(task: Validate, recording: Recording) -> Row:
     from armrig.validation.residuals import residuals
 
     fit = _model(task.model)
-    data = _treated(recording.dataset(_output(fit)), wanted=task.detrend)
-    row = compare(data, fit)[0]
+    data = recording.dataset(_output(fit))
+    data = detrend(data) if task.detrend else data
     tests = residuals(fit, data)
-    return {
+    return _attributes(compare(data, fit)[0], "validate") | {
         "model_of": fit.source,
         "output": fit.output,
-        "on_estimation_data": row.on_estimation_data,
-        "fit_percent": row.fit_percent,
-        "rms_error": row.rms_error,
-        "velocity_fit_percent": row.velocity_fit_percent,
         "p_white": tests.whiteness,
         "p_no_dynamics_missing": tests.missing_dynamics,
         "p_no_feedback": tests.feedback,
@@ -370,10 +357,6 @@ def _reported(task: Report, recording: Recording, item: Item) -> Row:
     }
 
 
-def _treated(data: Dataset, *, wanted: bool) -> Dataset:
-    return detrend(data) if wanted else data
-
-
 @lru_cache(maxsize=1)
 def _model(text: str) -> Fit:
     from armrig.models.model_file import fit_of
@@ -401,8 +384,8 @@ def _plain(value: Any) -> Any:
     A number that is not finite is returned as None, which is an empty cell of the table. Bytes of a
     path that are not UTF-8 are escaped.
     """
-    if isinstance(value, np.generic):
-        value = value.item()
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
     if isinstance(value, float) and not isfinite(value):
         return None
     if isinstance(value, str):
