@@ -31,24 +31,10 @@ def telegraph(
 
     Parameters
     ----------
-    N : int
-        Number of samples, >= 1.
     a : float
         Probability of a switch at a sample, 0 to 1.
-    low, high : float
-        Levels in V, 0 <= low < high <= 5.
-    seed : int or numpy.random.Generator, default 1
-        The same seed, an integer >= 0, gives the same signal.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Voltage in V at each sample.
-
-    Raises
-    ------
-    ValueError
-        A level is outside 0 to 5 V, or N, a or seed is not allowed.
+    N, low, high, seed
+        As for every signal, see `armrig.excitation`.
 
     Notes
     -----
@@ -91,29 +77,16 @@ def prbs(
 
     Parameters
     ----------
-    N : int
-        Number of samples, >= 1. The signal has whole periods only if N is a multiple of (2^register
-        - 1) times `clock`.
     clock : int, default 1
         Number of samples for which each value is held, >= 1. A longer clock concentrates the power
         below 2.8 / (clock Ts) rad/s.
-    low, high : float
-        Levels in V, 0 <= low < high <= 5.
-    seed : int or numpy.random.Generator, default 1
-        Seed of the random position in the period at which the signal begins.
     register : int, optional
         Number of bits, 2 to 24. The default is the smallest number of bits for which the signal
         does not repeat within N samples.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Voltage in V at each sample.
-
-    Raises
-    ------
-    ValueError
-        A level is outside 0 to 5 V, or N, clock, register or seed is not allowed.
+    N, low, high, seed
+        As for every signal, see `armrig.excitation`. The signal has whole periods only if N is a
+        multiple of (2^register - 1) times `clock`. The seed determines the position in the period
+        at which the signal begins.
 
     References
     ----------
@@ -158,21 +131,12 @@ def white_noise(
 
     Parameters
     ----------
-    N : int
-        Number of samples, >= 1.
-    low, high : float
-        Interval in V, 0 <= low < high <= 5.
-    seed : int or numpy.random.Generator, default 1
-        The same seed, an integer >= 0, gives the same signal.
     distribution : {"uniform", "normal"}
         "uniform" (MATLAB's rand) has the variance (high - low)²/12. "normal" (randn) has a standard
         deviation of a sixth of the interval before the tails are cut off at low and high. Normal
         noise is white too, but has less than a third of the power of uniform noise.
-
-    Raises
-    ------
-    ValueError
-        The interval is outside 0 to 5 V, or N, seed or distribution is not allowed.
+    N, low, high, seed
+        As for every signal, see `armrig.excitation`.
 
     Examples
     --------

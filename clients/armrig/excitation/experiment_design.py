@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.dataset import Dataset, Vector
+from armrig.models.fit import Fit
 from armrig.models.structure import free_columns, transient_count
 from armrig.numerics.checks import column, require_numbers
 from armrig.numerics.least_squares import orthonormal
@@ -135,7 +136,7 @@ def inverted(
 
 
 def predicted_std(
-    model: ModelWithNoise,
+    model: Fit | PlannedModel,
     u: ArrayLike | Dataset,
     *,
     noise_variance: float | None = None,
@@ -216,7 +217,7 @@ def predicted_std(
 
 
 def _gradient(
-    model: ModelWithNoise, part: Dataset, variance: float, *, estimate: bool
+    model: Fit | PlannedModel, part: Dataset, variance: float, *, estimate: bool
 ) -> Iterator[Array]:
     """Yield blocks of rows Psi for one experiment.
 
@@ -263,7 +264,7 @@ def _gradient(
         yield _by_noise(model, np.sqrt(variance * np.arange(N, 0.0, -1.0)), Psi.shape[1])
 
 
-def _by_noise(model: ModelWithNoise, weight: Vector, width: int) -> Array:
+def _by_noise(model: Fit | PlannedModel, weight: Vector, width: int) -> Array:
     """Return the impulse responses from e to the gradient; row j is multiplied by `weight[j]`.
 
     Let psi_e(t) = sum_j s_j e(t-j). Over N samples from rest, the expected sum of psi_e psi_e^T is
@@ -281,7 +282,7 @@ def _by_noise(model: ModelWithNoise, weight: Vector, width: int) -> Array:
     return np.asarray(s * weight[:, None])
 
 
-def _parameters(model: ModelWithNoise) -> tuple[tuple[str, ...], Vector, Array]:
+def _parameters(model: Fit | PlannedModel) -> tuple[tuple[str, ...], Vector, Array]:
     """Return names and values of the parameters, and d(values)/d(estimated parameters)."""
     parts = {"a": model.A[1:], "b": model.B[model.nk :], "c": model.C[1:]}
     parts |= {"d": model.D[1:], "f": model.F[1:]}
@@ -295,29 +296,6 @@ def _parameters(model: ModelWithNoise) -> tuple[tuple[str, ...], Vector, Array]:
         to_full = np.delete(to_full, own[-1], axis=1)
         to_full[own[1:], own[:-1]] = -1.0
     return names, np.concatenate(list(parts.values())), to_full
-
-
-class ModelWithNoise(Protocol):
-    """Properties of a model with noise, such as a `Fit` or a `PlannedModel`."""
-
-    @property
-    def A(self) -> Vector: ...  # noqa: D102
-    @property
-    def B(self) -> Vector: ...  # noqa: D102
-    @property
-    def C(self) -> Vector: ...  # noqa: D102
-    @property
-    def D(self) -> Vector: ...  # noqa: D102
-    @property
-    def F(self) -> Vector: ...  # noqa: D102
-    @property
-    def nk(self) -> int: ...  # noqa: D102
-    @property
-    def integrator(self) -> bool: ...  # noqa: D102
-    @property
-    def noise_variance(self) -> float: ...  # noqa: D102
-    @property
-    def Ts(self) -> float: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -383,6 +361,6 @@ class PlannedModel:
         return int(np.argmax(self.B != 0))
 
 
-def integrating_polynomial(model: ModelWithNoise) -> str:
+def integrating_polynomial(model: Fit | PlannedModel) -> str:
     """Return "A" or "F", the polynomial with the known factor 1 - q^-1, or "" if there is none."""
     return "" if not model.integrator else "A" if model.A.size > 1 else "F"

@@ -10,6 +10,7 @@ from armrig_core.bounded import read_text
 from armrig_core.calls import checked_call
 from armrig_core.errors import FileError, InputError
 
+from armrig.data.columns import interval
 from armrig.excitation.levels import HIGHEST_V, LOWEST_V, Vector, require_levels
 from armrig.numerics.checks import require_numbers
 
@@ -40,11 +41,6 @@ def from_csv(
         hundredth of Ts.
     low, high : float
         Allowed interval of u in V, 0 <= low < high <= 5.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Voltage in V at each sample.
 
     Raises
     ------
@@ -93,8 +89,7 @@ def from_text(
 def _require_figures(Ts: float, low: float, high: float) -> None:
     require_levels(low=low, high=high)
     require_numbers(Ts=Ts)
-    if not 0 < Ts < np.inf:
-        raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
+    interval(Ts)
 
 
 def _require_times(path: str | Path, t: Vector, rows: list[int], Ts: float) -> None:

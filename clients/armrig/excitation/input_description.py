@@ -9,6 +9,7 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.data.columns import interval
 from armrig.numerics.checks import column
 from armrig.numerics.least_squares import triangle
 from armrig.numerics.power_spectrum import power_spectrum
@@ -149,8 +150,7 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
         raise InputError(
             f"u is not finite at {int(np.argmax(~np.isfinite(u_)))}; every sample needs a voltage"
         )
-    if not 0 < Ts < np.inf:
-        raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
+    Ts = interval(Ts)
     u_.flags.writeable = False
     mean, std = float(np.mean(u_)), float(np.std(u_))
     std = 0.0 if np.ptp(u_) == 0 else std  # the computed std of a constant is a rounding error
@@ -160,7 +160,7 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
     levels, shares, binned = _levels(u_)
     return InputDescription(
         u=u_,
-        Ts=float(Ts),
+        Ts=Ts,
         mean=mean,
         std=std,
         crest_factor=float(np.max(np.abs(u_ - mean))) / std if std > 0 else float("nan"),

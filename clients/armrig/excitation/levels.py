@@ -22,22 +22,10 @@ def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:
 
     Parameters
     ----------
-    N : int
-        Number of samples, >= 1.
-    low, high : float
-        Levels in V, 0 <= low < high <= 5.
     at : int, default 0
         Number of the first sample at `high`, 0 to N; if it is N, the signal stays at `low`.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Voltage in V at each sample.
-
-    Raises
-    ------
-    ValueError
-        A level is outside 0 to 5 V, or N or `at` is not allowed.
+    N, low, high
+        As for every signal, see `armrig.excitation`.
 
     Examples
     --------
@@ -55,31 +43,18 @@ def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:
 def staircase(
     N: int, levels: int | Sequence[float] = 6, low: float = 0.5, high: float = 4.5
 ) -> Vector:
-    """Return a staircase (N,) of levels, each held for the same time.
+    """Return a staircase (N,) of levels, each held for the same time, to a sample.
 
     The output at the levels shows whether the static gain is constant. A staircase up and down
     shows friction.
 
     Parameters
     ----------
-    N : int
-        Number of samples, >= number of levels.
     levels : int or sequence of float, default 6
         Number of levels, >= 2, equally spaced from low to high; or the voltages of the levels, in
-        V.
-    low, high : float
-        Interval in V, 0 <= low < high <= 5.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Voltage in V at each sample; the durations of the levels differ by at most one sample.
-
-    Raises
-    ------
-    ValueError
-        A level is outside [low, high], or there are more levels than samples. The message names the
-        first level outside the interval.
+        V, of which none is outside [low, high]. There must be a sample for each level.
+    N, low, high
+        As for every signal, see `armrig.excitation`.
 
     Examples
     --------

@@ -22,22 +22,9 @@ def named_signal(
 ) -> Vector:
     """Return the input (N,) with a given name, in V.
 
-    Parameters
-    ----------
-    name : {"telegraph", "prbs", "white", "multisine", "chirp"}
-        A multisine has one period with all lines. A chirp is a logarithmic sweep over two decades,
-        up to half of the Nyquist frequency.
-    N : int
-        Number of samples.
-    Ts : float
-        Sampling time, in s.
-    a : float
-        Probability that the telegraph signal switches at a sample. A prbs holds each value for 1/(2
-        a) samples, so that both signals have the same mean switching rate.
-    low, high : float
-        Interval in V, 0 <= low < high <= 5.
-    seed : int
-        Seed of all inputs except the chirp.
+    A multisine has one period with all lines. A chirp is a logarithmic sweep over two decades, up
+    to half of the Nyquist frequency. A telegraph signal switches at a sample with probability `a`.
+    A prbs holds each value for 1/(2 a) samples, so that both have the same mean switching rate.
 
     Raises
     ------
@@ -102,20 +89,7 @@ def realisations(
     """Return R multisines (N,) with different phases and the same power, for `armrig.bla`.
 
     The lines are all harmonics up to half of the Nyquist frequency. The effective value is the
-    largest value with which all multisines fit into the interval.
-
-    Parameters
-    ----------
-    N : int
-        Number of samples of each multisine, a multiple of `periods`.
-    R : int
-        Number of multisines, with the seeds seed, seed + 1, …
-    low, high : float
-        Interval in V, 0 <= low < high <= 5.
-    seed : int
-        Seed of the first multisine.
-    periods : int
-        Number of whole periods in each multisine.
+    largest value with which all multisines fit into the interval. Their seeds are seed, seed + 1, …
 
     Raises
     ------

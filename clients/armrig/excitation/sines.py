@@ -9,6 +9,7 @@ import numpy as np
 from armrig_core.calls import checked_call
 from armrig_core.errors import InputError
 
+from armrig.data.columns import interval
 from armrig.excitation.levels import Vector, generator, require_levels, within
 from armrig.numerics.checks import require_integers, require_numbers
 
@@ -34,26 +35,18 @@ def multisine(
 
     Parameters
     ----------
-    N : int
-        Number of samples, a whole multiple of `periods`.
     lines : iterable of int, optional
         Harmonics, 1 <= l < P/2; by default all. If only odd harmonics are excited, even
         nonlinearities are visible at the even harmonics.
-    low, high : float
-        Interval in V, 0 <= low < high <= 5.
-    seed : int or numpy.random.Generator, default 1
-        Seed of the phases. Each seed leads to a different realisation.
     periods : int, default 1
         Number of whole periods in N.
     rms : float, optional
         Effective value about the middle of the interval, in V. The default is the largest value
         with which the signal fits into the interval. Realisations that are compared must have the
         same effective value.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Voltage in V at each sample. `describe_input` reports the crest factor.
+    N, low, high, seed
+        As for every signal, see `armrig.excitation`. N is a whole multiple of `periods`. The seed
+        determines the phases.
 
     Raises
     ------
@@ -138,21 +131,14 @@ def chirp(
 
     Parameters
     ----------
-    N : int
-        Number of samples, >= 1.
     Ts : float
         Sampling time in s.
     from_hz, to_hz : float
         Frequency at the first sample and at the time N Ts, in Hz; > 0 and below 1/(2 Ts).
-    low, high : float
-        Interval in V, 0 <= low < high <= 5.
     sweep : {"linear", "logarithmic"}
         Dependence of the frequency on time.
-
-    Raises
-    ------
-    ValueError
-        The interval is outside 0 to 5 V, or a frequency is not between 0 and 1/(2 Ts).
+    N, low, high
+        As for every signal, see `armrig.excitation`.
 
     Examples
     --------
@@ -166,8 +152,7 @@ def chirp(
     require_numbers(Ts=Ts, from_hz=from_hz, to_hz=to_hz)
     if sweep not in ("linear", "logarithmic"):
         raise InputError(f'sweep={sweep!r} must be "linear" or "logarithmic"')
-    if not 0 < Ts < np.inf:
-        raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
+    interval(Ts)
     for name, f in (("from_hz", from_hz), ("to_hz", to_hz)):
         if not 0 < f < 0.5 / Ts:
             raise InputError(
