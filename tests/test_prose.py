@@ -31,7 +31,7 @@ _TYPST = "mathematics of Typst, and no sentence"
 _USAGE = "clients/armrig/cli/usage_errors.py"
 ALLOWED = {
     ("clients/armrig/cli/demo_rig.py", ": try again"): _SHOWN,
-    ("clients/armrig/cli/feedback_and_delay.py", "open loop: "): _SHOWN,
+    ("clients/armrig/cli/first_look.py", "open loop: "): _SHOWN,
     ("clients/armrig/cli/lab.py", "next: "): _SHOWN,
     ("clients/armrig/cli/lab.py", "in a browser: "): _SHOWN,
     (_USAGE, "Example: "): _SHOWN,

@@ -21,24 +21,22 @@ import typer.core
 from armrig_core.errors import ArmrigError, OperationError, ParameterError
 from armrig_core.loading import is_interrupt, use_one_thread
 
-from armrig.cli.options import tell_error
+from armrig.cli.options import HELP, option, tell_error, with_options
 
-_HELP = {"help_option_names": ["-h", "--help"]}
 _HELP_INDENT = 6
 """Number of columns around the name of a command in the help."""
 
 _HEADINGS = {
     "Rig": "lab.lab rig.status rig.watch rig.stop rig.reset "
-    "rig.note dashboard.dashboard calibrate.calibrate",
-    "Runs": "collect.collect record.record play.play host.demo",
+    "rig.note lab.dashboard calibrate.calibrate",
+    "Runs": "collect.collect record.record record.play host.demo",
     "Recordings": "listing.ls recording_info.info first_look.plot evidence.verify "
-    "evidence.export recovery.recover recording_info.replay",
+    "evidence.export evidence.recover recording_info.replay",
     "Identify": "first_look.sampling first_look.hints identification.identify batch.batch",
-    "Validate": "validation.validate comparison.compare feedback_and_delay.check reporting.report",
-    "Physics": "physical_step.model physics.simulate physics.greybox "
-    "physics.split integrators.integrate",
-    "Administration": "host.doctor glossary.glossary flash.flash host.conformance "
-    "service.service pki.pki router.router",
+    "Validate": "validation.validate validation.compare first_look.check reporting.report",
+    "Physics": "equations.model physics.simulate physics.greybox physics.split equations.integrate",
+    "Administration": "host.doctor glossary.glossary host.flash host.conformance "
+    "administration.service administration.pki administration.router",
 }
 """Commands under each heading of `armrig --help`, as MODULE.COMMAND."""
 _MODULES = {
@@ -119,13 +117,9 @@ def _print_version(wanted: bool) -> None:
 def _options(
     print_version: Annotated[
         bool,
-        typer.Option(
-            "--version", is_eager=True, callback=_print_version, help="Show the version and exit."
-        ),
+        option("--version", "Show the version and exit.", is_eager=True, callback=_print_version),
     ] = False,
-    debug: Annotated[
-        bool, typer.Option(_DEBUG, help="Print the traceback of an internal error.")
-    ] = False,
+    debug: Annotated[bool, option(_DEBUG, "Print the traceback of an internal error.")] = False,
 ) -> None:
     """Define the options that precede the command; `_internal` reads `debug` from the arguments."""
 
@@ -137,7 +131,7 @@ def app(*names: str) -> typer.Typer:
     """
     found = typer.Typer(
         cls=_UnderHeadings,
-        context_settings=_HELP | {"max_content_width": 100},
+        context_settings=HELP | {"max_content_width": 100},
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
     )
@@ -145,12 +139,12 @@ def app(*names: str) -> typer.Typer:
         _options
     )
     for name in names or _MODULES:
-        module = import_module(f"armrig.cli.{_MODULES[name]}")
-        if hasattr(module, "app"):
-            found.add_typer(module.app, name=name, context_settings=_HELP)
+        command = getattr(import_module(f"armrig.cli.{_MODULES[name]}"), name)
+        if isinstance(command, typer.Typer):
+            found.add_typer(command, name=name, context_settings=HELP)
         else:
             line = f"Example: armrig {name} {_EXAMPLES.get(name, '')}".rstrip()
-            found.command(epilog=line, context_settings=_HELP)(getattr(module, name))
+            found.command(epilog=line, context_settings=HELP)(with_options(command))
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,82 +13,76 @@ from armrig_core.telemetry import THETA_1, OutputName
 from msgspec.structs import asdict
 
 from armrig.cli.model_structures import Given, estimation_options, requested
-from armrig.cli.options import Detrend, Json, Na, Nb, Nf, Nk, echo, print_json, tell
+from armrig.cli.options import (
+    Commands,
+    Detrend,
+    Json,
+    ModelOrders,
+    argument,
+    echo,
+    group,
+    option,
+    print_json,
+    tell,
+)
+from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
     from armrig.report.batch.batch import Batch
     from armrig.report.batch.tasks import Task
 
-_HELP = {"help_option_names": ["-h", "--help"]}
-
-
-def _example(given: str) -> str:
-    return f"Example: armrig batch {given}"
-
-
-app = typer.Typer(
-    help="Process all recordings of a folder. Write a table (Parquet) with a row for each "
-    "recording.",
+batch = Commands(
+    "Process all recordings of a folder. Write a table (Parquet) with a row for each recording.",
     no_args_is_help=True,
-    rich_markup_mode=None,
 )
-Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the recordings.")]
+Folder = Annotated[Path, argument("FOLDER", "Folder of the recordings.")]
 Table = Annotated[
-    Path,
-    typer.Option(
-        "-o", "--output", metavar="PARQUET", help="Table to write; an existing table is continued."
-    ),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        "--workers",
-        min=1,
-        help="Number of processes on this machine.",
-        show_default="one for each core",
-    ),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Address of a Dask scheduler whose workers process the recordings.",
-    ),
-]
-Rigs = Annotated[
-    list[str] | None,
-    typer.Option("--rig", help="Id of a rig to include; repeatable.", show_default="all"),
-]
-Kinds = Annotated[
-    list[str] | None,
-    typer.Option("--kind", help="Kind of experiment to include; repeatable.", show_default="all"),
-]
-Force = Annotated[
-    bool, typer.Option("--force", help="Process all recordings again and replace the table.")
+    Path, option("-o --output PARQUET", "Table to write; an existing table is continued.")
 ]
 _TASKS_PER_WORKER = 2  # one runs, one waits
 _CLUSTER_TASKS = 256  # a cluster may grow
 _MAX_NAMES = 3  # recordings in a message
 
 
-@app.command(
-    epilog="Example: armrig batch identify weeks -o models.parquet --integrator --kind blackbox",
-    context_settings=_HELP,
-)
-@estimation_options(structure="oe", nk=1)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Selection:
+    """Options of all batches: the recordings, the processes and the form of the result."""
+
+    rig: Annotated[
+        list[str] | None, option("--rig", "Id of a rig to include; repeatable.", "all")
+    ] = None
+    kind: Annotated[
+        list[str] | None, option("--kind", "Kind of experiment to include; repeatable.", "all")
+    ] = None
+    workers: Annotated[
+        int | None,
+        option("--workers", "Number of processes on this machine.", "one for each core", min=1),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        option(
+            "--scheduler ADDRESS",
+            "Address of a Dask scheduler whose workers process the recordings.",
+        ),
+    ] = None
+    force: Annotated[
+        bool, option("--force", "Process all recordings again and replace the table.")
+    ] = False
+    json: Json = False
+
+
+Selection = Annotated[_Selection, group(_Selection)]
+
+
+@batch.add("batch identify weeks -o models.parquet --integrator --kind blackbox")
 def identify(
+    *,
     folder: Folder,
     output: Table,
-    given: Given,
-    signal: Annotated[OutputName, typer.Option("--signal", help="Output of the model.")] = THETA_1,
+    given: Annotated[Given, estimation_options(structure="oe", nk=1)],
+    signal: Annotated[OutputName, option("--signal", "Output of the model.")] = THETA_1,
     detrend: Detrend = False,
-    rig: Rigs = None,
-    kind: Kinds = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    force: Force = False,
-    json: Json = False,
+    selection: Selection,
 ) -> None:
     """Estimate a model from each recording.
 
@@ -97,27 +91,17 @@ def identify(
     from armrig.report.batch.tasks import Identify
 
     task = Identify(**asdict(requested(given)), signal=signal, detrend=detrend)
-    _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
+    _do(task, folder, output, selection)
 
 
-@app.command(
-    epilog="Example: armrig batch validate weeks --model model.json -o fits.parquet",
-    context_settings=_HELP,
-)
+@batch.add("batch validate weeks --model model.json -o fits.parquet")
 def validate(
+    *,
     folder: Folder,
-    model: Annotated[
-        Path,
-        typer.Option("--model", metavar="JSON", help="Model file written by identify --save."),
-    ],
+    model: Annotated[Path, option("--model JSON", "Model file written by identify --save.")],
     output: Table,
     detrend: Detrend = False,
-    rig: Rigs = None,
-    kind: Kinds = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    force: Force = False,
-    json: Json = False,
+    selection: Selection,
 ) -> None:
     """Validate one model on each recording.
 
@@ -134,97 +118,65 @@ def validate(
             "input, such as fit['alpha', 'u'] of it (armrig.load_fit and fit.save in Python)"
         )
     task = Validate(model=model_text(fit), detrend=detrend)
-    _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
+    _do(task, folder, output, selection)
 
 
-@app.command(epilog=_example("verify weeks -o checks.parquet"), context_settings=_HELP)
-def verify(
-    folder: Folder,
-    output: Table,
-    rig: Rigs = None,
-    kind: Kinds = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
+@batch.add("batch verify weeks -o checks.parquet")
+def verify(folder: Folder, output: Table, selection: Selection) -> None:
     """Check the integrity of each recording. The exit code is 1 if a check fails."""
     from armrig.report.batch.tasks import Verify
 
-    _do(Verify(), folder, output, rig, kind, workers, scheduler, force=force, json=json)
+    _do(Verify(), folder, output, selection)
 
 
-@app.command(
-    epilog="Example: armrig batch report weeks -o reports.parquet --kind blackbox",
-    context_settings=_HELP,
-)
+@batch.add("batch report weeks -o reports.parquet --kind blackbox")
 def report(
+    *,
     folder: Folder,
     output: Table,
-    reports: Annotated[
-        Path, typer.Option("--reports", metavar="FOLDER", help="Folder for the PDFs.")
-    ] = Path("reports"),
-    na: Na = 4,
-    nb: Nb = 4,
-    nf: Nf = 4,
-    nk: Nk = 1,
-    rig: Rigs = None,
-    kind: Kinds = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    force: Force = False,
-    json: Json = False,
+    reports: Annotated[Path, option("--reports FOLDER", "Folder for the PDFs.")] = Path("reports"),
+    orders: ModelOrders,
+    selection: Selection,
 ) -> None:
     """Write a report on each recording, with its validation recording if there is one."""
     from armrig.report.batch.tasks import Report
 
-    task = Report(folder=str(reports.resolve()), na=na, nb=nb, nf=nf, nk=nk)
-    _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
+    _do(Report(folder=str(reports.resolve()), **orders), folder, output, selection)
 
 
-def _do(
-    task: Task,
-    folder: Path,
-    output: Path,
-    rigs: Iterable[str] | None,
-    kinds: Iterable[str] | None,
-    workers: int | None,
-    scheduler: str | None,
-    *,
-    force: bool,
-    json: bool,
-) -> None:
+def _do(task: Task, folder: Path, output: Path, selection: _Selection) -> None:
     """Run the task and print the result; exit with 1 after a problem or a failed check."""
     from functools import partial
 
-    from armrig.cli.spinner import spinner
-    from armrig.report.batch.batch import batch
+    from armrig.report.batch.batch import batch as processed
     from armrig.report.batch.workers import cluster, processes
 
     if output.suffix != ".parquet":
         raise InputError(f"-o {output}: the name of a table ends in .parquet")
     if not output.absolute().parent.is_dir():
         raise InputError(f"-o {output}: there is no directory {output.parent}; create it first")
+    scheduler, workers = selection.scheduler, selection.workers
     if scheduler is not None and workers is not None:
         raise typer.BadParameter(
             "--workers applies to processes on this machine; a Dask cluster has its own workers"
         )
     many = workers or os.cpu_count() or 1
+    executor, at_once = partial(processes, many), _TASKS_PER_WORKER * many
+    if scheduler is not None:
+        executor, at_once = partial(cluster, scheduler), _CLUSTER_TASKS
     with spinner("processing") as count:
-        done = batch(
+        done = processed(
             folder.resolve(),
             task,
             output,
-            open_executor=partial(processes, many)
-            if scheduler is None
-            else partial(cluster, scheduler),
-            at_once=_TASKS_PER_WORKER * many if scheduler is None else _CLUSTER_TASKS,
-            rigs=tuple(rigs or ()),
-            kinds=tuple(kinds or ()),
-            anew=force,
+            open_executor=executor,
+            at_once=at_once,
+            rigs=tuple(selection.rig or ()),
+            kinds=tuple(selection.kind or ()),
+            anew=selection.force,
             count=count,
         )
-    _say(done, json=json)
+    _say(done, json=selection.json)
 
 
 def _say(done: Batch, *, json: bool) -> None:

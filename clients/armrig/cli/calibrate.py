@@ -9,15 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
 from armrig_core.errors import FileError, InputError
 from armrig_core.telemetry import ALPHA
 
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading, take_into_use
-from armrig.cli.chosen_recording import recording_path
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import naming, say_next
-from armrig.cli.options import Connect, Json, RigId, print_json, print_table, tell
+from armrig.cli.options import Connect, Json, RigId, option, print_json, print_table, tell
+from armrig.cli.reading_options import recording_path
 from armrig.numerics.quantities import with_std
 
 if TYPE_CHECKING:
@@ -28,73 +27,55 @@ if TYPE_CHECKING:
 
 Save = Annotated[
     Path | None,
-    typer.Option(
-        "--save",
-        metavar="TOML",
-        help="Calibration file to write.",
-        show_default="calibration-<rig>.toml in ~/.config/armrig",
+    option(
+        "--save TOML", "Calibration file to write.", "calibration-<rig>.toml in ~/.config/armrig"
     ),
 ]
 Volts = Annotated[
-    list[float] | None,
-    typer.Option("--volts", help="Voltage to apply, in V; repeatable.", show_default="1, 2 and 3"),
+    list[float] | None, option("--volts", "Voltage to apply, in V; repeatable.", "1, 2 and 3")
 ]
 LevelSeconds = Annotated[
-    float, typer.Option("--level-seconds", help="Time for which each voltage is held, in s.")
+    float, option("--level-seconds", "Time for which each voltage is held, in s.")
 ]
 RestSeconds = Annotated[
     float,
-    typer.Option(
-        "--rest-seconds", help="Length of the recordings at rest and with the arm deflected, in s."
-    ),
+    option("--rest-seconds", "Length of the recordings at rest and with the arm deflected, in s."),
 ]
 Meter = Annotated[
     list[str] | None,
-    typer.Option(
-        "--meter",
-        metavar="CODE=VOLTS",
-        help="Voltmeter's reading at the motor for a PWM code, 1 to 65535; repeatable.",
+    option(
+        "--meter CODE=VOLTS",
+        "Voltmeter's reading at the motor for a PWM code, 1 to 65535; repeatable.",
     ),
 ]
-MeterStd = Annotated[
-    float, typer.Option("--meter-std", help="Standard deviation of a meter's reading, in V.")
-]
+MeterStd = Annotated[float, option("--meter-std", "Standard deviation of a meter's reading, in V.")]
 ByHand = Annotated[
     bool,
-    typer.Option(
-        "--by-hand",
-        help="Leave the motor off; deflect the arm by hand to find the sign of its angle.",
+    option(
+        "--by-hand", "Leave the motor off; deflect the arm by hand to find the sign of its angle."
     ),
 ]
 RestFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--rest", metavar="F", parser=recording_path, help="Earlier recording of the rig at rest."
-    ),
+    Path | None, option("--rest F", "Earlier recording of the rig at rest.", parser=recording_path)
 ]
 TurnsFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--turns", metavar="F", parser=recording_path, help="Earlier recording of the slow turns."
-    ),
+    Path | None, option("--turns F", "Earlier recording of the slow turns.", parser=recording_path)
 ]
-SamplingTime = Annotated[
-    float | None, typer.Option("--Ts", help="Sampling time, in s.", show_default="the daemon's")
-]
+SamplingTime = Annotated[float | None, option("--Ts", "Sampling time, in s.", "the daemon's")]
 Yes = Annotated[
     bool,
-    typer.Option(
+    option(
         "--yes",
-        help="Ask no questions, not even for meter readings; load the calibration into the daemon "
+        "Ask no questions, not even for meter readings; load the calibration into the daemon "
         "unless --no-use is given.",
     ),
 ]
 Use = Annotated[
     bool | None,
-    typer.Option(
+    option(
         "--use/--no-use",
-        help="Use the calibration in the running daemon until the daemon ends.",
-        show_default="asked",
+        "Use the calibration in the running daemon until the daemon ends.",
+        "asked",
     ),
 ]
 

@@ -8,19 +8,43 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 from armrig_core.errors import OperationError
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from armrig.cli.demo_plan import Experiment, experiments, write_config
+from armrig.cli.options import fields_of
+from armrig.excitation import step, telegraph
 
 if TYPE_CHECKING:
     from armrig.report.study import Assessed, Study
 
 
+RIG = "demo"
+Ts = 0.01
+LOW, HIGH, SWITCH = 0.5, 4.5, 0.05
+_STEP_S, _STEP_AT_S = 3.0, 0.5
+_CONFIG = """\
+# Configuration of the demonstration: an emulated rig, sampled at 100 Hz.
+[rig]
+id = "{rig}"
+
+[device]
+watchdog_ms = 250  # the longest: a busy machine stalls the emulator, too
+
+[timing]
+Ts = {Ts}
+
+[recording]
+directory = "{directory}"
+
+[emulator]
+seed = {seed}
+"""
 _EMULATED = (
     "The emulated plant obeys the same equations as the physical model below. Its angles are read "
     "through a 10-bit converter with noise and a dead band. The agreement of plant and model shows "
@@ -36,6 +60,51 @@ _FIRMWARE = (
     "The device was the firmware of an Arduino Uno, the same bytes as in a board, in a "
     "simulator of its processor; the voltage was measured at the simulated pin."
 )
+
+
+class Experiment(NamedTuple):
+    """One run of the demonstration."""
+
+    name: str
+    u: NDArray[np.float64]
+    """Motor voltage at each sample, in V."""
+    request: dict[str, Any]
+    """Other fields of the request to the daemon: kind and details."""
+
+    @property
+    def Ts(self) -> float:
+        """Sampling time, in s."""
+        return Ts
+
+    @property
+    def seconds(self) -> float:
+        """Length, in s."""
+        return Ts * self.u.size
+
+
+def experiments(seconds: float, seed: int) -> list[Experiment]:
+    """Return a step, a telegraph signal of `seconds`, and a telegraph signal for validation."""
+    N = round(seconds / Ts)
+    levels = {"low": LOW, "high": HIGH}
+    up = step(round(_STEP_S / Ts), **levels, at=round(_STEP_AT_S / Ts))
+    plan = [Experiment("step", up, {"experiment": "step", "details": {"input": "step", **levels}})]
+    for name, number in (("telegraph", seed), ("validation", seed + 1)):
+        details = {"input": "telegraph", **levels, "a": SWITCH, "seed": number}
+        u = telegraph(N, SWITCH, LOW, HIGH, seed=number)
+        plan.append(Experiment(name, u, {"experiment": "blackbox", "details": details}))
+    return plan
+
+
+def write_config(directory: Path, seed: int) -> Path:
+    """Write the configuration of the demonstration's rig, and return its path."""
+    path = directory / "armrig.toml"
+    text = _CONFIG.format(rig=RIG, Ts=Ts, directory=_toml(directory.absolute()), seed=seed)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _toml(path: Path) -> str:
+    return str(path).replace("\\", "\\\\").replace('"', '\\"')
 
 
 def demo(
@@ -107,7 +176,7 @@ def _record(plan: list[Experiment], config: Path, console: Console, done: list[P
     from armrig.rig.session import RigError
 
     try:
-        record_in_real_time(plan, config, console, done)
+        record_in_real_time(plan, RIG, config, console, done)
     except (RigError, InputError) as err:  # InputError: no folder for the daemon's socket
         return str(err)
     return ""
@@ -176,12 +245,7 @@ def _print_results(
 def _row(model: Assessed) -> dict[str, Any]:
     """Return the errors and fits of a model on the validation recording as JSON fields."""
     row = model.comparison
-    return {
-        "model": row.name,
-        "rms_error": row.rms_error,
-        "fit_percent": row.fit_percent,
-        "velocity_fit_percent": row.velocity_fit_percent,
-    }
+    return {"model": row.name} | fields_of(row, "rms_error fit_percent velocity_fit_percent")
 
 
 def from_here(path: Path) -> Path:

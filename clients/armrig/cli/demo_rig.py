@@ -8,17 +8,20 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from armrig_core.codes import TRY_AGAIN
 from rich.console import Console
 
-from armrig.cli.demo_plan import RIG, Experiment, Ts
 from armrig.rig.client import Rig
 from armrig.rig.collection import bar, timing_note
 from armrig.rig.local_daemon import running
 from armrig.rig.replies import BusyError, RefusedError, RunEndedError
 from armrig.rig.session import RigError
 from armrig.rig.status import scheduling_sentences
+
+if TYPE_CHECKING:
+    from armrig.cli.demo import Experiment
 
 MAX_ENDED_RUNS = 3
 """If stalls have ended this number of runs, the demonstration continues in virtual time."""
@@ -61,7 +64,7 @@ class Patience:
 
 
 def record_in_real_time(
-    plan: Sequence[Experiment], config: Path, console: Console, done: list[Path]
+    plan: Sequence[Experiment], rig_id: str, config: Path, console: Console, done: list[Path]
 ) -> None:
     """Play experiments on an emulated rig; append the recordings to `done`.
 
@@ -75,7 +78,7 @@ def record_in_real_time(
     patience = Patience(plan)
     log = config.with_name("armrigd.log")
     arguments = ["--config", str(config), "--emulate"]
-    with running(arguments, rig=RIG, log=log), Rig(RIG) as rig:
+    with running(arguments, rig=rig_id, log=log), Rig(rig_id) as rig:
         wait_until_safe(rig)
         seconds = sum(experiment.seconds for experiment in plan)
         console.print(
@@ -94,7 +97,7 @@ def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patie
     while True:
         wait_until_safe(rig)
         try:
-            rig.arm("armrig demo", Ts)
+            rig.arm("armrig demo", experiment.Ts)
             with (
                 timing_note(rig, experiment.u.size) as note,
                 bar(experiment.name, console, note=note) as progress,

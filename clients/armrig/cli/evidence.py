@@ -1,47 +1,59 @@
-"""The commands verify and export: checks of a recording, and its data for other programs."""
+"""The commands on the files of recordings: verify, export, recover."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.telemetry import THETA_1, ChannelName
 
-from armrig.cli.chosen_recording import File
 from armrig.cli.options import (
     CalibrationFile,
     From,
     Json,
     To,
+    argument,
     echo,
+    fields_of,
+    inform,
+    option,
     print_json,
     print_table,
     tell,
     warned,
 )
+from armrig.cli.reading_options import File
+from armrig.cli.spinner import spinner
 
-Out = Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")]
-Csv = Annotated[bool, typer.Option("--csv", help="Write CSV, for any program.")]
+if TYPE_CHECKING:
+    from armrig_core.recording_file.recovery import RecoveredFile
+
+Out = Annotated[Path, argument("OUT", "File to write.")]
+Csv = Annotated[bool, option("--csv", "Write CSV, for any program.")]
 Mat = Annotated[
-    bool,
-    typer.Option("--mat", help="Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns."),
+    bool, option("--mat", "Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns.")
 ]
-Parquet = Annotated[
-    bool, typer.Option("--parquet", help="Write Parquet, for pandas, polars and others.")
-]
+Parquet = Annotated[bool, option("--parquet", "Write Parquet, for pandas, polars and others.")]
 Transforms = Annotated[
     bool,
-    typer.Option(
+    option(
         "--transforms",
-        help="Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel.",
+        "Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel.",
     ),
 ]
-Raw = Annotated[bool, typer.Option("--raw", help="Include the readings and times as recorded.")]
-OutputOfMat = Annotated[
-    ChannelName, typer.Option("--signal", help="Signal that becomes y in the MAT-file.")
+Raw = Annotated[bool, option("--raw", "Include the readings and times as recorded.")]
+OutputOfMat = Annotated[ChannelName, option("--signal", "Signal that becomes y in the MAT-file.")]
+
+Where = Annotated[
+    list[Path] | None,
+    argument(
+        "FILE|FOLDER…",
+        "Unfinished recordings (*.mcap.active), or folders that contain them.",
+        "the folder that the daemon records into",
+    ),
 ]
 
 
@@ -51,7 +63,6 @@ def verify(file: File, json: Json = False) -> None:
     The checks cover samples and gap records, voltages, input, times, hashes and clocks. The exit
     code is 1 if a check fails; the readable data can still be loaded and exported.
     """
-    from armrig.cli.spinner import spinner
     from armrig.recordings.findings import TOO_FEW
     from armrig.recordings.verification import rows
     from armrig.recordings.verification import verify as verified
@@ -96,7 +107,6 @@ def export(
     A missing y is NaN.
     """
     from armrig.cli.figures import check_output
-    from armrig.cli.spinner import spinner
     from armrig.recordings.export import write_csv, write_mat, write_parquet, write_transforms
     from armrig.recordings.loading import load
 
@@ -146,3 +156,68 @@ def _kind(out: Path, asked: dict[str, bool]) -> str:
         f"{out}: give --csv, --mat, --parquet or --transforms, or a name that ends in "
         ".csv, .mat or .parquet"
     )
+
+
+def recover(where: Where = None, json: Json = False) -> None:
+    """Finish recordings that a daemon left unfinished when it died.
+
+    A daemon completes its own recordings when it starts again; this command is for copied files. It
+    refuses a file that a daemon is still writing. Each file keeps its undamaged part and gets a
+    name that ends in .mcap. If a file cannot be recovered, it stays unchanged, and the exit code is
+    1.
+    """
+    from armrig_core.recording_file.recovery import sentence
+    from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
+
+    from armrig.recordings.recording_names import recording_folder
+
+    paths = list(_files(where or [recording_folder()]))
+    done: list[RecoveredFile] = []
+    left: list[tuple[Path, str]] = []
+    failed = False
+    recovery = _recovery()
+    for path, is_named in paths:
+        try:
+            done.append(recovery.recover(path))
+        except RecoveryError as err:
+            left.append((path, str(err)))
+            failed |= is_named or not isinstance(err, NotOursError)
+            tell(str(err))
+        else:
+            if not json:
+                echo(sentence(done[-1]))
+    if json:
+        unfinished = [{"recording": str(path), "why": why} for path, why in left]
+        print_json({"recovered": [_facts(file) for file in done], "left": unfinished})
+    elif not paths:
+        inform(f"nothing to recover in {', '.join(map(str, where or [recording_folder()]))}")
+    if failed:
+        raise typer.Exit(1)
+
+
+def _files(where: list[Path]) -> Iterator[tuple[Path, bool]]:
+    """Yield each unfinished file, and True if the user named the file and not its folder."""
+    from armrig_core.recording_file.unfinished import unfinished
+
+    for path in where:
+        if path.is_dir():
+            yield from ((file, False) for file in unfinished(path))
+        else:
+            yield path, True
+
+
+def _recovery() -> Any:
+    from datetime import UTC, datetime
+    from importlib.metadata import version
+
+    from armrig_core.recording_file.recovery import Recovery
+
+    return Recovery(
+        armrig=version("armrig"),
+        now=lambda: datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
+    )
+
+
+def _facts(file: RecoveredFile) -> dict[str, Any]:
+    outcome = fields_of(file.outcome, "samples missing outcome")
+    return {"recording": str(file.path)} | outcome | {"recovered": file.recovered}

@@ -8,10 +8,10 @@ from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from armrig_core.errors import InputError
 
-from armrig.cli.options import inform
+from armrig.cli.options import inform, option
+from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 Draw = Callable[..., Any]
 """Function that draws into its argument `ax`."""
 _EACH = "*"  # placeholder for the subject in the names of files in a folder
+HEIGHT = 3.6
+"""Height of a diagram, in inches."""
 WIDTH = 6.3
 """Width of the text of an A4 page, in inches."""
 _HEIGHT = 8.0  # in inches, of a screen
@@ -65,16 +67,7 @@ def figure_path(text: str | Path) -> Path:
 
 
 FIGURE_HELP = "Figure to write (such as .png, .pdf, .svg); FOLDER/ gets a .png for each diagram."
-Plot = Annotated[
-    Path | None,
-    typer.Option(
-        "-o",
-        "--plot",
-        metavar="FIGURE",
-        parser=figure_path,
-        help=FIGURE_HELP,
-    ),
-]
+Plot = Annotated[Path | None, option("-o --plot FIGURE", FIGURE_HELP, parser=figure_path)]
 
 
 def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
@@ -101,7 +94,7 @@ def check_figure(path: Path) -> None:
 
 
 def write_plot(
-    path: Path | None, width: float = WIDTH, /, *, height: float = 3.6, **draw: Draw
+    path: Path | None, width: float = WIDTH, /, *, height: float = HEIGHT, **draw: Draw
 ) -> list[Path]:
     """Write a figure with axes for each subject, print its path, and return the files.
 
@@ -121,7 +114,6 @@ def write_plot(
     """
     if path is None:
         return []
-    from armrig.cli.spinner import spinner
     from armrig.plots.captions import named_by_run
     from armrig.plots.layout import save
 

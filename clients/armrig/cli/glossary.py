@@ -6,15 +6,11 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from armrig_core.errors import InputError
 
-from armrig.cli.options import Json, echo, print_json
+from armrig.cli.options import Json, argument, echo, print_json
 
-Term = Annotated[
-    str | None,
-    typer.Argument(metavar="TERM", help="Term to explain.", show_default="a list of all terms"),
-]
+Term = Annotated[str | None, argument("TERM", "Term to explain.", "a list of all terms")]
 _ENTRY = re.compile(r"^- \*\*(?P<term>[^*]+)\*\*(?: \((?P<long>[^)]+)\))?: (?P<text>.+)$", re.M)
 _MAX_OFFERED = 3
 """Largest number of similar terms in the message about an unknown term."""

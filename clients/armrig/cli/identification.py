@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,8 +12,7 @@ import typer
 from armrig_core.errors import InputError
 from msgspec import structs
 
-from armrig.cli.chosen_recording import DataFile, recording_path
-from armrig.cli.figures import Plot, check_output, check_plot, write_plot
+from armrig.cli.figures import Draw, check_output
 from armrig.cli.model_structures import (
     Given,
     estimated,
@@ -21,21 +21,17 @@ from armrig.cli.model_structures import (
     searched_for,
 )
 from armrig.cli.next_estimation import after_identify
-from armrig.cli.options import (
-    Json,
-    Verbose,
-    print_json,
-    say,
-    say_answer,
-    tell,
-)
+from armrig.cli.options import fields_of, group, option, say, say_answer, tell
+from armrig.cli.reading_options import DataFile, recording_path
 from armrig.cli.recorded_data import (
     SignalChoice,
+    data_group,
     from_recording,
-    reads_data,
     source_facts,
     warn_of_estimation_data,
 )
+from armrig.cli.results import Output, ShownFigure
+from armrig.cli.spinner import estimating, spinner
 from armrig.estimation.request import Request
 from armrig.models.structure_table import STRUCTURES, users
 from armrig.numerics.quantities import listed
@@ -48,51 +44,38 @@ if TYPE_CHECKING:
     from armrig.validation.residual_test import ResidualTest
     from armrig.validation.search_result import SearchResult
 
-Search = Annotated[
-    bool,
-    typer.Option(
-        "--search",
-        help="Search several structures, or the given structure, with several orders.",
-    ),
-]
-MaxOrder = Annotated[
-    int, typer.Option("--max-order", min=1, help="Highest order that --search tries.")
-]
-Jobs = Annotated[
-    int,
-    typer.Option(
-        "--jobs",
-        min=1,
-        help="Number of processes that --search uses.",
-    ),
-]
-ValidationFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--validate",
-        metavar="F2",
-        parser=recording_path,
-        help="Recording, or other data, for validation.",
-    ),
-]
-Save = Annotated[Path | None, typer.Option("--save", metavar="JSON", help="Model file to write.")]
+_NK = "1; estimated with --search of one input and one output"
+Save = Annotated[Path | None, option("--save JSON", "Model file to write.")]
 
 
-@estimation_options(without_nk="1; estimated with --search of one input and one output")
-@reads_data()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Search:
+    """Range of a search."""
+
+    search: Annotated[
+        bool,
+        option(
+            "--search", "Search several structures, or the given structure, with several orders."
+        ),
+    ] = False
+    most: Annotated[int, option("--max-order", "Highest order that --search tries.", min=1)] = 5
+    jobs: Annotated[int, option("--jobs", "Number of processes that --search uses.", min=1)] = 1
+    fixed: Given = field(default_factory=dict)
+    """Fixed arguments of the search; the search chooses all other arguments."""
+
+
 def identify(
-    file: DataFile,
     *,
-    given: Given,
-    search: Search = False,
-    most: MaxOrder = 5,
-    jobs: Jobs = 1,
-    validate: ValidationFile = None,
-    signals: SignalChoice,
+    file: DataFile,
+    given: Annotated[Given, estimation_options(without_nk=_NK)],
+    searching: Annotated[_Search, group(_Search, ("search", "most", "jobs"))],
+    validate: Annotated[
+        Path | None,
+        option("--validate F2", "Recording, or other data, for validation.", parser=recording_path),
+    ] = None,
+    signals: Annotated[SignalChoice, data_group()],
     save: Save = None,
-    plot: Plot = None,
-    json: Json = False,
-    verbose: Verbose = False,
+    out: ShownFigure,
 ) -> None:
     """Estimate a model from data, or search for a model.
 
@@ -111,11 +94,11 @@ def identify(
     if signals.assume == "settling" and given["integrator"]:
         raise typer.BadParameter("--assume settling contradicts --integrator: leave one out")
     wanted: _Search | Request
-    if search:
-        wanted = _Search(fixed=searched_for(given, *shape), most=most, jobs=jobs)
+    if searching.search:
+        wanted = replace(searching, fixed=searched_for(given, *shape))
     else:
         wanted = requested(given, *shape)
-    _check_files(file, validate, plot=plot, save=save)
+    _check_files(out, save, file, validate)
     from armrig.recordings.usability import doubts_of_estimation
 
     data = signals.of(file)
@@ -127,54 +110,30 @@ def identify(
     wanted = _for_outputs(wanted, data, integrator=given["integrator"])
     taken: list[str] = []
     integrator = signals.integrator
-    if (signals.assume or search) and shape == (1, 1) and not (given["integrator"] or json):
+    decides = signals.assume or searching.search
+    if decides and shape == (1, 1) and not (given["integrator"] or out.json):
         integrator, taken = signals.choice(data)
-    found = _found(wanted, data, other, integrator)
-    if json:
-        _print_json(found, data)
-    else:
-        for line in taken:
-            say(line)
-        _print_lines(found, validate, verbose=verbose)
-    if save is not None:
-        found.fit.save(save)
-    _plot_model(found, data, plot)
-    if not json:
-        _say_next(found, data, file, validate, save, signals)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Search:
-    """Range of a search."""
-
-    fixed: dict[str, Any]
-    """Fixed arguments of the search; the search chooses all other arguments."""
-    most: int
-    """Highest order to try."""
-    jobs: int
-    """Number of processes in parallel."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Validation:
-    """Results of the model on the validation data."""
-
-    data: Dataset | Signals
-    table: ComparisonTable
-    tests: ResidualTest
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Found:
-    """Model, and the results of its estimation or search."""
-
-    fit: Fit
-    request: Request
-    """Request with which the model can be estimated again."""
-    search: SearchResult | None
-    validation: _Validation | None
-    doubts: tuple[Finding, ...]
-    """Findings that make the data doubtful."""
+    fit, request, searched = _estimated(wanted, data, other, integrator)
+    found = Found(
+        fit=fit,
+        request=request,
+        search=searched,
+        validation=None if other is None else _validated(fit, other),
+        doubts=_doubts(fit, data, integrator) if searched is None else searched.doubts,
+        data=data,
+        file=file,
+        validate=validate,
+        save=save,
+        signals=signals,
+        taken=taken,
+    )
+    out.show(
+        facts=found.facts,
+        say=lambda: found.say(verbose=out.verbose),
+        figures=found.figures,
+        say_next=found.say_next,
+        write=None if save is None else lambda: found.fit.save(save),
+    )
 
 
 def _for_outputs(
@@ -206,48 +165,147 @@ def _for_outputs(
     return structs.replace(wanted, integrator=integrating) if integrator else wanted
 
 
-def _check_files(
-    file: Path, validate: Path | None, *, plot: Path | None, save: Path | None
-) -> None:
+def _check_files(out: Output, save: Path | None, *inputs: Path | None) -> None:
     """Refuse, before the estimation, files that cannot or must not be written."""
-    inputs = [file] if validate is None else [file, validate]
-    check_plot(plot, inputs)
+    out.check(*inputs)
     if save is not None:
-        check_output(save, inputs)
+        check_output(save, [path for path in inputs if path is not None])
         if save.suffix.lower() != ".json":
             msg = f"--save {save}: a model is written as JSON; give a name that ends in .json"
             raise InputError(f"{msg}; to write a figure, use -o")
 
 
-def _found(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Validation:
+    """Results of the model on the validation data."""
+
+    data: Dataset | Signals
+    table: ComparisonTable
+    tests: ResidualTest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Model, and the results of its estimation or search."""
+
+    fit: Fit
+    request: Request
+    """Request with which the model can be estimated again."""
+    search: SearchResult | None
+    validation: _Validation | None
+    doubts: tuple[Finding, ...]
+    """Findings that make the data doubtful."""
+    data: Dataset | Signals
+    file: Path
+    validate: Path | None
+    """File of the validation data."""
+    save: Path | None
+    """File of the model."""
+    signals: SignalChoice
+    taken: list[str]
+    """Line that says how the output is taken."""
+
+    def say(self, *, verbose: bool) -> None:
+        """Print the answer, and the model."""
+        from armrig.cli import model_output
+        from armrig.validation.answer import answer
+
+        for line in self.taken:
+            say(line)
+        v = self.validation
+        table, tests = (v.table, v.tests) if v is not None else (None, None)
+        say_answer(answer(self.fit, table, tests, self.doubts))
+        for lines in self._all() if verbose else self._short():
+            say("\n".join(lines))
+        if hint := model_output.hint(self.fit):
+            tell(hint)
+
+    def _short(self) -> Iterator[Sequence[str]]:
+        """Yield the results of a search, a short form of the model, and the findings to act on."""
+        from armrig.cli import model_output
+
+        if self.search is not None:
+            yield model_output.short_search_lines(self.search)
+        yield model_output.short_model_lines(self.fit, roots=self.search is None)
+        if self.validation is not None:
+            yield from ([line] for line in model_output.pair_lines(self.validation.tests))
+        yield model_output.advice_lines(self.fit, self.doubts)
+
+    def _all(self) -> Iterator[Sequence[str]]:
+        """Yield all details of the search, the model and its validation."""
+        from armrig.cli import model_output
+        from armrig.validation.advice.advice import advice
+
+        if self.search is not None:
+            yield model_output.search_lines(self.search)
+        yield model_output.model_lines(self.fit)
+        said = [f"! {f.about}: {f.text}" for f in self.doubts if self.search is None]
+        yield [*said, repr(advice(self.fit))]
+        if self.validation is not None:
+            yield [f"validation on {self.validate}", repr(self.validation.table)]
+            yield model_output.residual_lines(self.validation.tests)
+
+    def facts(self) -> dict[str, Any]:
+        """Return the model, its advice, the search and the validation as JSON fields."""
+        from armrig.cli import model_output
+
+        facts = model_output.model_facts(self.fit) | source_facts(self.data)
+        found = (*self.doubts, *model_output.advice_on(self.fit))
+        facts["advice"] = [fields_of(f, "about level text") for f in found]
+        if self.search is not None:
+            facts["search"] = _search_facts(self.search)
+        if self.validation is not None:
+            v = self.validation
+            facts["validation"] = model_output.residual_facts(v.data, v.table.rows, v.tests)
+        return facts
+
+    def figures(self) -> dict[str, Draw]:
+        """Return the diagrams of the model, and the errors of a search."""
+        from armrig.plots import plot_bode, plot_compare, plot_poles_zeros, plot_step
+        from armrig.validation.comparison import compare
+        from armrig.validation.figures import plot_search
+
+        fit = self.fit
+        drawn: dict[str, Draw] = {}
+        if self.search is not None:
+            drawn["search"] = partial(plot_search, self.search)
+        if (fit.ny, fit.nu) == (1, 1):
+            each = {"bode": plot_bode, "step": plot_step, "poles": plot_poles_zeros}
+            return drawn | {name: partial(plot, fit) for name, plot in each.items()}
+        shown = self.data if self.validation is None else self.validation.data
+        drawn["compare"] = partial(plot_compare, shown, table=compare(shown, fit))
+        for i, j, channel in fit.channels():
+            label = f"{fit.inputs[j]} to {fit.outputs[i]}"
+            drawn[f"bode_{label.replace(' ', '_')}"] = partial(plot_bode, channel, labels=[label])
+        return drawn
+
+    def say_next(self) -> None:
+        """Print the next command, which acts on the findings, saves the model or validates it."""
+        from armrig.cli.model_output import to_act_on
+
+        about = to_act_on(self.fit, self.doubts)
+        about -= {"outliers"} if self.signals.hampel else set()
+        about -= {"integrator"} if self.signals.integrator is False else set()
+        after_identify(self, about)
+
+
+def _estimated(
     wanted: _Search | Request,
     data: Dataset | Signals,
     other: Dataset | Signals | None,
     integrator: bool | None,
-) -> _Found:
-    """Estimate or search for a model; if there are validation data, validate the model."""
-    searched = None
-    if isinstance(wanted, _Search):
-        searched = _searched(wanted, data, other, integrator)
-        fit = searched.fit
-        request = searched.chosen.candidate.request_for(data)
-        again = structs.replace(request, stable=False, focus=None, starts=None, replicates=None)
-    else:
+) -> tuple[Fit, Request, SearchResult | None]:
+    """Return the model, the request with which to estimate it again, and the search if any."""
+    if isinstance(wanted, Request):
         fit = estimated(data, wanted)
-        again = wanted
-    validation = None if other is None else _validated(fit, other)
-    doubts = _doubts(fit, data, integrator) if searched is None else searched.doubts
-    return _Found(
-        fit=fit,
-        request=again.of_fit(fit),
-        search=searched,
-        validation=validation,
-        doubts=doubts,
-    )
+        return fit, wanted.of_fit(fit), None
+    found = _searched(wanted, data, other, integrator)
+    request = found.chosen.candidate.request_for(data)
+    again = structs.replace(request, stable=False, focus=None, starts=None, replicates=None)
+    return found.fit, again.of_fit(found.fit), found
 
 
 def _doubts(fit: Fit, data: Dataset | Signals, integrator: bool | None) -> tuple[Finding, ...]:
-    from armrig.cli.spinner import spinner
     from armrig.validation.advice.data_advice import examine_fit_of
 
     with spinner("testing the data"):
@@ -263,9 +321,9 @@ def _searched(
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext
 
-    from armrig.cli.spinner import estimating
     from armrig.validation.model_search import search
 
+    given: Given = {"integrator": integrator} | wanted.fixed
     pool = ProcessPoolExecutor(wanted.jobs) if wanted.jobs > 1 else nullcontext()
     with estimating("--max-order") as progress, pool as executor:
         return search(
@@ -274,12 +332,11 @@ def _searched(
             orders=range(1, wanted.most + 1),
             executor=executor,
             progress=progress,
-            **({"integrator": integrator} | wanted.fixed),
+            **given,
         )
 
 
 def _validated(fit: Fit, other: Dataset | Signals) -> _Validation:
-    from armrig.cli.spinner import estimating
     from armrig.validation.comparison import compare
     from armrig.validation.residuals import residuals
 
@@ -287,121 +344,6 @@ def _validated(fit: Fit, other: Dataset | Signals) -> _Validation:
         table, tests = compare(other, fit), residuals(fit, other)
     warn_of_estimation_data(table)
     return _Validation(data=other, table=table, tests=tests)
-
-
-def _print_lines(found: _Found, validate: Path | None, *, verbose: bool) -> None:
-    from armrig.cli import model_output
-    from armrig.validation.answer import answer
-
-    table, tests = None, None
-    if found.validation is not None:
-        table, tests = found.validation.table, found.validation.tests
-    say_answer(answer(found.fit, table, tests, found.doubts))
-    if verbose:
-        _print_all(found, validate)
-    else:
-        _print_short(found)
-    if hint := model_output.hint(found.fit):
-        tell(hint)
-
-
-def _print_short(found: _Found) -> None:
-    """Print the results of a search, a short form of the model, and the findings to act on."""
-    from armrig.cli import model_output
-
-    searched = found.search is not None
-    if found.search is not None:
-        say("\n".join(model_output.short_search_lines(found.search)))
-    say("\n".join(model_output.short_model_lines(found.fit, roots=not searched)))
-    if found.validation is not None:
-        for line in model_output.pair_lines(found.validation.tests):
-            say(line)
-    say("\n".join(model_output.advice_lines(found.fit, found.doubts)))
-
-
-def _print_all(found: _Found, validate: Path | None) -> None:
-    """Print all details of the search, the model and its validation."""
-    from armrig.cli import model_output
-    from armrig.validation.advice.advice import advice
-
-    if found.search is not None:
-        say("\n".join(model_output.search_lines(found.search)))
-    say("\n".join(model_output.model_lines(found.fit)))
-    said = [f"! {f.about}: {f.text}" for f in found.doubts if found.search is None]
-    say("\n".join([*said, repr(advice(found.fit))]))
-    if found.validation is not None:
-        say(f"validation on {validate}\n{found.validation.table!r}")
-        say("\n".join(model_output.residual_lines(found.validation.tests)))
-
-
-def _print_json(found: _Found, data: Dataset | Signals) -> None:
-    from armrig.cli import model_output
-
-    facts = model_output.model_facts(found.fit) | source_facts(data)
-    facts["advice"] = [
-        {"about": f.about, "level": f.level, "text": f.text}
-        for f in (*found.doubts, *model_output.advice_on(found.fit))
-    ]
-    if found.search is not None:
-        facts["search"] = _search_facts(found.search)
-    if found.validation is not None:
-        v = found.validation
-        facts["validation"] = model_output.residual_facts(v.data, v.table.rows, v.tests)
-    print_json(facts)
-
-
-def _say_next(
-    found: _Found,
-    data: Dataset | Signals,
-    file: Path,
-    validate: Path | None,
-    save: Path | None,
-    signals: SignalChoice,
-) -> None:
-    """Print the next command, which acts on the findings, saves the model or validates it."""
-    from armrig.cli import model_output
-
-    about = model_output.to_act_on(found.fit, found.doubts)
-    about -= {"outliers"} if signals.hampel else set()
-    about -= {"integrator"} if signals.integrator is False else set()
-    after_identify(
-        found.fit,
-        found.request,
-        data,
-        file,
-        signals,
-        about=about,
-        tests=None if found.validation is None else found.validation.tests,
-        validate=validate,
-        save=save,
-        searched=found.search is not None,
-    )
-
-
-def _plot_model(found: _Found, data: Dataset | Signals, plot: Path | None) -> None:
-    if plot is None:
-        return
-    from armrig.plots import plot_bode, plot_compare, plot_poles_zeros, plot_step
-    from armrig.validation.comparison import compare
-    from armrig.validation.figures import plot_search
-
-    fit, searched = found.fit, found.search
-    drawn: dict[str, Any] = {}
-    if searched is not None:
-        drawn["search"] = lambda ax: plot_search(searched, ax=ax)
-    if (fit.ny, fit.nu) == (1, 1):
-        drawn["bode"] = lambda ax: plot_bode(fit, ax=ax)
-        drawn["step"] = lambda ax: plot_step(fit, ax=ax)
-        drawn["poles"] = lambda ax: plot_poles_zeros(fit, ax=ax)
-    else:
-        shown = data if found.validation is None else found.validation.data
-        table = compare(shown, fit)
-        drawn["compare"] = lambda ax: plot_compare(shown, table=table, ax=ax)
-        for i, j, channel in fit.channels():
-            label = f"{fit.inputs[j]} to {fit.outputs[i]}"
-            name = f"bode_{label.replace(' ', '_')}"
-            drawn[name] = partial(plot_bode, channel, labels=[label])
-    write_plot(plot, height=3.6, **drawn)
 
 
 def _search_facts(found: SearchResult) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The command lab, which starts a rig with its daemon."""
+"""The commands that show a rig live: lab, which starts it with its daemon, and dashboard."""
 
 from __future__ import annotations
 
@@ -6,16 +6,27 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from math import degrees, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from armrig_core.loading import end_at_ctrl_c
 from armrig_core.printable import printable
+from armrig_core.signal_pipe import SignalPipe, until_signal
 
 from armrig.cli.next_step import naming, next_line
-from armrig.cli.options import Json, RigId, echo, folded, inform, print_json, takes_styles
+from armrig.cli.options import (
+    Connect,
+    Json,
+    RigId,
+    echo,
+    folded,
+    inform,
+    option,
+    print_json,
+    takes_styles,
+)
 
 if TYPE_CHECKING:
     import subprocess
@@ -23,25 +34,18 @@ if TYPE_CHECKING:
     from armrig_core.commands import StatusReport
     from rich.text import Text
 
+    from armrig.dashboard.serving import Served
     from armrig.rig.client import Rig
 
-Port = Annotated[
-    str | None,
-    typer.Option(
-        "--port", metavar="DEVICE", help="Serial port of the rig.", show_default="an emulated rig"
-    ),
-]
+Port = Annotated[str | None, option("--port DEVICE", "Serial port of the rig.", "an emulated rig")]
 Config = Annotated[
-    Path | None,
-    typer.Option(
-        "--config", metavar="TOML", help="Configuration file, in place of the installed files."
-    ),
+    Path | None, option("--config TOML", "Configuration file, in place of the installed files.")
 ]
 Page = Annotated[
     bool,
-    typer.Option(
+    option(
         "--dashboard/--no-dashboard",
-        help="Also serve the dashboard, and open it if there is a screen; not with --json.",
+        "Also serve the dashboard, and open it if there is a screen; not with --json.",
     ),
 ]
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
@@ -207,3 +211,97 @@ def _view(*, json: bool) -> Iterator[tuple[Callable[[Any], None], Callable[[str]
             ),
             lambda text: live.update(Text(_between_words(text, console.width))),
         )
+
+
+def dashboard(
+    rig: RigId = "1",
+    connect: Connect = None,
+    port: Annotated[
+        int | None,
+        option("--port", "TCP port on this machine.", "8807, or a free one", min=1, max=65_535),
+    ] = None,
+    browser: Annotated[bool, option("--open", "Open the page in the browser.")] = False,
+    share: Annotated[
+        bool, option("--share", "Let visitors on this network watch and stop the rig, over TLS.")
+    ] = False,
+    for_foxglove: Annotated[
+        bool, option("--foxglove", "Also serve the streams to Foxglove on this machine.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Serve a page that shows and drives a rig, until Ctrl-C.
+
+    Anybody who has the printed address may command the rig. With the address of --share, visitors
+    may watch and stop the rig.
+
+    With --json the command prints {"url": …, "shared_url": …, "foxglove": …, "layouts": …}.
+    """
+    if not json:
+        inform("starting the dashboard …", dim=True)
+    # `until_signal` only notes the first Ctrl-C, and the imports take seconds on a busy machine.
+    has_loaded = end_at_ctrl_c("armrig")
+    import armrig.dashboard.serving  # noqa: F401 - used by `_serve`
+
+    has_loaded()
+    with until_signal() as ended:
+        _serve(
+            *(ended, rig, connect, port),
+            browser=browser,
+            share=share,
+            for_foxglove=for_foxglove,
+            json=json,
+        )
+
+
+def _serve(
+    ended: SignalPipe,
+    rig: str,
+    connect: str | None,
+    port: int | None,
+    *,
+    browser: bool,
+    share: bool,
+    for_foxglove: bool,
+    json: bool,
+) -> None:
+    """Serve the dashboard until the process receives a signal."""
+    import webbrowser
+
+    from armrig.dashboard.serving import Settings
+    from armrig.dashboard.serving import dashboard as serving
+    from armrig.dashboard.share import own_address
+
+    address = own_address() if share else None
+    with ExitStack() as opened:
+        settings = Settings(rig=rig, connect=connect, port=port, share=address)
+        served = opened.enter_context(serving(settings))
+        streams = layouts = ""
+        if for_foxglove:
+            from armrig.dashboard.foxglove import LAYOUTS, foxglove
+
+            layouts = str(LAYOUTS)
+            streams = opened.enter_context(foxglove(rig=rig, connect=connect))
+        if json:
+            urls = {"url": served.url, "shared_url": served.shared_url or None}
+            print_json(urls | {"foxglove": streams or None, "layouts": layouts or None})
+        else:
+            _say_addresses(rig, served, streams, layouts)
+        if browser:
+            webbrowser.open(served.browser_url)
+        ended.wait()
+
+
+def _say_addresses(rig: str, served: Served, streams: str, layouts: str) -> None:
+    """Print the addresses of the page, each with the rights that it gives."""
+    echo(f"rig {rig}: {served.url}")
+    echo("anybody with this address may command the rig; Ctrl-C ends the dashboard")
+    if served.shared_url:
+        from armrig.dashboard.share import qr_code
+
+        echo(f"to watch and stop: {served.shared_url}")
+        echo(qr_code(served.shared_url))
+        echo("the browser warns about the certificate, which this machine made; its SHA-256 is")
+        echo(served.fingerprint)
+    if streams:
+        echo(f"for Foxglove, to watch: {streams}")
+        echo(f"layouts for Foxglove and PlotJuggler: {layouts}")

@@ -8,39 +8,31 @@ from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
 from armrig_core.codes import COMPLETE
 from armrig_core.errors import InputError
 from armrig_core.printable import printable
 
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Json, echo, inform, print_json, tell
+from armrig.cli.options import Json, argument, echo, inform, option, print_json, tell
 
 if TYPE_CHECKING:
     from armrig.recordings.catalogue import Catalogue, LeftOut
     from armrig.recordings.recording_names import Answering
     from armrig.recordings.recording_summary import RecordingSummary
 
-Count = Annotated[
-    int, typer.Option("--count", min=1, help="Number of the newest recordings to list.")
-]
-All = Annotated[bool, typer.Option("--all", help="List all recordings.")]
-Live = Annotated[bool, typer.Option("--live", help="List the rigs that are alive.")]
+Count = Annotated[int, option("--count", "Number of the newest recordings to list.", min=1)]
+All = Annotated[bool, option("--all", "List all recordings.")]
+Live = Annotated[bool, option("--live", "List the rigs that are alive.")]
 Folder = Annotated[
     Path | None,
-    typer.Argument(
-        metavar="FOLDER",
-        help="Folder of the recordings.",
-        show_default="the folder that the daemon records into",
-    ),
+    argument("FOLDER", "Folder of the recordings.", "the folder that the daemon records into"),
 ]
 Connect = Annotated[
     str | None,
-    typer.Option(
-        "--connect",
-        metavar="ENDPOINT",
-        help="Only with --live: zenoh endpoint of a router or daemon.",
-        show_default="[client] connect, or all rigs of this machine",
+    option(
+        "--connect ENDPOINT",
+        "Only with --live: zenoh endpoint of a router or daemon.",
+        "[client] connect, or all rigs of this machine",
     ),
 ]
 Naming = Callable[["RecordingSummary"], str]

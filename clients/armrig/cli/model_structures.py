@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from armrig.cli.reading_options import grouped
+from armrig.cli.options import Group, option, parameter
+from armrig.cli.spinner import estimating, too_high
 from armrig.estimation.request import DEFAULTS, OPTIONS, Request, flag
 from armrig.models.structure_table import (
     COUNTED,
@@ -40,8 +39,8 @@ _WAY_OUT = {
 
 def estimation_options(
     *, structure: OfferedName | None = None, nk: int | None = None, without_nk: str = ""
-) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that replaces the argument `given` by the options of an estimation.
+) -> Group:
+    """Return the options of an estimation as a group.
 
     Parameters
     ----------
@@ -50,39 +49,22 @@ def estimation_options(
     without_nk : str
         Text for the default of nk in the help, if `nk` is None.
     """
-    return grouped("given", _options(structure, nk, without_nk))
-
-
-def _options(
-    structure: OfferedName | None, nk: int | None, without_nk: str
-) -> list[inspect.Parameter]:
     searches = structure is None
     what = "Model structure" + "; required without --search" * searches
-    which = typer.Option("--structure", help=f"{what}.", show_default=not searches)
+    which = option("--structure", f"{what}.", not searches)
     late = _option("nk", "Delay from u to y, in samples", without_nk)
-    kind_of_structure = OfferedName | None if searches else OfferedName
-    others = [
-        _parameter(
-            name,
-            bool if name == "integrator" else kind,
-            _option(name, option.help, option.default, _NOT_WITH.get(name, "") if searches else ""),
-            DEFAULTS[name],
-        )
-        for name, (kind, option) in OPTIONS.items()
-        if searches or option.channels == 1
+    options = [
+        parameter("structure", OfferedName | None if searches else OfferedName, which, structure),
+        *(parameter(name, int | None, _order(name)) for name in COUNTED),
+        parameter("nk", int | None if nk is None else int, late, nk),
     ]
-    return [
-        _parameter("structure", kind_of_structure, which, structure),
-        *(_parameter(name, int | None, _order(name)) for name in COUNTED),
-        _parameter("nk", int | None if nk is None else int, late, nk),
-        *others,
-    ]
-
-
-def _parameter(name: str, kind: Any, option: Any, default: Any = None) -> inspect.Parameter:
-    annotation = Annotated[kind, option]
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(name, keyword, default=default, annotation=annotation)
+    for name, (kind, one) in OPTIONS.items():
+        if searches or one.channels == 1:
+            more = _NOT_WITH.get(name, "") if searches else ""
+            typed = bool if name == "integrator" else kind
+            which = _option(name, one.help, one.default, more)
+            options.append(parameter(name, typed, which, DEFAULTS[name]))
+    return Group(options)
 
 
 def _order(name: str) -> Any:
@@ -100,7 +82,7 @@ def _option(name: str, what: str, default: str = "", more: str = "") -> Any:
     others = [row.title for row in OFFERED.values() if row.title not in titles]
     which = f" (not {others[0]})" if len(others) == 1 else f" ({', '.join(titles)})"
     which = which if others else ""
-    return typer.Option(flag(name), help=f"{what}{which}{more}.", show_default=default or True)
+    return option(flag(name), f"{what}{which}{more}.", default or True)
 
 
 def requested(given: Given, ny: int = 1, nu: int = 1) -> Request:
@@ -184,8 +166,6 @@ def _check_shape(structure: OfferedName, asked: Given, ny: int, nu: int) -> None
 def estimated(data: Dataset | Signals, request: Request) -> Fit:
     """Return the estimated model; refuse orders that are too high for the data."""
     import numpy as np
-
-    from armrig.cli.spinner import estimating, too_high
 
     request.check(data)
     named = listed([*request.orders])

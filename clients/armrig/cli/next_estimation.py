@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 from armrig_core.telemetry import THETA_1
 from msgspec import structs
 
-from armrig.cli.column_notes import far_from_zero
+from armrig.cli.columns import far_from_zero
 from armrig.cli.next_step import estimation_of, say_next, typed, validation_beside
-from armrig.cli.recorded_data import SignalChoice, from_recording
+from armrig.cli.recorded_data import SignalChoice, from_recording, measured
 from armrig.estimation.request import OPTIONS, Request, flag
 from armrig.models.structure_table import STRUCTURES
 
 if TYPE_CHECKING:
+    from armrig.cli.identification import Found
     from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
     from armrig.validation.residual_test import ResidualTest
@@ -30,35 +31,15 @@ _LOWER = {"order", "poles"}
 _CHECKED = {"feedback", "delay", "unstable"}
 
 
-def after_identify(
-    fit: Fit,
-    request: Request,
-    data: Dataset | Signals,
-    file: Path,
-    signals: SignalChoice,
-    *,
-    about: Set[str],
-    tests: ResidualTest | None,
-    validate: Path | None,
-    save: Path | None,
-    searched: bool,
-) -> None:
+def after_identify(found: Found, about: Set[str]) -> None:
     """Print the next command, which acts on the findings, saves the model or validates it.
 
-    Parameters
-    ----------
-    request : Request
-        Request with which the model can be estimated again.
-    about : set of str
-        Names of the findings to act on.
-    tests : ResidualTest, optional
-        Tests of the residuals on validation data.
-    validate, save : Path, optional
-        File of the validation data, and file of the model.
-    searched : bool
-        True if a search chose the model.
+    `about` are the names of the findings to act on.
     """
+    fit, request, data, signals = found.fit, found.request, found.data, found.signals
+    tests = None if found.validation is None else found.validation.tests
     one = (fit.ny, fit.nu) == (1, 1)
+    searched = found.search is not None
     if one:
         options = options_after(fit, request, about, searched=searched, detrended=signals.detrend)
     else:
@@ -66,30 +47,27 @@ def after_identify(
         options = options_of(request)
         if not (searched or accepted):
             options = _better_options(request, data, about)
-    given = signals.options()
-    if validate is not None:
-        validation = typed(validate)
+    given, file = signals.options(), typed(found.file)
+    if found.validate is not None:
+        validation = typed(found.validate)
     else:
-        validation = validation_beside(file) if signals.read else ""
-    values: dict[str, str | float] = {"file": typed(file), "Ts": fit.Ts, "validation": validation}
-    values["model"] = quote(str(save or "model.json"))
+        validation = validation_beside(found.file) if signals.read else ""
+    values: dict[str, str | float] = {"file": file, "Ts": fit.Ts, "validation": validation}
+    values["model"] = quote(str(found.save or "model.json"))
     values["options"] = options + given + (f" --validate {validation}" if validation else "")
     channel = signals
     if not one:
         columns = data.signals()
-        output, input = (
-            (*signals.outputs, *columns.outputs)[0],
-            (*signals.inputs, *columns.inputs)[0],
-        )
-        channel = signals.of_channel(output, input, data)
+        output = (*signals.outputs, *columns.outputs)[0]
+        channel = signals.of_channel(output, (*signals.inputs, *columns.inputs)[0], data)
     # `armrig check` has no option --offset.
     checked = channel.options() + " --detrend" * (one and fit.offset and not signals.detrend)
     if options == CHECK:
         say_next("identify check", **values, given=checked)
-    elif save is None or options != options_of(request):
+    elif found.save is None or options != options_of(request):
         say_next("identify", **values)
-    elif validate is not None and tests is not None and signals.read and _has_physics(fit):
-        after_validate(fit, tests, data, validate, save, signals, estimation=typed(file))
+    elif found.validate is not None and tests is not None and signals.read and _has_physics(fit):
+        after_validate(fit, tests, data, found.validate, found.save, signals, estimation=file)
     elif validation:
         # `armrig validate` has no option --assume.
         say_next("identify --save", **values, given=replace(signals, assume=None).options())
@@ -114,7 +92,7 @@ def _better_options(request: Request, data: Dataset | Signals, about: Set[str]) 
 
     columns = data.signals()
     if not from_recording(data):
-        outputs = [y[known] for y, known in zip(columns.y.T, columns.valid.T, strict=True)]
+        outputs = [y for _, y in measured(columns)]
         if far_from_zero([*outputs, *columns.u.T]):
             return f"{options_of(request)} --detrend"
     elif not INTEGRATING_OUTPUTS.isdisjoint(columns.outputs) and not request.integrator:

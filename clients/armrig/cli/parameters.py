@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from armrig.cli.options import tell
+from armrig.cli.options import option, tell
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
@@ -39,26 +39,25 @@ def _explained_amplitude(volts: float) -> float:
 
 def of_changes(note: str = "") -> Any:
     """Return the option --set, with a note at the end of its help."""
-    return typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help=f"Value of {PARAMETERS}, in SI units; repeatable{note}.",
+    return option(
+        "--set NAME=VALUE",
+        f"Value of {PARAMETERS}, in SI units; repeatable{note}.",
         callback=_doubted,
     )
 
 
 def of_amplitude(note: str = "") -> Any:
     """Return the option --amplitude, with a note at the end of its help."""
-    return typer.Option(
+    return option(
         "--amplitude",
-        help=f"Amplitude of the simulated sinusoid, in V{note}.",
+        f"Amplitude of the simulated sinusoid, in V{note}.",
         callback=_explained_amplitude,
     )
 
 
 def of_omega(note: str = "") -> Any:
     """Return the option --omega, with a note at the end of its help."""
-    return typer.Option("--omega", help=f"Angular frequency of the sinusoid, in rad/s{note}.")
+    return option("--omega", f"Angular frequency of the sinusoid, in rad/s{note}.")
 
 
 PARAMETERS = "J_1, J_2, N, K_lin, R_m, K_m or b_1"

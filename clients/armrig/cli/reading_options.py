@@ -1,19 +1,58 @@
-"""Options that choose the data of a command, and decorators that give options to a command."""
+"""Options that choose the file and the data of a command."""
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass, fields
-from functools import wraps
+from pathlib import Path
 from shlex import quote
-from typing import Annotated, Any, Literal, get_args, get_type_hints
+from typing import Annotated, Literal
 
-import typer
+from armrig_core.recording_file.part_names import part_paths
 
-from armrig.cli.options import CalibrationFile, Detrend, From, To
+from armrig.cli.options import CalibrationFile, Detrend, From, To, argument, inform, option
+from armrig.data.files import OTHER_DATA, RECORDING
 
+_NAMES = "@last or @NAME"
+
+
+def recording_path(text: str) -> Path:
+    """Return the path of a recording from its path or @name; print what the @name means.
+
+    Raises
+    ------
+    NoSuchRecordingError
+        No recording has the name, or several recordings have the name.
+    """
+    from armrig.recordings.recording_names import chosen, described, recording_folder
+
+    if not text.startswith("@"):
+        _check_bare_name(Path(text))
+        return Path(text)
+    found = chosen(text, recording_folder())
+    about = described(found).removeprefix(f"{text}, ")  # an id is not repeated
+    inform(f"{text} is {about}", dim=True)
+    return found.path
+
+
+def _check_bare_name(path: Path) -> None:
+    """Refuse a word that is not a file: a name without @, or a file without its suffix."""
+    if path.suffix or path.parent != Path() or path.exists():
+        return
+    from armrig.recordings.recording_names import NoSuchRecordingError
+
+    beside = path.with_suffix(RECORDING)
+    is_there = path.name and part_paths(beside)[0].exists()
+    meant = str(beside) if is_there else f"@{path}"
+    raise NoSuchRecordingError(f"{path}: there is no such file; did you mean {meant}?")
+
+
+OtherFile = Annotated[
+    Path | None, argument("F2", "Recording for validation.", False, parser=recording_path)
+]
+File = Annotated[Path, argument("F", f"Recording (*.mcap), {_NAMES}.", parser=recording_path)]
+DataFile = Annotated[
+    Path, argument("F", f"Recording (*.mcap, {_NAMES}), or {OTHER_DATA}.", parser=recording_path)
+]
 Assumption = Literal["integrating", "settling"]
 READING = ("time", "Ts", "topic", "decimal", "resample", "hold_input", "mask_rails", "unwrap")
 """Options of reading a table, which are arguments of `load_data`."""
@@ -21,8 +60,6 @@ PART = ("calibration", "start", "stop")
 """Options of reading a recording."""
 _FLAGS = {"start": "--from", "stop": "--to"}
 _DIGITS = 12  # of a number in a command line
-_SEVERAL = ("input", "signal")
-"""Options that a command line may repeat."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,79 +68,67 @@ class DataOptions:
 
     input: Annotated[
         str | None,
-        typer.Option(
-            "--input",
-            metavar="NAME",
-            help="Column of the input in other data: its name, or its number from 1.",
-            show_default="u",
+        option(
+            "--input NAME",
+            "Column of the input in other data: its name, or its number from 1.",
+            "u",
         ),
     ] = None
     signal: Annotated[
         str | None,
-        typer.Option(
-            "--signal",
-            metavar="NAME",
-            help="Output: theta_1, alpha or velocity; in other data, the column's name, or its "
-            "number from 1.",
-            show_default="theta_1; y of other data",
+        option(
+            "--signal NAME",
+            "Output: theta_1, alpha or velocity; in other data, the column's name, or its number "
+            "from 1.",
+            "theta_1; y of other data",
         ),
     ] = None
     time: Annotated[
         str | None,
-        typer.Option(
-            "--time",
-            metavar="NAME",
-            help="Column of the times in other data.",
-            show_default="t or time, if there is one",
-        ),
+        option("--time NAME", "Column of the times in other data.", "t or time, if there is one"),
     ] = None
     Ts: Annotated[
-        float | None,
-        typer.Option(
-            "--Ts", help="Sampling time of other data, in s.", show_default="by the times"
-        ),
+        float | None, option("--Ts", "Sampling time of other data, in s.", "by the times")
     ] = None
     topic: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Topic of an MCAP file of another program; its messages' fields are the columns.",
+        option(
+            "--topic NAME",
+            "Topic of an MCAP file of another program; its messages' fields are the columns.",
         ),
     ] = None
     decimal: Annotated[
         Literal[",", "."] | None,
-        typer.Option(
-            help="Decimal mark of other data: comma or point.",
-            show_default="by all numbers of the file",
+        option(
+            "--decimal", "Decimal mark of other data: comma or point.", "by all numbers of the file"
         ),
     ] = None
-    resample: Annotated[
-        bool, typer.Option("--resample", help="Interpolate other data at uneven times.")
-    ] = False
+    resample: Annotated[bool, option("--resample", "Interpolate other data at uneven times.")] = (
+        False
+    )
     hold_input: Annotated[
-        bool, typer.Option("--hold-input", help="Hold the input where its cell is empty.")
+        bool, option("--hold-input", "Hold the input where its cell is empty.")
     ] = False
     mask_rails: Annotated[
-        bool,
-        typer.Option("--mask-rails", help="Mark samples at a rail of the converter as missing."),
+        bool, option("--mask-rails", "Mark samples at a rail of the converter as missing.")
     ] = False
     unwrap: Annotated[
         float | None,
-        typer.Option(
-            metavar="RANGE",
-            help="Remove the jumps of a counter or angle that wraps, such as 65536 or 360.",
+        option(
+            "--unwrap RANGE",
+            "Remove the jumps of a counter or angle that wraps, such as 65536 or 360.",
         ),
     ] = None
     detrend: Detrend = False
     hampel: Annotated[
-        bool, typer.Option("--hampel", help="Mark single outliers of the output as missing.")
+        bool, option("--hampel", "Mark single outliers of the output as missing.")
     ] = False
     assume: Annotated[
         Assumption | None,
-        typer.Option(
+        option(
             "--assume",
-            help="Take the output as the integral of its rate, or as an output that settles.",
-            show_default="a test of the data decides",
+            "Take the output as the integral of its rate, or as an output that settles.",
+            "a test of the data decides",
         ),
     ] = None
     calibration: CalibrationFile = None
@@ -124,61 +149,4 @@ class DataOptions:
 
 
 OPTIONS = tuple(field.name for field in fields(DataOptions))
-"""Names of all options."""
-
-
-def grouped(
-    name: str, options: Sequence[inspect.Parameter], made: Callable[..., Any] = dict
-) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that replaces the argument `name` of a command by options.
-
-    The command gets the value that `made` makes of the options, in place of the argument.
-    """
-
-    def decorated(command: Callable[..., None]) -> Callable[..., None]:
-        @wraps(command)
-        def taking(**values: Any) -> None:
-            group = made(**{p.name: values.pop(p.name) for p in options})
-            command(**{name: group}, **values)
-
-        signature = inspect.signature(command, eval_str=True)
-        taken = [
-            p
-            for one in signature.parameters.values()
-            for p in (options if one.name == name else [one])
-        ]
-        taking.__signature__ = signature.replace(  # type: ignore[attr-defined]
-            parameters=[p.replace(kind=p.KEYWORD_ONLY) for p in taken]
-        )
-        taking.__annotations__ = {p.name: p.annotation for p in taken}
-        return taking
-
-    return decorated
-
-
-def data_options(names: Sequence[str], *, several: bool) -> list[inspect.Parameter]:
-    """Return options of `DataOptions` as parameters of a command.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the options.
-    several : bool
-        Whether the command takes several inputs and outputs.
-    """
-    kinds = get_type_hints(DataOptions, include_extras=True)
-    for name in _SEVERAL if several else ():
-        _, option = get_args(kinds[name])
-        option = copy(option)
-        option.help = f"{option.help.removesuffix('.')}; repeatable."
-        kinds[name] = Annotated[list[str] | None, option]
-    return [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=field.default,
-            annotation=kinds[field.name],
-        )
-        for field in fields(DataOptions)
-        if field.name in names
-    ]
+"""Names of all options of `DataOptions`."""

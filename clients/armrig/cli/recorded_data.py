@@ -2,44 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1
 
-from armrig.cli.channels import (
+from armrig.cli.columns import (
     UNNAMED,
     as_modelled,
+    check_varies,
+    hint_at_means,
     modelled_outputs,
     names,
     recorded_outputs,
     require_as_many,
-)
-from armrig.cli.column_notes import (
-    check_varies,
-    hint_at_means,
     tell_of_reading,
 )
 from armrig.cli.figures import name_runs
-from armrig.cli.options import inform, tell, warned
-from armrig.cli.reading_options import (
-    OPTIONS,
-    PART,
-    READING,
-    Assumption,
-    DataOptions,
-    data_options,
-    grouped,
-)
+from armrig.cli.options import Group, group, inform, tell, warned
+from armrig.cli.reading_options import OPTIONS, PART, READING, Assumption, DataOptions
+from armrig.cli.spinner import spinner
 from armrig.data.files import OTHER_DATA
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset, Signals
+    from armrig.data.dataset import Dataset, Signals, Vector
     from armrig.models.fit import Fit
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
@@ -55,7 +46,6 @@ def loaded(
     one_plant: bool = True,
 ) -> list[Recording]:
     """Return the recordings; print their damage, and reasons not to use them together."""
-    from armrig.cli.spinner import spinner
     from armrig.recordings.loading import load
     from armrig.recordings.usability import all_doubts, early_ends
 
@@ -214,27 +204,18 @@ class SignalChoice(DataOptions):
             for finding in swapped(data):
                 tell(f"{file}: {finding.text} (--input, --signal)")
         if not (self.detrend or self.offset or _without_means(model) or _with_level(model)):
-            hint_at_means(
-                [
-                    (name, y[known])
-                    for name, y, known in zip(
-                        columns.outputs, columns.y.T, columns.valid.T, strict=True
-                    )
-                ],
-                list(zip(columns.inputs, columns.u.T, strict=True)),
-                may_offset=self.offset is not None,
-            )
+            inputs_read = list(zip(columns.inputs, columns.u.T, strict=True))
+            may_offset = self.offset is not None
+            hint_at_means(measured(columns), inputs_read, may_offset=may_offset)
         data = between(data, self.start, self.stop)
-        columns = data.signals()
-        for name, y, known in zip(columns.outputs, columns.y.T, columns.valid.T, strict=True):
-            check_varies(file, name, y[known])
+        for name, y in measured(data.signals()):
+            check_varies(file, name, y)
         return data
 
     def _read(
         self, file: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]
     ) -> Dataset | Signals:
         """Return the columns of a file that is not a recording."""
-        from armrig.cli.spinner import spinner
         from armrig.data.files.loading import load_data, load_signals
 
         if self.calibration is not None:
@@ -278,17 +259,18 @@ class SignalChoice(DataOptions):
         return recording.dataset(outputs[0]) if len(outputs) == 1 else recording.signals(outputs)
 
 
-def reads_data(
-    *without: str, several: bool = True
-) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that replaces the argument `signals` of a command by options of data."""
-    names = [name for name in OPTIONS if name not in without]
-    return grouped("signals", data_options(names, several=several), SignalChoice.of_options)
+def data_group(*, without: str = "", several: bool = True) -> Group:
+    """Return the options of data, without the option `without`, as a group.
+
+    If `several` is True, --input and --signal may be repeated.
+    """
+    names = [name for name in OPTIONS if name != without]
+    repeatable = ("input", "signal") if several else ()
+    return group(DataOptions, names, SignalChoice.of_options, repeatable=repeatable)
 
 
-def reads_part(command: Callable[..., None]) -> Callable[..., None]:
-    """Replace the argument `part` of a command by --calibration, --from and --to."""
-    return grouped("part", data_options(PART, several=False), SignalChoice)(command)
+Part = Annotated[SignalChoice, group(DataOptions, PART, SignalChoice)]
+"""Options --calibration, --from and --to."""
 
 
 def between(data: Dataset | Signals, start: float | None, stop: float | None) -> Dataset | Signals:
@@ -315,6 +297,12 @@ def each_channel(data: Dataset | Signals) -> Iterator[tuple[Channel, Dataset]]:
         for input in columns.inputs:
             one = columns.ny == columns.nu == 1
             yield () if one else (input, output), columns.dataset(output, input)
+
+
+def measured(data: Signals) -> list[tuple[str, Vector]]:
+    """Return the outputs with their names, without missing values."""
+    each = zip(data.outputs, data.y.T, data.valid.T, strict=True)
+    return [(name, y[known]) for name, y, known in each]
 
 
 def from_recording(data: Dataset | Signals) -> bool:
@@ -346,7 +334,6 @@ def warn_of_estimation_data(table: ComparisonTable) -> None:
 
 def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
     """Return the frequency response by spectral analysis; an empty list after a failure."""
-    from armrig.cli.spinner import spinner
     from armrig.estimation.nonparametric.spectral import spectral_reference
 
     try:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from armrig.cli.chosen_recording import File
 from armrig.cli.figures import Plot, check_plot, name_runs, write_plot
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
@@ -20,6 +19,7 @@ from armrig.cli.options import (
     print_json,
     print_table,
 )
+from armrig.cli.reading_options import File
 
 if TYPE_CHECKING:
     from armrig_core.manifest import Recovered

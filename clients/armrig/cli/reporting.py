@@ -10,21 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from armrig_core.errors import InputError
 from armrig_core.printable import printable
-from armrig_core.telemetry import THETA_1, OutputName
+from armrig_core.telemetry import OutputName
 
-from armrig.cli.channels import names, recorded_outputs
-from armrig.cli.chosen_recording import recording_path
+from armrig.cli.columns import chosen_outputs
 from armrig.cli.figures import check_output
 from armrig.cli.next_step import REASONS, for_the_report, free_name, opener, say_next
 from armrig.cli.options import (
     CalibrationFile,
     Json,
-    Na,
-    Nb,
-    Nf,
-    Nk,
+    ModelOrders,
+    argument,
     echo,
     inform,
+    option,
     print_json,
     tell,
 )
@@ -36,68 +34,53 @@ from armrig.cli.parameters import (
     of_changes,
     of_omega,
 )
+from armrig.cli.reading_options import recording_path
+from armrig.cli.spinner import estimating, spinner
 from armrig.data.finding import OWN_DATA
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
-    from armrig.report.study import Orders
 
 
 Source = Annotated[
     Path | None,
-    typer.Option(
-        "--source",
-        metavar="FOLDER",
-        help="New folder for the Typst source and its figures; --from typesets this source.",
+    option(
+        "--source FOLDER",
+        "New folder for the Typst source and its figures; --from typesets this source.",
     ),
 ]
 Edited = Annotated[
-    Path | None,
-    typer.Option(
-        "--from", metavar="FOLDER", help="Folder with a source to typeset, in place of recordings."
-    ),
+    Path | None, option("--from FOLDER", "Folder with a source to typeset, in place of recordings.")
 ]
 Files = Annotated[
-    list[Path] | None,
-    typer.Argument(
-        metavar="F…", parser=recording_path, help="Recordings (*.mcap) or their @names."
-    ),
+    list[Path] | None, argument("F…", "Recordings (*.mcap) or their @names.", parser=recording_path)
 ]
-Pdf = Annotated[Path, typer.Option("-o", "--output", metavar="PDF", help="PDF to write.")]
+Pdf = Annotated[Path, option("-o --output PDF", "PDF to write.")]
 Outputs = Annotated[
     list[str] | None,
-    typer.Option(
-        "--signal",
-        metavar="NAME",
-        help="Output of the models, theta_1 or alpha; repeatable, for models of both outputs. The "
+    option(
+        "--signal NAME",
+        "Output of the models, theta_1 or alpha; repeatable, for models of both outputs. The "
         "orders apply to theta_1; na, nb and nf of a model of alpha are one less.",
-        show_default="theta_1",
+        "theta_1",
     ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing PDF.")]
+Force = Annotated[bool, option("--force", "Overwrite an existing PDF.")]
 Handout = Annotated[
     bool,
-    typer.Option(
+    option(
         "--handout",
-        help="Write a section for each assignment, at most ten pages in total. The recordings F… "
+        "Write a section for each assignment, at most ten pages in total. The recordings F… "
         "are then optional.",
     ),
 ]
 Questions = Annotated[
     Path | None,
-    typer.Option(
-        "--questions",
-        metavar="TOML",
-        help="New file for the handout's questions; no report is written.",
-    ),
+    option("--questions TOML", "New file for the handout's questions; no report is written."),
 ]
 AnswersFile = Annotated[
     Path | None,
-    typer.Option(
-        "--answers",
-        metavar="TOML",
-        help="File with names, registration numbers and reasons (--handout).",
-    ),
+    option("--answers TOML", "File with names, registration numbers and reasons (--handout)."),
 ]
 HandoutGiven = Annotated[list[str] | None, of_changes(" (--handout)")]
 HandoutAmplitude = Annotated[float, of_amplitude(" (--handout)")]
@@ -105,13 +88,11 @@ HandoutOmega = Annotated[float, of_omega(" (--handout)")]
 
 
 def report(
+    *,
     files: Files = None,
     output: Pdf = Path("report.pdf"),
     signal: Outputs = None,
-    na: Na = 4,
-    nb: Nb = 4,
-    nf: Nf = 4,
-    nk: Nk = 1,
+    orders: ModelOrders,
     calibration: CalibrationFile = None,
     force: Force = False,
     handout: Handout = False,
@@ -156,9 +137,6 @@ def report(
     if edited is not None:
         _typeset_source(edited, output)
     else:
-        from armrig.report.study import Orders
-
-        orders = Orders(na=na, nb=nb, nf=nf, nk=nk)
         if handout:
             recordings = _report_handout(
                 files,
@@ -172,7 +150,7 @@ def report(
                 omega=omega,
             )
         else:
-            outputs = recorded_outputs(names("--signal", ",".join(signal or ())) or (THETA_1,))
+            outputs = chosen_outputs(signal)
             recordings = _report_study(
                 files, output, calibration, source, orders=orders, outputs=outputs
             )
@@ -241,7 +219,6 @@ def _write_questions(path: Path) -> None:
 
 def _typeset_source(folder: Path, output: Path) -> None:
     """Typeset the source that a folder contains."""
-    from armrig.cli.spinner import spinner
     from armrig.report.document import TEMPLATE, check_length
     from armrig.report.typesetting import compiled
 
@@ -264,19 +241,18 @@ def _report_study(
     calibration: Path | None,
     source: Path | None,
     *,
-    orders: Orders,
+    orders: dict[str, Any],
     outputs: Sequence[OutputName],
 ) -> list[Recording]:
     """Typeset a study of recordings."""
     from armrig.cli.recorded_data import loaded
-    from armrig.cli.spinner import estimating, spinner
     from armrig.report.document import report as typeset
-    from armrig.report.study import study
+    from armrig.report.study import Orders, study
 
     recordings = loaded(files, calibration)
     _report_ignored(recordings)
     with estimating("na, nb and nf"):
-        done = study(recordings, orders=orders, outputs=outputs)
+        done = study(recordings, orders=Orders(**orders), outputs=outputs)
     remarks = []
     if done.validation.digest == done.estimation.digest:
         tell(OWN_DATA)
@@ -292,22 +268,24 @@ def _report_handout(
     calibration: Path | None,
     answers: Path | None,
     source: Path | None,
+    *,
+    orders: dict[str, Any],
     **problem: Any,
 ) -> list[Recording]:
     """Typeset the handout's report from the given recordings."""
     from armrig.cli.recorded_data import loaded
-    from armrig.cli.spinner import estimating, spinner
     from armrig.recordings.usability import different_calibrations
     from armrig.report.answers import Answers, read_answers
     from armrig.report.document import handout_report
     from armrig.report.handout_study import handout_study
+    from armrig.report.study import Orders
 
     said = Answers() if answers is None else read_answers(answers)
     recordings = loaded(files, calibration, one_plant=False)
     for text in different_calibrations(recordings):
         tell(text.removesuffix("."))
     with estimating("na, nb and nf"):
-        done = handout_study(recordings, **problem)
+        done = handout_study(recordings, orders=Orders(**orders), **problem)
     with spinner("typesetting"):
         handout_report(done, output, answers=said, source=source)
     return recordings

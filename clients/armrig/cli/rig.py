@@ -9,9 +9,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_table, say
+from armrig.cli.options import (
+    Connect,
+    Json,
+    RigId,
+    argument,
+    echo,
+    option,
+    print_json,
+    print_table,
+    say,
+)
 
 if TYPE_CHECKING:
     from armrig.rig.client import Rig
@@ -24,12 +32,7 @@ _STOP_REPORT_S = 1.0
 _STATUS_INTERVAL_S = 0.02
 
 By = Annotated[
-    str,
-    typer.Option(
-        "--owner",
-        help="Name of the person who stops the rig, for the recording.",
-        show_default="this user",
-    ),
+    str, option("--owner", "Name of the person who stops the rig, for the recording.", "this user")
 ]
 
 
@@ -52,11 +55,11 @@ def watch(
     connect: Connect = None,
     count: Annotated[
         int | None,
-        typer.Option(
+        option(
             "--count",
+            "Number of samples and gaps after which the command ends.",
+            "until Ctrl-C",
             min=1,
-            help="Number of samples and gaps after which the command ends.",
-            show_default="until Ctrl-C",
         ),
     ] = None,
     json: Json = False,
@@ -161,18 +164,10 @@ def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None
 
 
 def note(
-    text: Annotated[
-        str,
-        typer.Argument(
-            metavar="TEXT", help="Text of the note, 1 to 500 characters.", show_default=False
-        ),
-    ],
+    text: Annotated[str, argument("TEXT", "Text of the note, 1 to 500 characters.", False)],
     rig: RigId = "1",
     connect: Connect = None,
-    owner: Annotated[
-        str,
-        typer.Option("--owner", help="Author of the note.", show_default="this user"),
-    ] = "",
+    owner: Annotated[str, option("--owner", "Author of the note.", "this user")] = "",
     json: Json = False,
 ) -> None:
     """Write a note into the current recording.

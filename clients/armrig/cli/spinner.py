@@ -7,21 +7,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Timer
 from time import monotonic
+from typing import TYPE_CHECKING
 
-import numpy as np
 from armrig_core.errors import InputError
 from armrig_core.printable import printable
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 MIN_WAIT_S = 1.0
 """Shortest wait that shows a spinner, in s."""
 
 Count = Callable[[int, int, str], None]
 """Function of the number of finished items, the number of all items, and the next item's name."""
-
-_WAITING = SpinnerColumn(), TextColumn("{task.description} …", markup=False)
-_COUNTING = *_WAITING, BarColumn(30), TextColumn("{task.fields[left]}", markup=False)
 
 
 @contextmanager
@@ -38,6 +36,8 @@ def estimating(orders: str, console: Console | None = None) -> Iterator[Count]:
     InputError
         A matrix of the estimation could not be decomposed.
     """
+    import numpy as np
+
     with (
         spinner("estimating", console) as count,
         np.errstate(all="ignore"),
@@ -60,16 +60,20 @@ def spinner(
     The yielded function replaces the spinner with a bar that shows the item, the number of
     remaining items, and the time left.
     """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+
     console = console or Console(stderr=True)
     if not console.is_terminal:
         yield lambda done, total, name: None
         return
-    shown = Progress(*_WAITING, console=console, transient=True)
+    waiting = SpinnerColumn(), TextColumn("{task.description} …", markup=False)
+    shown = Progress(*waiting, console=console, transient=True)
     task = shown.add_task(what, total=None, left="")
     begun = monotonic()
 
     def count(done: int, total: int, name: str) -> None:
-        shown.columns = _COUNTING
+        shown.columns = (*waiting, BarColumn(30), TextColumn("{task.fields[left]}", markup=False))
         left = remaining(done, total, monotonic() - begun)
         doing = f"{what} {printable(name)}" if name else what
         shown.update(task, completed=done, total=total, description=doing, left=left)

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.cli import demo, demo_plan, demo_rig
-from armrig.cli.demo_plan import Experiment
+from armrig.cli import demo, demo_rig
 from armrig.cli.demo_rig import Patience, TooBusyError
 from armrig.rig import client as rig_module
 from armrig.rig.client import Rig
@@ -38,7 +37,7 @@ class StallingDaemon(FakeDaemon):
     """Refuses to arm, then ends a run by a fault, so many times each."""
 
     def __init__(self, endpoint: str, *, refusals: list[str], ends: list[str]) -> None:
-        super().__init__(endpoint, demo_plan.RIG)
+        super().__init__(endpoint, demo.RIG)
         self._refusals, self._ends = refusals, ends
 
     def _carry_out(self, request: commands.Request) -> Any:
@@ -58,7 +57,7 @@ def test_the_demonstration_repeats_runs_that_a_stall_ended(
     out = StringIO()
     daemon = StallingDaemon(where, refusals=[LATE, LATE], ends=["WATCHDOG (load 3)"])
 
-    with daemon, Rig(demo_plan.RIG, connect=where) as rig:
+    with daemon, Rig(demo.RIG, connect=where) as rig:
         path = _recorded(rig, out)
 
     assert str(path) == daemon.recording
@@ -75,7 +74,7 @@ def test_the_demonstration_gives_up_after_three_ended_runs(
 
     with (
         daemon,
-        Rig(demo_plan.RIG, connect=where) as rig,
+        Rig(demo.RIG, connect=where) as rig,
         pytest.raises(TooBusyError, match=r"third$"),  # not where that recording is
     ):
         _recorded(rig, out)
@@ -92,7 +91,7 @@ def test_the_demonstration_gives_up_at_its_time_limit(
 
     with (
         daemon,
-        Rig(demo_plan.RIG, connect=where) as rig,
+        Rig(demo.RIG, connect=where) as rig,
         pytest.raises(TooBusyError, match="264 ms late"),
     ):
         _recorded(rig, StringIO())
@@ -107,7 +106,7 @@ def test_a_permanent_refusal_is_reported_at_once(where: str) -> None:
 
     with (
         daemon,
-        Rig(demo_plan.RIG, connect=where) as rig,
+        Rig(demo.RIG, connect=where) as rig,
         pytest.raises(RefusedError, match=f"^{held}$"),
     ):
         _recorded(rig, out)
@@ -118,9 +117,9 @@ def test_a_permanent_refusal_is_reported_at_once(where: str) -> None:
 def test_a_rig_that_tripped_before_its_run_is_armed_again(where: str) -> None:
     """The watchdog runs from the arming on, so a refusal after it is due to the fault."""
     out = StringIO()
-    daemon = TrippingDaemon(where, demo_plan.RIG)
+    daemon = TrippingDaemon(where, demo.RIG)
 
-    with daemon, Rig(demo_plan.RIG, connect=where) as rig:
+    with daemon, Rig(demo.RIG, connect=where) as rig:
         path = _recorded(rig, out)
 
     assert str(path) == daemon.recording
@@ -133,7 +132,7 @@ def test_a_rig_tripped_after_a_refusal_is_reset(
 ) -> None:
     daemon = LateTrippingDaemon(where, refusals=[LATE], ends=[])
 
-    with daemon, Rig(demo_plan.RIG, connect=where) as rig:
+    with daemon, Rig(demo.RIG, connect=where) as rig:
         path = _recorded(rig, StringIO())
 
     assert str(path) == daemon.recording
@@ -144,12 +143,12 @@ def test_a_fault_that_remains_is_named_in_the_error(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(demo_rig, "_SAFE_TIMEOUT_S", 0.0)
-    daemon = FakeDaemon(where, demo_plan.RIG)
+    daemon = FakeDaemon(where, demo.RIG)
     daemon.fault = "the device stopped by itself: WATCHDOG"
 
     with (
         daemon,
-        Rig(demo_plan.RIG, connect=where) as rig,
+        Rig(demo.RIG, connect=where) as rig,
         pytest.raises(RigError, match=f"not ready after 0 s: {daemon.fault}"),
     ):
         demo_rig.wait_until_safe(rig)
@@ -227,6 +226,6 @@ def test_the_report_names_recordings_in_virtual_time_and_the_reason() -> None:
 
 
 def _recorded(rig: Rig, out: StringIO) -> Path:
-    experiment = Experiment("step", np.full(3, 1.0), {})
+    experiment = demo.Experiment("step", np.full(3, 1.0), {})
     console = Console(file=out, width=400)
     return demo_rig.recorded(rig, experiment, console, Patience([experiment]))

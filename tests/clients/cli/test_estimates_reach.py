@@ -11,8 +11,8 @@ import pytest
 import typer
 from armrig import Dataset, Signals
 from armrig.cli import main
+from armrig.cli.equations import _check_step
 from armrig.cli.identification import _for_outputs, _Search
-from armrig.cli.integrators import _check_step
 from armrig.cli.model_structures import requested
 from armrig.cli.recorded_data import SignalChoice
 from armrig.estimation.request import DEFAULTS, Request

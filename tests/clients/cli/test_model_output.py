@@ -8,15 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.cli import model_output
-from armrig.cli.model_output import (
-    advice_lines,
-    hint,
-    lags_outside,
-    residual_facts,
-    residual_lines,
-    short_search_lines,
-    to_act_on,
-)
 from armrig.data.finding import Finding, warning
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import answer as answers
@@ -77,8 +68,8 @@ def test_each_finding_is_reported_once(
     of: Any = SimpleNamespace(findings=[warning(x, f"text of {x}") for x in estimation.split()])
     doubted = [_finding(about) for about in doubts.split()]
 
-    assert advice_lines(of, doubted) == (lines or ["nothing to act on"])
-    assert to_act_on(of, doubted) == set(acts.split())
+    assert model_output.advice_lines(of, doubted) == (lines or ["nothing to act on"])
+    assert model_output.to_act_on(of, doubted) == set(acts.split())
 
 
 @pytest.mark.usefixtures("advised")
@@ -86,7 +77,7 @@ def test_the_next_command_applies_the_remedy_of_a_finding() -> None:
     findings = [warning("not_converged", "x", "order"), warning("level", "x", "integrator")]
     of: Any = SimpleNamespace(findings=[*findings, warning("unstable", "x")])
 
-    assert to_act_on(of, []) == {"order", "level"}
+    assert model_output.to_act_on(of, []) == {"order", "level"}
 
 
 def _tests(**changes: Any) -> Any:
@@ -99,7 +90,7 @@ def _tests(**changes: Any) -> Any:
 
 
 def test_the_tests_of_the_residuals_have_a_line_each() -> None:
-    assert residual_lines(_tests()) == [
+    assert model_output.residual_lines(_tests()) == [
         "residuals on validation data, 1 samples; a p below 0.01 rejects",
         "  residuals white (p = 0.400, T)",
         "  no dynamics missing: p = 0.300",
@@ -109,7 +100,7 @@ def test_the_tests_of_the_residuals_have_a_line_each() -> None:
         **{"white": _white(0.001), "missing_dynamics": np.nan, "feedback": 0.009},
         **{"powerless": "u rests", "on_estimation_data": True},
     )
-    assert residual_lines(rejected) == [
+    assert model_output.residual_lines(rejected) == [
         "residuals on estimation data, 1 samples; a p below 0.01 rejects",
         "  residuals coloured (p = 0.001, T): look at the noise model or the orders",
         "  no dynamics missing: too few samples or residuals for the test",
@@ -167,7 +158,7 @@ def test_the_tests_of_each_pair_are_in_json_with_its_names() -> None:
     ]  # fmt: skip
     data: Any = SimpleNamespace(source="csv:12")
 
-    facts = residual_facts(data, rows, tests)
+    facts = model_output.residual_facts(data, rows, tests)
 
     assert (facts["outputs"], facts["fit_percent"]) == (["y", "z"], [0.75, 0.5])
     assert (facts["rms_error"], facts["velocity_fit_percent"]) == ([0.25, 0.5], [None, None])
@@ -191,9 +182,9 @@ def test_lag_0_of_the_input_counts_among_the_dynamics() -> None:
         ({"feedback": 0.001}, "4 of 6 lags are outside"),
         ({"autocorrelation_band": 0.2, "missing_dynamics": 0.001}, ""),
     ):
-        assert lags_outside(_tests(**changes))[: len(said) or 9] == said
+        assert model_output.lags_outside(_tests(**changes))[: len(said) or 9] == said
     one = _tests(missing_dynamics=0.001, autocorrelation=np.array([1.0, 0.0, 0.0, 0.11]))
-    assert lags_outside(one).startswith("1 of 5 lags is outside")
+    assert model_output.lags_outside(one).startswith("1 of 5 lags is outside")
 
 
 def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
@@ -248,7 +239,7 @@ def test_an_integrator_is_suggested_only_for_an_oe_model_of_the_angle(
     of: dict[str, Any] = {"structure": "oe", "outputs": ("theta_1",)}
     of["form"] = SimpleNamespace(integrators=(False,))
 
-    said = hint(SimpleNamespace(**of | changes))  # type: ignore[arg-type]
+    said = model_output.hint(SimpleNamespace(**of | changes))  # type: ignore[arg-type]
 
     assert said == ("the angle theta_1 integrates: try --integrator" if is_hinted else "")
 
@@ -256,7 +247,7 @@ def test_an_integrator_is_suggested_only_for_an_oe_model_of_the_angle(
 def test_a_search_shows_at_most_five_models_and_two_more_reasons() -> None:
     found: Any = SimpleNamespace(table=lambda n: f"{n} models", reasons=list("abcde"))
 
-    assert short_search_lines(found) == ["5 models", "- b", "- c"]
+    assert model_output.short_search_lines(found) == ["5 models", "- b", "- c"]
 
 
 @pytest.mark.parametrize(

@@ -187,7 +187,7 @@ def test_the_dashboard_prints_its_addresses(
         "armrig.dashboard.foxglove.foxglove": lambda **_: nullcontext("W"),
         "armrig.dashboard.share.own_address": lambda: "10.1.2.3",
         "armrig.dashboard.share.qr_code": lambda url: f"qr of {url}",
-        "armrig.cli.dashboard.until_signal": lambda: nullcontext(ended),
+        "armrig.cli.lab.until_signal": lambda: nullcontext(ended),
         "webbrowser.open": opened.append,
     }
     for name, fake in fakes.items():

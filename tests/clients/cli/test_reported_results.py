@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from armrig import __main__ as program
 from armrig.cli import demo, main
-from armrig.cli.demo_plan import experiments, write_config
 from armrig.lab.fleet_recorder import RigRecorded
 from armrig.report.batch.batch import Batch
 from armrig.report.batch.tasks import CHECKS
@@ -217,7 +216,7 @@ def test_the_command_after_the_hints_uses_their_orders_or_tests_feedback(
 
 def test_a_demonstration_plays_a_step_and_two_telegraphs_with_seeds_in_a_row() -> None:
     for seconds, seed in ((5.0, 1), (7.5, 40)):
-        step, telegraph, validation = experiments(seconds, seed)
+        step, telegraph, validation = demo.experiments(seconds, seed)
 
         assert [step.name, telegraph.name, validation.name] == ["step", "telegraph", "validation"]
         assert (step.seconds, telegraph.seconds, validation.seconds) == (3.0, seconds, seconds)
@@ -234,7 +233,7 @@ def test_a_demonstration_records_into_its_folder(tmp_path: Path) -> None:
     folder = tmp_path / 'a "folder"\\of mine'
     folder.mkdir()
 
-    config = load([write_config(folder, 17)], {}, {})
+    config = load([demo.write_config(folder, 17)], {}, {})
 
     assert config.recording.directory == str(folder)
     assert (config.emulator.seed, config.timing.Ts, config.rig.id) == (17, 0.01, "demo")
@@ -376,7 +375,7 @@ def test_an_error_of_the_system_names_the_file_and_what_to_do(
 
 
 def test_a_firmware_of_the_size_of_the_flash_is_accepted() -> None:
-    from armrig.cli.flash import _check_size
+    from armrig.cli.host import _check_size
     from armrig.lab.avrdude import FLASH_BYTES
 
     full: Any = SimpleNamespace(data=bytes(FLASH_BYTES), path="a.hex")

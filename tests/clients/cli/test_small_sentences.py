@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import armrig
 import pytest
 from armrig.cli import main, options, recording_info
-from armrig.cli.options import agree, print_table, question
 from armrig.cli.parameters import cases, changes, physics_beside
 from armrig.cli.usage_errors import _in_whole_units
 from armrig_core.arm import ArmParameters
@@ -76,7 +75,7 @@ def test_a_question_leaves_space_for_its_answer(terminal: SimpleNamespace) -> No
     text = "word " * 12
 
     for terminal.columns, widest in ((50, 34), (33, 17), (32, len(text)), (0, len(text))):
-        lines = question(text).split("\n")
+        lines = options.question(text).split("\n")
 
         assert max(map(len, lines)) <= widest
         assert (len(lines) == 1) == (terminal.columns <= 32)
@@ -87,22 +86,22 @@ def test_an_action_requires_consent(
     typed: Callable[[str | None], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     typed("y\nn\n")
-    agree("first", yes=True)
-    agree("second", yes=False)
+    options.agree("first", yes=True)
+    options.agree("second", yes=False)
     with pytest.raises(OperationError, match="nothing was done"):
-        agree("third", yes=False)
+        options.agree("third", yes=False)
     typed(None)
     with pytest.raises(OperationError, match="no terminal for the question: --yes agrees"):
-        agree("fourth", yes=False)
+        options.agree("fourth", yes=False)
     assert capsys.readouterr().err == "second [y/N]:third [y/N]:"
 
 
 def test_values_of_a_table_are_aligned(
     terminal: SimpleNamespace, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    print_table(("a", "first"), ("longer", "one two three"))
+    options.print_table(("a", "first"), ("longer", "one two three"))
     terminal.columns = 18
-    print_table(("longer", "one two three"))
+    options.print_table(("longer", "one two three"))
 
     assert capsys.readouterr().out.splitlines() == [
         *("a       first", "longer  one two three", "longer  one two", "        three"),

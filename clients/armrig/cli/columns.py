@@ -1,4 +1,4 @@
-"""Names of the signals that commands read: names in options, and names in a saved model."""
+"""Signals of a file: their names in options and in a saved model, and notes about their values."""
 
 from __future__ import annotations
 
@@ -10,17 +10,22 @@ import typer
 from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1, OutputName
 
-from armrig.cli.options import tell
+from armrig.cli.options import inform, tell
 from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset, Signals
+    from armrig.data.dataset import Dataset, Signals, Vector
     from armrig.models.fit import Fit
 
+Named = Sequence[tuple[str, "Vector"]]
+"""Names of signals, with their measured values."""
 UNNAMED = ("", "y")
 """Names of model outputs that may mean any signal."""
 _INPUTS = ("u",)
 """Inputs of a recording."""
+_IS = ("is", "are")
+_MIN_SAMPLES = 20
+"""Smallest number of samples for which a note about the mean is printed."""
 
 
 def names(option: str, text: str | None) -> tuple[str, ...]:
@@ -39,6 +44,11 @@ def recorded_outputs(chosen: Sequence[str]) -> list[OutputName]:
     if unknown := [name for name in chosen if name not in known]:
         raise typer.BadParameter(f"--signal {unknown[0]}: a recording has {', '.join(known)}")
     return [known[name] for name in chosen]
+
+
+def chosen_outputs(signal: Sequence[str] | None) -> list[OutputName]:
+    """Return the outputs of a recording that a repeatable --signal names; by default theta_1."""
+    return recorded_outputs(names("--signal", ",".join(signal or ())) or (THETA_1,))
 
 
 def modelled_outputs(model: Fit, chosen: Sequence[str]) -> list[OutputName]:
@@ -99,3 +109,51 @@ def as_modelled(
         model.outputs if same_outputs else None, model.inputs if same_inputs else None
     )
     return ordered.replaced(step=None, outputs=model.outputs, inputs=model.inputs)
+
+
+def check_varies(file: Path, output: str, y: Vector) -> None:
+    """Refuse a constant output, because it contains no response to the input."""
+    import numpy as np
+
+    if y.size > 1 and np.ptp(y) == 0:
+        msg = f"{file}: {output} is constant, {y[0]:.4g}, so it responds to no input; give "
+        raise InputError(msg + "a column that varies (--signal), or record again")
+
+
+def hint_at_means(outputs: Named, inputs: Named, *, may_offset: bool = False) -> None:
+    """If the mean of a signal is far from 0, as at an operating point, suggest an option."""
+    every = [*outputs, *inputs]
+    if far_from_zero([x for _, x in every]):
+        along = "estimate a level with --offset, or " if may_offset else ""
+        means = ", ".join(f"the mean of {name} is {x.mean():.4g}" for name, x in every)
+        y, u = listed([name for name, _ in outputs]), " = ".join(name for name, _ in inputs)
+        tell(
+            f"{means}; if {y} {_IS[len(outputs) > 1]} not 0 at {u} = 0, {along}subtract the means "
+            "with --detrend"
+        )
+
+
+def far_from_zero(every: Sequence[Vector]) -> bool:
+    """Return True if a mean is far from 0, as at an operating point, and all signals vary."""
+    import numpy as np
+
+    # Subtracting the mean of a constant signal would leave 0.
+    if any(x.size < _MIN_SAMPLES or not np.ptp(x) for x in every):
+        return False
+    return any(abs(x.mean()) > 2 * x.std() for x in every)
+
+
+def tell_of_reading(
+    file: Path, data: Dataset | Signals, columns: Sequence[str], missing: str
+) -> None:
+    """Print first the doubts about the reading of a file, then its other facts."""
+    from armrig.data.step import DOUBT, codes_of
+
+    steps = list(zip(data.history, codes_of(data.history), strict=True))
+    for text, code in steps:
+        if code == DOUBT:
+            tell(f"{file}: {text}")
+    facts = [text for text, code in steps if code != DOUBT]
+    parts = [f"{data.N} samples, {data.Ts:g} s apart", *columns]
+    parts += [f"{data.missing} {missing}"] if data.missing else []
+    inform(f"{file}: {'; '.join([*parts, *facts])}", dim=True)

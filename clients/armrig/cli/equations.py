@@ -1,0 +1,346 @@
+"""The commands on the arm's equations, which need no recording: model, integrate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from math import isfinite
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from armrig_core.telemetry import ALPHA, THETA_1
+
+from armrig.cli.figures import Draw
+from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next
+from armrig.cli.options import echo, fields_of, group, option, say, say_more
+from armrig.cli.parameters import AMPLITUDE_V, OMEGA, Amplitude, Given, Omega, cases, changes
+from armrig.cli.physics import roots
+from armrig.cli.results import Output
+from armrig.cli.spinner import spinner
+
+if TYPE_CHECKING:
+    from armrig_core.arm import ArmParameters
+
+    from armrig.physics.integrators.accuracy import Recommendation, Sinusoid
+    from armrig.physics.step_response import Characteristics
+
+_SECONDS = 2.0  # the speed is then steady to five digits
+_STEPS = 200_000
+_SLOPE_S = 1e-8  # so short that the slope keeps all shown digits
+_STATES = (THETA_1, ALPHA, f"{THETA_1}'", f"{ALPHA}'")
+_PRIME = "'"
+_TOGETHER = {"both": "both changes", "all": "all changes"}
+"""Possible headings of the column in which several parameters are changed at once."""
+_TIMES = {
+    "rise_time": "63 % time [s]",
+    "equivalent_time": "equivalent [s]",
+    "slowest_time": "slowest pole [s]",
+}
+_MAX_STEPS = 2_000_000
+_STATE = 2  # the speed, which stays bounded while the angle grows
+
+
+def model(
+    given: Given = None, *, out: Annotated[Output, group(Output, ("verbose", "plot", "json"))]
+) -> None:
+    """Show what the physical model predicts (handout 2.1 to 2.3).
+
+    The command prints A, B, poles, zeros, steady speed and initial slope. With --set, it compares
+    the handout's parameters, each change alone and, if there are several changes, all changes
+    together.
+    """
+    out.check()
+    found = {name: _answer(p) for name, p in cases(given).items()}
+    out.show(
+        facts=lambda: {"models": {name: _facts(answer) for name, answer in found.items()}},
+        say=lambda: _say_model(found, given, verbose=out.verbose),
+        figures=lambda: _figures({name: answer.parameters for name, answer in found.items()}),
+        say_next=lambda: say_next("model --set" if given else "model"),
+    )
+
+
+def _say_model(found: dict[str, _Answer], given: list[str] | None, *, verbose: bool) -> None:
+    last = [*found.values()][-1]
+    changed = changes(given)
+    say(f"A and B with {changed or 'the parameters of the handout'}:")
+    echo(f"{_state_space(last.parameters)}\n\n{_table(found)}\n")
+    say(
+        f"A step of 1 V, simulated{f' with {changed}' * bool(given)}: the speed begins to rise by "
+        f"{last.slope:.2f} rad/s² and is {last.speed:.4f} rad/s after {_SECONDS:g} s. At t = 0 the "
+        "chassis rests, so there is no back-EMF, and the spring has no tension: the torque "
+        "accelerates J_1."
+    )
+    _say_later_rises(found, given)
+    if verbose:
+        say(f"\n{last.predicted.explain()}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Answer:
+    """Predictions for a set of parameters, and results of the simulated step."""
+
+    predicted: Characteristics
+    slope: float
+    """Slope of the simulated speed at t = 0, in rad/s²."""
+    speed: float
+    """Simulated speed at the end, in rad/s."""
+
+    @property
+    def parameters(self) -> ArmParameters:
+        return self.predicted.parameters
+
+
+def _answer(p: ArmParameters) -> _Answer:
+    import numpy as np
+
+    from armrig.physics.step_response import characteristics, step_response
+
+    speed = step_response(p, np.linspace(0.0, _SECONDS, _STEPS + 1))
+    slope = float(step_response(p, [0.0, _SLOPE_S])[-1]) / _SLOPE_S
+    return _Answer(predicted=characteristics(p), slope=slope, speed=float(speed[-1]))
+
+
+def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None:
+    """Print the models whose speed crosses 63 % of its steady value only after the first rise."""
+    import numpy as np
+
+    from armrig.physics.step_response import step_response
+
+    for name, answer in found.items():
+        crossed = answer.predicted.rise_time
+        t = np.linspace(0.0, crossed if isfinite(crossed) else 0.0, 1001)
+        if np.diff(step_response(answer.parameters, t)).min() < 0:
+            of = changes(given) if name in _TOGETHER else name
+            rises = "the first rise of the speed ends below 63 %, a later rise crosses 63 %"
+            say(f"63 % time of {of}: {rises}.")
+
+
+def _state_space(p: ArmParameters) -> str:
+    """Return x' = A x + B u, with a line for each state."""
+    from armrig_core.arm import arm_matrices
+
+    A, B, _ = arm_matrices(p)
+    lines = [f"x' = A x + B u  {''.join(f'{name:>10}' for name in _STATES)}       u [V]"]
+    for name, row, (b,) in zip(_STATES, A + 0.0, B + 0.0, strict=True):
+        by = "".join(f"{a:10.4g}" for a in row)
+        lines.append(f"{name + _PRIME:>13} = {by}{b:12.4g}")
+    return "\n".join(lines)
+
+
+def _table(found: dict[str, _Answer]) -> str:
+    """Return a table with a column for each model; five columns fit into 80 characters."""
+    columns = [["", "steady [rad/s/V]", "slope [rad/s²/V]", *_TIMES.values()]]
+    columns[0] += ["poles [1/s]", "", "", "zeros [1/s]"]
+    for name, answer in found.items():
+        p = answer.predicted
+        poles = _root_texts(p.poles)
+        poles += [""] * (3 - len(poles))
+        times = [f"{getattr(p, time):.4f}" for time in _TIMES]
+        figures = [f"{p.steady_speed:.4f}", f"{p.initial_slope:.2f}", *times, *poles]
+        columns.append([_TOGETHER.get(name, name), *figures, *_root_texts(p.zeros)])
+    widths = [max(map(len, column)) for column in columns]
+    rows = zip(*columns, strict=True)
+    return "\n".join(
+        " ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+
+
+def _root_texts(roots: Any) -> list[str]:
+    """Return roots as texts; a pair is one text."""
+    texts = []
+    for z in roots.tolist():
+        real = f"{z.real:.2f}" if z.real else "0"
+        if z.imag > 0:
+            texts.append(f"{real} ± {z.imag:.2f}i" if z.real else f"±{z.imag:.2f}i")
+        elif z.imag == 0:
+            texts.append(real)
+    return texts
+
+
+def _facts(answer: _Answer) -> dict[str, Any]:
+    from armrig_core.arm import arm_matrices
+
+    p = answer.predicted
+    A, B, _ = arm_matrices(p.parameters)
+    return {
+        "parameters": asdict(p.parameters),
+        "states": _STATES,
+        "A": A.tolist(),
+        "B": B.tolist(),
+        **fields_of(p, "steady_speed initial_slope rigid_slope"),
+        **roots(p),
+        **{time: getattr(p, time) for time in _TIMES},
+        "simulated": {"slope": answer.slope, "speed": answer.speed, "seconds": _SECONDS},
+    }
+
+
+def _figures(compared: dict[str, ArmParameters]) -> dict[str, Draw]:
+    from armrig.physics.figures import plot_physical_step, plot_sensitivities
+
+    return {"step": partial(plot_physical_step, compared), "sensitivities": plot_sensitivities}
+
+
+def integrate(
+    *,
+    method: Annotated[
+        list[str] | None,
+        option(
+            "--method",
+            "Method: forward_euler, ab2, trapezoidal, heun or midpoint; repeatable.",
+            "all",
+        ),
+    ] = None,
+    h: Annotated[
+        list[float] | None,
+        option("--h S", "Step size, in s; repeatable.", "a recommended step"),
+    ] = None,
+    omega: Omega = OMEGA,
+    amplitude: Amplitude = AMPLITUDE_V,
+    span: Annotated[
+        float | None, option("--span S", "Length of the solution, in s.", "three periods")
+    ] = None,
+    tolerance: Annotated[
+        float, option("--tolerance", "Largest relative error of a recommended step.")
+    ] = 1e-3,
+    out: Annotated[Output, group(Output, ("json", "plot", "verbose"))],
+) -> None:
+    """Solve the arm's equations numerically (handout 4).
+
+    The input is sinusoidal, u = A sin(ωt). Each solution is compared with the exact solution.
+    """
+    out.check()
+    problem = _problem(amplitude=amplitude, omega=omega, span=span)
+    rows, advice = _solved(problem, method or (), h or (), tolerance)
+
+    def say_after() -> None:
+        given = "" if omega == OMEGA else f" --omega {omega:g}"
+        given += "" if amplitude == AMPLITUDE_V else f" --amplitude {amplitude:g}"
+        values = {"files": for_the_report(), "answers": answers_here(), "report": free_name()}
+        say_next("integrate", **values, sinusoid=given)
+
+    out.show(
+        facts=lambda: fields_of(problem, "omega amplitude span") | {"rows": rows},
+        say=lambda: _say_solutions(problem, rows, advice, verbose=out.verbose),
+        figures=lambda: _solution_figures(problem, rows, each_step=advice is None),
+        say_next=say_after,
+        height=4.0,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Row:
+    """Result of one method at one step."""
+
+    method: str
+    h: float
+    limit: float
+    """Largest step for which the method is stable, in s."""
+    stable: bool
+    error: float
+    """Largest error of a state, relative to the largest value of this state; it may be infinite."""
+
+
+def _problem(*, amplitude: float, omega: float, span: float | None) -> Sinusoid:
+    from armrig_core.arm import ArmParameters, arm_matrices
+
+    from armrig.physics.integrators.accuracy import sinusoid
+
+    A, B, _ = arm_matrices(ArmParameters())
+    return sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
+
+
+def _solved(
+    problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
+) -> tuple[list[_Row], Recommendation | None]:
+    """Return the solutions of the methods, by default all, and the recommended steps if any."""
+    from armrig.physics.integrators.accuracy import all_methods
+    from armrig.physics.integrators.stability import stability_limit
+
+    limits = {m: stability_limit(problem.A, m) for m in all_methods(tuple(methods) or None)}
+    for h in steps:
+        _check_step(h, problem)
+    advice = None
+    with spinner("integrating"):
+        if steps:
+            steps_of = {m: list(steps) for m in limits}
+        else:
+            advice = _recommended(problem, tuple(limits), tolerance)
+            steps_of = {row.method: [row.h] for row in advice.rows}
+        rows = [
+            _Row(method=m, h=h, limit=limit, stable=h < limit, error=problem.error(h, m))
+            for m, limit in limits.items()
+            for h in steps_of[m]
+        ]
+    return rows, advice
+
+
+def _recommended(problem: Sinusoid, methods: Sequence[str], tolerance: float) -> Recommendation:
+    from armrig.physics.integrators.accuracy import recommend_step
+
+    return recommend_step(
+        problem.A,
+        problem.B,
+        omega=problem.omega,
+        tolerance=tolerance,
+        amplitude=problem.amplitude,
+        span=problem.span,
+        methods=methods,
+    )
+
+
+def _check_step(h: float, problem: Sinusoid) -> None:
+    """Refuse a step that is at most 0, longer than the span, or far too short."""
+    if not (isfinite(h) and 0 < h <= problem.span):
+        raise typer.BadParameter(
+            f"--h {h:g}: a step is > 0 and at most the span, {problem.span:.4g} s"
+        )
+    if problem.span / h > _MAX_STEPS:
+        raise typer.BadParameter(
+            f"--h {h:g}: {problem.span / h:.0f} steps; at most {_MAX_STEPS}: "
+            "give a larger step, or a shorter --span"
+        )
+
+
+def _solution_figures(
+    problem: Sinusoid, rows: Sequence[_Row], *, each_step: bool
+) -> dict[str, Draw]:
+    """Return functions that draw all solutions; with `each_step`, a function for each step."""
+    from armrig.physics.integrators.figures import plot_solution
+
+    steps = [{row.method: row.h for row in rows}]
+    if each_step:
+        given = dict.fromkeys(row.h for row in rows)
+        steps = [{row.method: row.h for row in rows if row.h == h} for h in given]
+    draw = partial(plot_solution, problem, state=_STATE, label="speed [rad/s]")
+    return {f"solution_{k}": partial(draw, h) for k, h in enumerate(steps, 1)}
+
+
+def _say_solutions(
+    problem: Sinusoid, rows: Sequence[_Row], advice: Recommendation | None, *, verbose: bool
+) -> None:
+    if advice is not None:
+        best = advice.rows[0]
+        say(f"least work for an error of {advice.tolerance:g}: {best.method}", bold=True)
+    say(
+        f"x' = A x + B u, the handout's arm, u = {problem.amplitude:g} sin({problem.omega:g} t) V, "
+        f"{problem.span:.4g} s from rest. error: largest error of a state, relative to the "
+        "largest value of this state"
+    )
+    say(f"{'method':14} {'h [s]':>10} {'limit [s]':>10}  {'at h':8} {'error':>10}")
+    for row in rows:
+        limit = f"{row.limit:10.5g}" if isfinite(row.limit) else f"{'no limit':>10}"
+        error = f"{row.error:10.3g}" if isfinite(row.error) else f"{'overflow':>10}"
+        stable = "stable" if row.stable else "UNSTABLE"
+        say(f"{row.method:14} {row.h:10.4g} {limit}  {stable:8} {error}")
+    say("The limit is the largest absolutely stable step (the handout calls it the minimum).")
+    if not verbose:
+        say_more("the meaning of the limit" + ", the reason for each step" * bool(advice))
+        return
+    say(
+        "At a larger step h, h λ is outside the method's region of stability for an eigenvalue λ "
+        "of A."
+    )
+    if advice is not None:
+        say(advice.explain())
