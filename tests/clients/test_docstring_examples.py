@@ -64,10 +64,10 @@ def own_directories(
 def test_an_example_prints_its_output(
     example: doctest.DocTest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An example of `armrig` runs alone, with the names that it imports itself."""
+    """An example of `armrig` runs alone, with `armrig` and the names that it imports itself."""
     monkeypatch.chdir(tmp_path)
     if example.name.startswith("armrig."):
-        example.globs = {}
+        example.globs = {"armrig": armrig}
     report: list[str] = []
 
     with ExitStack() as rig_runs:

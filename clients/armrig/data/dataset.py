@@ -61,7 +61,8 @@ class Signals(Experiments):
     valid : array_like of bool, shape (N, ny) or (N,), optional
         False where an output is missing.
     starts : sequence of int, default (0,)
-        Index of the first sample of each experiment.
+        Index of the first sample of each experiment. Estimators never combine samples of two
+        experiments in an equation.
     inputs, outputs : sequence of str, optional
         Names of the channels; by default u and y, or u1, u2 … and y1, y2 ….
     input_units, units : sequence of str, optional
@@ -84,7 +85,7 @@ class Signals(Experiments):
 
     Examples
     --------
-    >>> import numpy as np, armrig
+    >>> import numpy as np
     >>> u = np.sign(np.sin(np.arange(200.0)))
     >>> y = np.column_stack([np.cumsum(u), u])
     >>> signals = armrig.Signals(u=u, y=y, Ts=0.01, outputs=["theta_1", "alpha"])
@@ -93,33 +94,21 @@ class Signals(Experiments):
     """
 
     u: Matrix
-    """Inputs (N, nu)."""
     y: Matrix
-    """Outputs (N, ny); NaN where an output is missing."""
     Ts: float | None
     """Sampling time in s; None if the times are not equidistant."""
     times: Vector | None
     """Sample times (N,) in s; None if the times are equidistant."""
     valid: Mask
-    """Mask (N, ny), False where an output is missing."""
     starts: tuple[int, ...]
-    """Index of the first sample of each experiment."""
     inputs: tuple[str, ...]
-    """Names of the inputs."""
     outputs: tuple[str, ...]
-    """Names of the outputs."""
     input_units: tuple[str, ...]
-    """Units of the inputs."""
     units: tuple[str, ...]
-    """Units of the outputs."""
     intersample: tuple[Intersample, ...]
-    """Course of each input between samples: "zoh" (held) or "foh" (a straight line)."""
     source: str
-    """Hash of the recording or data file; "" for data without a file."""
     history: tuple[str, ...]
-    """Steps of the treatment, first to last, one sentence for each."""
     trends: tuple[Trend, ...]
-    """Trend removed from each experiment; () without a trend, or if no trend can be restored."""
 
     @checked_call
     def __init__(
@@ -200,7 +189,6 @@ class Signals(Experiments):
 
         Examples
         --------
-        >>> import armrig
         >>> signals = armrig.example_recording().signals()
         >>> signals.signals() is signals
         True
@@ -228,7 +216,6 @@ class Signals(Experiments):
 
         Examples
         --------
-        >>> import armrig
         >>> armrig.example_recording().signals().equidistant()
         0.01
         """
@@ -244,7 +231,6 @@ class Signals(Experiments):
 
         Examples
         --------
-        >>> import armrig
         >>> signals = armrig.example_recording().signals()
         >>> signals.outputs, signals.output("alpha")
         (('theta_1', 'alpha'), 1)
@@ -256,7 +242,6 @@ class Signals(Experiments):
 
         Examples
         --------
-        >>> import armrig
         >>> signals = armrig.example_recording().signals()
         >>> signals.u[:, signals.input("u")].max().round(1)
         np.float64(4.5)
@@ -276,7 +261,6 @@ class Signals(Experiments):
 
         Examples
         --------
-        >>> import armrig
         >>> signals = armrig.example_recording().signals()
         >>> signals.dataset("alpha")
         <Dataset: 3000 samples at 0.01 s; output alpha [rad]>
@@ -312,7 +296,6 @@ class Signals(Experiments):
 
         Examples
         --------
-        >>> import armrig
         >>> signals = armrig.example_recording().signals()
         >>> signals.channels(outputs="alpha")
         <Signals: 3000 samples at 0.01 s; outputs alpha [rad]; inputs u [V]>
@@ -361,17 +344,10 @@ class Dataset(Experiments):
     valid : array_like of bool, shape (N,), optional
         False where y is missing. At these samples `y` is NaN, and every sample computed from one of
         them is NaN. A missing value of a pandas column is also missing in the Dataset.
-    starts : sequence of int, default (0,)
-        Index of the first sample of each experiment. Estimators never combine samples of two
-        experiments in an equation.
     output, unit, input_unit : str
         Name of y, its unit, and the unit of u.
-    source : str
-        Hash of the recording or data file; "" for data without a file.
-    history : sequence of str
-        Steps of the treatment so far, one sentence for each.
-    trends : sequence of Trend, default ()
-        Means and lines that `detrend` removed from each experiment; `retrend` restores them.
+    starts, source, history, trends
+        As for `Signals`.
 
     Raises
     ------
@@ -381,7 +357,7 @@ class Dataset(Experiments):
 
     Examples
     --------
-    >>> import armrig, numpy as np
+    >>> import numpy as np
     >>> data = armrig.Dataset(u=[1, 1, 4, 4], y=[0.1, 0.1, 0.2, np.nan], Ts=0.01,
     ...                       valid=[True, True, True, False], output="alpha", unit="rad")
     >>> data
@@ -433,7 +409,6 @@ class Dataset(Experiments):
 
         Examples
         --------
-        >>> import armrig
         >>> armrig.example_recording().dataset("alpha").signals()
         <Signals: 3000 samples at 0.01 s; outputs alpha [rad]; inputs u [V]>
         """
@@ -466,7 +441,6 @@ class Dataset(Experiments):
 
         Examples
         --------
-        >>> import armrig
         >>> origin = armrig.example_recording().dataset("alpha").origin()
         >>> origin["output"], origin["unit"], origin["input_unit"]
         ('alpha', 'rad', 'V')

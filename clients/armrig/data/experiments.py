@@ -196,7 +196,6 @@ class Experiments:
 
         Examples
         --------
-        >>> import armrig
         >>> first, second = armrig.example_recording().dataset("alpha").split(2)
         >>> first.N, second.N
         (1500, 1500)
@@ -218,7 +217,6 @@ class Experiments:
 
         Examples
         --------
-        >>> import armrig
         >>> data = armrig.example_recording().dataset("alpha")
         >>> both = armrig.merge(data.split(2))
         >>> [experiment.N for experiment in both.experiments()]
@@ -237,7 +235,6 @@ class Experiments:
 
         Examples
         --------
-        >>> import armrig
         >>> thirds = armrig.merge(armrig.example_recording().dataset("alpha").split(3))
         >>> thirds.select(0, 2)  # without the second third
         <Dataset: 2000 samples at 0.01 s; output alpha [rad]; 2 experiments; ...>
@@ -269,7 +266,7 @@ class Experiments:
 
         Examples
         --------
-        >>> import armrig, numpy as np
+        >>> import numpy as np
         >>> data = armrig.example_recording().dataset("alpha")
         >>> degrees = data.replaced(step="converted y to degrees", y=np.rad2deg(data.y), unit="deg")
         >>> degrees
@@ -294,7 +291,6 @@ class Experiments:
 
         Examples
         --------
-        >>> import armrig
         >>> data = armrig.example_recording().dataset("alpha")
         >>> data.plot()
         <Figure size ... with 2 Axes>

@@ -43,7 +43,6 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
 
     Examples
     --------
-    >>> import armrig
     >>> first, second, third = armrig.example_recording().dataset("alpha").split(3)
     >>> data = armrig.merge([first, third])
     >>> data.N, data.starts

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar, cast
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -17,7 +18,6 @@ from armrig.models.structure_table import DESCRIBED, named
 from armrig.numerics import criteria
 from armrig.numerics.inference import OutputQuality
 from armrig.numerics.quantities import plural
-from armrig.numerics.whiteness import Whiteness
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
@@ -42,6 +42,17 @@ class Start:
 
 
 Form = Polynomials | Matrices
+T = TypeVar("T")
+
+
+def _of_form(of: Callable[[Polynomials], T], doc: str) -> T:
+    """Return a property of the polynomials of the only channel."""
+    return cast("T", property(lambda self: of(self._polynomials), doc=doc))
+
+
+def _of_quality(of: Callable[[OutputQuality], T], doc: str) -> T:
+    """Return a property of the quality of the only output."""
+    return cast("T", property(lambda self: of(self._quality), doc=doc))
 
 
 # Not slotted: an assignment to a property of a frozen class with slots raises a TypeError.
@@ -201,7 +212,6 @@ class Estimate:
 
         Examples
         --------
-        >>> import armrig
         >>> first, second = armrig.example_recording().dataset("alpha").split(2)
         >>> fit = armrig.oe(first, nb=3, nf=3)
         >>> fit.estimated_from(first), fit.estimated_from(second)
@@ -219,40 +229,19 @@ class Estimate:
             f"of each, such as fit[{self.outputs[-1]!r}, {self.inputs[-1]!r}]"
         )
 
-    @property
-    def A(self) -> Vector:
-        """Coefficients in q^-1, beginning with 1; only this 1 if the structure has no A."""
-        return self._polynomials.A[0][0]
-
-    @property
-    def B(self) -> Vector:
-        """Coefficients in q^-1, beginning with nk zeros."""
-        return self._polynomials.B[0][0]
-
-    @property
-    def C(self) -> Vector:
-        """Coefficients in q^-1, beginning with 1."""
-        return self._polynomials.C[0]
-
-    @property
-    def D(self) -> Vector:
-        """Coefficients in q^-1, beginning with 1."""
-        return self._polynomials.D[0]
-
-    @property
-    def F(self) -> Vector:
-        """Coefficients in q^-1, beginning with 1; a root is exactly 1 if F has the integrator."""
-        return self._polynomials.F[0][0]
-
-    @property
-    def nk(self) -> int:
-        """Number of samples before u affects y."""
-        return self._polynomials.nk[0][0]
-
-    @property
-    def integrator(self) -> bool:
-        """True if F, or A if there is no F, has the factor 1 - q^-1 by construction."""
-        return self._polynomials.integrators[0]
+    A = _of_form(lambda form: form.A[0][0], "Coefficients in q^-1, beginning with 1.")
+    B = _of_form(lambda form: form.B[0][0], "Coefficients in q^-1, beginning with nk zeros.")
+    C = _of_form(lambda form: form.C[0], "Coefficients in q^-1, beginning with 1.")
+    D = _of_form(lambda form: form.D[0], "Coefficients in q^-1, beginning with 1.")
+    F = _of_form(
+        lambda form: form.F[0][0],
+        "Coefficients in q^-1, beginning with 1; a root is exactly 1 if F has the integrator.",
+    )
+    nk = _of_form(lambda form: form.nk[0][0], "Number of samples before u affects y.")
+    integrator = _of_form(
+        lambda form: form.integrators[0],
+        "True if F, or A if there is no F, has the factor 1 - q^-1 by construction.",
+    )
 
     @property
     def integrating(self) -> Literal["", "a", "f"]:
@@ -271,7 +260,6 @@ class Estimate:
 
         Examples
         --------
-        >>> import armrig
         >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
         >>> fit.polynomial("f").round(2)
         array([ 1.  , -2.51,  2.11, -0.59])
@@ -284,7 +272,6 @@ class Estimate:
 
         Examples
         --------
-        >>> import armrig
         >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
         >>> fit.names[fit.slice_of("f")]
         ('f1', 'f2', 'f3')
@@ -352,35 +339,20 @@ class Estimate:
             raise InputError(f"{self.label} was not estimated: it has no loss and no residuals")
         return self.quality[self._only]
 
-    @property
-    def loss(self) -> float:
-        """Mean squared residual, one step ahead, on the estimation data, in y's squared unit."""
-        return self._quality.loss
-
-    @property
-    def N(self) -> int:
-        """Number of residuals in the loss."""
-        return self._quality.N
-
-    @property
-    def fit_percent(self) -> float:
-        """100 (1 - |y - ŷ| / |y - mean y|), one step ahead, on the estimation data."""
-        return self._quality.fit_percent
-
-    @property
-    def white(self) -> Whiteness:
-        """Result of the whiteness test; str() returns it as text."""
-        return self._quality.white
-
-    @property
-    def whiteness(self) -> float:
-        """Probability value p of the whiteness test of the residuals on the estimation data."""
-        return self.white.p_value
-
-    @property
-    def whiteness_test(self) -> str:
-        """Name of the test of whiteness."""
-        return self.white.test
+    loss = _of_quality(
+        lambda quality: quality.loss,
+        "Mean squared residual, one step ahead, on the estimation data, in y's squared unit.",
+    )
+    N = _of_quality(lambda quality: quality.N, "Number of residuals in the loss.")
+    fit_percent = _of_quality(
+        lambda quality: quality.fit_percent,
+        "100 (1 - |y - ŷ| / |y - mean y|), one step ahead, on the estimation data.",
+    )
+    white = _of_quality(
+        lambda q: q.white, "Result of the whiteness test; str() returns it as text."
+    )
+    whiteness = _of_quality(lambda q: q.white.p_value, "Probability value p of the whiteness test.")
+    whiteness_test = _of_quality(lambda q: q.white.test, "Name of the test of whiteness.")
 
     @property
     def _only(self) -> int:

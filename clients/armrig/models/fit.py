@@ -50,7 +50,6 @@ class Fit(Estimate):
 
     Examples
     --------
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("theta_1")
     >>> fit = armrig.oe(data, nb=4, nf=4, integrator=True)
     >>> print(fit)
@@ -106,7 +105,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> armrig.Fit.of_channel(B=[0, 1], F=[1, -0.5], nk=1, Ts=0.1).poles().values
         array([0.5+0.j])
         """
@@ -163,7 +161,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> data = armrig.example_recording().signals()
         >>> fit = armrig.oe(data, nb=[[4], [3]], nf=3, integrator="theta_1", shared="denominator")
         >>> for i, j, channel in fit.channels():
@@ -183,7 +180,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
         >>> fit.poles().values.round(2)
         array([0.91+0.16j, 0.91-0.16j, 0.69+0.j  ])
@@ -216,7 +212,6 @@ class Fit(Estimate):
         --------
         The zero at 1 means that alpha is 0 at a constant voltage.
 
-        >>> import armrig
         >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
         >>> fit.zeros().values.round(2)
         array([ 1.  +0.j, -0.92+0.j])
@@ -238,7 +233,6 @@ class Fit(Estimate):
         --------
         The arm resonates near 18 rad/s.
 
-        >>> import armrig
         >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
         >>> response = fit.frequency_response([2, 18, 160])
         >>> abs(response.G).round(3)
@@ -277,7 +271,6 @@ class Fit(Estimate):
         --------
         The noise of an output-error model is white.
 
-        >>> import armrig
         >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
         >>> spectrum = fit.noise_spectrum([1, 10, 100])
         >>> (spectrum.Phi / (fit.noise_variance * fit.Ts)).round(3)
@@ -304,7 +297,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> data = armrig.example_recording().dataset("theta_1")
         >>> fit = armrig.oe(data, nb=4, nf=4, integrator=True)
         >>> response = fit.step_response(100, rate=True)
@@ -351,7 +343,7 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig, numpy as np
+        >>> import numpy as np
         >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
         >>> alpha = fit.simulate(4.0 * np.ones(200))
         >>> print(f"largest {abs(alpha).max():.2f} rad, at the end {abs(alpha[-1]):.2f} rad")
@@ -391,7 +383,7 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig, numpy as np
+        >>> import numpy as np
         >>> data = armrig.example_recording().dataset("alpha")
         >>> fit = armrig.arx(data, na=3, nb=3)
         >>> for horizon in (1, None):
@@ -413,7 +405,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> fit = armrig.n4sid(armrig.example_recording().dataset("alpha"))
         >>> A, B, C, D, K = fit.state_space()
         >>> A.round(1)
@@ -434,7 +425,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
         >>> G = fit.to_control()
         >>> G.input_labels, G.output_labels, G.dt
@@ -457,7 +447,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> fit = armrig.armax(armrig.example_recording().dataset("alpha"), na=3, nb=3, nc=3)
         >>> H = fit.noise_to_control()
         >>> H.input_labels, H.output_labels, H.dt
@@ -477,7 +466,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> fit = armrig.n4sid(armrig.example_recording().dataset("alpha"))
         >>> print(fit.explain())
         canonical correlations of past and future:
@@ -507,7 +495,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> data = armrig.example_recording().dataset("theta_1")
         >>> print(armrig.oe(data, nb=4, nf=4, integrator=True).summary())
         95 % ranges, classic covariance; * by draws, as the linearisation is poor
@@ -531,7 +518,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
         >>> fit.plot()
         <Figure size ... with 4 Axes>
@@ -547,7 +533,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
         >>> fit.save("alpha.json")
         >>> armrig.load_fit("alpha.json").heading
@@ -562,7 +547,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> fit = armrig.arx(armrig.example_recording().dataset("alpha"), na=1, nb=1)
         >>> print(fit.latex())
         \begin{aligned}
@@ -580,7 +564,6 @@ class Fit(Estimate):
 
         Examples
         --------
-        >>> import armrig
         >>> fit = armrig.arx(armrig.example_recording().dataset("alpha"), na=1, nb=1)
         >>> print(fit.typst())
         $ A(q) thin y(t) &= B(q) thin u(t) + e(t) \

@@ -36,7 +36,6 @@ def load_fit(path: str | PathLike[str]) -> Fit:
 
     Examples
     --------
-    >>> import armrig
     >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
     >>> fit.save("alpha.json")
     >>> loaded = armrig.load_fit("alpha.json")

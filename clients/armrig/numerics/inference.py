@@ -147,10 +147,8 @@ def infer(
 
     Parameters
     ----------
-    experiments : sequence of sequence of OutputResiduals
-        Residuals of each experiment and output.
-    W : ndarray (d, r)
-        Matrix that transforms the sum of H_i(t) e_i(t) to the error of the d parameters.
+    experiments, W
+        Residuals of each experiment and output, and the matrix W (d, r).
     score : {"exogenous", "correlated"}
         Estimate of M. "exogenous" assumes that H is independent of the noise. With "correlated", H
         may depend on the noise.
@@ -161,12 +159,10 @@ def infer(
         Test of whiteness. "portmanteau" allows for the fitted parameters. "ljung-box" is for
         residuals to which the parameters were not fitted. With None there is no test.
     rounding : float, default 0.0
-        If the sum of squared residuals is at most this number, the residuals are rounding errors
-        and are not tested.
+        If the sum of squared residuals is at most this number, they are not tested.
     prewhitening : float, default 0
         Number of noise parameters that were fitted to the residuals, such as the order of an
-        autoregression that prewhitens them. It is subtracted from the degrees of freedom of the
-        Ljung-Box test.
+        autoregression. It is subtracted from the degrees of freedom of the Ljung-Box test.
 
     Raises
     ------

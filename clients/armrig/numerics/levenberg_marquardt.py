@@ -54,30 +54,20 @@ def levenberg_marquardt(
     known: float = np.nan,
     walls: Walls | None = None,
 ) -> Optimum:
-    """Return the local minimum of |e(theta)|² that a descent from `theta` reaches.
+    """Return the local minimum of |e(theta)|² that a descent from an admissible `theta` reaches.
+
+    `linearise` returns e (N,) and J (N, n) of theta, so that e(theta + d) is close to e - J d.
 
     The search stops if both the relative change of the cost and the scaled gradient |Q^T e| / |e|
     are below 1e-10. The columns of Q are an orthonormal basis of the column space of J. The scaled
     gradient is therefore the cosine of the angle between e and this space. The search also stops if
-    rounding prevents further progress. A trial step that ends outside the admissible set is halved
-    until it ends inside.
+    rounding prevents further progress, or after `most` steps. A trial step that ends outside the
+    admissible set is halved until it ends inside.
 
-    Parameters
-    ----------
-    linearise : callable
-        theta -> e (N,) and J (N, n), so that e(theta + d) is close to e - J d.
-    theta : ndarray (n,)
-        Admissible start.
-    admissible : callable
-        theta -> bool; True if theta is in the admissible set.
-    most : int, default 200
-        Largest number of steps.
-    known : float, optional
-        Cost of a minimum found earlier. If the search is near this cost and the predicted decrease
-        is small, the search stops to save time.
-    walls : Walls, optional
-        Boundary of the admissible set. If theta touches a wall, a step across this wall is replaced
-        by a step along the wall. Without walls the search stops at the boundary.
+    `known` is the cost of a minimum found earlier. If the search is near this cost and the
+    predicted decrease is small, the search stops to save time. If theta touches a wall, a step
+    across this wall is replaced by a step along the wall. Without walls the search stops at the
+    boundary of the admissible set.
 
     References
     ----------

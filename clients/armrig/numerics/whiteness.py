@@ -167,22 +167,12 @@ def portmanteau(
     degrees of freedom is lags - na - nc - nd, as given by Ljung and Box. A parameter that the input
     determines, such as any parameter of an OE model, does not reduce the degrees of freedom.
 
-    Parameters
-    ----------
-    residuals : sequence of ndarray (N_i,)
-        Residuals of each experiment, NaN if they are not known.
-    blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment: the derivatives of the prediction with respect to theta. The
-        projection of these derivatives on the free response is subtracted. Psi is zero in the rows
-        without a residual.
-    spans : sequence of ndarray (N_i, r_i)
-        Orthonormal basis of the free response of each experiment, zero in the rows without a
-        residual.
-    theta_covariance : ndarray (d, d), optional
-        Covariance of the parameters, if they were estimated from other data. By default the
-        parameters were estimated from these data.
-    Q : ndarray (sum of N_i, r), optional
-        Orthonormal basis of the columns of all blocks, if it is known.
+    Each experiment has residuals (N_i,), NaN if they are not known, a block Psi (N_i, d), and a
+    span (N_i, r_i). Psi contains the derivatives of the prediction with respect to theta, minus
+    their projection on the free response. The span is an orthonormal basis of the free response.
+    Both are zero in the rows without a residual. `theta_covariance` (d, d) is given if the
+    parameters were estimated from other data. Q is an orthonormal basis of the columns of all
+    blocks, if it is known.
 
     References
     ----------

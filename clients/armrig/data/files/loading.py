@@ -110,7 +110,7 @@ def load_data(
 
     Examples
     --------
-    >>> import armrig, numpy as np
+    >>> import numpy as np
     >>> rows = [[0, 1, 0.1], [0.01, 1, 0.1], [0.02, 4, np.nan]]
     >>> np.savetxt("mine.csv", rows, delimiter=",", header="t [s],u [V],alpha [rad]", comments="")
     >>> armrig.load_data("mine.csv", signal="alpha")
@@ -167,7 +167,7 @@ def load_signals(
 
     Examples
     --------
-    >>> import armrig, pathlib
+    >>> import pathlib
     >>> lines = ["t,u1,u2,y1", *(f"{0.1 * k:.1f},{k % 2},{k % 3},{k % 5}" for k in range(50))]
     >>> _ = pathlib.Path("plant.csv").write_text("\n".join(lines))
     >>> armrig.load_signals("plant.csv", inputs=["u1", "u2"], outputs="y1")

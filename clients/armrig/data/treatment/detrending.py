@@ -64,7 +64,6 @@ def detrend(data: Signals, order: int = 0) -> Signals:
 
     Examples
     --------
-    >>> import armrig
     >>> data = armrig.detrend(armrig.example_recording().dataset("alpha"))
     >>> data.history
     ('removed the mean from u and y (order 0)',)
@@ -137,7 +136,7 @@ def retrend(data: Data, y: ArrayLike | None = None) -> Data | Vector:
 
     Examples
     --------
-    >>> import armrig, numpy as np
+    >>> import numpy as np
     >>> data = armrig.example_recording().dataset("alpha")
     >>> restored = armrig.retrend(armrig.detrend(data))
     >>> np.allclose(restored.y, data.y)
@@ -260,7 +259,6 @@ def drift(
     --------
     The drift of alpha is less than two standard deviations.
 
-    >>> import armrig
     >>> (found,) = armrig.drift(armrig.example_recording().dataset("alpha"))
     >>> print(f"{1e3 * found.rate:.2f} ± {1e3 * found.std:.2f} mrad/s")
     -0.02 ± 0.06 mrad/s

@@ -68,7 +68,6 @@ def prefilter(
 
     Examples
     --------
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> slow = armrig.prefilter(data, band=(0, 50))
     >>> print(slow.history[0])
@@ -134,7 +133,6 @@ def resample(data: Signals, Ts: float) -> Signals:
 
     Examples
     --------
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> slow = armrig.resample(data, Ts=0.02)
     >>> slow.Ts, slow.N  # 8 samples are cut off at each end

@@ -150,7 +150,6 @@ def difference(data: Signals) -> Signals:
 
     Examples
     --------
-    >>> import armrig
     >>> data = armrig.difference(armrig.example_recording().dataset("theta_1"))
     >>> data.output, data.unit
     ('velocity', 'rad/s')

@@ -294,7 +294,7 @@ def hampel(data: Signals, *, threshold: float | None = None, order: int | None =
 
     Examples
     --------
-    >>> import armrig, numpy as np
+    >>> import numpy as np
     >>> data = armrig.example_recording().dataset("alpha")
     >>> y = data.y.copy()
     >>> y[100] += 1.0  # a wrong sample
