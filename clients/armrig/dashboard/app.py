@@ -26,9 +26,8 @@ from armrig.dashboard.stream import Stream, TooManyViewersError, Viewer
 from armrig.rig.session import RigError
 
 _Owner = Annotated[str, Meta(min_length=1, max_length=80)]
-_VISITOR = (
-    "a visitor of the dashboard"  # a visitor cannot choose the name that the recording stores
-)
+# A visitor cannot choose the name that the recording stores.
+_VISITOR = "a visitor of the dashboard"
 Answer = Callable[[Request], Awaitable[Response]]
 _LABELS = {"seconds": "length", "at": "step at", "Ts": "sampling time"}
 """Labels in the page's form, for the parameters whose label differs from their name."""
@@ -105,8 +104,8 @@ class RigRoutes:
                 Route(f"/api/{name}", answered(does), methods=["POST"])
                 for name, does in (
                     ("arm", self._arm),
-                    ("release", self._release),
-                    ("reset", self._reset),
+                    ("release", lambda _: {"released": self._driver.release()}),
+                    ("reset", lambda _: {"was_latched": self._driver.reset()}),
                     ("note", self._note),
                     ("preview", self._preview),
                     ("model", self._model),
@@ -130,12 +129,6 @@ class RigRoutes:
         asked = msgspec.json.decode(body, type=_Armed)
         self._driver.arm(asked.owner, asked.Ts)
         return {"armed": True}
-
-    def _release(self, _: bytes) -> Any:
-        return {"released": self._driver.release()}
-
-    def _reset(self, _: bytes) -> Any:
-        return {"was_latched": self._driver.reset()}
 
     def _note(self, body: bytes) -> Any:
         asked = msgspec.json.decode(body, type=_Noted)

@@ -89,21 +89,17 @@ def coarser(rows: Rows, width_s: float) -> Rows:
     if not rows.shape[0]:
         return rows
     bins = np.floor(rows[:, 0] / width_s + 1e-6)
-    first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | _wraps(rows[:, 3]))
+    # The potentiometer wraps inside its dead band, whose unknown angles are skipped.
+    theta_1, n = rows[:, 3], np.arange(rows.shape[0])
+    known = np.maximum.accumulate(np.where(np.isnan(theta_1), 0, n))
+    wraps = np.abs(np.diff(theta_1[known], prepend=theta_1[:1])) > _TURN / 2  # False for NaN
+    first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | wraps)
     made = np.empty((first.size, COLUMNS))
     made[:, 0] = rows[first, 0]
     # fmin and fmax ignore NaN, unless all values are NaN.
     made[:, 1::2] = np.fmin.reduceat(rows[:, 1::2], first)
     made[:, 2::2] = np.fmax.reduceat(rows[:, 2::2], first)
     return made
-
-
-def _wraps(theta_1: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask (n,), True if an angle is more than half a turn from the last known angle."""
-    n = np.arange(theta_1.size)
-    # The potentiometer wraps inside its dead band, whose unknown angles are skipped.
-    known = np.maximum.accumulate(np.where(np.isnan(theta_1), 0, n))
-    return np.abs(np.diff(theta_1[known], prepend=theta_1[:1])) > _TURN / 2  # False for NaN
 
 
 def as_lists(rows: Rows) -> list[list[float]]:

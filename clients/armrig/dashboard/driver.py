@@ -163,7 +163,7 @@ class Driver:
                 plan,
                 rig=self._rig,
                 connect=self._connect,
-                tell=self._tell,
+                tell=lambda text: self._note(told=text),
                 shown=partial(self._shown, asked_s),
                 way_out="press Reset",
             )
@@ -187,9 +187,6 @@ class Driver:
         if stopped_s >= asked_s:
             raise RigError(f"not started: stopped by {by or 'somebody'}")
         yield lambda done, total: self._note(done=done, total=total)
-
-    def _tell(self, text: str) -> None:
-        self._note(told=text)
 
     def _note(self, **changed: Any) -> None:
         self.run = msgspec.structs.replace(self.run, **changed)

@@ -101,7 +101,9 @@ class Feed:
     def add_samples(self, samples: Sequence[Sample], *, live: bool = True) -> None:
         """Add samples in order; `live` is False for earlier samples, which the daemon has kept."""
         with self._lock:
-            if live and samples and self._is_of_another_clock(samples[0]):
+            newest = self._newest if live and samples else None
+            # The rig's machine, and therefore its monotonic clock, may have been restarted.
+            if newest is not None and samples[0].t_host_ns < newest.t_host_ns - _BACK_NS:
                 self._rows.clear()
                 self._kept, self._newest, self._tail = 0, None, self._tail[:0]
                 self._forget_marks_after(samples[0].t_host_ns)
@@ -163,17 +165,13 @@ class Feed:
 
     def add_report(self, report: Any) -> None:
         """Add the daemon's timing report of one second."""
-        late, device, link = (
-            report.wake_lateness_us,
-            report.device_tick_error_us,
-            report.link_round_trip_us,
-        )
+        late = report.wake_lateness_us
         self._timing.report = {
             "late_p50_us": late.p50,
             "late_p99_us": late.p99,
             "late_max_us": late.max,
-            "device_p99_us": device.p99,
-            "link_p99_us": link.p99,
+            "device_p99_us": report.device_tick_error_us.p99,
+            "link_p99_us": report.link_round_trip_us.p99,
             "cpu_pressure_percent": report.cpu_pressure_percent,
         }
 
@@ -229,10 +227,6 @@ class Feed:
                 counts = (counts for _, counts in self._late)
                 self._timing.late = [sum(column) for column in zip(*counts, strict=True)]
             return self._timing
-
-    def _is_of_another_clock(self, sample: Sample) -> bool:
-        """Return True if the rig's machine, and therefore its monotonic clock, was restarted."""
-        return self._newest is not None and sample.t_host_ns < self._newest.t_host_ns - _BACK_NS
 
     def _forget_marks_after(self, t_ns: int) -> None:
         states = [found for found in self._states if found[0] <= t_ns]

@@ -52,9 +52,9 @@ def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str
         name: sdk.Channel(
             f"/{stream_key(rig, name)}",
             schema=sdk.Schema(
-                name=_message(name),
+                name=protobuf.OF_STREAM[name],
                 encoding="protobuf",
-                data=protobuf.descriptor_set(_message(name)),
+                data=protobuf.descriptor_set(protobuf.OF_STREAM[name]),
             ),
             message_encoding="protobuf",
             context=context,
@@ -77,10 +77,6 @@ def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str
         ends.set()
         thread.join(5.0)
         server.stop()
-
-
-def _message(stream: str) -> str:
-    return protobuf.SAMPLE if stream == "sample" else protobuf.OF_STREAM[stream]
 
 
 def _send(channels: dict[str, Any], rig: str, connect: str | None, ends: threading.Event) -> None:

@@ -116,7 +116,8 @@ class Guard:
         headers = _headers(scope)
         host, origin = headers.get("host", ""), headers.get("origin")
         if host not in self._hosts:
-            raise Refusal(403, f"Host {host[:80]!r}: the dashboard is at {self._where}")
+            where = " and ".join(sorted(self._origins))
+            raise Refusal(403, f"Host {host[:80]!r}: the dashboard is at {where}")
         if origin is not None and origin not in self._origins:
             raise Refusal(
                 403, f"Origin {origin[:80]!r}: only the dashboard's own page may send requests"
@@ -142,10 +143,6 @@ class Guard:
         if path == Pass.PATH:
             return self._once is not None and self._once.opens(given)
         return hmac.compare_digest(given, self._token)
-
-    @property
-    def _where(self) -> str:
-        return " and ".join(sorted(self._origins))
 
 
 def _headers(scope: Scope) -> Mapping[str, str]:

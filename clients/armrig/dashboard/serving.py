@@ -337,26 +337,24 @@ class Listener:
 
     def _take_past(self) -> None:
         """Add the messages of the last minutes, which the daemon keeps."""
+        takers: tuple[tuple[str, Callable[[list[Any]], None]], ...] = (
+            ("gap", self._feed.add_gaps),
+            ("state", self._feed.add_states),
+            ("event", self._feed.add_events),
+            ("sample", lambda samples: self._feed.add_samples(samples, live=False)),
+        )
         with open_session(self._connect, rig=self._rig) as session:
             source = RemoteSource(session, self._rig)
             for _ in range(_MAX_PIECES):
                 piece = source.next_piece()
                 if piece is None or self._ends.is_set():
                     return
-                for name, take in self._takers():
+                for name, take in takers:
                     take(
                         [decoded(name, data) for kind, data in piece.past.messages if kind == name]
                     )
                 if not piece.is_full:
                     return
-
-    def _takers(self) -> tuple[tuple[str, Callable[[list[Any]], None]], ...]:
-        return (
-            ("gap", self._feed.add_gaps),
-            ("state", self._feed.add_states),
-            ("event", self._feed.add_events),
-            ("sample", lambda samples: self._feed.add_samples(samples, live=False)),
-        )
 
 
 def _changed(states: list[Any], status: StatusReport) -> bool:

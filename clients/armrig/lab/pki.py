@@ -176,7 +176,7 @@ def revoke(directory: Path, name: str) -> None:
             f"{name!r} is neither an operator nor an observer nor a rig, such as rig-1; "
             "`armrig pki list` shows the names"
         )
-    _write(directory / ACCESS_LIST, people.with_name(name, "revoked").toml().encode(), 0o644)
+    _put_on_list(directory, name, "revoked")
 
 
 def issued(directory: Path) -> list[Issued]:

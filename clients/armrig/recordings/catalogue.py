@@ -238,7 +238,8 @@ def catalogue(folder: str | Path) -> Catalogue:
             except OSError as err:  # the error may be temporary, so it is not kept
                 left_out.append(LeftOut(folder / name, err.strerror or str(err)))
                 continue
-        if is_settled(state, looked_ns):
+        # Each later change of a settled file gives the file other time stamps.
+        if max(state.st_mtime_ns, state.st_ctime_ns) < looked_ns - SETTLED_NS:
             kept[name] = known
         if isinstance(known.found, str):
             left_out.append(LeftOut(folder / name, known.found, known.is_foreign))
@@ -304,11 +305,6 @@ class _Index(msgspec.Struct, frozen=True):
 def state_of(found: os.stat_result) -> str:
     """Return a text that changes if the file is changed or replaced."""
     return f"{found.st_size} {found.st_mtime_ns} {found.st_ctime_ns} {found.st_ino}"
-
-
-def is_settled(found: os.stat_result, looked_ns: int) -> bool:
-    """Return True if each change of the file after `looked_ns` gives it other time stamps."""
-    return max(found.st_mtime_ns, found.st_ctime_ns) < looked_ns - SETTLED_NS
 
 
 def read_index(folder: Path) -> dict[str, Known]:

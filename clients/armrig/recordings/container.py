@@ -10,7 +10,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from struct import Struct
 from typing import Any
@@ -42,13 +41,12 @@ from armrig_core.recording_file.file_records import (
 )
 from armrig_core.recording_file.opening import byte_source
 from armrig_core.topics import STREAMS, stream_of
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
 from armrig.numerics.quantities import plural
-from armrig.recordings.recording_summary import indexed_records
+from armrig.recordings.recording_summary import data_stream, indexed_records
 from armrig.recordings.sample_rows import ROW_LENGTH, SAMPLE_DTYPE, SampleRows
 
 _DAMAGES = (DamageError, *UNREADABLE)
@@ -282,7 +280,7 @@ class _Reader:
             case Opcode.METADATA:
                 name = _text(body, 0)
                 if name in (RUN, OUTCOME, RECOVERED) and name not in self.content.metadata:
-                    self.content.metadata[name] = Metadata.read(_stream(body)).metadata
+                    self.content.metadata[name] = Metadata.read(data_stream(body)).metadata
             case Opcode.ATTACHMENT:
                 self._attachment(body)
             case _:
@@ -294,7 +292,7 @@ class _Reader:
         except DamageError as damage:
             self.left_out.append(str(damage))
             return
-        attachment = Attachment.read(_stream(body))
+        attachment = Attachment.read(data_stream(body))
         if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG):
             self.content.attachments.setdefault(attachment.name, attachment.data)
 
@@ -353,7 +351,3 @@ def _text(body: bytes, at: int) -> str:
     (n,) = struct.unpack_from("<I", body, at)
     struct.unpack_from(f"{n}x", body, at + 4)  # raises if the text exceeds the body
     return body[at + 4 : at + 4 + n].decode() if n <= _NAME_LIMIT else ""
-
-
-def _stream(data: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(data))

@@ -90,16 +90,13 @@ def write_mat(
     from scipy.io import savemat
 
     found = columns(recording, raw=raw)
-    variables = {name: column.astype(_mat_type(column)) for name, column in found.items()}
-    variables |= {"y": variables[output], "Ts": recording.Ts}  # type: ignore[dict-item]
+    # Octave and MATLAB compute with doubles and logical values only.
+    kinds = {name: np.bool_ if c.dtype == np.bool_ else np.float64 for name, c in found.items()}
+    variables: dict[str, Any] = {name: column.astype(kinds[name]) for name, column in found.items()}
+    variables |= {"y": variables[output], "Ts": recording.Ts}
     about = {"sha256": recording.sha256, "output": output, "run_id": recording.manifest.run_id}
     with path.open("wb") as file:
         savemat(file, {**variables, **about}, oned_as="column", do_compression=True)
-
-
-def _mat_type(column: NDArray[Any]) -> Any:
-    # Octave and MATLAB compute with doubles and logical values only.
-    return np.bool_ if column.dtype == np.bool_ else np.float64
 
 
 def write_parquet(recording: Recording, path: Path, *, raw: bool = False) -> None:

@@ -111,7 +111,7 @@ def check_step(r: Recording) -> Iterator[Finding]:
 
 def check_arm(r: Recording) -> Iterator[Finding]:
     """Check that alpha is not at an end of its track; in a greybox run, check that alpha rests."""
-    if _is_greybox(r):
+    if r.manifest.experiment.partition("-")[0] == "greybox":
         yield from _check_removed_arm(r)
         return
     clipped = int(np.count_nonzero(r.samples["flags"] & Flag.ADC1_RAIL))
@@ -198,10 +198,6 @@ def check_turns(r: Recording) -> Iterator[Finding]:
         )
         text += "in a row (or Ts is too long): the data are divided there"
         yield _warning("turns", text)
-
-
-def _is_greybox(r: Recording) -> bool:
-    return r.manifest.experiment.partition("-")[0] == "greybox"
 
 
 def converter_step(r: Recording) -> int:

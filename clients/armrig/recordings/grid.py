@@ -90,7 +90,8 @@ def grid(
     """
     begin, end = (int(k[0]), int(k[-1]) + 1) if k.size else (0, 0)
     if manifest.k_first >= 0:
-        first, last = first_of(manifest), manifest.k_first + max(manifest.samples, 0)
+        first = manifest.part_k_first if manifest.part > 1 else manifest.k_first
+        last = manifest.k_first + max(manifest.samples, 0)
         if k.size and not (first <= begin and end <= last):
             raise InputError(
                 f"its samples are k={begin} to {end - 1}, but the samples of the run are "
@@ -116,11 +117,6 @@ def grid(
         present[:] = False
         present[(k - np.uint64(begin)).astype(np.intp)] = True
     return Grid(k_first=begin, N=end - begin, present=present, taken=taken)
-
-
-def first_of(manifest: Manifest) -> int:
-    """Return the index of the first sample that was due in a file; -1 if it is not recorded."""
-    return manifest.part_k_first if manifest.part > 1 else manifest.k_first
 
 
 def check_sampling_time(manifest: Manifest) -> None:

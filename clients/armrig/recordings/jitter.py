@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isnan, nan
 from typing import TYPE_CHECKING
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, fixed
 from armrig.numerics.stretches import longest
-from armrig.recordings.daemon_reports import DeviceClock, Timing
+from armrig.recordings.daemon_reports import DeviceClock
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -189,13 +188,14 @@ def disturbances(recording: Recording) -> Disturbances:
     timing, last = recording.timing, recording.clock[-1] if recording.clock else _UNKNOWN_CLOCK
     counted = [t.collections for t in timing if t.collections >= 0]
     collections = counted[-1] - counted[0] if counted else -1 if timing else 0
+    trips = [t.link_round_trip_us.max for t in timing if t.link_round_trip_us.n]
     pressures = [t.cpu_pressure_percent for t in timing if not isnan(t.cpu_pressure_percent)]
     return Disturbances(
         seconds=len(timing),
         collections=collections,
         cpu_pressure_percent=max(pressures, default=nan),
         run_queue=max((t.run_queue for t in timing), default=-1),
-        round_trip_us=max(_round_trips(timing), default=nan),
+        round_trip_us=max(trips, default=nan),
         drift_ppm=last.drift_ppm,
         drift_std_ppm=last.drift_std_ppm,
         offset_std_us=last.offset_std_ns / 1e3,
@@ -206,7 +206,3 @@ def disturbances(recording: Recording) -> Disturbances:
 _UNKNOWN_CLOCK = DeviceClock(
     t=nan, offset_ns=0, offset_std_ns=nan, drift_ppm=nan, drift_std_ppm=nan, bound_ns=nan
 )
-
-
-def _round_trips(timing: Sequence[Timing]) -> list[float]:
-    return [t.link_round_trip_us.max for t in timing if t.link_round_trip_us.n]

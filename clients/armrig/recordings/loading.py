@@ -104,8 +104,11 @@ def load(
         raise FileError("the list of paths is empty: give at least one path of a recording")
     name = named[0] if len(named) == 1 else paths[0]
     if isinstance(calibration, (str, Path)):
-        _check_is_calibration(Path(calibration), paths[0])
-        calibration = read_calibration(Path(calibration))
+        file = Path(calibration)
+        if is_recording(file):
+            msg = f"{file}: is a recording, not a calibration; give the parts of a run as a list, "
+            raise FileError(f'{msg}armrig.load(["{paths[0].name}", "{file.name}"])')
+        calibration = read_calibration(file)
     found = run_content(paths, start, stop)
     recording = _assembled(name, found, calibration or found.calibration)
     if found.between != EVERYTHING and not recording.N:
@@ -154,12 +157,6 @@ def files_of(path: Path) -> list[Path]:
             msg = f"{path}: part {number} of this run is missing; read the other parts by their "
             raise FileError(f"{msg}own names, such as {paths[0].name}")
     return paths
-
-
-def _check_is_calibration(path: Path, first: Path) -> None:
-    if is_recording(path):
-        msg = f"{path}: is a recording, not a calibration; give the parts of a run as a list, "
-        raise FileError(f'{msg}armrig.load(["{first.name}", "{path.name}"])')
 
 
 class RunContent(NamedTuple):
@@ -229,16 +226,19 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
         manifest = records.manifest_of(entries)
         outcome = content.metadata.get(records.OUTCOME)
         ended = None if outcome is None else records.outcome_of(outcome)
-        attached, recovered = _calibration(content), _recovered(content)
+        text = content.attachments.get(records.CALIBRATION)
+        attached = None if text is None else msgspec.json.decode(text, type=Calibration)
+        recovered = _recovered(content)
         records.check_whole_numbers(manifest)
         if ended is not None:
             records.check_whole_numbers(ended)
         if recovered is not None:
             records.check_whole_numbers(recovered)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
+        why = (str(err).splitlines() or [type(err).__name__])[0][:300]
         raise FileError(
             f"{path}: armrig did not write the manifest, the outcome or the calibration of this "
-            f"file: {_first_line(err)}"
+            f"file: {why}"
         ) from err
     try:
         check_sampling_time(manifest)
@@ -274,15 +274,6 @@ def origin_of(content: Content, manifest: Manifest) -> int:
     if manifest.k_first >= 0 or not content.samples.size:
         return manifest.k_first
     return int(content.samples["k"][0])
-
-
-def _first_line(err: Exception) -> str:
-    return (str(err).splitlines() or [type(err).__name__])[0][:300]
-
-
-def _calibration(content: Content) -> Calibration | None:
-    text = content.attachments.get(records.CALIBRATION)
-    return None if text is None else msgspec.json.decode(text, type=Calibration)
 
 
 def _recovered(content: Content) -> Recovered | None:
@@ -330,7 +321,9 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         truncated=bool(content.damage),
         cut_off=content.cut_off,
         damage=content.damage + saved if content.damage else "",
-        part=_span(t, manifest.Ts) if between != EVERYTHING and t.size else None,
+        part=(round(float(t[0]), 9), round(float(t[-1]) + manifest.Ts, 9))  # to ns
+        if between != EVERYTHING and t.size
+        else None,
         **reports,
     )
     shown = (recording.channel(channel.name) for channel in telemetry.CHANNELS)
@@ -338,11 +331,6 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
     for array in arrays:
         array.flags.writeable = False
     return recording
-
-
-def _span(t: Vector, Ts: float) -> tuple[float, float]:
-    """Return start and end of `t`, rounded to ns; the end is one Ts after the last time."""
-    return round(float(t[0]), 9), round(float(t[-1]) + Ts, 9)
 
 
 def _within(found: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:

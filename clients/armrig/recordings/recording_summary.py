@@ -283,14 +283,14 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
 def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {}
     entries = (body for kind, body in index_records(stream, size) if kind == Opcode.METADATA_INDEX)
-    for index in map(MetadataIndex.read, map(_bytes, entries)):
+    for index in map(MetadataIndex.read, map(data_stream, entries)):
         # Only the first record of each name is read, as in a read of the whole file. An index of a
         # hundred thousand entries must not cause a hundred thousand reads.
         if index.name in (RUN, OUTCOME) and index.name not in found:
             opcode, body = _record(stream, index.offset)
             if opcode != Opcode.METADATA:
                 raise DamageError("its index points to a record other than metadata")
-            found[index.name] = Metadata.read(_bytes(body)).metadata
+            found[index.name] = Metadata.read(data_stream(body)).metadata
     return found
 
 
@@ -355,5 +355,6 @@ def _record(stream: IO[bytes], offset: int) -> tuple[int, bytes]:
     return opcode, stream.read(length)
 
 
-def _bytes(data: bytes) -> ReadDataStream:
+def data_stream(data: bytes) -> ReadDataStream:
+    """Return the bytes of a record as a stream, from which mcap reads the record."""
     return ReadDataStream(BytesIO(data))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from armrig_core.commands import MOST_SAMPLES, LastRun, RunAccepted, StatusReport
+from armrig_core.commands import MOST_SAMPLES, LastRun, RunAccepted
 from armrig_core.errors import ParameterError
 from armrig_core.predicted_motion import Rehearsal, sentence
 from armrig_core.recording_file.part_names import part_paths
@@ -238,9 +238,12 @@ def collect(
     """
     with Rig(rig, connect=connect) as opened:
         status = opened.status()
-        if plan.without_arm:
-            _require_arm_off(status)
-        elif status.arm_removed:
+        if plan.without_arm and not status.arm_removed:
+            raise RigError(
+                f"this experiment needs the chassis alone, but rig {status.rig} has its arm on: "
+                f"{ARM_OFF}"
+            )
+        if status.arm_removed and not plan.without_arm:
             tell(f"rig {status.rig} has no arm ([arm] removed): this is the chassis alone")
         armed = False
         try:
@@ -315,15 +318,6 @@ ARM_OFF = (
     "configuration (for an emulated rig also [emulator] arm_removed = true), and restart armrigd"
 )
 """Instructions to the user, to remove the arm before an experiment with the chassis."""
-
-
-def _require_arm_off(status: StatusReport) -> None:
-    """Raise RigError unless the rig's configuration says that the arm is removed."""
-    if not status.arm_removed:
-        raise RigError(
-            f"this experiment needs the chassis alone, but rig {status.rig} has its arm on: "
-            f"{ARM_OFF}"
-        )
 
 
 def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:

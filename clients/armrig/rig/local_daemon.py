@@ -33,7 +33,8 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
         Another daemon answers for this rig, or the new daemon has ended or does not answer. The
         message contains the last line of the daemon's log.
     """
-    _require_none(rig)
+    if _answers(rig):  # clients cannot distinguish two daemons
+        raise RigError(f"a daemon of rig {rig} already runs; end it, or choose another --rig")
     program = [sys.executable, "-m", "armrig_daemon", "run", "--parent", str(os.getpid())]
     log.unlink(missing_ok=True)  # not truncated: another daemon may still write to it
     with log.open("wb") as output:
@@ -52,14 +53,13 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
             stop(daemon)
 
 
-def _require_none(rig: str) -> None:
-    """Raise RigError if a daemon of this rig already runs: clients cannot distinguish two."""
+def _answers(rig: str) -> bool:
     try:
         with Rig(rig) as opened:
             opened.status()
     except NoReplyError:
-        return
-    raise RigError(f"a daemon of rig {rig} already runs; end it, or choose another --rig")
+        return False
+    return True
 
 
 def stop(daemon: subprocess.Popen[bytes]) -> None:
@@ -92,7 +92,6 @@ def require_running(daemon: subprocess.Popen[bytes], log: Path) -> None:
 
 
 def _last_line(log: Path) -> str:
-    """Return the last line of a log."""
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return lines[-1].removeprefix("armrigd: ") if lines else f"it printed nothing in {log}"
 
@@ -101,13 +100,9 @@ def _wait_until_it_answers(daemon: subprocess.Popen[bytes], rig: str, log: Path)
     until = time.monotonic() + _START_TIMEOUT_S
     while time.monotonic() < until:
         require_running(daemon, log)
-        try:
-            with Rig(rig) as opened:
-                opened.status()
-        except NoReplyError:
-            time.sleep(_POLL_INTERVAL_S)  # not yet
-        else:
+        if _answers(rig):
             require_running(daemon, log)  # if another daemon has answered, the new daemon has ended
             return
+        time.sleep(_POLL_INTERVAL_S)
     msg = f"the daemon did not answer within {_START_TIMEOUT_S:g} s; last line: {_last_line(log)}; "
     raise RigError(f"{msg}if this host is busy, close other programs and try again ({log})")

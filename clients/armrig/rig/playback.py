@@ -160,12 +160,11 @@ class Stage:
 
     def wait_for_listener(self) -> None:
         """Wait until a client listens to the samples."""
-        while not self._is_heard():
+        while True:
+            status: Any = self._publishers["sample"].matching_status
+            if getattr(status, "matching", status):  # an object, but a bool in the stubs
+                return
             time.sleep(_LISTENER_INTERVAL_S)
-
-    def _is_heard(self) -> bool:
-        status: Any = self._publishers["sample"].matching_status
-        return bool(getattr(status, "matching", status))  # an object, but a bool in the stubs
 
     def publish(self, stream: str, data: bytes) -> None:
         """Publish a message; zenoh drops it if a subscriber is too slow."""

@@ -37,10 +37,8 @@ MOST_ROWS = 1 << 23
 """Largest number of samples in a file, including missing samples: 2.3 h at 1 kHz."""
 _FINISH_TIMEOUT_S = 60.0
 _MAX_FILES, _MAX_FILES_PERIOD_S = 60, 60.0  # no daemon causes more files in this time
-_MAX_WAITING_BYTES, _OVERHEAD_BYTES = (
-    16 << 20,
-    200,
-)  # messages that wait for the first state, because only the state contains Ts
+# Messages wait for the first state, because only the state contains Ts.
+_MAX_WAITING_BYTES, _OVERHEAD_BYTES = 16 << 20, 200
 _MAX_PENDING_PIECES, _DISK_INTERVAL_S = 16, 0.01  # pieces not yet on the disk
 Tell = Callable[[str], None]
 _LIMIT = 1 << 62
@@ -104,17 +102,13 @@ class RemoteRecording:
         self._offset_ns = piece.past.clock_offset_ns
         if piece.is_new_life:
             self.tell(STARTED_ANEW)
-            self._end(Ending(OutcomeCode.RECORDER, STARTED_ANEW))
+            self.finish(Ending(OutcomeCode.RECORDER, STARTED_ANEW))
             self._state = None
         if piece.lost:
             self._warn(f"{GapCode.RECORDER_CUT_OFF.sentence}: {piece.lost} messages are lost")
         for stream, data in piece.past.messages:
             self._take(remote_message(stream, data, self._offset_ns))
         self._hand_over()
-
-    def finish(self, ended: Ending) -> None:
-        """Complete the current file, and write its outcome."""
-        self._end(ended)
 
     def _hand_over(self) -> None:
         file = self._file
@@ -162,7 +156,7 @@ class RemoteRecording:
         elif message.stream == "state":
             if self._state is not None and self._state.Ts_s != message.value.Ts_s:
                 text = f"the sampling time became {message.value.Ts_s:g} s"
-                self._end(Ending(OutcomeCode.RECORDER, text))
+                self.finish(Ending(OutcomeCode.RECORDER, text))
             self._state = message.value
         self._write(message.outgoing())
 
@@ -184,9 +178,9 @@ class RemoteRecording:
         self._missing += sample.k - last.k - 1
         if self._missing > MISSING_LIMIT:
             text = f"{sample.k - last.k - 1} samples are missing after its last sample"
-            self._end(Ending(OutcomeCode.RECORDER, text))
+            self.finish(Ending(OutcomeCode.RECORDER, text))
         elif sample.k - first.k >= MOST_ROWS:
-            self._end(CONTINUED)
+            self.finish(CONTINUED)
         elif sample.k > last.k + 1:
             for gap in gaps_between(last, sample, self._told):
                 self._write(Outgoing("gap", gap.t_to_ns, gap.t_to_ns, 0, _gap(gap)))
@@ -221,7 +215,8 @@ class RemoteRecording:
             if not any(os.path.lexists(taken) for taken in (path, f"{path}{ACTIVE}")):
                 return path
 
-    def _end(self, ended: Ending) -> None:
+    def finish(self, ended: Ending) -> None:
+        """Complete the current file, and write its outcome."""
         file, self._file = self._file, None
         waiting = self._taken()
         self._first = self._last = None

@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import partial
 from math import nan
 from pathlib import Path
 from threading import Lock
@@ -98,10 +97,17 @@ def stream(
 def listen(session: zenoh.Session, key: str, where: str) -> Iterator[Any]:
     """Iterate over the messages of a key in an open session: see `stream`."""
     rig, name = _stream_of(key)
-    # The gaps first: who hears a sample also hears the gaps after it.
-    with _reported_gaps(session, rig, name) as gaps_since, arrivals(session, key) as messages_since:
+    # Only the stream of samples has gaps; who hears a sample also hears the gaps after it.
+    gaps: AbstractContextManager[Callable[[], list[Any]]] = nullcontext(list)
+    if name == "sample":
+        gaps = arrivals(session, topics.stream_key(rig, "gap"))
+    with gaps as gaps_since, arrivals(session, key) as messages_since:
         before: Sample | None = None
         reported = told_gaps()
+
+        def is_over(gap: Any) -> bool:  # all its missing samples are before the last sample
+            return before is not None and bool(gap.k_first + gap.count <= before.k)
+
         for messages in _until_gone(session, rig, where, messages_since):
             # The daemon publishes a gap first, then the sample that follows the gap.
             for gap in gaps_since():
@@ -111,22 +117,8 @@ def listen(session: zenoh.Session, key: str, where: str) -> Iterator[Any]:
                     if before is not None:
                         yield from gaps_between(before, message, reported)
                     before = message
-                    reported.forget_while(partial(_is_over, message.k))
+                    reported.forget_while(is_over)
                 yield message
-
-
-def _is_over(k: int, gap: Any) -> bool:
-    """Return True if all missing samples of a gap are before sample k."""
-    return bool(gap.k_first + gap.count <= k)
-
-
-def _reported_gaps(
-    session: zenoh.Session, rig: str, name: str
-) -> AbstractContextManager[Callable[[], list[Any]]]:
-    """Yield a function that returns newly reported gaps; only the stream of samples has gaps."""
-    if name != "sample":
-        return nullcontext(list)
-    return arrivals(session, topics.stream_key(rig, "gap"))
 
 
 def _until_gone(
