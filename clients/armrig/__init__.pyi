@@ -14,10 +14,7 @@ from armrig.data.treatment import hampel as hampel
 from armrig.data.treatment import prefilter as prefilter
 from armrig.data.treatment import resample as resample
 from armrig.data.treatment import retrend as retrend
-from armrig.estimation.ararx import ararx as ararx
-from armrig.estimation.armax import armax as armax
 from armrig.estimation.arx import arx as arx
-from armrig.estimation.bj import bj as bj
 from armrig.estimation.iv4 import iv4 as iv4
 from armrig.estimation.n4sid import n4sid as n4sid
 from armrig.estimation.nonparametric.bla import bla as bla
@@ -27,9 +24,12 @@ from armrig.estimation.nonparametric.impulse import impulse_response as impulse_
 from armrig.estimation.nonparametric.sampling_time import sampling_time as sampling_time
 from armrig.estimation.nonparametric.spectral import spa as spa
 from armrig.estimation.nonparametric.step_analysis import step_analysis as step_analysis
-from armrig.estimation.oe import oe as oe
 from armrig.estimation.order_selection import select_orders as select_orders
-from armrig.estimation.pem import pem as pem
+from armrig.estimation.polynomial_structures import ararx as ararx
+from armrig.estimation.polynomial_structures import armax as armax
+from armrig.estimation.polynomial_structures import bj as bj
+from armrig.estimation.polynomial_structures import oe as oe
+from armrig.estimation.polynomial_structures import pem as pem
 from armrig.estimation.recursive import RarxState as RarxState
 from armrig.estimation.recursive import rarx as rarx
 from armrig.estimation.recursive import rarx_start as rarx_start

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any, TypedDict, get_args
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -52,6 +52,17 @@ AUTO_LEVEL = 0.05
 """Level of the F-test for the initial state."""
 
 
+class SearchOptions(TypedDict, total=False):
+    """Options of a search, which `oe` documents; `estimated` has their defaults."""
+
+    integrator: bool | str | Sequence[str]
+    offset: bool
+    initial: Initial
+    stable: bool
+    starts: Starts
+    shared: Shared
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Options:
     """Options of a search that are the same for all outputs."""
@@ -93,25 +104,9 @@ def estimated(
 ) -> Fit:
     """Return the model at the lowest minimum of the prediction error over all start values.
 
-    Parameters
-    ----------
-    data : Dataset or Signals
-        One output is estimated after the other, unless the outputs share a denominator.
-    name : str
-        Name of the structure in `structure_table`; its orders are the polynomials that exist.
-    orders : mapping
-        Orders of the structure and nk, as the caller gave them.
-    integrator : bool, str or sequence of str
-        Outputs with one root of F at exactly 1, or of A in a structure without F.
-    initial : {"estimate", "backcast", "zero", "auto"}
-        State at the start of each experiment. "backcast", a name from MATLAB, has the same effect
-        as "estimate": the search estimates the state by least squares at every step.
-    stable : bool, default False
-        Reflect poles outside the unit circle into the circle, and estimate B again.
-    starts : {"many", "few"}
-        Number of additional start values, as in `armax`.
-    shared : {"", "denominator"}
-        With "denominator" all outputs have the same F, or the same A in a structure without F.
+    One output is estimated after the other, unless the outputs share a denominator. `name` is the
+    name of the structure in `structure_table`; `orders` contains its orders and nk, as the caller
+    gave them. `oe` documents the options.
 
     Raises
     ------

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.util import find_spec
 from inspect import Parameter, Signature
 from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
 
@@ -162,12 +161,9 @@ def flag(name: str) -> str:
 
 
 def estimator(structure: str) -> Callable[..., Fit]:
-    """Return the estimator of a structure: the function in the module of its name, or `_of_row`."""
-    name = f"armrig.estimation.{structure}"
-    if find_spec(name) is None:
-        return _of_row(structure)
-    found: Callable[..., Fit] = getattr(import_module(name), structure)
-    return found
+    """Return the estimator of a structure: the function of its name in `armrig`, or `_of_row`."""
+    found: Callable[..., Fit] | None = getattr(import_module("armrig"), structure, None)
+    return found or _of_row(structure)
 
 
 def _of_row(structure: str) -> Callable[..., Fit]:

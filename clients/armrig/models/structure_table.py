@@ -3,7 +3,7 @@
 The table defines the options and help of `armrig identify` and `armrig batch`, the structures of a
 search, the command that the programs print after `next:`, and the table in docs/experiments.md.
 This module does not import numpy, because `--help` imports it and must be fast. The estimator of
-NAME is the function NAME in `armrig.estimation.NAME`.
+NAME is the function NAME of `armrig`.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.experiments import Trend
 from armrig.data.merging import merge
 from armrig.data.treatment import prefilter, resample, retrend
-from armrig.estimation.oe import oe
+from armrig.estimation.polynomial_structures import oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from hypothesis import given, settings

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
-from armrig.estimation.armax import armax
 from armrig.estimation.n4sid import _pole_std, n4sid
-from armrig.estimation.oe import oe
+from armrig.estimation.polynomial_structures import armax, oe
 from armrig.estimation.start_values import noise_start
 from armrig.estimation.subspace import Realisation
 from armrig.estimation.subspace_horizon import Innovations, companion

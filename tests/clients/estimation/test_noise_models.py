@@ -10,13 +10,9 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.data.treatment import detrend
-from armrig.estimation.ararx import ararx
-from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx
-from armrig.estimation.bj import bj
 from armrig.estimation.iv4 import iv4
-from armrig.estimation.oe import oe
-from armrig.estimation.pem import pem
+from armrig.estimation.polynomial_structures import ararx, armax, bj, oe, pem
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered

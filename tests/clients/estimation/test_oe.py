@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.estimation.oe import oe
+from armrig.estimation.polynomial_structures import oe
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import Array, filtered, impulse

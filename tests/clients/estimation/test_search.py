@@ -12,7 +12,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation import prediction_error, search, start_values
 from armrig.estimation.arx import arx
-from armrig.estimation.bj import bj
+from armrig.estimation.polynomial_structures import bj
 from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.search import searched_minimum
 from armrig.estimation.start_values import (

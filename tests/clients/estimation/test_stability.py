@@ -9,13 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx
-from armrig.estimation.bj import bj
 from armrig.estimation.iv4 import iv4
 from armrig.estimation.n4sid import n4sid
-from armrig.estimation.oe import oe
-from armrig.estimation.pem import pem
+from armrig.estimation.polynomial_structures import armax, bj, oe, pem
 from armrig.estimation.stability import (
     _way_out,
     largest_unstable,

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.estimation.armax import armax
-from armrig.estimation.bj import bj
-from armrig.estimation.oe import oe
+from armrig.estimation.polynomial_structures import armax, bj, oe
 from armrig.excitation import step, telegraph
 from armrig.excitation.experiment_design import PlannedModel, predicted_std
 from armrig.excitation.physical_experiment_design import predicted_parameter_std

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
-from armrig.estimation.oe import oe
+from armrig.estimation.polynomial_structures import oe
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from hypothesis import given, settings

@@ -14,7 +14,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.finding import warning
 from armrig.data.merging import merge
 from armrig.data.step import MEAN, Step, codes_of
-from armrig.estimation.bj import bj
+from armrig.estimation.polynomial_structures import bj
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.model_file import fit_of, load_fit

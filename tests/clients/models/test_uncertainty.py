@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.estimation.oe import oe
+from armrig.estimation.polynomial_structures import oe
 from armrig.models.fit import Fit
 from armrig.models.uncertainty import (
     Draws,

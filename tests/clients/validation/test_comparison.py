@@ -14,10 +14,8 @@ import pytest
 from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx
-from armrig.estimation.bj import bj
-from armrig.estimation.oe import oe
+from armrig.estimation.polynomial_structures import armax, bj, oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.validation.comparison import compare

@@ -12,7 +12,7 @@ from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.arx import arx
-from armrig.estimation.oe import oe
+from armrig.estimation.polynomial_structures import oe
 from armrig.models.fit import Fit
 from armrig.models.prediction import prediction_errors
 from armrig.numerics.covariance import pairwise_covariance

@@ -19,7 +19,7 @@ from armrig.estimation.data_faults import (
     constant_input,
     level_without_input,
 )
-from armrig.estimation.oe import oe
+from armrig.estimation.polynomial_structures import oe
 from armrig.excitation.input_description import describe_input
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import NBSP, p_relation, percent, plural, times

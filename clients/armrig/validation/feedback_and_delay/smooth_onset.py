@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from armrig.data.dataset import Dataset
-from armrig.estimation.oe import oe
+from armrig.estimation.polynomial_structures import oe
 
 Progress = Callable[[int, int, str], object]
 """Function of the number of finished estimates, the number of all estimates, and the next lag."""
