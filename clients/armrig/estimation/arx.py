@@ -12,18 +12,20 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding
-from armrig.estimation.channel_orders import (
-    Integers,
-    as_text,
-    by_channel,
-    by_pair,
-    channels_of,
+from armrig.estimation.data_faults import (
+    NO_OPTION,
+    data_faults,
+    require_informative,
+    undetermined,
 )
-from armrig.estimation.data_checks import instability, require_informative
-from armrig.estimation.data_faults import NO_OPTION, data_faults, undetermined
 from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
-from armrig.estimation.orders import require_samples
-from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
+from armrig.estimation.orders import Integers, as_text, by_channel, by_pair, require_samples
+from armrig.estimation.stability import (
+    instability,
+    reflection_warnings,
+    stabilised,
+    with_stability_warning,
+)
 from armrig.models.fit import Fit
 from armrig.numerics.covariance import (
     pairwise_covariance,
@@ -104,9 +106,8 @@ def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool 
     """
     if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
         data = data.dataset()
-    inputs, outputs = channels_of(data)
     na_ = by_pair("na", na, data, least=0)
-    nb_ = by_channel("nb", nb, data, least=int(len(inputs) == 1))
+    nb_ = by_channel("nb", nb, data, least=int(data.signals().nu == 1))
     nk_ = by_channel("nk", nk, data, least=0)
     orders = as_text(na=na_, nb=nb_, nk=nk_)
     if stable and (na_ - np.diag(na_.diagonal())).any():
@@ -116,6 +117,7 @@ def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool 
         )
     if isinstance(data, Signals):
         require_informative(data)
+    outputs = data.signals().outputs
     equations = [_equation(data, i, na_[i], nb_[i], nk_[i]) for i in range(len(outputs))]
     for i, equation in enumerate(equations):
         what = orders if len(outputs) == 1 else f"{orders} for {outputs[i]}"

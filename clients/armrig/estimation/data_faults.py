@@ -13,11 +13,13 @@ from dataclasses import replace
 from math import sqrt
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.treatment import INTEGRATING_OUTPUTS, hampel, integrating
+from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.quantities import percent, plural
 from armrig.numerics.regressors import whitening
 from armrig.numerics.whiteness import WHITE_LEVEL, joined, ljung_box
@@ -165,3 +167,28 @@ def level_without_input(data: Dataset, least: float = _MIN_LEVEL_SIGMAS) -> Esti
         level=model.c / gain,
         sigmas=sigmas,
     )
+
+
+def require_informative(data: Signals) -> None:
+    """Refuse constant signals, and inputs that are linear combinations of other inputs."""
+    data.equidistant()
+    for i, name in enumerate(data.outputs):
+        y = data.y[data.valid[:, i], i]
+        if np.ptp(y) == 0:
+            raise InputError(
+                f"{name} is always {y[0]:.4g}, so that it has no model; leave this output out, or "
+                "record it again"
+            )
+    for j, name in enumerate(data.inputs):
+        if np.ptp(data.u[:, j]) == 0:
+            raise InputError(
+                f"{name} is always {data.u[0, j]:.4g}, so that its effect cannot be estimated; "
+                "leave this input out, or record again"
+            )
+    rank = orthonormal(data.u - data.u.mean(axis=0)).rank
+    if rank < data.nu:
+        raise InputError(
+            f"the {data.nu} inputs have rank {rank}: some are copies or sums of others, so that "
+            "their effects cannot be separated; leave inputs out, or record with independent "
+            "inputs"
+        )

@@ -9,11 +9,17 @@ from typing import Any
 import numpy as np
 
 from armrig.data.dataset import Dataset, Signals
-from armrig.estimation.data_checks import origin
 from armrig.models.fit import Fit
 from armrig.models.polynomials import Polynomials
 from armrig.numerics.inference import OutputResiduals, Score, infer
 from armrig.numerics.polynomial import Array
+
+
+def origin(data: Dataset | Signals) -> dict[str, Any]:
+    """Return names, units, sampling time and history of the data, as fields of a fit."""
+    names = ("inputs", "outputs", "input_units", "units", "source", "history", "digest")
+    signals = data.signals()
+    return {"Ts": signals.equidistant()} | {name: getattr(signals, name) for name in names}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

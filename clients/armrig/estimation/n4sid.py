@@ -13,15 +13,10 @@ from armrig.data.argument import takes_signals
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
-from armrig.estimation.data_checks import (
-    instability,
-    origin,
-    poor_fits,
-    require_informative,
-)
-from armrig.estimation.data_faults import NO_OPTION, data_faults
+from armrig.estimation.data_faults import NO_OPTION, data_faults, require_informative
 from armrig.estimation.error_process import error_process
-from armrig.estimation.stability import REFLECT, reflection_warnings, unstable
+from armrig.estimation.estimated_outputs import origin
+from armrig.estimation.stability import REFLECT, instability, reflection_warnings, unstable
 from armrig.estimation.state_space_fit import (
     Derivatives,
     derivatives,
@@ -52,7 +47,7 @@ from armrig.estimation.subspace_simulation import for_simulation
 from armrig.models.fit import Fit
 from armrig.models.structure_table import Focus, Weights
 from armrig.numerics.checks import require_integers
-from armrig.numerics.inference import Inference
+from armrig.numerics.inference import Inference, OutputQuality
 from armrig.numerics.polynomial import (
     Array,
 )
@@ -365,7 +360,7 @@ def _several(
         specification=f"order={len(form.A)}, nk={nk}",
         form=form,
         **_projected(found, options),
-        findings=(*notes, *instability(form), *poor_fits(data, inferred.quality)),
+        findings=(*notes, *instability(form), *_poor_fits(data, inferred.quality)),
         **inferred.transformed(T).fields(),
         **origin(data),
     )
@@ -397,6 +392,18 @@ def _warnings(
     others = np.abs(np.delete(z, nearest) if integrates else z)
     if np.any(others > 1 + 1e-9):
         yield unstable(float(others.max()), *REFLECT)
+
+
+def _poor_fits(data: Signals, quality: Sequence[OutputQuality]) -> Iterator[EstimateFinding]:
+    """Yield a warning for each output that the model predicts worse than a constant."""
+    for name, found in zip(data.outputs, quality, strict=True):
+        if found.fit_percent < 0:
+            yield warning(
+                "poor_fit",
+                f"the model predicts {name} worse than the mean of {name} does "
+                f"(fit {found.fit_percent:.2g} %): use another order, or ss",
+                fit_percent=found.fit_percent,
+            )
 
 
 def _may_integrate(data: Dataset, z: complex) -> bool:

@@ -11,8 +11,8 @@ import numpy as np
 
 from armrig.data.argument import as_dataset, takes_data
 from armrig.data.dataset import Dataset, Signals
-from armrig.estimation.channel_orders import Integers, by_channel
 from armrig.estimation.order_table import OrderTable, order_table, require_same_rate
+from armrig.estimation.orders import Integers, by_channel
 from armrig.numerics.criteria import Criterion
 from armrig.numerics.polynomial import Array
 from armrig.numerics.regressors import past

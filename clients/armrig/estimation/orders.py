@@ -1,8 +1,28 @@
-"""Checks of requested orders."""
+"""Orders of a model: one order for each channel or output.
+
+An order is given as an integer for all channels, as an array with a row for each output, or as a
+mapping by names.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
 from armrig_core.errors import InputError
+from numpy.typing import NDArray
+
+from armrig.data.dataset import Dataset, Signals
+from armrig.models.structure import Structure
+from armrig.models.structure_table import STRUCTURES
+from armrig.numerics.checks import require_integers
+
+Integers = NDArray[np.int_]
+Shared = Literal["", "denominator"]
+
+_OF_OUTPUTS = ("na", "nc", "nd")
+"""Orders that each output has once; the other orders are those of a channel."""
 
 
 def require_samples(orders: str, *, needed: int, got: int) -> None:
@@ -11,27 +31,167 @@ def require_samples(orders: str, *, needed: int, got: int) -> None:
         raise InputError(f"{orders} needs at least {needed} samples, got {got}")
 
 
-SAMPLES_PER_PARAMETER = 10
-"""Least number of samples per parameter that reliable standard deviations need."""
+def by_channel(name: str, value: Any, data: Signals | Dataset, *, least: int) -> Integers:
+    """Return the orders (ny, nu) of an argument such as nb.
+
+    Raises
+    ------
+    ValueError
+        The shape is wrong, a channel is not named, or an order is below `least`.
+    """
+    signals = data.signals()
+    keys = [[(y, u) for u in signals.inputs] for y in signals.outputs]
+    return _matrix(name, value, keys, least, "a row for each output and a column for each input")
 
 
-def require_sensible(*, samples: int, nk: int, integrator: bool = False, **orders: int) -> None:
-    """Refuse a model if nk or its number of parameters is above a tenth of the measured samples."""
-    asked = ", ".join(f"{name}={n}" for name, n in orders.items())
-    parameters, most = sum(orders.values()) - int(integrator), samples // SAMPLES_PER_PARAMETER
-    if not most:
-        needed = SAMPLES_PER_PARAMETER * max(parameters, nk, 1)
+def by_pair(name: str, value: Any, data: Signals | Dataset, *, least: int) -> Integers:
+    """Return the orders (ny, ny) of an argument such as na."""
+    outputs = data.signals().outputs
+    keys = [[(y, z) for z in outputs] for y in outputs]
+    return _matrix(name, value, keys, least, "a row and a column for each output")
+
+
+def by_output(name: str, value: Any, data: Signals | Dataset, *, least: int) -> Integers:
+    """Return the orders (ny,) of an argument such as nc."""
+    outputs = data.signals().outputs
+    if isinstance(value, Mapping):
+        return _named(name, value, list(outputs), least)
+    given, ny = np.asarray(value, dtype=object), len(outputs)
+    if given.shape not in ((), (ny,)):
+        raise InputError(f"{name} needs {ny} orders, one for each output, got {value!r}")
+    return _checked(name, np.broadcast_to(given, (ny,)), least)
+
+
+def _matrix(name: str, value: Any, keys: list[list[Any]], least: int, what: str) -> Integers:
+    shape = len(keys), len(keys[0])
+    if isinstance(value, Mapping):
+        flat = [key for row in keys for key in row]
+        return _named(name, value, flat, least).reshape(shape)
+    try:
+        given = np.array(value.tolist() if isinstance(value, np.ndarray) else value, dtype=object)
+    except ValueError:
+        given = np.zeros(0, dtype=object)
+    if given.shape not in ((), shape):
+        got = " × ".join(map(str, given.shape)) or repr(value)
+        raise InputError(f"{name} is {shape[0]} × {shape[1]}, got {got}: {what}")
+    return _checked(name, np.broadcast_to(given, shape), least)
+
+
+def _named(name: str, value: Mapping[Any, Any], keys: list[Any], least: int) -> Integers:
+    """Return the orders of all keys; in nk, a channel without a key has the delay 1."""
+    unknown = [key for key in value if key not in keys]
+    missing = [key for key in keys if key not in value] if name != "nk" else []
+    if unknown or missing:
+        said = f"there is no {unknown[0]!r}" if unknown else f"{missing[0]!r} is not named"
+        raise InputError(f"{name}: {said}; name each of {', '.join(map(repr, keys))}")
+    return _checked(name, np.array([value.get(key, 1) for key in keys], dtype=object), least)
+
+
+def _checked(name: str, values: Any, least: int) -> Integers:
+    for value in values.ravel().tolist():
+        require_integers(**{name: (value, least)})
+    return np.asarray(values, dtype=np.int_)
+
+
+def integrating_outputs(
+    integrator: bool | str | Sequence[str], data: Signals | Dataset
+) -> tuple[bool, ...]:
+    """Return whether each output integrates.
+
+    Raises
+    ------
+    ValueError
+        `integrator` names an unknown output.
+    """
+    outputs = data.signals().outputs
+    if isinstance(integrator, bool | np.bool_):
+        return (bool(integrator),) * len(outputs)
+    names = [integrator] if isinstance(integrator, str) else integrator
+    unknown = [name for name in names if name not in outputs] if isinstance(names, Iterable) else []
+    if unknown or not isinstance(names, Iterable):
+        what = f"; there is no output {unknown[0]!r}" if unknown else ""
         raise InputError(
-            f"{samples} samples are too few for a model: record longer, at least {needed} samples "
-            f"for {asked or f'nk={nk}'}"
+            f"integrator={integrator!r} must be True or False, or names of outputs{what}; there "
+            f"are {', '.join(outputs)}"
         )
-    if parameters > most:
+    return tuple(name in names for name in outputs)
+
+
+def as_text(**orders: Integers) -> str:
+    """Return orders as text; if all channels have the same order, the text has one number."""
+    return ", ".join(f"{name}={_short(value)}" for name, value in orders.items())
+
+
+def _short(value: Integers) -> str:
+    flat = value.ravel()
+    if flat.size and (flat == flat[0]).all():
+        return str(int(flat[0]))
+    return str(value.tolist()).replace(" ", "")
+
+
+def checked_orders(
+    data: Dataset | Signals,
+    name: str,
+    orders: Mapping[str, Any],
+    integrators: tuple[bool, ...],
+    shared: Shared,
+) -> dict[str, Integers]:
+    """Return the orders as arrays, in the order in which the caller gave them."""
+    signals, given = data.signals(), {}
+    for order, value in orders.items():
+        least = int(order == "nb" and signals.nu == 1)
+        by = by_output if order in _OF_OUTPUTS else by_channel
+        given[order] = by(order, value, data, least=least)
+    for output, nb in zip(signals.outputs, given["nb"], strict=True):
+        if not nb.any():
+            raise InputError(f"nb is 0 for all inputs of {output}; leave this output out")
+    counted = "nf" if "nf" in STRUCTURES[name].orders else "na"
+    if shared:
+        if not (given[counted] == given[counted].flat[0]).all():
+            raise InputError(
+                f"{counted}={given[counted].tolist()}: outputs that share a denominator need one "
+                f"order {counted}"
+            )
+    elif any(
+        (n < 1).any() and inside for n, inside in zip(given[counted], integrators, strict=True)
+    ):
         raise InputError(
-            f"{asked}: {parameters} parameters from {samples} samples; at most {most} parameters, "
-            f"one for each {SAMPLES_PER_PARAMETER} samples: lower {' or '.join(orders)}, or "
-            "record longer"
+            f"{counted} must be at least 1 with an integrator, because it also counts the root at 1"
         )
-    if nk > most:
-        raise InputError(
-            f"nk={nk}: at most {most} for {samples} samples; lower nk, or record longer"
+    return given
+
+
+def structures(
+    given: dict[str, Integers],
+    name: str,
+    integrators: tuple[bool, ...],
+    *,
+    offset: bool,
+    shared: bool,
+) -> list[Structure]:
+    """Return the structure of each output."""
+    ny, nu = given["nb"].shape
+    none = np.zeros(ny, dtype=np.int_)
+    na, nc, nd = (given.get(order, none) for order in _OF_OUTPUTS)
+    nf = given.get("nf", np.zeros((ny, nu), dtype=np.int_))
+    letter: Literal["a", "f"] = "f" if "nf" in STRUCTURES[name].orders else "a"
+    rows = []
+    for i, integrates in enumerate(integrators):
+        inside = {"a": 0, "f": 0} | ({letter: int(not shared)} if integrates else {})
+        rows.append(
+            Structure(
+                na=int(na[i]) - inside["a"],
+                nb=tuple(given["nb"][i].tolist()),
+                nc=int(nc[i]),
+                nd=int(nd[i]),
+                nf=tuple(
+                    n - inside["f"] if b else 0
+                    for n, b in zip(nf[i].tolist(), given["nb"][i].tolist(), strict=True)
+                ),
+                nk=tuple(given["nk"][i].tolist()),
+                integrator=letter if integrates else "",
+                shared=shared,
+                offset=offset,
+            )
         )
+    return rows

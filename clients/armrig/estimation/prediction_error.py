@@ -12,19 +12,22 @@ from scipy.linalg import block_diag
 
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding, warning
-from armrig.estimation.channel_orders import (
-    Shared,
-    as_text,
-    channels_of,
-    checked_orders,
-    integrating_outputs,
-    structures,
+from armrig.estimation.data_faults import (
+    CONSTANT_INPUT,
+    constant_input,
+    data_faults,
+    require_informative,
 )
-from armrig.estimation.data_checks import instability, require_informative
-from armrig.estimation.data_faults import CONSTANT_INPUT, constant_input, data_faults
 from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
 from armrig.estimation.fit_warnings import curvature, parameter_warnings, search_warnings
-from armrig.estimation.orders import require_samples
+from armrig.estimation.orders import (
+    Shared,
+    as_text,
+    checked_orders,
+    integrating_outputs,
+    require_samples,
+    structures,
+)
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.estimation.search import (
     Ends,
@@ -34,7 +37,11 @@ from armrig.estimation.search import (
     searched_together,
     weighted_by,
 )
-from armrig.estimation.stability import with_stability_warning, with_stable_poles
+from armrig.estimation.stability import (
+    instability,
+    with_stability_warning,
+    with_stable_poles,
+)
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.innovations import Errors, prepared
@@ -387,7 +394,7 @@ def _outputs(
     bases = [orthonormal(one.solution.Psi) for one in found]
     W = block_diag(*(basis.W for basis in bases))
     alone = W.shape[1] == bases[0].rank and len(found[0].outputs) == 1
-    ny = len(channels_of(data)[1])
+    ny = data.signals().ny
     outputs: dict[int, EstimatedOutput] = {}
     row = column = 0
     for one, basis in zip(found, bases, strict=True):

@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
 import msgspec
 from armrig_core.errors import InputError
 
-from armrig.estimation.orders import require_sensible
 from armrig.models.structure_table import STRUCTURES, Focus, OfferedName, Starts, Weights
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
 
+SAMPLES_PER_PARAMETER = 10
+"""Least number of samples per parameter that reliable standard deviations need."""
 _COUNTS_INTEGRATOR = ("na", "nb", "nf")
 """Orders that are lower by one for an output that does not integrate."""
 
@@ -182,3 +183,25 @@ def _of_row(structure: str) -> Callable[..., Fit]:
     taken += [Parameter(name, keyword) for name in names]
     estimate.__signature__ = Signature(taken)  # type: ignore[attr-defined]
     return estimate
+
+
+def require_sensible(*, samples: int, nk: int, integrator: bool = False, **orders: int) -> None:
+    """Refuse a model if nk or its number of parameters is above a tenth of the measured samples."""
+    asked = ", ".join(f"{name}={n}" for name, n in orders.items())
+    parameters, most = sum(orders.values()) - int(integrator), samples // SAMPLES_PER_PARAMETER
+    if not most:
+        needed = SAMPLES_PER_PARAMETER * max(parameters, nk, 1)
+        raise InputError(
+            f"{samples} samples are too few for a model: record longer, at least {needed} samples "
+            f"for {asked or f'nk={nk}'}"
+        )
+    if parameters > most:
+        raise InputError(
+            f"{asked}: {parameters} parameters from {samples} samples; at most {most} parameters, "
+            f"one for each {SAMPLES_PER_PARAMETER} samples: lower {' or '.join(orders)}, or "
+            "record longer"
+        )
+    if nk > most:
+        raise InputError(
+            f"nk={nk}: at most {most} for {samples} samples; lower nk, or record longer"
+        )

@@ -11,10 +11,12 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_signals
 from armrig.data.dataset import Signals
 from armrig.data.finding import EstimateFinding, warning
-from armrig.estimation.data_checks import instability, origin, require_informative
+from armrig.estimation.data_faults import require_informative
+from armrig.estimation.estimated_outputs import origin
 from armrig.estimation.n4sid import order_of
 from armrig.estimation.orders import require_samples
 from armrig.estimation.search import ranked
+from armrig.estimation.stability import instability
 from armrig.estimation.state_space_fit import derivatives, inference, influence, matrices
 from armrig.estimation.state_space_gaps import searched
 from armrig.estimation.state_space_problem import (

@@ -9,6 +9,7 @@ import numpy as np
 
 from armrig.data.finding import Asks, EstimateFinding, warning
 from armrig.estimation.problem import PolynomialProblem, Solution
+from armrig.models.estimate import Form
 from armrig.models.fit import Fit
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.least_squares import orthonormal
@@ -19,6 +20,7 @@ _MAX_POLE_STD = 0.1  # standard deviation above which the data do not determine 
 _INTEGRATOR_SIGMAS = 3.0  # standard deviations from 1 beyond which a pole is no integrator
 REFLECT: tuple[str, Asks] = "lower the orders, or reflect it (option stable)", "order"
 _CIRCLE_MARGIN = 1e-6  # least distance of a reflected pole from the circle
+_CIRCLE_TOLERANCE = 1e-6  # error of the modulus of an eigenvalue of several signals
 
 
 def stabilised(p: Array) -> Array:
@@ -105,6 +107,18 @@ def unstable(farthest: float, way_out: str, asks: Asks) -> EstimateFinding:
     """Return the warning about an unstable pole of modulus `farthest`; the remedy is `way_out`."""
     text = f"a pole is unstable, |z| = {farthest:.4f}: {way_out}"
     return warning("unstable", text, asks, farthest=farthest)
+
+
+def instability(form: Form) -> Iterator[EstimateFinding]:
+    """Yield a warning if a pole of a model of several signals is outside the unit circle."""
+    largest = float(np.max(np.abs(np.linalg.eigvals(form.realised().A)), initial=0.0))
+    if largest > 1 + _CIRCLE_TOLERANCE:
+        yield warning(
+            "unstable",
+            f"a pole of modulus {largest:.4g} is outside the unit circle: simulations grow without "
+            "bound",
+            modulus=largest,
+        )
 
 
 def _way_out(fit: Fit) -> tuple[str, Asks]:

@@ -15,8 +15,8 @@ from armrig_core.telemetry import ALPHA, THETA_1, OutputName
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.arx import arx
-from armrig.estimation.orders import require_sensible
 from armrig.estimation.polynomial_structures import oe
+from armrig.estimation.request import require_sensible
 from armrig.models.fit import Fit
 from armrig.models.structure_table import ARM_POLES
 from armrig.physics.systems import physical_model

@@ -16,8 +16,8 @@ from armrig.data.argument import as_dataset, takes_data
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.estimation.channel_orders import integrating_outputs
 from armrig.estimation.data_faults import level_without_input
+from armrig.estimation.orders import integrating_outputs
 from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals

@@ -11,8 +11,7 @@ import pytest
 from armrig.cli import main
 from armrig.cli.model_structures import requested
 from armrig.cli.next_estimation import options_of
-from armrig.estimation.orders import require_sensible
-from armrig.estimation.request import OPTIONS, Request, flag
+from armrig.estimation.request import OPTIONS, Request, flag, require_sensible
 from armrig.models.structure_table import OFFERED, users
 from armrig.report.batch.tasks import Identify, Verify, digest, sha256
 from armrig_core.errors import InputError, OperationError

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from armrig import Signals
 from armrig.estimation import estimated_outputs, prediction_error
-from armrig.estimation.channel_orders import (
+from armrig.estimation.order_selection import select_orders
+from armrig.estimation.orders import (
     as_text,
     by_channel,
     by_output,
@@ -18,10 +19,9 @@ from armrig.estimation.channel_orders import (
     checked_orders,
     integrating_outputs,
 )
-from armrig.estimation.channel_orders import (
+from armrig.estimation.orders import (
     structures as structures_of,
 )
-from armrig.estimation.order_selection import select_orders
 from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.request import Request
 from armrig.models.structure import Structure
