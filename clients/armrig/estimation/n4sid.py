@@ -37,13 +37,13 @@ from armrig.estimation.subspace_estimate import (
     SubspaceEstimate,
     SubspaceOptions,
     estimated,
+    for_simulation,
     weights_of,
 )
 from armrig.estimation.subspace_horizon import (
     least_horizon,
     require_windows,
 )
-from armrig.estimation.subspace_simulation import for_simulation
 from armrig.models.fit import Fit
 from armrig.models.structure_table import Focus, Weights
 from armrig.numerics.checks import require_integers

@@ -13,8 +13,8 @@ from armrig.estimation.n4sid import _pole_std, n4sid
 from armrig.estimation.polynomial_structures import armax, oe
 from armrig.estimation.start_values import noise_start
 from armrig.estimation.subspace import Realisation
+from armrig.estimation.subspace_estimate import _without_past
 from armrig.estimation.subspace_horizon import Innovations, companion
-from armrig.estimation.subspace_simulation import _without_past
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.models.model_file import load_fit
