@@ -17,8 +17,8 @@ from armrig.data.treatment import retrend as retrend
 from armrig.estimation.arx import arx as arx
 from armrig.estimation.iv4 import iv4 as iv4
 from armrig.estimation.n4sid import n4sid as n4sid
-from armrig.estimation.nonparametric.bla import bla as bla
 from armrig.estimation.nonparametric.correlation import correlation as correlation
+from armrig.estimation.nonparametric.etfe import bla as bla
 from armrig.estimation.nonparametric.etfe import etfe as etfe
 from armrig.estimation.nonparametric.impulse import impulse_response as impulse_response
 from armrig.estimation.nonparametric.sampling_time import sampling_time as sampling_time

@@ -38,6 +38,11 @@ COHERENT = 0.5
 explains."""
 
 
+def labels(of: Any) -> dict[str, Any]:
+    """Return Ts, the names and units of u and y, and the source, of data or of a result."""
+    return {name: getattr(of, name) for name in ("Ts", "output", "unit", "input_unit", "source")}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SpectralEstimate:
     """Estimate of G(exp(i omega Ts)) at some frequencies, with standard deviations if known."""

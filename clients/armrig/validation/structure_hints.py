@@ -13,8 +13,8 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
+from armrig.estimation.nonparametric.spectra import explained
 from armrig.estimation.nonparametric.spectral import spa
-from armrig.estimation.nonparametric.welch import explained
 from armrig.models.spectral_estimate import (
     SpectralEstimate,
     high_band,

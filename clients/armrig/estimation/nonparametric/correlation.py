@@ -14,6 +14,7 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
+from armrig.models.spectral_estimate import labels
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.whiteness import autoregression, joined, two_sided
@@ -164,11 +165,7 @@ def correlation(
         whitener=L,
         rate=integrates,
         N=N,
-        Ts=data.Ts,
-        output=treated.output,
-        unit=treated.unit,
-        input_unit=data.input_unit,
-        source=data.source,
+        **labels(treated),
         notes=decided.notes,
     )
 

@@ -21,7 +21,7 @@ from armrig.estimation.nonparametric.kernels import (
     regression,
 )
 from armrig.models.responses import StepResponse
-from armrig.models.spectral_estimate import SpectralEstimate
+from armrig.models.spectral_estimate import SpectralEstimate, labels
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.covariance import exogenous_score_in_blocks
 from armrig.numerics.least_squares import Basis, orthonormal
@@ -170,11 +170,7 @@ class ImpulseResponse:
                 method=f"transform of an impulse response ({self.kernel or 'least squares'})",
                 integrator=self.integrator,
                 N=self.N,
-                Ts=self.Ts,
-                output=self.output,
-                unit=self.unit,
-                input_unit=self.input_unit,
-                source=self.source,
+                **labels(self),
             )
 
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
@@ -343,11 +339,7 @@ def _response(
         noise_variance=variance,
         whiteness=p,
         N=rows.N,
-        Ts=data.Ts,
-        output=data.output,
-        unit=data.unit,
-        input_unit=data.input_unit,
-        source=data.source,
+        **labels(data),
         warnings=tuple(_warnings(g, covariance, kernel, white)),
     )
 

@@ -15,11 +15,10 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
-from armrig.estimation.nonparametric.blackman_tukey import filled
 from armrig.estimation.nonparametric.impulse import impulse_response, long_enough
+from armrig.estimation.nonparametric.spectra import explained, filled, welch
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_analysis
-from armrig.estimation.nonparametric.welch import explained, welch
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.numerics.quantities import times, with_std
 from armrig.numerics.step_times import linear_crossing, rise_time

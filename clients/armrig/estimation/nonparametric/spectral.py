@@ -14,14 +14,15 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
-from armrig.estimation.nonparametric.blackman_tukey import (
+from armrig.estimation.nonparametric.spectra import (
     MIN_POWER_SHARE,
+    Spectra,
     blackman_tukey,
     blunted,
     filled,
+    welch,
 )
-from armrig.estimation.nonparametric.welch import Spectra, welch
-from armrig.models.spectral_estimate import SpectralEstimate
+from armrig.models.spectral_estimate import SpectralEstimate, labels
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.polynomial import summation
 
@@ -269,11 +270,7 @@ def _estimate(
         method=words,
         integrator=integrates,
         N=N,
-        Ts=data.Ts,
-        output=data.output,
-        unit=data.unit,
-        input_unit=data.input_unit,
-        source=data.source,
+        **labels(data),
         notes=tuple(notes),
     )
 

@@ -17,6 +17,7 @@ from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.nonparametric.step_answer import Answer, step_answer
+from armrig.models.spectral_estimate import labels
 from armrig.numerics.quantities import plural, times, with_std
 from armrig.numerics.step_times import area_above, lag_of_angle
 from armrig.numerics.stretches import Mask, constant, stretches
@@ -246,11 +247,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         overshoot_std=above_std,
         rate=integrates,
         steps=len(steps.at),
-        Ts=data.Ts,
-        output=treated.output,
-        unit=treated.unit,
-        input_unit=data.input_unit,
-        source=data.source,
+        **labels(treated),
         warnings=(*decided.notes, *_warnings(tail / gain, unsettled / gain, answer, hidden, data)),
     )
 

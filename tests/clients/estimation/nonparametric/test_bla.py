@@ -9,8 +9,7 @@ import pytest
 from armrig import excitation
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.estimation.nonparametric.bla import bla
-from armrig.estimation.nonparametric.etfe import etfe, excited
+from armrig.estimation.nonparametric.etfe import bla, etfe, excited
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.treatment.integrating import integration
-from armrig.estimation.nonparametric.bla import bla
 from armrig.estimation.nonparametric.correlation import correlation
-from armrig.estimation.nonparametric.etfe import etfe
+from armrig.estimation.nonparametric.etfe import bla, etfe
 from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.estimation.nonparametric.sampling_time import sampling_time
 from armrig.estimation.nonparametric.spectral import spa

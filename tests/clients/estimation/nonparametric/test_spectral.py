@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
+from armrig.estimation.nonparametric.spectra import Spectra, explained
 from armrig.estimation.nonparametric.spectral import _estimate, spa, spectral_reference
-from armrig.estimation.nonparametric.welch import Spectra, explained
 from armrig.numerics.polynomial import filtered
 
 from tests.sampling import sampled
